@@ -1,0 +1,2 @@
+//! The command `sms`.
+fn main() {}

@@ -1,0 +1,112 @@
+//! Files that are either whole or not there: written to a temporary name in the same folder, then renamed.
+
+use crate::{CoreError, InputError};
+use serde::{Serialize, de::DeserializeOwned};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+fn temporary_name(path: &Path) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.tmp", std::process::id()));
+    path.with_file_name(name)
+}
+
+/// Writes a file through `fill`; an earlier file of this name stays whole until the new one is complete.
+///
+/// # Errors
+/// [`CoreError::Write`] when the folder cannot be made or the disk is full; the temporary file is removed.
+pub fn write_with(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), CoreError> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;
+    }
+    let temporary = temporary_name(path);
+    let written = (|| {
+        let mut writer = BufWriter::with_capacity(1 << 16, File::create(&temporary)?);
+        fill(&mut writer)?;
+        let file = writer.into_inner().map_err(|e| e.into_error())?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)
+    })();
+    written.map_err(|source| {
+        // Best effort: the write error is what the user needs to see.
+        let _ = std::fs::remove_file(&temporary);
+        CoreError::Write { path: path.to_owned(), source }
+    })
+}
+
+/// Writes bytes atomically.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CoreError> {
+    write_with(path, |w| w.write_all(bytes))
+}
+
+/// Writes pretty JSON atomically, with a final newline.
+pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), CoreError> {
+    write_with(path, |w| {
+        serde_json::to_writer_pretty(&mut *w, value).map_err(std::io::Error::other)?;
+        w.write_all(b"\n")
+    })
+}
+
+/// Reads JSON.
+///
+/// # Errors
+/// [`CoreError::Read`] when the file cannot be read, [`CoreError::Input`] when it is not what was expected.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
+    let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
+    serde_json::from_str(&text).map_err(|e| {
+        InputError::new("this JSON file does not hold what it should", path, "restore or regenerate the file")
+            .because(e)
+            .into()
+    })
+}
+
+/// Reads TOML; unknown keys are errors where the type denies them.
+pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
+    let text = std::fs::read_to_string(path).map_err(|e| {
+        InputError::new("this settings file cannot be read", path, "check the path and its permissions")
+            .because(e)
+    })?;
+    toml::from_str(&text).map_err(|e| {
+        InputError::new(
+            "this TOML file has an error",
+            path,
+            "correct the line named above; `unknown field` lists the keys that exist",
+        )
+        .because(format!("\n{}", e.to_string().trim_end()))
+        .into()
+    })
+}
+
+/// Removes temporary files that a killed process left in `folder` (not in its sub-folders).
+pub fn remove_leftovers(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        if entry.path().extension().is_some_and(|e| e == "tmp") {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_no_temporary() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.json");
+        write_bytes(&path, b"old").unwrap();
+        let failed = write_with(&path, |w| {
+            w.write_all(b"half")?;
+            Err(std::io::Error::from(std::io::ErrorKind::StorageFull))
+        });
+        let message = failed.unwrap_err().to_string();
+        assert!(message.contains("free some space"), "{message}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+}

@@ -1,0 +1,70 @@
+//! Reconstructed objects.
+
+use crate::Mesh;
+use glamx::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// Whether physics moves it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EntityKind {
+    /// A free rigid body.
+    Dynamic,
+    /// A fixed collider: floor, bin, wall, everything that no label explains.
+    Static,
+}
+
+/// The shape that physics uses, in the world frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum EntityShape {
+    /// A sphere.
+    Sphere {
+        /// Centre in the world, metres.
+        center_w: DVec3,
+        /// Radius, metres.
+        radius: f64,
+    },
+    /// Convex parts (see [`Entity::parts`]).
+    Convex,
+    /// The triangle mesh itself; for static entities only.
+    TriMesh,
+}
+
+/// Oriented, coloured surface points in the world frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PointCloud {
+    /// Positions, metres.
+    pub points_w: Vec<DVec3>,
+    /// Unit normals facing outwards (towards the cameras that saw them).
+    pub normals_w: Vec<DVec3>,
+    /// sRGB.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// One reconstructed object (or the static environment), with its geometry in the world frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entity {
+    /// Label id in the label maps; 0 for the environment.
+    pub label: u16,
+    /// Unique name, usable as a file name.
+    pub name: String,
+    /// What the labeller called it; may be empty.
+    pub description: String,
+    /// Whether physics moves it.
+    pub kind: EntityKind,
+    /// The shape that physics uses.
+    pub shape: EntityShape,
+    /// Densified surface points.
+    pub cloud: PointCloud,
+    /// Closed surface (for dynamic entities) or open surface (for static ones), world frame.
+    pub mesh: Mesh,
+    /// Convex parts, world frame; empty for spheres and static triangle meshes.
+    pub parts: Vec<Mesh>,
+    /// Share of the mesh's surface area that cameras observed, 0 to 1.
+    pub observed_share: f64,
+    /// Median distance of the cloud to the mesh (or sphere), metres.
+    pub residual_m: f64,
+    /// Mean sRGB colour of the observed surface.
+    pub mean_color: [u8; 3],
+}

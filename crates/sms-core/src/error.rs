@@ -1,0 +1,92 @@
+//! Errors shared by every stage.
+
+use std::path::{Path, PathBuf};
+
+/// Something is wrong with what the user gave: a file, a value, a setting. The command line exits with code 2.
+///
+/// Every message names the file (or setting) and, in `cure`, what to do about it.
+#[derive(Debug, Clone, thiserror::Error)]
+#[error("{what}{}\n  in: {path}\n  cure: {cure}", fmt_detail(.detail))]
+pub struct InputError {
+    /// What is wrong, in one clause.
+    pub what: String,
+    /// The file, folder or setting that is wrong.
+    pub path: String,
+    /// What the user can do.
+    pub cure: String,
+    /// The underlying reason, where there is one.
+    pub detail: Option<String>,
+}
+
+fn fmt_detail(detail: &Option<String>) -> String {
+    detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default()
+}
+
+impl InputError {
+    /// A new input error about `path`.
+    pub fn new(what: impl Into<String>, path: impl AsRef<Path>, cure: impl Into<String>) -> Self {
+        Self {
+            what: what.into(),
+            path: path.as_ref().display().to_string(),
+            cure: cure.into(),
+            detail: None,
+        }
+    }
+
+    /// The same error with the underlying reason.
+    pub fn because(mut self, detail: impl std::fmt::Display) -> Self {
+        self.detail = Some(detail.to_string());
+        self
+    }
+}
+
+/// Errors of the vocabulary crate: files and the run folder.
+#[derive(Debug, thiserror::Error)]
+pub enum CoreError {
+    /// Bad input by the user.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// A file could not be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file could not be written; the file that was there before is untouched.
+    #[error("cannot write {path}: {source}{}", disk_full_hint(source))]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The user asked to stop; what was finished is kept and the run can be resumed.
+    #[error("interrupted; run the same command again to resume")]
+    Interrupted,
+}
+
+fn disk_full_hint(source: &std::io::Error) -> &'static str {
+    match source.kind() {
+        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+            "; free some space and run the same command again: finished stages are kept"
+        }
+        std::io::ErrorKind::PermissionDenied => "; choose a folder that you may write to",
+        _ => "",
+    }
+}
+
+impl CoreError {
+    /// A read error, for `map_err`.
+    pub fn read(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Read { path, source }
+    }
+
+    /// A write error, for `map_err`.
+    pub fn write(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Write { path, source }
+    }
+}

@@ -1,0 +1,66 @@
+//! Row-major images.
+
+/// A row-major image: pixel (x, y) is `data[y * width + x]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image<T> {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// The pixels, row by row from the top.
+    pub data: Vec<T>,
+}
+
+/// Colour, sRGB, 8 bits a channel.
+pub type ColorImage = Image<[u8; 3]>;
+/// Depth along the camera's z axis in metres; 0 where there is no measurement.
+pub type DepthImage = Image<f32>;
+/// Unit surface normals facing the camera, in the frame that the producer states; zero where unknown.
+pub type NormalImage = Image<[f32; 3]>;
+
+impl<T: Clone> Image<T> {
+    /// An image filled with one value.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self { width, height, data: vec![value; width * height] }
+    }
+}
+
+impl<T> Image<T> {
+    /// An image from its pixels.
+    ///
+    /// # Panics
+    /// If `data.len() != width * height`.
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
+        assert_eq!(data.len(), width * height, "pixel count must match the size");
+        Self { width, height, data }
+    }
+
+    /// The pixel at (x, y), or `None` outside.
+    pub fn get(&self, x: i64, y: i64) -> Option<&T> {
+        let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
+        inside.then(|| &self.data[y as usize * self.width + x as usize])
+    }
+
+    /// (width, height).
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// An image of the same size with every pixel mapped.
+    pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
+        Image { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
+    }
+}
+
+impl<T> std::ops::Index<(usize, usize)> for Image<T> {
+    type Output = T;
+    fn index(&self, (x, y): (usize, usize)) -> &T {
+        &self.data[y * self.width + x]
+    }
+}
+
+impl<T> std::ops::IndexMut<(usize, usize)> for Image<T> {
+    fn index_mut(&mut self, (x, y): (usize, usize)) -> &mut T {
+        &mut self.data[y * self.width + x]
+    }
+}

@@ -1,0 +1,192 @@
+//! Mass, centre of mass and inertia; values that violate physics cannot be constructed.
+
+use crate::Mesh;
+use glamx::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// Why a mass or inertia was refused.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum InertiaError {
+    /// Mass is not positive and finite.
+    #[error("mass must be positive and finite, got {0} kg")]
+    Mass(f64),
+    /// The inertia is not symmetric, positive definite, and satisfying A + B ≥ C for its principal moments.
+    #[error("principal moments {0:?} kg·m² are not those of any mass distribution")]
+    Moments([f64; 3]),
+    /// The mesh encloses no positive volume.
+    #[error("the mesh encloses no positive volume ({0} m³)")]
+    Volume(f64),
+}
+
+/// Mass properties of a rigid body, in the frame its geometry is given in.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawMassProperties", into = "RawMassProperties")]
+pub struct MassProperties {
+    mass: f64,
+    com: DVec3,
+    inertia: DMat3,
+}
+
+#[derive(Serialize, Deserialize)]
+struct RawMassProperties {
+    mass_kg: f64,
+    com_m: DVec3,
+    inertia_kg_m2: [[f64; 3]; 3],
+}
+
+impl TryFrom<RawMassProperties> for MassProperties {
+    type Error = InertiaError;
+    fn try_from(raw: RawMassProperties) -> Result<Self, InertiaError> {
+        let inertia = DMat3::from_cols_array_2d(&raw.inertia_kg_m2);
+        Self::new(raw.mass_kg, raw.com_m, inertia)
+    }
+}
+
+impl From<MassProperties> for RawMassProperties {
+    fn from(m: MassProperties) -> Self {
+        Self { mass_kg: m.mass, com_m: m.com, inertia_kg_m2: m.inertia.to_cols_array_2d() }
+    }
+}
+
+impl MassProperties {
+    /// Mass properties, checked.
+    ///
+    /// # Errors
+    /// [`InertiaError`] unless mass > 0 and the moments are physically possible (within rounding).
+    pub fn new(mass: f64, com: DVec3, inertia: DMat3) -> Result<Self, InertiaError> {
+        if !(mass > 0.0 && mass.is_finite()) || !com.is_finite() {
+            return Err(InertiaError::Mass(mass));
+        }
+        let symmetric = 0.5 * (inertia + inertia.transpose());
+        let eigen = glamx::DSymmetricEigen3::new(symmetric);
+        let [a, b, c] = eigen.eigenvalues.to_array();
+        let largest = a.max(b).max(c);
+        let slack = 1e-9 * largest;
+        let possible = symmetric.is_finite()
+            && a.min(b).min(c) > 0.0
+            && a + b + slack >= c
+            && b + c + slack >= a
+            && a + c + slack >= b
+            && (inertia - symmetric).abs_diff_eq(DMat3::ZERO, 1e-6 * largest);
+        if possible { Ok(Self { mass, com, inertia: symmetric }) } else { Err(InertiaError::Moments([a, b, c])) }
+    }
+
+    /// Mass in kg.
+    pub fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// Centre of mass in metres.
+    pub fn com(&self) -> DVec3 {
+        self.com
+    }
+
+    /// Rotational inertia about the centre of mass, kg·m², in the axes of the geometry's frame.
+    pub fn inertia(&self) -> DMat3 {
+        self.inertia
+    }
+
+    /// The same body with another mass at the same shape.
+    ///
+    /// # Errors
+    /// [`InertiaError::Mass`] when the mass is not positive.
+    pub fn with_mass(&self, mass: f64) -> Result<Self, InertiaError> {
+        Self::new(mass, self.com, self.inertia * (mass / self.mass))
+    }
+}
+
+/// Exact mass properties of a homogeneous closed mesh with `density` kg/m³, by integration over the tetrahedra
+/// that each face spans with a reference point (Tonon 2004; Eberly, "Polyhedral Mass Properties").
+///
+/// # Errors
+/// [`InertiaError::Volume`] when the mesh encloses no positive volume.
+pub fn polyhedron_mass_properties(mesh: &Mesh, density: f64) -> Result<MassProperties, InertiaError> {
+    // Integrating about a vertex of the mesh keeps cancellation small when the body is far from the origin.
+    let origin = mesh.vertices.first().copied().unwrap_or(DVec3::ZERO);
+    let mut volume = 0.0;
+    let mut first = DVec3::ZERO;
+    let mut second = DMat3::ZERO;
+    for t in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(t).map(|p| p - origin);
+        let det = a.dot(b.cross(c));
+        volume += det / 6.0;
+        first += (a + b + c) * (det / 24.0);
+        // ∫ x xᵀ over the tetrahedron (0,a,b,c) = det/120 · (Σ pᵢpᵢᵀ + s sᵀ), s = a+b+c.
+        let s = a + b + c;
+        second += (outer(a) + outer(b) + outer(c) + outer(s)) * (det / 120.0);
+    }
+    if !(volume > 0.0 && volume.is_finite()) {
+        return Err(InertiaError::Volume(volume));
+    }
+    let com = first / volume;
+    let central = second - outer(com) * volume;
+    let inertia = (DMat3::from_diagonal(DVec3::splat(trace(central))) - central) * density;
+    MassProperties::new(volume * density, com + origin, inertia)
+}
+
+/// Mass properties of a homogeneous solid sphere.
+///
+/// # Errors
+/// [`InertiaError::Mass`] when radius or density is not positive.
+pub fn sphere_mass_properties(
+    center: DVec3,
+    radius: f64,
+    density: f64,
+) -> Result<MassProperties, InertiaError> {
+    let mass = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3) * density;
+    MassProperties::new(mass, center, DMat3::from_diagonal(DVec3::splat(0.4 * mass * radius * radius)))
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+fn trace(m: DMat3) -> f64 {
+    m.x_axis.x + m.y_axis.y + m.z_axis.z
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::{DPose3, DQuat};
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_box_has_its_textbook_inertia_wherever_it_is() {
+        let half = DVec3::new(0.05, 0.1, 0.02);
+        let pose = DPose3::from_parts(DVec3::new(3.0, -2.0, 5.0), DQuat::IDENTITY);
+        let m = polyhedron_mass_properties(&Mesh::cuboid(half).transformed(&pose), 800.0).unwrap();
+        let mass = 8.0 * half.x * half.y * half.z * 800.0;
+        assert!((m.mass() / mass - 1.0).abs() < 1e-12);
+        assert!((m.com() - pose.translation).length() < 1e-12);
+        let expected = mass / 3.0 * (half.y * half.y + half.z * half.z);
+        assert!((m.inertia().x_axis.x / expected - 1.0).abs() < 1e-9);
+        assert!(m.inertia().x_axis.y.abs() < 1e-12);
+    }
+
+    #[test]
+    fn impossible_inertia_is_refused() {
+        let thin = DMat3::from_diagonal(DVec3::new(1.0, 1.0, 3.0));
+        assert!(matches!(MassProperties::new(1.0, DVec3::ZERO, thin), Err(InertiaError::Moments(_))));
+        assert!(matches!(MassProperties::new(-1.0, DVec3::ZERO, DMat3::IDENTITY), Err(InertiaError::Mass(_))));
+        let inside_out = {
+            let mut mesh = Mesh::cuboid(DVec3::ONE);
+            mesh.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+            mesh
+        };
+        assert!(matches!(polyhedron_mass_properties(&inside_out, 1.0), Err(InertiaError::Volume(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn rotating_the_mesh_rotates_the_inertia(x in -3.0..3.0f64, y in -3.0..3.0f64, z in -3.0..3.0f64) {
+            let q = DQuat::from_scaled_axis(DVec3::new(x, y, z));
+            let mesh = Mesh::cuboid(DVec3::new(0.1, 0.2, 0.05));
+            let still = polyhedron_mass_properties(&mesh, 1000.0).unwrap().inertia();
+            let turned = mesh.transformed(&DPose3::from_parts(DVec3::ZERO, q));
+            let turned = polyhedron_mass_properties(&turned, 1000.0).unwrap().inertia();
+            let r = DMat3::from_quat(q);
+            prop_assert!((r * still * r.transpose()).abs_diff_eq(turned, 1e-9));
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! The vocabulary of `sms`, and nothing else.
+//!
+//! Every stage of the pipeline speaks in these types: posed cameras and images, label maps, meshes with their
+//! mass properties, entities, materials with intervals; and every stage reports through the same run folder,
+//! warnings, seeds and progress.
+//!
+//! # Conventions
+//! - World `W`: metres, z up, gravity along −z. Recording world `R`: whatever the recording used.
+//! - Camera `C`: OpenCV axes (x right, y down, z forward). The centre of pixel (i, j) is at image-plane
+//!   coordinates (i + 0.5, j + 0.5); readers convert.
+//! - `x_wc` (monogram notation `X_WC`) is the pose of the camera in the world: it carries a point `p_C` to
+//!   `p_W = X_WC · p_C`. Vectors carry their frame in the name: `p_w`, `v_w`.
+//! - Poses and geometry are `f64` ([`glamx::DPose3`], [`glamx::DVec3`]); training is `f32`.
+//!
+//! ```
+//! use sms_core::{Camera, Intrinsics};
+//! use sms_core::glamx::{DPose3, DVec3};
+//! let camera = Camera::new(Intrinsics::from_fov(320, 200, 1.2), DPose3::identity());
+//! let p_w = camera.unproject(160.0, 100.0, 2.0);
+//! assert!((p_w - DVec3::new(0.0, 0.0, 2.0)).length() < 1e-12);
+//! ```
+
+pub mod atomic;
+mod camera;
+mod cancel;
+mod entity;
+mod error;
+mod hash;
+mod image;
+mod inertia;
+mod labels;
+mod material;
+mod mesh;
+mod mesh_io;
+pub mod metrics;
+pub mod ply;
+mod png_io;
+mod progress;
+mod run_folder;
+mod seed;
+mod topology;
+mod warnings;
+
+pub use camera::{Camera, Intrinsics};
+pub use cancel::Cancel;
+pub use entity::{Entity, EntityKind, EntityShape, PointCloud};
+pub use error::{CoreError, InputError};
+pub use glamx;
+pub use hash::{Hash, Hasher, hash_serializable};
+pub use image::{ColorImage, DepthImage, Image, NormalImage};
+pub use inertia::{InertiaError, MassProperties, polyhedron_mass_properties, sphere_mass_properties};
+pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
+pub use material::{Interval, Material, Property, PropertySource};
+pub use mesh::{Aabb, Mesh};
+pub use png_io::{read_png_color, read_png_gray16, write_png_color, write_png_gray16};
+pub use progress::{NoProgress, PlainProgress, Progress};
+pub use run_folder::{RunFolder, Stage, StageState};
+pub use seed::{Seed, StageRng};
+pub use warnings::{Warning, Warnings};

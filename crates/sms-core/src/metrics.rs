@@ -1,0 +1,66 @@
+//! `metrics.json`: one flat object, SI units, stable keys (documented in `docs/metrics.md`).
+
+use crate::{CoreError, atomic};
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// A flat set of metrics.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Metrics(Map<String, Value>);
+
+impl Metrics {
+    /// No metrics.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Sets one metric. A number that is not finite is stored as null: it was computed, and is not a number.
+    pub fn set(&mut self, key: impl Into<String>, value: impl Into<Value>) -> &mut Self {
+        self.0.insert(key.into(), value.into());
+        self
+    }
+
+    /// The number under `key`.
+    pub fn number(&self, key: &str) -> Option<f64> {
+        self.0.get(key).and_then(Value::as_f64)
+    }
+
+    /// Any value under `key`.
+    pub fn get(&self, key: &str) -> Option<&Value> {
+        self.0.get(key)
+    }
+
+    /// All metrics, ordered by key.
+    pub fn iter(&self) -> impl Iterator<Item = (&String, &Value)> {
+        let mut all: Vec<_> = self.0.iter().collect();
+        all.sort_by(|a, b| a.0.cmp(b.0));
+        all.into_iter()
+    }
+
+    /// Removes every key that starts with `prefix`.
+    pub fn remove_prefix(&mut self, prefix: &str) {
+        self.0.retain(|k, _| !k.starts_with(prefix));
+    }
+
+    /// Takes over all of another set.
+    pub fn merge(&mut self, other: Metrics) {
+        self.0.extend(other.0);
+    }
+
+    /// Reads the file; an absent file has no metrics.
+    ///
+    /// # Errors
+    /// When the file exists and cannot be read.
+    pub fn load(path: &Path) -> Result<Self, CoreError> {
+        if path.exists() { Ok(Self(atomic::read_json(path)?)) } else { Ok(Self::default()) }
+    }
+
+    /// Writes the file, ordered by key.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), CoreError> {
+        let ordered: Map<String, Value> = self.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
+        atomic::write_json(path, &ordered)
+    }
+}

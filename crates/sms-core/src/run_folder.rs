@@ -1,0 +1,281 @@
+//! The run folder: one sub-folder a stage, each either whole or not there.
+//!
+//! A stage works in `.<name>.partial/` (where it may keep checkpoints) and becomes `<name>/` by a rename once it is
+//! complete. `<name>/stage.json` holds the hash of everything that went into it; a stage whose hash has not changed
+//! is not run again, and a partial stage whose hash has not changed is resumed.
+
+use crate::{CoreError, Hash, InputError, atomic};
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Serialize, Deserialize)]
+struct StageRecord {
+    stage: String,
+    inputs: Hash,
+    program: String,
+}
+
+const RECORD: &str = "stage.json";
+
+/// A run on disk.
+#[derive(Debug)]
+pub struct RunFolder {
+    root: PathBuf,
+    lock: Option<File>,
+}
+
+/// What [`RunFolder::begin`] found.
+#[derive(Debug)]
+pub enum StageState {
+    /// The stage is complete for these inputs; its folder.
+    Done(PathBuf),
+    /// The stage has to be run (or resumed).
+    Todo(Stage),
+}
+
+/// A stage in progress.
+#[derive(Debug)]
+pub struct Stage {
+    name: String,
+    inputs: Hash,
+    work: PathBuf,
+    done: PathBuf,
+    resumed: bool,
+}
+
+impl RunFolder {
+    /// Opens a run for writing, making the folder where it is missing, and locks it against a second writer.
+    ///
+    /// # Errors
+    /// [`CoreError::Input`] when another process is writing to this run, or the path is a file.
+    pub fn create(root: &Path) -> Result<Self, CoreError> {
+        if root.is_file() {
+            return Err(InputError::new("this is a file, not a folder", root, "name another folder").into());
+        }
+        fs::create_dir_all(root).map_err(CoreError::write(root))?;
+        Self::open_locked(root)
+    }
+
+    /// Opens an existing run for writing.
+    ///
+    /// # Errors
+    /// [`CoreError::Input`] when there is no such run.
+    pub fn open(root: &Path) -> Result<Self, CoreError> {
+        if !root.join("run.toml").is_file() {
+            return Err(InputError::new(
+                "there is no run here",
+                root,
+                "give the folder that `sms scan … --out RUN` wrote (it holds run.toml)",
+            )
+            .into());
+        }
+        Self::open_locked(root)
+    }
+
+    fn open_locked(root: &Path) -> Result<Self, CoreError> {
+        let path = root.join(".lock");
+        let file = File::create(&path).map_err(CoreError::write(&path))?;
+        if file.try_lock().is_err() {
+            return Err(InputError::new(
+                "another sms process is writing to this run",
+                root,
+                "wait for it to end, or use another folder",
+            )
+            .into());
+        }
+        atomic::remove_leftovers(root);
+        Ok(Self { root: root.to_owned(), lock: Some(file) })
+    }
+
+    /// The run's folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The folder of a complete stage.
+    ///
+    /// # Errors
+    /// [`CoreError::Input`] naming the command to run first.
+    pub fn stage_dir(&self, name: &str, made_by: &str) -> Result<PathBuf, CoreError> {
+        let dir = self.root.join(name);
+        if dir.join(RECORD).is_file() {
+            return Ok(dir);
+        }
+        Err(InputError::new(
+            format!("this run has no `{name}` yet"),
+            &self.root,
+            format!("run `sms {made_by} {}` first", self.root.display()),
+        )
+        .into())
+    }
+
+    /// The inputs' hash of a complete stage.
+    pub fn stage_hash(&self, name: &str) -> Option<Hash> {
+        read_record(&self.root.join(name)).map(|r| r.inputs)
+    }
+
+    /// Begins a stage whose inputs and settings have this hash. With `force` it is redone from the start.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`] when the folder cannot be prepared.
+    pub fn begin(&self, name: &str, inputs: &Hash, force: bool) -> Result<StageState, CoreError> {
+        let done = self.root.join(name);
+        let work = self.root.join(format!(".{name}.partial"));
+        let old = self.root.join(format!(".{name}.old"));
+        // A kill between the two renames of `commit` leaves the old result under its hidden name.
+        if old.exists() {
+            if done.exists() {
+                fs::remove_dir_all(&old).map_err(CoreError::write(&old))?;
+            } else {
+                fs::rename(&old, &done).map_err(CoreError::write(&done))?;
+            }
+        }
+        let same = |dir: &Path| read_record(dir).is_some_and(|r| r.inputs == *inputs && r.program == program());
+        if !force && same(&done) {
+            return Ok(StageState::Done(done));
+        }
+        let resumed = !force && same(&work);
+        if resumed {
+            atomic::remove_leftovers(&work);
+        } else {
+            if work.exists() {
+                fs::remove_dir_all(&work).map_err(CoreError::write(&work))?;
+            }
+            fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
+            let record =
+                StageRecord { stage: name.to_owned(), inputs: inputs.clone(), program: program().to_owned() };
+            atomic::write_json(&work.join(RECORD), &record)?;
+        }
+        Ok(StageState::Todo(Stage { name: name.to_owned(), inputs: inputs.clone(), work, done, resumed }))
+    }
+
+    /// Records the settings of a stage in `run.toml`, under the stage's name; other stages are kept.
+    ///
+    /// # Errors
+    /// When `run.toml` cannot be read or written.
+    pub fn record_settings<T: Serialize>(&self, stage: &str, settings: &T) -> Result<(), CoreError> {
+        let path = self.root.join("run.toml");
+        let mut table: toml::Table = if path.exists() { atomic::read_toml(&path)? } else { toml::Table::new() };
+        let value = toml::Value::try_from(settings).map_err(|e| {
+            InputError::new("these settings cannot be written as TOML", &path, "report this as a bug").because(e)
+        })?;
+        table.insert(stage.to_owned(), value);
+        atomic::write_bytes(&path, table.to_string().as_bytes())
+    }
+
+    /// Path of `metrics.json`.
+    pub fn metrics_path(&self) -> PathBuf {
+        self.root.join("metrics.json")
+    }
+
+    /// Path of `warnings.json`.
+    pub fn warnings_path(&self) -> PathBuf {
+        self.root.join("warnings.json")
+    }
+}
+
+impl Drop for RunFolder {
+    fn drop(&mut self) {
+        if let Some(file) = self.lock.take() {
+            let _ = file.unlock();
+        }
+    }
+}
+
+impl Stage {
+    /// The folder to write into; holds checkpoints when the stage is resumed.
+    pub fn dir(&self) -> &Path {
+        &self.work
+    }
+
+    /// Whether an earlier, interrupted attempt with the same inputs is being continued.
+    pub fn is_resumed(&self) -> bool {
+        self.resumed
+    }
+
+    /// The stage's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The inputs' hash.
+    pub fn inputs(&self) -> &Hash {
+        &self.inputs
+    }
+
+    /// Makes the work the stage's result; the earlier result is removed only after the new one is in place.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn commit(self) -> Result<PathBuf, CoreError> {
+        let old = self.done.with_file_name(format!(".{}.old", self.name));
+        if self.done.exists() {
+            fs::rename(&self.done, &old).map_err(CoreError::write(&self.done))?;
+        }
+        fs::rename(&self.work, &self.done).map_err(CoreError::write(&self.done))?;
+        if old.exists() {
+            fs::remove_dir_all(&old).map_err(CoreError::write(&old))?;
+        }
+        Ok(self.done)
+    }
+}
+
+fn read_record(dir: &Path) -> Option<StageRecord> {
+    atomic::read_json(&dir.join(RECORD)).ok()
+}
+
+fn program() -> &'static str {
+    env!("CARGO_PKG_VERSION")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hash_serializable;
+
+    fn todo(state: StageState) -> Stage {
+        match state {
+            StageState::Todo(stage) => stage,
+            StageState::Done(dir) => panic!("{} is already done", dir.display()),
+        }
+    }
+
+    #[test]
+    fn a_stage_is_done_once_resumed_when_partial_and_redone_when_its_inputs_change() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        let (a, b) = (hash_serializable(&1), hash_serializable(&2));
+        let stage = todo(run.begin("scan", &a, false).unwrap());
+        assert!(!stage.is_resumed());
+        atomic::write_bytes(&stage.dir().join("checkpoint.bin"), b"half").unwrap();
+        drop(stage);
+        let stage = todo(run.begin("scan", &a, false).unwrap());
+        assert!(stage.is_resumed() && stage.dir().join("checkpoint.bin").exists());
+        stage.commit().unwrap();
+        assert!(matches!(run.begin("scan", &a, false).unwrap(), StageState::Done(_)));
+        let changed = todo(run.begin("scan", &b, false).unwrap());
+        assert!(!changed.is_resumed() && !changed.dir().join("checkpoint.bin").exists());
+        assert!(run.stage_dir("scan", "scan").is_ok(), "the earlier result stays whole until the new one is done");
+        changed.commit().unwrap();
+        assert_eq!(run.stage_hash("scan"), Some(b));
+    }
+
+    #[test]
+    fn a_kill_between_the_renames_keeps_the_old_result() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        let a = hash_serializable(&1);
+        todo(run.begin("scan", &a, false).unwrap()).commit().unwrap();
+        fs::rename(dir.path().join("scan"), dir.path().join(".scan.old")).unwrap();
+        assert!(matches!(run.begin("scan", &a, false).unwrap(), StageState::Done(_)));
+    }
+
+    #[test]
+    fn a_second_writer_is_refused_and_a_missing_run_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let _run = RunFolder::create(dir.path()).unwrap();
+        assert!(RunFolder::create(dir.path()).unwrap_err().to_string().contains("another sms process"));
+        assert!(RunFolder::open(&dir.path().join("no")).unwrap_err().to_string().contains("no run here"));
+    }
+}

@@ -1,0 +1,84 @@
+//! Warnings are collected, saved with the run, and shown once at the end and in the report.
+
+use crate::CoreError;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::Mutex;
+
+/// Something that a user should know about a result.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Warning {
+    /// The stage that said it.
+    pub stage: String,
+    /// Short stable identifier, `snake_case`.
+    pub code: String,
+    /// What happened, with its figures.
+    pub message: String,
+    /// What can be done about it; may be empty.
+    #[serde(default)]
+    pub cure: String,
+    /// How often it happened.
+    pub count: usize,
+}
+
+/// Collects warnings from any thread. The same code with the same message is counted, not repeated.
+#[derive(Debug, Default)]
+pub struct Warnings {
+    list: Mutex<Vec<Warning>>,
+}
+
+impl Warnings {
+    /// An empty collector.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a warning.
+    pub fn add(&self, stage: &str, code: &str, message: impl Into<String>, cure: impl Into<String>) {
+        let (message, cure) = (message.into(), cure.into());
+        let Ok(mut list) = self.list.lock() else { return };
+        match list.iter_mut().find(|w| w.stage == stage && w.code == code && w.message == message) {
+            Some(known) => known.count += 1,
+            None => {
+                list.push(Warning { stage: stage.to_owned(), code: code.to_owned(), message, cure, count: 1 })
+            }
+        }
+    }
+
+    /// What was collected so far, ordered by stage, code and message so that it does not depend on threads.
+    pub fn snapshot(&self) -> Vec<Warning> {
+        let mut list = self.list.lock().map(|l| l.clone()).unwrap_or_default();
+        list.sort_by(|a, b| (&a.stage, &a.code, &a.message).cmp(&(&b.stage, &b.code, &b.message)));
+        list
+    }
+
+    /// Merges into `warnings.json`: entries of `stages` are replaced by this collector's, others are kept.
+    pub fn save(&self, path: &Path, stages: &[&str]) -> Result<(), CoreError> {
+        let mut all: Vec<Warning> =
+            if path.exists() { crate::atomic::read_json(path).unwrap_or_default() } else { Vec::new() };
+        all.retain(|w| !stages.contains(&w.stage.as_str()));
+        all.extend(self.snapshot().into_iter().filter(|w| stages.contains(&w.stage.as_str())));
+        crate::atomic::write_json(path, &all)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_warnings_are_counted_and_stages_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("warnings.json");
+        let first = Warnings::new();
+        first.add("scan", "few_frames", "only 3 frames", "");
+        first.add("scan", "few_frames", "only 3 frames", "");
+        first.add("plan", "hard", "no shot found", "");
+        assert_eq!(first.snapshot().len(), 2);
+        first.save(&path, &["scan", "plan"]).unwrap();
+        Warnings::new().save(&path, &["scan"]).unwrap();
+        let left: Vec<Warning> = crate::atomic::read_json(&path).unwrap();
+        assert_eq!(left.len(), 1);
+        assert_eq!(left[0].stage, "plan");
+    }
+}

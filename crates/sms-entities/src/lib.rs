@@ -1,0 +1,1 @@
+//! From Gaussians to objects: grouping, meshing, spheres, convex parts.

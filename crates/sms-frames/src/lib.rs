@@ -1,0 +1,1 @@
+//! Posed RGB-D recordings: readers, checks, resampling, normals and world alignment.

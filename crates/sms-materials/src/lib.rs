@@ -1,0 +1,1 @@
+//! Material properties of objects, with intervals and sources.

@@ -1,0 +1,1 @@
+//! Optimisers and planning: Nelder-Mead, screening, multi-start, trial log.

@@ -1,0 +1,1 @@
+//! Metrics against truth, figures and the report page.

@@ -1,0 +1,1 @@
+//! The simulation-ready scene: manifest, validation, export.

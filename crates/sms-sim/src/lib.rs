@@ -1,0 +1,1 @@
+//! Rigid-body worlds: the World trait, the Rapier adapter, contact timing, the striker.

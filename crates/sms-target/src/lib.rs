@@ -1,0 +1,1 @@
+//! Target worlds in which a plan is executed; the planner never reads them.
