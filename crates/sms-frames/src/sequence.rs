@@ -1,0 +1,55 @@
+//! The stage's result: posed frames in one world.
+
+use glamx::DPose3;
+use sms_core::{Camera, ColorImage, DepthImage, NormalImage};
+use std::path::PathBuf;
+
+/// One posed RGB-D frame; colour, depth and normals have the size of `camera.intrinsics`.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Position in the sequence, from 0.
+    pub index: usize,
+    /// Seconds since the first frame, where the recording has times.
+    pub time_s: Option<f64>,
+    /// Intrinsics and pose in the world `W`.
+    pub camera: Camera,
+    /// Colour.
+    pub color: ColorImage,
+    /// Depth along the camera's z axis in metres, 0 where there is none.
+    pub depth: DepthImage,
+    /// Unit normals from depth in the camera frame `C`, facing the camera; zero where unknown.
+    pub normal_c: NormalImage,
+    /// The colour file this frame came from.
+    pub color_path: PathBuf,
+    /// The label image that came with the recording.
+    pub mask_path: Option<PathBuf>,
+}
+
+/// A recording as the pipeline uses it: frames at scan resolution in a z-up metric world.
+#[derive(Debug, Clone)]
+pub struct Sequence {
+    /// The frames in recorded order.
+    pub frames: Vec<Frame>,
+    /// `X_world_recording`: carries points of the recording's own world to ours.
+    pub x_world_recording: DPose3,
+    /// Where the recording lies.
+    pub source: PathBuf,
+}
+
+impl Sequence {
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Whether there are no frames.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Whether frame `index` is kept out of training when every `holdout`-th frame is (0: none is). The first frame
+    /// is always trained on.
+    pub fn is_held_out(index: usize, holdout: usize) -> bool {
+        holdout > 0 && index % holdout == holdout - 1
+    }
+}

@@ -1,0 +1,69 @@
+//! The stage's result: Gaussians with what they belong to.
+
+use glamx::{Quat, Vec3};
+
+/// Width of the affinity feature (paper: d; released code: 16).
+pub const AFFINITY_DIM: usize = 16;
+/// Hidden width of the classifier.
+pub const HIDDEN_DIM: usize = 32;
+
+/// Gaussians as a structure of arrays, in natural units (not the optimiser's).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct GaussianModel {
+    /// Centres in the world, metres.
+    pub positions_w: Vec<Vec3>,
+    /// Rotation from the Gaussian's axes to the world, unit quaternions.
+    pub rotations_wg: Vec<Quat>,
+    /// Standard deviations along the Gaussian's axes, metres.
+    pub scales: Vec<Vec3>,
+    /// Opacities in (0, 1).
+    pub opacities: Vec<f32>,
+    /// Linear colour values as trained against sRGB images, nominally 0 to 1.
+    pub colors: Vec<[f32; 3]>,
+    /// Affinity features.
+    pub affinities: Vec<[f32; AFFINITY_DIM]>,
+    /// The classifier's label of each Gaussian's own affinity.
+    pub labels: Vec<u16>,
+    /// Softmax probability of that label.
+    pub label_confidence: Vec<f32>,
+    /// The classifier.
+    pub classifier: Classifier,
+}
+
+/// The two-layer perceptron φ of the paper (Section "Scan"): affinity → ReLU hidden layer → logits.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Classifier {
+    /// Number of classes K, the background included.
+    pub classes: usize,
+    /// First layer, `[HIDDEN_DIM][AFFINITY_DIM]` row by row.
+    pub w1: Vec<f32>,
+    /// First bias, `[HIDDEN_DIM]`.
+    pub b1: Vec<f32>,
+    /// Second layer, `[classes][HIDDEN_DIM]` row by row.
+    pub w2: Vec<f32>,
+    /// Second bias, `[classes]`.
+    pub b2: Vec<f32>,
+}
+
+impl GaussianModel {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.positions_w.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions_w.is_empty()
+    }
+
+    /// The shortest principal axis of Gaussian `i` in the world (unit, sign arbitrary), and the two larger standard
+    /// deviations with their axes: `(normal, [(axis, sigma); 2])`.
+    pub fn disc(&self, i: usize) -> (Vec3, [(Vec3, f32); 2]) {
+        let q = self.rotations_wg[i];
+        let s = self.scales[i].to_array();
+        let axes = [q * Vec3::X, q * Vec3::Y, q * Vec3::Z];
+        let smallest = (0..3).min_by(|&a, &b| s[a].total_cmp(&s[b])).unwrap_or(2);
+        let others = [(smallest + 1) % 3, (smallest + 2) % 3];
+        (axes[smallest], others.map(|k| (axes[k], s[k])))
+    }
+}

@@ -1,0 +1,146 @@
+//! The seam between the schedule and its back ends: a whole training step, not single operations.
+//!
+//! Seeding, schedule, random state and early stopping live above this trait, once for every back end; parameters and
+//! Adam moments live below it, on the device.
+
+use crate::{AFFINITY_DIM, Classifier, GaussianModel};
+use glamx::{Quat, Vec3};
+use sms_core::{Camera, CoreError};
+
+/// One observed view, at training resolution. All buffers are row-major with `camera.intrinsics` size.
+#[derive(Debug, Clone)]
+pub struct TrainFrame {
+    /// The camera.
+    pub camera: Camera,
+    /// Colour, sRGB values scaled to 0..1.
+    pub color: Vec<[f32; 3]>,
+    /// Depth in metres, 0 where there is none.
+    pub depth: Vec<f32>,
+    /// Unit normals in the world facing the camera, zero where unknown.
+    pub normal_w: Vec<[f32; 3]>,
+    /// Labels; `u16::MAX` where the pixel must not be used for segmentation.
+    pub label: Vec<u16>,
+}
+
+/// A Gaussian to be inserted, in natural units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seedling {
+    /// Centre in the world, metres.
+    pub position_w: Vec3,
+    /// Rotation from the Gaussian's axes to the world; the third axis is the disc's normal.
+    pub rotation_wg: Quat,
+    /// Standard deviations, metres.
+    pub scale: Vec3,
+    /// Opacity in (0, 1).
+    pub opacity: f32,
+    /// Colour, 0..1.
+    pub color: [f32; 3],
+    /// Affinity feature.
+    pub affinity: [f32; AFFINITY_DIM],
+}
+
+/// Each term of the loss (paper, Section "Scan"), unweighted sums already averaged as in the paper.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LossTerms {
+    /// Mean absolute colour error.
+    pub color_l1: f32,
+    /// 1 − SSIM.
+    pub dssim: f32,
+    /// Isotropic regulariser.
+    pub isotropic: f32,
+    /// Depth L1, metres, over valid pixels.
+    pub depth: f32,
+    /// Normal L1 over valid pixels.
+    pub normal: f32,
+    /// Mean smallest scale, metres.
+    pub flat: f32,
+    /// Cross-entropy, nats.
+    pub segmentation: f32,
+    /// The weighted total that was descended.
+    pub total: f32,
+}
+
+/// What a batch of steps reports: the terms averaged over the batch.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct StepStats {
+    /// Mean loss terms.
+    pub loss: LossTerms,
+    /// Steps taken.
+    pub steps: u32,
+}
+
+/// Rendered images of one camera, row-major.
+#[derive(Debug, Clone, Default)]
+pub struct RenderedMaps {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Colour.
+    pub color: Vec<[f32; 3]>,
+    /// Accumulated opacity, 0..1.
+    pub alpha: Vec<f32>,
+    /// Depth in metres normalised by accumulated opacity; 0 where nothing is seen.
+    pub depth: Vec<f32>,
+    /// World normals, not normalised.
+    pub normal_w: Vec<[f32; 3]>,
+    /// Most likely label.
+    pub label: Vec<u16>,
+}
+
+/// Everything needed to continue training exactly: parameters in the optimiser's own units, moments, step counts.
+/// The layout is the back end's; every back end writes and reads the same one.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TrainState {
+    /// Bytes of the state (little-endian, versioned by their first word).
+    pub bytes: Vec<u8>,
+}
+
+/// Errors of a back end.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainerError {
+    /// The state was written by another version or is damaged.
+    #[error("the checkpoint does not fit this program: {0}")]
+    BadState(String),
+    /// Files or interruption.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+}
+
+/// Index of a frame given to [`Trainer::add_frame`].
+pub type FrameId = usize;
+
+/// A back end: owns parameters and moments, and takes whole training steps.
+pub trait Trainer: Send {
+    /// Makes a view available to [`Trainer::steps`]; ids count from 0.
+    fn add_frame(&mut self, frame: TrainFrame) -> FrameId;
+    /// Number of Gaussians.
+    fn len(&self) -> usize;
+    /// Whether there are none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+    /// Appends Gaussians with zeroed moments.
+    fn insert(&mut self, seedlings: &[Seedling]);
+    /// Keeps only Gaussians whose entry is true; order is kept. `mask.len() == self.len()`.
+    fn retain(&mut self, mask: &[bool]);
+    /// One step per entry, in order.
+    fn steps(&mut self, frames: &[FrameId]) -> StepStats;
+    /// Renders a view (no gradients).
+    fn render(&mut self, camera: &Camera) -> RenderedMaps;
+    /// Opacities in order.
+    fn opacities(&self) -> Vec<f32>;
+    /// Centres in order.
+    fn positions_w(&self) -> Vec<Vec3>;
+    /// The classifier.
+    fn classifier(&self) -> Classifier;
+    /// The model in natural units with labels filled in.
+    fn model(&self) -> GaussianModel;
+    /// The whole state, for a checkpoint.
+    fn snapshot(&self) -> TrainState;
+    /// Continues from a checkpoint (frames are added again by the caller).
+    ///
+    /// # Errors
+    /// [`TrainerError::BadState`].
+    fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
+}

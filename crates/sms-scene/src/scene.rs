@@ -1,0 +1,97 @@
+//! The manifest.
+
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{MassProperties, Material, Mesh};
+
+/// Version of the manifest's schema; readers refuse newer ones.
+pub const SCENE_VERSION: u32 = 1;
+
+/// A rigid-body scene in the world `W`: metres, kilograms, z up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// Schema version.
+    pub version: u32,
+    /// Name.
+    pub name: String,
+    /// Gravity in the world, m/s².
+    pub gravity_w: DVec3,
+    /// `X_world_recording` of the scan this came from.
+    pub x_world_recording: DPose3,
+    /// The bodies; names are unique.
+    pub bodies: Vec<Body>,
+}
+
+/// Whether physics moves a body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BodyKind {
+    /// Free.
+    Dynamic,
+    /// Fixed.
+    Static,
+}
+
+/// Collision shape in the body frame `B`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum BodyShape {
+    /// A sphere centred at the body's origin.
+    Sphere {
+        /// Radius in metres.
+        radius: f64,
+    },
+    /// The half space below the plane z = 0 of the body frame (static only).
+    HalfSpace,
+    /// Convex hulls, each a closed mesh whose vertices are its corners.
+    Hulls {
+        /// The hulls, in `B`.
+        hulls: Vec<Mesh>,
+    },
+    /// A triangle mesh (static only).
+    TriMesh {
+        /// The mesh, in `B`.
+        mesh: Mesh,
+    },
+}
+
+/// A rigid body. For dynamic bodies the origin of `B` is the centre of mass, and at scan time the axes of `B` are
+/// parallel to those of `W`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Body {
+    /// Unique name, usable as a file name.
+    pub name: String,
+    /// Label id of the entity this came from; 0 for the environment.
+    pub label: u16,
+    /// What the labeller called it; may be empty.
+    #[serde(default)]
+    pub description: String,
+    /// Whether physics moves it.
+    pub kind: BodyKind,
+    /// Pose of the body in the world, `X_WB`.
+    pub x_wb: DPose3,
+    /// Collision shape in `B`.
+    pub shape: BodyShape,
+    /// Surface for pictures, in `B`.
+    pub visual: Mesh,
+    /// Mass, centre of mass and inertia in `B`; `None` for static bodies.
+    pub mass: Option<MassProperties>,
+    /// Material, with intervals.
+    pub material: Material,
+    /// Mean sRGB colour.
+    pub color: [u8; 3],
+    /// Share of the surface that cameras observed.
+    pub observed_share: f64,
+}
+
+impl Scene {
+    /// The body of this name.
+    pub fn body(&self, name: &str) -> Option<&Body> {
+        self.bodies.iter().find(|b| b.name == name)
+    }
+
+    /// Index of the body of this name.
+    pub fn body_index(&self, name: &str) -> Option<usize> {
+        self.bodies.iter().position(|b| b.name == name)
+    }
+}

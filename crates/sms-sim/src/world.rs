@@ -1,0 +1,118 @@
+//! The seam to physics engines. A world speaks `f64` whatever it computes in.
+
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_scene::Scene;
+
+/// Index of a body: scene bodies first, in the scene's order, then kinematic ones in the order they were added.
+pub type BodyId = usize;
+
+/// Motion state of one body.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BodyState {
+    /// Pose in the world; the origin is the centre of mass.
+    pub x_wb: DPose3,
+    /// Linear velocity of the origin, m/s, in the world.
+    pub v_w: DVec3,
+    /// Angular velocity, rad/s, in the world.
+    pub w_w: DVec3,
+}
+
+/// Shape of a kinematic body in its own frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum KinematicShape {
+    /// A box with these half extents, metres.
+    Cuboid {
+        /// Half extents.
+        half: DVec3,
+    },
+    /// A capsule along z, metres.
+    Capsule {
+        /// Half of the distance between the cap centres.
+        half_length: f64,
+        /// Radius.
+        radius: f64,
+    },
+}
+
+/// How a world is built.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WorldOptions {
+    /// Nominal time step in seconds (paper: 0.0025).
+    pub dt: f64,
+    /// Whether resting bodies may sleep.
+    pub sleep: bool,
+    /// Whether steps are split at the time of impact of fast balls.
+    pub contact_timing: bool,
+}
+
+impl Default for WorldOptions {
+    fn default() -> Self {
+        Self { dt: 0.0025, sleep: true, contact_timing: true }
+    }
+}
+
+/// Errors of building or running a world.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A body cannot be simulated.
+    #[error("body `{body}` cannot be simulated: {why}")]
+    Body {
+        /// Its name.
+        body: String,
+        /// Why.
+        why: String,
+    },
+    /// The state stopped being finite.
+    #[error("the simulation of {engine} blew up at t = {time_s:.4} s (body `{body}`)")]
+    Diverged {
+        /// Engine.
+        engine: &'static str,
+        /// Time.
+        time_s: f64,
+        /// Body.
+        body: String,
+    },
+}
+
+/// A rigid-body world.
+pub trait World: Send {
+    /// Name of the engine ("rapier3d f32").
+    fn engine(&self) -> &'static str;
+    /// Advances by `dt` seconds (any positive value up to the nominal step); applied wrenches act for this step only.
+    fn step(&mut self, dt: f64);
+    /// Number of bodies.
+    fn body_count(&self) -> usize;
+    /// State of a body.
+    fn state(&self, body: BodyId) -> BodyState;
+    /// Sets the state of a body and wakes it.
+    fn set_state(&mut self, body: BodyId, state: &BodyState);
+    /// Adds a force (N) and a torque about the centre of mass (N·m), in the world, for the next step. `wake` says
+    /// whether a sleeping body is woken.
+    fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool);
+    /// Whether the body is asleep.
+    fn is_asleep(&self, body: BodyId) -> bool;
+    /// Adds a kinematic body that pushes others and is pushed by none.
+    fn add_kinematic(&mut self, shape: KinematicShape, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId;
+    /// Pose that a kinematic body reaches at the end of the next step.
+    fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
+    /// Switches a kinematic body's collisions off or on.
+    fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool);
+    /// Saves the state as snapshot 0; `false` where the engine cannot.
+    fn save(&mut self) -> bool;
+    /// Returns to the saved state; `false` where there is none.
+    fn restore(&mut self) -> bool;
+}
+
+/// Builds worlds; shared by threads.
+pub trait WorldFactory: Sync {
+    /// Name of the engine.
+    fn engine(&self) -> &'static str;
+    /// Builds a world of the scene.
+    ///
+    /// # Errors
+    /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
+    fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
+}
