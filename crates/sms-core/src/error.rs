@@ -25,12 +25,7 @@ fn fmt_detail(detail: &Option<String>) -> String {
 impl InputError {
     /// A new input error about `path`.
     pub fn new(what: impl Into<String>, path: impl AsRef<Path>, cure: impl Into<String>) -> Self {
-        Self {
-            what: what.into(),
-            path: path.as_ref().display().to_string(),
-            cure: cure.into(),
-            detail: None,
-        }
+        Self { what: what.into(), path: path.as_ref().display().to_string(), cure: cure.into(), detail: None }
     }
 
     /// The same error with the underlying reason.

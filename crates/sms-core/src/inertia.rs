@@ -68,7 +68,11 @@ impl MassProperties {
             && b + c + slack >= a
             && a + c + slack >= b
             && (inertia - symmetric).abs_diff_eq(DMat3::ZERO, 1e-6 * largest);
-        if possible { Ok(Self { mass, com, inertia: symmetric }) } else { Err(InertiaError::Moments([a, b, c])) }
+        if possible {
+            Ok(Self { mass, com, inertia: symmetric })
+        } else {
+            Err(InertiaError::Moments([a, b, c]))
+        }
     }
 
     /// Mass in kg.
@@ -168,7 +172,10 @@ mod tests {
     fn impossible_inertia_is_refused() {
         let thin = DMat3::from_diagonal(DVec3::new(1.0, 1.0, 3.0));
         assert!(matches!(MassProperties::new(1.0, DVec3::ZERO, thin), Err(InertiaError::Moments(_))));
-        assert!(matches!(MassProperties::new(-1.0, DVec3::ZERO, DMat3::IDENTITY), Err(InertiaError::Mass(_))));
+        assert!(matches!(
+            MassProperties::new(-1.0, DVec3::ZERO, DMat3::IDENTITY),
+            Err(InertiaError::Mass(_))
+        ));
         let inside_out = {
             let mut mesh = Mesh::cuboid(DVec3::ONE);
             mesh.triangles.iter_mut().for_each(|t| t.swap(0, 1));

@@ -41,7 +41,11 @@ impl Mesh {
         let mut mesh = Self::default();
         for (number, line) in text.lines().enumerate() {
             let bad = || {
-                InputError::new(format!("line {} of this OBJ is wrong", number + 1), path, "export the mesh again")
+                InputError::new(
+                    format!("line {} of this OBJ is wrong", number + 1),
+                    path,
+                    "export the mesh again",
+                )
             };
             let mut words = line.split_whitespace();
             match words.next() {
@@ -52,7 +56,8 @@ impl Mesh {
                     }
                     mesh.vertices.push(DVec3::new(v[0], v[1], v[2]));
                     if v.len() >= 6 {
-                        mesh.colors.push([v[3], v[4], v[5]].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
+                        mesh.colors
+                            .push([v[3], v[4], v[5]].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
                     }
                 }
                 Some("f") => {

@@ -201,8 +201,11 @@ impl PointCloud {
     pub fn write_ply(&self, path: &Path) -> Result<(), CoreError> {
         let axis = |v: &[DVec3], i: usize| Column::F32(v.iter().map(|p| p[i] as f32).collect());
         let channel = |i: usize| Column::U8(self.colors.iter().map(|c| c[i]).collect());
-        let mut columns =
-            vec![("x", axis(&self.points_w, 0)), ("y", axis(&self.points_w, 1)), ("z", axis(&self.points_w, 2))];
+        let mut columns = vec![
+            ("x", axis(&self.points_w, 0)),
+            ("y", axis(&self.points_w, 1)),
+            ("z", axis(&self.points_w, 2)),
+        ];
         if self.normals_w.len() == self.points_w.len() {
             columns.extend((0..3).map(|i| (["nx", "ny", "nz"][i], axis(&self.normals_w, i))));
         }

@@ -73,8 +73,7 @@ impl Progress for PlainProgress {
         } else {
             String::new()
         };
-        let _ =
-            writeln!(std::io::stderr(), "{} {}/{}: {}{}", state.part, done, state.units, message, left);
+        let _ = writeln!(std::io::stderr(), "{} {}/{}: {}{}", state.part, done, state.units, message, left);
     }
 
     fn end(&self, message: &str) {

@@ -131,7 +131,8 @@ impl RunFolder {
                 fs::rename(&old, &done).map_err(CoreError::write(&done))?;
             }
         }
-        let same = |dir: &Path| read_record(dir).is_some_and(|r| r.inputs == *inputs && r.program == program());
+        let same =
+            |dir: &Path| read_record(dir).is_some_and(|r| r.inputs == *inputs && r.program == program());
         if !force && same(&done) {
             return Ok(StageState::Done(done));
         }
@@ -156,9 +157,11 @@ impl RunFolder {
     /// When `run.toml` cannot be read or written.
     pub fn record_settings<T: Serialize>(&self, stage: &str, settings: &T) -> Result<(), CoreError> {
         let path = self.root.join("run.toml");
-        let mut table: toml::Table = if path.exists() { atomic::read_toml(&path)? } else { toml::Table::new() };
+        let mut table: toml::Table =
+            if path.exists() { atomic::read_toml(&path)? } else { toml::Table::new() };
         let value = toml::Value::try_from(settings).map_err(|e| {
-            InputError::new("these settings cannot be written as TOML", &path, "report this as a bug").because(e)
+            InputError::new("these settings cannot be written as TOML", &path, "report this as a bug")
+                .because(e)
         })?;
         table.insert(stage.to_owned(), value);
         atomic::write_bytes(&path, table.to_string().as_bytes())
@@ -256,7 +259,10 @@ mod tests {
         assert!(matches!(run.begin("scan", &a, false).unwrap(), StageState::Done(_)));
         let changed = todo(run.begin("scan", &b, false).unwrap());
         assert!(!changed.is_resumed() && !changed.dir().join("checkpoint.bin").exists());
-        assert!(run.stage_dir("scan", "scan").is_ok(), "the earlier result stays whole until the new one is done");
+        assert!(
+            run.stage_dir("scan", "scan").is_ok(),
+            "the earlier result stays whole until the new one is done"
+        );
         changed.commit().unwrap();
         assert_eq!(run.stage_hash("scan"), Some(b));
     }

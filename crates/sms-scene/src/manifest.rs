@@ -1,0 +1,250 @@
+//! `scene.json` and its meshes on disk.
+//!
+//! Geometry is written once, as OBJ files in `meshes/`, to which both the manifest and the exports refer.
+
+use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, InputError, MassProperties, Material, Mesh, atomic};
+use std::path::Path;
+
+/// Errors of reading and writing scenes.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// Files.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The scene cannot be simulated.
+    #[error("the scene cannot be simulated:\n  {0}")]
+    Invalid(String),
+}
+
+impl From<InputError> for SceneError {
+    fn from(e: InputError) -> Self {
+        Self::Core(e.into())
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct ManifestFile {
+    version: u32,
+    name: String,
+    units: String,
+    gravity_w: DVec3,
+    x_world_recording: DPose3,
+    bodies: Vec<BodyEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct BodyEntry {
+    name: String,
+    label: u16,
+    description: String,
+    kind: BodyKind,
+    x_wb: DPose3,
+    shape: ShapeEntry,
+    visual: Option<String>,
+    mass: Option<MassProperties>,
+    material: Material,
+    color: [u8; 3],
+    observed_share: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+enum ShapeEntry {
+    Sphere { radius: f64 },
+    HalfSpace,
+    Hulls { files: Vec<String> },
+    TriMesh { file: String },
+}
+
+/// File name of a body's visual mesh, below the scene's folder.
+pub(crate) fn visual_file(body: &Body) -> String {
+    format!("meshes/{}_visual.obj", body.name)
+}
+
+/// File name of a body's hull, below the scene's folder.
+pub(crate) fn hull_file(body: &Body, index: usize) -> String {
+    format!("meshes/{}_hull_{index:02}.obj", body.name)
+}
+
+fn trimesh_file(body: &Body) -> String {
+    format!("meshes/{}_collision.obj", body.name)
+}
+
+/// Writes every mesh of the scene as OBJ below `dir/meshes/`, in body frames.
+pub(crate) fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
+    for body in &scene.bodies {
+        if !body.visual.triangles.is_empty() {
+            body.visual.write_obj(&dir.join(visual_file(body)))?;
+        }
+        match &body.shape {
+            BodyShape::Hulls { hulls } => {
+                for (i, hull) in hulls.iter().enumerate() {
+                    hull.write_obj(&dir.join(hull_file(body, i)))?;
+                }
+            }
+            BodyShape::TriMesh { mesh } => mesh.write_obj(&dir.join(trimesh_file(body)))?,
+            BodyShape::Sphere { .. } | BodyShape::HalfSpace => {}
+        }
+    }
+    Ok(())
+}
+
+/// Validates the scene and writes `scene.json` with its meshes into `dir`.
+///
+/// # Errors
+/// [`SceneError::Invalid`] with every problem, or [`SceneError::Core`] when a file cannot be written.
+pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
+    let problems = scene.validate();
+    if !problems.is_empty() {
+        let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
+        return Err(SceneError::Invalid(lines.join("\n  ")));
+    }
+    write_meshes(scene, dir)?;
+    let entry = |body: &Body| BodyEntry {
+        name: body.name.clone(),
+        label: body.label,
+        description: body.description.clone(),
+        kind: body.kind,
+        x_wb: body.x_wb,
+        shape: match &body.shape {
+            BodyShape::Sphere { radius } => ShapeEntry::Sphere { radius: *radius },
+            BodyShape::HalfSpace => ShapeEntry::HalfSpace,
+            BodyShape::Hulls { hulls } => {
+                ShapeEntry::Hulls { files: (0..hulls.len()).map(|i| hull_file(body, i)).collect() }
+            }
+            BodyShape::TriMesh { .. } => ShapeEntry::TriMesh { file: trimesh_file(body) },
+        },
+        visual: (!body.visual.triangles.is_empty()).then(|| visual_file(body)),
+        mass: body.mass,
+        material: body.material.clone(),
+        color: body.color,
+        observed_share: body.observed_share,
+    };
+    let file = ManifestFile {
+        version: scene.version,
+        name: scene.name.clone(),
+        units: "metre, kilogram, second, radian; world z up".into(),
+        gravity_w: scene.gravity_w,
+        x_world_recording: scene.x_world_recording,
+        bodies: scene.bodies.iter().map(entry).collect(),
+    };
+    Ok(atomic::write_json(&dir.join("scene.json"), &file)?)
+}
+
+/// Reads a scene that [`save_scene`] wrote, and validates it (a user may have edited it).
+///
+/// # Errors
+/// [`SceneError`] naming the file or the bodies that are wrong.
+pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
+    let path = dir.join("scene.json");
+    let file: ManifestFile = atomic::read_json(&path)?;
+    if file.version > SCENE_VERSION {
+        return Err(InputError::new(
+            format!("this scene has version {}, this program reads up to {SCENE_VERSION}", file.version),
+            &path,
+            "use a newer sms",
+        )
+        .into());
+    }
+    let mut bodies = Vec::with_capacity(file.bodies.len());
+    for entry in file.bodies {
+        let shape = match entry.shape {
+            ShapeEntry::Sphere { radius } => BodyShape::Sphere { radius },
+            ShapeEntry::HalfSpace => BodyShape::HalfSpace,
+            ShapeEntry::Hulls { files } => BodyShape::Hulls {
+                hulls: files.iter().map(|f| Mesh::read_obj(&dir.join(f))).collect::<Result<_, _>>()?,
+            },
+            ShapeEntry::TriMesh { file } => BodyShape::TriMesh { mesh: Mesh::read_obj(&dir.join(file))? },
+        };
+        let visual = match &entry.visual {
+            Some(file) => Mesh::read_obj(&dir.join(file))?,
+            None => Mesh::default(),
+        };
+        bodies.push(Body {
+            name: entry.name,
+            label: entry.label,
+            description: entry.description,
+            kind: entry.kind,
+            x_wb: entry.x_wb,
+            shape,
+            visual,
+            mass: entry.mass,
+            material: entry.material,
+            color: entry.color,
+            observed_share: entry.observed_share,
+        });
+    }
+    let scene = Scene {
+        version: file.version,
+        name: file.name,
+        gravity_w: file.gravity_w,
+        x_world_recording: file.x_world_recording,
+        bodies,
+    };
+    let problems = scene.validate();
+    if problems.is_empty() {
+        return Ok(scene);
+    }
+    let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
+    Err(SceneError::Invalid(lines.join("\n  ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{example_material, floor_body};
+
+    #[test]
+    fn a_scene_round_trips_to_the_nanometre() {
+        let dir = tempfile::tempdir().unwrap();
+        let mesh = Mesh::icosphere(0.04, 1);
+        let mass = sms_core::polyhedron_mass_properties(&mesh, 900.0).unwrap();
+        let mut body = floor_body(0.0, example_material());
+        body.name = "rock".into();
+        body.kind = BodyKind::Dynamic;
+        body.x_wb = DPose3::from_translation(DVec3::new(0.1, 0.2, 0.3));
+        body.mass = Some(MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap());
+        body.shape = BodyShape::Hulls { hulls: vec![mesh.clone()] };
+        body.visual = mesh;
+        let scene = Scene {
+            version: SCENE_VERSION,
+            name: "t".into(),
+            gravity_w: DVec3::new(0.0, 0.0, -9.81),
+            x_world_recording: DPose3::from_translation(DVec3::X),
+            bodies: vec![floor_body(0.01, example_material()), body],
+        };
+        save_scene(dir.path(), &scene).unwrap();
+        let back = load_scene(dir.path()).unwrap();
+        assert_eq!(back.bodies[0], scene.bodies[0]);
+        let (a, b) = (&back.bodies[1], &scene.bodies[1]);
+        assert_eq!((a.x_wb, a.mass, &a.material), (b.x_wb, b.mass, &b.material));
+        assert!(a.visual.vertices.iter().zip(&b.visual.vertices).all(|(p, q)| (*p - *q).length() < 1e-9));
+        // Loading what was loaded and saved again changes nothing more: later stages see stable bytes.
+        let again = tempfile::tempdir().unwrap();
+        save_scene(again.path(), &back).unwrap();
+        let read = |d: &Path| std::fs::read(d.join("scene.json")).unwrap();
+        assert_eq!(read(dir.path()), read(again.path()));
+    }
+
+    #[test]
+    fn a_newer_or_invalid_scene_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = Scene {
+            version: SCENE_VERSION,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z,
+            x_world_recording: DPose3::identity(),
+            bodies: vec![floor_body(0.0, example_material()), floor_body(0.0, example_material())],
+        };
+        assert!(save_scene(dir.path(), &scene).unwrap_err().to_string().contains("same name"));
+        let good = Scene { bodies: vec![floor_body(0.0, example_material())], ..scene };
+        save_scene(dir.path(), &good).unwrap();
+        let path = dir.path().join("scene.json");
+        let text = std::fs::read_to_string(&path).unwrap().replace("\"version\": 1", "\"version\": 99");
+        std::fs::write(&path, text).unwrap();
+        assert!(load_scene(dir.path()).unwrap_err().to_string().contains("newer sms"));
+    }
+}

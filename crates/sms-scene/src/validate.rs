@@ -1,0 +1,191 @@
+//! What would make a physics engine refuse or misread a scene.
+
+use crate::{Body, BodyKind, BodyShape, Scene};
+use glamx::DVec3;
+use sms_core::Mesh;
+use std::collections::BTreeSet;
+
+/// Most vertices of a hull (GPU engines refuse more).
+pub(crate) const MAX_HULL_VERTICES: usize = 64;
+/// Least mean thickness of a hull in metres (twice its volume over its area). Flatter ones have no stable contact
+/// normal, and engines refuse them.
+pub(crate) const MIN_HULL_THICKNESS: f64 = 2e-5;
+
+/// One thing that is wrong with a scene.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// The body, or empty for the scene as a whole.
+    pub body: String,
+    /// What is wrong.
+    pub what: String,
+}
+
+impl std::fmt::Display for Problem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.body.is_empty() {
+            write!(f, "{}", self.what)
+        } else {
+            write!(f, "`{}`: {}", self.body, self.what)
+        }
+    }
+}
+
+impl Scene {
+    /// Everything that is wrong with the scene; empty when an engine can take it.
+    pub fn validate(&self) -> Vec<Problem> {
+        let mut problems = Vec::new();
+        let mut names = BTreeSet::new();
+        if !self.gravity_w.is_finite() {
+            problems.push(Problem { body: String::new(), what: "gravity is not finite".into() });
+        }
+        for body in &self.bodies {
+            let mut add = |what: String| problems.push(Problem { body: body.name.clone(), what });
+            if !names.insert(body.name.as_str()) {
+                add("another body has the same name".into());
+            }
+            if body.name.is_empty()
+                || !body.name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c))
+            {
+                add("the name cannot be used as a file name".into());
+            }
+            check_body(body, &mut add);
+        }
+        problems
+    }
+}
+
+fn check_body(body: &Body, add: &mut impl FnMut(String)) {
+    if !body.x_wb.is_finite() || (body.x_wb.rotation.length() - 1.0).abs() > 1e-6 {
+        add("its pose is not a finite rigid transform".into());
+    }
+    match (body.kind, &body.mass) {
+        (BodyKind::Dynamic, None) => add("it is dynamic but has no mass".into()),
+        (BodyKind::Dynamic, Some(mass)) if mass.com().length() > 1e-6 => {
+            add("its origin is not its centre of mass".into());
+        }
+        _ => {}
+    }
+    let m = &body.material;
+    for (name, property, low, high) in [
+        ("density", &m.density, 1.0, 30_000.0),
+        ("friction", &m.friction, 0.0, 5.0),
+        ("restitution", &m.restitution, 0.0, 1.0),
+        ("rolling", &m.rolling_m, 0.0, 0.1),
+    ] {
+        let v = property.value;
+        let ordered = v.low <= v.best && v.best <= v.high;
+        if !(ordered && v.low >= low && v.high <= high) {
+            add(format!("its {name} {} [{}, {}] is outside [{low}, {high}]", v.best, v.low, v.high));
+        }
+    }
+    match &body.shape {
+        BodyShape::Sphere { radius } if !(*radius > 0.0 && radius.is_finite()) => {
+            add(format!("its radius {radius} m is not positive"));
+        }
+        BodyShape::HalfSpace | BodyShape::TriMesh { .. } if body.kind == BodyKind::Dynamic => {
+            add("its shape can only be static".into());
+        }
+        BodyShape::Hulls { hulls } if hulls.is_empty() => add("it has no hulls".into()),
+        BodyShape::Hulls { hulls } => {
+            for (i, hull) in hulls.iter().enumerate() {
+                if let Some(what) = hull_problem(hull) {
+                    add(format!("hull {i} {what}"));
+                }
+            }
+        }
+        BodyShape::TriMesh { mesh } if mesh.triangles.is_empty() => add("its mesh is empty".into()),
+        _ => {}
+    }
+}
+
+fn hull_problem(hull: &Mesh) -> Option<String> {
+    if hull.vertices.iter().any(|v| !v.is_finite()) {
+        return Some("has a vertex that is not finite".into());
+    }
+    if hull.vertices.len() > MAX_HULL_VERTICES {
+        return Some(format!("has {} vertices, more than {MAX_HULL_VERTICES}", hull.vertices.len()));
+    }
+    if !hull.is_closed_oriented() {
+        return Some("is not closed".into());
+    }
+    let thickness = 2.0 * hull.volume() / hull.area();
+    if thickness.is_nan() || thickness < MIN_HULL_THICKNESS {
+        return Some(format!("is too thin ({thickness:.1e} m)"));
+    }
+    let tolerance = 1e-4 * hull.aabb().map_or(0.0, |b| b.extents().length());
+    (!is_convex(hull, tolerance)).then(|| "is not convex".into())
+}
+
+/// Whether no vertex lies more than `tolerance` metres outside of any face.
+fn is_convex(hull: &Mesh, tolerance: f64) -> bool {
+    (0..hull.triangles.len()).all(|t| {
+        let [a, b, c] = hull.corners(t);
+        let normal = (b - a).cross(c - a);
+        // A sliver's normal is noise.
+        let longest = (b - a).length().max((c - a).length()).max((c - b).length());
+        normal.length() < 1e-2 * longest * tolerance.max(1e-12)
+            || hull.vertices.iter().all(|&v| (v - a).dot(normal.normalize_or(DVec3::ZERO)) <= tolerance)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SCENE_VERSION, example_material, floor_body};
+    use glamx::DPose3;
+    use sms_core::{Interval, MassProperties};
+
+    fn with_body(change: impl FnOnce(&mut Body)) -> Vec<Problem> {
+        let mesh = Mesh::cuboid(DVec3::splat(0.05));
+        let mass = sms_core::polyhedron_mass_properties(&mesh, 500.0).unwrap();
+        let mut body = floor_body(0.0, example_material());
+        body.name = "box".into();
+        body.kind = BodyKind::Dynamic;
+        body.mass = Some(MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap());
+        body.shape = BodyShape::Hulls { hulls: vec![mesh] };
+        change(&mut body);
+        Scene {
+            version: SCENE_VERSION,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z,
+            x_world_recording: DPose3::identity(),
+            bodies: vec![body],
+        }
+        .validate()
+    }
+
+    #[test]
+    fn each_fault_is_named() {
+        assert_eq!(with_body(|_| {}), Vec::new());
+        let says = |problems: Vec<Problem>, word: &str| {
+            assert!(problems.iter().any(|p| p.to_string().contains(word)), "{word}: {problems:?}");
+        };
+        says(with_body(|b| b.mass = None), "no mass");
+        says(with_body(|b| b.name = "a/b".into()), "file name");
+        says(with_body(|b| b.shape = BodyShape::HalfSpace), "only be static");
+        says(with_body(|b| b.material.friction.value = Interval::new(9.0, 8.0, 10.0)), "friction");
+        says(with_body(|b| b.x_wb.translation.x = f64::NAN), "finite");
+        says(
+            with_body(|b| {
+                let BodyShape::Hulls { hulls } = &mut b.shape else { return };
+                hulls[0].triangles.pop();
+            }),
+            "not closed",
+        );
+        says(
+            with_body(|b| {
+                let BodyShape::Hulls { hulls } = &mut b.shape else { return };
+                let dent = &mut hulls[0].vertices[7];
+                *dent *= 0.1;
+            }),
+            "not convex",
+        );
+        says(
+            with_body(|b| {
+                let BodyShape::Hulls { hulls } = &mut b.shape else { return };
+                hulls[0].vertices.iter_mut().for_each(|v| v.z *= 1e-6);
+            }),
+            "too thin",
+        );
+    }
+}
