@@ -67,3 +67,31 @@ impl GaussianModel {
         (axes[smallest], others.map(|k| (axes[k], s[k])))
     }
 }
+
+impl Classifier {
+    /// The logits of one affinity feature, `[classes]`.
+    pub fn logits(&self, affinity: &[f32; AFFINITY_DIM]) -> Vec<f32> {
+        let mut hidden = [0.0; HIDDEN_DIM];
+        for (h, (row, bias)) in hidden.iter_mut().zip(self.w1.chunks_exact(AFFINITY_DIM).zip(&self.b1)) {
+            *h = row.iter().zip(affinity).fold(*bias, |sum, (w, a)| sum + w * a).max(0.0);
+        }
+        let rows = self.w2.chunks_exact(HIDDEN_DIM).zip(&self.b2);
+        rows.map(|(row, bias)| row.iter().zip(&hidden).fold(*bias, |sum, (w, h)| sum + w * h)).collect()
+    }
+
+    /// The most likely label of one affinity feature and its softmax probability; label 0 where there are no classes.
+    pub fn classify(&self, affinity: &[f32; AFFINITY_DIM]) -> (u16, f32) {
+        let logits = self.logits(affinity);
+        let mut best = 0;
+        for (k, logit) in logits.iter().enumerate() {
+            if *logit > logits[best] {
+                best = k;
+            }
+        }
+        let Some(&largest) = logits.get(best) else {
+            return (0, 0.0);
+        };
+        let sum: f32 = logits.iter().map(|l| (l - largest).exp()).sum();
+        (best as u16, 1.0 / sum)
+    }
+}

@@ -1,0 +1,86 @@
+//! Settings of one training step: weights of the losses and learning rates.
+
+use serde::{Deserialize, Serialize};
+
+/// Weights of the loss terms (paper, Section "Scan"). A weight of zero also skips the term's work.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossWeights {
+    /// Weight of the colour term as a whole.
+    pub color: f32,
+    /// λ_photo: the share of 1 − SSIM in the colour term; the rest is the mean absolute error.
+    pub ssim: f32,
+    /// Weight of the isotropic term, whose value is in metres.
+    pub isotropic: f32,
+    /// Weight of the depth term, whose value is in metres.
+    pub depth: f32,
+    /// λ_normal.
+    pub normal: f32,
+    /// λ_scale: weight of the mean smallest scale, whose value is in metres.
+    pub flat: f32,
+    /// Weight of the cross-entropy.
+    pub segmentation: f32,
+}
+
+impl Default for LossWeights {
+    fn default() -> Self {
+        Self { color: 1.0, ssim: 0.2, isotropic: 1.0, depth: 1.0, normal: 0.1, flat: 0.1, segmentation: 1.0 }
+    }
+}
+
+/// Adam's learning rates, in the optimiser's units per step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearningRates {
+    /// Positions, metres.
+    pub position: f32,
+    /// Logarithms of the scales.
+    pub log_scale: f32,
+    /// Quaternion components.
+    pub rotation: f32,
+    /// Logits of the opacities.
+    pub opacity: f32,
+    /// Colours.
+    pub color: f32,
+    /// Affinity features.
+    pub affinity: f32,
+    /// Weights and biases of the classifier.
+    pub classifier: f32,
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            position: 1e-4,
+            log_scale: 5e-3,
+            rotation: 2e-3,
+            opacity: 0.05,
+            color: 2.5e-3,
+            affinity: 1e-2,
+            classifier: 1e-2,
+        }
+    }
+}
+
+/// What the depth term compares with the measured depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthTerm {
+    /// Σ zαT / Σ αT, with the divisor held constant in the gradient: a low opacity does not read as near.
+    #[default]
+    Normalized,
+    /// Σ zαT, as the paper writes it.
+    Accumulated,
+}
+
+/// Settings of a training step.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Weights of the losses.
+    pub weights: LossWeights,
+    /// Learning rates.
+    pub rates: LearningRates,
+    /// Form of the depth term.
+    pub depth_term: DepthTerm,
+}
