@@ -1,0 +1,53 @@
+//! Progress on a terminal: one bar for the current part of the work.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use sms_core::Progress;
+use std::sync::Mutex;
+use std::time::Duration;
+
+/// Shows progress as a bar on standard error.
+#[derive(Debug, Default)]
+pub(crate) struct Bars {
+    current: Mutex<Option<ProgressBar>>,
+}
+
+impl Progress for Bars {
+    fn begin(&self, part: &str, units: u64) {
+        let bar = if units > 0 { ProgressBar::new(units) } else { ProgressBar::new_spinner() };
+        bar.set_draw_target(ProgressDrawTarget::stderr_with_hz(5));
+        let shape = if units > 0 {
+            "{prefix:>22} {bar:28.cyan/dim} {pos}/{len} {elapsed} (left {eta}) {wide_msg}"
+        } else {
+            "{prefix:>22} {spinner} {elapsed} {wide_msg}"
+        };
+        if let Ok(style) = ProgressStyle::with_template(shape) {
+            bar.set_style(style);
+        }
+        bar.set_prefix(part.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(250));
+        if let Ok(mut current) = self.current.lock() {
+            if let Some(old) = current.replace(bar) {
+                old.finish_and_clear();
+            }
+        }
+    }
+
+    fn update(&self, done: u64, message: &str) {
+        if let Ok(current) = self.current.lock() {
+            if let Some(bar) = current.as_ref() {
+                bar.set_position(done);
+                bar.set_message(message.to_owned());
+            }
+        }
+    }
+
+    fn end(&self, message: &str) {
+        if let Ok(mut current) = self.current.lock() {
+            if let Some(bar) = current.take() {
+                let line = format!("{:>22} {message} ({:.1} s)", bar.prefix(), bar.elapsed().as_secs_f64());
+                bar.finish_and_clear();
+                eprintln!("{line}");
+            }
+        }
+    }
+}

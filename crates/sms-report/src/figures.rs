@@ -1,0 +1,103 @@
+//! Pictures of the scan: observed beside rendered.
+
+use crate::colormap::{depth_picture, error_picture, label_picture};
+use base64::Engine;
+use sms_core::{ColorImage, CoreError, DepthImage, LabelMap, write_png_color};
+use std::fmt::Write;
+use std::path::Path;
+
+/// One frame as observed and as rendered from the Gaussians, all of one size.
+#[derive(Debug, Clone)]
+pub struct ViewPair {
+    /// Index in the sequence.
+    pub frame_index: usize,
+    /// Whether the frame was kept out of training.
+    pub held_out: bool,
+    /// Observed colour.
+    pub observed_color: ColorImage,
+    /// Observed depth, metres.
+    pub observed_depth: DepthImage,
+    /// Labels of the masks.
+    pub observed_label: LabelMap,
+    /// Rendered colour.
+    pub rendered_color: ColorImage,
+    /// Rendered depth, metres.
+    pub rendered_depth: DepthImage,
+    /// Rendered labels.
+    pub rendered_label: LabelMap,
+}
+
+/// Error that is shown as the hottest colour, metres.
+const ERROR_FULL_SCALE_M: f32 = 0.02;
+
+/// Writes the pictures of each view as PNG into `dir` and returns the table rows that show them.
+pub(crate) fn view_rows(views: &[ViewPair], dir: &Path) -> Result<String, CoreError> {
+    let mut html = String::new();
+    for view in views {
+        let (near, far) = depth_range(&view.observed_depth);
+        let pictures = [
+            ("observed", "observed colour", view.observed_color.clone()),
+            ("rendered", "rendered colour", view.rendered_color.clone()),
+            ("depth_observed", "observed depth", depth_picture(&view.observed_depth, near, far)),
+            ("depth_rendered", "rendered depth", depth_picture(&view.rendered_depth, near, far)),
+            (
+                "depth_error",
+                "depth error, 0 to 20 mm",
+                error_picture(&view.rendered_depth, &view.observed_depth, ERROR_FULL_SCALE_M),
+            ),
+            ("masks", "masks", label_picture(&view.observed_color, &view.observed_label)),
+            ("labels", "rendered labels", label_picture(&view.rendered_color, &view.rendered_label)),
+        ];
+        let tag = if view.held_out { "<span class=\"tag\">held out of training</span>" } else { "" };
+        let _ = write!(html, "<h3>Frame {} {tag}</h3><div class=\"views\">", view.frame_index);
+        for (name, caption, picture) in pictures {
+            let path = dir.join(format!("view_{:03}_{name}.png", view.frame_index));
+            write_png_color(&path, &picture)?;
+            let _ = write!(html, "<figure><img src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>", data_uri(&path)?);
+        }
+        html.push_str("</div>");
+    }
+    Ok(html)
+}
+
+fn data_uri(path: &Path) -> Result<String, CoreError> {
+    let bytes = std::fs::read(path).map_err(CoreError::read(path))?;
+    Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes)))
+}
+
+/// 2 % and 98 % quantiles of the valid depths, so that a stray pixel does not flatten the colours.
+fn depth_range(depth: &DepthImage) -> (f32, f32) {
+    let mut valid: Vec<f32> = depth.data.iter().copied().filter(|&z| z > 0.0).collect();
+    if valid.is_empty() {
+        return (0.0, 1.0);
+    }
+    valid.sort_by(f32::total_cmp);
+    let at = |q: f64| valid[((valid.len() - 1) as f64 * q) as usize];
+    (at(0.02), at(0.98))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::Image;
+
+    #[test]
+    fn a_view_becomes_seven_pictures_on_disk_and_in_the_page() {
+        let dir = tempfile::tempdir().unwrap();
+        let depth = Image::from_vec(4, 2, vec![0.0, 1.0, 1.1, 1.2, 1.0, 1.0, 1.0, 9.0]);
+        let view = ViewPair {
+            frame_index: 7,
+            held_out: true,
+            observed_color: Image::filled(4, 2, [9, 9, 9]),
+            observed_depth: depth.clone(),
+            observed_label: Image::filled(4, 2, 1),
+            rendered_color: Image::filled(4, 2, [9, 9, 9]),
+            rendered_depth: depth,
+            rendered_label: Image::filled(4, 2, 0),
+        };
+        let html = view_rows(&[view], dir.path()).unwrap();
+        assert_eq!(html.matches("data:image/png;base64,").count(), 7);
+        assert!(html.contains("held out"));
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 7);
+    }
+}

@@ -1,0 +1,429 @@
+//! The page.
+
+use crate::figures::{ViewPair, view_rows};
+use crate::shot::shot_svg;
+use crate::view3d::view_data;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sms_core::metrics::Metrics;
+use sms_core::{CoreError, Warning, atomic};
+use sms_gaussians::GaussianModel;
+use sms_plan::Plan;
+use sms_scene::{BodyKind, BodyShape, Scene};
+use sms_task::Execution;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+const TEMPLATE: &str = include_str!("../assets/page.html");
+const STYLE: &str = include_str!("../assets/page.css");
+const VIEWER: &str = include_str!("../assets/viewer.js");
+const THREE: &str = include_str!("../assets/three.bundle.js");
+const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
+
+/// Errors of writing a report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// Files.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+}
+
+/// One point of the training curves.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LossPoint {
+    /// Step from the start of the scan.
+    pub step: u64,
+    /// Mean absolute colour error.
+    pub color_l1: f64,
+    /// Depth error in metres.
+    pub depth_m: f64,
+    /// Weighted total.
+    pub total: f64,
+}
+
+/// Everything a report shows. Parts of the pipeline that have not run are `None` or empty, and the page says so.
+#[derive(Debug, Default)]
+pub struct ReportInput<'a> {
+    /// Headline ("Billiards, seed 1").
+    pub title: String,
+    /// One line on what this is: recording, masks, materials, engine.
+    pub subtitle: String,
+    /// Frames, observed beside rendered.
+    pub views: Vec<ViewPair>,
+    /// The Gaussians.
+    pub gaussians: Option<&'a GaussianModel>,
+    /// The scene.
+    pub scene: Option<&'a Scene>,
+    /// The plan.
+    pub plan: Option<&'a Plan>,
+    /// The execution in the target world.
+    pub execution: Option<&'a Execution>,
+    /// Goal on the floor, metres.
+    pub goal_w: Option<[f64; 2]>,
+    /// Half extents of the striker's box, metres.
+    pub striker_half_m: Option<[f64; 3]>,
+    /// Body name → role ("cue", "target").
+    pub roles: Vec<(String, String)>,
+    /// Training curves.
+    pub losses: Vec<LossPoint>,
+    /// All metrics of the run.
+    pub metrics: Metrics,
+    /// All warnings of the run.
+    pub warnings: Vec<Warning>,
+    /// `run.toml` as text.
+    pub settings_toml: String,
+}
+
+/// Writes `index.html` and its pictures into `dir`; returns the page's path.
+///
+/// # Errors
+/// [`ReportError::Core`] when a file cannot be written.
+pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, ReportError> {
+    let views = view_rows(&input.views, dir)?;
+    let shot = shot_svg(input);
+    if let Some(svg) = &shot {
+        atomic::write_bytes(&dir.join("shot.svg"), svg.as_bytes())?;
+    }
+    // `</` inside a script element would end it.
+    let data = view_data(input).to_string().replace("</", "<\\/");
+    let missing = |what: &str, command: &str| {
+        format!("<p class=\"missing\">No {what} in this run yet: <code>sms {command}</code> makes it.</p>")
+    };
+    let parts: [(&str, String); 14] = [
+        ("title", escape(&input.title)),
+        ("subtitle", escape(&input.subtitle)),
+        ("style", STYLE.to_owned()),
+        ("cards", cards(input)),
+        ("shot", shot.unwrap_or_else(|| missing("scene", "simulate RUN"))),
+        ("plan", plan_section(input)),
+        ("objects", objects_table(input)),
+        ("views", if views.is_empty() { missing("rendered views", "scan DIR --out RUN") } else { views }),
+        ("losses", loss_curves(&input.losses)),
+        ("warnings", warnings_list(&input.warnings)),
+        ("metrics", metrics_table(&input.metrics)),
+        ("settings", escape(&input.settings_toml)),
+        ("data", data),
+        ("scripts", format!("<script>/*\n{THREE_LICENSE}*/\n{THREE}</script>\n<script>{VIEWER}</script>")),
+    ];
+    let path = dir.join("index.html");
+    atomic::write_bytes(&path, fill(TEMPLATE, &parts).as_bytes())?;
+    Ok(path)
+}
+
+/// Replaces each `{{name}}` in one pass, so that inserted text is never searched again.
+fn fill(template: &str, parts: &[(&str, String)]) -> String {
+    let mut out = String::with_capacity(template.len() + parts.iter().map(|p| p.1.len()).sum::<usize>());
+    let mut rest = template;
+    while let Some(start) = rest.find("{{") {
+        let Some(length) = rest[start..].find("}}") else { break };
+        out.push_str(&rest[..start]);
+        let name = &rest[start + 2..start + length];
+        if let Some((_, text)) = parts.iter().find(|p| p.0 == name) {
+            out.push_str(text);
+        }
+        rest = &rest[start + length + 2..];
+    }
+    out.push_str(rest);
+    out
+}
+
+pub(crate) fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+fn length_text(metres: f64) -> String {
+    if metres.abs() < 0.01 { format!("{:.2} mm", metres * 1e3) } else { format!("{:.1} cm", metres * 1e2) }
+}
+
+fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {
+    let _ = write!(
+        html,
+        "<div class=\"card {class}\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div \
+         class=\"note\">{}</div></div>",
+        escape(label),
+        escape(value),
+        escape(note)
+    );
+}
+
+fn cards(input: &ReportInput<'_>) -> String {
+    let mut html = String::new();
+    let m = |key: &str| input.metrics.number(key);
+    if let Some(plan) = input.plan {
+        let note = format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90));
+        card(&mut html, "Predicted miss", &length_text(plan.objective), &note, "main");
+    }
+    if let Some(e) = input.execution {
+        let class = if e.success { "main good" } else { "main bad" };
+        let verdict = if e.success { "success" } else { "missed" };
+        let note = format!("{verdict} in {}; chaos floor {}", e.engine, length_text(e.chaos_floor));
+        card(&mut html, "Realised miss", &length_text(e.objective), &note, class);
+    }
+    if let Some(psnr) = m("scan.holdout_psnr_db").or(m("scan.train_psnr_db")) {
+        let held = m("scan.holdout_psnr_db").is_some();
+        let note = if held { "views kept out of training" } else { "training views" };
+        card(&mut html, "Scan PSNR", &format!("{psnr:.1} dB"), note, "");
+    }
+    if let Some(mae) = m("scan.holdout_depth_mae_m").or(m("scan.train_depth_mae_m")) {
+        card(&mut html, "Depth error", &length_text(mae), "mean absolute", "");
+    }
+    if let Some(n) = m("scan.gaussians") {
+        let note = m("scan.steps").map(|s| format!("{s:.0} training steps")).unwrap_or_default();
+        card(&mut html, "Gaussians", &format!("{n:.0}"), &note, "");
+    }
+    if let Some(scene) = input.scene {
+        let dynamic = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
+        let spheres = dynamic.clone().filter(|b| matches!(b.shape, BodyShape::Sphere { .. })).count();
+        card(&mut html, "Objects", &dynamic.count().to_string(), &format!("{spheres} spheres"), "");
+    }
+    let seconds: f64 = ["scan.seconds", "materialize.seconds", "plan.seconds"].iter().filter_map(|k| m(k)).sum();
+    if seconds > 0.0 {
+        card(&mut html, "Time", &format!("{seconds:.0} s"), "scan, materialize, plan", "");
+    }
+    html
+}
+
+fn plan_section(input: &ReportInput<'_>) -> String {
+    let Some(plan) = input.plan else {
+        return "<p class=\"missing\">No plan in this run yet: <code>sms plan RUN --task T.toml</code> makes it.</p>"
+            .into();
+    };
+    let mut html = String::from("<table><tr><th>action</th><th>value</th><th>range searched</th></tr>");
+    for (p, value) in plan.parameters.iter().zip(&plan.action.0) {
+        let _ = write!(
+            html,
+            "<tr><td>{}</td><td>{value:.4} {unit}</td><td>{:.3} to {:.3} {unit}</td></tr>",
+            escape(&p.name),
+            p.low,
+            p.high,
+            unit = escape(&p.unit)
+        );
+    }
+    let _ = write!(
+        html,
+        "</table><p>{} rollouts in {} from {} starts.</p>",
+        plan.evaluations,
+        escape(&plan.engine),
+        plan.starts.len()
+    );
+    html
+}
+
+fn objects_table(input: &ReportInput<'_>) -> String {
+    let Some(scene) = input.scene else {
+        return "<p class=\"missing\">No objects in this run yet: <code>sms materialize RUN</code> makes them.</p>".into();
+    };
+    let truth = input.metrics.iter().any(|(k, _)| k.starts_with("evaluate."));
+    let mut html = String::from(
+        "<table><tr><th></th><th>object</th><th>shape</th><th>material</th><th>mass</th><th>friction</th>\
+         <th>restitution</th><th>observed</th>",
+    );
+    if truth {
+        html.push_str("<th>against the known model</th>");
+    }
+    html.push_str("</tr>");
+    for body in &scene.bodies {
+        let m = &body.material;
+        let shape = match &body.shape {
+            BodyShape::Sphere { radius } => format!("sphere, r = {:.2} mm", radius * 1e3),
+            BodyShape::HalfSpace => "half space".into(),
+            BodyShape::Hulls { hulls } => format!("{} convex parts", hulls.len()),
+            BodyShape::TriMesh { mesh } => format!("static mesh, {} triangles", mesh.triangles.len()),
+        };
+        let role = input.roles.iter().find(|r| r.0 == body.name).map(|r| r.1.as_str());
+        let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape(r))).unwrap_or_default();
+        let mass = body.mass.map(|p| format!("{:.0} g", p.mass() * 1e3)).unwrap_or_else(|| "static".into());
+        let interval = |v: sms_core::Interval| format!("{:.2} <small>[{:.2}, {:.2}]</small>", v.best, v.low, v.high);
+        let source = serde_json::to_value(m.density.source).ok();
+        let source = source.as_ref().and_then(Value::as_str).unwrap_or("");
+        let [r, g, b] = body.color;
+        let _ = write!(
+            html,
+            "<tr><td><span class=\"swatch\" style=\"background:rgb({r},{g},{b})\"></span></td><td>{}{role}</td>\
+             <td>{shape}</td><td>{} <small>({source})</small></td><td>{mass}</td><td>{}</td><td>{}</td>\
+             <td>{:.0} %</td>",
+            escape(&body.name),
+            escape(&m.class),
+            interval(m.friction.value),
+            interval(m.restitution.value),
+            100.0 * body.observed_share
+        );
+        if truth {
+            let _ = write!(html, "<td>{}</td>", truth_text(&input.metrics, &body.name));
+        }
+        html.push_str("</tr>");
+    }
+    html.push_str("</table>");
+    html
+}
+
+fn truth_text(metrics: &Metrics, name: &str) -> String {
+    let get = |key: &str| metrics.number(&format!("evaluate.{name}.{key}"));
+    let mut parts = Vec::new();
+    if let (Some(c), Some(r)) = (get("center_error_m"), get("radius_error_m")) {
+        parts.push(format!("centre {:.2} mm, radius {:.2} mm", c * 1e3, r * 1e3));
+    }
+    if let (Some(a), Some(f)) = (get("accuracy_median_m"), get("f1_2p5mm")) {
+        parts.push(format!("surface {:.2} mm median, F1 {f:.2} at 2.5 mm", a * 1e3));
+    }
+    if let Some(v) = get("volume_ratio") {
+        parts.push(format!("volume × {v:.2}"));
+    }
+    parts.join("; ")
+}
+
+fn loss_curves(losses: &[LossPoint]) -> String {
+    if losses.len() < 2 {
+        return "<p class=\"missing\">No training curves.</p>".into();
+    }
+    let (w, h) = (760.0, 180.0);
+    let last = losses.last().map_or(1, |l| l.step.max(1)) as f64;
+    let mut html = String::new();
+    let curves: [(&str, fn(&LossPoint) -> f64, &str); 3] = [
+        ("colour error (mean absolute)", |l| l.color_l1, "#c77700"),
+        ("depth error (m)", |l| l.depth_m, "#1f5fd0"),
+        ("total loss", |l| l.total, "#555"),
+    ];
+    for (name, value, color) in curves {
+        let logs: Vec<f64> = losses.iter().map(|l| value(l).max(1e-6).log10()).collect();
+        let (low, high) = logs.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)));
+        let span = (high - low).max(1e-3);
+        let points: Vec<String> = losses
+            .iter()
+            .zip(&logs)
+            .map(|(l, v)| format!("{:.1},{:.1}", l.step as f64 / last * w, (high - v) / span * (h - 30.0) + 8.0))
+            .collect();
+        let _ = write!(
+            html,
+            "<figure class=\"curve\"><svg viewBox=\"0 0 {w} {h}\"><polyline points=\"{}\" fill=\"none\" \
+             stroke=\"{color}\" stroke-width=\"1.5\"/><text x=\"4\" y=\"{:.0}\" font-size=\"13\" fill=\"#777\">0 to {last:.0} \
+             steps; {:.2e} to {:.2e}, logarithmic</text></svg><figcaption>{name}</figcaption></figure>",
+            points.join(" "),
+            h - 4.0,
+            10f64.powf(low),
+            10f64.powf(high)
+        );
+    }
+    html
+}
+
+fn warnings_list(warnings: &[Warning]) -> String {
+    if warnings.is_empty() {
+        return "<p>None.</p>".into();
+    }
+    let mut html = String::from("<ul class=\"warnings\">");
+    for w in warnings {
+        let times = if w.count > 1 { format!(" <small>({} times)</small>", w.count) } else { String::new() };
+        let _ = write!(
+            html,
+            "<li><b>{}</b>: {}{times} <i>{}</i></li>",
+            escape(&w.stage),
+            escape(&w.message),
+            escape(&w.cure)
+        );
+    }
+    html.push_str("</ul>");
+    html
+}
+
+fn metrics_table(metrics: &Metrics) -> String {
+    let mut html = String::from("<table class=\"metrics\">");
+    for (key, value) in metrics.iter() {
+        let shown = match value {
+            Value::Number(n) => match n.as_f64() {
+                Some(f) if n.is_f64() => format!("{f:.6}"),
+                _ => n.to_string(),
+            },
+            Value::String(s) => s.clone(),
+            other => other.to_string(),
+        };
+        let _ = write!(html, "<tr><td><code>{}</code></td><td>{}</td></tr>", escape(key), escape(&shown));
+    }
+    html.push_str("</table>");
+    html
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::{DPose3, DVec3};
+    use sms_core::{MassProperties, Mesh};
+    use sms_scene::{Body, example_material, floor_body};
+    use sms_sim::BodyState;
+    use sms_task::{Action, BodyTrack, Parameter, Trajectory};
+
+    fn scene() -> Scene {
+        let mut ball = floor_body(0.0, example_material());
+        ball.name = "ball".into();
+        ball.kind = BodyKind::Dynamic;
+        ball.x_wb = DPose3::from_translation(DVec3::new(0.3, 0.1, 0.03));
+        ball.shape = BodyShape::Sphere { radius: 0.03 };
+        ball.visual = Mesh::icosphere(0.03, 1);
+        let mass = sms_core::sphere_mass_properties(DVec3::ZERO, 0.03, 1500.0).unwrap();
+        ball.mass = Some(MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap());
+        let bodies: Vec<Body> = vec![floor_body(0.0, example_material()), ball];
+        Scene {
+            version: 1,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z * 9.81,
+            x_world_recording: DPose3::identity(),
+            bodies,
+        }
+    }
+
+    fn trajectory() -> Trajectory {
+        let state = |x: f64| BodyState {
+            x_wb: DPose3::from_translation(DVec3::new(x, 0.1, 0.03)),
+            v_w: DVec3::X,
+            w_w: DVec3::ZERO,
+        };
+        Trajectory {
+            times_s: vec![0.0, 0.5, 1.0],
+            bodies: vec![BodyTrack { name: "ball".into(), states: vec![state(0.3), state(0.4), state(0.5)] }],
+        }
+    }
+
+    #[test]
+    fn a_whole_page_has_every_section_and_no_outside_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = scene();
+        let parameter = Parameter { name: "speed".into(), unit: "m/s".into(), low: 0.2, high: 0.85 };
+        let plan = Plan {
+            task: "billiards".into(),
+            engine: "rapier3d f32".into(),
+            parameters: vec![parameter],
+            action: Action(vec![0.5]),
+            objective: 0.004,
+            objective_unit: "m".into(),
+            objective_q90: 0.02,
+            evaluations: 10,
+            starts: Vec::new(),
+            trajectory: trajectory(),
+        };
+        let mut metrics = Metrics::new();
+        metrics.set("evaluate.ball.center_error_m", 0.0005).set("evaluate.ball.radius_error_m", 0.0001);
+        let input = ReportInput {
+            title: "a <b> & c".into(),
+            scene: Some(&scene),
+            plan: Some(&plan),
+            goal_w: Some([0.5, 0.1]),
+            roles: vec![("ball".into(), "target".into())],
+            metrics,
+            ..ReportInput::default()
+        };
+        let page = std::fs::read_to_string(write_report(dir.path(), &input).unwrap()).unwrap();
+        assert!(page.contains("a &lt;b&gt; &amp; c") && page.contains("4.00 mm"));
+        assert!(page.contains("centre 0.50 mm, radius 0.10 mm"));
+        assert!(!page.contains("{{") && !page.contains("src=\"http") && !page.contains("href=\"http"));
+        assert!(dir.path().join("shot.svg").exists());
+    }
+
+    #[test]
+    fn an_empty_run_says_what_is_missing() {
+        let dir = tempfile::tempdir().unwrap();
+        let page = std::fs::read_to_string(write_report(dir.path(), &ReportInput::default()).unwrap()).unwrap();
+        for command in ["sms scan", "sms materialize", "sms plan", "sms simulate"] {
+            assert!(page.contains(command), "{command}");
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Data of the interactive 3-D view: binary buffers as base64 inside JSON.
+
+use crate::page::ReportInput;
+use base64::Engine;
+use serde_json::{Value, json};
+use sms_core::Mesh;
+use sms_scene::{Body, BodyShape};
+use sms_task::Trajectory;
+
+/// Most Gaussians that are shown as points; more are thinned evenly.
+const MAX_POINTS: usize = 60_000;
+
+fn base64_of(bytes: &[u8]) -> String {
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}
+
+fn floats(values: impl IntoIterator<Item = f64>) -> String {
+    let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
+    base64_of(&bytes)
+}
+
+fn mesh_value(mesh: &Mesh) -> Value {
+    let triangles: Vec<u8> = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
+    let colors = (mesh.colors.len() == mesh.vertices.len() && !mesh.colors.is_empty())
+        .then(|| base64_of(mesh.colors.as_flattened()));
+    json!({
+        "v": floats(mesh.vertices.iter().flat_map(|p| p.to_array())),
+        "t": base64_of(&triangles),
+        "c": colors,
+    })
+}
+
+fn body_value(body: &Body) -> Value {
+    let t = body.x_wb.translation;
+    let q = body.x_wb.rotation;
+    let parts: Vec<Value> = match &body.shape {
+        BodyShape::Hulls { hulls } => hulls.iter().map(mesh_value).collect(),
+        BodyShape::Sphere { radius } => vec![mesh_value(&Mesh::icosphere(*radius, 2))],
+        BodyShape::TriMesh { mesh } => vec![mesh_value(mesh)],
+        BodyShape::HalfSpace => Vec::new(),
+    };
+    json!({
+        "name": body.name,
+        "kind": body.kind,
+        "color": body.color,
+        "pose": [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+        "floor": matches!(body.shape, BodyShape::HalfSpace),
+        "visual": (!body.visual.triangles.is_empty()).then(|| mesh_value(&body.visual)),
+        "parts": parts,
+    })
+}
+
+fn trajectory_value(trajectory: &Trajectory, rename: impl Fn(&str) -> Option<String>) -> Value {
+    let mut bodies = serde_json::Map::new();
+    for track in &trajectory.bodies {
+        let Some(name) = rename(&track.name) else { continue };
+        let values = track.states.iter().flat_map(|s| {
+            let (t, q) = (s.x_wb.translation, s.x_wb.rotation);
+            [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+        });
+        bodies.insert(name, Value::String(floats(values)));
+    }
+    json!({ "times": floats(trajectory.times_s.iter().copied()), "bodies": bodies })
+}
+
+/// Everything that the page's script draws.
+pub(crate) fn view_data(input: &ReportInput<'_>) -> Value {
+    let points = input.gaussians.map(|g| {
+        let stride = g.len().div_ceil(MAX_POINTS).max(1);
+        let chosen: Vec<usize> = (0..g.len()).step_by(stride).collect();
+        let colors: Vec<u8> = chosen
+            .iter()
+            .flat_map(|&i| g.colors[i].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8))
+            .collect();
+        let labels: Vec<u8> = chosen.iter().flat_map(|&i| sms_masks::label_color(g.labels[i])).collect();
+        json!({
+            "pos": floats(chosen.iter().flat_map(|&i| g.positions_w[i].to_array().map(f64::from))),
+            "size": floats(chosen.iter().map(|&i| {
+                let [(_, a), (_, b)] = g.disc(i).1;
+                f64::from((a * b).sqrt())
+            })),
+            "col": base64_of(&colors),
+            "lab": base64_of(&labels),
+        })
+    });
+    let matches = input.execution.map(|e| e.matches.as_slice()).unwrap_or_default();
+    json!({
+        "points": points,
+        "bodies": input.scene.map(|s| s.bodies.iter().map(body_value).collect::<Vec<_>>()).unwrap_or_default(),
+        "goal": input.goal_w,
+        "striker": input.striker_half_m,
+        "predicted": input.plan.map(|p| trajectory_value(&p.trajectory, |n| Some(n.to_owned()))),
+        "realised": input.execution.map(|e| trajectory_value(&e.trajectory, |n| {
+            if n == "striker" {
+                return Some(n.to_owned());
+            }
+            matches.iter().find(|m| m.1 == n).map(|m| m.0.clone())
+        })),
+    })
+}
