@@ -1,5 +1,43 @@
 //! Posed RGB-D recordings: readers, checks, resampling, normals and world alignment.
+//!
+//! [`Recording::open`] looks at a folder (nerfstudio's `transforms.json` with depth, or TUM RGB-D) and finds faults
+//! before any long work; [`load`] makes a [`Sequence`] of it: pinhole frames at scan resolution with normals, in a
+//! metric world with z up.
+//!
+//! # Conventions
+//! The recording's own world is `R`, ours is `W`; [`Sequence::x_world_recording`] carries points from `R` to `W`.
+//! Camera axes are OpenCV's and pixel centres lie at +0.5, whatever the recording used.
+//!
+//! ```no_run
+//! use sms_core::{Cancel, NoProgress, Warnings};
+//! use sms_frames::{LoadSettings, ReadOptions, Recording, load};
+//! let recording = Recording::open("scan_of_my_desk", &ReadOptions::default())?;
+//! let settings = LoadSettings { long_side: 320, ..LoadSettings::default() };
+//! let sequence = load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new())?;
+//! assert_eq!(sequence.frames[0].color.width.max(sequence.frames[0].color.height), 320);
+//! # Ok::<(), sms_frames::FramesError>(())
+//! ```
 
+mod align;
+mod formats;
+mod images;
+mod lens;
+mod load;
+mod normals;
+mod options;
+mod plane_fit;
+mod recording;
+mod resample;
+mod rigid;
 mod sequence;
 
+pub use lens::{Distortion, Lens};
+pub use load::{load, selected_frames};
+pub use normals::normals_from_depth;
+pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
+pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};
+pub use resample::{resample_depth, resample_labels, resize_color, target_intrinsics, undistort_color};
 pub use sequence::{Frame, Sequence};
+
+/// What can go wrong here: bad input, unreadable files, an interruption.
+pub type FramesError = sms_core::CoreError;

@@ -1,0 +1,145 @@
+//! Which way is up: the support plane of an unaligned recording.
+
+use crate::{Align, DepthNoise, Recording};
+use glamx::{DMat3, DPose3, DQuat, DVec3};
+use sms_core::{DepthImage, Intrinsics, NormalImage, Seed, Warnings};
+
+mod planes;
+
+pub(crate) use planes::Plane;
+use planes::{Cells, find_planes};
+
+/// Coordinates beyond this (metres) are moved to the origin in f64 before anything becomes f32.
+const FAR_M: f64 = 100.0;
+/// A support plane may tilt so much against a given up direction.
+const UP_TOLERANCE_RAD: f64 = 0.35;
+
+/// What alignment sees of a loaded frame.
+pub(crate) struct View<'a> {
+    pub(crate) intrinsics: Intrinsics,
+    /// Camera pose in the recording's world.
+    pub(crate) x_rc: DPose3,
+    pub(crate) depth: &'a DepthImage,
+    pub(crate) normal_c: &'a NormalImage,
+}
+
+/// The transform from the recording's world to ours.
+pub(crate) fn align(
+    recording: &Recording,
+    align: Align,
+    noise: &DepthNoise,
+    views: &[View<'_>],
+    warnings: &Warnings,
+) -> DPose3 {
+    let up_r = match align {
+        Align::None => return recenter(views, warnings),
+        Align::Auto if recording.world_is_aligned => return recenter(views, warnings),
+        Align::Auto => recording.world_up_r,
+        Align::Up(up) => DVec3::from(up).try_normalize(),
+    };
+    let origin_r = views.first().map_or(DVec3::ZERO, |v| v.x_rc.translation);
+    let cells = Cells::gather(views, origin_r);
+    let planes = find_planes(&cells, noise, Seed(0).derive("align"));
+    let chosen = choose(&planes, &cells, views, origin_r, up_r);
+    let up = match (up_r, chosen) {
+        (Some(up), _) => up,
+        (None, Some(plane)) => plane.normal,
+        (None, None) => {
+            warnings.add(
+                "scan",
+                "no_support_plane",
+                "no support plane was found; up is taken as the cameras' mean upward direction",
+                "state the up direction of the recording's world (`--up x,y,z`), or record the table or floor too",
+            );
+            camera_up_r(views)
+        }
+    };
+    let (height, center) = match chosen {
+        Some(plane) => (plane.center.dot(up), plane.center),
+        None => {
+            let mut heights: Vec<f64> = cells.points.iter().map(|p| p.dot(up)).collect();
+            heights.sort_by(f64::total_cmp);
+            let low = heights.get(heights.len() / 100).copied().unwrap_or(0.0);
+            let mean =
+                cells.points.iter().fold(DVec3::ZERO, |s, p| s + *p) / (cells.points.len().max(1) as f64);
+            (low, mean)
+        }
+    };
+    // World x along the first camera's right, so that the first view shows the world upright and unmirrored.
+    let right = views.first().map_or(DVec3::X, |v| v.x_rc.rotation * DVec3::X);
+    let x = (right - up * right.dot(up)).try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
+    let y = up.cross(x);
+    let rotation = crate::rigid::nearest_rotation(DMat3::from_cols(x, y, up).transpose());
+    let foot = center + up * (height - center.dot(up));
+    DPose3::from_parts(-(rotation * (origin_r + foot)), rotation)
+}
+
+/// Identity for worlds near the origin; a translation by whole metres for far ones.
+fn recenter(views: &[View<'_>], warnings: &Warnings) -> DPose3 {
+    let n = views.len().max(1) as f64;
+    let mean = views.iter().fold(DVec3::ZERO, |s, v| s + v.x_rc.translation / n);
+    if mean.abs().max_element() < FAR_M {
+        return DPose3::identity();
+    }
+    let shift = DVec3::from_array(mean.to_array().map(|v| if v.abs() < FAR_M { 0.0 } else { v.round() }));
+    warnings.add(
+        "scan",
+        "world_recentred",
+        format!(
+            "the recording lies {:.0} m from its origin and was moved by ({}, {}, {})",
+            mean.length(),
+            -shift.x,
+            -shift.y,
+            -shift.z
+        ),
+        "",
+    );
+    DPose3::from_parts(-shift, DQuat::IDENTITY)
+}
+
+/// Mean upward direction of the images in the recording's world.
+fn camera_up_r(views: &[View<'_>]) -> DVec3 {
+    let sum = views.iter().fold(DVec3::ZERO, |s, v| s - v.x_rc.rotation * DVec3::Y);
+    sum.try_normalize().unwrap_or(DVec3::Z)
+}
+
+/// The plane that supports the scene: large, with the cameras and nearly everything else above it, and upright in
+/// the images (cameras are held with little roll). With a given up, only planes across it count.
+fn choose<'a>(
+    planes: &'a [Plane],
+    cells: &Cells,
+    views: &[View<'_>],
+    origin_r: DVec3,
+    up_r: Option<DVec3>,
+) -> Option<&'a Plane> {
+    planes
+        .iter()
+        .filter(|p| up_r.is_none_or(|up| p.normal.angle_between(up) < UP_TOLERANCE_RAD))
+        .map(|p| (score(p, cells, views, origin_r, up_r.is_some()), p))
+        .filter(|(score, _)| *score > 0.0)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, p)| p)
+}
+
+fn score(plane: &Plane, cells: &Cells, views: &[View<'_>], origin_r: DVec3, up_known: bool) -> f64 {
+    let n = views.len().max(1) as f64;
+    let cameras_above =
+        views.iter().filter(|v| plane.height(v.x_rc.translation - origin_r) > 0.0).count() as f64 / n;
+    let margin = 4.0 * plane.tolerance;
+    let below = cells.points.iter().filter(|p| plane.height(**p) < -margin).count() as f64;
+    let below = below / cells.points.len().max(1) as f64;
+    let supports = cameras_above * (1.0 - below).powi(4);
+    let upright = if up_known {
+        1.0
+    } else {
+        let mean =
+            |axis: DVec3| views.iter().map(|v| (v.x_rc.rotation * axis).dot(plane.normal)).sum::<f64>() / n;
+        let roll =
+            views.iter().map(|v| (v.x_rc.rotation * DVec3::X).dot(plane.normal).powi(2)).sum::<f64>() / n;
+        // A wall faces the camera and has no component along the image's up; a table seen from straight above has
+        // none either, so this only halves the score.
+        let image_up = (-mean(DVec3::Y)).clamp(0.0, 1.0);
+        (-roll / (2.0 * 0.35f64.powi(2))).exp() * (0.4 + 0.6 * image_up)
+    };
+    plane.support as f64 * supports * upright
+}

@@ -1,0 +1,393 @@
+//! nerfstudio's `transforms.json` with depth.
+//!
+//! Keys read: intrinsics (`fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `k1` … `p2`, or `camera_angle_x`), for all frames or
+//! in each; `frames[].{file_path, depth_file_path, mask_path, transform_matrix, time}`; `depth_unit_scale_factor`.
+//! `applied_transform` is not undone: the recording's world is the one that the written poses live in, and a rigid
+//! change of it is removed by alignment anyway. `applied_scale` is undone, because the world must be metric.
+//! Beyond nerfstudio: `camera_convention` ("opengl", "opencv"), `pose_convention` ("camera_to_world",
+//! "world_to_camera"), `pixel_center`, `world_up`, `world_is_aligned`, and for depth images of another size
+//! `depth_fl_x`, `depth_fl_y`, `depth_cx`, `depth_cy` or `depth_same_field_of_view`.
+
+use super::to_opencv;
+use crate::images::{color_size, depth_size};
+use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
+use crate::rigid::pose_from_rows;
+use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
+use glamx::DVec3;
+use rayon::prelude::*;
+use serde::Deserialize;
+use sms_core::{CoreError, InputError, Intrinsics};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Clone, Default, Deserialize)]
+struct CameraKeys {
+    camera_model: Option<String>,
+    camera_angle_x: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+    depth_fl_x: Option<f64>,
+    depth_fl_y: Option<f64>,
+    depth_cx: Option<f64>,
+    depth_cy: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct FrameKeys {
+    file_path: String,
+    depth_file_path: Option<String>,
+    mask_path: Option<String>,
+    transform_matrix: Vec<Vec<f64>>,
+    time: Option<f64>,
+    #[serde(flatten)]
+    camera: CameraKeys,
+}
+
+#[derive(Debug, Deserialize)]
+struct Transforms {
+    #[serde(flatten)]
+    camera: CameraKeys,
+    depth_unit_scale_factor: Option<f64>,
+    camera_convention: Option<String>,
+    pose_convention: Option<String>,
+    pixel_center: Option<f64>,
+    world_up: Option<[f64; 3]>,
+    #[serde(default)]
+    world_is_aligned: bool,
+    #[serde(default)]
+    depth_same_field_of_view: bool,
+    applied_scale: Option<f64>,
+    #[serde(default)]
+    frames: Vec<FrameKeys>,
+}
+
+impl CameraKeys {
+    /// The keys of one frame where it has them, else those of the file.
+    fn or(&self, all: &Self) -> Self {
+        let pick = |own: Option<f64>, shared: Option<f64>| own.or(shared);
+        Self {
+            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
+            camera_angle_x: pick(self.camera_angle_x, all.camera_angle_x),
+            fl_x: pick(self.fl_x, all.fl_x),
+            fl_y: pick(self.fl_y, all.fl_y),
+            cx: pick(self.cx, all.cx),
+            cy: pick(self.cy, all.cy),
+            w: pick(self.w, all.w),
+            h: pick(self.h, all.h),
+            k1: pick(self.k1, all.k1),
+            k2: pick(self.k2, all.k2),
+            k3: pick(self.k3, all.k3),
+            p1: pick(self.p1, all.p1),
+            p2: pick(self.p2, all.p2),
+            depth_fl_x: pick(self.depth_fl_x, all.depth_fl_x),
+            depth_fl_y: pick(self.depth_fl_y, all.depth_fl_y),
+            depth_cx: pick(self.depth_cx, all.depth_cx),
+            depth_cy: pick(self.depth_cy, all.depth_cy),
+        }
+    }
+}
+
+struct Reader<'a> {
+    dir: &'a Path,
+    json: PathBuf,
+    options: &'a ReadOptions,
+    /// Added to recorded principal points so that pixel centres lie at +0.5.
+    center_shift: f64,
+    same_field_of_view: bool,
+}
+
+pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, FramesError> {
+    let json = dir.join("transforms.json");
+    let text = std::fs::read_to_string(&json).map_err(CoreError::read(&json))?;
+    let all: Transforms = serde_json::from_str(&text).map_err(|e| parse_error(&json, &text, &e))?;
+    if all.frames.is_empty() {
+        return Err(InputError::new(
+            "the recording has no frames",
+            &json,
+            "\"frames\" must list at least one frame with file_path, depth_file_path and transform_matrix",
+        )
+        .into());
+    }
+    let mut notices = Vec::new();
+    let axes = match options.axes {
+        Some(axes) => axes,
+        None => declared_axes(all.camera_convention.as_deref(), &json)?,
+    };
+    let poses = match options.poses {
+        Some(poses) => poses,
+        None => declared_direction(all.pose_convention.as_deref(), &json)?,
+    };
+    let depth_unit_m = match options.depth_unit_m.or(all.depth_unit_scale_factor) {
+        Some(unit) => positive(unit, "depth_unit_scale_factor", &json)?,
+        None => {
+            notices.push(Notice {
+                code: "assumed_depth_unit",
+                message: "transforms.json does not say the depth unit; millimetres are assumed".to_owned(),
+                cure: "add \"depth_unit_scale_factor\": 0.001 (metres of one unit)".to_owned(),
+            });
+            0.001
+        }
+    };
+    let pixel_center = options.pixel_center.or(all.pixel_center).unwrap_or(0.5);
+    let scale = positive(all.applied_scale.unwrap_or(1.0), "applied_scale", &json)?;
+    let world_up_r = match all.world_up.map(DVec3::from) {
+        Some(up) => Some(up.try_normalize().ok_or_else(|| {
+            InputError::new("\"world_up\" is not a direction", &json, "give three numbers, e.g. [0, 0, 1]")
+        })?),
+        None => None,
+    };
+    let reader = Reader {
+        dir,
+        json: json.clone(),
+        options,
+        center_shift: 0.5 - pixel_center,
+        same_field_of_view: options.depth_same_field_of_view || all.depth_same_field_of_view,
+    };
+    let read: Vec<Result<RecordedFrame, FramesError>> =
+        all.frames.par_iter().enumerate().map(|(i, f)| reader.frame(i, f, &all.camera)).collect();
+    let mut frames = read.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let start = frames.iter().filter_map(|f| f.time_s).fold(f64::INFINITY, f64::min);
+    for frame in &mut frames {
+        frame.x_rc.translation /= scale;
+        frame.x_rc = to_opencv(frame.x_rc, axes, poses);
+        frame.time_s = frame.time_s.map(|t| t - start);
+    }
+    Ok(Recording {
+        root: dir.to_owned(),
+        format: RecordingFormat::Nerfstudio,
+        frames,
+        depth_unit_m,
+        axes,
+        poses,
+        pixel_center,
+        world_up_r,
+        world_is_aligned: all.world_is_aligned,
+        notices,
+        options: options.clone(),
+    })
+}
+
+fn parse_error(json: &Path, text: &str, error: &serde_json::Error) -> InputError {
+    let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default();
+    let words = ["nan", "infinity", "inf"];
+    let holds_nan = line.to_lowercase().split(|c: char| !c.is_alphabetic()).any(|w| words.contains(&w));
+    let error_text = error.to_string();
+    if holds_nan || error_text.contains("number out of range") {
+        InputError::new(
+            format!("line {} of the recording's description holds a number that is not finite", error.line()),
+            json,
+            "export the recording again, or remove the frame whose pose was not found",
+        )
+    } else {
+        InputError::new(
+            "the recording's description is not what it should be",
+            json,
+            "it must be JSON with intrinsics and \"frames\", each with file_path, depth_file_path and \
+             transform_matrix",
+        )
+    }
+    .because(error_text)
+}
+
+fn positive(value: f64, key: &str, json: &Path) -> Result<f64, InputError> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(value);
+    }
+    Err(InputError::new(format!("\"{key}\" is {value}"), json, format!("set \"{key}\" to a positive number")))
+}
+
+fn declared_axes(text: Option<&str>, json: &Path) -> Result<Axes, InputError> {
+    let Some(text) = text else { return Ok(Axes::Opengl) };
+    let lower = text.to_lowercase();
+    match (lower.contains("opengl"), lower.contains("opencv")) {
+        (true, false) => Ok(Axes::Opengl),
+        (false, true) => Ok(Axes::Opencv),
+        _ => Err(InputError::new(
+            format!("\"camera_convention\" says \"{text}\", which names no known axes"),
+            json,
+            "write \"opengl\" (x right, y up, z backward) or \"opencv\" (x right, y down, z forward)",
+        )),
+    }
+}
+
+fn declared_direction(text: Option<&str>, json: &Path) -> Result<PoseDirection, InputError> {
+    let Some(text) = text else { return Ok(PoseDirection::CameraToWorld) };
+    match text.to_lowercase().replace([' ', '-'], "_").as_str() {
+        "camera_to_world" | "c2w" => Ok(PoseDirection::CameraToWorld),
+        "world_to_camera" | "w2c" => Ok(PoseDirection::WorldToCamera),
+        _ => Err(InputError::new(
+            format!("\"pose_convention\" says \"{text}\""),
+            json,
+            "write \"camera_to_world\" or \"world_to_camera\"",
+        )),
+    }
+}
+
+impl Reader<'_> {
+    fn frame(&self, index: usize, frame: &FrameKeys, all: &CameraKeys) -> Result<RecordedFrame, FramesError> {
+        let color_path = self.resolve(&frame.file_path);
+        let Some(depth_name) = &frame.depth_file_path else {
+            return Err(InputError::new(
+                format!("frame {index} ({}) has no depth", frame.file_path),
+                &self.json,
+                "add \"depth_file_path\" to every frame; this program needs RGB-D recordings",
+            )
+            .into());
+        };
+        let depth_path = self.resolve(depth_name);
+        let mask_path = frame.mask_path.as_deref().map(|m| self.resolve(m));
+        let color = color_size(&color_path)?;
+        let depth = depth_size(&depth_path)?;
+        let keys = frame.camera.or(all);
+        let color_lens = self.color_lens(&keys, color, &color_path)?;
+        let depth_lens = self.depth_lens(&keys, &color_lens, depth, &depth_path)?;
+        let (x_rc, pose_rounding) = pose_from_rows(&frame.transform_matrix).map_err(|why| {
+            InputError::new(
+                format!("the pose of frame {index} ({}) is not a rigid transform", frame.file_path),
+                &self.json,
+                "export this pose again: transform_matrix must be a rotation and a translation in metres; or \
+                 remove the frame",
+            )
+            .because(why)
+        })?;
+        Ok(RecordedFrame {
+            color_path,
+            depth_path,
+            mask_path,
+            color_lens,
+            depth_lens,
+            x_rc,
+            pose_rounding,
+            time_s: frame.time,
+        })
+    }
+
+    /// The file that a key names; nerfstudio allows a missing extension.
+    fn resolve(&self, name: &str) -> PathBuf {
+        let name = name.replace('\\', "/");
+        let path = self.dir.join(name.strip_prefix("./").unwrap_or(&name));
+        if !path.exists() && path.extension().is_none() {
+            for extension in ["png", "jpg", "jpeg"] {
+                let with = path.with_extension(extension);
+                if with.exists() {
+                    return with;
+                }
+            }
+        }
+        path
+    }
+
+    fn color_lens(&self, keys: &CameraKeys, size: (usize, usize), image: &Path) -> Result<Lens, FramesError> {
+        let json = &self.json;
+        if let Some(model) = &keys.camera_model
+            && !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"].contains(&model.as_str())
+        {
+            return Err(InputError::new(
+                format!("the camera model {model} is not supported"),
+                json,
+                "undistort the recording to the PINHOLE or OPENCV model",
+            )
+            .into());
+        }
+        if let (Some(w), Some(h)) = (keys.w, keys.h)
+            && (w.round() as usize, h.round() as usize) != size
+        {
+            return Err(InputError::new(
+                format!("the image is {} × {} but its intrinsics are for {w} × {h}", size.0, size.1),
+                image,
+                "restore the image at its original size, or scale w, h, fl_x, fl_y, cx and cy in transforms.json \
+                 to the image",
+            )
+            .into());
+        }
+        let fx = keys.fl_x.or(keys.camera_angle_x.map(|a| 0.5 * size.0 as f64 / (0.5 * a).tan()));
+        let given = self.options.intrinsics.map(|[fx, fy, cx, cy]| (fx, fy, cx, cy));
+        let Some((fx, fy, cx, cy)) = given.or(fx.map(|fx| {
+            // Without a principal point the image centre is meant, wherever pixel centres are put.
+            let middle = |n: usize| 0.5 * n as f64 - self.center_shift;
+            let (cx, cy) = (keys.cx.unwrap_or(middle(size.0)), keys.cy.unwrap_or(middle(size.1)));
+            (fx, keys.fl_y.unwrap_or(fx), cx, cy)
+        })) else {
+            return Err(InputError::new(
+                "the camera's focal length is missing",
+                json,
+                "add fl_x, fl_y, cx and cy in pixels, for all frames or in each",
+            )
+            .into());
+        };
+        let distortion = match self.options.distortion {
+            Some(d) => Distortion::from_opencv(d),
+            None => Distortion {
+                k1: keys.k1.unwrap_or(0.0),
+                k2: keys.k2.unwrap_or(0.0),
+                p1: keys.p1.unwrap_or(0.0),
+                p2: keys.p2.unwrap_or(0.0),
+                k3: keys.k3.unwrap_or(0.0),
+            },
+        };
+        let shift = self.center_shift;
+        let intrinsics = Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
+        check_intrinsics(&intrinsics, json)?;
+        Ok(Lens { intrinsics, distortion })
+    }
+
+    fn depth_lens(
+        &self,
+        keys: &CameraKeys,
+        color: &Lens,
+        size: (usize, usize),
+        image: &Path,
+    ) -> Result<Lens, FramesError> {
+        let k = &color.intrinsics;
+        let shift = self.center_shift;
+        if let (Some(fx), Some(cx), Some(cy)) = (keys.depth_fl_x, keys.depth_cx, keys.depth_cy) {
+            let fy = keys.depth_fl_y.unwrap_or(fx);
+            let intrinsics =
+                Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
+            check_intrinsics(&intrinsics, &self.json)?;
+            return Ok(Lens { intrinsics, distortion: Distortion::default() });
+        }
+        if size == (k.width, k.height) {
+            return Ok(*color);
+        }
+        if self.same_field_of_view {
+            return Ok(Lens { intrinsics: k.scaled_to(size.0, size.1), distortion: color.distortion });
+        }
+        Err(InputError::new(
+            format!(
+                "the depth image is {} × {} and the colour image {} × {}, and nothing says how they correspond",
+                size.0, size.1, k.width, k.height
+            ),
+            image,
+            "add depth_fl_x, depth_fl_y, depth_cx and depth_cy to transforms.json, or \
+             \"depth_same_field_of_view\": true when one is the other scaled",
+        )
+        .into())
+    }
+}
+
+/// Refuses intrinsics that no camera has.
+pub(crate) fn check_intrinsics(k: &Intrinsics, file: &Path) -> Result<(), InputError> {
+    let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
+    let (w, h) = (k.width as f64, k.height as f64);
+    let near_image = k.cx > -w && k.cx < 2.0 * w && k.cy > -h && k.cy < 2.0 * h;
+    if finite && k.fx > 0.0 && k.fy > 0.0 && near_image && w > 0.0 && h > 0.0 {
+        return Ok(());
+    }
+    Err(InputError::new(
+        format!(
+            "the intrinsics fx {} fy {} cx {} cy {} do not fit a {} × {} image",
+            k.fx, k.fy, k.cx, k.cy, k.width, k.height
+        ),
+        file,
+        "give focal lengths and the principal point in pixels of the recorded image",
+    ))
+}

@@ -1,0 +1,133 @@
+//! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
+
+use crate::align::{View, align};
+use crate::images::read_color;
+use crate::normals::normals_from_depth;
+use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
+use crate::{Frame, FramesError, LoadSettings, RecordedFrame, Recording, Sequence};
+use rayon::prelude::*;
+use sms_core::{
+    Camera, Cancel, ColorImage, DepthImage, InputError, Intrinsics, NormalImage, Progress, Warnings,
+};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A frame before alignment.
+struct Loaded {
+    intrinsics: Intrinsics,
+    color: ColorImage,
+    depth: DepthImage,
+    normal_c: NormalImage,
+}
+
+/// Indices of the recorded frames that `settings` select.
+pub fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<usize> {
+    let most = if settings.max_frames == 0 { usize::MAX } else { settings.max_frames };
+    (settings.first..recording.frames.len()).step_by(settings.stride.max(1)).take(most).collect()
+}
+
+/// Loads a recording: frames at scan resolution in a metric world with z up.
+///
+/// Frames are read in parallel; the result does not depend on the number of threads.
+///
+/// # Errors
+/// [`sms_core::InputError`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when
+/// cancelled.
+pub fn load(
+    recording: &Recording,
+    settings: &LoadSettings,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Sequence, FramesError> {
+    for notice in &recording.notices {
+        warnings.add("scan", notice.code, notice.message.clone(), notice.cure.clone());
+    }
+    let selected = selected_frames(recording, settings);
+    if selected.is_empty() {
+        return Err(InputError::new(
+            format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first),
+            &recording.root,
+            "start earlier, or use all frames",
+        )
+        .into());
+    }
+    progress.begin("load", selected.len() as u64);
+    let done = AtomicU64::new(0);
+    let loaded: Vec<Result<Option<Loaded>, FramesError>> = selected
+        .par_iter()
+        .map(|&i| {
+            cancel.check()?;
+            let frame = load_frame(recording, i, settings);
+            let n = done.fetch_add(1, Ordering::Relaxed) + 1;
+            progress.update(n, &format!("frame {i}"));
+            match frame {
+                Ok(frame) => Ok(Some(frame)),
+                Err(FramesError::Input(_))
+                    if recording.options.skip_empty_depth && is_empty(recording, i) =>
+                {
+                    Ok(None)
+                }
+                Err(error) => Err(error),
+            }
+        })
+        .collect();
+    let mut kept: Vec<(&RecordedFrame, Loaded)> = Vec::with_capacity(selected.len());
+    for (result, &i) in loaded.into_iter().zip(&selected) {
+        match result? {
+            Some(frame) => kept.push((&recording.frames[i], frame)),
+            None => warnings.add(
+                "scan",
+                "empty_depth_skipped",
+                format!("frame {i} has no depth and was skipped"),
+                "",
+            ),
+        }
+    }
+    if kept.is_empty() {
+        return Err(InputError::new(
+            "every depth image is empty",
+            &recording.root,
+            "record again with depth",
+        )
+        .into());
+    }
+    let views: Vec<View<'_>> = kept
+        .iter()
+        .map(|(r, l)| View { intrinsics: l.intrinsics, x_rc: r.x_rc, depth: &l.depth, normal_c: &l.normal_c })
+        .collect();
+    let x_world_recording = align(recording, settings.align, &settings.noise, &views, warnings);
+    drop(views);
+    let frames: Vec<Frame> = kept
+        .into_iter()
+        .enumerate()
+        .map(|(index, (recorded, loaded))| Frame {
+            index,
+            time_s: recorded.time_s,
+            camera: Camera::new(loaded.intrinsics, x_world_recording * recorded.x_rc),
+            color: loaded.color,
+            depth: loaded.depth,
+            normal_c: loaded.normal_c,
+            color_path: recorded.color_path.clone(),
+            mask_path: recorded.mask_path.clone(),
+        })
+        .collect();
+    let (w, h) = frames[0].color.size();
+    progress.end(&format!("{} frames at {w} × {h}", frames.len()));
+    Ok(Sequence { frames, x_world_recording, source: recording.root.clone() })
+}
+
+fn is_empty(recording: &Recording, index: usize) -> bool {
+    crate::images::read_depth(&recording.frames[index].depth_path)
+        .is_ok_and(|d| d.data.iter().all(|&v| v == 0))
+}
+
+fn load_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Loaded, FramesError> {
+    let frame = &recording.frames[index];
+    let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
+    let native = recording.read_depth_m(index)?;
+    let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
+    let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
+    let color = undistort_color(&read_color(&frame.color_path)?, &frame.color_lens);
+    let color = resize_color(&color, intrinsics.width, intrinsics.height);
+    Ok(Loaded { intrinsics, color, depth, normal_c })
+}

@@ -1,0 +1,155 @@
+//! Settings of reading and loading.
+
+use serde::{Deserialize, Serialize};
+
+/// Axes of the camera frame that the poses of a recording refer to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Axes {
+    /// x right, y down, z forward: what everything inside uses.
+    Opencv,
+    /// x right, y up, z backward: nerfstudio, Blender, ARKit.
+    Opengl,
+}
+
+/// Which way the pose matrices of a recording map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseDirection {
+    /// The matrix carries camera points to the recording's world.
+    CameraToWorld,
+    /// The matrix carries world points to the camera.
+    WorldToCamera,
+}
+
+/// How a recording is read. What is `None` is taken from the recording itself, else from its format's habit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReadOptions {
+    /// Where the recording's intrinsics put the centre of pixel (0, 0): 0.5 (nerfstudio, COLMAP) or 0 (OpenCV
+    /// calibration, TUM). By default the key `pixel_center` of `transforms.json`, else 0.5; 0 for TUM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pixel_center: Option<f64>,
+    /// Metres of one unit of the depth images. By default the key `depth_unit_scale_factor`, else 0.001 (as
+    /// nerfstudio has it); 1/5000 for TUM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_unit_m: Option<f64>,
+    /// Camera axes of the poses. By default the key `camera_convention`, else OpenGL; OpenCV for TUM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<Axes>,
+    /// Direction of the pose matrices. By default the key `pose_convention`, else camera-to-world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub poses: Option<PoseDirection>,
+    /// Colour intrinsics fx, fy, cx, cy in pixels of the colour images, in place of the recording's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<[f64; 4]>,
+    /// Distortion k1, k2, p1, p2, k3 (OpenCV's order) in place of the recording's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distortion: Option<[f64; 5]>,
+    /// States that colour and depth images of different size show the same field of view, so that the depth
+    /// intrinsics are the colour intrinsics scaled.
+    pub depth_same_field_of_view: bool,
+    /// Depth nearer than this is dropped, metres.
+    pub min_depth_m: f64,
+    /// Depth beyond this is dropped, metres: desk-size scenes, and sensors that mark "nothing" by a large value.
+    pub max_depth_m: f64,
+    /// Skip frames whose depth image is empty (with a warning) instead of refusing the recording.
+    pub skip_empty_depth: bool,
+    /// TUM: largest time between a colour image and its depth image, seconds (the benchmark's own tools: 0.02).
+    pub max_pair_gap_s: f64,
+    /// TUM: largest time between two poses that are interpolated, seconds.
+    pub max_pose_gap_s: f64,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self {
+            pixel_center: None,
+            depth_unit_m: None,
+            axes: None,
+            poses: None,
+            intrinsics: None,
+            distortion: None,
+            depth_same_field_of_view: false,
+            min_depth_m: 0.05,
+            max_depth_m: 10.0,
+            skip_empty_depth: false,
+            max_pair_gap_s: 0.02,
+            max_pose_gap_s: 0.1,
+        }
+    }
+}
+
+/// How the recording's world becomes the z-up world.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Align {
+    /// The recording's own statement (`world_is_aligned`, `world_up`) where there is one, else the dominant
+    /// support plane.
+    #[default]
+    Auto,
+    /// The recording's world is taken as it is; it must be metric with z up.
+    None,
+    /// This direction of the recording's world is up; the support plane gives the height only.
+    Up([f64; 3]),
+}
+
+/// Depth noise of a sensor: σ(z) = a + b z².
+///
+/// The quadratic growth is that of triangulating sensors (Nguyen, Izadi and Lovell, 3DIMPVT 2012). The default
+/// (1.5 mm at 0.6 m) is what neighbouring frames of a RealSense F200 differ by.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DepthNoise {
+    /// Constant part `a`, metres.
+    pub a_m: f64,
+    /// Quadratic part `b`, per metre.
+    pub b_per_m: f64,
+}
+
+impl Default for DepthNoise {
+    fn default() -> Self {
+        Self { a_m: 0.001, b_per_m: 0.0015 }
+    }
+}
+
+impl DepthNoise {
+    /// Standard deviation in metres at depth `z_m` metres.
+    pub fn sigma_m(&self, z_m: f64) -> f64 {
+        self.a_m + self.b_per_m * z_m * z_m
+    }
+}
+
+/// How a recording is loaded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LoadSettings {
+    /// Longer image side of the loaded frames in pixels; 0, or more than the recording has, keeps its size.
+    pub long_side: usize,
+    /// The first frame that is used.
+    pub first: usize,
+    /// Every `stride`-th frame is used, at least 1.
+    pub stride: usize,
+    /// At most so many frames are used, 0 for all.
+    pub max_frames: usize,
+    /// How the world is aligned.
+    pub align: Align,
+    /// Depth noise of the sensor.
+    pub noise: DepthNoise,
+    /// Half width of the window that a normal is fitted to, in pixels: 2 is 5 × 5.
+    pub normal_radius: usize,
+}
+
+impl Default for LoadSettings {
+    fn default() -> Self {
+        Self {
+            long_side: 320,
+            first: 0,
+            stride: 1,
+            max_frames: 0,
+            align: Align::Auto,
+            noise: DepthNoise::default(),
+            normal_radius: 2,
+        }
+    }
+}

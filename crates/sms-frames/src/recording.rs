@@ -1,0 +1,211 @@
+//! A recording that is opened and not yet loaded.
+
+use crate::images;
+use crate::{Axes, FramesError, Lens, PoseDirection, ReadOptions, formats};
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{DepthImage, InputError};
+use std::path::{Path, PathBuf};
+
+/// The format that a recording was found in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingFormat {
+    /// `transforms.json` with depth, as nerfstudio reads it.
+    Nerfstudio,
+    /// `rgb.txt`, `depth.txt` and `groundtruth.txt` of the TUM RGB-D benchmark.
+    TumRgbd,
+}
+
+impl RecordingFormat {
+    /// The name for messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nerfstudio => "nerfstudio transforms.json",
+            Self::TumRgbd => "TUM RGB-D",
+        }
+    }
+}
+
+/// One frame of a recording, before its images are read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedFrame {
+    /// Colour image, PNG or JPEG.
+    pub color_path: PathBuf,
+    /// Depth image, 16-bit PNG.
+    pub depth_path: PathBuf,
+    /// Label image, where the recording has one.
+    pub mask_path: Option<PathBuf>,
+    /// Lens of the colour image at its recorded size, pixel centres at +0.5.
+    pub color_lens: Lens,
+    /// Lens of the depth image at its recorded size; depth and colour share the camera frame.
+    pub depth_lens: Lens,
+    /// Pose of the camera (OpenCV axes) in the recording's world `R`.
+    pub x_rc: DPose3,
+    /// Largest entry of |RᵀR − I| that was removed from the recorded rotation.
+    pub pose_rounding: f64,
+    /// Seconds since the first frame.
+    pub time_s: Option<f64>,
+}
+
+/// Something that the reader assumed and the user should know; becomes a warning when the recording is loaded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Notice {
+    /// Stable identifier.
+    pub code: &'static str,
+    /// What was assumed.
+    pub message: String,
+    /// How to state it instead.
+    pub cure: String,
+}
+
+/// An opened recording: paths, lenses and poses of every frame, all files present and of matching size.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    /// Its folder.
+    pub root: PathBuf,
+    /// Its format.
+    pub format: RecordingFormat,
+    /// Its frames in recorded order, at least one.
+    pub frames: Vec<RecordedFrame>,
+    /// Metres of one unit of the depth images.
+    pub depth_unit_m: f64,
+    /// Camera axes the poses were read with.
+    pub axes: Axes,
+    /// Direction the pose matrices were read with.
+    pub poses: PoseDirection,
+    /// Where the recorded intrinsics were taken to put the centre of pixel (0, 0).
+    pub pixel_center: f64,
+    /// The direction of the recording's world that is up, where the recording says so.
+    pub world_up_r: Option<DVec3>,
+    /// Whether the recording says that its world is already metric, z up, with the support at z = 0.
+    pub world_is_aligned: bool,
+    /// What the reader assumed.
+    pub notices: Vec<Notice>,
+    /// The options it was opened with.
+    pub options: ReadOptions,
+}
+
+impl Recording {
+    /// Opens the recording in `dir`; `transforms.json` makes it a nerfstudio one, `rgb.txt`, `depth.txt` and
+    /// `groundtruth.txt` a TUM RGB-D one. Every file is looked for and every image header read, so that a fault
+    /// shows before any long work.
+    ///
+    /// # Errors
+    /// [`sms_core::InputError`] (inside [`FramesError`]) naming the file and the cure.
+    pub fn open(dir: impl AsRef<Path>, options: &ReadOptions) -> Result<Self, FramesError> {
+        let dir = dir.as_ref();
+        check_options(options)?;
+        if dir.is_file() && dir.file_name().is_some_and(|n| n == "transforms.json") {
+            return Self::open(dir.parent().unwrap_or(Path::new(".")), options);
+        }
+        if !dir.is_dir() {
+            return Err(InputError::new(
+                "there is no recording folder here",
+                dir,
+                "give the folder that holds transforms.json, or rgb.txt, depth.txt and groundtruth.txt",
+            )
+            .into());
+        }
+        let recording = if dir.join("transforms.json").is_file() {
+            formats::nerfstudio::open(dir, options)?
+        } else if dir.join("rgb.txt").is_file() || dir.join("groundtruth.txt").is_file() {
+            formats::tum::open(dir, options)?
+        } else {
+            return Err(InputError::new(
+                "this folder holds no recording of a known format",
+                dir,
+                "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt, depth.txt and \
+                 groundtruth.txt (TUM RGB-D)",
+            )
+            .into());
+        };
+        Ok(recording)
+    }
+
+    /// Reads the depth image of a frame in metres at its recorded size, distortion included; 0 where there is no
+    /// measurement or it lies outside the options' depth range.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or holds no depth at all.
+    pub fn read_depth_m(&self, index: usize) -> Result<DepthImage, FramesError> {
+        let path = &self.frames[index].depth_path;
+        let raw = images::read_depth(path)?;
+        if raw.data.iter().all(|&v| v == 0) {
+            return Err(InputError::new(
+                "the depth image holds no depth: every pixel is 0",
+                path,
+                "record or export this frame again, remove it from the recording, or set skip_empty_depth",
+            )
+            .into());
+        }
+        let (low, high) = (self.options.min_depth_m as f32, self.options.max_depth_m as f32);
+        let unit = self.depth_unit_m;
+        let depth = raw.map(|&v| {
+            let z = (f64::from(v) * unit) as f32;
+            if z >= low && z <= high { z } else { 0.0 }
+        });
+        if depth.data.iter().all(|&z| z == 0.0) {
+            let most = raw.data.iter().copied().max().unwrap_or(0);
+            return Err(InputError::new(
+                format!("no depth lies between {low} and {high} m (the largest value is {most} × {unit} m)"),
+                path,
+                "check the depth unit (depth_unit_scale_factor) with `sms check`, or set min_depth_m and max_depth_m",
+            )
+            .into());
+        }
+        Ok(depth)
+    }
+
+    /// Reads the label image of frame `index` and resamples it (nearest neighbour, distortion undone) to the
+    /// loaded frame's `intrinsics`; `None` when the recording has none for it.
+    ///
+    /// # Errors
+    /// When the file is missing or damaged, or its size is not that of the colour image.
+    pub fn read_labels(
+        &self,
+        index: usize,
+        intrinsics: &sms_core::Intrinsics,
+    ) -> Result<Option<sms_core::LabelMap>, FramesError> {
+        let frame = &self.frames[index];
+        let Some(path) = &frame.mask_path else { return Ok(None) };
+        let map = sms_core::read_png_gray16(path)?;
+        let k = &frame.color_lens.intrinsics;
+        if map.size() != (k.width, k.height) {
+            return Err(InputError::new(
+                format!(
+                    "the label image is {} × {} where colour is {} × {}",
+                    map.width, map.height, k.width, k.height
+                ),
+                path,
+                "export label images at the size of the colour images",
+            )
+            .into());
+        }
+        Ok(Some(crate::resample_labels(&map, &frame.color_lens, intrinsics)))
+    }
+}
+
+fn check_options(options: &ReadOptions) -> Result<(), FramesError> {
+    let bad = |what: String, cure: &str| Err(InputError::new(what, "the read options", cure).into());
+    if let Some(unit) = options.depth_unit_m
+        && !(unit.is_finite() && unit > 0.0)
+    {
+        return bad(format!("a depth unit of {unit} m is not possible"), "use 0.001 for millimetres");
+    }
+    if let Some(center) = options.pixel_center
+        && !(0.0..=1.0).contains(&center)
+    {
+        return bad(format!("pixel_center = {center} is not possible"), "use 0.5 or 0");
+    }
+    if options.min_depth_m.is_nan()
+        || options.max_depth_m.is_nan()
+        || options.min_depth_m >= options.max_depth_m
+    {
+        return bad(
+            format!("the depth range {} to {} m is empty", options.min_depth_m, options.max_depth_m),
+            "set min_depth_m below max_depth_m",
+        );
+    }
+    Ok(())
+}
