@@ -14,6 +14,14 @@ const FAR_M: f64 = 100.0;
 /// A support plane may tilt so much against a given up direction.
 const UP_TOLERANCE_RAD: f64 = 0.35;
 
+/// Below this cosine between a plane's normal and the images' up, a table seen from straight above and a wall cannot
+/// be told apart by the images.
+const AMBIGUOUS_IMAGE_UP: f64 = 0.15;
+/// A plane's normal is an axis of the recording's world when it is as near as this.
+const NORMAL_TOLERANCE_RAD: f64 = 0.15;
+/// The images' mean upward direction stands for an axis that is as near as this; cameras look down a little.
+const IMAGE_UP_TOLERANCE_RAD: f64 = 0.35;
+
 /// What alignment sees of a loaded frame.
 pub(crate) struct View<'a> {
     pub(crate) intrinsics: Intrinsics,
@@ -31,7 +39,7 @@ pub(crate) fn align(
     views: &[View<'_>],
     warnings: &Warnings,
 ) -> DPose3 {
-    let up_r = match align {
+    let stated_up_r = match align {
         Align::None => return recenter(views, warnings),
         Align::Auto if recording.world_is_aligned => return recenter(views, warnings),
         Align::Auto => recording.world_up_r,
@@ -40,7 +48,28 @@ pub(crate) fn align(
     let origin_r = views.first().map_or(DVec3::ZERO, |v| v.x_rc.translation);
     let cells = Cells::gather(views, origin_r);
     let planes = find_planes(&cells, noise, Seed(0).derive("align"));
-    let chosen = choose(&planes, &cells, views, origin_r, up_r);
+    let mut up_r = stated_up_r;
+    let mut chosen = choose(&planes, &cells, views, origin_r, up_r);
+    if up_r.is_none()
+        && let Some(plane) = chosen
+        && camera_up_r(views).dot(plane.normal) < AMBIGUOUS_IMAGE_UP
+    {
+        up_r = axis_held_upright(views, plane);
+        warnings.add(
+            "scan",
+            "ambiguous_up",
+            match up_r {
+                Some(_) => "the largest plane faces the cameras like a wall and the images' up is an axis of the \
+                            recording's world; that axis is taken as up",
+                None => "the largest plane faces the cameras: it is taken as a table seen from straight above, and \
+                         could be a wall",
+            },
+            "state the up direction of the recording's world (`--up x,y,z`)",
+        );
+        if up_r.is_some() {
+            chosen = choose(&planes, &cells, views, origin_r, up_r);
+        }
+    }
     let up = match (up_r, chosen) {
         (Some(up), _) => up,
         (None, Some(plane)) => plane.normal,
@@ -101,6 +130,20 @@ fn recenter(views: &[View<'_>], warnings: &Warnings) -> DPose3 {
 fn camera_up_r(views: &[View<'_>]) -> DVec3 {
     let sum = views.iter().fold(DVec3::ZERO, |s, v| s - v.x_rc.rotation * DVec3::Y);
     sum.try_normalize().unwrap_or(DVec3::Z)
+}
+
+/// The axis of the recording's world (z, or y as in ARKit) that is up in the images and lies in the ambiguous plane;
+/// `None` when the plane's own normal is such an axis, or no axis is up in the images.
+fn axis_held_upright(views: &[View<'_>], plane: &Plane) -> Option<DVec3> {
+    for axis in [DVec3::Z, DVec3::Y] {
+        if plane.normal.angle_between(axis) < NORMAL_TOLERANCE_RAD {
+            return None;
+        }
+        if camera_up_r(views).angle_between(axis) < IMAGE_UP_TOLERANCE_RAD {
+            return Some(axis);
+        }
+    }
+    None
 }
 
 /// The plane that supports the scene: large, with the cameras and nearly everything else above it, and upright in

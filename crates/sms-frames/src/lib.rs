@@ -19,6 +19,7 @@
 //! ```
 
 mod align;
+mod cache;
 mod formats;
 mod images;
 mod lens;

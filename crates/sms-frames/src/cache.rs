@@ -1,0 +1,325 @@
+//! A loaded sequence on disk, so that later stages need not read the recording again.
+//!
+//! `sequence.json` holds what a person may want to see: cameras, the world alignment, links to the recording's files.
+//! `color/NNNNNN.png` is the resampled colour, and `geometry.bin` the depth and normals, bit for bit: a magic line,
+//! then for each frame two deflated blocks, each after its length (u64, little endian).
+
+use crate::normals::NORMAL_GRID;
+use crate::rigid::pose_to_rows;
+use crate::{Frame, FramesError, Sequence};
+use flate2::Compression;
+use flate2::read::ZlibDecoder;
+use flate2::write::ZlibEncoder;
+use glamx::DPose3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sms_core::{
+    Camera, CoreError, DepthImage, Image, InputError, NormalImage, atomic, read_png_color, write_png_color,
+};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+const VERSION: u32 = 1;
+const MAGIC: &[u8; 16] = b"sms geometry 1\r\n";
+
+#[derive(Serialize, Deserialize)]
+struct SequenceFile {
+    version: u32,
+    source: PathBuf,
+    /// `X_world_recording`, 4 × 4 rows, for readers of the file.
+    x_world_recording: [[f64; 4]; 4],
+    /// The same, exactly as it was.
+    x_world_recording_pose: DPose3,
+    settings: serde_json::Value,
+    frames: Vec<FrameEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct FrameEntry {
+    index: usize,
+    time_s: Option<f64>,
+    color: String,
+    color_path: PathBuf,
+    mask_path: Option<PathBuf>,
+    camera: Camera,
+}
+
+impl Sequence {
+    /// Writes the sequence to `dir`; [`Sequence::load`] gives back the same bits.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save(&self, dir: &Path) -> Result<(), FramesError> {
+        self.save_with_settings(dir, &serde_json::Value::Null)
+    }
+
+    /// Writes the sequence with the settings that it was loaded with, for the record.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save_with_settings<T: Serialize>(&self, dir: &Path, settings: &T) -> Result<(), FramesError> {
+        let name = |f: &Frame| format!("color/{:06}.png", f.index);
+        let written: Vec<Result<(), FramesError>> =
+            self.frames.par_iter().map(|f| write_png_color(&dir.join(name(f)), &f.color)).collect();
+        written.into_iter().collect::<Result<(), _>>()?;
+        let geometry = dir.join("geometry.bin");
+        let blocks: Vec<std::io::Result<[Vec<u8>; 2]>> = self
+            .frames
+            .par_iter()
+            .map(|f| Ok([deflate(&depth_bytes(&f.depth))?, deflate(&normal_bytes(&f.normal_c))?]))
+            .collect();
+        let blocks: Vec<[Vec<u8>; 2]> =
+            blocks.into_iter().collect::<Result<_, _>>().map_err(CoreError::write(&geometry))?;
+        atomic::write_with(&geometry, |w| {
+            w.write_all(MAGIC)?;
+            for block in blocks.iter().flatten() {
+                w.write_all(&(block.len() as u64).to_le_bytes())?;
+                w.write_all(block)?;
+            }
+            Ok(())
+        })?;
+        let file = SequenceFile {
+            version: VERSION,
+            source: self.source.clone(),
+            x_world_recording: pose_to_rows(&self.x_world_recording),
+            x_world_recording_pose: self.x_world_recording,
+            // Plain settings always have a JSON form; the record is for people only.
+            settings: serde_json::to_value(settings).unwrap_or_default(),
+            frames: self
+                .frames
+                .iter()
+                .map(|f| FrameEntry {
+                    index: f.index,
+                    time_s: f.time_s,
+                    color: name(f),
+                    color_path: f.color_path.clone(),
+                    mask_path: f.mask_path.clone(),
+                    camera: f.camera,
+                })
+                .collect(),
+        };
+        // Last, so that a sequence.json always has its images.
+        atomic::write_json(&dir.join("sequence.json"), &file)
+    }
+
+    /// Reads a sequence that [`Sequence::save`] wrote.
+    ///
+    /// # Errors
+    /// [`InputError`] naming the file when it is missing, damaged or of another version.
+    pub fn load(dir: &Path) -> Result<Self, FramesError> {
+        let path = dir.join("sequence.json");
+        if !path.is_file() {
+            return Err(
+                InputError::new("there is no loaded sequence here", &path, "run `sms scan` first").into()
+            );
+        }
+        let file: SequenceFile = atomic::read_json(&path)?;
+        if file.version != VERSION {
+            return Err(InputError::new(
+                format!("this sequence has version {} and this program reads {VERSION}", file.version),
+                &path,
+                "scan the recording again",
+            )
+            .into());
+        }
+        let geometry_path = dir.join("geometry.bin");
+        let geometry = std::fs::read(&geometry_path).map_err(CoreError::read(&geometry_path))?;
+        let damaged = || {
+            InputError::new(
+                "the cached depth of this sequence is damaged",
+                &geometry_path,
+                "scan the recording again",
+            )
+        };
+        let blocks =
+            split_blocks(&geometry).filter(|b| b.len() == 2 * file.frames.len()).ok_or_else(damaged)?;
+        let frames: Vec<Result<Frame, FramesError>> = file
+            .frames
+            .into_par_iter()
+            .enumerate()
+            .map(|(i, entry)| {
+                let color_file = dir.join(&entry.color);
+                let color = read_png_color(&color_file)?;
+                let k = entry.camera.intrinsics;
+                if color.size() != (k.width, k.height) {
+                    return Err(InputError::new(
+                        "the cached image has not the camera's size",
+                        &color_file,
+                        "scan the recording again",
+                    )
+                    .into());
+                }
+                let depth =
+                    depth_from_bytes(inflate(blocks[2 * i]), k.width, k.height).ok_or_else(damaged)?;
+                let normal_c =
+                    normals_from_bytes(inflate(blocks[2 * i + 1]), k.width, k.height).ok_or_else(damaged)?;
+                Ok(Frame {
+                    index: entry.index,
+                    time_s: entry.time_s,
+                    camera: entry.camera,
+                    color,
+                    depth,
+                    normal_c,
+                    color_path: entry.color_path,
+                    mask_path: entry.mask_path,
+                })
+            })
+            .collect();
+        Ok(Self {
+            frames: frames.into_iter().collect::<Result<_, _>>()?,
+            x_world_recording: file.x_world_recording_pose,
+            source: file.source,
+        })
+    }
+}
+
+fn deflate(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
+    encoder.write_all(bytes)?;
+    encoder.finish()
+}
+
+fn inflate(block: &[u8]) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    ZlibDecoder::new(block).read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
+
+fn split_blocks(file: &[u8]) -> Option<Vec<&[u8]>> {
+    let mut rest = file.strip_prefix(MAGIC)?;
+    let mut blocks = Vec::new();
+    while !rest.is_empty() {
+        let (length, tail) = rest.split_first_chunk::<8>()?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+        if length > tail.len() {
+            return None;
+        }
+        let (block, tail) = tail.split_at(length);
+        blocks.push(block);
+        rest = tail;
+    }
+    Some(blocks)
+}
+
+/// The bytes of equal significance together, which deflates better than floats one after the other.
+fn planar<const N: usize>(values: impl ExactSizeIterator<Item = [u8; N]>) -> Vec<u8> {
+    let n = values.len();
+    let mut bytes = vec![0; N * n];
+    for (i, value) in values.enumerate() {
+        for (b, byte) in value.into_iter().enumerate() {
+            bytes[b * n + i] = byte;
+        }
+    }
+    bytes
+}
+
+fn from_planar<const N: usize>(bytes: &[u8], n: usize) -> Option<Vec<[u8; N]>> {
+    (bytes.len() == N * n).then(|| (0..n).map(|i| std::array::from_fn(|b| bytes[b * n + i])).collect())
+}
+
+fn depth_bytes(depth: &DepthImage) -> Vec<u8> {
+    planar(depth.data.iter().map(|z| z.to_le_bytes()))
+}
+
+fn depth_from_bytes(bytes: Option<Vec<u8>>, width: usize, height: usize) -> Option<DepthImage> {
+    let values = from_planar::<4>(&bytes?, width * height)?;
+    Some(Image::from_vec(width, height, values.into_iter().map(f32::from_le_bytes).collect()))
+}
+
+/// One tag byte, then 16-bit values where every normal lies on the grid (ours do), else the floats.
+fn normal_bytes(normals: &NormalImage) -> Vec<u8> {
+    let flat = normals.data.as_flattened();
+    let on_grid = |v: f32| (v * NORMAL_GRID).round() / NORMAL_GRID;
+    let exact = flat.iter().all(|&v| v.abs() <= 1.0 && on_grid(v).to_bits() == v.to_bits());
+    let mut bytes = vec![u8::from(!exact)];
+    bytes.extend(if exact {
+        planar(flat.iter().map(|v| ((v * NORMAL_GRID).round() as i16).to_le_bytes()))
+    } else {
+        planar(flat.iter().map(|v| v.to_le_bytes()))
+    });
+    bytes
+}
+
+fn normals_from_bytes(bytes: Option<Vec<u8>>, width: usize, height: usize) -> Option<NormalImage> {
+    let bytes = bytes?;
+    let (&tag, body) = bytes.split_first()?;
+    let n = 3 * width * height;
+    let flat: Vec<f32> = match tag {
+        0 => from_planar::<2>(body, n)?
+            .into_iter()
+            .map(|b| f32::from(i16::from_le_bytes(b)) / NORMAL_GRID)
+            .collect(),
+        1 => from_planar::<4>(body, n)?.into_iter().map(f32::from_le_bytes).collect(),
+        _ => return None,
+    };
+    Some(Image::from_vec(width, height, flat.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::Intrinsics;
+
+    fn sequence(off_grid: f32) -> Sequence {
+        let k = Intrinsics { width: 6, height: 4, fx: 5.1, fy: 5.3, cx: 3.01, cy: 2.2 };
+        let pose = DPose3::from_parts(
+            glamx::DVec3::new(0.1, 1.0 / 3.0, -2.7),
+            glamx::DQuat::from_euler(glamx::EulerRot::XYZ, 0.3, 0.2, 0.7),
+        );
+        let frame = |index: usize| Frame {
+            index,
+            time_s: (index > 0).then_some(index as f64 / 30.0),
+            camera: Camera::new(k, pose),
+            color: Image::from_vec(6, 4, (0..24).map(|i| [i as u8 * 7, i as u8, index as u8]).collect()),
+            depth: Image::from_vec(
+                6,
+                4,
+                (0..24).map(|i| if i % 5 == 0 { 0.0 } else { 1.0 / (i as f32 + 0.3) }).collect(),
+            ),
+            normal_c: Image::from_vec(
+                6,
+                4,
+                (0..24).map(|i| [(i as f32 * 1000.0).round() / NORMAL_GRID, off_grid, -1.0]).collect(),
+            ),
+            color_path: PathBuf::from("rec/color.png"),
+            mask_path: None,
+        };
+        Sequence { frames: vec![frame(0), frame(1)], x_world_recording: pose, source: PathBuf::from("rec") }
+    }
+
+    #[test]
+    fn everything_comes_back_bit_for_bit() {
+        for off_grid in [0.0, 0.123_456_79] {
+            let dir = tempfile::tempdir().unwrap();
+            let saved = sequence(off_grid);
+            saved.save(dir.path()).unwrap();
+            let read = Sequence::load(dir.path()).unwrap();
+            assert_eq!(read.x_world_recording, saved.x_world_recording);
+            assert_eq!(read.source, saved.source);
+            for (a, b) in read.frames.iter().zip(&saved.frames) {
+                assert_eq!(
+                    (a.index, a.time_s, &a.color_path, &a.mask_path),
+                    (b.index, b.time_s, &b.color_path, &b.mask_path)
+                );
+                assert!(
+                    a.camera == b.camera
+                        && a.color == b.color
+                        && a.depth == b.depth
+                        && a.normal_c == b.normal_c
+                );
+            }
+            assert_eq!(read.len(), 2);
+        }
+    }
+
+    #[test]
+    fn a_damaged_cache_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        sequence(0.0).save(dir.path()).unwrap();
+        let path = dir.path().join("geometry.bin");
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() - 3]).unwrap();
+        assert!(Sequence::load(dir.path()).unwrap_err().to_string().contains("geometry.bin"));
+        assert!(Sequence::load(&dir.path().join("no")).unwrap_err().to_string().contains("sms scan"));
+    }
+}

@@ -1,0 +1,75 @@
+//! On the recordings of `SMS_TEST_DATA`; skipped with a printed reason where they are absent.
+
+use glamx::DVec3;
+use sms_core::{Cancel, NoProgress, Warnings};
+use sms_frames::{LoadSettings, ReadOptions, Recording, load};
+use std::path::PathBuf;
+
+fn data(name: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("SMS_TEST_DATA").map_or_else(
+        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let dir = root.join(name);
+    if dir.is_dir() {
+        return Some(dir);
+    }
+    println!("skipped: {} is not there (set SMS_TEST_DATA)", dir.display());
+    None
+}
+
+/// The recordings' README: pixel (0, 0) is centred at the origin.
+fn options() -> ReadOptions {
+    ReadOptions { pixel_center: Some(0.0), ..ReadOptions::default() }
+}
+
+fn fill(depths: impl Iterator<Item = sms_core::DepthImage>) -> f64 {
+    let (valid, all) = depths.fold((0usize, 0usize), |(v, n), d| {
+        (v + d.data.iter().filter(|&&z| z > 0.0).count(), n + d.data.len())
+    });
+    valid as f64 / all as f64
+}
+
+#[test]
+fn the_bin_recording_fills_up_and_stands_upright() {
+    let Some(dir) = data("seq_tabletop_bin") else { return };
+    let recording = Recording::open(&dir, &options()).unwrap();
+    assert_eq!(recording.frames.len(), 50);
+    let native = fill((0..50).map(|i| recording.read_depth_m(i).unwrap()));
+    let started = std::time::Instant::now();
+    let warnings = Warnings::new();
+    let sequence =
+        load(&recording, &LoadSettings::default(), &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let seconds = started.elapsed().as_secs_f64();
+    let loaded = fill(sequence.frames.iter().map(|f| f.depth.clone()));
+    let with_normal = sequence
+        .frames
+        .iter()
+        .map(|f| {
+            f.normal_c.data.iter().filter(|n| **n != [0.0; 3]).count() as f64 / f.depth.data.len() as f64
+        })
+        .sum::<f64>()
+        / 50.0;
+    let up_r = DVec3::new(-0.0343, -0.9466, -0.3206).normalize();
+    let tilt = (sequence.x_world_recording.rotation * up_r).angle_between(DVec3::Z).to_degrees();
+    println!(
+        "fill {native:.3} -> {loaded:.3}, normals {with_normal:.3}, gravity off by {tilt:.2} deg, {seconds:.1} s"
+    );
+    assert!((native - 0.36).abs() < 0.02);
+    assert!(loaded > 0.62);
+    assert!(tilt < 2.0);
+    assert!(warnings.snapshot().is_empty());
+    // The desk is at z = 0: little lies under it and the cameras are over it.
+    assert!(sequence.frames.iter().all(|f| f.camera.center_w().z > 0.1));
+}
+
+#[test]
+fn the_shelf_recording_stands_upright() {
+    let Some(dir) = data("seq_shelf_tissue") else { return };
+    let recording = Recording::open(&dir, &options()).unwrap();
+    let sequence =
+        load(&recording, &LoadSettings::default(), &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+    let tilt = (sequence.x_world_recording.rotation * DVec3::Z).angle_between(DVec3::Z).to_degrees();
+    println!("gravity off by {tilt:.2} deg");
+    assert!(tilt < 3.0);
+}
