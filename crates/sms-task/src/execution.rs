@@ -1,0 +1,76 @@
+//! The result of carrying out a plan.
+
+use crate::{Trajectory, json};
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, atomic};
+use std::path::Path;
+
+/// A plan carried out in a target world: an observed trajectory that a calibrator can read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Execution {
+    /// Engine of the target, with its label ("rapier3d f64, quarter step (same engine)").
+    pub engine: String,
+    /// Realised objective, in the task's unit.
+    pub objective: f64,
+    /// Unit of the objective.
+    pub objective_unit: String,
+    /// Whether the task's success condition was met.
+    pub success: bool,
+    /// Largest |Δobjective| over runs with start positions disturbed by 1 µm: what no planner can beat.
+    pub chaos_floor: f64,
+    /// What moved. Names are those of the target's bodies.
+    pub trajectory: Trajectory,
+    /// Planner's body name → target's body name, for those that were matched.
+    pub matches: Vec<(String, String)>,
+}
+
+impl Execution {
+    /// Writes `execution.json` and `trajectory.parquet` into a folder.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save(&self, dir: &Path) -> Result<(), CoreError> {
+        json::write(&dir.join("execution.json"), self)?;
+        self.trajectory.write_parquet(&dir.join("trajectory.parquet"))
+    }
+
+    /// Reads `execution.json` of a folder.
+    ///
+    /// # Errors
+    /// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
+    pub fn load(dir: &Path) -> Result<Self, CoreError> {
+        atomic::read_json(&dir.join("execution.json"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BodyTrack;
+    use glamx::{DPose3, DVec3};
+    use sms_sim::BodyState;
+
+    #[test]
+    fn an_execution_reads_back_exactly() {
+        let x_wb = DPose3::from_translation(DVec3::new(0.1 + 0.2, 1.0 / 3.0, -1e-17));
+        let state = BodyState { x_wb, v_w: DVec3::X, w_w: DVec3::Y };
+        let execution = Execution {
+            engine: "rapier3d f64, quarter step (same engine)".to_owned(),
+            objective: 0.012_345_678_901_234_5,
+            objective_unit: "m".to_owned(),
+            success: true,
+            chaos_floor: 1e-5,
+            trajectory: Trajectory {
+                times_s: vec![0.0, 0.01],
+                bodies: vec![BodyTrack { name: "target".to_owned(), states: vec![state, state] }],
+            },
+            matches: vec![("ball_1".to_owned(), "target".to_owned())],
+        };
+        let dir = tempfile::tempdir().unwrap();
+        execution.save(dir.path()).unwrap();
+        assert_eq!(Execution::load(dir.path()).unwrap(), execution);
+        assert!(dir.path().join("trajectory.parquet").exists());
+        let text = std::fs::read_to_string(dir.path().join("execution.json")).unwrap();
+        assert!(text.lines().count() < 20, "one line per key, not per number:\n{text}");
+    }
+}
