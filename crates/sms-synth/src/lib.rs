@@ -1,1 +1,43 @@
 //! Procedural scenes with their truth, and the simulated RGB-D camera that scans them.
+//!
+//! - [`generate_billiards`]: a seeded scene of two pool balls, a goal and household obstacles, each with its exact
+//!   surface, convex pieces, true material and mass properties.
+//! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
+//!   the depth as imperfect as that of a real stereo camera.
+//! - [`write_recording`]: the scan on disk, in nerfstudio's layout, with the truth beside it in `truth/`. The planner's
+//!   stages read the recording only; `execute`, `evaluate` and benchmarks call [`read_truth`].
+//!
+//! ```
+//! use sms_core::{Cancel, NoProgress, Seed};
+//! use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, read_truth, write_recording};
+//!
+//! let scene = generate_billiards(Seed(1), &BilliardsSettings { objects: 2, ..Default::default() });
+//! let settings = RecordingSettings { frames: 2, width: 80, height: 50, ..RecordingSettings::small() };
+//! let dir = tempfile::tempdir()?;
+//! write_recording(&scene, &settings, dir.path(), &NoProgress, &Cancel::new())?;
+//! assert_eq!(read_truth(dir.path())?, scene);
+//! assert!(dir.path().join("transforms.json").exists());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod assets;
+mod billiards;
+mod bvh;
+mod depth_camera;
+mod materials;
+mod path;
+mod recording;
+mod render;
+mod scene;
+mod shading;
+mod shapes;
+mod texture;
+
+pub use assets::{AssetKind, BALL_RADIUS_M};
+pub use billiards::{BilliardsSettings, generate_billiards};
+pub use depth_camera::DepthCamera;
+pub use path::{CameraPath, paper_billiards_path};
+pub use recording::{RecordingSettings, RecordingSummary, write_recording};
+pub use render::{CameraModel, RenderedFrame, Renderer, render};
+pub use scene::{Hollow, TRUTH_VERSION, TruthFloor, TruthObject, TruthScene, read_truth};
+pub use texture::{Pattern, Spot, Texture};

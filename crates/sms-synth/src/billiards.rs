@@ -1,0 +1,250 @@
+//! Seeded billiards scenes (paper, appendix "Scene Generation").
+
+use crate::assets::{AssetKind, make_asset, make_pool_ball};
+use crate::materials::draw_material;
+use crate::scene::{TRUTH_VERSION, TruthFloor, TruthObject, TruthScene};
+use crate::texture::{Pattern, Texture};
+use glamx::{DVec2, DVec3};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sms_core::{Seed, StageRng};
+use std::collections::BTreeMap;
+
+/// How billiards scenes are generated. Lengths in metres, angles in radians.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BilliardsSettings {
+    /// Obstacles, besides the two balls. Fewer are placed where the floor is full.
+    pub objects: usize,
+    /// Factor on the obstacles' sizes.
+    pub object_size: f64,
+    /// Kinds of obstacles to choose from; a kind is repeated only when all are used. The default leaves out the
+    /// plate, which is too flat to be told from the floor reliably at scan resolution.
+    pub kinds: Vec<AssetKind>,
+    /// Smallest gap between any two objects.
+    pub gap_m: f64,
+    /// Distance from the cue ball to the target ball.
+    pub cue_target_m: [f64; 2],
+    /// Distance from the target ball to the goal.
+    pub target_goal_m: [f64; 2],
+    /// Largest angle between the lines cue–target and target–goal.
+    pub max_cut_angle: f64,
+    /// Half width of the corridors cue–target and target–goal that are kept free of obstacles.
+    pub corridor_half_width_m: f64,
+    /// Farthest that anything lies from the robot's base.
+    pub reach_m: f64,
+}
+
+impl Default for BilliardsSettings {
+    fn default() -> Self {
+        Self {
+            objects: 5,
+            object_size: 1.0,
+            kinds: AssetKind::ALL.into_iter().filter(|k| *k != AssetKind::Plate).collect(),
+            gap_m: 0.02,
+            cue_target_m: [0.2, 0.4],
+            target_goal_m: [0.15, 0.35],
+            max_cut_angle: 35f64.to_radians(),
+            corridor_half_width_m: 0.06,
+            reach_m: 0.80,
+        }
+    }
+}
+
+/// The region of the cue ball, in front of the robot: x and y ranges.
+const CUE_X: [f64; 2] = [0.30, 0.40];
+const CUE_Y: [f64; 2] = [-0.08, 0.08];
+/// Room for the gripper's fingers behind and beside the cue ball: the sweep is 0.1 m on either side of the contact.
+const SWEEP_M: f64 = 0.16;
+const SWEEP_HALF_WIDTH_M: f64 = 0.08;
+/// Half size of the floor.
+const FLOOR_HALF_SIZE_M: f64 = 1.5;
+/// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
+const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
+
+/// A scene from a seed. Frozen: the same seed and settings give the same scene.
+///
+/// Cue ball in front of the robot, target ball 0.2–0.4 m further on, goal 0.15–0.35 m beyond at a cut angle of at most
+/// 35°, both corridors free ("adjusted to ensure that the target ball could reasonably achieve the goal position"), and
+/// obstacles scattered around, each resting on the floor with a gap to all others.
+pub fn generate_billiards(seed: Seed, settings: &BilliardsSettings) -> TruthScene {
+    let scene_seed = seed;
+    let seed = seed.derive("billiards scene v1");
+    let shot = draw_shot(seed, settings);
+    let mut rng = seed.derive("balls").rng();
+    let mut objects =
+        vec![make_pool_ball(true, shot.cue, &mut rng), make_pool_ball(false, shot.target, &mut rng)];
+    let kinds = choose_kinds(seed, settings);
+    for (index, kind) in kinds.into_iter().enumerate() {
+        let own = seed.derive_index("obstacle", index as u64);
+        if let Some(object) = place_obstacle(own, kind, settings, &shot, &objects) {
+            objects.push(object);
+        }
+    }
+    name_uniquely(&mut objects);
+    TruthScene {
+        version: TRUTH_VERSION,
+        name: format!("billiards, seed {}", scene_seed.0),
+        seed: scene_seed,
+        cue: objects[0].name.clone(),
+        target: objects[1].name.clone(),
+        objects,
+        floor: draw_floor(seed),
+        goal_w: shot.goal.to_array(),
+        robot_base_w: DVec3::ZERO,
+        workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
+    }
+}
+
+/// Places of the balls and the goal on the floor.
+#[derive(Debug, Clone, Copy)]
+struct Shot {
+    cue: DVec2,
+    target: DVec2,
+    goal: DVec2,
+}
+
+fn uniform(rng: &mut StageRng, [low, high]: [f64; 2]) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
+
+fn draw_shot(seed: Seed, settings: &BilliardsSettings) -> Shot {
+    let mut rng = seed.derive("shot").rng();
+    // Shots straight ahead always fit, so that narrowing the spread ends the search whatever the settings.
+    let mut spread = 1.0;
+    loop {
+        let cue = DVec2::new(uniform(&mut rng, CUE_X), uniform(&mut rng, CUE_Y));
+        let heading = spread * uniform(&mut rng, [-0.45, 0.45]);
+        let first = DVec2::from_angle(heading);
+        let target = cue + first * uniform(&mut rng, settings.cue_target_m);
+        let cut = spread * uniform(&mut rng, [-settings.max_cut_angle, settings.max_cut_angle]);
+        let second = DVec2::from_angle(heading + cut);
+        let goal = target + second * uniform(&mut rng, settings.target_goal_m);
+        // The goal itself may lie a little beyond the objects; nothing stands there.
+        let fits = target.length() <= settings.reach_m - 0.06
+            && goal.length() <= settings.reach_m + 0.08
+            && target.y.abs() < 0.34
+            && goal.y.abs() < 0.42;
+        if fits || spread < 1e-3 {
+            return Shot { cue, target, goal };
+        }
+        spread *= 0.995;
+    }
+}
+
+/// A shuffled choice of kinds without repetition until all are used.
+fn choose_kinds(seed: Seed, settings: &BilliardsSettings) -> Vec<AssetKind> {
+    let mut rng = seed.derive("kinds").rng();
+    let mut chosen = Vec::with_capacity(settings.objects);
+    while chosen.len() < settings.objects && !settings.kinds.is_empty() {
+        let mut deck = settings.kinds.clone();
+        while !deck.is_empty() && chosen.len() < settings.objects {
+            chosen.push(deck.swap_remove(rng.random_range(0..deck.len())));
+        }
+    }
+    chosen
+}
+
+fn place_obstacle(
+    seed: Seed,
+    kind: AssetKind,
+    settings: &BilliardsSettings,
+    shot: &Shot,
+    placed: &[TruthObject],
+) -> Option<TruthObject> {
+    let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
+    let mut object =
+        make_asset(kind, DVec2::ZERO, yaw, settings.object_size, &mut seed.derive("asset").rng());
+    // A disc around the asset's axis that holds its footprint.
+    let com = object.x_wb.translation;
+    let radius = footprint_radius(&object);
+    let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
+    let mut rng = seed.derive("place").rng();
+    for _ in 0..4000 {
+        let p = DVec2::new(uniform(&mut rng, [0.18, settings.reach_m]), uniform(&mut rng, [-0.55, 0.55]));
+        let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
+        let free = p.length() + radius <= settings.reach_m + 0.02
+            && p.x - radius >= 0.14
+            && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
+        if free {
+            object.x_wb.translation = com + DVec3::new(p.x, p.y, 0.0);
+            return Some(object);
+        }
+    }
+    None
+}
+
+fn footprint_radius(object: &TruthObject) -> f64 {
+    let about_axis = |p: &DVec3| {
+        let p_w = object.x_wb.translation + *p;
+        p_w.x.hypot(p_w.y)
+    };
+    object.sphere_radius.unwrap_or_else(|| object.mesh.vertices.iter().map(about_axis).fold(0.0, f64::max))
+}
+
+/// A disc on the floor that holds the object: centre and radius.
+fn footprint(object: &TruthObject) -> (DVec2, f64) {
+    let com = object.x_wb.translation.truncate();
+    if let Some(r) = object.sphere_radius {
+        return (com, r);
+    }
+    let bounds = object.aabb_w();
+    let center = bounds.center().truncate();
+    let radius =
+        object.mesh.vertices.iter().map(|v| (com + v.truncate()).distance(center)).fold(0.0, f64::max);
+    (center, radius)
+}
+
+pub(crate) fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
+    let along = b - a;
+    let t = ((p - a).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
+    p.distance(a + along * t)
+}
+
+/// `mug`, `mug_2`, `mug_3` …
+fn name_uniquely(objects: &mut [TruthObject]) {
+    let mut used: BTreeMap<String, usize> = BTreeMap::new();
+    for object in objects {
+        let count = used.entry(object.name.clone()).or_default();
+        *count += 1;
+        if *count > 1 {
+            object.name = format!("{}_{count}", object.name);
+        }
+    }
+}
+
+fn draw_floor(seed: Seed) -> TruthFloor {
+    let mut rng = seed.derive("floor").rng();
+    let (class, pattern, color, accent, scale_m, gloss) = match rng.random_range(0..3) {
+        0 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.25),
+        1 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.25),
+        _ => ("stone_floor", Pattern::Terrazzo, [150, 146, 138], [222, 214, 198], 0.09, 0.2),
+    };
+    let texture =
+        Texture { pattern, color, accent, scale_m, seed: rng.random::<u32>(), gloss, spots: Vec::new() };
+    TruthFloor { half_size_m: FLOOR_HALF_SIZE_M, material: draw_material(class, &mut rng), texture }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distance_to_a_segment_counts_its_ends() {
+        let (a, b) = (DVec2::ZERO, DVec2::new(2.0, 0.0));
+        assert_eq!(distance_to_segment(DVec2::new(1.0, 3.0), a, b), 3.0);
+        assert_eq!(distance_to_segment(DVec2::new(-3.0, 4.0), a, b), 5.0);
+        assert_eq!(distance_to_segment(DVec2::new(5.0, -4.0), a, b), 5.0);
+    }
+
+    #[test]
+    fn a_ball_is_where_the_shot_says() {
+        let scene = generate_billiards(Seed(1), &BilliardsSettings::default());
+        let cue = scene.object(&scene.cue).unwrap();
+        assert_eq!(cue.sphere_radius, Some(BALL_RADIUS_M));
+        assert!((cue.x_wb.translation.z - BALL_RADIUS_M).abs() < 1e-12);
+    }
+}

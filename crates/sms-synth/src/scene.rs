@@ -1,0 +1,139 @@
+//! The truth of a generated scene. The planner never reads it: `execute`, `evaluate` and benchmarks do.
+
+use crate::texture::Texture;
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{Aabb, CoreError, InputError, MassProperties, Material, Mesh, Seed, atomic};
+use std::path::Path;
+
+/// Version of `truth.json`; readers refuse newer ones.
+pub const TRUTH_VERSION: u32 = 1;
+
+/// A generated scene with everything that is true of it. World: metres, z up, floor at z = 0, robot base at the
+/// origin, the robot facing +x.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TruthScene {
+    /// Schema version.
+    pub version: u32,
+    /// Name ("billiards seed 1").
+    pub name: String,
+    /// The seed that made it.
+    pub seed: Seed,
+    /// The objects: cue ball, target ball, then the obstacles. The label of `objects[i]` in label maps is `i + 1`.
+    pub objects: Vec<TruthObject>,
+    /// The floor.
+    pub floor: TruthFloor,
+    /// Name of the cue ball.
+    pub cue: String,
+    /// Name of the target ball.
+    pub target: String,
+    /// Where the target ball shall go, on the floor, metres.
+    pub goal_w: [f64; 2],
+    /// Base of the manipulator in the world.
+    pub robot_base_w: DVec3,
+    /// Centre of the workspace, at which the cameras look.
+    pub workspace_center_w: DVec3,
+}
+
+/// One object. Its body frame `B` has its origin at the centre of mass and its axes parallel to the world's at
+/// scan time (`x_wb` is a translation), as in the manifest of `sms-scene`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TruthObject {
+    /// Unique name, usable as a file name.
+    pub name: String,
+    /// What a person would call it ("ceramic mug").
+    pub class: String,
+    /// True material, drawn around the published ranges of its class. `density` is the effective one over the
+    /// closed outer volume: `mass / mesh.volume()`.
+    pub material: Material,
+    /// Radius in metres if the object is exactly a sphere.
+    pub sphere_radius: Option<f64>,
+    /// Closed, oriented, vertex-coloured surface in `B`, metres. For spheres a fine polyhedron for pictures; physics
+    /// and the camera use the exact sphere.
+    pub mesh: Mesh,
+    /// Convex pieces in `B` whose union is the solid as simulated; closed meshes whose vertices are their corners.
+    /// Empty for spheres.
+    pub parts: Vec<Mesh>,
+    /// Pose in the world, `X_WB`.
+    pub x_wb: DPose3,
+    /// Surface appearance.
+    pub texture: Texture,
+    /// `X_AB`: carries points of `B` into the asset frame `A` (origin on the floor below the asset's axis), in which
+    /// the texture is defined.
+    pub x_ab: DPose3,
+    /// Whether and how it is hollow below its closed surface.
+    pub hollow: Hollow,
+    /// Mass, centre of mass (the origin) and inertia in `B`.
+    pub mass: MassProperties,
+}
+
+/// What is inside the closed surface of an object.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum Hollow {
+    /// Material throughout.
+    Solid,
+    /// An open vessel: the surface includes the cavity, material fills the walls.
+    Vessel {
+        /// Smallest wall thickness, metres.
+        wall_m: f64,
+    },
+    /// A closed shell of this thickness around air.
+    Shell {
+        /// Wall thickness, metres.
+        wall_m: f64,
+        /// Density of the wall's substance, kg/m³.
+        wall_density: f64,
+    },
+}
+
+/// A square floor at z = 0, centred at the world's origin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TruthFloor {
+    /// Half of its edge length, metres.
+    pub half_size_m: f64,
+    /// True material.
+    pub material: Material,
+    /// Surface appearance, seeded.
+    pub texture: Texture,
+}
+
+impl TruthScene {
+    /// The object of this name.
+    pub fn object(&self, name: &str) -> Option<&TruthObject> {
+        self.objects.iter().find(|o| o.name == name)
+    }
+}
+
+impl TruthObject {
+    /// The surface in the world.
+    pub fn mesh_w(&self) -> Mesh {
+        self.mesh.transformed(&self.x_wb)
+    }
+
+    /// The box around the object in the world; exact for spheres.
+    pub fn aabb_w(&self) -> Aabb {
+        let center = self.x_wb.translation;
+        match self.sphere_radius {
+            Some(r) => Aabb { min: center - DVec3::splat(r), max: center + DVec3::splat(r) },
+            None => self.mesh_w().aabb().unwrap_or(Aabb { min: center, max: center }),
+        }
+    }
+}
+
+/// Reads `truth/truth.json` of a recording written by [`crate::write_recording`].
+///
+/// # Errors
+/// [`CoreError::Read`] when there is no such file, [`CoreError::Input`] when it is damaged or newer than this program.
+pub fn read_truth(dir: &Path) -> Result<TruthScene, CoreError> {
+    let path = dir.join("truth").join("truth.json");
+    let scene: TruthScene = atomic::read_json(&path)?;
+    if scene.version > TRUTH_VERSION {
+        let what =
+            format!("this truth has version {}, this program reads up to {TRUTH_VERSION}", scene.version);
+        return Err(
+            InputError::new(what, &path, "use a newer program, or generate the recording again").into()
+        );
+    }
+    Ok(scene)
+}
