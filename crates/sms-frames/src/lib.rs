@@ -20,6 +20,7 @@
 
 mod align;
 mod cache;
+mod check;
 mod formats;
 mod images;
 mod lens;
@@ -32,6 +33,7 @@ mod resample;
 mod rigid;
 mod sequence;
 
+pub use check::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit, check};
 pub use lens::{Distortion, Lens};
 pub use load::{load, selected_frames};
 pub use normals::normals_from_depth;

@@ -73,3 +73,58 @@ fn the_shelf_recording_stands_upright() {
     println!("gravity off by {tilt:.2} deg");
     assert!(tilt < 3.0);
 }
+
+fn check_of(name: &str, options: &ReadOptions) -> Option<sms_frames::CheckReport> {
+    let recording = Recording::open(data(name)?, options).unwrap();
+    let report = sms_frames::check(&recording, &NoProgress, &Cancel::new()).unwrap();
+    println!("{report}");
+    Some(report)
+}
+
+#[test]
+fn check_approves_the_recordings_with_the_published_overlap_errors() {
+    let Some(bin) = check_of("seq_tabletop_bin", &options()) else { return };
+    assert!(bin.approved() && bin.findings.is_empty());
+    let metrics = bin.metrics();
+    assert!((metrics.number("check.overlap_1_m").unwrap() - 0.0015).abs() < 0.0002);
+    assert!((metrics.number("check.overlap_4_m").unwrap() - 0.0018).abs() < 0.0002);
+    assert!((metrics.number("check.valid_depth_share").unwrap() - 0.36).abs() < 0.01);
+    assert_eq!(metrics.number("check.frames"), Some(50.0));
+    let Some(shelf) = check_of("seq_shelf_tissue", &options()) else { return };
+    assert!(shelf.approved());
+    assert!((shelf.overlap_1.unwrap().median_m - 0.0031).abs() < 0.0005);
+}
+
+#[test]
+fn check_names_what_is_declared_wrongly() {
+    use sms_frames::{Axes, PoseDirection};
+    let cases = [
+        (
+            ReadOptions { depth_unit_m: Some(0.01), ..options() },
+            "wrong_depth_unit",
+            "ten times too large",
+            "to 0.001",
+        ),
+        (
+            ReadOptions { depth_unit_m: Some(0.0001), ..options() },
+            "wrong_depth_unit",
+            "ten times too small",
+            "to 0.001",
+        ),
+        (ReadOptions { axes: Some(Axes::Opencv), ..options() }, "wrong_axes", "fits OpenGL", "\"opengl\""),
+        (
+            ReadOptions { poses: Some(PoseDirection::WorldToCamera), ..options() },
+            "wrong_pose_direction",
+            "fits camera-to-world",
+            "invert the poses",
+        ),
+    ];
+    for (options, code, what, cure) in cases {
+        let Some(report) = check_of("seq_tabletop_bin", &options) else { return };
+        let faults: Vec<_> =
+            report.findings.iter().filter(|f| f.severity == sms_frames::Severity::Fault).collect();
+        assert_eq!(faults.len(), 1, "{report}");
+        assert_eq!(faults[0].code, code);
+        assert!(faults[0].what.contains(what) && faults[0].cure.contains(cure), "{report}");
+    }
+}

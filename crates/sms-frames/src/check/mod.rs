@@ -1,0 +1,229 @@
+//! Is the recording read as it was meant? The data itself tells: depth of one frame, carried into another, must meet
+//! the depth that is there.
+
+mod overlap;
+mod readings;
+mod report;
+
+pub use report::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit};
+
+use crate::images::{read_color, read_depth};
+use crate::{FramesError, Recording, selected_frames};
+use overlap::{Probe, median};
+use rayon::prelude::*;
+use readings::Data;
+use sms_core::{Cancel, Image, InputError, Progress};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Depth pixels held in memory at once.
+const PIXEL_BUDGET: usize = 120_000_000;
+/// Most frames from which depth is carried over.
+const MOST_BASES: usize = 100;
+/// Distances in frames that are reported.
+const GAPS: [usize; 2] = [1, 4];
+
+/// What one pass over a frame's files gives.
+struct Scanned {
+    valid: usize,
+    pixels: usize,
+    /// A spread of valid depths, metres.
+    depths: Vec<f64>,
+    raw: Option<Image<u16>>,
+}
+
+/// Checks a recording: reads every image, measures the overlap error, and compares the declared conventions, depth
+/// unit and pixel centre with the others that are common.
+///
+/// # Errors
+/// [`InputError`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
+/// Conventions that do not fit are no errors but [`Finding`]s.
+pub fn check(
+    recording: &Recording,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<CheckReport, FramesError> {
+    let n = recording.frames.len();
+    let bases = bases(recording);
+    let needed: BTreeSet<usize> =
+        bases.iter().flat_map(|&i| [i, i + GAPS[0], i + GAPS[1]]).filter(|&i| i < n).collect();
+    progress.begin("check", n as u64);
+    let done = AtomicU64::new(0);
+    let scanned: Vec<Result<Scanned, FramesError>> = (0..n)
+        .into_par_iter()
+        .map(|i| {
+            cancel.check()?;
+            let frame = scan_frame(recording, i, needed.contains(&i));
+            progress.update(done.fetch_add(1, Ordering::Relaxed) + 1, &format!("frame {i}"));
+            frame
+        })
+        .collect();
+    let mut scanned = scanned.into_iter().collect::<Result<Vec<_>, _>>()?;
+    if scanned.iter().all(|s| s.valid == 0) {
+        return Err(InputError::new(
+            "every depth image is empty",
+            &recording.root,
+            "record again with depth",
+        )
+        .into());
+    }
+    let probes: Vec<Probe> = scanned
+        .iter_mut()
+        .enumerate()
+        .filter_map(|(i, s)| s.raw.take().map(|raw| (i, raw)))
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|(i, raw)| Probe::new(recording, i, raw))
+        .collect();
+    let data = Data::new(recording, probes, &bases);
+
+    let mut depths: Vec<f64> = scanned.iter().flat_map(|s| s.depths.iter().copied()).collect();
+    depths.sort_by(f64::total_cmp);
+    let quantile = |q: f64| depths[((depths.len() - 1) as f64 * q).round() as usize];
+    let pixels: usize = scanned.iter().map(|s| s.pixels).sum();
+    let valid: usize = scanned.iter().map(|s| s.valid).sum();
+    let first = &recording.frames[0];
+    let depth_k = first.depth_lens.intrinsics;
+    let mut report = CheckReport {
+        source: recording.root.clone(),
+        format: recording.format,
+        frames: n,
+        color_size: (first.color_lens.intrinsics.width, first.color_lens.intrinsics.height),
+        depth_size: (depth_k.width, depth_k.height),
+        lens: first.color_lens,
+        lens_varies: recording.frames.iter().any(|f| f.color_lens != first.color_lens),
+        axes: recording.axes,
+        poses: recording.poses,
+        depth_unit_m: recording.depth_unit_m,
+        pixel_center: recording.pixel_center,
+        valid_depth_share: valid as f64 / pixels.max(1) as f64,
+        depth_range_m: [quantile(0.01), quantile(0.5), quantile(0.99)],
+        pose_rounding: recording.frames.iter().fold(0.0, |m, f| m.max(f.pose_rounding)),
+        camera_path_m: recording
+            .frames
+            .windows(2)
+            .map(|w| (w[1].x_rc.translation - w[0].x_rc.translation).length())
+            .sum(),
+        overlap_1: data.overlap(GAPS[0]),
+        overlap_4: data.overlap(GAPS[1]),
+        readings: Vec::new(),
+        units: Vec::new(),
+        best_unit_factor: None,
+        pixel_center_fit: None,
+        findings: Vec::new(),
+    };
+    add_notices(recording, &mut report);
+    readings::judge(&data, &mut report);
+    judge_quality(&data, &mut report);
+    report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
+    progress.end(if report.approved() {
+        "the recording is read as it should be"
+    } else {
+        "faults were found"
+    });
+    Ok(report)
+}
+
+/// Frames from which depth is carried over, evenly spread, within the memory budget.
+fn bases(recording: &Recording) -> Vec<usize> {
+    let k = recording.frames[0].depth_lens.intrinsics;
+    // Each base may need three images; neighbours share theirs.
+    let affordable = PIXEL_BUDGET / (k.width * k.height).max(1);
+    let n = recording.frames.len();
+    let most = if n <= affordable { MOST_BASES } else { (affordable / 3).clamp(4, MOST_BASES) };
+    let stride = n.div_ceil(most.min(n));
+    selected_frames(recording, &crate::LoadSettings { stride, ..crate::LoadSettings::default() })
+}
+
+fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned, FramesError> {
+    let frame = &recording.frames[index];
+    read_color(&frame.color_path)?;
+    let raw = read_depth(&frame.depth_path)?;
+    let valid = raw.data.iter().filter(|&&v| v > 0).count();
+    if valid == 0 && !recording.options.skip_empty_depth {
+        // The reader's own message names the file and the cure.
+        recording.read_depth_m(index)?;
+    }
+    let stride = (valid / 500).max(1);
+    let unit = recording.depth_unit_m;
+    let depths = raw.data.iter().filter(|&&v| v > 0).step_by(stride).map(|&v| f64::from(v) * unit).collect();
+    Ok(Scanned { valid, pixels: raw.data.len(), depths, raw: keep.then_some(raw) })
+}
+
+fn add_notices(recording: &Recording, report: &mut CheckReport) {
+    for notice in &recording.notices {
+        report.findings.push(Finding {
+            severity: Severity::Warning,
+            code: notice.code,
+            what: notice.message.clone(),
+            cure: notice.cure.clone(),
+        });
+    }
+}
+
+/// Findings about the recording's quality, which no other reading of it would cure.
+fn judge_quality(data: &Data<'_>, report: &mut CheckReport) {
+    let mut add = |severity, code, what: String, cure: &str| {
+        report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
+    };
+    if report.valid_depth_share < 0.15 {
+        add(
+            Severity::Warning,
+            "sparse_depth",
+            format!("only {:.0} % of the depth pixels hold a measurement", 100.0 * report.valid_depth_share),
+            "record from nearer, avoid shiny and dark surfaces, or register depth to colour with hole filling off",
+        );
+    }
+    if report.frames < 5 {
+        add(
+            Severity::Warning,
+            "few_frames",
+            format!("there are only {} frames", report.frames),
+            "record 20 frames or more from around the scene",
+        );
+    }
+    let faulty = report.findings.iter().any(|f| f.severity == Severity::Fault);
+    let middle = report.depth_range_m[1];
+    let mut add = |severity, code, what: String, cure: &str| {
+        report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
+    };
+    if faulty {
+        // What follows would only repeat the fault in other words.
+        return;
+    }
+    if !(0.08..15.0).contains(&middle) {
+        add(
+            Severity::Warning,
+            "implausible_depth",
+            format!("the median depth is {middle:.3} m, which few depth cameras measure"),
+            "check depth_unit_scale_factor: 0.001 when the images hold millimetres",
+        );
+    }
+    let mut by_pair = data.pair_medians(GAPS[0]);
+    let mut medians: Vec<f64> = by_pair.iter().map(|p| p.1).collect();
+    if let Some(typical) = median(&mut medians) {
+        by_pair.retain(|p| p.1 > (8.0 * typical).max(0.01));
+        if !by_pair.is_empty() {
+            let list: Vec<String> =
+                by_pair.iter().take(8).map(|p| format!("{} → {}", p.0, p.0 + 1)).collect();
+            add(
+                Severity::Warning,
+                "pose_jumps",
+                format!(
+                    "{} of the checked neighbouring frames do not fit each other: {}",
+                    by_pair.len(),
+                    list.join(", ")
+                ),
+                "the poses of these frames are off; remove the frames or track the camera again",
+            );
+        }
+        if typical > 0.02 * middle {
+            add(
+                Severity::Warning,
+                "loose_overlap",
+                format!("neighbouring frames differ by {:.1} mm (median) at {middle:.2} m", 1e3 * typical),
+                "the poses or the depth are inaccurate, or depth is not registered to the posed camera",
+            );
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Overlap error: depth of one frame carried into another.
+
+use crate::{Lens, Recording};
+use glamx::{DPose3, DVec3};
+use sms_core::Image;
+
+/// Samples taken from a frame.
+const SAMPLES: usize = 6000;
+
+/// A frame's depth as the checks use it.
+pub(super) struct Probe {
+    /// Index in the recording.
+    pub(super) index: usize,
+    /// Raw values.
+    pub(super) raw: Image<u16>,
+    lens: Lens,
+    /// Recorded pixel centres (u, v) and raw value of evenly spread valid pixels.
+    samples: Vec<(f64, f64, f64)>,
+}
+
+/// One way to read the recording.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Hypothesis {
+    /// Metres of one raw unit.
+    pub(super) unit_m: f64,
+    /// Added to the principal points.
+    pub(super) center_shift: f64,
+}
+
+/// Differences found for one pair of frames.
+pub(super) struct PairErrors {
+    /// |Δdepth| in metres.
+    pub(super) absolute: Vec<f64>,
+    /// |Δdepth| over depth.
+    pub(super) relative: Vec<f64>,
+    /// Samples that were carried over.
+    pub(super) tried: usize,
+}
+
+impl Probe {
+    pub(super) fn new(recording: &Recording, index: usize, raw: Image<u16>) -> Self {
+        let valid = raw.data.iter().filter(|&&v| v > 0).count();
+        // An odd stride in row-major order does not fall into step with a sensor's grid of holes.
+        let stride = (valid / SAMPLES).max(1) | 1;
+        let samples = raw
+            .data
+            .iter()
+            .enumerate()
+            .filter(|(_, v)| **v > 0)
+            .step_by(stride)
+            .map(|(i, &v)| ((i % raw.width) as f64 + 0.5, (i / raw.width) as f64 + 0.5, f64::from(v)))
+            .collect();
+        Self { index, raw, lens: recording.frames[index].depth_lens, samples }
+    }
+
+    fn shifted_lens(&self, shift: f64) -> Lens {
+        let mut lens = self.lens;
+        lens.intrinsics.cx += shift;
+        lens.intrinsics.cy += shift;
+        lens
+    }
+
+    /// Carries this frame's samples into `other`, whose camera sees this camera's points through `x_oc`.
+    pub(super) fn carry_into(&self, other: &Self, x_oc: &DPose3, reading: &Hypothesis) -> PairErrors {
+        let (own, theirs) =
+            (self.shifted_lens(reading.center_shift), other.shifted_lens(reading.center_shift));
+        let (k, ko) = (own.intrinsics, theirs.intrinsics);
+        let mut errors = PairErrors { absolute: Vec::new(), relative: Vec::new(), tried: self.samples.len() };
+        for &(u, v, raw) in &self.samples {
+            let Some((x, y)) = own.distortion.undistort((u - k.cx) / k.fx, (v - k.cy) / k.fy) else {
+                continue;
+            };
+            let p = x_oc.transform_point(DVec3::new(x, y, 1.0) * (raw * reading.unit_m));
+            if p.z <= 1e-6 {
+                continue;
+            }
+            let (xd, yd) = theirs.distortion.distort(p.x / p.z, p.y / p.z);
+            let (uo, vo) = (ko.fx * xd + ko.cx, ko.fy * yd + ko.cy);
+            if !(uo.abs() < 1e6 && vo.abs() < 1e6) {
+                continue;
+            }
+            let Some(&seen) = other.raw.get(uo.floor() as i64, vo.floor() as i64) else { continue };
+            if seen > 0 {
+                let difference = (f64::from(seen) * reading.unit_m - p.z).abs();
+                errors.absolute.push(difference);
+                errors.relative.push(difference / p.z);
+            }
+        }
+        errors
+    }
+}
+
+/// The median, by selection; `None` of nothing.
+pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn median_of_few() {
+        assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(&mut []), None);
+    }
+}

@@ -1,0 +1,278 @@
+//! What `check` found.
+
+use crate::{Axes, Lens, PoseDirection, RecordingFormat};
+use serde::Serialize;
+use sms_core::metrics::Metrics;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// How much a finding matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Good to know.
+    Info,
+    /// The result will suffer.
+    Warning,
+    /// The recording is read wrongly; a scan would be worthless.
+    Fault,
+}
+
+/// Something that a check found, and what to do about it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// How much it matters.
+    pub severity: Severity,
+    /// Stable identifier, `snake_case`.
+    pub code: &'static str,
+    /// What was found, with its figures.
+    pub what: String,
+    /// What to do; may be empty.
+    pub cure: String,
+}
+
+/// Depth of frame i carried into frame i + n.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Overlap {
+    /// Median |Δdepth|, metres.
+    pub median_m: f64,
+    /// Share of the carried samples that met a valid depth.
+    pub share: f64,
+    /// Pairs of frames.
+    pub pairs: usize,
+}
+
+/// How well one pose and axis convention fits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ReadingFit {
+    /// Camera axes.
+    pub axes: Axes,
+    /// Direction of the matrices.
+    pub poses: PoseDirection,
+    /// Median |Δdepth| / depth; `None` where too few samples meet.
+    pub relative_error: Option<f64>,
+    /// Share of the carried samples that met a valid depth.
+    pub share: f64,
+}
+
+/// How well one depth unit fits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct UnitFit {
+    /// Times the declared unit.
+    pub factor: f64,
+    /// Median |Δdepth| / depth; `None` where too few samples meet.
+    pub relative_error: Option<f64>,
+}
+
+/// Where pixel (0, 0) is centred, by the data.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PixelCenterFit {
+    /// The better of 0 and 0.5.
+    pub better: f64,
+    /// By how much its overlap error is smaller, as a share.
+    pub gain: f64,
+    /// Mean over standard error of the difference between the two over pairs of frames.
+    pub t: f64,
+    /// Whether the difference is beyond chance and worth acting on.
+    pub significant: bool,
+}
+
+/// The result of [`crate::check`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CheckReport {
+    /// The recording's folder.
+    pub source: PathBuf,
+    /// Its format.
+    pub format: RecordingFormat,
+    /// Number of frames.
+    pub frames: usize,
+    /// Colour image size of the first frame.
+    pub color_size: (usize, usize),
+    /// Depth image size of the first frame.
+    pub depth_size: (usize, usize),
+    /// Colour lens of the first frame, pixel centres at +0.5.
+    pub lens: Lens,
+    /// Whether the lens differs between frames.
+    pub lens_varies: bool,
+    /// Axes as declared.
+    pub axes: Axes,
+    /// Direction as declared.
+    pub poses: PoseDirection,
+    /// Depth unit as declared, metres.
+    pub depth_unit_m: f64,
+    /// Pixel centre as declared.
+    pub pixel_center: f64,
+    /// Share of depth pixels with a measurement.
+    pub valid_depth_share: f64,
+    /// 1st, 50th and 99th percentile of valid depth, metres.
+    pub depth_range_m: [f64; 3],
+    /// Largest rounding removed from a rotation, entry of |RᵀR − I|.
+    pub pose_rounding: f64,
+    /// Length of the camera's path, metres.
+    pub camera_path_m: f64,
+    /// Overlap error into the next frame.
+    pub overlap_1: Option<Overlap>,
+    /// Overlap error into the fourth frame after.
+    pub overlap_4: Option<Overlap>,
+    /// The four conventions, the declared one first.
+    pub readings: Vec<ReadingFit>,
+    /// The ladder of depth units.
+    pub units: Vec<UnitFit>,
+    /// The factor on the declared unit that fits best, refined; `None` where the data cannot tell.
+    pub best_unit_factor: Option<f64>,
+    /// Pixel centre, where it could be compared.
+    pub pixel_center_fit: Option<PixelCenterFit>,
+    /// What is wrong or worth knowing, the worst first.
+    pub findings: Vec<Finding>,
+}
+
+impl CheckReport {
+    /// Whether nothing was found that makes a scan worthless.
+    pub fn approved(&self) -> bool {
+        self.findings.iter().all(|f| f.severity < Severity::Fault)
+    }
+
+    /// The figures for `metrics.json`.
+    pub fn metrics(&self) -> Metrics {
+        let mut metrics = Metrics::new();
+        metrics.set("check.frames", self.frames);
+        metrics.set("check.valid_depth_share", self.valid_depth_share);
+        metrics.set("check.overlap_1_m", self.overlap_1.map(|o| o.median_m));
+        metrics.set("check.overlap_4_m", self.overlap_4.map(|o| o.median_m));
+        metrics
+    }
+
+    /// The report for people.
+    pub fn to_text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write_text(&mut text);
+        text
+    }
+
+    fn write_text(&self, out: &mut String) -> std::fmt::Result {
+        let k = &self.lens.intrinsics;
+        writeln!(out, "{} ({})", self.source.display(), self.format.name())?;
+        let (cw, ch) = self.color_size;
+        let (dw, dh) = self.depth_size;
+        writeln!(out, "  frames            {}, colour {cw} × {ch}, depth {dw} × {dh}", self.frames)?;
+        writeln!(
+            out,
+            "  intrinsics        fx {:.2}  fy {:.2}  cx {:.2}  cy {:.2} (pixel centres at +0.5){}{}",
+            k.fx,
+            k.fy,
+            k.cx,
+            k.cy,
+            if self.lens.distortion.is_none() { "" } else { ", distorted" },
+            if self.lens_varies { ", varying between frames" } else { "" }
+        )?;
+        let [near, middle, far] = self.depth_range_m;
+        writeln!(
+            out,
+            "  depth             {:.0} % filled, {near:.3} to {far:.3} m (median {middle:.3}), unit {} m",
+            100.0 * self.valid_depth_share,
+            short(self.depth_unit_m)
+        )?;
+        writeln!(
+            out,
+            "  poses             rigid (rounding up to {:.0e}), path {:.2} m",
+            self.pose_rounding, self.camera_path_m
+        )?;
+        for (name, overlap) in [("i → i+1", self.overlap_1), ("i → i+4", self.overlap_4)] {
+            match overlap {
+                Some(o) => writeln!(
+                    out,
+                    "  overlap {name}   {:.2} mm median over {} pairs, {:.0} % of samples met",
+                    1e3 * o.median_m,
+                    o.pairs,
+                    100.0 * o.share
+                )?,
+                None => writeln!(out, "  overlap {name}   not measurable")?,
+            }
+        }
+        for (i, r) in self.readings.iter().enumerate() {
+            writeln!(
+                out,
+                "  {}  {:<26} {}",
+                if i == 0 { "conventions     " } else { "                " },
+                reading_name(r.axes, r.poses),
+                error_text(r.relative_error, if i == 0 { " (declared)" } else { "" })
+            )?;
+        }
+        let units: Vec<String> = self
+            .units
+            .iter()
+            .filter_map(|u| u.relative_error.map(|e| format!("×{} {:.1} %", short(u.factor), 100.0 * e)))
+            .collect();
+        writeln!(
+            out,
+            "  depth unit        {}",
+            if units.is_empty() { "not measurable".to_owned() } else { units.join(", ") }
+        )?;
+        if let Some(fit) = &self.pixel_center_fit {
+            writeln!(
+                out,
+                "  pixel centre      {} declared; {}",
+                short(self.pixel_center),
+                if fit.significant {
+                    format!("{} fits better by {:.1} %", short(fit.better), 100.0 * fit.gain)
+                } else {
+                    format!("the data cannot tell 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
+                }
+            )?;
+        }
+        for f in &self.findings {
+            let word = match f.severity {
+                Severity::Info => "note",
+                Severity::Warning => "WARNING",
+                Severity::Fault => "FAULT",
+            };
+            writeln!(out, "{word}: {}", f.what)?;
+            if !f.cure.is_empty() {
+                writeln!(out, "  cure: {}", f.cure)?;
+            }
+        }
+        if self.approved() {
+            writeln!(out, "The recording is read as it should be.")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Display for CheckReport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.to_text().trim_end())
+    }
+}
+
+fn error_text(error: Option<f64>, suffix: &str) -> String {
+    match error {
+        Some(e) => format!("{:.2} % of depth{suffix}", 100.0 * e),
+        None => format!("hardly any overlap{suffix}"),
+    }
+}
+
+/// Names of a convention for messages.
+pub(super) fn reading_name(axes: Axes, poses: PoseDirection) -> String {
+    format!("{} {}", direction_name(poses), axes_name(axes))
+}
+
+pub(super) fn axes_name(axes: Axes) -> &'static str {
+    match axes {
+        Axes::Opencv => "OpenCV",
+        Axes::Opengl => "OpenGL",
+    }
+}
+
+pub(super) fn direction_name(poses: PoseDirection) -> &'static str {
+    match poses {
+        PoseDirection::CameraToWorld => "camera-to-world",
+        PoseDirection::WorldToCamera => "world-to-camera",
+    }
+}
+
+/// A number without trailing zeros.
+pub(super) fn short(v: f64) -> String {
+    let text = format!("{v:.6}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
