@@ -136,7 +136,13 @@ impl<'a> Builder<'a> {
             let mut across = [0u32; 4];
             for j in 0..4 {
                 if j != i {
-                    let original = if j == x { y } else if j == y { x } else { j };
+                    let original = if j == x {
+                        y
+                    } else if j == y {
+                        x
+                    } else {
+                        j
+                    };
                     across[j] = 1 + original as u32;
                 }
             }

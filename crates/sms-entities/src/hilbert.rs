@@ -85,7 +85,8 @@ mod tests {
 
     #[test]
     fn the_order_is_a_permutation() {
-        let points: Vec<DVec3> = (0..1000).map(|i| DVec3::new((i % 7) as f64, (i % 11) as f64, 0.0)).collect();
+        let points: Vec<DVec3> =
+            (0..1000).map(|i| DVec3::new((i % 7) as f64, (i % 11) as f64, 0.0)).collect();
         let mut order = insertion_order(&points);
         order.sort_unstable();
         assert!(order.iter().enumerate().all(|(i, &o)| i as u32 == o));

@@ -40,9 +40,8 @@ pub fn convex_hull(points: &[DVec3], max_vertices: usize, tolerance: f64) -> Opt
     for f in 0..4u32 {
         for k in 0..3 {
             let (a, b) = hull.edge(f, k);
-            hull.faces[f as usize].across[k] = (0..4u32)
-                .find(|&g| (0..3).any(|m| hull.edge(g, m) == (b, a)))
-                .unwrap_or(NO_FACE);
+            hull.faces[f as usize].across[k] =
+                (0..4u32).find(|&g| (0..3).any(|m| hull.edge(g, m) == (b, a))).unwrap_or(NO_FACE);
         }
     }
     let all: Vec<u32> = (0..points.len() as u32).filter(|i| !seed.contains(i)).collect();
@@ -72,9 +71,7 @@ const NO_FACE: u32 = u32::MAX;
 /// A positively oriented tetrahedron of far-apart points.
 fn extreme_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
     let farthest = |measure: &dyn Fn(DVec3) -> f64| {
-        (0..points.len()).max_by(|&i, &j| {
-            measure(points[i]).total_cmp(&measure(points[j])).then(j.cmp(&i))
-        })
+        (0..points.len()).max_by(|&i, &j| measure(points[i]).total_cmp(&measure(points[j])).then(j.cmp(&i)))
     };
     let a = farthest(&|p| -p.x)?;
     let b = farthest(&|p| p.distance_squared(points[a]))?;

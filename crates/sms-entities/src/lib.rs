@@ -1,9 +1,71 @@
-//! From Gaussians to objects: grouping, meshing, spheres, convex parts.
+//! From Gaussians to objects: grouping, meshing, spheres, convex parts (paper, Section "Materialize").
+//!
+//! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and gives one dynamic
+//! [`sms_core::Entity`] per label and a static one for everything that no label explains. Object by object:
+//!
+//! 1. `cloud`: the Gaussians classified as the object, without islands and without what the frames contradict, become
+//!    an even, oriented surface cloud.
+//! 2. `support`, `underside`: what it rests on is found, and the contact area that no camera saw is closed.
+//! 3. `sphere`: round objects become spheres, whatever they are called.
+//! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes.
+//! 5. `convex`: meshes are split into convex parts for physics.
+//! 6. `environment`: the unlabelled rest becomes a static triangle mesh.
+//!
+//! ```
+//! use sms_core::{Mesh, Seed, glamx::DVec3};
+//! use sms_entities::{ConvexConfig, SphereConfig, convex_parts, delaunay, fit_sphere};
+//! // A ball is recognised by its shape …
+//! let ball = Mesh::icosphere(0.03, 3);
+//! let fit = fit_sphere(&ball.vertices, &SphereConfig::default(), Seed(0)).unwrap();
+//! assert!((fit.radius - 0.03).abs() < 1e-4);
+//! // … and a box is one convex part that its tetrahedra fill.
+//! let cube = Mesh::cuboid(DVec3::splat(0.05));
+//! assert_eq!(convex_parts(&cube, &ConvexConfig::default()).len(), 1);
+//! let solid = delaunay(&cube.vertices);
+//! let volume: f64 = (0..solid.tetrahedra.len()).map(|t| solid.volume(t)).sum();
+//! assert!((volume - 1e-3).abs() < 1e-12);
+//! ```
 
+mod build;
+mod cloud;
+mod config;
+mod convex;
 mod delaunay;
+mod environment;
+mod error;
+mod grid;
 mod hilbert;
 mod hull;
+mod inside;
+mod maxflow;
+mod mesher;
 mod predicates;
+mod refine;
+mod save;
+mod sphere;
+mod support;
+mod surface;
+mod underside;
+mod views;
+mod voxels;
 
+pub use build::build_entities;
+pub use config::{ConvexConfig, EntitiesConfig, EnvironmentConfig, MeshRule, SphereConfig};
+pub use convex::convex_parts;
 pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
+pub use error::EntitiesError;
 pub use hull::convex_hull;
+pub use save::{load_entities, save_entities};
+pub use sphere::{SphereFit, fit_sphere};
+
+use sms_core::Entity;
+
+/// The stage's result.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EntitySet {
+    /// Objects in the order of their labels, then the environment.
+    pub entities: Vec<Entity>,
+    /// Height of the level plane that carries the scene, metres, where one was seen near the world's z = 0; it stands
+    /// for the flat part of the environment, which the environment's mesh leaves out.
+    pub support_height: Option<f64>,
+}

@@ -1,0 +1,325 @@
+//! From an object's Gaussians to a dense, oriented surface cloud (paper, Section "Materialize").
+
+use crate::config::EntitiesConfig;
+use crate::grid::{PointGrid, median};
+use crate::views::Views;
+use glamx::{DMat3, DVec3};
+use rand::RngExt;
+use sms_core::{PointCloud, Seed};
+use sms_gaussians::GaussianModel;
+
+/// One Gaussian as a flat disc.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Disc {
+    pub(crate) center: DVec3,
+    /// Unit normal towards the cameras that saw it.
+    pub(crate) normal: DVec3,
+    /// In-plane axes scaled to one standard deviation.
+    pub(crate) axes: [DVec3; 2],
+    pub(crate) opacity: f64,
+    pub(crate) color: [u8; 3],
+}
+
+/// Distance between neighbouring points of a cloud of this density.
+pub(crate) fn spacing(config: &EntitiesConfig) -> f64 {
+    1.0 / config.density_per_m2.max(100.0).sqrt()
+}
+
+/// The discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the frames:
+/// what cameras look through, or label otherwise where they see it, is dropped.
+pub(crate) fn label_discs(
+    model: &GaussianModel,
+    views: &Views,
+    label: u16,
+    config: &EntitiesConfig,
+) -> Vec<Disc> {
+    let mut discs = Vec::new();
+    for i in 0..model.len() {
+        let usable = model.labels[i] == label
+            && f64::from(model.label_confidence[i]) >= config.min_confidence
+            && f64::from(model.opacities[i]) >= config.min_opacity
+            && model.positions_w[i].is_finite()
+            && model.scales[i].is_finite();
+        if !usable {
+            continue;
+        }
+        let center = model.positions_w[i].as_dvec3();
+        let (normal, axes) = model.disc(i);
+        let count = views.count(center, label);
+        let seen = count.own + count.other;
+        if count.free > seen || (seen >= 2 && count.own * 10 < seen * 3) {
+            continue;
+        }
+        let mut normal = normal.as_dvec3().normalize_or_zero();
+        if normal == DVec3::ZERO {
+            continue;
+        }
+        if normal.dot(count.towards) < 0.0 {
+            normal = -normal;
+        }
+        discs.push(Disc {
+            center,
+            normal,
+            axes: axes.map(|(axis, sigma)| axis.as_dvec3() * f64::from(sigma)),
+            opacity: f64::from(model.opacities[i]),
+            color: model.colors[i].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8),
+        });
+    }
+    limit_size(&mut discs);
+    discs
+}
+
+/// Discs straight from the labelled depth pixels, for objects that the model hardly holds.
+pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<Disc> {
+    let mut discs: Vec<Disc> = Vec::new();
+    for (f, frame) in views.sequence.frames.iter().enumerate() {
+        let map = &views.labels.maps[f];
+        for y in 0..map.height {
+            for x in 0..map.width {
+                let depth = f64::from(frame.depth[(x, y)]);
+                let normal_c = frame.normal_c[(x, y)].map(f64::from);
+                if map[(x, y)] != label || depth <= 0.0 || normal_c == [0.0; 3] {
+                    continue;
+                }
+                let normal = frame.camera.x_wc.rotation * DVec3::from_array(normal_c);
+                let sigma = frame.camera.intrinsics.pixel_footprint(depth);
+                let first = normal.any_orthonormal_vector();
+                discs.push(Disc {
+                    center: frame.camera.unproject_pixel(x, y, depth),
+                    normal,
+                    axes: [first * sigma, normal.cross(first) * sigma],
+                    opacity: 1.0,
+                    color: frame.color[(x, y)],
+                });
+            }
+        }
+    }
+    let centers: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
+    let keep = thin(&centers, &discs.iter().map(|d| d.normal).collect::<Vec<_>>(), 0.5 * spacing);
+    keep.into_iter().map(|i| discs[i]).collect()
+}
+
+/// Shrinks discs that are far larger than their object's usual ones: their rims are not on the surface.
+fn limit_size(discs: &mut [Disc]) {
+    let typical = median(discs.iter().map(|d| d.axes[0].length().max(d.axes[1].length())).collect());
+    let limit = (3.0 * typical).min(0.025);
+    for disc in discs {
+        for axis in &mut disc.axes {
+            *axis = axis.clamp_length_max(limit);
+        }
+    }
+}
+
+/// Drops islands: discs connected within a few times their usual distance form components; those with less than a
+/// tenth of the largest one's discs go.
+pub(crate) fn drop_islands(discs: Vec<Disc>, spacing: f64) -> Vec<Disc> {
+    let centers: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
+    if centers.len() < 3 {
+        return discs;
+    }
+    let grid = PointGrid::new(&centers, spacing);
+    let gaps = centers.iter().map(|&p| grid.nearest_k(p, 4).last().map_or(0.0, |n| n.0.sqrt())).collect();
+    let radius = (3.0 * median(gaps)).clamp(1.5 * spacing, 0.03);
+    let mut component = vec![usize::MAX; centers.len()];
+    let mut sizes = Vec::new();
+    for start in 0..centers.len() {
+        if component[start] != usize::MAX {
+            continue;
+        }
+        let id = sizes.len();
+        let mut stack = vec![start];
+        component[start] = id;
+        let mut size = 0;
+        while let Some(i) = stack.pop() {
+            size += 1;
+            grid.for_each_within(centers[i], radius, |j, _| {
+                if component[j] == usize::MAX {
+                    component[j] = id;
+                    stack.push(j);
+                }
+            });
+        }
+        sizes.push(size);
+    }
+    let largest = sizes.iter().copied().max().unwrap_or(0);
+    let mut i = 0;
+    let mut discs = discs;
+    discs.retain(|_| {
+        i += 1;
+        sizes[component[i - 1]] * 10 >= largest
+    });
+    discs
+}
+
+/// Indices of points that keep `distance` from each other, in order; points on opposite sides of a thin wall do not
+/// see each other.
+pub(crate) fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
+    let mut cells: std::collections::BTreeMap<[i64; 3], Vec<usize>> = std::collections::BTreeMap::new();
+    let mut kept = Vec::new();
+    let limit = distance * distance;
+    for (i, &p) in points.iter().enumerate() {
+        let cell = (p / distance).floor().to_array().map(|v| v as i64);
+        let mut blocked = false;
+        'search: for dx in -1..=1 {
+            for dy in -1..=1 {
+                for dz in -1..=1 {
+                    let Some(there) = cells.get(&[cell[0] + dx, cell[1] + dy, cell[2] + dz]) else {
+                        continue;
+                    };
+                    blocked = there
+                        .iter()
+                        .any(|&j| points[j].distance_squared(p) < limit && normals[j].dot(normals[i]) > 0.3);
+                    if blocked {
+                        break 'search;
+                    }
+                }
+            }
+        }
+        if !blocked {
+            cells.entry(cell).or_default().push(i);
+            kept.push(i);
+        }
+    }
+    kept
+}
+
+/// Uniform surface points: each disc is sampled uniformly by area, samples that the frames contradict are dropped, and
+/// the rest is thinned to the wanted density, moved onto the measured depth and given smoothed normals.
+pub(crate) fn densify(
+    discs: &[Disc],
+    views: &Views,
+    label: u16,
+    config: &EntitiesConfig,
+    seed: Seed,
+) -> PointCloud {
+    let spacing = spacing(config);
+    let mut rng = seed.rng();
+    let mut order: Vec<usize> = (0..discs.len()).collect();
+    order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
+    let (mut points, mut normals, mut owner) = (Vec::new(), Vec::new(), Vec::new());
+    for &i in &order {
+        points.push(discs[i].center);
+        normals.push(discs[i].normal);
+        owner.push(i);
+    }
+    for &i in &order {
+        let disc = &discs[i];
+        let area =
+            std::f64::consts::PI * config.disc_sigmas.powi(2) * disc.axes[0].length() * disc.axes[1].length();
+        // Thinning follows, so a surplus only makes the result more even.
+        let wanted = 2.0 * area * config.density_per_m2 + rng.random::<f64>();
+        for _ in 0..(wanted as usize).min(400) {
+            // The square root makes the samples uniform by area instead of by radius.
+            let radius = config.disc_sigmas * rng.random::<f64>().sqrt();
+            let (sin, cos) = (std::f64::consts::TAU * rng.random::<f64>()).sin_cos();
+            points.push(disc.center + disc.axes[0] * (radius * cos) + disc.axes[1] * (radius * sin));
+            normals.push(disc.normal);
+            owner.push(i);
+        }
+    }
+    let kept = thin(&points, &normals, 0.8 * spacing);
+    let mut cloud = PointCloud::default();
+    for i in kept {
+        let count = views.count(points[i], label);
+        if count.free > count.own || (count.other > count.own && count.own < 3) {
+            continue;
+        }
+        cloud.points_w.push(points[i]);
+        cloud.normals_w.push(normals[i]);
+        cloud.colors.push(discs[owner[i]].color);
+    }
+    if config.refine_to_depth {
+        for _ in 0..2 {
+            for i in 0..cloud.points_w.len() {
+                let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
+                if let Some(offset) = views.surface_offset(p, n, label, 0.01, 3) {
+                    cloud.points_w[i] = p + n * offset;
+                }
+            }
+            smooth_normals(&mut cloud, 2.0 * spacing);
+        }
+    }
+    drop_strays(&mut cloud, spacing);
+    cloud
+}
+
+/// Normals from local plane fits where the surroundings are flat, else averaged with like-minded neighbours.
+pub(crate) fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
+    let grid = PointGrid::new(&cloud.points_w, radius);
+    let smoothed: Vec<DVec3> = (0..cloud.points_w.len())
+        .map(|i| {
+            let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
+            let (mut sum, mut mean, mut weight, mut near) = (DVec3::ZERO, DVec3::ZERO, 0.0, Vec::new());
+            grid.for_each_within(p, radius, |j, d| {
+                let like = cloud.normals_w[j].dot(n);
+                if like > 0.5 {
+                    let w = (1.0 - d / (radius * radius)) * like;
+                    sum += cloud.normals_w[j] * w;
+                    mean += cloud.points_w[j] * w;
+                    weight += w;
+                    near.push((j, w));
+                }
+            });
+            let average = sum.normalize_or(n);
+            if near.len() < 6 || weight <= 0.0 {
+                return average;
+            }
+            mean /= weight;
+            let mut scatter = DMat3::ZERO;
+            for (j, w) in near {
+                let d = cloud.points_w[j] - mean;
+                scatter += DMat3::from_cols(d * d.x, d * d.y, d * d.z) * w;
+            }
+            let eigen = glamx::DSymmetricEigen3::new(scatter);
+            let values = eigen.eigenvalues.to_array();
+            let vectors = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
+            let mut by_size = [0, 1, 2];
+            by_size.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+            let flat = values[by_size[0]] < 0.1 * values[by_size[1]];
+            let fit = vectors[by_size[0]];
+            let fit = if fit.dot(average) < 0.0 { -fit } else { fit };
+            if flat && fit.dot(average) > 0.7 { (average + fit).normalize() } else { average }
+        })
+        .collect();
+    cloud.normals_w = smoothed;
+}
+
+/// Drops points that have hardly any neighbours.
+fn drop_strays(cloud: &mut PointCloud, spacing: f64) {
+    let grid = PointGrid::new(&cloud.points_w, 3.0 * spacing);
+    let keep: Vec<bool> = cloud
+        .points_w
+        .iter()
+        .map(|&p| {
+            let mut near = 0;
+            grid.for_each_within(p, 3.0 * spacing, |_, _| near += 1);
+            near >= 5
+        })
+        .collect();
+    retain(cloud, &keep);
+}
+
+/// Keeps the points whose entry is true.
+pub(crate) fn retain(cloud: &mut PointCloud, keep: &[bool]) {
+    fn filter<T: Copy>(values: &mut Vec<T>, keep: &[bool]) {
+        let mut i = 0;
+        values.retain(|_| {
+            i += 1;
+            keep[i - 1]
+        });
+    }
+    filter(&mut cloud.points_w, keep);
+    filter(&mut cloud.normals_w, keep);
+    filter(&mut cloud.colors, keep);
+}
+
+/// Mean colour; grey for an empty cloud.
+pub(crate) fn mean_color(colors: &[[u8; 3]]) -> [u8; 3] {
+    if colors.is_empty() {
+        return [128; 3];
+    }
+    std::array::from_fn(|k| {
+        let sum: usize = colors.iter().map(|c| c[k] as usize).sum();
+        (sum / colors.len()) as u8
+    })
+}

@@ -1,0 +1,147 @@
+//! Settings of the stage.
+
+use serde::{Deserialize, Serialize};
+
+/// Which tetrahedra belong to the solid.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MeshRule {
+    /// Each tetrahedron is voted in or out by its corners' normals and the cameras' free space; the votes are
+    /// reconciled by a minimum cut.
+    #[default]
+    Vote,
+    /// The paper's rule: tetrahedra with a long edge are dropped.
+    Prune,
+}
+
+/// Settings of the entities stage; lengths in metres.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EntitiesConfig {
+    /// Inside rule of the mesher.
+    pub mesh: MeshRule,
+    /// Gaussians whose label is less certain than this are left out.
+    pub min_confidence: f64,
+    /// Gaussians more transparent than this are left out.
+    pub min_opacity: f64,
+    /// Surface points per square metre (released code: 25 000, 6.3 mm apart).
+    pub density_per_m2: f64,
+    /// Discs are sampled out to so many standard deviations.
+    pub disc_sigmas: f64,
+    /// Whether points are moved along their normals to the median of the measured depth.
+    pub refine_to_depth: bool,
+    /// Largest tetrahedron edge of the prune rule in local feature sizes (released code: 2.25).
+    pub prune_factor: f64,
+    /// Neighbours whose mean distance is the local feature size (released code: 10).
+    pub prune_neighbors: usize,
+    /// A given largest edge instead of the adaptive one.
+    pub prune_length: Option<f64>,
+    /// Rounds of Taubin smoothing.
+    pub smoothing_iterations: usize,
+    /// Largest number of faces of an object's mesh.
+    pub face_budget: usize,
+    /// Sphere recognition.
+    pub sphere: SphereConfig,
+    /// Convex parts.
+    pub convex: ConvexConfig,
+    /// The static environment.
+    pub environment: EnvironmentConfig,
+}
+
+impl Default for EntitiesConfig {
+    fn default() -> Self {
+        Self {
+            mesh: MeshRule::default(),
+            min_confidence: 0.5,
+            min_opacity: 0.1,
+            density_per_m2: 25_000.0,
+            disc_sigmas: 2.0,
+            refine_to_depth: true,
+            prune_factor: 2.25,
+            prune_neighbors: 10,
+            prune_length: None,
+            smoothing_iterations: 10,
+            face_budget: 2000,
+            sphere: SphereConfig::default(),
+            convex: ConvexConfig::default(),
+            environment: EnvironmentConfig::default(),
+        }
+    }
+}
+
+/// When a cloud counts as a sphere: by its shape, not by its name.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SphereConfig {
+    /// Random minimal samples (released code: 1000).
+    pub samples: usize,
+    /// A point belongs to the sphere when nearer than this, metres …
+    pub inlier_distance: f64,
+    /// … or nearer than this share of the radius, whichever is larger.
+    pub inlier_radius_share: f64,
+    /// Share of the surface points that must belong to it.
+    pub min_inlier_share: f64,
+    /// Share of the sphere's directions that must have been seen.
+    pub min_coverage: f64,
+    /// Smallest radius, metres.
+    pub min_radius: f64,
+    /// Largest radius, metres.
+    pub max_radius: f64,
+}
+
+impl Default for SphereConfig {
+    fn default() -> Self {
+        Self {
+            samples: 1000,
+            inlier_distance: 0.0015,
+            inlier_radius_share: 0.05,
+            min_inlier_share: 0.85,
+            min_coverage: 0.25,
+            min_radius: 0.004,
+            max_radius: 0.25,
+        }
+    }
+}
+
+/// Convex decomposition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ConvexConfig {
+    /// Largest number of parts of one object.
+    pub max_parts: usize,
+    /// Largest number of vertices of a part.
+    pub max_vertices: usize,
+    /// A part is convex enough when its hull leaves it by less than this share of the object's size (the concavity
+    /// of CoACD, which the released code sets to 0.075) …
+    pub concavity: f64,
+    /// … or by less than this length, metres.
+    pub concavity_floor: f64,
+}
+
+impl Default for ConvexConfig {
+    fn default() -> Self {
+        Self { max_parts: 16, max_vertices: 64, concavity: 0.04, concavity_floor: 0.003 }
+    }
+}
+
+/// Reconstruction of everything that no label explains.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentConfig {
+    /// Whether it is built.
+    pub enabled: bool,
+    /// Voxel of the distance field, metres.
+    pub voxel: f64,
+    /// Surface farther from every object than this is left out, metres.
+    pub reach: f64,
+    /// Largest number of faces.
+    pub face_budget: usize,
+    /// Surface nearer to the support plane than this is the plane itself, metres.
+    pub floor_band: f64,
+}
+
+impl Default for EnvironmentConfig {
+    fn default() -> Self {
+        Self { enabled: true, voxel: 0.006, reach: 0.5, face_budget: 4000, floor_band: 0.012 }
+    }
+}

@@ -1,0 +1,17 @@
+//! What can go wrong.
+
+use sms_core::{CoreError, InputError};
+
+/// Errors of the entities stage.
+#[derive(Debug, thiserror::Error)]
+pub enum EntitiesError {
+    /// The model, the sequence and the labels do not belong together.
+    #[error("{0}")]
+    Mismatch(String),
+    /// Bad settings or files.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// Files or interruption.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+}

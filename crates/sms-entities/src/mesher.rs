@@ -1,0 +1,218 @@
+//! From an oriented cloud with its contact points to a closed mesh (paper, Section "Materialize").
+
+use crate::config::{EntitiesConfig, MeshRule};
+use crate::delaunay::{NONE, Tetrahedralization, delaunay};
+use crate::hull::convex_hull;
+use crate::support::Plane;
+use crate::views::{Sight, Views};
+use crate::{inside, refine, surface};
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{Mesh, PointCloud};
+
+/// How the mesh was obtained; later ones are fallbacks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MeshPath {
+    /// The rule that was asked for.
+    Asked,
+    /// The prune rule, because the vote left nothing usable.
+    Prune,
+    /// The convex hull, because neither rule did.
+    Hull,
+}
+
+/// Weight of the cut's faces against the votes (four corners vote with up to one each).
+const STIFFNESS: f64 = 0.7;
+/// Vote against a tetrahedron per camera that looks through its centre, and for how many of them at most.
+const FREE_VOTE: f64 = 1.5;
+const FREE_MOST: usize = 4;
+
+/// Surface points of an object: what was seen, and the contact points that close it.
+pub(crate) struct MeshInput<'a> {
+    /// Seen points.
+    pub(crate) cloud: &'a PointCloud,
+    /// Points on the resting plane.
+    pub(crate) contact: &'a [DVec3],
+    /// The resting plane.
+    pub(crate) rest: Plane,
+    /// Frames for free-space votes.
+    pub(crate) views: Option<&'a Views<'a>>,
+    /// Distance between neighbouring points, metres.
+    pub(crate) spacing: f64,
+}
+
+/// A closed mesh with positive volume; `None` when the points lie in one plane.
+pub(crate) fn mesh_object(input: &MeshInput, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
+    let mut points = input.cloud.points_w.clone();
+    let mut normals = input.cloud.normals_w.clone();
+    points.extend_from_slice(input.contact);
+    normals.extend(std::iter::repeat_n(-input.rest.normal, input.contact.len()));
+    let tetrahedra = delaunay(&points);
+    let hull = convex_hull(&points, usize::MAX, 0.0)?;
+    let usable = |mesh: &Mesh| mesh.is_closed_oriented() && mesh.volume() > 0.02 * hull.volume();
+    let rules = match config.mesh {
+        MeshRule::Vote => [(MeshRule::Vote, MeshPath::Asked), (MeshRule::Prune, MeshPath::Prune)],
+        MeshRule::Prune => [(MeshRule::Prune, MeshPath::Asked), (MeshRule::Vote, MeshPath::Prune)],
+    };
+    for (rule, path) in rules {
+        let chosen = match rule {
+            MeshRule::Vote => vote(&tetrahedra, &normals, input),
+            MeshRule::Prune => {
+                inside::prune(&tetrahedra, config.prune_length, config.prune_factor, config.prune_neighbors)
+            }
+        };
+        let chosen = inside::largest_component(&tetrahedra, &chosen);
+        if !chosen.contains(&true) {
+            continue;
+        }
+        let mesh = finish(&tetrahedra, &chosen, input, config);
+        if usable(&mesh) {
+            return Some((mesh, path));
+        }
+    }
+    let mesh = rest_on(refine::decimate(&hull, config.face_budget), &input.rest, CONTACT_BAND);
+    usable(&mesh).then_some((mesh, MeshPath::Hull))
+}
+
+fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -> Vec<bool> {
+    let mut votes = inside::normal_votes(tetrahedra, normals);
+    if let Some(views) = input.views {
+        let frames = views.sequence.frames.len();
+        let free: Vec<usize> = (0..votes.len())
+            .into_par_iter()
+            .map(|t| {
+                let center = tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0;
+                (0..frames)
+                    .filter(|&f| views.sight(f, center, 0.0) == Sight::Free)
+                    .take(FREE_MOST + 1)
+                    .count()
+            })
+            .collect();
+        for (vote, free) in votes.iter_mut().zip(free) {
+            // One camera may err at a depth edge; two agree on what is empty.
+            if free >= 2 || (free == 1 && frames < 6) {
+                *vote -= FREE_VOTE * free.min(FREE_MOST) as f64;
+            }
+        }
+    }
+    inside::cut(tetrahedra, &votes, STIFFNESS, 0.5 * input.spacing * input.spacing)
+}
+
+/// Vertices this near to the resting plane become the foot, metres.
+const CONTACT_BAND: f64 = 0.002;
+
+fn finish(
+    tetrahedra: &Tetrahedralization,
+    inside: &[bool],
+    input: &MeshInput,
+    config: &EntitiesConfig,
+) -> Mesh {
+    let (mut mesh, source) = surface::boundary(tetrahedra, inside);
+    let seen = input.cloud.points_w.len() as u32;
+    let fixed: Vec<bool> = source.iter().map(|&s| s != NONE && s >= seen).collect();
+    refine::taubin(&mut mesh, &fixed, config.smoothing_iterations, 0.4 * input.spacing);
+    let mesh = rest_on(mesh, &input.rest, CONTACT_BAND);
+    let mesh = refine::decimate(&mesh, config.face_budget);
+    let parts = mesh.components();
+    // Splitting may part sheets that only touched: the solid with the largest volume is the object.
+    parts.into_iter().max_by(|a, b| a.volume().total_cmp(&b.volume())).unwrap_or(mesh)
+}
+
+/// Moves every vertex that is below the plane, or less than `band` above it, onto the plane, so that the body stands on
+/// a flat foot and overlaps nothing.
+pub(crate) fn rest_on(mut mesh: Mesh, plane: &Plane, band: f64) -> Mesh {
+    for v in &mut mesh.vertices {
+        if plane.height_over(*v) < band {
+            *v = plane.project(*v);
+        }
+    }
+    mesh
+}
+
+/// Distance from a point to a triangle (Ericson, "Real-Time Collision Detection", 5.1.5).
+pub(crate) fn point_triangle_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return ap.length();
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return bp.length();
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return (ap - ab * (d1 / (d1 - d3).max(f64::MIN_POSITIVE))).length();
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return cp.length();
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return (ap - ac * (d2 / (d2 - d6).max(f64::MIN_POSITIVE))).length();
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f64::MIN_POSITIVE);
+        return (bp - (c - b) * w).length();
+    }
+    ab.cross(ac).normalize_or_zero().dot(ap).abs()
+}
+
+/// Distances of points to a mesh, metres.
+pub(crate) fn distances(points: &[DVec3], mesh: &Mesh) -> Vec<f64> {
+    let triangles: Vec<[DVec3; 3]> = (0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect();
+    points
+        .par_iter()
+        .map(|&p| triangles.iter().map(|&t| point_triangle_distance(p, t)).fold(f64::INFINITY, f64::min))
+        .collect()
+}
+
+/// Share of the mesh's area that has a seen point with a like normal within `reach`.
+pub(crate) fn observed_share(mesh: &Mesh, cloud: &PointCloud, reach: f64) -> f64 {
+    let grid = crate::grid::PointGrid::new(&cloud.points_w, reach);
+    let (mut seen, mut total) = (0.0, 0.0);
+    for t in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(t);
+        let cross = (b - a).cross(c - a);
+        let (area, normal) = (0.5 * cross.length(), cross.normalize_or_zero());
+        // Large faces of a decimated mesh may be seen in part: four samples each.
+        let middle = (a + b + c) / 3.0;
+        for p in [middle, (middle + a) * 0.5, (middle + b) * 0.5, (middle + c) * 0.5] {
+            let mut near = false;
+            grid.for_each_within(p, reach, |i, _| near |= cloud.normals_w[i].dot(normal) > 0.3);
+            total += area * 0.25;
+            if near {
+                seen += area * 0.25;
+            }
+        }
+    }
+    if total > 0.0 { seen / total } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangle_distances_are_those_of_dense_samples() {
+        use rand::RngExt;
+        let mut rng = sms_core::Seed(1).rng();
+        let mut point = || DVec3::new(rng.random(), rng.random(), rng.random());
+        for _ in 0..200 {
+            let (t, p) = ([point(), point(), point()], point() * 2.0 - DVec3::splat(0.5));
+            let mut best = f64::INFINITY;
+            for i in 0..=60 {
+                for j in 0..=60 - i {
+                    let (u, v) = (f64::from(i) / 60.0, f64::from(j) / 60.0);
+                    best = best.min(p.distance(t[0] * (1.0 - u - v) + t[1] * u + t[2] * v));
+                }
+            }
+            let d = point_triangle_distance(p, t);
+            assert!(d <= best + 1e-12 && d > best - 0.02, "{d} {best}");
+        }
+    }
+}

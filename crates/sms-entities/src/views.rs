@@ -1,0 +1,121 @@
+//! What the cameras say about a point in space: seen as surface, seen through, hidden.
+
+use glamx::DVec3;
+use sms_core::Labels;
+use sms_frames::Sequence;
+
+/// How one frame sees a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sight {
+    /// The measured surface is at the point; the label there.
+    Surface(u16),
+    /// The camera looks through the point at something farther away.
+    Free,
+    /// Something nearer hides it.
+    Hidden,
+    /// Outside the image, or nothing measured.
+    Unknown,
+}
+
+/// The frames with their labels.
+pub(crate) struct Views<'a> {
+    pub(crate) sequence: &'a Sequence,
+    pub(crate) labels: &'a Labels,
+}
+
+/// Depth noise (one standard deviation, metres) expected at depth `z`: that of common stereo and structured-light
+/// cameras. It grows with the square of depth.
+pub(crate) fn depth_sigma(z: f64) -> f64 {
+    0.0008 + 0.0015 * z * z
+}
+
+/// Difference in depth beyond which two surfaces are told apart, metres.
+pub(crate) fn depth_tolerance(z: f64) -> f64 {
+    (3.0 * depth_sigma(z)).max(0.004)
+}
+
+/// Totals over all frames.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct SightCount {
+    /// Frames that measure a surface there with the label asked for.
+    pub(crate) own: usize,
+    /// Frames that measure a surface there with another label.
+    pub(crate) other: usize,
+    /// Frames that look through.
+    pub(crate) free: usize,
+    /// Sum of unit directions from the point to the cameras that measure a surface there.
+    pub(crate) towards: DVec3,
+}
+
+impl Views<'_> {
+    /// How frame `f` sees `p_w`; `slack` widens the tolerance, in metres.
+    pub(crate) fn sight(&self, f: usize, p_w: DVec3, slack: f64) -> Sight {
+        let frame = &self.sequence.frames[f];
+        let Some((u, v, z)) = frame.camera.project(p_w) else { return Sight::Unknown };
+        let Some((x, y)) = frame.camera.pixel_at(u, v) else { return Sight::Unknown };
+        let depth = f64::from(frame.depth[(x, y)]);
+        if depth <= 0.0 {
+            return Sight::Unknown;
+        }
+        let tolerance = depth_tolerance(z) + slack;
+        if depth > z + tolerance {
+            Sight::Free
+        } else if depth < z - tolerance {
+            Sight::Hidden
+        } else {
+            Sight::Surface(self.labels.maps[f][(x, y)])
+        }
+    }
+
+    /// How all frames see `p_w`, for an object with this label.
+    pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
+        let mut count = SightCount::default();
+        for f in 0..self.sequence.frames.len() {
+            match self.sight(f, p_w, 0.0) {
+                Sight::Surface(seen) => {
+                    if seen == label {
+                        count.own += 1;
+                    } else {
+                        count.other += 1;
+                    }
+                    let eye = self.sequence.frames[f].camera.center_w();
+                    count.towards += (eye - p_w).normalize_or_zero();
+                }
+                Sight::Free => count.free += 1,
+                Sight::Hidden | Sight::Unknown => {}
+            }
+        }
+        count
+    }
+
+    /// Median signed distance along `normal` from `p_w` to the surface that frames measure at its pixel, over frames
+    /// that label it `label`; `None` with fewer than `min_frames`.
+    pub(crate) fn surface_offset(
+        &self,
+        p_w: DVec3,
+        normal: DVec3,
+        label: u16,
+        limit: f64,
+        min_frames: usize,
+    ) -> Option<f64> {
+        let mut offsets = Vec::new();
+        for (f, frame) in self.sequence.frames.iter().enumerate() {
+            let Some((u, v, _)) = frame.camera.project(p_w) else { continue };
+            let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
+            let depth = f64::from(frame.depth[(x, y)]);
+            let towards = (frame.camera.center_w() - p_w).normalize_or_zero();
+            // At a grazing view a pixel's width turns into a large error along the normal.
+            if depth <= 0.0 || self.labels.maps[f][(x, y)] != label || towards.dot(normal) < 0.35 {
+                continue;
+            }
+            // The measured point belongs to the pixel's centre: carry it to p's own ray along the tangent plane by
+            // comparing along the normal only.
+            let measured = frame.camera.unproject_pixel(x, y, depth);
+            let offset = (measured - p_w).dot(normal);
+            if offset.abs() < limit {
+                offsets.push(offset);
+            }
+        }
+        (offsets.len() >= min_frames).then(|| crate::grid::median(offsets))
+    }
+}
