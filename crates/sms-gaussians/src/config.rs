@@ -69,6 +69,8 @@ pub enum DepthTerm {
     /// Σ zαT / Σ αT, with the divisor held constant in the gradient: a low opacity does not read as near.
     #[default]
     Normalized,
+    /// Σ zαT / Σ αT with the gradient of the whole quotient.
+    Quotient,
     /// Σ zαT, as the paper writes it.
     Accumulated,
 }

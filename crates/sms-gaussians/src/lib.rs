@@ -7,7 +7,7 @@ pub mod parameters;
 mod trainer;
 
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
-pub use cpu::CpuTrainer;
+pub use cpu::{CpuTrainer, StepTimes};
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM};
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError,

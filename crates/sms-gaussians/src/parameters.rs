@@ -114,8 +114,8 @@ fn row_of(s: &Seedling) -> Option<Row> {
     }
     let opacity = s.opacity.clamp(1e-5, 1.0 - 1e-5);
     row[LOGIT_OPACITY] = (opacity / (1.0 - opacity)).ln();
-    row[COLOR..COLOR + 3].copy_from_slice(&s.color);
-    row[AFFINITY..PARAMETERS].copy_from_slice(&s.affinity);
+    row[COLOR..COLOR + 3].copy_from_slice(&s.color.map(|c| c.clamp(-1.0, 2.0)));
+    row[AFFINITY..PARAMETERS].copy_from_slice(&s.affinity.map(|a| a.clamp(-100.0, 100.0)));
     row.iter().all(|v| v.is_finite()).then_some(Row(row))
 }
 

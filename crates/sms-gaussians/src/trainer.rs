@@ -5,6 +5,7 @@
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel};
 use glamx::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
 use sms_core::{Camera, CoreError};
 
 /// One observed view, at training resolution. All buffers are row-major with `camera.intrinsics` size.
@@ -40,7 +41,7 @@ pub struct Seedling {
 }
 
 /// Each term of the loss (paper, Section "Scan"), unweighted sums already averaged as in the paper.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossTerms {
     /// Mean absolute colour error.
     pub color_l1: f32,

@@ -1,31 +1,130 @@
-//! The CPU back end.
+//! The CPU back end: [`CpuTrainer`].
+//!
+//! A step runs over fixed bands of 8×8 tiles in parallel (`engine`); the kernels are written once against eight lanes
+//! (`lanes`) and compiled for the baseline and for AVX2 with FMA. Sums are taken in a fixed order, so that results do
+//! not depend on the number of threads.
+
+mod adam;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+mod bands;
+mod engine;
+mod lanes;
+mod losses;
+mod perceptron;
+mod project;
+mod raster;
+mod ssim;
+mod target;
 
 use crate::parameters::{LOGIT_OPACITY, POSITION, Parameters, sigmoid};
 use crate::{
-    Classifier, FrameId, GaussianModel, RenderedMaps, Seedling, StepStats, TrainConfig, TrainFrame,
-    TrainState, Trainer, TrainerError,
+    Classifier, FrameId, GaussianModel, LossTerms, RenderedMaps, Seedling, StepStats, TrainConfig,
+    TrainFrame, TrainState, Trainer, TrainerError,
 };
+use bands::BAND_TILES;
+pub use bands::StepTimes;
+use engine::Engine;
 use glamx::Vec3;
+use lanes::Simd;
+use losses::DEPTH_OPACITY_MIN;
+use project::View;
+use raster::{COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, TILE, TileImage};
+use rayon::prelude::*;
 use sms_core::{Camera, Seed};
+use std::time::Instant;
+use target::Target;
+
+/// Gaussians handled at once by the optimiser.
+const GAUSSIANS: usize = 256;
 
 /// [`Trainer`] on the CPU.
+///
+/// Only Gaussians that reach a pixel of the step's view are moved: their moments, step counts and regularisers stay
+/// out of steps that cannot see them.
 pub struct CpuTrainer {
     config: TrainConfig,
     parameters: Parameters,
-    frames: Vec<TrainFrame>,
+    targets: Vec<Target>,
+    engine: Engine,
+    times: StepTimes,
 }
 
 impl CpuTrainer {
     /// A trainer without Gaussians for `classes` classes, the background included; the classifier starts from `seed`.
     pub fn new(config: &TrainConfig, classes: usize, seed: Seed) -> Self {
-        Self { config: *config, parameters: Parameters::new(classes, seed), frames: Vec::new() }
+        Self::with_simd(config, classes, seed, Simd::detect())
+    }
+
+    /// The same without instructions beyond the target's baseline, to compare with.
+    pub fn portable(config: &TrainConfig, classes: usize, seed: Seed) -> Self {
+        Self::with_simd(config, classes, seed, Simd::portable())
+    }
+
+    fn with_simd(config: &TrainConfig, classes: usize, seed: Seed, simd: Simd) -> Self {
+        let classes = classes.max(1);
+        Self {
+            config: *config,
+            parameters: Parameters::new(classes, seed),
+            targets: Vec::new(),
+            engine: Engine::new(simd, classes),
+            times: StepTimes::default(),
+        }
+    }
+
+    /// CPU seconds spent in each part of all steps so far.
+    pub fn times(&self) -> StepTimes {
+        self.times
+    }
+
+    /// Loss terms of a frame; the gradients are left in the engine.
+    fn differentiate(&mut self, frame: FrameId) -> LossTerms {
+        self.engine.differentiate(&self.parameters, &self.targets[frame], &self.config)
+    }
+
+    fn step(&mut self, frame: FrameId) -> LossTerms {
+        let terms = self.differentiate(frame);
+        let start = Instant::now();
+        let Parameters { rows, first, second, steps, classifier } = &mut self.parameters;
+        let Engine { simd, gradients, seen, classifier_gradient, .. } = &self.engine;
+        let rates = adam::rates_of_row(&self.config.rates);
+        rows.par_chunks_mut(GAUSSIANS)
+            .zip(first.par_chunks_mut(GAUSSIANS))
+            .zip(second.par_chunks_mut(GAUSSIANS))
+            .zip(steps.par_chunks_mut(GAUSSIANS))
+            .zip(gradients.par_chunks(GAUSSIANS))
+            .zip(seen.par_chunks(GAUSSIANS))
+            .for_each(|(((((rows, first), second), steps), gradients), seen)| {
+                adam::descend_rows(*simd, rows, first, second, steps, gradients, seen, &rates);
+            });
+        if self.config.weights.segmentation > 0.0 && self.targets[frame].labelled > 0 {
+            adam::descend_classifier(classifier, classifier_gradient, self.config.rates.classifier);
+        }
+        self.times.add(&self.engine.times);
+        self.times.adam += start.elapsed().as_secs_f64();
+        terms
     }
 }
 
+/// Adds `terms` to `sum`, each divided by `count`.
+fn add_share(sum: &mut LossTerms, terms: &LossTerms, count: usize) {
+    let share = 1.0 / count as f32;
+    sum.color_l1 += terms.color_l1 * share;
+    sum.dssim += terms.dssim * share;
+    sum.isotropic += terms.isotropic * share;
+    sum.depth += terms.depth * share;
+    sum.normal += terms.normal * share;
+    sum.flat += terms.flat * share;
+    sum.segmentation += terms.segmentation * share;
+    sum.total += terms.total * share;
+}
+
 impl Trainer for CpuTrainer {
+    /// # Panics
+    /// When a buffer of the frame has another size than the camera's image.
     fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
-        self.frames.push(frame);
-        self.frames.len() - 1
+        self.targets.push(Target::new(&frame, self.parameters.classifier.classes));
+        self.targets.len() - 1
     }
 
     fn len(&self) -> usize {
@@ -40,22 +139,56 @@ impl Trainer for CpuTrainer {
         self.parameters.retain(mask);
     }
 
-    fn steps(&mut self, _frames: &[FrameId]) -> StepStats {
-        let _ = self.config;
-        StepStats::default()
+    /// # Panics
+    /// When a frame was not added.
+    fn steps(&mut self, frames: &[FrameId]) -> StepStats {
+        let mut stats = StepStats::default();
+        for &frame in frames {
+            let terms = self.step(frame);
+            add_share(&mut stats.loss, &terms, frames.len());
+            stats.steps += 1;
+        }
+        stats
     }
 
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        RenderedMaps {
-            width,
-            height,
-            color: vec![[0.0; 3]; width * height],
-            alpha: vec![0.0; width * height],
-            depth: vec![0.0; width * height],
-            normal_w: vec![[0.0; 3]; width * height],
-            label: vec![0; width * height],
+        let view = View::new(camera);
+        self.engine.blend(&self.parameters, &view, None);
+        let Engine { simd, grid, tiles, bands, .. } = &mut self.engine;
+        let (simd, grid) = (*simd, *grid);
+        let c = &self.parameters.classifier;
+        let weights = perceptron::Weights::new(c.classes, &c.values);
+        let pixels = view.width * view.height;
+        let mut maps = RenderedMaps {
+            width: view.width,
+            height: view.height,
+            color: vec![[0.0; 3]; pixels],
+            alpha: vec![0.0; pixels],
+            depth: vec![0.0; pixels],
+            normal_w: vec![[0.0; 3]; pixels],
+            label: vec![0; pixels],
+        };
+        let mut labels = vec![[0u16; TILE * TILE]; tiles.len()];
+        bands
+            .par_iter_mut()
+            .zip(tiles.par_chunks(BAND_TILES * grid.columns))
+            .zip(labels.par_chunks_mut(BAND_TILES * grid.columns))
+            .for_each(|((band, tiles), labels)| {
+                for (image, labels) in tiles.iter().zip(labels) {
+                    perceptron::tile_labels(simd, &weights, image, &mut band.perceptron, labels);
+                }
+            });
+        for (tile, (image, labels)) in tiles.iter().zip(&labels).enumerate() {
+            let place = grid.place(tile);
+            for y in 0..place.rows {
+                for x in 0..place.columns {
+                    let i = (place.y as usize + y) * view.width + place.x as usize + x;
+                    read_pixel(image, (x, y), i, &mut maps);
+                    maps.label[i] = labels[y * TILE + x];
+                }
+            }
         }
+        maps
     }
 
     fn opacities(&self) -> Vec<f32> {
@@ -90,3 +223,16 @@ impl Trainer for CpuTrainer {
         Ok(())
     }
 }
+
+/// Copies one pixel of a tile into the maps.
+fn read_pixel(image: &TileImage, (x, y): (usize, usize), i: usize, maps: &mut RenderedMaps) {
+    let channel = |c: usize| image.channels[c].0[y][x];
+    let alpha = 1.0 - image.transmittance.0[y][x];
+    maps.color[i] = [0, 1, 2].map(|c| channel(COLOR_CHANNEL + c));
+    maps.normal_w[i] = [0, 1, 2].map(|c| channel(NORMAL_CHANNEL + c));
+    maps.alpha[i] = alpha;
+    maps.depth[i] = if alpha > DEPTH_OPACITY_MIN as f32 { channel(DEPTH_CHANNEL) / alpha } else { 0.0 };
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,131 @@
+//! Adam (Kingma and Ba 2015), taken only by Gaussians that the step has seen, each with its own step count.
+
+use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
+use crate::LearningRates;
+use crate::parameters::{
+    AFFINITY, COLOR, ClassifierState, LOG_SCALE, LOGIT_LIMIT, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION,
+    ROW, Row, SCALE_RANGE,
+};
+
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+const EPSILON: f32 = 1e-15;
+/// Moments below these are set to zero before they become subnormal, which would slow every later step.
+const FIRST_MIN: f32 = 1e-30;
+const SECOND_MIN: f32 = 1e-36;
+/// Gradients are cut off here so that their squares stay finite.
+const GRADIENT_MAX: f32 = 1e12;
+
+/// The learning rate of each entry of a row.
+pub(super) fn rates_of_row(rates: &LearningRates) -> Row {
+    let mut row = [0.0; ROW];
+    row[POSITION..ROTATION].fill(rates.position);
+    row[ROTATION..LOG_SCALE].fill(rates.rotation);
+    row[LOG_SCALE..LOGIT_OPACITY].fill(rates.log_scale);
+    row[LOGIT_OPACITY] = rates.opacity;
+    row[COLOR..AFFINITY].fill(rates.color);
+    row[AFFINITY..PARAMETERS].fill(rates.affinity);
+    Row(row)
+}
+
+#[inline(always)]
+fn update<L: Lanes>(
+    value: &mut Chunk,
+    first: &mut Chunk,
+    second: &mut Chunk,
+    gradient: &Chunk,
+    rate: &Chunk,
+    (correction1, correction2): (f32, f32),
+) {
+    let limit = L::splat(GRADIENT_MAX);
+    let g = L::load(gradient).min(limit).max(L::splat(-GRADIENT_MAX));
+    let m = L::splat(1.0 - BETA1).mul_add(g, L::splat(BETA1) * L::load(first));
+    let v = L::splat(1.0 - BETA2).mul_add(g * g, L::splat(BETA2) * L::load(second));
+    let m = m.and(m.abs().gt(L::splat(FIRST_MIN)));
+    let v = v.and(v.gt(L::splat(SECOND_MIN)));
+    m.store(first);
+    v.store(second);
+    let denominator = (v * L::splat(correction2)).sqrt() + L::splat(EPSILON);
+    let step = L::load(rate) * m * L::splat(correction1) / denominator;
+    (L::load(value) - step).store(value);
+}
+
+fn corrections(steps: u32) -> (f32, f32) {
+    let t = steps.min(1_000_000) as i32;
+    (1.0 / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)))
+}
+
+/// Takes one step with each of `rows` that was seen. A row whose gradient is not finite is left as it is.
+#[inline(always)]
+fn descend<L: Lanes>(
+    rows: &mut [Row],
+    first: &mut [Row],
+    second: &mut [Row],
+    steps: &mut [u32],
+    gradients: &[Row],
+    seen: &[bool],
+    rates: &Row,
+) {
+    for i in 0..rows.len() {
+        if !seen[i] || !gradients[i].0.iter().all(|g| g.is_finite()) {
+            continue;
+        }
+        let mut row = rows[i];
+        steps[i] += 1;
+        let correction = corrections(steps[i]);
+        let (values, _) = row.0.as_chunks_mut::<WIDTH>();
+        let (m, _) = first[i].0.as_chunks_mut::<WIDTH>();
+        let (v, _) = second[i].0.as_chunks_mut::<WIDTH>();
+        let (g, _) = gradients[i].0.as_chunks::<WIDTH>();
+        let (rate, _) = rates.0.as_chunks::<WIDTH>();
+        for k in 0..ROW / WIDTH {
+            update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], &rate[k], correction);
+        }
+        if constrain(&mut row) {
+            rows[i] = row;
+        } else {
+            (first[i], second[i], steps[i]) = (Row::ZERO, Row::ZERO, 0);
+        }
+    }
+}
+
+/// Brings a row back to unit rotation and into range; false where it cannot be.
+fn constrain(row: &mut Row) -> bool {
+    let row = &mut row.0;
+    let squared: f32 = row[ROTATION..LOG_SCALE].iter().map(|v| v * v).sum();
+    if !(row.iter().all(|v| v.is_finite()) && squared > 1e-12) {
+        return false;
+    }
+    let length = squared.sqrt();
+    row[ROTATION..LOG_SCALE].iter_mut().for_each(|v| *v /= length);
+    let (low, high) = (SCALE_RANGE.0.ln(), SCALE_RANGE.1.ln());
+    row[LOG_SCALE..LOGIT_OPACITY].iter_mut().for_each(|v| *v = v.clamp(low, high));
+    row[LOGIT_OPACITY] = row[LOGIT_OPACITY].clamp(-LOGIT_LIMIT, LOGIT_LIMIT);
+    true
+}
+
+by_simd! {
+    /// One Adam step of a chunk of Gaussians.
+    fn descend_rows = descend(
+        rows: &mut [Row], first: &mut [Row], second: &mut [Row], steps: &mut [u32], gradients: &[Row],
+        seen: &[bool], rates: &Row,
+    )
+}
+
+/// One Adam step of the classifier; none where a gradient is not finite.
+pub(super) fn descend_classifier(state: &mut ClassifierState, gradient: &[f32], rate: f32) {
+    if !gradient.iter().all(|g| g.is_finite()) {
+        return;
+    }
+    state.steps += 1;
+    let (correction1, correction2) = corrections(state.steps);
+    for (i, &g) in gradient.iter().enumerate() {
+        let g = g.clamp(-GRADIENT_MAX, GRADIENT_MAX);
+        let m = BETA1 * state.first[i] + (1.0 - BETA1) * g;
+        let v = BETA2 * state.second[i] + (1.0 - BETA2) * g * g;
+        state.first[i] = if m.abs() > FIRST_MIN { m } else { 0.0 };
+        state.second[i] = if v > SECOND_MIN { v } else { 0.0 };
+        let step = rate * state.first[i] * correction1 / ((state.second[i] * correction2).sqrt() + EPSILON);
+        state.values[i] -= step;
+    }
+}

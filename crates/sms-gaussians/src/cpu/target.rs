@@ -1,0 +1,116 @@
+//! An observed view in the order the tile kernels read it, with unusable pixels marked.
+
+use super::project::View;
+use super::raster::{Plane, TILE, TilePlace};
+use crate::TrainFrame;
+
+/// Tiles of an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Grid {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+impl Grid {
+    pub(super) fn new(width: usize, height: usize) -> Self {
+        Self { width, height, columns: width.div_ceil(TILE), rows: height.div_ceil(TILE) }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    pub(super) fn place(&self, tile: usize) -> TilePlace {
+        let (x, y) = (tile % self.columns * TILE, tile / self.columns * TILE);
+        TilePlace {
+            x: x as f32,
+            y: y as f32,
+            columns: (self.width - x).min(TILE),
+            rows: (self.height - y).min(TILE),
+        }
+    }
+}
+
+/// What was observed in one tile.
+#[derive(Clone)]
+pub(super) struct TargetTile {
+    /// Colour; NaN where it must not be used.
+    pub(super) color: [Plane; 3],
+    /// Depth in metres, 0 where it must not be used.
+    pub(super) depth: Plane,
+    /// Normals in the world, zero where they must not be used.
+    pub(super) normal: [Plane; 3],
+    /// Labels, `u16::MAX` where they must not be used.
+    pub(super) label: [u16; TILE * TILE],
+}
+
+/// An observed view.
+pub(super) struct Target {
+    pub(super) view: View,
+    pub(super) grid: Grid,
+    pub(super) tiles: Vec<TargetTile>,
+    /// Pixels with colour.
+    pub(super) colored: usize,
+    /// Pixels with depth.
+    pub(super) deep: usize,
+    /// Pixels with a normal.
+    pub(super) oriented: usize,
+    /// Pixels with a label.
+    pub(super) labelled: usize,
+}
+
+/// Measured depths beyond this are not believed, metres.
+const DEPTH_MAX: f32 = 1e3;
+
+impl Target {
+    /// Orders a frame by tiles. A pixel whose colour, depth or normal is not finite is left out of that term, and a
+    /// label that is not below `classes` out of the segmentation.
+    ///
+    /// # Panics
+    /// When a buffer has another size than the camera's image.
+    pub(super) fn new(frame: &TrainFrame, classes: usize) -> Self {
+        let (width, height) = (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
+        let pixels = width * height;
+        let sizes = [frame.color.len(), frame.depth.len(), frame.normal_w.len(), frame.label.len()];
+        assert_eq!(sizes, [pixels; 4], "every buffer has one entry per pixel of the camera");
+        let grid = Grid::new(width, height);
+        let unusable = TargetTile {
+            color: [Plane([[f32::NAN; TILE]; TILE]); 3],
+            depth: Plane::ZERO,
+            normal: [Plane::ZERO; 3],
+            label: [u16::MAX; TILE * TILE],
+        };
+        let mut tiles = vec![unusable; grid.len()];
+        let (mut colored, mut deep, mut oriented, mut labelled) = (0, 0, 0, 0);
+        for y in 0..height {
+            for x in 0..width {
+                let i = y * width + x;
+                let tile = &mut tiles[y / TILE * grid.columns + x / TILE];
+                let (row, column) = (y % TILE, x % TILE);
+                let (color, depth, normal) = (frame.color[i], frame.depth[i], frame.normal_w[i]);
+                // Colours far outside 0..1 can only be damage; they would overflow the sums.
+                if color.iter().all(|c| c.abs() <= 1e3) {
+                    colored += 1;
+                    (0..3).for_each(|c| tile.color[c].0[row][column] = color[c]);
+                }
+                if depth > 0.0 && depth <= DEPTH_MAX {
+                    deep += 1;
+                    tile.depth.0[row][column] = depth;
+                }
+                let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
+                if (length - 1.0).abs() < 0.5 {
+                    oriented += 1;
+                    (0..3).for_each(|c| tile.normal[c].0[row][column] = normal[c]);
+                }
+                if usize::from(frame.label[i]) < classes {
+                    labelled += 1;
+                    tile.label[row * TILE + column] = frame.label[i];
+                }
+            }
+        }
+        let view = View::new(&frame.camera);
+        Self { view, grid, tiles, colored, deep, oriented, labelled }
+    }
+}

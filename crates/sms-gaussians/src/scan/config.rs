@@ -1,0 +1,201 @@
+//! Settings of the scan.
+
+use crate::TrainConfig;
+use serde::{Deserialize, Serialize};
+use sms_frames::DepthNoise;
+
+/// How much time a scan may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// For trying things out.
+    Draft,
+    /// The default: a quarter of the paper's camera.
+    #[default]
+    Standard,
+    /// The paper's half resolution.
+    Fine,
+}
+
+impl Preset {
+    /// Longer side of the frames in pixels.
+    pub fn long_side(self) -> usize {
+        match self {
+            Self::Draft => 200,
+            Self::Standard => 320,
+            Self::Fine => 640,
+        }
+    }
+}
+
+impl std::str::FromStr for Preset {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "draft" => Ok(Self::Draft),
+            "standard" => Ok(Self::Standard),
+            "fine" => Ok(Self::Fine),
+            other => Err(format!("no preset is called `{other}`; there are draft, standard and fine")),
+        }
+    }
+}
+
+/// Where and how Gaussians are seeded (paper, Section "Scan").
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SeedingConfig {
+    /// Distance between neighbouring Gaussians in pixels of the frame that seeds them.
+    pub spacing_px: f64,
+    /// The same on edges of colour or depth, as a share of `spacing_px`.
+    pub edge_spacing: f64,
+    /// Change of brightness (0..1, Sobel, per pixel) from which a pixel counts as an edge.
+    pub edge_threshold: f32,
+    /// Frames after the first seed where the accumulated opacity is below this …
+    pub alpha_below: f32,
+    /// … or where the rendered depth is behind the measured one by more than this (metres) …
+    pub min_tolerance_m: f64,
+    /// … and by more than so many standard deviations of the depth noise.
+    pub tolerance_sigmas: f64,
+    /// No Gaussian is seeded within this radius (metres) of another one, nor within the spacing.
+    pub radius_m: f64,
+    /// In-plane standard deviation of a new disc as a share of the spacing.
+    pub sigma_of_spacing: f64,
+    /// Thickness of a new disc as a share of its in-plane standard deviation.
+    pub thickness: f64,
+    /// Opacity of a new Gaussian.
+    pub opacity: f32,
+    /// Surfaces seen at a smaller cosine between normal and ray are left to other frames.
+    pub min_cosine: f64,
+}
+
+impl Default for SeedingConfig {
+    fn default() -> Self {
+        Self {
+            spacing_px: 2.5,
+            edge_spacing: 0.7,
+            edge_threshold: 0.08,
+            alpha_below: 0.6,
+            min_tolerance_m: 0.005,
+            tolerance_sigmas: 3.0,
+            radius_m: 0.0005,
+            sigma_of_spacing: 0.6,
+            thickness: 0.1,
+            opacity: 0.5,
+            min_cosine: 0.2,
+        }
+    }
+}
+
+/// Which Gaussians are removed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PruningConfig {
+    /// Gaussians below this opacity are removed halfway through a frame and at its end.
+    pub opacity_below: f32,
+    /// Remove Gaussians that stand in front of the measured depth by more than the seeding tolerance.
+    pub floaters: bool,
+}
+
+impl Default for PruningConfig {
+    fn default() -> Self {
+        Self { opacity_below: 0.1, floaters: true }
+    }
+}
+
+/// When a frame is done before its steps are used up.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StopConfig {
+    /// Whether frames stop early at all.
+    pub enabled: bool,
+    /// Batches whose mean losses are compared with those of as many batches before.
+    pub window: usize,
+    /// A frame is done when its loss falls by less than this share from one window to the next.
+    pub min_gain: f32,
+}
+
+impl Default for StopConfig {
+    fn default() -> Self {
+        Self { enabled: true, window: 3, min_gain: 0.02 }
+    }
+}
+
+/// Settings of the scan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ScanConfig {
+    /// Most steps on the first frame.
+    pub steps_first: usize,
+    /// Most steps on each later frame.
+    pub steps_frame: usize,
+    /// Most steps over all frames together at the end.
+    pub final_steps: usize,
+    /// Steps between looks at the clock, at the losses and at requests to stop.
+    pub batch_steps: usize,
+    /// Share of a frame's steps taken on the frame itself; the rest replays earlier ones.
+    pub current_share: f64,
+    /// Seeding.
+    pub seeding: SeedingConfig,
+    /// Pruning.
+    pub pruning: PruningConfig,
+    /// Early stopping.
+    pub stop: StopConfig,
+    /// Depth noise of the sensor.
+    pub noise: DepthNoise,
+    /// No more Gaussians than this.
+    pub max_gaussians: usize,
+    /// Every `holdout`-th frame is kept out of training and seeding and used to measure quality; 0 for none.
+    pub holdout: usize,
+    /// Seconds between checkpoints within a frame; there is one after every frame as well.
+    pub checkpoint_seconds: f64,
+    /// Losses and learning rates.
+    pub train: TrainConfig,
+}
+
+impl Default for ScanConfig {
+    fn default() -> Self {
+        Self {
+            steps_first: 1000,
+            steps_frame: 100,
+            final_steps: 600,
+            batch_steps: 10,
+            current_share: 0.4,
+            seeding: SeedingConfig::default(),
+            pruning: PruningConfig::default(),
+            stop: StopConfig::default(),
+            noise: DepthNoise::default(),
+            max_gaussians: 50_000,
+            holdout: 0,
+            checkpoint_seconds: 5.0,
+            train: TrainConfig::default(),
+        }
+    }
+}
+
+impl ScanConfig {
+    /// The settings of a preset.
+    pub fn preset(preset: Preset) -> Self {
+        let standard = Self::default();
+        match preset {
+            Preset::Draft => Self {
+                steps_first: 200,
+                steps_frame: 30,
+                final_steps: 200,
+                seeding: SeedingConfig { spacing_px: 2.5, ..standard.seeding },
+                ..standard
+            },
+            Preset::Standard => standard,
+            Preset::Fine => Self {
+                final_steps: 2000,
+                seeding: SeedingConfig { spacing_px: 3.0, ..standard.seeding },
+                ..standard
+            },
+        }
+    }
+
+    /// Difference in depth at depth `z_m` beyond which two surfaces are told apart, metres.
+    pub fn tolerance_m(&self, z_m: f64) -> f64 {
+        self.seeding.min_tolerance_m.max(self.seeding.tolerance_sigmas * self.noise.sigma_m(z_m))
+    }
+}

@@ -1,0 +1,18 @@
+//! Errors of the scan.
+
+use crate::TrainerError;
+use sms_core::{CoreError, InputError};
+
+/// What can go wrong in a scan.
+#[derive(Debug, thiserror::Error)]
+pub enum ScanError {
+    /// Bad input by the user.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// Files, or an interruption ([`CoreError::Interrupted`]) after which the scan can be resumed.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The back end failed.
+    #[error(transparent)]
+    Trainer(#[from] TrainerError),
+}

@@ -1,0 +1,174 @@
+//! How well rendered views agree with what was observed.
+
+use crate::RenderedMaps;
+use serde::{Deserialize, Serialize};
+use sms_core::LabelMap;
+use sms_core::metrics::Metrics;
+use sms_frames::Frame;
+
+/// Accumulated opacity from which a pixel counts as explained by the Gaussians.
+const COVERED: f32 = 0.5;
+
+/// Agreement of one rendered view with its frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ViewScore {
+    /// The frame's index in the sequence.
+    pub frame_index: usize,
+    /// Whether it was kept out of training.
+    pub held_out: bool,
+    /// Peak signal-to-noise ratio of the colour over all pixels, decibels.
+    pub psnr_db: f64,
+    /// The same over pixels with measured depth: Gaussians are only seeded where there is depth.
+    pub psnr_measured_db: f64,
+    /// Mean absolute depth error over pixels that have measured depth and are covered by Gaussians, metres.
+    pub depth_mae_m: f64,
+    /// Median of the same: silhouettes, where a fraction of a pixel is a jump, do not count in it.
+    pub depth_median_m: f64,
+    /// Share of the pixels with measured depth that Gaussians cover.
+    pub coverage: f64,
+}
+
+/// Scores one view.
+pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> ViewScore {
+    let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
+    let mut errors = Vec::new();
+    for i in 0..maps.color.len() {
+        let squared: f64 = (0..3)
+            .map(|c| {
+                let observed = f64::from(frame.color.data[i][c]) / 255.0;
+                (f64::from(maps.color[i][c].clamp(0.0, 1.0)) - observed).powi(2)
+            })
+            .sum();
+        all = (all.0 + squared, all.1 + 3);
+        let depth = frame.depth.data[i];
+        if depth > 0.0 {
+            at_depth = (at_depth.0 + squared, at_depth.1 + 3);
+            if maps.alpha[i] >= COVERED {
+                errors.push(f64::from((maps.depth[i] - depth).abs()));
+            }
+        }
+    }
+    let psnr = |(sum, count): (f64, usize)| -10.0 * (sum / count.max(1) as f64).max(1e-10).log10();
+    let coverage = errors.len() as f64 / (at_depth.1 / 3).max(1) as f64;
+    let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
+    let middle = errors.len() / 2;
+    let depth_median_m = if errors.is_empty() {
+        f64::NAN
+    } else {
+        *errors.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    ViewScore {
+        frame_index: frame.index,
+        held_out,
+        psnr_db: psnr(all),
+        psnr_measured_db: psnr(at_depth),
+        depth_mae_m,
+        depth_median_m,
+        coverage,
+    }
+}
+
+/// Pixel counts of rendered against observed labels.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Confusion {
+    classes: usize,
+    counts: Vec<u64>,
+}
+
+impl Confusion {
+    pub(crate) fn new(classes: usize) -> Self {
+        Self { classes, counts: vec![0; classes * classes] }
+    }
+
+    /// Counts one view. Pixels without any Gaussian count as background.
+    pub(crate) fn add(&mut self, maps: &RenderedMaps, observed: &LabelMap) {
+        for (i, &truth) in observed.data.iter().enumerate() {
+            let rendered = if maps.alpha[i] >= COVERED { usize::from(maps.label[i]) } else { 0 };
+            if usize::from(truth) < self.classes && rendered < self.classes {
+                self.counts[usize::from(truth) * self.classes + rendered] += 1;
+            }
+        }
+    }
+
+    /// Mean over the classes that occur of intersection over union; `None` when nothing was counted.
+    pub(crate) fn mean_iou(&self) -> Option<f64> {
+        let n = self.classes;
+        let ious: Vec<f64> = (0..n)
+            .filter_map(|k| {
+                let both = self.counts[k * n + k];
+                let truth: u64 = (0..n).map(|j| self.counts[k * n + j]).sum();
+                let rendered: u64 = (0..n).map(|j| self.counts[j * n + k]).sum();
+                let union = truth + rendered - both;
+                (union > 0).then(|| both as f64 / union as f64)
+            })
+            .collect();
+        (!ious.is_empty()).then(|| ious.iter().sum::<f64>() / ious.len() as f64)
+    }
+}
+
+/// Adds the means of a group of views under `scan.<group>_…`; nothing for an empty group.
+pub(crate) fn add_metrics(metrics: &mut Metrics, group: &str, views: &[ViewScore], miou: Option<f64>) {
+    if views.is_empty() {
+        return;
+    }
+    let mean = |value: fn(&ViewScore) -> f64| {
+        let finite: Vec<f64> = views.iter().map(value).filter(|v| v.is_finite()).collect();
+        finite.iter().sum::<f64>() / finite.len() as f64
+    };
+    metrics
+        .set(format!("scan.{group}_psnr_db"), mean(|v| v.psnr_db))
+        .set(format!("scan.{group}_psnr_measured_db"), mean(|v| v.psnr_measured_db))
+        .set(format!("scan.{group}_depth_mae_m"), mean(|v| v.depth_mae_m))
+        .set(format!("scan.{group}_depth_median_m"), mean(|v| v.depth_median_m))
+        .set(format!("scan.{group}_coverage"), mean(|v| v.coverage));
+    if let Some(miou) = miou {
+        metrics.set(format!("scan.{group}_miou"), miou);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use sms_core::{Camera, Image, Intrinsics};
+
+    #[test]
+    fn closed_forms_of_psnr_depth_error_and_coverage() {
+        let k = Intrinsics::from_fov(4, 2, 1.0);
+        let mut depth = Image::filled(4, 2, 1.0f32);
+        depth[(0, 0)] = 0.0;
+        let frame = Frame {
+            index: 5,
+            time_s: None,
+            camera: Camera::new(k, DPose3::identity()),
+            color: Image::filled(4, 2, [51, 51, 51]),
+            depth,
+            normal_c: Image::filled(4, 2, [0.0, 0.0, -1.0]),
+            color_path: "".into(),
+            mask_path: None,
+        };
+        let mut maps = RenderedMaps {
+            width: 4,
+            height: 2,
+            color: vec![[0.3; 3]; 8],
+            alpha: vec![1.0; 8],
+            depth: vec![1.002; 8],
+            normal_w: vec![[0.0; 3]; 8],
+            label: vec![1; 8],
+        };
+        maps.alpha[1] = 0.2;
+        maps.depth[2] = 1.1;
+        let score = score_view(&frame, &maps, true);
+        assert!((score.psnr_db - 20.0).abs() < 1e-5 && (score.psnr_measured_db - 20.0).abs() < 1e-5);
+        assert!((score.depth_median_m - 0.002).abs() < 1e-6);
+        assert!((score.depth_mae_m - (0.1 + 5.0 * 0.002) / 6.0).abs() < 1e-6);
+        assert!((score.coverage - 6.0 / 7.0).abs() < 1e-12);
+
+        let mut confusion = Confusion::new(2);
+        assert_eq!(confusion.mean_iou(), None);
+        let truth = Image::from_vec(4, 2, vec![1, 0, 1, 1, 1, 1, 0, 0]);
+        confusion.add(&maps, &truth);
+        // Class 1: 5 of 7 rendered or true; class 0: 1 of 3.
+        assert!((confusion.mean_iou().unwrap() - 0.5 * (5.0 / 7.0 + 1.0 / 3.0)).abs() < 1e-12);
+    }
+}

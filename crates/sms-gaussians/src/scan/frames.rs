@@ -1,0 +1,61 @@
+//! Frames as the trainer takes them.
+
+use crate::TrainFrame;
+use glamx::DVec3;
+use sms_core::{InputError, LabelMap, Labels};
+use sms_frames::{Frame, Sequence};
+
+/// A frame with its labels, normals carried to the world.
+pub(crate) fn train_frame(frame: &Frame, labels: &LabelMap) -> TrainFrame {
+    let rotation_wc = frame.camera.x_wc.rotation;
+    let to_world = |n: &[f32; 3]| (rotation_wc * DVec3::from_array(n.map(f64::from))).as_vec3().to_array();
+    TrainFrame {
+        camera: frame.camera,
+        color: frame.color.data.iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect(),
+        depth: frame.depth.data.clone(),
+        normal_w: frame.normal_c.data.iter().map(to_world).collect(),
+        label: labels.data.clone(),
+    }
+}
+
+/// Indices of the frames trained on, in order.
+pub(crate) fn trained_frames(sequence: &Sequence, holdout: usize) -> Vec<usize> {
+    (0..sequence.len()).filter(|&i| i == 0 || !Sequence::is_held_out(i, holdout)).collect()
+}
+
+/// Indices of the frames kept out.
+pub(crate) fn held_out_frames(sequence: &Sequence, holdout: usize) -> Vec<usize> {
+    (1..sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect()
+}
+
+/// What must hold before a scan can start.
+pub(crate) fn check_inputs(sequence: &Sequence, labels: &Labels, holdout: usize) -> Result<(), InputError> {
+    let refuse = |what: String, cure: &str| Err(InputError::new(what, &sequence.source, cure));
+    if sequence.is_empty() {
+        return refuse("there are no frames to scan".into(), "record at least one frame");
+    }
+    if labels.maps.len() != sequence.len() {
+        return refuse(
+            format!("there are {} label maps for {} frames", labels.maps.len(), sequence.len()),
+            "make the masks again, one for every frame",
+        );
+    }
+    for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
+        let k = &frame.camera.intrinsics;
+        let size = (k.width, k.height);
+        if [frame.color.size(), frame.depth.size(), frame.normal_c.size(), map.size()] != [size; 4] {
+            return refuse(
+                format!("colour, depth, normals and labels of frame {} differ in size", frame.index),
+                "load the recording and make the masks again at one resolution",
+            );
+        }
+    }
+    let trained = trained_frames(sequence, holdout);
+    if !trained.iter().any(|&i| sequence.frames[i].depth.data.iter().any(|&z| z > 0.0)) {
+        return refuse(
+            "no frame that is trained on has any depth".into(),
+            "record again with depth, or lower `holdout`",
+        );
+    }
+    Ok(())
+}

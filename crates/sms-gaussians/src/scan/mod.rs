@@ -1,0 +1,30 @@
+//! The scan: seeding, the sequential schedule with replay and pruning, early stopping, checkpoint and exact resume,
+//! evaluation on views kept out of training, and the model as a `.ply` (paper, Section "Scan").
+//!
+//! Everything here is written against the [`Trainer`](crate::Trainer) trait, once for every back end.
+
+mod checkpoint;
+mod config;
+mod error;
+mod evaluate;
+mod frames;
+mod losses;
+mod occupancy;
+mod ply;
+mod pruning;
+mod schedule;
+mod seeding;
+mod views;
+
+#[cfg(test)]
+mod fixture;
+#[cfg(test)]
+mod tests;
+
+pub use config::{Preset, PruningConfig, ScanConfig, SeedingConfig, StopConfig};
+pub use error::ScanError;
+pub use evaluate::ViewScore;
+pub use losses::LossSample;
+pub use ply::{classifier_path, read_ply, seedlings_of, write_ply};
+pub use schedule::{ScanResult, scan};
+pub use views::{ViewRender, render_views, render_views_with, state_of_model};

@@ -1,0 +1,285 @@
+//! The model as a standard 3D Gaussian Splatting `.ply`, which viewers open, with what viewers ignore: affinities,
+//! labels and their confidence as further properties, and the classifier in a file beside it.
+
+use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
+use glamx::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
+use sms_core::ply::{self, Column, VertexTable};
+use sms_core::{CoreError, InputError, atomic};
+use std::path::{Path, PathBuf};
+
+/// Value of the constant spherical harmonic, by which viewers turn `f_dc` into colour: c = 0.5 + SH_C0 · f_dc.
+const SH_C0: f32 = 0.282_094_8;
+/// Opacities are kept this far from 0 and 1, where the logit has none.
+const OPACITY_MARGIN: f32 = 1e-6;
+const EXPORT_AGAIN: &str = "run `sms scan` again, or give a 3D Gaussian Splatting PLY";
+
+/// The classifier's file beside a PLY: `scene.ply` has `scene.classifier.json`.
+pub fn classifier_path(ply: &Path) -> PathBuf {
+    ply.with_extension("classifier.json")
+}
+
+#[derive(Serialize, Deserialize)]
+struct ClassifierFile {
+    classes: usize,
+    w1: Vec<f32>,
+    b1: Vec<f32>,
+    w2: Vec<f32>,
+    b2: Vec<f32>,
+}
+
+/// Writes the model. Rotations are w, x, y, z, scales logarithms of metres, opacities logits, `nx ny nz` the disc's
+/// normal; the world is ours (metres, z up).
+///
+/// # Errors
+/// [`CoreError::Write`].
+pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
+    let c = &model.classifier;
+    let file = ClassifierFile {
+        classes: c.classes,
+        w1: c.w1.clone(),
+        b1: c.b1.clone(),
+        w2: c.w2.clone(),
+        b2: c.b2.clone(),
+    };
+    // The classifier first: a PLY never stands beside an older classifier.
+    atomic::write_json(&classifier_path(path), &file)?;
+    let column = |value: &dyn Fn(usize) -> f32| Column::F32((0..model.len()).map(value).collect());
+    let normals: Vec<Vec3> = (0..model.len()).map(|i| model.disc(i).0).collect();
+    let names = property_names();
+    let columns: Vec<(&str, Column)> = names
+        .iter()
+        .map(|name| {
+            let (stem, k) = split_index(name);
+            let values = match stem {
+                "x" => column(&|i| model.positions_w[i].x),
+                "y" => column(&|i| model.positions_w[i].y),
+                "z" => column(&|i| model.positions_w[i].z),
+                "nx" => column(&|i| normals[i].x),
+                "ny" => column(&|i| normals[i].y),
+                "nz" => column(&|i| normals[i].z),
+                "f_dc" => column(&|i| (model.colors[i][k] - 0.5) / SH_C0),
+                "opacity" => column(&|i| logit(model.opacities[i])),
+                "scale" => column(&|i| model.scales[i][k].ln()),
+                "rot" => column(&|i| wxyz(model.rotations_wg[i])[k]),
+                "affinity" => column(&|i| model.affinities[i][k]),
+                "label" => column(&|i| f32::from(model.labels[i])),
+                _ => column(&|i| model.label_confidence[i]),
+            };
+            (name.as_str(), values)
+        })
+        .collect();
+    ply::write(path, &["frame: world, metres, z up"], &columns)
+}
+
+/// All properties in order: the standard ones, then ours.
+fn property_names() -> Vec<String> {
+    let standard = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"];
+    let shape = ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    let affinities = (0..AFFINITY_DIM).map(|k| format!("affinity_{k}"));
+    let own = ["label", "confidence"].map(str::to_owned);
+    standard.into_iter().chain(shape).map(str::to_owned).chain(affinities).chain(own).collect()
+}
+
+/// `rot_2` → (`rot`, 2).
+fn split_index(name: &str) -> (&str, usize) {
+    let numbered = name.rsplit_once('_').and_then(|(stem, k)| Some((stem, k.parse().ok()?)));
+    numbered.unwrap_or((name, 0))
+}
+
+fn wxyz(q: Quat) -> [f32; 4] {
+    [q.w, q.x, q.y, q.z]
+}
+
+fn logit(opacity: f32) -> f32 {
+    let o = opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    (o / (1.0 - o)).ln()
+}
+
+/// Reads a model. Files of other programs have no affinities, labels or classifier; these are then zero and empty.
+///
+/// # Errors
+/// [`CoreError::Input`] when the file is not a Gaussian PLY, holds a number that is not finite, or its classifier is
+/// damaged; [`CoreError::Read`] when it cannot be read.
+pub fn read_ply(path: &Path) -> Result<GaussianModel, CoreError> {
+    let table = ply::read(path)?;
+    let mut model = GaussianModel::default();
+    let positions = columns(&table, path, ["x", "y", "z"])?;
+    let colors = columns(&table, path, ["f_dc_0", "f_dc_1", "f_dc_2"])?;
+    let [opacities] = columns(&table, path, ["opacity"])?;
+    let scales = columns(&table, path, ["scale_0", "scale_1", "scale_2"])?;
+    let rotations = columns(&table, path, ["rot_0", "rot_1", "rot_2", "rot_3"])?;
+    let affinity_names: [String; AFFINITY_DIM] = std::array::from_fn(|k| format!("affinity_{k}"));
+    let affinities = table
+        .column("affinity_0")
+        .map(|_| columns(&table, path, affinity_names.each_ref().map(String::as_str)))
+        .transpose()?;
+    let (labels, confidence) = (table.column("label"), table.column("confidence"));
+    for i in 0..table.len {
+        model.positions_w.push(Vec3::from_array(positions.map(|c| c[i] as f32)));
+        model.colors.push(colors.map(|c| 0.5 + SH_C0 * c[i] as f32));
+        model.opacities.push((1.0 / (1.0 + (-opacities[i]).exp())) as f32);
+        model.scales.push(Vec3::from_array(scales.map(|c| c[i].exp() as f32)));
+        let [w, x, y, z] = rotations.map(|c| c[i] as f32);
+        let q = Quat::from_xyzw(x, y, z, w);
+        model.rotations_wg.push(if q.length_squared() > 1e-12 { q.normalize() } else { Quat::IDENTITY });
+        model.affinities.push(affinities.map_or([0.0; AFFINITY_DIM], |a| a.map(|c| c[i] as f32)));
+        model.labels.push(labels.map_or(0, |c| c[i] as u16));
+        model.label_confidence.push(confidence.map_or(0.0, |c| c[i] as f32));
+    }
+    model.classifier = read_classifier(&classifier_path(path))?;
+    Ok(model)
+}
+
+fn columns<'a, const N: usize>(
+    table: &'a VertexTable,
+    path: &Path,
+    names: [&str; N],
+) -> Result<[&'a [f64]; N], CoreError> {
+    let mut found: [&[f64]; N] = [&[]; N];
+    for (slot, name) in found.iter_mut().zip(names) {
+        *slot = table.column(name).ok_or_else(|| {
+            InputError::new(format!("this PLY has no property `{name}`"), path, EXPORT_AGAIN)
+        })?;
+        if let Some(i) = slot.iter().position(|v| !v.is_finite()) {
+            return Err(InputError::new(
+                format!("`{name}` of Gaussian {i} in this PLY is not a finite number"),
+                path,
+                EXPORT_AGAIN,
+            )
+            .into());
+        }
+    }
+    Ok(found)
+}
+
+fn read_classifier(path: &Path) -> Result<Classifier, CoreError> {
+    if !path.exists() {
+        return Ok(Classifier::default());
+    }
+    let f: ClassifierFile = atomic::read_json(path)?;
+    let fits = f.classes == 0
+        || (f.w1.len() == HIDDEN_DIM * AFFINITY_DIM
+            && f.b1.len() == HIDDEN_DIM
+            && f.w2.len() == f.classes * HIDDEN_DIM
+            && f.b2.len() == f.classes);
+    if !fits {
+        let what = "the sizes in this classifier do not fit each other";
+        return Err(InputError::new(what, path, "run `sms scan` again").into());
+    }
+    Ok(Classifier { classes: f.classes, w1: f.w1, b1: f.b1, w2: f.w2, b2: f.b2 })
+}
+
+/// The Gaussians of a model as seedlings.
+pub fn seedlings_of(model: &GaussianModel) -> Vec<Seedling> {
+    (0..model.len())
+        .map(|i| Seedling {
+            position_w: model.positions_w[i],
+            rotation_wg: model.rotations_wg[i],
+            scale: model.scales[i],
+            opacity: model.opacities[i],
+            color: model.colors[i],
+            affinity: model.affinities[i],
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+    use sms_core::Seed;
+
+    fn model(n: usize) -> GaussianModel {
+        let mut rng = Seed(3).rng();
+        let mut draw = |low: f32, high: f32| rng.random_range(low..high);
+        let mut model = GaussianModel {
+            classifier: Classifier {
+                classes: 3,
+                w1: (0..HIDDEN_DIM * AFFINITY_DIM).map(|_| draw(-1.0, 1.0)).collect(),
+                b1: (0..HIDDEN_DIM).map(|_| draw(-1.0, 1.0)).collect(),
+                w2: (0..3 * HIDDEN_DIM).map(|_| draw(-1.0, 1.0)).collect(),
+                b2: (0..3).map(|_| draw(-1.0, 1.0)).collect(),
+            },
+            ..GaussianModel::default()
+        };
+        for _ in 0..n {
+            model.positions_w.push(Vec3::new(draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)));
+            let q = Quat::from_xyzw(draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0), draw(0.1, 1.0));
+            model.rotations_wg.push(q.normalize());
+            model.scales.push(Vec3::new(draw(1e-4, 0.1), draw(1e-4, 0.1), draw(1e-5, 0.1)));
+            model.opacities.push(draw(0.01, 0.99));
+            model.colors.push([draw(0.0, 1.0), draw(0.0, 1.0), draw(0.0, 1.0)]);
+            let affinity = std::array::from_fn(|_| draw(-2.0, 2.0));
+            let (label, confidence) = model.classifier.classify(&affinity);
+            model.affinities.push(affinity);
+            model.labels.push(label);
+            model.label_confidence.push(confidence);
+        }
+        model
+    }
+
+    #[test]
+    fn a_model_round_trips() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scene.ply");
+        let written = model(40);
+        write_ply(&written, &path).unwrap();
+        let read = read_ply(&path).unwrap();
+        assert_eq!(read.classifier, written.classifier);
+        assert_eq!((&read.positions_w, &read.affinities), (&written.positions_w, &written.affinities));
+        assert_eq!((&read.labels, &read.label_confidence), (&written.labels, &written.label_confidence));
+        for i in 0..written.len() {
+            assert!(((read.scales[i] - written.scales[i]) / written.scales[i]).abs().max_element() < 1e-5);
+            assert!((read.opacities[i] - written.opacities[i]).abs() < 1e-6);
+            assert!((0..3).all(|k| (read.colors[i][k] - written.colors[i][k]).abs() < 1e-6));
+            assert!(read.rotations_wg[i].dot(written.rotations_wg[i]).abs() > 1.0 - 1e-6);
+        }
+    }
+
+    #[test]
+    fn the_header_is_what_viewers_expect() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scene.ply");
+        write_ply(&model(2), &path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let marker = b"end_header\n";
+        let end = bytes.windows(marker.len()).position(|w| w == marker).unwrap() + marker.len();
+        let mut expected = String::from(
+            "ply\nformat binary_little_endian 1.0\ncomment frame: world, metres, z up\nelement vertex 2\n",
+        );
+        let standard = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+        let names = standard.split(' ').map(str::to_owned);
+        let own = (0..16).map(|k| format!("affinity_{k}")).chain(["label".into(), "confidence".into()]);
+        names.chain(own).for_each(|n| expected.push_str(&format!("property float {n}\n")));
+        expected.push_str("end_header\n");
+        assert_eq!(std::str::from_utf8(&bytes[..end]).unwrap(), expected);
+        assert_eq!(bytes.len() - end, 2 * 35 * 4);
+    }
+
+    #[test]
+    fn files_of_other_programs_are_read_and_broken_ones_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("other.ply");
+        let standard: Vec<String> = property_names().into_iter().take(17).collect();
+        let mut columns: Vec<(&str, Column)> =
+            standard.iter().map(|n| (n.as_str(), Column::F32(vec![0.0, 0.5]))).collect();
+        ply::write(&path, &[], &columns).unwrap();
+        let read = read_ply(&path).unwrap();
+        assert_eq!((read.len(), read.classifier.classes, read.labels[1]), (2, 0, 0));
+        assert_eq!(read.rotations_wg[0], Quat::IDENTITY);
+
+        columns[12].1 = Column::F32(vec![0.0, f32::NAN]);
+        ply::write(&path, &[], &columns).unwrap();
+        let message = read_ply(&path).unwrap_err().to_string();
+        assert!(message.contains("scale_2") && message.contains("other.ply") && message.contains("cure"), "{message}");
+        columns.remove(9);
+        ply::write(&path, &[], &columns).unwrap();
+        assert!(read_ply(&path).unwrap_err().to_string().contains("no property `opacity`"));
+
+        let path = dir.path().join("scene.ply");
+        write_ply(&model(1), &path).unwrap();
+        std::fs::write(classifier_path(&path), r#"{"classes":2,"w1":[],"b1":[],"w2":[],"b2":[]}"#).unwrap();
+        assert!(read_ply(&path).unwrap_err().to_string().contains("do not fit"));
+    }
+}

@@ -1,0 +1,110 @@
+//! Which Gaussians go: the transparent ones, and those that float in front of what was measured.
+
+use super::config::ScanConfig;
+use crate::Trainer;
+use glamx::Vec3;
+use sms_frames::Frame;
+
+/// Removes Gaussians below the opacity threshold.
+pub(crate) fn prune_transparent(trainer: &mut dyn Trainer, config: &ScanConfig) {
+    let keep: Vec<bool> = trainer.opacities().iter().map(|&o| o >= config.pruning.opacity_below).collect();
+    if keep.contains(&false) {
+        trainer.retain(&keep);
+    }
+}
+
+/// Removes Gaussians that more of `frames` look through than measure a surface near.
+pub(crate) fn prune_floaters(trainer: &mut dyn Trainer, frames: &[&Frame], config: &ScanConfig) {
+    let keep: Vec<bool> = trainer
+        .positions_w()
+        .iter()
+        .map(|p| {
+            let sights = frames.iter().map(|f| sight(f, *p, config));
+            let (mut through, mut surface) = (0, 0);
+            for sight in sights {
+                through += usize::from(sight == Sight::Through);
+                surface += usize::from(sight == Sight::Surface);
+            }
+            through <= surface
+        })
+        .collect();
+    if keep.contains(&false) {
+        trainer.retain(&keep);
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Sight {
+    /// Every measured neighbour is behind the point.
+    Through,
+    /// A measured neighbour is at the point.
+    Surface,
+    /// Hidden, outside the image, or too little measured to tell.
+    Unknown,
+}
+
+/// How a frame sees a point: all of the 3 × 3 pixels round it are asked, since beside a silhouette a single pixel
+/// may hold the background.
+fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> Sight {
+    let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { return Sight::Unknown };
+    let Some((x, y)) = frame.camera.pixel_at(u, v) else { return Sight::Unknown };
+    let (mut measured, mut behind) = (0, 0);
+    for dy in -1..=1 {
+        for dx in -1..=1 {
+            let Some(&depth) = frame.depth.get(x as i64 + dx, y as i64 + dy) else { continue };
+            if depth <= 0.0 {
+                continue;
+            }
+            measured += 1;
+            let (depth, tolerance) = (f64::from(depth), config.tolerance_m(f64::from(depth)));
+            if (depth - z).abs() <= tolerance {
+                return Sight::Surface;
+            }
+            behind += usize::from(depth - z > tolerance);
+        }
+    }
+    if measured >= 5 && behind == measured { Sight::Through } else { Sight::Unknown }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use sms_core::{Camera, Image, Intrinsics};
+
+    /// A camera at the origin before a wall at 1 m with a step to 0.5 m in the left half.
+    fn frame() -> Frame {
+        let k = Intrinsics::from_fov(32, 20, 1.0);
+        let mut depth = Image::filled(32, 20, 1.0f32);
+        for y in 0..20 {
+            for x in 0..16 {
+                depth[(x, y)] = 0.5;
+            }
+        }
+        Frame {
+            index: 0,
+            time_s: None,
+            camera: Camera::new(k, DPose3::identity()),
+            color: Image::filled(32, 20, [0; 3]),
+            depth,
+            normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
+            color_path: "".into(),
+            mask_path: None,
+        }
+    }
+
+    #[test]
+    fn a_point_is_seen_through_only_when_all_that_is_measured_round_it_lies_behind() {
+        let (frame, config) = (frame(), ScanConfig::default());
+        let at = |x: usize, z: f64| sight(&frame, frame.camera.unproject_pixel(x, 10, z).as_vec3(), &config);
+        assert_eq!(at(24, 0.5), Sight::Through);
+        assert_eq!(at(24, 1.002), Sight::Surface);
+        assert_eq!(at(24, 1.1), Sight::Unknown, "hidden by the wall");
+        assert_eq!(at(16, 0.5), Sight::Surface, "one pixel beside the step");
+        let mut sparse = frame.clone();
+        sparse.depth.data.iter_mut().enumerate().filter(|(i, _)| i % 2 == 0).for_each(|(_, z)| *z = 0.0);
+        let p_w = sparse.camera.unproject_pixel(24, 10, 0.5).as_vec3();
+        assert_ne!(sight(&sparse, p_w, &config), Sight::Surface);
+        assert_eq!(sight(&sparse, Vec3::new(0.0, 0.0, -1.0), &config), Sight::Unknown);
+    }
+}

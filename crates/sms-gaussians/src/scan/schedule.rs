@@ -1,0 +1,340 @@
+//! The sequential schedule (paper, Section "Scan"): frame after frame is seeded and optimised while earlier frames
+//! are replayed, then all frames are refined together.
+
+use super::checkpoint::{self, Found, Place};
+use super::config::ScanConfig;
+use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
+use super::frames::{check_inputs, held_out_frames, train_frame, trained_frames};
+use super::losses::{LossSample, stalled};
+use super::ply::write_ply;
+use super::pruning::{prune_floaters, prune_transparent};
+use super::seeding::{seed_frame, shuffle};
+use super::ScanError;
+use crate::{FrameId, GaussianModel, Trainer};
+use rand::RngExt;
+use sms_core::metrics::Metrics;
+use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Warnings, atomic};
+use sms_frames::{Frame, Sequence};
+use std::path::Path;
+use std::time::Instant;
+
+/// The stage's name in warnings.
+const STAGE: &str = "scan";
+
+/// What a scan makes.
+#[derive(Debug, Clone)]
+pub struct ScanResult {
+    /// The Gaussians, as written to `scene.ply`.
+    pub model: GaussianModel,
+    /// `scan.*` (see `docs/metrics.md`), without times and device, which the caller knows.
+    pub metrics: Metrics,
+    /// The history of the losses, as written to `losses.json`.
+    pub losses: Vec<LossSample>,
+    /// How every frame is reproduced, in the order of the sequence.
+    pub views: Vec<ViewScore>,
+}
+
+/// Runs the scan into `work_dir`: `scene.ply` with its classifier, `losses.json`, `views.json`, `checkpoint.bin`.
+///
+/// `trainer` is fresh: made from `config.train`, `labels.class_count()` and `seed`, without Gaussians or frames. A
+/// checkpoint of the same settings, seed and data in `work_dir` is continued, and the result has the same bytes as
+/// that of an undisturbed run. The held-out frames (`config.holdout`) are neither trained on nor used for seeding.
+///
+/// # Errors
+/// [`ScanError::Input`] when sequence and labels do not fit or there is no depth; [`CoreError::Interrupted`] after a
+/// checkpoint was saved when cancelled; [`CoreError::Write`] when the disk is full.
+pub fn scan(
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &ScanConfig,
+    seed: Seed,
+    work_dir: &Path,
+    trainer: &mut dyn Trainer,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<ScanResult, ScanError> {
+    check_inputs(sequence, labels, config.holdout)?;
+    let trained = trained_frames(sequence, config.holdout);
+    let mut schedule = Schedule {
+        sequence,
+        labels,
+        config,
+        seed,
+        settings: settings_hash(sequence, labels, config, seed),
+        checkpoint: work_dir.join("checkpoint.bin"),
+        ids: Vec::with_capacity(trained.len()),
+        trained,
+        place: Place::default(),
+        saved: Instant::now(),
+        trainer,
+        progress,
+        cancel,
+        warnings,
+    };
+    schedule.resume();
+    schedule.run()?;
+    schedule.finish(work_dir)
+}
+
+/// Hash of everything that the result depends on.
+fn settings_hash(sequence: &Sequence, labels: &Labels, config: &ScanConfig, seed: Seed) -> Hash {
+    // How often checkpoints are written changes nothing.
+    let config = ScanConfig { checkpoint_seconds: 0.0, ..config.clone() };
+    let mut hasher = Hasher::new();
+    hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count())).0);
+    for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
+        hasher.text(&sms_core::hash_serializable(&frame.camera).0);
+        hasher.bytes(frame.color.data.as_flattened());
+        hasher.bytes(&frame.depth.data.iter().flat_map(|z| z.to_le_bytes()).collect::<Vec<u8>>());
+        let normals = frame.normal_c.data.as_flattened();
+        hasher.bytes(&normals.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<u8>>());
+        hasher.bytes(&map.data.iter().flat_map(|l| l.to_le_bytes()).collect::<Vec<u8>>());
+    }
+    hasher.finish()
+}
+
+struct Schedule<'a> {
+    sequence: &'a Sequence,
+    labels: &'a Labels,
+    config: &'a ScanConfig,
+    seed: Seed,
+    settings: Hash,
+    checkpoint: std::path::PathBuf,
+    /// Sequence indices of the frames trained on; a slot is a position in this list.
+    trained: Vec<usize>,
+    /// The trainer's ids of the slots reached so far.
+    ids: Vec<FrameId>,
+    place: Place,
+    saved: Instant,
+    trainer: &'a mut dyn Trainer,
+    progress: &'a dyn Progress,
+    cancel: &'a Cancel,
+    warnings: &'a Warnings,
+}
+
+impl Schedule<'_> {
+    fn resume(&mut self) {
+        let damage = match checkpoint::load(&self.checkpoint, &self.settings) {
+            Found::Nothing => return,
+            Found::Damaged(reason) => reason,
+            Found::Resume(place, state) => match self.trainer.restore(&state) {
+                Ok(()) => {
+                    self.place = place;
+                    return;
+                }
+                Err(error) => error.to_string(),
+            },
+        };
+        self.warnings.add(
+            STAGE,
+            "checkpoint_damaged",
+            format!("{} is damaged ({damage}); the scan starts again", self.checkpoint.display()),
+            "",
+        );
+    }
+
+    fn save(&mut self) -> Result<(), CoreError> {
+        self.saved = Instant::now();
+        checkpoint::save(&self.checkpoint, &self.settings, &self.place, &self.trainer.snapshot())
+    }
+
+    fn run(&mut self) -> Result<(), ScanError> {
+        let slots = self.trained.len();
+        self.progress.begin("scan", slots as u64 + 1);
+        while self.place.slot <= slots {
+            self.add_frames();
+            self.slot()?;
+            self.place = Place {
+                slot: self.place.slot + 1,
+                total_steps: self.place.total_steps,
+                losses: std::mem::take(&mut self.place.losses),
+                ..Place::default()
+            };
+            self.save()?;
+        }
+        Ok(())
+    }
+
+    /// Makes the frames up to the current slot known to the trainer.
+    fn add_frames(&mut self) {
+        while self.ids.len() < self.trained.len().min(self.place.slot + 1) {
+            let index = self.trained[self.ids.len()];
+            let frame = train_frame(&self.sequence.frames[index], &self.labels.maps[index]);
+            self.ids.push(self.trainer.add_frame(frame));
+        }
+    }
+
+    fn is_refinement(&self) -> bool {
+        self.place.slot == self.trained.len()
+    }
+
+    /// One frame, or the refinement over all of them, from wherever the place says.
+    fn slot(&mut self) -> Result<(), ScanError> {
+        let limit = match self.place.slot {
+            _ if self.is_refinement() => self.config.final_steps,
+            0 => self.config.steps_first,
+            _ => self.config.steps_frame,
+        };
+        self.seed_slot();
+        let mut stop = self.config.stop;
+        if self.is_refinement() {
+            // Every frame is in both of the windows compared.
+            stop.window = stop.window.max(self.trained.len().div_ceil(self.batch()));
+        }
+        while self.place.step < limit && !stalled(&self.place.batch_losses, &stop) {
+            if self.cancel.is_cancelled() {
+                self.save()?;
+                return Err(CoreError::Interrupted.into());
+            }
+            if self.saved.elapsed().as_secs_f64() > self.config.checkpoint_seconds {
+                self.save()?;
+            }
+            self.batch_of_steps();
+            if !self.place.pruned_midway && 2 * self.place.step >= limit {
+                prune_transparent(self.trainer, self.config);
+                self.place.pruned_midway = true;
+            }
+        }
+        prune_transparent(self.trainer, self.config);
+        if self.config.pruning.floaters {
+            let seen = match self.trained.get(self.place.slot) {
+                Some(i) => std::slice::from_ref(i),
+                None => &self.trained,
+            };
+            let seen: Vec<&Frame> = seen.iter().map(|&i| &self.sequence.frames[i]).collect();
+            prune_floaters(self.trainer, &seen, self.config);
+        }
+        self.report();
+        Ok(())
+    }
+
+    fn seed_slot(&mut self) {
+        let Some(frame) = self.trained.get(self.place.slot).map(|&i| &self.sequence.frames[i]) else { return };
+        if self.place.seeded {
+            return;
+        }
+        let rendered = (!self.trainer.is_empty()).then(|| self.trainer.render(&frame.camera));
+        let positions_w = self.trainer.positions_w();
+        let room = self.config.max_gaussians.saturating_sub(positions_w.len());
+        let seed = self.seed.derive_index("seeding", self.place.slot as u64);
+        let seedlings = seed_frame(frame, rendered.as_ref(), &positions_w, room, self.config, seed);
+        if !seedlings.is_empty() && seedlings.len() == room {
+            self.warnings.add(
+                STAGE,
+                "max_gaussians",
+                format!("the limit of {} Gaussians was reached; later views lack detail", self.config.max_gaussians),
+                "raise `max_gaussians`, or `seeding.spacing_px` for fewer and larger ones",
+            );
+        }
+        self.trainer.insert(&seedlings);
+        self.place.seeded = true;
+    }
+
+    fn batch(&self) -> usize {
+        self.config.batch_steps.max(1)
+    }
+
+    fn batch_of_steps(&mut self) {
+        let (own, replayed) = self.batch_frames();
+        let stats = self.trainer.steps(&own);
+        if !replayed.is_empty() {
+            self.trainer.steps(&replayed);
+        }
+        let taken = own.len() + replayed.len();
+        self.place.step += taken;
+        self.place.total_steps += taken as u64;
+        if !stats.loss.total.is_finite() {
+            self.warnings.add(STAGE, "loss_not_finite", "a training loss was not a finite number", "");
+            return;
+        }
+        self.place.batch_losses.push(stats.loss.total);
+        self.place.losses.push(LossSample {
+            step: self.place.total_steps,
+            frame: self.trained.get(self.place.slot).copied(),
+            loss: stats.loss,
+            gaussians: self.trainer.len(),
+        });
+    }
+
+    /// The frames of the next batch: those whose losses are recorded, and replayed ones. A function of the seed and
+    /// the place alone.
+    fn batch_frames(&self) -> (Vec<FrameId>, Vec<FrameId>) {
+        let (slot, step, batch) = (self.place.slot, self.place.step, self.batch());
+        if self.is_refinement() {
+            let n = self.ids.len();
+            let frame_at = |k: usize| {
+                let mut order = self.ids.clone();
+                shuffle(&mut order, &mut self.seed.derive_index("epoch", (k / n) as u64).rng());
+                order[k % n]
+            };
+            return ((step..step + batch).map(frame_at).collect(), Vec::new());
+        }
+        if slot == 0 {
+            return (vec![self.ids[0]; batch], Vec::new());
+        }
+        let own = (batch as f64 * self.config.current_share).round().clamp(1.0, batch as f64) as usize;
+        let mut rng = self.seed.derive_index("replay", slot as u64).derive_index("step", step as u64).rng();
+        let replayed = (own..batch).map(|_| self.ids[rng.random_range(0..slot)]).collect();
+        (vec![self.ids[slot]; own], replayed)
+    }
+
+    fn report(&mut self) {
+        let done = self.place.slot as u64 + 1;
+        let (steps, count) = (self.place.step, self.trainer.len());
+        let message = match self.trained.get(self.place.slot).map(|&i| &self.sequence.frames[i]) {
+            Some(frame) => {
+                let score = score_view(frame, &self.trainer.render(&frame.camera), false);
+                format!(
+                    "frame {}, {steps} steps, PSNR {:.1} dB, depth error {:.1} mm, {count} Gaussians",
+                    frame.index,
+                    score.psnr_db,
+                    1e3 * score.depth_median_m
+                )
+            }
+            None => format!("refined all frames, {steps} steps, {count} Gaussians"),
+        };
+        self.progress.update(done, &message);
+    }
+
+    /// Measures the result and writes it.
+    fn finish(mut self, work_dir: &Path) -> Result<ScanResult, ScanError> {
+        let trained = self.trained.clone();
+        let held_out = held_out_frames(self.sequence, self.config.holdout);
+        let (mut train_views, train_miou) = self.measure(&trained, false)?;
+        let (held_out_views, held_out_miou) = self.measure(&held_out, true)?;
+        let mut metrics = Metrics::new();
+        metrics
+            .set("scan.frames", trained.len())
+            .set("scan.gaussians", self.trainer.len())
+            .set("scan.steps", self.place.total_steps);
+        add_metrics(&mut metrics, "train", &train_views, train_miou);
+        add_metrics(&mut metrics, "holdout", &held_out_views, held_out_miou);
+        train_views.extend(held_out_views);
+        train_views.sort_by_key(|v| v.frame_index);
+
+        let model = self.trainer.model();
+        atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
+        atomic::write_json(&work_dir.join("views.json"), &train_views)?;
+        write_ply(&model, &work_dir.join("scene.ply"))?;
+        self.progress.end(&format!("{} Gaussians, {} steps", model.len(), self.place.total_steps));
+        Ok(ScanResult { model, metrics, losses: std::mem::take(&mut self.place.losses), views: train_views })
+    }
+
+    fn measure(
+        &mut self,
+        indices: &[usize],
+        held_out: bool,
+    ) -> Result<(Vec<ViewScore>, Option<f64>), ScanError> {
+        let mut confusion = Confusion::new(self.labels.class_count());
+        let mut views = Vec::with_capacity(indices.len());
+        for &i in indices {
+            self.cancel.check()?;
+            let frame = &self.sequence.frames[i];
+            let maps = self.trainer.render(&frame.camera);
+            confusion.add(&maps, &self.labels.maps[i]);
+            views.push(ViewScore { frame_index: i, ..score_view(frame, &maps, held_out) });
+        }
+        Ok((views, confusion.mean_iou()))
+    }
+}

@@ -1,0 +1,74 @@
+//! Views of a finished model, for the report.
+
+use super::seedlings_of;
+use crate::parameters::{ClassifierState, Parameters};
+use crate::{CpuTrainer, GaussianModel, TrainConfig, TrainState, Trainer, TrainerError};
+use sms_core::{ColorImage, DepthImage, Image, LabelMap, Seed};
+use sms_frames::Sequence;
+
+/// A model rendered from the camera of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewRender {
+    /// The frame's index in the sequence.
+    pub frame_index: usize,
+    /// Colour.
+    pub color: ColorImage,
+    /// Depth in metres, 0 where nothing is seen.
+    pub depth: DepthImage,
+    /// Most likely label; background where nothing is seen.
+    pub label: LabelMap,
+    /// Accumulated opacity, 0 to 1.
+    pub alpha: Image<f32>,
+}
+
+/// The state of a trainer that holds `model`, with fresh moments: for [`Trainer::restore`] of a trainer with
+/// `model.classifier.classes` classes (at least one).
+pub fn state_of_model(model: &GaussianModel) -> TrainState {
+    let c = &model.classifier;
+    let mut parameters = Parameters::new(c.classes.max(1), Seed(0));
+    if c.classes > 0 {
+        let values = [&c.w1, &c.b1, &c.w2, &c.b2].into_iter().flatten().copied().collect::<Vec<f32>>();
+        let zeros = vec![0.0; values.len()];
+        parameters.classifier =
+            ClassifierState { classes: c.classes, values, first: zeros.clone(), second: zeros, steps: 0 };
+    }
+    parameters.insert(&seedlings_of(model));
+    parameters.encode()
+}
+
+/// Renders frames of `sequence` from `model` on the CPU. Indices beyond the sequence are left out.
+pub fn render_views(model: &GaussianModel, sequence: &Sequence, frames: &[usize]) -> Vec<ViewRender> {
+    let mut trainer = CpuTrainer::new(&TrainConfig::default(), model.classifier.classes.max(1), Seed(0));
+    // A state made of a model is whole by construction, unless the model holds numbers that are not finite; then
+    // nothing can be shown.
+    render_views_with(&mut trainer, model, sequence, frames).unwrap_or_default()
+}
+
+/// The same through a back end, whose own Gaussians are replaced by the model's.
+///
+/// # Errors
+/// [`TrainerError::BadState`] when the trainer has another number of classes or the model is not finite.
+pub fn render_views_with(
+    trainer: &mut dyn Trainer,
+    model: &GaussianModel,
+    sequence: &Sequence,
+    frames: &[usize],
+) -> Result<Vec<ViewRender>, TrainerError> {
+    trainer.restore(&state_of_model(model))?;
+    let known = frames.iter().filter_map(|&i| sequence.frames.get(i).map(|f| (i, f)));
+    Ok(known
+        .map(|(frame_index, frame)| {
+            let maps = trainer.render(&frame.camera);
+            let (w, h) = (maps.width, maps.height);
+            let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+            let label = maps.label.iter().zip(&maps.alpha).map(|(l, a)| if *a >= 0.5 { *l } else { 0 });
+            ViewRender {
+                frame_index,
+                color: Image::from_vec(w, h, maps.color.iter().map(|c| c.map(byte)).collect()),
+                label: Image::from_vec(w, h, label.collect()),
+                depth: Image::from_vec(w, h, maps.depth),
+                alpha: Image::from_vec(w, h, maps.alpha),
+            }
+        })
+        .collect())
+}
