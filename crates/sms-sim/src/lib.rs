@@ -1,5 +1,53 @@
-//! Rigid-body worlds: the World trait, the Rapier adapter, contact timing, the striker.
+//! Rigid-body worlds: the [`World`] seam, the Rapier adapter in both precisions, and [`Simulation`], which holds what
+//! every engine shares: contact timing, rolling resistance and the robot's finger.
+//!
+//! ```
+//! use glamx::{DPose3, DVec3};
+//! use sms_core::{MassProperties, Mesh, sphere_mass_properties};
+//! use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material, floor_body};
+//! use sms_sim::{RapierFactory, Simulation, StrikerMotion, WorldOptions};
+//!
+//! let center_w = DVec3::new(0.5, 0.0, 0.03);
+//! let ball = Body {
+//!     name: "cue".into(),
+//!     label: 1,
+//!     description: "cue ball".into(),
+//!     kind: BodyKind::Dynamic,
+//!     x_wb: DPose3::from_translation(center_w),
+//!     shape: BodyShape::Sphere { radius: 0.03 },
+//!     visual: Mesh::default(),
+//!     mass: Some(sphere_mass_properties(DVec3::ZERO, 0.03, 1700.0)?),
+//!     material: example_material(),
+//!     color: [250, 250, 240],
+//!     observed_share: 1.0,
+//! };
+//! let scene = Scene {
+//!     version: sms_scene::SCENE_VERSION,
+//!     name: "one ball".into(),
+//!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
+//!     x_world_recording: DPose3::IDENTITY,
+//!     bodies: vec![floor_body(0.0, example_material()), ball],
+//! };
+//! let mut simulation = Simulation::new(&RapierFactory, &scene, &WorldOptions::default())?;
+//! let motion = StrikerMotion { contact_w: center_w, angle: 0.0, speed: 0.5, ball_radius: 0.03 };
+//! simulation.strike(&motion, 0.65, 0.75);
+//! for _ in 0..400 {
+//!     simulation.advance(0.0025)?;
+//! }
+//! assert!(simulation.state(1).x_wb.translation.x > 0.7, "the ball was struck along x");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
+mod geometry;
+mod rapier;
+mod rest;
+mod simulation;
+mod striker;
+mod timing;
 mod world;
 
+pub use rapier::{RapierF64Factory, RapierFactory};
+pub use rest::{RestingDrift, resting_drift};
+pub use simulation::Simulation;
+pub use striker::{FINGER_HALF, SEGMENT_M, StrikerMotion};
 pub use world::{BodyId, BodyState, KinematicShape, SimError, World, WorldFactory, WorldOptions};

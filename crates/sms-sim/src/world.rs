@@ -95,15 +95,26 @@ pub trait World: Send {
     /// Whether the body is asleep.
     fn is_asleep(&self, body: BodyId) -> bool;
     /// Adds a kinematic body that pushes others and is pushed by none.
-    fn add_kinematic(&mut self, shape: KinematicShape, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId;
+    fn add_kinematic(
+        &mut self,
+        shape: KinematicShape,
+        x_wk: DPose3,
+        friction: f64,
+        restitution: f64,
+    ) -> BodyId;
     /// Pose that a kinematic body reaches at the end of the next step.
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
     /// Switches a kinematic body's collisions off or on.
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool);
     /// Saves the state as snapshot 0; `false` where the engine cannot.
     fn save(&mut self) -> bool;
-    /// Returns to the saved state; `false` where there is none.
+    /// Returns to the saved state; `false` where there is none. Kinematic bodies added since are gone.
     fn restore(&mut self) -> bool;
+    /// A body that the engine gave up in the last step because its state was not finite any more, for engines that
+    /// take such bodies out of the world.
+    fn first_failed(&self) -> Option<BodyId> {
+        None
+    }
 }
 
 /// Builds worlds; shared by threads.

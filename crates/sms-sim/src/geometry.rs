@@ -1,0 +1,181 @@
+//! Our own collision shapes, the same for every engine: where a ball is about to hit, and what it rests on.
+
+use crate::{BodyState, KinematicShape, SimError, StrikerMotion};
+use glamx::{DPose3, DQuat, DVec3};
+use parry3d_f64::query::PointQuery;
+use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, Segment, TriMesh};
+use sms_core::Mesh;
+use sms_scene::{Body, BodyShape};
+
+/// A shape in its body's frame.
+pub(crate) enum Part {
+    /// Below z = 0.
+    HalfSpace,
+    Sphere(f64),
+    Convex(ConvexPolyhedron),
+    Mesh(TriMesh),
+    Cuboid(Cuboid),
+    Capsule(Segment, f64),
+}
+
+impl Part {
+    /// The point of the surface nearest to `p`, and whether `p` is inside.
+    pub(crate) fn nearest(&self, p: DVec3) -> (DVec3, bool) {
+        let around = |center: DVec3, radius: f64| {
+            let out = (p - center).try_normalize().unwrap_or(DVec3::Z);
+            (center + radius * out, p.distance(center) < radius)
+        };
+        match self {
+            Self::HalfSpace => (DVec3::new(p.x, p.y, 0.0), p.z < 0.0),
+            Self::Sphere(radius) => around(DVec3::ZERO, *radius),
+            Self::Convex(s) => projected(s.project_local_point(p, true)),
+            Self::Mesh(s) => (s.project_local_point(p, false).point, false),
+            Self::Cuboid(s) => projected(s.project_local_point(p, true)),
+            Self::Capsule(axis, radius) => around(axis.project_local_point(p, true).point, *radius),
+        }
+    }
+
+    /// Whether the plane through a nearest point has the whole shape on one side.
+    pub(crate) fn is_convex(&self) -> bool {
+        !matches!(self, Self::Mesh(_))
+    }
+
+    fn bounding_radius(&self) -> f64 {
+        let farthest = |points: &[DVec3]| points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        match self {
+            Self::HalfSpace => f64::INFINITY,
+            Self::Sphere(radius) => *radius,
+            Self::Convex(s) => farthest(s.points()),
+            Self::Mesh(s) => farthest(s.vertices()),
+            Self::Cuboid(s) => s.half_extents.length(),
+            Self::Capsule(axis, radius) => axis.a.length() + radius,
+        }
+    }
+}
+
+fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
+    (p.point, p.is_inside)
+}
+
+/// The shapes of a body.
+pub(crate) struct BodyGeometry {
+    pub(crate) parts: Vec<Part>,
+    /// Radius of a sphere about the body's origin that holds it; infinite for a half space.
+    pub(crate) bounding_radius: f64,
+}
+
+impl BodyGeometry {
+    fn new(parts: Vec<Part>) -> Self {
+        let bounding_radius = parts.iter().map(Part::bounding_radius).fold(0.0, f64::max);
+        Self { parts, bounding_radius }
+    }
+
+    pub(crate) fn of_body(body: &Body) -> Result<Self, SimError> {
+        let refuse = |why: String| SimError::Body { body: body.name.clone(), why };
+        let convex = |(i, mesh): (usize, &Mesh)| {
+            ConvexPolyhedron::from_convex_hull(&mesh.vertices)
+                .map(Part::Convex)
+                .ok_or_else(|| refuse(format!("hull {i} is flat or has fewer than four corners")))
+        };
+        Ok(Self::new(match &body.shape {
+            BodyShape::Sphere { radius } => vec![Part::Sphere(*radius)],
+            BodyShape::HalfSpace => vec![Part::HalfSpace],
+            BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(convex).collect::<Result<_, _>>()?,
+            BodyShape::TriMesh { mesh } => {
+                let mesh = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone())
+                    .map_err(|e| refuse(format!("its mesh cannot be used: {e}")))?;
+                vec![Part::Mesh(mesh)]
+            }
+        }))
+    }
+
+    pub(crate) fn of_kinematic(shape: KinematicShape) -> Self {
+        Self::new(vec![match shape {
+            KinematicShape::Cuboid { half } => Part::Cuboid(Cuboid::new(half)),
+            KinematicShape::Capsule { half_length, radius } => {
+                let end = DVec3::new(0.0, 0.0, half_length);
+                Part::Capsule(Segment::new(-end, end), radius)
+            }
+        }])
+    }
+}
+
+/// Where a body will be, if nothing touches it.
+pub(crate) enum Path<'a> {
+    /// Constant acceleration and constant spin.
+    Free { state: &'a BodyState, acceleration_w: DVec3 },
+    /// A sweep, `start_s` seconds into it.
+    Sweep { motion: &'a StrikerMotion, start_s: f64 },
+}
+
+impl Path<'_> {
+    pub(crate) fn position_at(&self, t: f64) -> DVec3 {
+        match self {
+            Self::Free { state, acceleration_w } => {
+                state.x_wb.translation + t * state.v_w + 0.5 * t * t * acceleration_w
+            }
+            Self::Sweep { motion, start_s } => motion.pose_at(start_s + t).translation,
+        }
+    }
+
+    pub(crate) fn pose_at(&self, t: f64) -> DPose3 {
+        match self {
+            Self::Free { state, .. } => DPose3::from_parts(
+                self.position_at(t),
+                DQuat::from_scaled_axis(t * state.w_w) * state.x_wb.rotation,
+            ),
+            Self::Sweep { motion, start_s } => motion.pose_at(start_s + t),
+        }
+    }
+
+    pub(crate) fn velocity_at(&self, t: f64) -> DVec3 {
+        match self {
+            Self::Free { state, acceleration_w } => state.v_w + t * acceleration_w,
+            Self::Sweep { motion, start_s } => motion.velocity_at(start_s + t),
+        }
+    }
+
+    pub(crate) fn spin_w(&self) -> DVec3 {
+        match self {
+            Self::Free { state, .. } => state.w_w,
+            Self::Sweep { .. } => DVec3::ZERO,
+        }
+    }
+
+    /// How much the speed can change per second, m/s².
+    pub(crate) fn acceleration_bound(&self) -> f64 {
+        match self {
+            Self::Free { acceleration_w, .. } => acceleration_w.length(),
+            Self::Sweep { motion, .. } => motion.speed / motion.contact_s(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// A box as a hull, as a cuboid and as a mesh are the same box.
+        #[test]
+        fn nearest_points_do_not_depend_on_how_a_box_is_written(
+            x in -0.3..0.3f64, y in -0.3..0.3f64, z in -0.3..0.3f64,
+        ) {
+            let half = DVec3::new(0.05, 0.1, 0.02);
+            let p = DVec3::new(x, y, z);
+            prop_assume!((p.abs() - half).max_element() > 1e-3);
+            let mesh = Mesh::cuboid(half);
+            let expected = p.clamp(-half, half);
+            for part in [
+                Part::Cuboid(Cuboid::new(half)),
+                Part::Convex(ConvexPolyhedron::from_convex_hull(&mesh.vertices).unwrap()),
+                Part::Mesh(TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).unwrap()),
+            ] {
+                let (q, inside) = part.nearest(p);
+                prop_assert!(!inside);
+                prop_assert!(q.distance(expected) < 1e-9, "{q} {expected}");
+            }
+        }
+    }
+}

@@ -1,0 +1,369 @@
+//! The adapter. `super::engine` is Rapier in single or double precision.
+#![allow(
+    clippy::unnecessary_cast,
+    reason = "`Real` is f32 in one instance of this file and f64 in the other"
+)]
+
+use super::engine::math::{Pose, Real, Rotation, Vector};
+use super::engine::prelude::*;
+use crate::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
+use glamx::{DMat3, DPose3, DQuat, DSymmetricEigen3, DVec3};
+use sms_core::Mesh;
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
+
+/// Rapier's tolerances are made for bodies of a metre; its own scale makes the distance at which contacts are
+/// predicted 20 µm. A contact normal taken at 20 mm, Rapier's default, is another one than at the impact.
+const LENGTH_UNIT: f64 = 1e-3;
+/// Largest speed of a body, m/s. Rapier scales its limit with the length unit, which would leave 0.4 m/s.
+const MAX_SPEED: f64 = 400.0;
+/// Largest speed at which bodies that overlap are pushed apart, m/s. Reconstructed bodies may overlap by a
+/// millimetre at the start and must not be flung apart.
+const MAX_PUSH_OUT_SPEED: f64 = 0.1;
+/// Relative motion since the last contact determination up to which its contacts are used again, metres.
+const RECYCLE_DISTANCE: f64 = 2e-4;
+/// Speed below which a body may fall asleep, m/s at its farthest point. A ball rolls further than an obstacle
+/// slides before its friction stops it.
+const SLEEP_SPEED_BALL: f64 = 1e-3;
+const SLEEP_SPEED: f64 = 5e-3;
+/// Time below that speed until a body sleeps, seconds.
+const TIME_UNTIL_SLEEP: f64 = 0.5;
+/// Approach speed from which a contact counts as an impact, m/s.
+const IMPACT_SPEED: f64 = 5e-3;
+
+/// A world of Rapier. `P` of the field names is Rapier's own vocabulary.
+pub(crate) struct RapierWorld {
+    engine: &'static str,
+    physics: PhysicsWorld,
+    bodies: Vec<RigidBodyHandle>,
+    /// Bodies with a wrench for the next step.
+    wrenched: Vec<BodyId>,
+    last_dt: f64,
+    options: WorldOptions,
+    saved: Option<Box<Saved>>,
+}
+
+/// Everything that a step reads or writes; [`PhysicsWorld`] has no `Clone`.
+struct Saved {
+    islands: IslandManager,
+    broad_phase: BroadPhaseBvh,
+    narrow_phase: NarrowPhase,
+    bodies: RigidBodySet,
+    colliders: ColliderSet,
+    impulse_joints: ImpulseJointSet,
+    multibody_joints: MultibodyJointSet,
+    soft_bodies: SoftBodySet,
+    ccd_solver: CCDSolver,
+    handles: usize,
+    last_dt: f64,
+}
+
+/// Restitution's part of the friction. Rapier applies restitution after friction was solved, and the impulse that
+/// it adds, `e` times the compression's, causes no friction. An impact's friction impulse is bounded by
+/// µ(1+e)·J, so the friction of a pair is scaled by 1+e at impacts (a contact that carried no impulse before and
+/// that closes). Scaled at resting contacts, sliding friction would grow.
+struct ImpactFriction;
+
+impl PhysicsHooks for ImpactFriction {
+    fn modify_solver_contacts(&self, context: &mut ContactModificationContext) {
+        let (bodies, first, second) = (context.bodies, context.rigid_body1, context.rigid_body2);
+        let Some(contact) = context.rigid_mut() else { return };
+        if contact.manifold.points.iter().any(|p| p.data.impulse != 0.0) {
+            return;
+        }
+        let Some(point) = contact.solver_contacts.first().map(|c| c.anchor1) else { return };
+        let velocity = |handle: Option<RigidBodyHandle>| {
+            handle.and_then(|h| bodies.get(h)).map_or(Vector::ZERO, |b| b.velocity_at_point(point))
+        };
+        // The normal points from the first body to the second.
+        let approach = (velocity(first) - velocity(second)).dot(*contact.normal);
+        if approach > IMPACT_SPEED as Real {
+            *contact.friction *= 1.0 + *contact.restitution;
+        }
+    }
+}
+
+impl RapierWorld {
+    /// Builds a world of the scene.
+    pub(crate) fn build(
+        engine: &'static str,
+        scene: &Scene,
+        options: &WorldOptions,
+    ) -> Result<Self, SimError> {
+        let mut physics = PhysicsWorld::new();
+        physics.gravity = to_engine(scene.gravity_w);
+        let p = &mut physics.integration_parameters;
+        p.dt = options.dt as Real;
+        p.min_ccd_dt = (options.dt / 100.0) as Real;
+        p.length_unit = LENGTH_UNIT as Real;
+        p.normalized_max_linear_velocity = (MAX_SPEED / LENGTH_UNIT) as Real;
+        p.normalized_max_corrective_velocity = (MAX_PUSH_OUT_SPEED / LENGTH_UNIT) as Real;
+        p.normalized_contact_recycle_distance = (RECYCLE_DISTANCE / LENGTH_UNIT) as Real;
+        // The simplified model bends a sliding ball's path.
+        p.friction_model = FrictionModel::Coulomb;
+        let mut world = Self {
+            engine,
+            physics,
+            bodies: Vec::with_capacity(scene.bodies.len() + 1),
+            wrenched: Vec::new(),
+            last_dt: options.dt,
+            options: *options,
+            saved: None,
+        };
+        for body in &scene.bodies {
+            world.add(body)?;
+        }
+        Ok(world)
+    }
+
+    fn add(&mut self, body: &Body) -> Result<(), SimError> {
+        let refuse = |why: &str| SimError::Body { body: body.name.clone(), why: why.to_owned() };
+        if !body.x_wb.is_finite() {
+            return Err(refuse("its pose is not finite"));
+        }
+        let is_ball = matches!(body.shape, BodyShape::Sphere { .. });
+        let builder = match body.kind {
+            BodyKind::Static => RigidBodyBuilder::fixed(),
+            BodyKind::Dynamic => {
+                let mass = body.mass.as_ref().ok_or_else(|| refuse("it is dynamic and has no mass"))?;
+                RigidBodyBuilder::dynamic()
+                    .additional_mass_properties(mass_properties(mass))
+                    // Else Rapier limits the spin of small bodies.
+                    .allow_fast_rotation(true)
+                    .can_sleep(self.options.sleep)
+            }
+        };
+        let handle = self.physics.insert_body(builder.pose(pose_to_engine(&body.x_wb)));
+        if self.options.sleep && body.kind == BodyKind::Dynamic {
+            let activation = self.physics.bodies[handle].activation_mut();
+            let speed = if is_ball { SLEEP_SPEED_BALL } else { SLEEP_SPEED };
+            activation.normalized_linear_threshold = (speed / LENGTH_UNIT) as Real;
+            activation.time_until_sleep = TIME_UNTIL_SLEEP as Real;
+        }
+        let (friction, restitution) =
+            (body.material.friction.value.best, body.material.restitution.value.best);
+        for collider in colliders(&body.shape).map_err(|why| refuse(&why))? {
+            // Pairs with a hook are determined anew at each step; only balls and the striker need it.
+            let hooks = if is_ball { ActiveHooks::MODIFY_SOLVER_CONTACTS } else { ActiveHooks::empty() };
+            let collider = with_material(collider, friction, restitution).active_hooks(hooks);
+            self.physics.insert_collider(collider, Some(handle));
+        }
+        self.bodies.push(handle);
+        Ok(())
+    }
+
+    fn body(&self, body: BodyId) -> &RigidBody {
+        &self.physics.bodies[self.bodies[body]]
+    }
+
+    fn body_mut(&mut self, body: BodyId) -> &mut RigidBody {
+        &mut self.physics.bodies[self.bodies[body]]
+    }
+}
+
+impl World for RapierWorld {
+    fn engine(&self) -> &'static str {
+        self.engine
+    }
+
+    fn step(&mut self, dt: f64) {
+        let p = &mut self.physics.integration_parameters;
+        p.dt = dt as Real;
+        // Contacts start from the last step's impulses, which belong to that step's length: a short step that
+        // started from a long one's would throw resting bodies up. A long one starts from less than it needs.
+        p.warmstart_coefficient = (dt / self.last_dt).min(1.0) as Real;
+        self.last_dt = dt;
+        self.physics.step_with_events(&ImpactFriction, &());
+        for body in std::mem::take(&mut self.wrenched) {
+            let body = self.body_mut(body);
+            body.reset_forces(false);
+            body.reset_torques(false);
+        }
+    }
+
+    fn body_count(&self) -> usize {
+        self.bodies.len()
+    }
+
+    fn state(&self, body: BodyId) -> BodyState {
+        let body = self.body(body);
+        BodyState {
+            x_wb: pose_from_engine(body.position()),
+            v_w: from_engine(body.linvel()),
+            w_w: from_engine(body.angvel()),
+        }
+    }
+
+    fn set_state(&mut self, body: BodyId, state: &BodyState) {
+        let body = self.body_mut(body);
+        body.set_position(pose_to_engine(&state.x_wb), true);
+        if body.is_dynamic() {
+            body.set_linvel(to_engine(state.v_w), true);
+            body.set_angvel(to_engine(state.w_w), true);
+        }
+    }
+
+    fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool) {
+        let rigid = self.body_mut(body);
+        rigid.add_force(to_engine(force_w), wake);
+        rigid.add_torque(to_engine(torque_w), wake);
+        self.wrenched.push(body);
+    }
+
+    fn is_asleep(&self, body: BodyId) -> bool {
+        self.body(body).is_sleeping()
+    }
+
+    fn add_kinematic(
+        &mut self,
+        shape: KinematicShape,
+        x_wk: DPose3,
+        friction: f64,
+        restitution: f64,
+    ) -> BodyId {
+        let builder = RigidBodyBuilder::kinematic_position_based().pose(pose_to_engine(&x_wk));
+        let handle = self.physics.insert_body(builder);
+        let collider = match shape {
+            KinematicShape::Cuboid { half } => {
+                ColliderBuilder::cuboid(half.x as Real, half.y as Real, half.z as Real)
+            }
+            KinematicShape::Capsule { half_length, radius } => {
+                ColliderBuilder::capsule_z(half_length as Real, radius as Real)
+            }
+        };
+        let collider =
+            with_material(collider, friction, restitution).active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
+        self.physics.insert_collider(collider, Some(handle));
+        self.bodies.push(handle);
+        self.bodies.len() - 1
+    }
+
+    fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3) {
+        self.body_mut(body).set_next_kinematic_position(pose_to_engine(&x_wk));
+    }
+
+    fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool) {
+        let handles = self.body(body).colliders().to_vec();
+        for handle in handles {
+            self.physics.colliders[handle].set_enabled(enabled);
+        }
+    }
+
+    fn save(&mut self) -> bool {
+        let w = &self.physics;
+        self.saved = Some(Box::new(Saved {
+            islands: w.islands.clone(),
+            broad_phase: w.broad_phase.clone(),
+            narrow_phase: w.narrow_phase.clone(),
+            bodies: w.bodies.clone(),
+            colliders: w.colliders.clone(),
+            impulse_joints: w.impulse_joints.clone(),
+            multibody_joints: w.multibody_joints.clone(),
+            soft_bodies: w.soft_bodies.clone(),
+            ccd_solver: w.ccd_solver.clone(),
+            handles: self.bodies.len(),
+            last_dt: self.last_dt,
+        }));
+        true
+    }
+
+    fn restore(&mut self) -> bool {
+        let Some(saved) = &self.saved else { return false };
+        let w = &mut self.physics;
+        w.islands = saved.islands.clone();
+        w.broad_phase = saved.broad_phase.clone();
+        w.narrow_phase = saved.narrow_phase.clone();
+        w.bodies = saved.bodies.clone();
+        w.colliders = saved.colliders.clone();
+        w.impulse_joints = saved.impulse_joints.clone();
+        w.multibody_joints = saved.multibody_joints.clone();
+        w.soft_bodies = saved.soft_bodies.clone();
+        w.ccd_solver = saved.ccd_solver.clone();
+        // Kinematic bodies that were added since are gone.
+        self.bodies.truncate(saved.handles);
+        self.last_dt = saved.last_dt;
+        self.wrenched.clear();
+        true
+    }
+
+    fn first_failed(&self) -> Option<BodyId> {
+        let failed = self.physics.quarantine().bodies().first()?;
+        self.bodies.iter().position(|h| h == failed)
+    }
+}
+
+fn with_material(collider: ColliderBuilder, friction: f64, restitution: f64) -> ColliderBuilder {
+    collider
+        .density(0.0)
+        .friction(friction as Real)
+        .restitution(restitution as Real)
+        .friction_combine_rule(CoefficientCombineRule::Average)
+        .restitution_combine_rule(CoefficientCombineRule::Average)
+}
+
+fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
+    match shape {
+        BodyShape::Sphere { radius } => Ok(vec![ColliderBuilder::ball(*radius as Real)]),
+        BodyShape::HalfSpace => Ok(vec![ColliderBuilder::new(SharedShape::halfspace(Vector::Z))]),
+        BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
+        BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(hull).collect(),
+        BodyShape::TriMesh { mesh } => {
+            // Contacts at edges inside a flat surface would trip whatever slides over it. Both sides count,
+            // because a reconstructed surface may face either way.
+            let flags =
+                TriMeshFlags::FIX_INTERNAL_EDGES_TWO_SIDED | TriMeshFlags::DELETE_DEGENERATE_TRIANGLES;
+            ColliderBuilder::trimesh_with_flags(vertices(mesh), mesh.triangles.clone(), flags)
+                .map(|c| vec![c])
+                .map_err(|e| format!("its mesh cannot be used: {e}"))
+        }
+    }
+}
+
+fn hull((index, mesh): (usize, &Mesh)) -> Result<ColliderBuilder, String> {
+    ColliderBuilder::convex_hull(&vertices(mesh))
+        .ok_or_else(|| format!("hull {index} is flat or has fewer than four corners"))
+}
+
+fn vertices(mesh: &Mesh) -> Vec<Vector> {
+    mesh.vertices.iter().map(|&v| to_engine(v)).collect()
+}
+
+/// Diagonalised in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is lost in the
+/// tolerances of the decomposition.
+fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
+    let scale = mass.inertia().x_axis.x + mass.inertia().y_axis.y + mass.inertia().z_axis.z;
+    let eigen = DSymmetricEigen3::new(mass.inertia() * (1.0 / scale));
+    let mut axes = eigen.eigenvectors;
+    if axes.determinant() < 0.0 {
+        axes = DMat3::from_cols(axes.x_axis, axes.y_axis, -axes.z_axis);
+    }
+    MassProperties::with_principal_inertia_frame(
+        to_engine(mass.com()),
+        mass.mass() as Real,
+        to_engine(eigen.eigenvalues * scale),
+        rotation_to_engine(&DQuat::from_mat3(&axes).normalize()),
+    )
+}
+
+fn to_engine(v: DVec3) -> Vector {
+    Vector::new(v.x as Real, v.y as Real, v.z as Real)
+}
+
+fn from_engine(v: Vector) -> DVec3 {
+    DVec3::new(v.x as f64, v.y as f64, v.z as f64)
+}
+
+fn rotation_to_engine(q: &DQuat) -> Rotation {
+    Rotation::from_xyzw(q.x as Real, q.y as Real, q.z as Real, q.w as Real)
+}
+
+fn pose_to_engine(x: &DPose3) -> Pose {
+    Pose::from_parts(to_engine(x.translation), rotation_to_engine(&x.rotation))
+}
+
+fn pose_from_engine(x: &Pose) -> DPose3 {
+    let q = x.rotation;
+    DPose3::from_parts(
+        from_engine(x.translation),
+        DQuat::from_xyzw(q.x as f64, q.y as f64, q.z as f64, q.w as f64),
+    )
+}

@@ -1,0 +1,7 @@
+//! The adapter over Rapier in double precision.
+
+use rapier3d_f64 as engine;
+
+#[allow(clippy::duplicate_mod, reason = "one adapter source serves both precisions of the engine")]
+#[path = "adapter.rs"]
+pub(super) mod adapter;

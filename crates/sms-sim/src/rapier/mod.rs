@@ -1,0 +1,35 @@
+//! Rapier behind the seam: one adapter source, compiled for both precisions.
+
+use crate::{SimError, World, WorldFactory, WorldOptions};
+use sms_scene::Scene;
+
+mod double;
+mod single;
+
+/// Rapier in single precision: the planner's engine.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RapierFactory;
+
+/// Rapier in double precision: the reference of the adapter, and the target where no other engine is built.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RapierF64Factory;
+
+impl WorldFactory for RapierFactory {
+    fn engine(&self) -> &'static str {
+        "rapier3d f32"
+    }
+
+    fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError> {
+        Ok(Box::new(single::adapter::RapierWorld::build(self.engine(), scene, options)?))
+    }
+}
+
+impl WorldFactory for RapierF64Factory {
+    fn engine(&self) -> &'static str {
+        "rapier3d f64"
+    }
+
+    fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError> {
+        Ok(Box::new(double::adapter::RapierWorld::build(self.engine(), scene, options)?))
+    }
+}

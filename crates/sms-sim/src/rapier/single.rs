@@ -1,0 +1,6 @@
+//! The adapter over Rapier in single precision.
+
+use rapier3d as engine;
+
+#[path = "adapter.rs"]
+pub(super) mod adapter;
