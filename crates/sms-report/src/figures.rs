@@ -2,7 +2,7 @@
 
 use crate::colormap::{depth_picture, error_picture, label_picture};
 use base64::Engine;
-use sms_core::{ColorImage, CoreError, DepthImage, LabelMap, write_png_color};
+use sms_core::{Camera, ColorImage, CoreError, DepthImage, LabelMap, write_png_color};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -13,6 +13,8 @@ pub struct ViewPair {
     pub frame_index: usize,
     /// Whether the frame was kept out of training.
     pub held_out: bool,
+    /// The camera, in the world.
+    pub camera: Camera,
     /// Observed colour.
     pub observed_color: ColorImage,
     /// Observed depth, metres.
@@ -79,7 +81,8 @@ fn depth_range(depth: &DepthImage) -> (f32, f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_core::Image;
+    use sms_core::glamx::DPose3;
+    use sms_core::{Image, Intrinsics};
 
     #[test]
     fn a_view_becomes_seven_pictures_on_disk_and_in_the_page() {
@@ -88,6 +91,7 @@ mod tests {
         let view = ViewPair {
             frame_index: 7,
             held_out: true,
+            camera: Camera::new(Intrinsics::from_fov(4, 2, 1.0), DPose3::identity()),
             observed_color: Image::filled(4, 2, [9, 9, 9]),
             observed_depth: depth.clone(),
             observed_label: Image::filled(4, 2, 1),

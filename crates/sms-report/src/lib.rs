@@ -16,6 +16,8 @@ mod colormap;
 mod evaluate;
 mod figures;
 mod page;
+#[cfg(feature = "rerun")]
+mod rrd;
 mod shot;
 mod surface;
 mod view3d;
@@ -27,4 +29,6 @@ pub use evaluate::{
 };
 pub use figures::ViewPair;
 pub use page::{LossPoint, ReportError, ReportInput, write_report};
+#[cfg(feature = "rerun")]
+pub use rrd::{RrdError, write_rrd};
 pub use surface::{ClosestPoint, SurfaceIndex, sample_surface};

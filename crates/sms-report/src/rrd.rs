@@ -1,0 +1,223 @@
+//! `run.rrd`: the run as a Rerun recording (feature `rerun`).
+//!
+//! Timelines: `frame` for the recording's frames, `step` for training curves, `time` (seconds) for the shot. Entities:
+//! `world/camera` (images, depth, labels, as observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as
+//! predicted), `world/realised/*`, `world/paths/*`, `losses/*`.
+
+use crate::page::ReportInput;
+use rerun::external::re_sdk::blueprint::{
+    Blueprint, BlueprintActivation, Horizontal, Spatial2DView, Spatial3DView, TimeSeriesView, Vertical,
+};
+use rerun::{RecordingStream, RecordingStreamBuilder};
+use sms_core::glamx::{DPose3, DVec3};
+use sms_core::{Camera, Mesh};
+use sms_scene::{BodyKind, BodyShape, Scene};
+use sms_task::Trajectory;
+use std::path::{Path, PathBuf};
+
+/// Errors of writing a Rerun recording.
+#[derive(Debug, thiserror::Error)]
+pub enum RrdError {
+    /// The SDK could not log or write.
+    #[error("cannot write the Rerun recording {path}: {source}")]
+    Sdk {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: rerun::RecordingStreamError,
+    },
+    /// The finished recording could not be put in place.
+    #[error(transparent)]
+    Core(#[from] sms_core::CoreError),
+}
+
+/// Writes the recording; an earlier one stays whole until this one is complete.
+///
+/// # Errors
+/// [`RrdError`] naming the file.
+pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
+    let temporary = path.with_extension("rrd.tmp");
+    log_all(&temporary, input).map_err(|source| RrdError::Sdk { path: path.to_owned(), source })?;
+    std::fs::rename(&temporary, path).map_err(sms_core::CoreError::write(path))?;
+    Ok(())
+}
+
+type Logged = Result<(), rerun::RecordingStreamError>;
+
+fn log_all(path: &Path, input: &ReportInput<'_>) -> Logged {
+    let rec = RecordingStreamBuilder::new("sms").recording_name(input.title.clone()).save(path)?;
+    blueprint().send(&rec, BlueprintActivation { make_active: true, make_default: true })?;
+    rec.log_static("world", &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
+    log_views(&rec, input)?;
+    log_gaussians(&rec, input)?;
+    if let Some(scene) = input.scene {
+        log_bodies(&rec, scene, "world/bodies", None)?;
+        if let Some(plan) = input.plan {
+            log_motion(&rec, scene, &plan.trajectory, "world/bodies", |n| Some(n.to_owned()))?;
+            log_paths(&rec, &plan.trajectory, "predicted", [31, 95, 208])?;
+        }
+        if let Some(e) = input.execution {
+            let matched = |n: &str| e.matches.iter().find(|m| m.1 == n).map(|m| m.0.clone());
+            log_bodies(&rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
+            log_motion(&rec, scene, &e.trajectory, "world/realised", matched)?;
+            log_paths(&rec, &e.trajectory, "realised", [73, 209, 124])?;
+        }
+    }
+    if let Some([x, y]) = input.goal_w {
+        let goal = rerun::Points3D::new([[x as f32, y as f32, 0.002]])
+            .with_radii([0.03])
+            .with_colors([rerun::Color::from_rgb(217, 51, 51)])
+            .with_labels(["goal"]);
+        rec.log_static("world/goal", &goal)?;
+    }
+    for point in &input.losses {
+        rec.set_time_sequence("step", point.step as i64);
+        for (name, value) in [("color_l1", point.color_l1), ("depth_m", point.depth_m), ("total", point.total)] {
+            rec.log(format!("losses/{name}"), &rerun::Scalars::new([value]))?;
+        }
+    }
+    // A flush error means that the file is not whole; report it as a failed save.
+    rec.flush_blocking().map_err(|e| rerun::RecordingStreamError::FileSink(rerun_sink_error(path, &e)))?;
+    Ok(())
+}
+
+fn rerun_sink_error(path: &Path, error: &dyn std::error::Error) -> rerun::external::re_log_encoding::FileSinkError {
+    rerun::external::re_log_encoding::FileSinkError::CreateFile(path.to_owned(), std::io::Error::other(error.to_string()))
+}
+
+fn blueprint() -> Blueprint {
+    Blueprint::new(Horizontal::new([
+        Spatial3DView::new("scene").with_origin("world").with_contents(["world/**", "- world/camera/**"]).into(),
+        Vertical::new([
+            Spatial2DView::new("observed").with_origin("world/camera/observed").into(),
+            Spatial2DView::new("rendered").with_origin("world/camera/rendered").into(),
+            TimeSeriesView::new("losses").with_origin("losses").into(),
+        ])
+        .into(),
+    ]))
+}
+
+fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
+    for view in &input.views {
+        rec.set_time_sequence("frame", view.frame_index as i64);
+        let Camera { intrinsics: k, x_wc } = view.camera;
+        let (t, q) = (x_wc.translation.as_vec3(), x_wc.rotation.as_quat());
+        let pose = rerun::Transform3D::from_translation_rotation(
+            t.to_array(),
+            rerun::Quaternion::from_xyzw(q.to_array()),
+        );
+        rec.log("world/camera", &pose)?;
+        let pinhole =
+            rerun::Pinhole::from_focal_length_and_resolution([k.fx as f32, k.fy as f32], [k.width as f32, k.height as f32])
+                .with_principal_point([k.cx as f32, k.cy as f32])
+                .with_camera_xyz(rerun::components::ViewCoordinates::RDF)
+                .with_image_plane_distance(0.1);
+        let size = [k.width as u32, k.height as u32];
+        for (name, color, depth, label) in [
+            ("observed", &view.observed_color, &view.observed_depth, &view.observed_label),
+            ("rendered", &view.rendered_color, &view.rendered_depth, &view.rendered_label),
+        ] {
+            let at = format!("world/camera/{name}");
+            rec.log(at.clone(), &pinhole)?;
+            let pixels = color.data.as_flattened().to_vec();
+            rec.log(format!("{at}/color"), &rerun::Image::from_rgb24(pixels, size))?;
+            let metres: Vec<u8> = depth.data.iter().flat_map(|z| z.to_le_bytes()).collect();
+            let format = rerun::components::ImageFormat::depth(size, rerun::ChannelDatatype::F32);
+            rec.log(format!("{at}/depth"), &rerun::DepthImage::new(metres, format).with_meter(1.0))?;
+            let ids: Vec<u8> = label.data.iter().flat_map(|l| l.to_le_bytes()).collect();
+            let format = rerun::components::ImageFormat::segmentation(size, rerun::ChannelDatatype::U16);
+            rec.log(format!("{at}/labels"), &rerun::SegmentationImage::new(ids, format))?;
+        }
+    }
+    Ok(())
+}
+
+fn log_gaussians(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
+    let Some(g) = input.gaussians else { return Ok(()) };
+    let radii = (0..g.len()).map(|i| {
+        let [(_, a), (_, b)] = g.disc(i).1;
+        (a * b).sqrt()
+    });
+    let colors = g.colors.iter().map(|c| {
+        let [r, g, b] = c.map(|v| (v.clamp(0.0, 1.0) * 255.0) as u8);
+        rerun::Color::from_rgb(r, g, b)
+    });
+    let points = rerun::Points3D::new(g.positions_w.iter().map(|p| p.to_array()))
+        .with_radii(radii)
+        .with_colors(colors)
+        .with_class_ids(g.labels.iter().copied());
+    rec.log_static("world/gaussians", &points)
+}
+
+fn mesh_of(mesh: &Mesh, color: [u8; 4]) -> rerun::Mesh3D {
+    let logged = rerun::Mesh3D::new(mesh.vertices.iter().map(|p| p.as_vec3().to_array()))
+        .with_triangle_indices(mesh.triangles.iter().copied());
+    if mesh.colors.len() == mesh.vertices.len() && color[3] == 255 {
+        logged.with_vertex_colors(mesh.colors.iter().map(|c| rerun::Color::from_rgb(c[0], c[1], c[2])))
+    } else {
+        let [r, g, b, a] = color;
+        logged.with_albedo_factor(rerun::Rgba32::from_unmultiplied_rgba(r, g, b, a))
+    }
+}
+
+fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8; 4]>) -> Logged {
+    for body in &scene.bodies {
+        if tint.is_some() && body.kind == BodyKind::Static {
+            continue;
+        }
+        let at = format!("{root}/{}", body.name);
+        rec.log_static(at.clone(), &transform(&body.x_wb))?;
+        let [r, g, b] = body.color;
+        if !body.visual.triangles.is_empty() {
+            rec.log_static(format!("{at}/mesh"), &mesh_of(&body.visual, tint.unwrap_or([r, g, b, 255])))?;
+        }
+        if let (BodyShape::Hulls { hulls }, None) = (&body.shape, tint) {
+            for (i, hull) in hulls.iter().enumerate() {
+                rec.log_static(format!("{at}/parts/{i:02}"), &mesh_of(hull, [r, g, b, 90]))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn transform(x: &DPose3) -> rerun::Transform3D {
+    let (t, q) = (x.translation.as_vec3(), x.rotation.as_quat());
+    rerun::Transform3D::from_translation_rotation(t.to_array(), rerun::Quaternion::from_xyzw(q.to_array()))
+}
+
+/// Moves the scene's bodies as a trajectory says, relative to each body's first state.
+fn log_motion(
+    rec: &RecordingStream,
+    scene: &Scene,
+    trajectory: &Trajectory,
+    root: &str,
+    planner_name: impl Fn(&str) -> Option<String>,
+) -> Logged {
+    for track in &trajectory.bodies {
+        let Some(body) = planner_name(&track.name).and_then(|n| scene.body(&n).cloned()) else { continue };
+        let Some(first) = track.states.first() else { continue };
+        let x_offset = first.x_wb.inverse() * body.x_wb;
+        for (time, state) in trajectory.times_s.iter().zip(&track.states) {
+            rec.set_duration_secs("time", *time);
+            rec.log(format!("{root}/{}", body.name), &transform(&(state.x_wb * x_offset)))?;
+        }
+    }
+    rec.reset_time();
+    Ok(())
+}
+
+fn log_paths(rec: &RecordingStream, trajectory: &Trajectory, name: &str, color: [u8; 3]) -> Logged {
+    for track in &trajectory.bodies {
+        let points: Vec<DVec3> = track.states.iter().map(|s| s.x_wb.translation).collect();
+        let moved = points.iter().any(|p| (*p - points[0]).length() > 0.003);
+        if track.name == "striker" || !moved {
+            continue;
+        }
+        let strip: Vec<[f32; 3]> = points.iter().map(|p| p.as_vec3().to_array()).collect();
+        let line = rerun::LineStrips3D::new([strip])
+            .with_radii([0.0015])
+            .with_colors([rerun::Color::from_rgb(color[0], color[1], color[2])]);
+        rec.log_static(format!("world/paths/{name}/{}", track.name), &line)?;
+    }
+    Ok(())
+}
