@@ -373,7 +373,7 @@ fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
             ([178, 40, 92], [240, 236, 236]),
         ],
     );
-    let mut texture = texture(rng, Pattern::Speckle, colors, 0.012, 0.55);
+    let mut texture = texture(rng, Pattern::Bands, colors, 0.05, 0.55);
     let cap_color = [40, 44, 60];
     let cap_height = (0.08 * height) as f32;
     texture.spots.push(Spot {

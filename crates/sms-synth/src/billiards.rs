@@ -57,6 +57,8 @@ const CUE_Y: [f64; 2] = [-0.08, 0.08];
 /// Room for the gripper's fingers behind and beside the cue ball: the sweep is 0.1 m on either side of the contact.
 const SWEEP_M: f64 = 0.16;
 const SWEEP_HALF_WIDTH_M: f64 = 0.08;
+/// Everything lies within this distance of the workspace's middle line, so that all views hold most of it.
+const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
 /// Half size of the floor.
 const FLOOR_HALF_SIZE_M: f64 = 1.5;
 /// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
@@ -123,8 +125,8 @@ fn draw_shot(seed: Seed, settings: &BilliardsSettings) -> Shot {
         // The goal itself may lie a little beyond the objects; nothing stands there.
         let fits = target.length() <= settings.reach_m - 0.06
             && goal.length() <= settings.reach_m + 0.08
-            && target.y.abs() < 0.34
-            && goal.y.abs() < 0.42;
+            && target.y.abs() < 0.28
+            && goal.y.abs() < 0.36;
         if fits || spread < 1e-3 {
             return Shot { cue, target, goal };
         }
@@ -161,10 +163,11 @@ fn place_obstacle(
     let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
     let mut rng = seed.derive("place").rng();
     for _ in 0..4000 {
-        let p = DVec2::new(uniform(&mut rng, [0.18, settings.reach_m]), uniform(&mut rng, [-0.55, 0.55]));
+        let p = DVec2::new(uniform(&mut rng, [0.2, settings.reach_m]), uniform(&mut rng, [-0.4, 0.4]));
         let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
         let free = p.length() + radius <= settings.reach_m + 0.02
-            && p.x - radius >= 0.14
+            && p.x - radius >= 0.16
+            && p.y.abs() + radius <= WORKSPACE_HALF_WIDTH_M
             && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
             && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
             && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M

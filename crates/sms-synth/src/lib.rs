@@ -24,6 +24,7 @@ mod assets;
 mod billiards;
 mod bvh;
 mod depth_camera;
+mod floor_light;
 mod materials;
 mod path;
 mod recording;

@@ -27,7 +27,8 @@ pub struct CameraPath {
     pub rounds: usize,
     /// Radius of the sphere around the manipulator's base, metres.
     pub sphere_radius_m: f64,
-    /// x of the vertical plane in the world, metres.
+    /// x of the vertical plane in the world, metres. A little behind the robot's base, so that the first view holds
+    /// the whole workspace.
     pub plane_x_m: f64,
     /// Height above the floor at the first and at the last frame, metres.
     pub height_range_m: [f64; 2],
@@ -35,7 +36,7 @@ pub struct CameraPath {
 
 impl Default for CameraPath {
     fn default() -> Self {
-        Self { rounds: 3, sphere_radius_m: 1.0, plane_x_m: 0.0, height_range_m: [0.25, 0.60] }
+        Self { rounds: 3, sphere_radius_m: 1.0, plane_x_m: -0.15, height_range_m: [0.25, 0.60] }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::bvh::{Bvh, Ray};
 use crate::depth_camera::{DepthCamera, irwin_hall};
+use crate::floor_light::FloorLight;
 use crate::scene::TruthScene;
 use crate::shading::{Lamp, SurfacePoint, backdrop, lamps, shade, tone_map};
 use crate::texture::{hash, linear_from_srgb, srgb_channels};
@@ -59,6 +60,7 @@ pub struct Renderer<'a> {
     lamps: [Lamp; 2],
     /// Mean linear colour of the floor, for light that it throws back.
     floor_color: Vec3,
+    floor_light: FloorLight,
 }
 
 /// What shading needs to know of a triangle.
@@ -152,7 +154,38 @@ impl<'a> Renderer<'a> {
             .collect();
         let floor = &scene.floor.texture;
         let floor_color = linear_from_srgb(floor.color).lerp(linear_from_srgb(floor.accent), 0.25);
-        Self { scene, bvh: Bvh::build(&corners), facets, bodies, lamps: lamps(), floor_color }
+        let empty = FloorLight::compute([0.0; 2], [0.0; 2], |_| [1.0; 3]);
+        let bvh = Bvh::build(&corners);
+        let mut renderer =
+            Self { scene, bvh, facets, bodies, lamps: lamps(), floor_color, floor_light: empty };
+        renderer.floor_light = renderer.light_floor();
+        renderer
+    }
+
+    /// Light on the floor around the bodies, as far as their shadows reach.
+    fn light_floor(&self) -> FloorLight {
+        const SHADOW_REACH_M: f32 = 0.3;
+        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        for body in &self.bodies {
+            let c = body.center.truncate().to_array();
+            for axis in 0..2 {
+                low[axis] = low[axis].min(c[axis] - body.radius - SHADOW_REACH_M);
+                high[axis] = high[axis].max(c[axis] + body.radius + SHADOW_REACH_M);
+            }
+        }
+        if self.bodies.is_empty() {
+            (low, high) = ([0.0; 2], [0.0; 2]);
+        }
+        FloorLight::compute(low, high, |p| self.floor_light_at(p))
+    }
+
+    fn floor_light_at(&self, point: Vec3) -> [f32; 3] {
+        let origin = point + Vec3::Z * 1e-4;
+        let turn = hash01([(point.x * 4000.0) as i32, (point.y * 4000.0) as i32, 7]);
+        let [key, fill] = self.lamps.map(|lamp| {
+            self.lamp_visibility(origin, &lamp, (lamp.center - point).normalize(), turn)
+        });
+        [key, fill, self.openness(point, Vec3::Z, None)]
     }
 
     /// Renders one frame. Every pixel depends on the scene, the camera and the seed only, not on threads.
@@ -227,24 +260,21 @@ impl<'a> Renderer<'a> {
                 (texture, texture.albedo(p_a, body.rotation_aw * hit.normal, footprint))
             }
         };
-        let lamps = self.lamps.map(|lamp| {
-            let to_lamp = (lamp.center - hit.point).normalize();
-            let visible = if normal.dot(to_lamp) <= 0.0 {
-                0.0
-            } else {
-                self.lamp_visibility(&hit, &lamp, to_lamp, jitter)
-            };
-            (to_lamp, visible)
-        });
-        let point = SurfacePoint {
-            normal,
-            to_eye,
-            height: hit.point.z,
-            albedo,
-            texture,
-            openness: self.openness(hit.point, normal, hit.object),
-            lamps,
+        let to_lamp = self.lamps.map(|lamp| (lamp.center - hit.point).normalize());
+        let [key, fill, openness] = match hit.object {
+            None => self.floor_light.at(hit.point).unwrap_or_else(|| self.floor_light_at(hit.point)),
+            Some(_) => {
+                let [key, fill] = [0, 1].map(|i| {
+                    if normal.dot(to_lamp[i]) <= 0.0 {
+                        return 0.0;
+                    }
+                    self.lamp_visibility(hit.shadow_origin, &self.lamps[i], to_lamp[i], jitter)
+                });
+                [key, fill, self.openness(hit.point, normal, hit.object)]
+            }
         };
+        let lamps = [(to_lamp[0], key), (to_lamp[1], fill)];
+        let point = SurfacePoint { normal, to_eye, height: hit.point.z, albedo, texture, openness, lamps };
         Pixel {
             color: shade(&point, self.floor_color),
             depth: hit.t,
@@ -310,10 +340,9 @@ impl<'a> Renderer<'a> {
 
     /// The share of a lamp that a point sees. Rays are only traced past bodies that stand near the line of sight, and
     /// many only where the first four disagree.
-    fn lamp_visibility(&self, hit: &Hit, lamp: &Lamp, to_lamp: Vec3, jitter: f32) -> f32 {
+    fn lamp_visibility(&self, origin: Vec3, lamp: &Lamp, to_lamp: Vec3, jitter: f32) -> f32 {
         const RING: usize = 4;
         const SAMPLES: usize = 16;
-        let origin = hit.shadow_origin;
         let reach = (lamp.center - origin).length();
         let in_the_way = |body: &Body| {
             let along = (body.center - origin).dot(to_lamp);
@@ -419,7 +448,11 @@ fn smooth_normals(mesh: &sms_core::Mesh) -> Vec<[Vec3; 3]> {
 
 /// A number in [0, 1) for turning sample patterns, fixed per pixel.
 fn jitter(x: usize, y: usize, sample: u32) -> f32 {
-    hash(x as i32, y as i32, sample as i32, 0x51ED_270B) as f32 / 4_294_967_296.0
+    hash01([x as i32, y as i32, sample as i32])
+}
+
+fn hash01([x, y, z]: [i32; 3]) -> f32 {
+    hash(x, y, z, 0x51ED_270B) as f32 / 4_294_967_296.0
 }
 
 /// Whether colour may change within the pixel: another object, a jump in depth or a crease next to it.

@@ -14,7 +14,7 @@ pub(crate) struct Lamp {
 /// The lamps of the studio: a warm key light and a cooler fill light from the other side.
 pub(crate) fn lamps() -> [Lamp; 2] {
     [
-        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.22, color: Vec3::new(1.50, 1.42, 1.28) },
+        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.22, color: Vec3::new(1.75, 1.65, 1.48) },
         Lamp { center: Vec3::new(1.9, 1.5, 1.9), radius: 0.35, color: Vec3::new(0.46, 0.52, 0.62) },
     ]
 }
@@ -51,16 +51,19 @@ pub(crate) fn shade(s: &SurfacePoint, floor_color: Vec3) -> Vec3 {
     let gloss = s.texture.gloss;
     let up = 0.5 + 0.5 * s.normal.z;
     // Close to the floor an object shades what the floor could throw back to it.
-    let bounce = floor_color * (0.50 * (0.35 + 0.65 * smoothstep(0.0, 0.05, s.height)));
-    let mut diffuse = bounce.lerp(Vec3::new(0.50, 0.53, 0.58), up) * s.openness;
+    let bounce = floor_color * (0.45 * (0.35 + 0.65 * smoothstep(0.0, 0.05, s.height)));
+    let mut diffuse = bounce.lerp(Vec3::new(0.42, 0.45, 0.50), up) * s.openness;
     let mut highlight = Vec3::ZERO;
     let exponent = 16.0 + 160.0 * gloss * gloss;
     for ((direction, visible), lamp) in s.lamps.iter().zip(lamps()) {
         let facing = s.normal.dot(*direction).max(0.0) * visible;
         diffuse += lamp.color * facing * 0.85;
         let half = (*direction + s.to_eye).normalize_or_zero();
-        let lobe = s.normal.dot(half).max(0.0).powf(exponent) * (0.10 + 0.5 * gloss) * gloss;
-        highlight += lamp.color * lobe * if facing > 0.0 { *visible } else { 0.0 };
+        let aligned = s.normal.dot(half);
+        // Outside of this cone the lobe is below a thousandth.
+        if facing > 0.0 && (1.0 - aligned) * exponent < 7.0 {
+            highlight += lamp.color * (aligned.powf(exponent) * (0.10 + 0.5 * gloss) * gloss * visible);
+        }
     }
     let cos = s.normal.dot(s.to_eye).clamp(0.0, 1.0);
     let fresnel = (0.04 + 0.5 * (1.0 - cos).powi(5)) * gloss;

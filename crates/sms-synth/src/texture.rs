@@ -3,6 +3,7 @@
 
 use glamx::Vec3;
 use serde::{Deserialize, Serialize};
+use std::sync::LazyLock;
 
 /// What the surface looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -122,12 +123,12 @@ impl Texture {
                 tile.lerp(accent, strength * (1.0 - smoothstep(0.5 * joint_width, joint_width, joint)))
             }
             Pattern::Terrazzo => {
-                let chips = self.fbm(q * 6.0, 2, width * 6.0);
-                let large = self.fbm(q * 1.4 + Vec3::splat(17.0), 2, width * 1.4);
-                let light = smoothstep(0.16, 0.26, chips);
-                let dark = smoothstep(0.16, 0.26, -chips) * 0.7;
-                let ground = color * (1.0 + 0.25 * large);
-                ground.lerp(accent, 0.6 * light) * (1.0 - 0.45 * dark)
+                let chips = self.fbm(q * 9.0, 2, width * 9.0);
+                let large = self.fbm(q * 1.1 + Vec3::splat(17.0), 3, width * 1.1);
+                let light = smoothstep(0.26, 0.34, chips);
+                let dark = smoothstep(0.28, 0.36, -chips);
+                let ground = color * (1.0 + 0.30 * large);
+                ground.lerp(accent, 0.45 * light) * (1.0 - 0.35 * dark)
             }
         };
         rgb.clamp(Vec3::ZERO, Vec3::ONE)
@@ -276,9 +277,21 @@ pub(crate) fn linear_from_srgb(c: [u8; 3]) -> Vec3 {
 
 /// Linear light to sRGB in [0, 1], before quantisation.
 pub(crate) fn srgb_channels(rgb: Vec3) -> [f32; 3] {
+    // Interpolated over the square root, in which the curve is nearly straight; a power a channel is several times
+    // slower.
+    const STEPS: usize = 1024;
+    static CURVE: LazyLock<Vec<f32>> = LazyLock::new(|| {
+        (0..=STEPS + 1)
+            .map(|i| {
+                let v = (i as f32 / STEPS as f32).powi(2);
+                if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+            })
+            .collect()
+    });
     rgb.to_array().map(|v| {
-        let v = v.clamp(0.0, 1.0);
-        if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+        let at = v.clamp(0.0, 1.0).sqrt() * STEPS as f32;
+        let i = at as usize;
+        CURVE[i] + (CURVE[i + 1] - CURVE[i]) * (at - i as f32)
     })
 }
 
