@@ -23,11 +23,12 @@ pub fn normals_from_depth(
     noise: &DepthNoise,
     radius: usize,
 ) -> NormalImage {
+    let window = Window::new(radius);
     let mut normals = Image::filled(depth.width, depth.height, [0.0f32; 3]);
     for y in 0..depth.height {
         for x in 0..depth.width {
             if depth[(x, y)] > 0.0
-                && let Some(plane) = fit_window(depth, intrinsics, noise, radius, x, y)
+                && let Some(plane) = window.fit(depth, intrinsics, noise, x, y)
                 && let Some(n) = plane_normal_c(&plane, intrinsics, x as f64 + 0.5, y as f64 + 0.5)
             {
                 normals[(x, y)] = n;
@@ -37,45 +38,60 @@ pub fn normals_from_depth(
     normals
 }
 
-fn fit_window(
-    depth: &DepthImage,
-    k: &Intrinsics,
-    noise: &DepthNoise,
-    radius: usize,
-    x: usize,
-    y: usize,
-) -> Option<InverseDepthPlane> {
-    let z0 = f64::from(depth[(x, y)]);
-    let sigma = noise.sigma_m(z0);
-    let pitch = k.pixel_footprint(z0);
-    let r = radius as i64;
-    let falloff = 1.0 / (2.0 * (0.8 * radius as f64).powi(2));
-    let mut plane: Option<InverseDepthPlane> = None;
-    // A wide gate round the centre pixel first, then twice 3σ round the plane found so far.
-    for _ in 0..3 {
-        let mut fit = InverseDepthFit::default();
-        for dy in -r..=r {
-            for dx in -r..=r {
+/// The offsets of the window's pixels, with their distance and weight.
+struct Window(Vec<(i64, i64, f64, f64)>);
+
+impl Window {
+    fn new(radius: usize) -> Self {
+        let r = radius as i64;
+        let falloff = 1.0 / (2.0 * (0.8 * radius.max(1) as f64).powi(2));
+        let offsets = (-r..=r).flat_map(|dy| (-r..=r).map(move |dx| (dx, dy)));
+        Self(
+            offsets
+                .map(|(dx, dy)| {
+                    let d2 = (dx * dx + dy * dy) as f64;
+                    (dx, dy, d2.sqrt(), (-d2 * falloff).exp())
+                })
+                .collect(),
+        )
+    }
+
+    fn fit(
+        &self,
+        depth: &DepthImage,
+        k: &Intrinsics,
+        noise: &DepthNoise,
+        x: usize,
+        y: usize,
+    ) -> Option<InverseDepthPlane> {
+        let z0 = f64::from(depth[(x, y)]);
+        let gate = 3.0 * noise.sigma_m(z0);
+        let rise = MAX_SLOPE * k.pixel_footprint(z0);
+        let mut plane: Option<InverseDepthPlane> = None;
+        // A wide gate round the centre pixel first, then twice 3σ round the plane found so far.
+        for _ in 0..3 {
+            let mut fit = InverseDepthFit::default();
+            for &(dx, dy, distance, weight) in &self.0 {
                 let Some(&z) = depth.get(x as i64 + dx, y as i64 + dy) else { continue };
                 if z <= 0.0 {
                     continue;
                 }
-                let (z, fx, fy) = (f64::from(z), dx as f64, dy as f64);
+                let (z, dx, dy) = (f64::from(z), dx as f64, dy as f64);
                 let off = match &plane {
-                    None => (z - z0).abs() - MAX_SLOPE * pitch * fx.hypot(fy),
-                    Some(p) => (z - p.depth_at(fx, fy)).abs(),
+                    None => (z - z0).abs() - rise * distance,
+                    Some(p) => (z - p.depth_at(dx, dy)).abs(),
                 };
-                if off <= 3.0 * sigma {
-                    fit.add(fx, fy, 1.0 / z, (-(fx * fx + fy * fy) * falloff).exp());
+                if off <= gate {
+                    fit.add(dx, dy, 1.0 / z, weight);
                 }
             }
+            if fit.count < MIN_VALID {
+                return None;
+            }
+            plane = Some(fit.solve()?);
         }
-        if fit.count < MIN_VALID {
-            return None;
-        }
-        plane = Some(fit.solve()?);
+        plane
     }
-    plane
 }
 
 /// The normal of a plane whose inverse depth at image-plane coordinates (u, v) is `plane.c`; `None` when it is seen

@@ -25,6 +25,8 @@ pub(super) struct Hypothesis {
     pub(super) unit_m: f64,
     /// Added to the principal points.
     pub(super) center_shift: f64,
+    /// Every so many samples are used.
+    pub(super) every: usize,
 }
 
 /// Differences found for one pair of frames.
@@ -65,8 +67,9 @@ impl Probe {
         let (own, theirs) =
             (self.shifted_lens(reading.center_shift), other.shifted_lens(reading.center_shift));
         let (k, ko) = (own.intrinsics, theirs.intrinsics);
-        let mut errors = PairErrors { absolute: Vec::new(), relative: Vec::new(), tried: self.samples.len() };
-        for &(u, v, raw) in &self.samples {
+        let mut errors = PairErrors { absolute: Vec::new(), relative: Vec::new(), tried: 0 };
+        for &(u, v, raw) in self.samples.iter().step_by(reading.every) {
+            errors.tried += 1;
             let Some((x, y)) = own.distortion.undistort((u - k.cx) / k.fx, (v - k.cy) / k.fy) else {
                 continue;
             };

@@ -18,6 +18,9 @@ const ALIKE: f64 = 1.4;
 /// Fewest samples that must meet, as a share of the most that meet under any reading.
 const LEAST_SHARE: f64 = 0.1;
 
+/// Readings are compared on every so many samples: their errors differ by far more than chance.
+const EVERY: usize = 4;
+
 /// Depth images and the pairs between them.
 pub(super) struct Data<'a> {
     recording: &'a Recording,
@@ -38,7 +41,7 @@ impl<'a> Data<'a> {
     }
 
     fn declared(&self) -> Hypothesis {
-        Hypothesis { unit_m: self.recording.depth_unit_m, center_shift: 0.0 }
+        Hypothesis { unit_m: self.recording.depth_unit_m, center_shift: 0.0, every: 1 }
     }
 
     fn probe(&self, index: usize) -> Option<&Probe> {
@@ -133,7 +136,7 @@ pub(super) fn judge(data: &Data<'_>, report: &mut CheckReport) {
             let unit = data.recording.depth_unit_m;
             FACTORS
                 .iter()
-                .map(|f| data.fit(&poses, &Hypothesis { unit_m: unit * f, center_shift: 0.0 }))
+                .map(|f| data.fit(&poses, &Hypothesis { unit_m: unit * f, center_shift: 0.0, every: EVERY }))
                 .collect()
         })
         .collect();
@@ -270,8 +273,9 @@ fn judge_unit(
     }
     let poses = data.poses_read_as(reading.0, reading.1);
     let unit = data.recording.depth_unit_m;
-    let at =
-        |log: f64| data.fit(&poses, &Hypothesis { unit_m: unit * log.exp(), center_shift: 0.0 }).relative;
+    let at = |log: f64| {
+        data.fit(&poses, &Hypothesis { unit_m: unit * log.exp(), center_shift: 0.0, every: EVERY }).relative
+    };
     let refined = golden_minimum(at, factor.ln() - 0.5, factor.ln() + 0.5).exp();
     report.best_unit_factor = Some(refined);
     if factor == 1.0 {
