@@ -1,0 +1,24 @@
+//! Errors of this crate.
+
+use sms_core::{CoreError, InputError};
+
+/// What can go wrong while labelling.
+#[derive(Debug, thiserror::Error)]
+pub enum MasksError {
+    /// Bad input by the user: the message names the file and the cure.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// A file could not be written or read, or the user asked to stop.
+    #[error(transparent)]
+    Core(CoreError),
+}
+
+impl From<CoreError> for MasksError {
+    /// Keeps bad input recognisable as such, whichever crate found it.
+    fn from(error: CoreError) -> Self {
+        match error {
+            CoreError::Input(input) => Self::Input(input),
+            other => Self::Core(other),
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! One cloud of oriented surface elements (surfels) from all frames.
+
+use super::GeometryConfig;
+use super::linalg::{mean_and_covariance, symmetric_eigen};
+use crate::voxels::{RowWalk, key_of};
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{Cancel, CoreError, DepthImage};
+use sms_frames::{Frame, Sequence};
+
+/// A piece of surface: one occupied cell of the fused cloud.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Surfel {
+    /// Position in the world.
+    pub(crate) p_w: DVec3,
+    /// Unit normal towards the cameras.
+    pub(crate) n_w: DVec3,
+    /// Sum of the weights of its samples.
+    pub(crate) weight: f64,
+    /// Mean sRGB colour.
+    pub(crate) color: [f32; 3],
+    /// Spread of the cloud along the normal, metres.
+    pub(crate) sigma_m: f64,
+}
+
+/// Sums of the samples of one cell, in one frame or in several.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    key: u64,
+    p_w: DVec3,
+    to_camera: DVec3,
+    color: [f32; 3],
+    weight: f64,
+    count: u32,
+}
+
+/// Fuses the frames; also returns which surfels are within `gap_m` of each other.
+pub(crate) fn fuse(
+    sequence: &Sequence,
+    config: &GeometryConfig,
+    cancel: &Cancel,
+) -> Result<(Vec<Surfel>, Neighbors), CoreError> {
+    let fused: Vec<&Frame> =
+        spread(sequence.len(), config.max_fused_frames).map(|i| &sequence.frames[i]).collect();
+    let parts: Vec<Vec<Cell>> = fused
+        .par_iter()
+        .map(|f| {
+            if cancel.is_cancelled() {
+                return vec![];
+            }
+            merge(samples(f, config))
+        })
+        .collect();
+    cancel.check()?;
+    let mut cells = merge(parts.into_iter().flatten().collect());
+    // The outskirts of the noise: cells with a small fraction of the samples that a cell usually has.
+    let mut counts: Vec<u32> = cells.iter().map(|c| c.count).collect();
+    let middle = counts.len() / 2;
+    let usual = if counts.is_empty() { 0 } else { *counts.select_nth_unstable(middle).1 };
+    cells.retain(|c| c.count >= usual.div_ceil(8));
+    let consistent: Vec<bool> = cells.par_iter().map(|c| is_consistent(c, &fused)).collect();
+    let mut keep = consistent.iter();
+    cells.retain(|_| *keep.next().unwrap_or(&false));
+    cancel.check()?;
+    let positions: Vec<DVec3> = cells.iter().map(|c| c.p_w / c.weight).collect();
+    let keys: Vec<u64> = cells.iter().map(|c| c.key).collect();
+    let graph = Neighbors::new(&keys, &positions, config.gap_m, config.voxel_m);
+    cancel.check()?;
+    let surfels = orient(&cells, &positions, &graph, config);
+    Ok((surfels, graph))
+}
+
+/// At most `most` indices below `count`, evenly spread.
+fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    let n = count.min(most.max(1));
+    (0..n).map(move |k| k * count / n)
+}
+
+/// The back-projected pixels of one frame. Isolated depths (fewer than 4 of the 5×5 around agree within 3 %) are not
+/// surface. A sample weighs by the inverse of z², and by the cosine of its viewing angle where the normal is known:
+/// samples near silhouettes are off by up to a pixel.
+fn samples(frame: &Frame, config: &GeometryConfig) -> Vec<Cell> {
+    let (w, h) = frame.depth.size();
+    let center_w = frame.camera.center_w();
+    let mut cells = Vec::new();
+    for y in 0..h {
+        for x in 0..w {
+            let z = frame.depth[(x, y)];
+            if z <= 0.0 || f64::from(z) > config.max_depth_m || !z.is_finite() {
+                continue;
+            }
+            let mut agree = 0;
+            for j in y.saturating_sub(2)..(y + 3).min(h) {
+                for i in x.saturating_sub(2)..(x + 3).min(w) {
+                    agree += usize::from((frame.depth[(i, j)] - z).abs() < 0.03 * z);
+                }
+            }
+            if agree < 5 {
+                continue;
+            }
+            let p_w = frame.camera.unproject_pixel(x, y, f64::from(z));
+            let Some(key) = key_of(p_w, config.voxel_m) else { continue };
+            let to_camera = (center_w - p_w).normalize_or(DVec3::Z);
+            let n = frame.normal_c[(x, y)];
+            let n_w =
+                frame.camera.x_wc.rotation * DVec3::new(f64::from(n[0]), f64::from(n[1]), f64::from(n[2]));
+            let facing = if n == [0.0; 3] { 0.3 } else { n_w.dot(to_camera).max(0.1).powi(2) };
+            let weight = facing / f64::from(z * z);
+            let color = frame.color[(x, y)].map(|c| f32::from(c) * weight as f32);
+            cells.push(Cell {
+                key,
+                p_w: p_w * weight,
+                to_camera: to_camera * weight,
+                color,
+                weight,
+                count: 1,
+            });
+        }
+    }
+    cells
+}
+
+/// Adds up the cells of equal key; the sort is stable, so sums run in the frames' order.
+fn merge(mut cells: Vec<Cell>) -> Vec<Cell> {
+    cells.par_sort_by_key(|c| c.key);
+    cells
+        .chunk_by(|a, b| a.key == b.key)
+        .map(|same| {
+            let mut sum = same[0];
+            for c in &same[1..] {
+                sum.p_w += c.p_w;
+                sum.to_camera += c.to_camera;
+                sum.weight += c.weight;
+                sum.count += c.count;
+                for k in 0..3 {
+                    sum.color[k] += c.color[k];
+                }
+            }
+            sum
+        })
+        .collect()
+}
+
+/// Whether more frames see a surface at the cell than see through it.
+fn is_consistent(cell: &Cell, frames: &[&Frame]) -> bool {
+    let p_w = cell.p_w / cell.weight;
+    let (mut seen, mut through) = (0usize, 0usize);
+    for frame in frames {
+        let Some((u, v, z)) = frame.camera.project(p_w) else { continue };
+        let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
+        let tolerance = 0.012f64.max(0.015 * z);
+        match around(&frame.depth, x, y) {
+            Some((near, _)) if near > z + tolerance => through += 1,
+            Some((near, far)) if near < z + tolerance && far > z - tolerance => seen += 1,
+            _ => {}
+        }
+    }
+    seen > through
+}
+
+/// The least and largest depth of the 3×3 pixels around one; `None` where fewer than 3 are measured.
+fn around(depth: &DepthImage, x: usize, y: usize) -> Option<(f64, f64)> {
+    let (mut near, mut far, mut count) = (f32::INFINITY, 0.0f32, 0);
+    for j in y.saturating_sub(1)..(y + 2).min(depth.height) {
+        for i in x.saturating_sub(1)..(x + 2).min(depth.width) {
+            let z = depth[(i, j)];
+            if z > 0.0 {
+                near = near.min(z);
+                far = far.max(z);
+                count += 1;
+            }
+        }
+    }
+    (count >= 3).then_some((f64::from(near), f64::from(far)))
+}
+
+/// Normals from the weighted neighbourhood of each cell; then each position moves along its normal onto the mean of
+/// those neighbours that face the same way, which turns the noise's thick skin into a surface.
+fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, config: &GeometryConfig) -> Vec<Surfel> {
+    // Gaussian of half the reach, truncated at the reach.
+    let near = |i: usize| {
+        graph.of(i).chain(std::iter::once(i)).map(move |j| {
+            let d2 = positions[i].distance_squared(positions[j]) / (config.gap_m * config.gap_m);
+            (j, cells[j].weight * (-2.0 * d2).exp())
+        })
+    };
+    let frames: Vec<(DVec3, f64)> = (0..cells.len())
+        .into_par_iter()
+        .map(|i| {
+            let towards = cells[i].to_camera.normalize_or(DVec3::Z);
+            let around = near(i).map(|(j, w)| (positions[j], w));
+            match mean_and_covariance(around) {
+                Some((_, covariance, _)) if graph.degree(i) >= 4 => {
+                    let (values, vectors) = symmetric_eigen(covariance);
+                    let n = vectors[0];
+                    (if n.dot(towards) < 0.0 { -n } else { n }, values[0].max(0.0).sqrt())
+                }
+                // Too lonely for a normal of its own.
+                _ => (towards, config.voxel_m),
+            }
+        })
+        .collect();
+    (0..cells.len())
+        .into_par_iter()
+        .map(|i| {
+            let (n_w, sigma_m) = frames[i];
+            let (mut shift, mut total) = (0.0, 0.0);
+            for (j, w) in near(i) {
+                let alike = frames[j].0.dot(n_w);
+                if alike > 0.7 {
+                    shift += w * alike * n_w.dot(positions[j] - positions[i]);
+                    total += w * alike;
+                }
+            }
+            let cell = &cells[i];
+            let shift = if total > 0.0 { shift / total } else { 0.0 };
+            Surfel {
+                p_w: positions[i] + n_w * shift,
+                n_w,
+                weight: cell.weight,
+                color: cell.color.map(|c| c / cell.weight as f32),
+                sigma_m,
+            }
+        })
+        .collect()
+}
+
+/// For each surfel the others within a radius, in the order of their keys.
+#[derive(Debug)]
+pub(crate) struct Neighbors {
+    start: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Neighbors {
+    fn new(keys: &[u64], positions: &[DVec3], radius_m: f64, voxel_m: f64) -> Self {
+        const CHUNK: usize = 8192;
+        let radius2 = radius_m * radius_m;
+        let parts: Vec<(Vec<u32>, Vec<u32>)> = (0..keys.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let range = chunk * CHUNK..keys.len().min((chunk + 1) * CHUNK);
+                let mut walk = RowWalk::new(keys, radius_m / voxel_m, range.start);
+                let (mut counts, mut list) = (Vec::with_capacity(CHUNK), Vec::with_capacity(32 * CHUNK));
+                for i in range {
+                    let before = list.len();
+                    walk.visit(i, |j| {
+                        if j != i && positions[j].distance_squared(positions[i]) < radius2 {
+                            list.push(j as u32);
+                        }
+                    });
+                    counts.push((list.len() - before) as u32);
+                }
+                (counts, list)
+            })
+            .collect();
+        let mut start = Vec::with_capacity(keys.len() + 1);
+        start.push(0);
+        let mut list = Vec::with_capacity(parts.iter().map(|p| p.1.len()).sum());
+        for (counts, part) in parts {
+            for count in counts {
+                start.push(start[start.len() - 1] + count);
+            }
+            list.extend(part);
+        }
+        Self { start, list }
+    }
+
+    fn degree(&self, i: usize) -> usize {
+        (self.start[i + 1] - self.start[i]) as usize
+    }
+
+    pub(crate) fn of(&self, i: usize) -> impl Iterator<Item = usize> + '_ {
+        self.list[self.start[i] as usize..self.start[i + 1] as usize].iter().map(|&j| j as usize)
+    }
+
+    /// The connected pieces of the surfels that `holds` admits, each sorted, in the order of their first surfel.
+    pub(crate) fn components(&self, holds: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
+        let mut taken = vec![false; self.start.len() - 1];
+        let mut pieces = Vec::new();
+        for first in 0..taken.len() {
+            if taken[first] || !holds(first) {
+                continue;
+            }
+            taken[first] = true;
+            let mut piece = vec![first];
+            let mut next = 0;
+            while next < piece.len() {
+                for j in self.of(piece[next]) {
+                    if !taken[j] && holds(j) {
+                        taken[j] = true;
+                        piece.push(j);
+                    }
+                }
+                next += 1;
+            }
+            piece.sort_unstable();
+            pieces.push(piece);
+        }
+        pieces
+    }
+}

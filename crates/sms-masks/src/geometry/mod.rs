@@ -1,0 +1,123 @@
+//! Objects from geometry alone: large planes go, the rest is clustered, clusters are seen again in every frame.
+//!
+//! 1. [`fuse`]: all frames become one cloud of surfels; what other frames see through is dropped.
+//! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static.
+//! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet; pieces
+//!    that cannot be objects are left to the background.
+//! 4. [`project`]: each pixel takes the label of the surfels that it sees.
+
+mod cluster;
+mod fuse;
+mod linalg;
+mod planes;
+mod project;
+
+use crate::{MasksError, STAGE, Segmenter};
+use serde::{Deserialize, Serialize};
+use sms_core::{Cancel, LabelInfo, Labels, MaskSource, Progress, Seed, Warnings};
+use sms_frames::Sequence;
+
+/// Settings of [`GeometryMasks`]. Lengths in metres.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GeometryConfig {
+    /// Size of a cell of the fused cloud. About a pixel's footprint: finer cells hold too few samples to average.
+    pub voxel_m: f64,
+    /// At most so many frames are fused, evenly spread; labels are made for all frames.
+    pub max_fused_frames: usize,
+    /// Depth beyond this is not used: noise grows with the square of depth.
+    pub max_depth_m: f64,
+    /// Planar pieces longer than this, and pieces of any shape longer than this, are not objects.
+    pub max_object_m: f64,
+    /// Planar pieces with more area than this (m²) are not faces of an object; the side of a large cereal box has
+    /// 0.057.
+    pub max_face_m2: f64,
+    /// An object is at least so long, and stands out at least half as much from the planes around it.
+    pub min_object_m: f64,
+    /// An object shows at least this surface (m²).
+    pub min_area_m2: f64,
+    /// Two surfaces nearer than this are connected; normals are taken from this neighbourhood.
+    pub gap_m: f64,
+    /// Neighbouring patches that bend inwards by more than this (radians) form a crease; a piece is split along
+    /// creases.
+    pub crease_rad: f64,
+    /// The share of frames in which an object must be visible.
+    pub min_seen_share: f64,
+    /// For the random draws of plane fitting.
+    pub seed: Seed,
+}
+
+impl Default for GeometryConfig {
+    fn default() -> Self {
+        Self {
+            voxel_m: 0.004,
+            max_fused_frames: 40,
+            max_depth_m: 2.5,
+            max_object_m: 0.42,
+            max_face_m2: 0.065,
+            min_object_m: 0.015,
+            min_area_m2: 6e-4,
+            gap_m: 0.010,
+            crease_rad: 0.5,
+            min_seen_share: 0.15,
+            seed: Seed(0),
+        }
+    }
+}
+
+/// The embedded default: objects by geometry, without any network.
+///
+/// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Things that touch are separated where
+/// they meet in a sharp inward crease and either differ in colour on both sides of it or touch in a narrow neck only:
+/// a crease alone is not enough, since toys and statues have creases. Stacked boxes of one colour whose sides are flush
+/// therefore remain one object.
+#[derive(Debug, Clone, Default)]
+pub struct GeometryMasks {
+    /// The settings.
+    pub config: GeometryConfig,
+}
+
+impl Segmenter for GeometryMasks {
+    fn segment(
+        &self,
+        sequence: &Sequence,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Labels, MasksError> {
+        let config = &self.config;
+        progress.begin("masks from geometry", 4);
+        let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
+        progress.update(1, &format!("{} surface points", surfels.len()));
+        let (is_static, planes) = planes::static_surfels(&surfels, &graph, config, cancel)?;
+        progress.update(2, &format!("{} large planes", planes.len()));
+        let clusters = cluster::clusters(&surfels, &graph, &is_static, &planes, sequence, config);
+        cancel.check()?;
+        progress.update(3, &format!("{} objects", clusters.len()));
+        let mut labels_of = vec![sms_core::BACKGROUND; surfels.len()];
+        for (index, cluster) in clusters.iter().enumerate() {
+            for &i in cluster {
+                labels_of[i] = index as u16 + 1;
+            }
+        }
+        let maps = project::label_frames(sequence, &surfels, &labels_of, config, cancel)?;
+        if clusters.is_empty() {
+            warnings.add(
+                STAGE,
+                "no_objects",
+                "no objects were found in the recording's geometry: everything is static",
+                "give label images with `--masks files`, or record closer and from more sides",
+            );
+        }
+        let object = |id: usize| LabelInfo {
+            id: id as u16,
+            name: format!("object_{id:02}"),
+            description: String::new(),
+        };
+        progress.end(&format!("{} objects", clusters.len()));
+        Ok(Labels { maps, objects: (1..=clusters.len()).map(object).collect(), source: MaskSource::Geometry })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,155 @@
+//! From labelled surfels to label maps.
+
+use super::GeometryConfig;
+use super::fuse::Surfel;
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{BACKGROUND, Cancel, CoreError, Image, LabelMap};
+use sms_frames::{Frame, Sequence};
+
+/// A surfel as a frame sees it.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    pixel: u32,
+    label: u16,
+    p_c: DVec3,
+    n_c: DVec3,
+}
+
+/// A surfel under a pixel's ray.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    label: u16,
+    /// Depth at which the ray meets the surfel's plane.
+    z: f64,
+    /// Distance in that plane from the surfel, in cells.
+    rho: f64,
+}
+
+/// Labels every frame: each pixel takes the label of the surfels it sees.
+///
+/// Which those are its own depth says, where it was measured and the cloud agrees; elsewhere (holes, flying pixels) the
+/// frontmost. Each surfel votes by how near the ray meets its plane, so that borders lie between surfels and do not
+/// follow their cells.
+pub(crate) fn label_frames(
+    sequence: &Sequence,
+    surfels: &[Surfel],
+    labels: &[u16],
+    config: &GeometryConfig,
+    cancel: &Cancel,
+) -> Result<Vec<LabelMap>, CoreError> {
+    let maps = sequence
+        .frames
+        .par_iter()
+        .map(|frame| {
+            cancel.check()?;
+            Ok(label_frame(frame, surfels, labels, config))
+        })
+        .collect();
+    maps
+}
+
+fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &GeometryConfig) -> LabelMap {
+    let (w, h) = frame.depth.size();
+    let mut map = Image::filled(w, h, BACKGROUND);
+    let mut seen = visible(frame, surfels, labels);
+    seen.sort_by_key(|s| s.pixel);
+    let mut start = vec![0u32; w * h + 1];
+    seen.iter().for_each(|s| start[s.pixel as usize + 1] += 1);
+    for i in 1..start.len() {
+        start[i] += start[i - 1];
+    }
+    // The ray may meet a surfel's disc so many pixels away from where its centre projects.
+    let nearest =
+        seen.iter().filter(|s| s.label != BACKGROUND).map(|s| s.p_c.z).fold(f64::INFINITY, f64::min);
+    if !nearest.is_finite() {
+        return map;
+    }
+    let k = &frame.camera.intrinsics;
+    let reach = ((REACH * config.voxel_m * k.fx.max(k.fy) / nearest).ceil() as usize).clamp(1, 12);
+    let mut candidates = Vec::new();
+    for (x, y) in near_objects(&seen, (w, h), reach) {
+        let d = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0);
+        candidates.clear();
+        for j in y.saturating_sub(reach)..(y + reach + 1).min(h) {
+            let row = (j * w + x.saturating_sub(reach), j * w + (x + reach).min(w - 1));
+            for s in &seen[start[row.0] as usize..start[row.1 + 1] as usize] {
+                let rate = s.n_c.dot(d);
+                // Away from the camera, or too grazing for the plane to say where the ray meets it.
+                if rate > -0.05 {
+                    continue;
+                }
+                let z = s.n_c.dot(s.p_c) / rate;
+                let rho = (z * d).distance(s.p_c) / config.voxel_m;
+                if rho < REACH {
+                    candidates.push(Candidate { label: s.label, z, rho });
+                }
+            }
+        }
+        map[(x, y)] = vote(&candidates, f64::from(frame.depth[(x, y)]));
+    }
+    map
+}
+
+/// Largest distance of a ray from a surfel, in cells.
+const REACH: f64 = 1.6;
+
+fn visible(frame: &Frame, surfels: &[Surfel], labels: &[u16]) -> Vec<Seen> {
+    let camera = &frame.camera;
+    let x_cw = camera.x_wc.inverse();
+    let k = &camera.intrinsics;
+    let mut seen = Vec::new();
+    for (s, &label) in surfels.iter().zip(labels) {
+        let p_c = x_cw.transform_point(s.p_w);
+        if p_c.z < 0.02 {
+            continue;
+        }
+        let n_c = x_cw.rotation * s.n_w;
+        let Some((x, y)) = camera.pixel_at(k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy) else {
+            continue;
+        };
+        seen.push(Seen { pixel: (y * k.width + x) as u32, label, p_c, n_c });
+    }
+    seen
+}
+
+/// The pixels with a surfel of an object within `reach`; all others are background.
+fn near_objects(seen: &[Seen], (w, h): (usize, usize), reach: usize) -> Vec<(usize, usize)> {
+    let mut near = vec![false; w * h];
+    let mut last = u32::MAX;
+    for s in seen.iter().filter(|s| s.label != BACKGROUND) {
+        if s.pixel == last {
+            continue;
+        }
+        last = s.pixel;
+        let (x, y) = (s.pixel as usize % w, s.pixel as usize / w);
+        for j in y.saturating_sub(reach)..(y + reach + 1).min(h) {
+            near[j * w + x.saturating_sub(reach)..j * w + (x + reach + 1).min(w)].fill(true);
+        }
+    }
+    (0..w * h).filter(|&i| near[i]).map(|i| (i % w, i / w)).collect()
+}
+
+/// The winning label of the candidates of one pixel.
+fn vote(candidates: &[Candidate], measured: f64) -> u16 {
+    let sigma = |z: f64| 0.0015 + 0.0025 * z * z;
+    let supports = |c: &Candidate, z: f64| (c.z - z).abs() < 3.0 * sigma(z);
+    let surface = if measured > 0.0 && candidates.iter().any(|c| c.rho < 1.2 && supports(c, measured)) {
+        measured
+    } else {
+        candidates.iter().filter(|c| c.rho < 0.8).map(|c| c.z).fold(f64::INFINITY, f64::min)
+    };
+    if !surface.is_finite() {
+        return BACKGROUND;
+    }
+    let mut sums: Vec<(u16, f64)> = Vec::new();
+    for c in candidates.iter().filter(|c| supports(c, surface)) {
+        let off = (c.z - surface) / sigma(surface);
+        let weight = (-2.0 * c.rho * c.rho - 0.5 * off * off).exp();
+        match sums.iter_mut().find(|s| s.0 == c.label) {
+            Some(sum) => sum.1 += weight,
+            None => sums.push((c.label, weight)),
+        }
+    }
+    sums.iter().fold((BACKGROUND, 0.0), |best, s| if s.1 > best.1 { *s } else { best }).0
+}

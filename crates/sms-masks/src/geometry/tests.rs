@@ -1,0 +1,100 @@
+//! Geometry against scenes with known masks.
+
+use super::*;
+use crate::fixture::{Sensor, Solid, best_iou, scene, table_scene};
+use glamx::DVec3;
+use sms_core::NoProgress;
+
+fn segment(sequence: &Sequence) -> (Labels, Warnings) {
+    let warnings = Warnings::new();
+    let labels = GeometryMasks::default().segment(sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    (labels, warnings)
+}
+
+/// Every solid is found as one object with at least this overlap, and nothing else is found.
+fn assert_found(solids: &[Solid], sensor: Sensor, least: f64) {
+    let (sequence, truth) = scene(solids, sensor, 11);
+    let began = std::time::Instant::now();
+    let (labels, _) = segment(&sequence);
+    println!("{} objects in {:.2} s", labels.objects.len(), began.elapsed().as_secs_f64());
+    let found: Vec<(f64, u16)> =
+        (1..=solids.len() as u16).map(|value| best_iou(&truth, value, &labels)).collect();
+    println!("{found:.3?}");
+    assert_eq!(labels.objects.len(), solids.len());
+    let mut ids: Vec<u16> = found.iter().map(|f| f.1).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), solids.len(), "each solid has a label of its own");
+    for (value, (iou, _)) in found.iter().enumerate() {
+        assert!(*iou >= least, "solid {}: IoU {iou:.3}", value + 1);
+    }
+}
+
+#[test]
+fn separate_things_on_a_table_are_found() {
+    assert_found(&table_scene(), Sensor::default(), 0.9);
+}
+
+#[test]
+fn sixty_percent_of_the_depth_may_be_missing() {
+    assert_found(&table_scene(), Sensor { missing: 0.6, ..Sensor::default() }, 0.9);
+}
+
+#[test]
+fn a_box_on_a_box_and_a_ball_on_a_box_are_two_objects_each() {
+    let solids = [
+        Solid::Box(DVec3::new(0.0, 0.0, 0.03), DVec3::new(0.07, 0.06, 0.03), 0.2),
+        Solid::Box(DVec3::new(0.0, 0.01, 0.085), DVec3::new(0.035, 0.03, 0.025), 0.7),
+        Solid::Box(DVec3::new(-0.2, 0.1, 0.03), DVec3::new(0.05, 0.05, 0.03), 0.0),
+        Solid::Sphere(DVec3::new(-0.2, 0.1, 0.0886), 0.0286),
+    ];
+    assert_found(&solids, Sensor::default(), 0.88);
+}
+
+#[test]
+fn things_that_touch_side_by_side_are_separated() {
+    let solids = [
+        Solid::Sphere(DVec3::new(0.0, 0.0, 0.0286), 0.0286),
+        Solid::Sphere(DVec3::new(0.0573, 0.0, 0.0286), 0.0286),
+        Solid::Box(DVec3::new(-0.16, 0.1, 0.05), DVec3::new(0.03, 0.04, 0.05), 0.0),
+        Solid::Sphere(DVec3::new(-0.1 - 0.0013, 0.1, 0.0286), 0.0286),
+    ];
+    assert_found(&solids, Sensor::default(), 0.86);
+}
+
+#[test]
+fn an_empty_table_has_no_objects_and_says_so() {
+    let (sequence, _) = scene(&[], Sensor { frames: 6, ..Sensor::default() }, 2);
+    let (labels, warnings) = segment(&sequence);
+    assert!(labels.objects.is_empty() && labels.maps.len() == 6);
+    assert_eq!(warnings.snapshot()[0].code, "no_objects");
+}
+
+#[test]
+fn walls_and_a_bin_floor_are_static() {
+    let mut solids = vec![
+        Solid::Sphere(DVec3::new(0.0, 0.0, 0.0286), 0.0286),
+        Solid::Box(DVec3::new(0.1, 0.08, 0.04), DVec3::new(0.03, 0.03, 0.04), 0.3),
+    ];
+    let objects = solids.len();
+    // A wall and a low lip, both larger than an object.
+    solids.push(Solid::Box(DVec3::new(-0.25, 0.0, 0.15), DVec3::new(0.003, 0.3, 0.15), 0.0));
+    solids.push(Solid::Box(DVec3::new(0.0, -0.25, 0.03), DVec3::new(0.25, 0.003, 0.03), 0.0));
+    let (sequence, truth) = scene(&solids, Sensor::default(), 5);
+    let (labels, _) = segment(&sequence);
+    assert_eq!(labels.objects.len(), objects);
+    for value in 1..=objects as u16 {
+        let (iou, _) = best_iou(&truth, value, &labels);
+        assert!(iou > 0.88, "solid {value}: {iou:.3}");
+    }
+}
+
+#[test]
+fn labels_do_not_depend_on_the_number_of_threads() {
+    let (sequence, _) = scene(&table_scene(), Sensor { frames: 8, ..Sensor::default() }, 7);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| segment(&sequence).0)
+    };
+    assert_eq!(with(1), with(2));
+}

@@ -1,0 +1,46 @@
+//! Names of objects: unique in a scene and usable as file names.
+
+/// Makes a file name of free text: ASCII letters and digits in lower case, everything else one underscore; never empty
+/// and at most 48 characters.
+pub(crate) fn file_name(text: &str) -> String {
+    let mut name = String::new();
+    for c in text.chars() {
+        if c.is_ascii_alphanumeric() {
+            name.push(c.to_ascii_lowercase());
+        } else if !name.is_empty() && !name.ends_with('_') {
+            name.push('_');
+        }
+    }
+    name.truncate(48);
+    let name = name.trim_end_matches('_');
+    if name.is_empty() { "object".to_owned() } else { name.to_owned() }
+}
+
+/// Appends `_2`, `_3`, … until the name is not among `taken`.
+pub(crate) fn unique(name: String, taken: &[String]) -> String {
+    if !taken.contains(&name) {
+        return name;
+    }
+    (2..).map(|n| format!("{name}_{n}")).find(|n| !taken.contains(n)).unwrap_or(name)
+}
+
+/// Whether a name that a user typed can be used as a file name as it is.
+pub(crate) fn is_usable(name: &str) -> bool {
+    !name.is_empty()
+        && name.len() <= 64
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+        && !name.starts_with('-')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_text_becomes_a_usable_unique_name() {
+        assert_eq!(file_name("Elmer's Glue (140 mm)"), "elmer_s_glue_140_mm");
+        assert_eq!(file_name("Ω/.."), "object");
+        assert_eq!(unique("cup".into(), &["cup".into(), "cup_2".into()]), "cup_3");
+        assert!(is_usable(&file_name("../etc")) && !is_usable("../etc") && !is_usable(""));
+    }
+}

@@ -1,0 +1,249 @@
+//! The paper's correction of mask borders (appendix, "Object detection and segmentation").
+
+use crate::MasksError;
+use crate::voxels::key_of;
+use glamx::DVec3;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use sms_core::{BACKGROUND, InputError, LabelMap, Labels};
+use sms_frames::{Frame, Sequence};
+use std::num::NonZeroUsize;
+
+/// Margin of the paper, in pixels of an image 1280 wide; see [`scaled_margin_px`].
+pub const DEFAULT_MARGIN_PX: f64 = 5.0;
+/// Number of neighbours that vote.
+pub const DEFAULT_NEIGHBORS: usize = 12;
+
+/// Voters are thinned to one a label and cell of this size, so that near frames do not outvote far ones.
+const CELL_M: f64 = 0.003;
+/// Weight of a voter that lies within the margin itself, where labels are doubtful. Not 0: of a thin thing every
+/// pixel lies within the margin.
+const DOUBTFUL_WEIGHT: f32 = 0.1;
+
+/// The paper's 5 pixels at 1280 pixels' width, for images `width` wide; at least 1.
+pub fn scaled_margin_px(width: usize) -> usize {
+    (DEFAULT_MARGIN_PX * width as f64 / 1280.0).round().max(1.0) as usize
+}
+
+/// A voter: a mean point of one label in one cell.
+#[derive(Debug, Clone, Copy)]
+struct Voter {
+    key: u64,
+    label: u16,
+    p_w: DVec3,
+    weight: f32,
+}
+
+/// Gives every pixel within `margin_px` pixels of a mask edge, where depth was measured, the label that wins a vote of
+/// its `k` nearest neighbours in the cloud back-projected from all frames, each weighted by the inverse of its
+/// distance. Pixels within the margin of their own frame's edges vote with a tenth of the weight.
+///
+/// Pixels without depth keep their label. Labels, names and sizes stay as they are.
+///
+/// # Errors
+/// [`MasksError::Input`] when labels and sequence do not have the same frames and sizes, or `k` is 0.
+pub fn refine_edges(
+    labels: &Labels,
+    sequence: &Sequence,
+    margin_px: usize,
+    k: usize,
+) -> Result<Labels, MasksError> {
+    let same = labels.maps.len() == sequence.len()
+        && labels.maps.iter().zip(&sequence.frames).all(|(m, f)| m.size() == f.depth.size());
+    if !same {
+        return Err(InputError::new(
+            format!("{} masks do not fit the {} frames in number or size", labels.maps.len(), sequence.len()),
+            &sequence.source,
+            "make the masks again from this sequence",
+        )
+        .into());
+    }
+    let k = NonZeroUsize::new(k).ok_or_else(|| {
+        InputError::new("no neighbour may vote on mask edges", "masks.edge_neighbors", "use at least 1")
+    })?;
+    let margins: Vec<Vec<bool>> = labels.maps.par_iter().map(|map| margin(map, margin_px)).collect();
+    let per_frame: Vec<Vec<Voter>> = (0..sequence.len())
+        .into_par_iter()
+        .map(|i| merge(voters(&sequence.frames[i], &labels.maps[i], &margins[i])))
+        .collect();
+    let cloud = merge(per_frame.into_iter().flatten().collect());
+    if cloud.is_empty() {
+        return Ok(labels.clone());
+    }
+    let points: Vec<[f64; 3]> = cloud.iter().map(|v| v.p_w.to_array()).collect();
+    let tree = ImmutableKdTree::<f64, 3>::new_from_slice(&points);
+    let maps = (0..sequence.len())
+        .into_par_iter()
+        .map(|i| {
+            let (frame, mut map) = (&sequence.frames[i], labels.maps[i].clone());
+            let width = map.width;
+            for (pixel, value) in map.data.iter_mut().enumerate() {
+                let z = f64::from(frame.depth.data[pixel]);
+                if !margins[i][pixel] || z <= 0.0 {
+                    continue;
+                }
+                let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
+                let near = tree.nearest_n::<SquaredEuclidean>(&p_w.to_array(), k);
+                *value = vote(near.iter().map(|n| (&cloud[n.item as usize], n.distance)), *value);
+            }
+            map
+        })
+        .collect();
+    Ok(Labels { maps, ..labels.clone() })
+}
+
+/// Pixels within `margin_px` (Chebyshev) of a change of label.
+fn margin(map: &LabelMap, margin_px: usize) -> Vec<bool> {
+    let (w, h) = map.size();
+    let mut edge = vec![false; w * h];
+    for y in 0..h {
+        for x in 0..w {
+            let own = map[(x, y)];
+            let right = x + 1 < w && map[(x + 1, y)] != own;
+            let below = y + 1 < h && map[(x, y + 1)] != own;
+            if right || below {
+                edge[y * w + x] = true;
+                edge[y * w + x + usize::from(right)] = true;
+                edge[(y + usize::from(below)) * w + x] = true;
+            }
+        }
+    }
+    // The two pixels on both sides of an edge are its first pixel of margin.
+    let reach = margin_px.saturating_sub(1);
+    let across: Vec<bool> = (0..w * h)
+        .map(|i| {
+            let (x, row) = (i % w, i / w * w);
+            (x.saturating_sub(reach)..=(x + reach).min(w - 1)).any(|x| edge[row + x])
+        })
+        .collect();
+    (0..w * h)
+        .map(|i| {
+            let (x, y) = (i % w, i / w);
+            margin_px > 0 && (y.saturating_sub(reach)..=(y + reach).min(h - 1)).any(|y| across[y * w + x])
+        })
+        .collect()
+}
+
+fn voters(frame: &Frame, map: &LabelMap, margin: &[bool]) -> Vec<Voter> {
+    let width = map.width;
+    (0..map.data.len())
+        .filter_map(|pixel| {
+            let z = f64::from(frame.depth.data[pixel]);
+            let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
+            let key = key_of(p_w, CELL_M)?;
+            let weight = if margin[pixel] { DOUBTFUL_WEIGHT } else { 1.0 };
+            (z > 0.0).then_some(Voter { key, label: map.data[pixel], p_w, weight })
+        })
+        .collect()
+}
+
+/// One voter a cell and label: the weighted mean. The sort is stable, so sums run in the frames' order.
+fn merge(mut all: Vec<Voter>) -> Vec<Voter> {
+    all.sort_by_key(|v| (v.key, v.label));
+    all.chunk_by(|a, b| (a.key, a.label) == (b.key, b.label))
+        .map(|same| {
+            let total: f32 = same.iter().map(|v| v.weight).sum();
+            let p_w = same.iter().map(|v| v.p_w * f64::from(v.weight)).sum::<DVec3>() / f64::from(total);
+            Voter { p_w, weight: total, ..same[0] }
+        })
+        .collect()
+}
+
+/// The label with the largest sum of weight / distance; `present` wins ties.
+fn vote<'a>(near: impl Iterator<Item = (&'a Voter, f64)>, present: u16) -> u16 {
+    let mut sums: Vec<(u16, f64)> = vec![(present, 0.0)];
+    for (voter, squared) in near {
+        // Below a millimetre distances say nothing.
+        let weight = f64::from(voter.weight.min(8.0)) / (squared.sqrt() + 1e-3);
+        match sums.iter_mut().find(|s| s.0 == voter.label) {
+            Some(sum) => sum.1 += weight,
+            None => sums.push((voter.label, weight)),
+        }
+    }
+    sums.iter().fold((BACKGROUND, f64::NEG_INFINITY), |best, &s| if s.1 > best.1 { s } else { best }).0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{Sensor, best_iou, scene, table_scene};
+    use sms_core::{Image, LabelInfo, MaskSource};
+
+    fn truth_labels(maps: Vec<LabelMap>, count: u16) -> Labels {
+        let info = |id| LabelInfo { id, name: format!("o{id}"), description: String::new() };
+        Labels { maps, objects: (1..=count).map(info).collect(), source: MaskSource::Files }
+    }
+
+    /// Grows (odd frames) or shrinks (even frames) every mask by `n` pixels.
+    fn corrupt(map: &LabelMap, frame: usize, n: i64) -> LabelMap {
+        let mut out = map.clone();
+        for y in 0..map.height as i64 {
+            for x in 0..map.width as i64 {
+                let around = (-n..=n).flat_map(|dy| (-n..=n).map(move |dx| (x + dx, y + dy)));
+                let around = around.filter_map(|(x, y)| map.get(x, y).copied());
+                let own = map[(x as usize, y as usize)];
+                let grown = if frame % 2 == 1 { around.max() } else { around.min() };
+                let changes = if frame % 2 == 1 { own == 0 } else { own != 0 };
+                out[(x as usize, y as usize)] = if changes { grown.unwrap_or(own) } else { own };
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn borders_wrong_by_two_pixels_are_mended() {
+        let solids = table_scene();
+        let (sequence, truth) = scene(&solids, Sensor { frames: 10, ..Sensor::default() }, 3);
+        let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 2)).collect();
+        let before = truth_labels(wrong, solids.len() as u16);
+        let after = refine_edges(&before, &sequence, 3, DEFAULT_NEIGHBORS).unwrap();
+        for value in 1..=solids.len() as u16 {
+            let (b, a) = (best_iou(&truth, value, &before).0, best_iou(&truth, value, &after).0);
+            println!("solid {value}: IoU {b:.3} before, {a:.3} after");
+            assert!(b < 0.8 && a > b + 0.1 && a > 0.87, "solid {value}: {b:.3} -> {a:.3}");
+        }
+    }
+
+    #[test]
+    fn right_borders_stay_and_the_inside_is_never_touched() {
+        let solids = table_scene();
+        let (sequence, truth) = scene(&solids, Sensor { frames: 6, ..Sensor::default() }, 4);
+        let before = truth_labels(truth.clone(), solids.len() as u16);
+        let margin_px = scaled_margin_px(320);
+        let after = refine_edges(&before, &sequence, margin_px, DEFAULT_NEIGHBORS).unwrap();
+        for value in 1..=solids.len() as u16 {
+            let iou = best_iou(&truth, value, &after).0;
+            assert!(iou > 0.93, "solid {value}: {iou:.3}");
+        }
+        for (map, refined) in before.maps.iter().zip(&after.maps) {
+            let margin = margin(map, margin_px);
+            for i in (0..map.data.len()).filter(|&i| !margin[i]) {
+                assert_eq!(map.data[i], refined.data[i]);
+            }
+        }
+        assert_eq!(refine_edges(&before, &sequence, 0, 5).unwrap(), before);
+    }
+
+    #[test]
+    fn the_margin_has_the_stated_width() {
+        let mut map = Image::filled(12, 3, 0u16);
+        for y in 0..3 {
+            for x in 6..12 {
+                map[(x, y)] = 1;
+            }
+        }
+        for (px, expect) in [(0, 0), (1, 2), (2, 4), (5, 10)] {
+            assert_eq!(margin(&map, px)[..12].iter().filter(|m| **m).count(), expect, "margin {px}");
+        }
+        assert_eq!((scaled_margin_px(1280), scaled_margin_px(640), scaled_margin_px(100)), (5, 3, 1));
+    }
+
+    #[test]
+    fn mismatched_input_is_refused() {
+        let (sequence, truth) = scene(&[], Sensor { frames: 2, size: (8, 6), ..Sensor::default() }, 1);
+        let labels = truth_labels(truth[..1].to_vec(), 0);
+        assert!(matches!(refine_edges(&labels, &sequence, 1, 5), Err(MasksError::Input(_))));
+        let labels = truth_labels(truth, 0);
+        assert!(matches!(refine_edges(&labels, &sequence, 1, 0), Err(MasksError::Input(_))));
+    }
+}

@@ -1,0 +1,223 @@
+//! Labels in the run folder: `masks/000000.png …` and `labels.json`, which a user may edit.
+
+use crate::MasksError;
+use crate::names::is_usable;
+use serde::{Deserialize, Serialize};
+use sms_core::{
+    BACKGROUND, InputError, LabelInfo, Labels, MaskSource, atomic, read_png_gray16, write_png_gray16,
+};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What `labels.json` holds. `name`, `description` and `merge_into` may be edited.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LabelsFile {
+    source: MaskSource,
+    frames: usize,
+    objects: Vec<ObjectRow>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ObjectRow {
+    id: u16,
+    name: String,
+    #[serde(default)]
+    description: String,
+    /// Name of the object that this one is a part of; both become one when the labels are read.
+    #[serde(default)]
+    merge_into: Option<String>,
+}
+
+/// Writes one 16-bit label PNG a frame (`000000.png`, …) and `labels.json` into `dir`.
+///
+/// # Errors
+/// [`MasksError::Core`] when a file cannot be written.
+pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
+    for (index, map) in labels.maps.iter().enumerate() {
+        write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
+    }
+    let row = |o: &LabelInfo| ObjectRow {
+        id: o.id,
+        name: o.name.clone(),
+        description: o.description.clone(),
+        merge_into: None,
+    };
+    let file = LabelsFile {
+        source: labels.source,
+        frames: labels.maps.len(),
+        objects: labels.objects.iter().map(row).collect(),
+    };
+    // The index is written last: a folder with `labels.json` is complete.
+    atomic::write_json(&dir.join("labels.json"), &file)?;
+    Ok(())
+}
+
+/// Reads what [`save_labels`] wrote, with the user's edits of `labels.json` applied: names and descriptions are taken
+/// as they are, an object with `"merge_into": "other"` becomes part of `other` (chains are followed) and its id is no
+/// longer used.
+///
+/// # Errors
+/// [`MasksError::Input`] naming the file when a name is not unique or unusable, a merge names an unknown object or runs
+/// in a circle, a mask is missing, of another size, or holds a value that `labels.json` does not list.
+pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
+    let path = dir.join("labels.json");
+    let file: LabelsFile = atomic::read_json(&path)?;
+    let targets = check_and_merge(&file, &path)?;
+    let mut maps = Vec::with_capacity(file.frames);
+    for index in 0..file.frames {
+        let path = dir.join(format!("{index:06}.png"));
+        let mut map = read_png_gray16(&path)?;
+        if maps.first().is_some_and(|first: &sms_core::LabelMap| first.size() != map.size()) {
+            return Err(InputError::new("this mask has another size than the first", &path, CURE).into());
+        }
+        for value in map.data.iter_mut().filter(|v| **v != BACKGROUND) {
+            *value = *targets.get(value).ok_or_else(|| {
+                InputError::new(
+                    format!("this mask holds the value {value}, which labels.json does not list"),
+                    &path,
+                    CURE,
+                )
+            })?;
+        }
+        maps.push(map);
+    }
+    let mut objects: Vec<LabelInfo> = file
+        .objects
+        .into_iter()
+        .filter(|o| o.merge_into.is_none())
+        .map(|o| LabelInfo { id: o.id, name: o.name, description: o.description })
+        .collect();
+    objects.sort_by_key(|o| o.id);
+    Ok(Labels { maps, objects, source: file.source })
+}
+
+const CURE: &str = "restore the file, or make the masks again with `sms scan --force`";
+
+/// Validates the rows and returns the final id of every id.
+fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>, InputError> {
+    let fault = |what: String, cure: &str| Err(InputError::new(what, path, cure));
+    let mut by_name: BTreeMap<&str, &ObjectRow> = BTreeMap::new();
+    let mut by_id = BTreeMap::new();
+    for row in &file.objects {
+        if !is_usable(&row.name) {
+            return fault(
+                format!("the name `{}` cannot be used as a file name", row.name),
+                "use letters, digits, `_` and `-`, at most 64; free text belongs in `description`",
+            );
+        }
+        if by_name.insert(&row.name, row).is_some() {
+            return fault(
+                format!("the name `{}` is used twice", row.name),
+                "give every object its own name; to make one of two, set `merge_into`",
+            );
+        }
+        if row.id == BACKGROUND || by_id.insert(row.id, row).is_some() {
+            return fault(
+                format!("the id {} is 0 or used twice", row.id),
+                "ids are not for editing: restore them",
+            );
+        }
+    }
+    let mut targets = BTreeMap::new();
+    for row in &file.objects {
+        let mut end = row;
+        // A chain without a circle is shorter than the list.
+        for step in 0.. {
+            let Some(name) = &end.merge_into else { break };
+            end = match by_name.get(name.as_str()) {
+                Some(next) if step < file.objects.len() => next,
+                Some(_) => {
+                    return fault(
+                        format!("`merge_into` of `{}` runs in a circle", row.name),
+                        "one object of a merged group must have no `merge_into`",
+                    );
+                }
+                None => {
+                    let known: Vec<_> = by_name.keys().copied().collect();
+                    return fault(
+                        format!("`merge_into` of `{}` names `{name}`, which does not exist", end.name),
+                        &format!("use one of: {}", known.join(", ")),
+                    );
+                }
+            };
+        }
+        targets.insert(row.id, end.id);
+    }
+    Ok(targets)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::Image;
+
+    fn labels() -> Labels {
+        let info = |id, name: &str| LabelInfo { id, name: name.into(), description: String::new() };
+        Labels {
+            maps: vec![Image::from_vec(3, 1, vec![0, 1, 2]), Image::from_vec(3, 1, vec![3, 300, 0])],
+            objects: vec![info(1, "object_01"), info(2, "object_02"), info(3, "object_03"), info(300, "far")],
+            source: MaskSource::Geometry,
+        }
+    }
+
+    /// Saves, edits `labels.json` as text, loads.
+    fn edited(edit: impl Fn(String) -> String) -> Result<Labels, MasksError> {
+        let dir = tempfile::tempdir().unwrap();
+        save_labels(dir.path(), &labels()).unwrap();
+        let path = dir.path().join("labels.json");
+        std::fs::write(&path, edit(std::fs::read_to_string(&path).unwrap())).unwrap();
+        load_labels(dir.path())
+    }
+
+    fn merging(from: &str, into: &str) -> impl Fn(String) -> String {
+        let (from, into) = (format!("\"name\": \"{from}\""), into.to_owned());
+        move |text| {
+            let at = text.find(&from).unwrap();
+            let tail = text[at..].replacen("\"merge_into\": null", &format!("\"merge_into\": \"{into}\""), 1);
+            format!("{}{tail}", &text[..at])
+        }
+    }
+
+    #[test]
+    fn labels_round_trip() {
+        assert_eq!(edited(|t| t).unwrap(), labels());
+    }
+
+    #[test]
+    fn a_user_may_rename_describe_and_merge() {
+        let renamed = edited(|t| {
+            let t = t.replacen("object_02", "mug", 1);
+            t.replacen("\"description\": \"\"", "\"description\": \"a red ball\"", 1)
+        })
+        .unwrap();
+        assert_eq!(renamed.objects[1].name, "mug");
+        assert_eq!(renamed.objects[0].description, "a red ball");
+        // A chain: 1 into 2, 2 into far.
+        let merged = edited(|t| merging("object_02", "far")(merging("object_01", "object_02")(t))).unwrap();
+        assert_eq!(merged.maps[0].data, [0, 300, 300]);
+        assert_eq!(merged.maps[1].data, [3, 300, 0]);
+        let names: Vec<_> = merged.objects.iter().map(|o| o.name.as_str()).collect();
+        assert_eq!(names, ["object_03", "far"]);
+    }
+
+    #[test]
+    fn bad_edits_are_explained() {
+        let fault = |edit: &dyn Fn(String) -> String| match edited(edit) {
+            Err(MasksError::Input(e)) => e.to_string(),
+            other => panic!("{other:?}"),
+        };
+        let unknown = fault(&merging("object_01", "teapot"));
+        assert!(unknown.contains("teapot") && unknown.contains("far, object_01"), "{unknown}");
+        let circle = fault(&|t| merging("object_02", "object_01")(merging("object_01", "object_02")(t)));
+        assert!(circle.contains("circle"), "{circle}");
+        assert!(fault(&merging("object_01", "object_01")).contains("circle"));
+        assert!(fault(&|t| t.replacen("object_02", "object_01", 1)).contains("used twice"));
+        assert!(fault(&|t| t.replacen("object_02", "a/b", 1)).contains("file name"));
+        assert!(fault(&|t| t.replacen("\"id\": 2", "\"id\": 1", 1)).contains("ids are not for editing"));
+        assert!(fault(&|t| t.replacen("\"id\": 3", "\"id\": 4", 1)).contains("does not list"));
+        assert!(fault(&|t| t.replacen("\"name\"", "\"nane\"", 1)).contains("nane"));
+        assert!(fault(&|t| t.replacen("\"frames\": 2", "\"frames\": 3", 1)).contains("000002.png"));
+    }
+}

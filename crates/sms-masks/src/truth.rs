@@ -1,0 +1,112 @@
+//! The truth of a generated recording.
+
+use crate::files::{number_labels, read_maps};
+use crate::names::{file_name, unique};
+use crate::{MasksError, Segmenter};
+use serde::Deserialize;
+use sms_core::{Cancel, InputError, LabelInfo, Labels, MaskSource, Progress, Warnings, atomic};
+use sms_frames::Sequence;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The masks that the generator rendered (`truth/masks/000000.png`, value = index + 1 in `truth/truth.json`'s
+/// `objects`). For ablations only: the labels say that they are the truth ([`MaskSource::Truth`]).
+#[derive(Debug, Clone, Default)]
+pub struct TruthMasks;
+
+/// What is read of `truth/truth.json`: nothing but the objects' names.
+#[derive(Debug, Deserialize)]
+struct TruthFile {
+    objects: Vec<TruthObject>,
+}
+
+#[derive(Debug, Deserialize)]
+struct TruthObject {
+    name: String,
+}
+
+impl Segmenter for TruthMasks {
+    fn segment(
+        &self,
+        sequence: &Sequence,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Labels, MasksError> {
+        let folder = sequence.source.join("truth");
+        let path = folder.join("truth.json");
+        if !path.is_file() {
+            return Err(InputError::new(
+                "this recording has no truth: only generated recordings do",
+                &path,
+                "use `--masks files` or `--masks geometry`",
+            )
+            .into());
+        }
+        let truth: TruthFile = atomic::read_json(&path)?;
+        let mut taken = Vec::new();
+        let mut named = BTreeMap::new();
+        for (index, object) in truth.objects.iter().enumerate() {
+            let name = unique(file_name(&object.name), &taken);
+            taken.push(name.clone());
+            let id = index as u16 + 1;
+            named.insert(id, LabelInfo { id, name, description: String::new() });
+        }
+        let paths: Vec<PathBuf> = sequence
+            .frames
+            .iter()
+            .map(|frame| {
+                let by_index = folder.join(format!("masks/{:06}.png", frame.index));
+                // A sequence that leaves frames out keeps the recording's file names.
+                let stem = frame.color_path.file_stem();
+                stem.map(|s| folder.join("masks").join(s).with_extension("png"))
+                    .filter(|p| p.is_file())
+                    .unwrap_or(by_index)
+            })
+            .collect();
+        if let Some(missing) = paths.iter().find(|p| !p.is_file()) {
+            return Err(InputError::new(
+                "there are fewer truth masks than frames: this one is missing",
+                missing,
+                "generate the recording again",
+            )
+            .into());
+        }
+        let maps = read_maps(sequence, &paths, progress, cancel)?;
+        Ok(number_labels(maps, &named, MaskSource::Truth, warnings))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture;
+    use sms_core::{Image, NoProgress, write_png_gray16};
+
+    #[test]
+    fn truth_is_read_in_the_objects_order_and_its_absence_is_explained() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut sequence = fixture::blank_sequence(2, 4, 2);
+        sequence.source = dir.path().to_owned();
+        let warnings = Warnings::new();
+        let run = |s: &Sequence| TruthMasks.segment(s, &NoProgress, &Cancel::new(), &warnings);
+        let message = run(&sequence).unwrap_err().to_string();
+        assert!(message.contains("truth.json") && message.contains("--masks geometry"), "{message}");
+
+        std::fs::create_dir(dir.path().join("truth")).unwrap();
+        let truth = r#"{"objects": [{"name": "cue_ball", "mass": 1}, {"name": "mug"}], "seed": 3}"#;
+        std::fs::write(dir.path().join("truth/truth.json"), truth).unwrap();
+        let message = run(&sequence).unwrap_err().to_string();
+        assert!(message.contains("000000.png") && message.contains("fewer"), "{message}");
+
+        for index in 0..2 {
+            let mask = Image::from_vec(4, 2, vec![0, 0, 2, 2, 0, 1, 1, 0]);
+            write_png_gray16(&dir.path().join(format!("truth/masks/{index:06}.png")), &mask).unwrap();
+        }
+        let labels = run(&sequence).unwrap();
+        assert_eq!(labels.source, MaskSource::Truth);
+        assert_eq!(labels.maps[1].data, [0, 0, 2, 2, 0, 1, 1, 0]);
+        let names: Vec<_> = labels.objects.iter().map(|o| o.name.as_str()).collect();
+        assert_eq!(names, ["cue_ball", "mug"]);
+    }
+}
