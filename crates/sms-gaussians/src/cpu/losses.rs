@@ -9,7 +9,7 @@ use super::target::TargetTile;
 use crate::DepthTerm;
 
 /// Depth is divided by no less than this opacity: below it a pixel says little about depth.
-pub(crate) const DEPTH_OPACITY_MIN: f64 = 0.05;
+pub const DEPTH_OPACITY_MIN: f64 = 0.05;
 
 /// What one pixel's absolute error counts in the total: weight over number of pixels.
 #[derive(Debug, Clone, Copy)]

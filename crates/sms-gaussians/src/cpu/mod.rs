@@ -10,6 +10,7 @@ mod avx2;
 mod bands;
 mod engine;
 mod lanes;
+pub mod limits;
 mod losses;
 mod perceptron;
 mod project;

@@ -10,11 +10,11 @@ use glamx::{Mat3, Quat, Vec2, Vec3};
 use sms_core::Camera;
 
 /// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter).
-pub(crate) const LOW_PASS: f64 = 0.3;
+pub const LOW_PASS: f64 = 0.3;
 /// Gaussians nearer than this are not seen, metres.
-pub(crate) const NEAR: f64 = 0.02;
+pub const NEAR: f64 = 0.02;
 /// The linearisation uses directions within the image and this share of its size beyond.
-pub(crate) const MARGIN: f64 = 0.15;
+pub const MARGIN: f64 = 0.15;
 
 /// A camera in single precision.
 #[derive(Debug, Clone, Copy)]

@@ -24,11 +24,11 @@ pub(super) const AFFINITY_CHANNEL: usize = 7;
 pub(super) const OPACITY_CHANNEL: usize = 23;
 
 /// A splat is skipped where its alpha is below this.
-pub(super) const ALPHA_MIN: f32 = 1.0 / 255.0;
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Alpha is cut off here, so that the division by 1 − α stays bounded.
-pub(super) const ALPHA_MAX: f32 = 0.99;
+pub const ALPHA_MAX: f32 = 0.99;
 /// A pixel is finished when its transmittance is no more than this.
-pub(super) const TRANSMITTANCE_MIN: f32 = 1e-4;
+pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// One value per pixel of a tile, row by row.
 #[derive(Clone, Copy)]

@@ -4,12 +4,14 @@
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
 
 /// Half width of the window.
-pub(super) const RADIUS: usize = 5;
+pub const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
 /// Zeros left and right of every row: a whole vector, so that rows stay aligned.
 const MARGIN: usize = WIDTH;
-pub(super) const C1: f64 = 0.01 * 0.01;
-pub(super) const C2: f64 = 0.03 * 0.03;
+/// Stabiliser of SSIM's means for values in 0..1.
+pub const C1: f64 = 0.01 * 0.01;
+/// Stabiliser of SSIM's variances for values in 0..1.
+pub const C2: f64 = 0.03 * 0.03;
 
 /// The window's weights along one axis.
 pub(super) fn window() -> [f64; TAPS] {

@@ -1,25 +1,29 @@
-//! Tests of the whole back end.
+//! Tests of the whole back end: against the oracle, against its other forms, and with damaged input.
 
 use super::*;
-use crate::{AFFINITY_DIM, TrainFrame};
-use glamx::{DPose3, DQuat, DVec3, Quat};
-use rand::RngExt;
-use sms_core::Intrinsics;
+use crate::oracle::{CHANNELS, Oracle};
+use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, PARAMETERS, ROTATION};
+use crate::test_scene::{CLASSES, camera, frame, seedlings};
+use crate::{AFFINITY_DIM, DepthTerm, LossWeights};
+use glamx::Quat;
 
-/// A camera looking along +z of the world, a little turned.
-fn camera(width: usize, height: usize) -> Camera {
-    let rotation = DQuat::from_euler(glamx::EulerRot::XYZ, 0.05, -0.1, 0.03);
-    Camera::new(
-        Intrinsics {
-            width,
-            height,
-            fx: 0.9 * width as f64,
-            fy: 0.92 * width as f64,
-            cx: 0.48 * width as f64,
-            cy: 0.53 * height as f64,
-        },
-        DPose3::from_parts(DVec3::new(0.1, -0.05, -1.0), rotation),
-    )
+const SIZE: (usize, usize) = (61, 37);
+const COUNT: usize = 150;
+
+fn trainer(config: &TrainConfig, simd: Simd) -> CpuTrainer {
+    let camera = camera(SIZE.0, SIZE.1);
+    let mut trainer = CpuTrainer::with_simd(config, CLASSES, Seed(2), simd);
+    trainer.insert(&seedlings(&camera, COUNT, Seed(3)));
+    trainer.add_frame(frame(camera, Seed(4)));
+    trainer.add_frame(frame(camera, Seed(5)));
+    trainer
+}
+
+/// 99.9th percentile and maximum.
+fn spread(mut errors: Vec<f64>) -> (f64, f64) {
+    assert!(errors.iter().all(|e| e.is_finite()));
+    errors.sort_by(f64::total_cmp);
+    (errors[(errors.len() - 1) * 999 / 1000], errors[errors.len() - 1])
 }
 
 #[test]
@@ -42,8 +46,302 @@ fn one_gaussian_is_seen_where_it_is() {
     assert!((maps.depth[i] - 1.2).abs() < 1e-4);
     assert!((maps.normal_w[i][2] + 0.8).abs() < 1e-3, "faces the camera: {:?}", maps.normal_w[i]);
     assert_eq!(maps.alpha[0], 0.0);
-    let _ = (
-        Seed(0).rng().random::<f32>(),
-        TrainFrame { camera, color: vec![], depth: vec![], normal_w: vec![], label: vec![] },
-    );
+    assert_eq!(maps.label[i], trainer.model().classifier.classify(&[0.1 * maps.alpha[i]; AFFINITY_DIM]).0);
+}
+
+/// Every channel of the last blended image, as the oracle orders them.
+fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
+    let grid = trainer.engine.grid;
+    let mut out = vec![[0.0; CHANNELS]; grid.width * grid.height];
+    for (tile, image) in trainer.engine.tiles.iter().enumerate() {
+        let place = grid.place(tile);
+        for y in 0..place.rows {
+            for x in 0..place.columns {
+                let pixel = &mut out[(place.y as usize + y) * grid.width + place.x as usize + x];
+                for (c, plane) in image.channels.iter().enumerate() {
+                    pixel[c] = f64::from(plane.0[y][x]);
+                }
+                pixel[CHANNELS - 1] = 1.0 - f64::from(image.transmittance.0[y][x]);
+            }
+        }
+    }
+    out
+}
+
+#[test]
+fn image_equals_the_oracle() {
+    for simd in [Simd::portable(), Simd::detect()] {
+        let mut trainer = trainer(&TrainConfig::default(), simd);
+        let camera = camera(SIZE.0, SIZE.1);
+        trainer.render(&camera);
+        let oracle = Oracle::new(&trainer.parameters, &trainer.config, true).render(&camera);
+        let differences = pixels(&trainer).into_iter().zip(&oracle.pixels);
+        let errors =
+            differences.flat_map(|(a, b)| std::array::from_fn::<f64, CHANNELS, _>(|c| (a[c] - b[c]).abs()));
+        let (p999, max) = spread(errors.collect());
+        println!("{simd:?}: image p99.9 {p999:.1e}, largest {max:.1e}");
+        // An alpha that falls on the other side of the cut-off is a jump of up to 1/255 times a feature.
+        assert!(p999 < 5e-6 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+    }
+}
+
+/// Compares gradients group by group; each error is a share of the group's largest derivative.
+fn compare_gradients(config: &TrainConfig, simd: Simd, limit: (f64, f64)) {
+    let mut trainer = trainer(config, simd);
+    let terms = trainer.differentiate(0);
+    let oracle = Oracle::new(&trainer.parameters, config, true);
+    let expected = oracle.gradient(&frame(camera(SIZE.0, SIZE.1), Seed(4)));
+    assert_eq!(trainer.engine.seen, expected.seen);
+    let pairs = [
+        (terms.color_l1, expected.terms.color_l1),
+        (terms.dssim, expected.terms.dssim),
+        (terms.isotropic, expected.terms.isotropic),
+        (terms.depth, expected.terms.depth),
+        (terms.normal, expected.terms.normal),
+        (terms.flat, expected.terms.flat),
+        (terms.total, expected.terms.total(&config.weights)),
+    ];
+    for (k, (a, b)) in pairs.into_iter().enumerate() {
+        assert!((f64::from(a) - b).abs() < 2e-5 * (1.0 + b.abs()), "term {k}: {a} and {b}");
+    }
+    let groups = [
+        ("position", 0, ROTATION),
+        ("rotation", ROTATION, LOG_SCALE),
+        ("scale", LOG_SCALE, LOGIT_OPACITY),
+        ("opacity", LOGIT_OPACITY, COLOR),
+        ("color", COLOR, AFFINITY),
+        ("affinity", AFFINITY, PARAMETERS),
+    ];
+    for (name, first, end) in groups {
+        let largest = expected.rows.iter().flat_map(|r| &r[first..end]).fold(0.0f64, |m, v| m.max(v.abs()));
+        let rows = trainer.engine.gradients.iter().zip(&expected.rows);
+        let errors = rows
+            .flat_map(|(a, b)| (first..end).map(|k| (f64::from(a.0[k]) - b[k]).abs() / largest.max(1e-12)));
+        let (p999, max) = spread(errors.collect());
+        println!("{name}: p99.9 {p999:.1e}, largest {max:.1e} of {largest:.1e}");
+        assert!(p999 < limit.0 && max < limit.1, "{name}: p99.9 {p999:e}, max {max:e}");
+    }
+    let largest = expected.classifier.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let both = trainer.engine.classifier_gradient.iter().zip(&expected.classifier);
+    let (p999, max) = spread(both.map(|(a, b)| (f64::from(*a) - b).abs() / largest.max(1e-12)).collect());
+    println!("classifier: p99.9 {p999:.1e}, largest {max:.1e} of {largest:.1e}");
+    assert!(p999 < limit.0 && max < limit.1, "classifier: p99.9 {p999:e}, max {max:e}");
+}
+
+#[test]
+fn gradients_equal_the_oracle() {
+    let ssim_only =
+        LossWeights { ssim: 1.0, depth: 0.0, normal: 0.0, segmentation: 0.0, ..LossWeights::default() };
+    let round = LossWeights { flat: 0.0, isotropic: 10.0, ..LossWeights::default() };
+    let configs = [
+        TrainConfig::default(),
+        TrainConfig { weights: ssim_only, ..TrainConfig::default() },
+        TrainConfig { weights: round, depth_term: DepthTerm::Quotient, ..TrainConfig::default() },
+        TrainConfig { depth_term: DepthTerm::Accumulated, ..TrainConfig::default() },
+    ];
+    for config in &configs {
+        for simd in [Simd::portable(), Simd::detect()] {
+            compare_gradients(config, simd, (2e-3, 5e-3));
+        }
+    }
+}
+
+fn after_steps(threads: usize, simd: Simd, steps: usize) -> (StepStats, TrainState) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let mut trainer = trainer(&TrainConfig::default(), simd);
+        let frames: Vec<FrameId> = (0..steps).map(|i| i % 2).collect();
+        (trainer.steps(&frames), trainer.snapshot())
+    })
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bytes() {
+    for simd in [Simd::portable(), Simd::detect()] {
+        let one = after_steps(1, simd, 6);
+        assert_eq!(one, after_steps(2, simd, 6));
+        assert_eq!(one, after_steps(3, simd, 6));
+    }
+}
+
+#[test]
+fn portable_and_wide_forms_agree() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let [a, b] = [Simd::portable(), Simd::detect()].map(|simd| {
+        let mut trainer = trainer(&TrainConfig::default(), simd);
+        let terms = trainer.differentiate(0);
+        let maps = trainer.render(&camera);
+        (terms, trainer.engine.gradients.clone(), maps)
+    });
+    assert!((a.0.total - b.0.total).abs() < 1e-5 * a.0.total, "{} {}", a.0.total, b.0.total);
+    let image = a.2.color.iter().flatten().zip(b.2.color.iter().flatten());
+    let (p999, max) = spread(image.map(|(a, b)| f64::from((a - b).abs())).collect());
+    assert!(p999 < 2e-6 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+    let largest = a.1.iter().flat_map(|r| r.0).fold(0.0f32, |m, v| m.max(v.abs()));
+    let gradients = a.1.iter().zip(&b.1).flat_map(|(a, b)| a.0.into_iter().zip(b.0));
+    let (p999, max) = spread(gradients.map(|(a, b)| f64::from((a - b).abs() / largest)).collect());
+    println!("portable and wide gradients: p99.9 {p999:.1e}, largest {max:.1e}");
+    assert!(p999 < 1e-4 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+}
+
+#[test]
+fn a_restored_trainer_continues_bit_by_bit() {
+    let config = TrainConfig::default();
+    let mut whole = trainer(&config, Simd::detect());
+    whole.steps(&[0, 1, 0]);
+    let state = whole.snapshot();
+    let mut resumed = CpuTrainer::new(&config, CLASSES, Seed(99));
+    let camera = camera(SIZE.0, SIZE.1);
+    resumed.add_frame(frame(camera, Seed(4)));
+    resumed.add_frame(frame(camera, Seed(5)));
+    resumed.restore(&state).unwrap();
+    assert_eq!(resumed.snapshot(), state);
+    let mask: Vec<bool> = (0..COUNT).map(|i| i % 7 != 0).collect();
+    for trainer in [&mut whole, &mut resumed] {
+        trainer.retain(&mask);
+        trainer.insert(&seedlings(&camera, 20, Seed(8)));
+    }
+    assert_eq!(whole.steps(&[1, 0, 1, 0]), resumed.steps(&[1, 0, 1, 0]));
+    assert_eq!(whole.snapshot(), resumed.snapshot());
+    assert_eq!(whole.model(), resumed.model());
+}
+
+#[test]
+fn a_damaged_state_is_refused_and_changes_nothing() {
+    let mut trainer = trainer(&TrainConfig::default(), Simd::detect());
+    let state = trainer.snapshot();
+    let mut damaged = vec![TrainState::default(), state.clone(), state.clone(), state.clone()];
+    damaged[1].bytes.truncate(state.bytes.len() - 4);
+    damaged[2].bytes[0] ^= 7;
+    let last = state.bytes.len() - 4;
+    damaged[3].bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
+    for damaged in &damaged {
+        assert!(matches!(trainer.restore(damaged), Err(TrainerError::BadState(_))));
+    }
+    let other = CpuTrainer::new(&TrainConfig::default(), CLASSES + 1, Seed(0)).snapshot();
+    assert!(matches!(trainer.restore(&other), Err(TrainerError::BadState(_))));
+    assert_eq!(trainer.snapshot(), state);
+}
+
+fn finite(trainer: &CpuTrainer) -> bool {
+    let p = &trainer.parameters;
+    let rows =
+        [&p.rows, &p.first, &p.second].into_iter().flatten().all(|r| r.0.iter().all(|v| v.is_finite()));
+    let c = &p.classifier;
+    rows && [&c.values, &c.first, &c.second].into_iter().flatten().all(|v| v.is_finite())
+}
+
+#[test]
+fn damaged_numbers_never_reach_a_parameter() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let good = seedlings(&camera, 1, Seed(6))[0];
+    let (nan, inf) = (f32::NAN, f32::INFINITY);
+    let poisons: Vec<(&str, bool, Seedling)> = vec![
+        ("NaN position", false, Seedling { position_w: Vec3::new(nan, 0.0, 0.0), ..good }),
+        ("infinite position", false, Seedling { position_w: Vec3::splat(inf), ..good }),
+        ("NaN rotation", false, Seedling { rotation_wg: Quat::from_xyzw(nan, 0.0, 0.0, 1.0), ..good }),
+        ("NaN scale", false, Seedling { scale: Vec3::splat(nan), ..good }),
+        ("infinite opacity", false, Seedling { opacity: inf, ..good }),
+        ("NaN color", false, Seedling { color: [nan; 3], ..good }),
+        ("NaN affinity", false, Seedling { affinity: [nan; AFFINITY_DIM], ..good }),
+        ("zero rotation", true, Seedling { rotation_wg: Quat::from_xyzw(0.0, 0.0, 0.0, 0.0), ..good }),
+        ("zero scale", true, Seedling { scale: Vec3::ZERO, ..good }),
+        ("negative scale", true, Seedling { scale: Vec3::splat(-1.0), ..good }),
+        ("huge scale", true, Seedling { scale: Vec3::splat(1e30), ..good }),
+        ("needle", true, Seedling { scale: Vec3::new(5.0, 1e-9, 1e-9), ..good }),
+        ("opacity one", true, Seedling { opacity: 1.0, ..good }),
+        ("opacity above one", true, Seedling { opacity: 7.0, ..good }),
+        ("opacity zero", true, Seedling { opacity: 0.0, ..good }),
+        ("huge color", true, Seedling { color: [3e38; 3], ..good }),
+        ("huge affinity", true, Seedling { affinity: [-3e38; AFFINITY_DIM], ..good }),
+        ("far away", true, Seedling { position_w: Vec3::splat(1e30), ..good }),
+        ("in the camera", true, Seedling { position_w: camera.center_w().as_vec3(), ..good }),
+        (
+            "on the near plane",
+            true,
+            Seedling { position_w: camera.unproject(30.0, 20.0, 0.0201).as_vec3(), ..good },
+        ),
+        ("behind", true, Seedling { position_w: camera.unproject(30.0, 20.0, -1.0).as_vec3(), ..good }),
+    ];
+    for (name, kept, poison) in poisons {
+        let mut trainer = trainer(&TrainConfig::default(), Simd::detect());
+        trainer.insert(&[poison]);
+        assert_eq!(trainer.len(), COUNT + usize::from(kept), "{name}");
+        let before = trainer.parameters.rows[..COUNT].to_vec();
+        let stats = trainer.steps(&[0, 1, 0, 1]);
+        assert!(finite(&trainer), "{name}");
+        assert!(stats.loss.total.is_finite(), "{name}: {:?}", stats.loss);
+        assert_ne!(before, trainer.parameters.rows[..COUNT], "{name}: the others still learn");
+        let maps = trainer.render(&camera);
+        assert!(maps.color.iter().flatten().chain(&maps.depth).all(|v| v.is_finite()), "{name}");
+    }
+}
+
+#[test]
+fn frames_without_anything_usable_move_only_what_regularizers_move() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let pixels = SIZE.0 * SIZE.1;
+    let mut trainer = trainer(&TrainConfig::default(), Simd::detect());
+    let empty = trainer.add_frame(TrainFrame {
+        camera,
+        color: vec![[f32::NAN; 3]; pixels],
+        depth: vec![f32::NAN; pixels],
+        normal_w: vec![[f32::NAN; 3]; pixels],
+        label: vec![u16::MAX; pixels],
+    });
+    let before = trainer.parameters.clone();
+    let stats = trainer.steps(&[empty]);
+    assert!(stats.loss.total.is_finite() && finite(&trainer));
+    assert_eq!(before.classifier, trainer.parameters.classifier);
+    for (a, b) in before.rows.iter().zip(&trainer.parameters.rows) {
+        assert_eq!(a.0[..ROTATION], b.0[..ROTATION]);
+        assert_eq!(a.0[LOGIT_OPACITY..], b.0[LOGIT_OPACITY..]);
+    }
+}
+
+#[test]
+fn a_trainer_without_gaussians_steps_and_renders() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let mut trainer = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(2));
+    trainer.add_frame(frame(camera, Seed(4)));
+    assert!(trainer.steps(&[0]).loss.total.is_finite());
+    assert!(trainer.render(&camera).alpha.iter().all(|a| *a == 0.0));
+    assert_eq!(trainer.steps(&[]), StepStats::default());
+}
+
+#[test]
+fn gaussians_out_of_view_are_left_alone() {
+    let mut trainer = trainer(&TrainConfig::default(), Simd::detect());
+    let hidden = 3;
+    let before = trainer.parameters.rows[hidden];
+    trainer.steps(&[0, 1]);
+    assert_eq!(before, trainer.parameters.rows[hidden], "this one is behind the camera");
+    assert_eq!(trainer.parameters.steps[hidden], 0);
+    assert_eq!(trainer.parameters.steps.iter().max(), Some(&2));
+}
+
+#[test]
+fn fifty_steps_lower_every_observed_term() {
+    let camera = camera(SIZE.0, SIZE.1);
+    // The observed view is a rendering of other Gaussians: something that can be reached.
+    let mut truth = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(2));
+    truth.insert(&seedlings(&camera, 400, Seed(31)));
+    let maps = truth.render(&camera);
+    let observed = TrainFrame {
+        camera,
+        color: maps.color,
+        depth: maps.depth,
+        normal_w: maps.normal_w,
+        label: (0..SIZE.0 * SIZE.1).map(|i| u16::from(i % SIZE.0 > SIZE.0 / 2)).collect(),
+    };
+    let mut trainer = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(2));
+    trainer.insert(&seedlings(&camera, COUNT, Seed(3)));
+    trainer.add_frame(observed);
+    let first = trainer.steps(&[0]).loss;
+    trainer.steps(&[0; 48]);
+    let last = trainer.steps(&[0]).loss;
+    println!("{first:?}\n{last:?}");
+    assert!(last.total < 0.75 * first.total);
+    assert!(last.color_l1 < first.color_l1 && last.dssim < first.dssim && last.depth < first.depth);
+    assert!(last.segmentation < 0.5 * first.segmentation);
 }

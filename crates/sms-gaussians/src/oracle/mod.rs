@@ -1,0 +1,263 @@
+//! A scalar double-precision renderer with the whole loss and the gradient of every parameter, written for clarity:
+//! every back end is checked against it, and it against finite differences.
+
+mod dual;
+mod loss;
+mod project;
+
+use crate::cpu::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
+use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, Parameters};
+use crate::{AFFINITY_DIM, TrainConfig, TrainFrame};
+pub use loss::{CHANNELS, OracleTerms};
+use project::{CONIC, DEPTH, MEAN, NORMAL, OUTPUTS, Projection, project};
+use sms_core::Camera;
+
+/// Parameters and settings in double precision.
+#[derive(Debug, Clone)]
+pub struct Oracle {
+    /// One row per Gaussian, laid out as in [`crate::parameters`].
+    pub rows: Vec<[f64; PARAMETERS]>,
+    /// Number of classes.
+    pub classes: usize,
+    /// The classifier, flat as in [`crate::parameters::ClassifierState`].
+    pub classifier: Vec<f64>,
+    /// Settings of the step.
+    pub config: TrainConfig,
+    /// Whether faint alphas are dropped, strong ones cut off and finished pixels skipped, as the back ends do; without
+    /// it the loss has no jumps.
+    pub cutoffs: bool,
+}
+
+/// A rendered image.
+#[derive(Debug, Clone)]
+pub struct OracleImage {
+    /// Colour 3, depth (not normalised), normal 3, affinity 16, accumulated opacity; row by row.
+    pub pixels: Vec<[f64; CHANNELS]>,
+    /// Gaussians that reached a pixel.
+    pub seen: Vec<bool>,
+}
+
+/// Loss and gradient of a view.
+#[derive(Debug, Clone)]
+pub struct OracleGradient {
+    /// The terms of the loss.
+    pub terms: OracleTerms,
+    /// ∂(total)/∂rows.
+    pub rows: Vec<[f64; PARAMETERS]>,
+    /// ∂(total)/∂classifier.
+    pub classifier: Vec<f64>,
+    /// Gaussians that reached a pixel.
+    pub seen: Vec<bool>,
+}
+
+/// One splat's part in one pixel.
+struct Hit {
+    gaussian: usize,
+    alpha: f64,
+    /// Whether alpha still depends on opacity and power.
+    free: bool,
+    transmittance: f64,
+    offset: [f64; 2],
+}
+
+/// A Gaussian as the camera sees it.
+struct Splat {
+    projection: Projection,
+    opacity: f64,
+    features: [f64; CHANNELS],
+}
+
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+impl Oracle {
+    /// An exact copy of `parameters`.
+    pub fn new(parameters: &Parameters, config: &TrainConfig, cutoffs: bool) -> Self {
+        Self {
+            rows: parameters.rows.iter().map(|r| std::array::from_fn(|k| f64::from(r.0[k]))).collect(),
+            classes: parameters.classifier.classes,
+            classifier: parameters.classifier.values.iter().map(|v| f64::from(*v)).collect(),
+            config: *config,
+            cutoffs,
+        }
+    }
+
+    fn splats(&self, camera: &Camera) -> Vec<Option<Splat>> {
+        let splat = |row: &[f64; PARAMETERS]| {
+            let projection = project(row, camera)?;
+            let mut features = [0.0; CHANNELS];
+            features[loss::COLOR..loss::COLOR + 3].copy_from_slice(&row[COLOR..COLOR + 3]);
+            features[loss::DEPTH] = projection.value(DEPTH);
+            (0..3).for_each(|k| features[loss::NORMAL + k] = projection.value(NORMAL + k));
+            features[loss::AFFINITY..loss::AFFINITY + AFFINITY_DIM]
+                .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
+            features[loss::OPACITY] = 1.0;
+            Some(Splat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), features })
+        };
+        self.rows.iter().map(splat).collect()
+    }
+
+    /// Indices of visible splats, nearest first.
+    fn order(splats: &[Option<Splat>]) -> Vec<usize> {
+        let depth = |i: usize| splats[i].as_ref().map_or(0.0, |s| s.projection.value(DEPTH));
+        let mut order: Vec<usize> = (0..splats.len()).filter(|&i| splats[i].is_some()).collect();
+        order.sort_by(|&a, &b| depth(a).total_cmp(&depth(b)));
+        order
+    }
+
+    /// The splats of one pixel, nearest first.
+    fn hits(&self, splats: &[Option<Splat>], order: &[usize], (x, y): (usize, usize)) -> Vec<Hit> {
+        let mut hits = Vec::new();
+        let mut transmittance = 1.0;
+        for &gaussian in order {
+            let Some(splat) = &splats[gaussian] else {
+                continue;
+            };
+            if self.cutoffs && transmittance <= f64::from(TRANSMITTANCE_MIN) {
+                break;
+            }
+            let value = |k: usize| splat.projection.value(k);
+            let (dx, dy) = (x as f64 + 0.5 - value(MEAN), y as f64 + 0.5 - value(MEAN + 1));
+            let power =
+                -0.5 * (value(CONIC) * dx * dx + value(CONIC + 2) * dy * dy) - value(CONIC + 1) * dx * dy;
+            let mut alpha = splat.opacity * power.exp();
+            let mut free = true;
+            if self.cutoffs {
+                if alpha < f64::from(ALPHA_MIN) {
+                    continue;
+                }
+                if alpha >= f64::from(ALPHA_MAX) {
+                    (alpha, free) = (f64::from(ALPHA_MAX), false);
+                }
+            }
+            hits.push(Hit { gaussian, alpha, free, transmittance, offset: [dx, dy] });
+            transmittance *= 1.0 - alpha;
+        }
+        hits
+    }
+
+    /// Renders every channel.
+    pub fn render(&self, camera: &Camera) -> OracleImage {
+        let splats = self.splats(camera);
+        let order = Self::order(&splats);
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let mut image =
+            OracleImage { pixels: vec![[0.0; CHANNELS]; width * height], seen: vec![false; splats.len()] };
+        for (i, pixel) in image.pixels.iter_mut().enumerate() {
+            for hit in self.hits(&splats, &order, (i % width, i / width)) {
+                image.seen[hit.gaussian] = true;
+                if let Some(splat) = &splats[hit.gaussian] {
+                    for (out, f) in pixel.iter_mut().zip(&splat.features) {
+                        *out += hit.alpha * hit.transmittance * f;
+                    }
+                }
+            }
+        }
+        image
+    }
+
+    /// What depth is divided by at each pixel, to be held by [`Oracle::terms`] in finite differences.
+    pub fn depth_divisors(&self, camera: &Camera) -> Vec<f64> {
+        loss::depth_divisors(&self.render(camera).pixels, self.config.depth_term)
+    }
+
+    /// The terms of the loss; `held` replaces the divisor of depth.
+    pub fn terms(&self, frame: &TrainFrame, held: Option<&[f64]>) -> OracleTerms {
+        let image = self.render(&frame.camera);
+        let loss = loss::image_loss(&image.pixels, frame, &self.config, self.classes, &self.classifier, held);
+        let mut terms = loss.terms;
+        self.regularizers(&image.seen, &mut terms, None);
+        terms
+    }
+
+    /// The terms and the gradient of their weighted sum.
+    pub fn gradient(&self, frame: &TrainFrame) -> OracleGradient {
+        let image = self.render(&frame.camera);
+        let loss = loss::image_loss(&image.pixels, frame, &self.config, self.classes, &self.classifier, None);
+        let splats = self.splats(&frame.camera);
+        let order = Self::order(&splats);
+        let width = frame.camera.intrinsics.width;
+        let mut d_outputs = vec![[0.0; OUTPUTS]; splats.len()];
+        let mut d_features = vec![[0.0; CHANNELS]; splats.len()];
+        let mut d_logit = vec![0.0; splats.len()];
+        for (i, g) in loss.d_image.iter().enumerate() {
+            // What lies behind each splat, channel by channel, from the last to the first.
+            let mut behind = [0.0; CHANNELS];
+            for hit in self.hits(&splats, &order, (i % width, i / width)).iter().rev() {
+                let Some(splat) = &splats[hit.gaussian] else {
+                    continue;
+                };
+                let weight = hit.alpha * hit.transmittance;
+                let mut d_alpha = 0.0;
+                for c in 0..CHANNELS {
+                    let ahead = hit.transmittance * splat.features[c];
+                    d_alpha += g[c] * (ahead - behind[c] / (1.0 - hit.alpha));
+                    d_features[hit.gaussian][c] += g[c] * weight;
+                    behind[c] += weight * splat.features[c];
+                }
+                if !hit.free {
+                    continue;
+                }
+                d_logit[hit.gaussian] += d_alpha * hit.alpha * (1.0 - splat.opacity);
+                let d_power = d_alpha * hit.alpha;
+                let [dx, dy] = hit.offset;
+                let conic = |k: usize| splat.projection.value(CONIC + k);
+                let d = &mut d_outputs[hit.gaussian];
+                d[MEAN] += d_power * (conic(0) * dx + conic(1) * dy);
+                d[MEAN + 1] += d_power * (conic(1) * dx + conic(2) * dy);
+                d[CONIC] -= 0.5 * d_power * dx * dx;
+                d[CONIC + 1] -= d_power * dx * dy;
+                d[CONIC + 2] -= 0.5 * d_power * dy * dy;
+            }
+        }
+        let mut rows = vec![[0.0; PARAMETERS]; splats.len()];
+        for (i, splat) in splats.iter().enumerate() {
+            let Some(splat) = splat else {
+                continue;
+            };
+            d_outputs[i][DEPTH] += d_features[i][loss::DEPTH];
+            (0..3).for_each(|k| d_outputs[i][NORMAL + k] += d_features[i][loss::NORMAL + k]);
+            let inputs = splat.projection.gradient(&d_outputs[i]);
+            rows[i][..inputs.len()].copy_from_slice(&inputs);
+            rows[i][LOGIT_OPACITY] = d_logit[i];
+            (0..3).for_each(|k| rows[i][COLOR + k] = d_features[i][loss::COLOR + k]);
+            (0..AFFINITY_DIM).for_each(|k| rows[i][AFFINITY + k] = d_features[i][loss::AFFINITY + k]);
+        }
+        let mut terms = loss.terms;
+        self.regularizers(&image.seen, &mut terms, Some(&mut rows));
+        OracleGradient { terms, rows, classifier: loss.d_classifier, seen: image.seen }
+    }
+
+    /// Isotropic and flatness terms over the Gaussians seen.
+    fn regularizers(
+        &self,
+        seen: &[bool],
+        terms: &mut OracleTerms,
+        mut d_rows: Option<&mut Vec<[f64; PARAMETERS]>>,
+    ) {
+        let w = &self.config.weights;
+        let number = seen.iter().filter(|s| **s).count().max(1) as f64;
+        for (i, row) in self.rows.iter().enumerate().filter(|(i, _)| seen[*i]) {
+            let scale: [f64; 3] = std::array::from_fn(|k| row[LOG_SCALE + k].exp());
+            let mut by_size = [0, 1, 2];
+            by_size.sort_by(|&a, &b| scale[a].total_cmp(&scale[b]));
+            let smallest = by_size[0];
+            let taken = if w.flat > 0.0 { &by_size[1..] } else { &by_size[..] };
+            let mean = taken.iter().map(|&k| scale[k]).sum::<f64>() / taken.len() as f64;
+            let sign = |k: usize| if scale[k] == mean { 0.0 } else { (scale[k] - mean).signum() };
+            let mean_sign = taken.iter().map(|&k| sign(k)).sum::<f64>() / taken.len() as f64;
+            terms.isotropic += taken.iter().map(|&k| (scale[k] - mean).abs()).sum::<f64>() / number;
+            terms.flat += scale[smallest] / number;
+            if let Some(d) = &mut d_rows {
+                for &k in taken {
+                    d[i][LOG_SCALE + k] += f64::from(w.isotropic) / number * (sign(k) - mean_sign) * scale[k];
+                }
+                d[i][LOG_SCALE + smallest] += f64::from(w.flat) / number * scale[smallest];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

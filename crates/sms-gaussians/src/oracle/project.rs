@@ -1,0 +1,107 @@
+//! EWA projection with its derivatives by forward mode.
+
+use super::dual::{Dual, INPUTS};
+use crate::cpu::limits::{LOW_PASS, MARGIN, NEAR};
+use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
+use sms_core::Camera;
+
+/// What projection yields, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal.
+pub(super) struct Projection {
+    pub(super) outputs: [Dual; OUTPUTS],
+}
+
+pub(super) const OUTPUTS: usize = 9;
+pub(super) const MEAN: usize = 0;
+pub(super) const CONIC: usize = 2;
+pub(super) const DEPTH: usize = 5;
+pub(super) const NORMAL: usize = 6;
+
+type Matrix = [[Dual; 3]; 3];
+
+fn rotation(q: [Dual; 4]) -> Matrix {
+    let squared = q.iter().fold(Dual::constant(0.0), |sum, &v| sum + v * v);
+    let length = squared.sqrt();
+    let [x, y, z, w] = q.map(|v| v / length);
+    let (one, two) = (Dual::constant(1.0), Dual::constant(2.0));
+    [
+        [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
+        [two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x)],
+        [two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y)],
+    ]
+}
+
+/// Projects one Gaussian; `None` where it is nearer than the near plane.
+pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projection> {
+    let input = |i: usize| Dual::input(row[i], i);
+    let k = &camera.intrinsics;
+    let x_cw = camera.x_wc.inverse();
+    let r = glamx::DMat3::from_quat(x_cw.rotation);
+    let r_cw = |i: usize, j: usize| Dual::constant(r.col(j)[i]);
+    let position: [Dual; 3] = std::array::from_fn(|i| input(POSITION + i));
+    let p: [Dual; 3] = std::array::from_fn(|i| {
+        (0..3).fold(Dual::constant(x_cw.translation[i]), |sum, j| sum + r_cw(i, j) * position[j])
+    });
+    if !(p[2].value >= NEAR) {
+        return None;
+    }
+    let r_wg = rotation(std::array::from_fn(|i| input(ROTATION + i)));
+    let scale: [Dual; 3] = std::array::from_fn(|i| input(LOG_SCALE + i).exp());
+
+    let (fx, fy) = (Dual::constant(k.fx), Dual::constant(k.fy));
+    let slope = |x: Dual, center: f64, focal: f64, size: usize| {
+        let size = size as f64;
+        (x / p[2]).clamp(-(center + MARGIN * size) / focal, (size - center + MARGIN * size) / focal)
+    };
+    let (sx, sy) = (slope(p[0], k.cx, k.fx, k.width), slope(p[1], k.cy, k.fy, k.height));
+    let zero = Dual::constant(0.0);
+    let jacobian = [[fx / p[2], zero, -(fx / p[2] * sx)], [zero, fy / p[2], -(fy / p[2] * sy)]];
+    // Σ_2D = J R_cw R_wg S S R_wgᵀ R_cwᵀ Jᵀ.
+    let mut image_axes = [[zero; 3]; 2];
+    for (i, row) in image_axes.iter_mut().enumerate() {
+        for (axis, value) in row.iter_mut().enumerate() {
+            for c in 0..3 {
+                for w in 0..3 {
+                    *value = *value + jacobian[i][c] * r_cw(c, w) * r_wg[w][axis] * scale[axis];
+                }
+            }
+        }
+    }
+    let dot = |a: [Dual; 3], b: [Dual; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let low_pass = Dual::constant(LOW_PASS);
+    let xx = dot(image_axes[0], image_axes[0]) + low_pass;
+    let xy = dot(image_axes[0], image_axes[1]);
+    let yy = dot(image_axes[1], image_axes[1]) + low_pass;
+    let determinant = xx * yy - xy * xy;
+
+    let shortest = (0..3).min_by(|&a, &b| scale[a].value.total_cmp(&scale[b].value)).unwrap_or(0);
+    let normal: [Dual; 3] = std::array::from_fn(|i| r_wg[i][shortest]);
+    let eye = camera.center_w();
+    let away = (0..3).map(|i| normal[i].value * (position[i].value - eye[i])).sum::<f64>() > 0.0;
+    let normal = normal.map(|n| if away { -n } else { n });
+    Some(Projection {
+        outputs: [
+            fx * p[0] / p[2] + Dual::constant(k.cx),
+            fy * p[1] / p[2] + Dual::constant(k.cy),
+            yy / determinant,
+            -(xy / determinant),
+            xx / determinant,
+            p[2],
+            normal[0],
+            normal[1],
+            normal[2],
+        ],
+    })
+}
+
+impl Projection {
+    pub(super) fn value(&self, output: usize) -> f64 {
+        self.outputs[output].value
+    }
+
+    /// Carries ∂L/∂outputs to the inputs.
+    pub(super) fn gradient(&self, d_outputs: &[f64; OUTPUTS]) -> [f64; INPUTS] {
+        std::array::from_fn(|i| {
+            self.outputs.iter().zip(d_outputs).map(|(output, d)| output.derivative[i] * d).sum()
+        })
+    }
+}

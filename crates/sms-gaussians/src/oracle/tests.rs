@@ -1,0 +1,123 @@
+//! The oracle's gradients against finite differences of its loss.
+
+use super::*;
+use crate::parameters::{POSITION, ROTATION};
+use crate::test_scene::{CLASSES, camera, frame, seedlings};
+use crate::{DepthTerm, LossWeights};
+use sms_core::Seed;
+
+const NONE: LossWeights = LossWeights {
+    color: 0.0,
+    ssim: 0.0,
+    isotropic: 0.0,
+    depth: 0.0,
+    normal: 0.0,
+    flat: 0.0,
+    segmentation: 0.0,
+};
+
+/// Largest difference between analytic and central-difference derivative of each parameter group, as a share of the
+/// group's largest derivative.
+fn worst(weights: LossWeights, depth_term: DepthTerm) -> Vec<(&'static str, f64, f64)> {
+    let config = TrainConfig { weights, depth_term, ..TrainConfig::default() };
+    let camera = camera(21, 13);
+    let frame = frame(camera, Seed(4));
+    let mut parameters = Parameters::new(CLASSES, Seed(2));
+    parameters.insert(&seedlings(&camera, 14, Seed(3)));
+    let oracle = Oracle::new(&parameters, &config, false);
+    let gradient = oracle.gradient(&frame);
+    // Only the form with the divisor held differs from the plain derivative.
+    let divisors = oracle.depth_divisors(&camera);
+    let held = (depth_term == DepthTerm::Normalized).then_some(&divisors[..]);
+    let total = |oracle: &Oracle| oracle.terms(&frame, held).total(&config.weights);
+    let step = 1e-6;
+    let mut groups = Vec::new();
+    let ranges = [
+        ("position", POSITION, ROTATION),
+        ("rotation", ROTATION, LOG_SCALE),
+        ("scale", LOG_SCALE, LOGIT_OPACITY),
+        ("opacity", LOGIT_OPACITY, COLOR),
+        ("color", COLOR, AFFINITY),
+        ("affinity", AFFINITY, PARAMETERS),
+    ];
+    for (name, first, end) in ranges {
+        let (mut error, mut size) = (0.0f64, 0.0f64);
+        for i in 0..oracle.rows.len() {
+            for k in first..end {
+                let mut moved = oracle.clone();
+                moved.rows[i][k] += step;
+                let above = total(&moved);
+                moved.rows[i][k] -= 2.0 * step;
+                let numeric = (above - total(&moved)) / (2.0 * step);
+                error = error.max((numeric - gradient.rows[i][k]).abs());
+                size = size.max(numeric.abs());
+            }
+        }
+        groups.push((name, error, size));
+    }
+    let (mut error, mut size) = (0.0f64, 0.0f64);
+    for k in (0..oracle.classifier.len()).step_by(3) {
+        let mut moved = oracle.clone();
+        moved.classifier[k] += step;
+        let above = total(&moved);
+        moved.classifier[k] -= 2.0 * step;
+        let numeric = (above - total(&moved)) / (2.0 * step);
+        error = error.max((numeric - gradient.classifier[k]).abs());
+        size = size.max(numeric.abs());
+    }
+    groups.push(("classifier", error, size));
+    groups
+}
+
+fn check(weights: LossWeights, depth_term: DepthTerm, moving: &[&str]) {
+    for (name, error, size) in worst(weights, depth_term) {
+        println!("{name}: error {error:.1e} of {size:.1e}");
+        assert!(error <= 1e-6 * size + 1e-9, "{name}: {error:e} of {size:e}");
+        assert_eq!(size > 1e-9, moving.contains(&name), "{name} has derivatives up to {size:e}");
+    }
+}
+
+const SHAPE: [&str; 4] = ["position", "rotation", "scale", "opacity"];
+
+#[test]
+fn absolute_color_error() {
+    let moving = [&SHAPE[..], &["color"]].concat();
+    check(LossWeights { color: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
+}
+
+#[test]
+fn structural_similarity() {
+    let moving = [&SHAPE[..], &["color"]].concat();
+    check(LossWeights { color: 1.0, ssim: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
+}
+
+#[test]
+fn depth_in_every_form() {
+    for term in [DepthTerm::Normalized, DepthTerm::Quotient, DepthTerm::Accumulated] {
+        check(LossWeights { depth: 1.0, ..NONE }, term, &SHAPE);
+    }
+}
+
+#[test]
+fn normals() {
+    check(LossWeights { normal: 1.0, ..NONE }, DepthTerm::Normalized, &SHAPE);
+}
+
+#[test]
+fn regularizers_of_scale() {
+    check(LossWeights { isotropic: 1.0, ..NONE }, DepthTerm::Normalized, &["scale"]);
+    check(LossWeights { flat: 1.0, ..NONE }, DepthTerm::Normalized, &["scale"]);
+    check(LossWeights { flat: 1.0, isotropic: 1.0, ..NONE }, DepthTerm::Normalized, &["scale"]);
+}
+
+#[test]
+fn cross_entropy_moves_affinities_and_classifier() {
+    let moving = [&SHAPE[..], &["affinity", "classifier"]].concat();
+    check(LossWeights { segmentation: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
+}
+
+#[test]
+fn all_terms_together() {
+    let moving = [&SHAPE[..], &["color", "affinity", "classifier"]].concat();
+    check(LossWeights::default(), DepthTerm::Normalized, &moving);
+}
