@@ -68,7 +68,7 @@ pub fn build_entities(
     cancel.check()?;
     if config.environment.enabled {
         progress.update(2 * count, "environment");
-        let rests: Vec<Rest> = drafts.iter().map(|d| d.rest).collect();
+        let rests: Vec<(u16, Rest)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
         entities.extend(environment::environment_entity(&views, &entities, &rests, support_height, config));
     }
     progress.end(&format!("{} entities", entities.len()));

@@ -142,6 +142,6 @@ pub struct EnvironmentConfig {
 
 impl Default for EnvironmentConfig {
     fn default() -> Self {
-        Self { enabled: true, voxel: 0.006, reach: 0.5, face_budget: 4000, floor_band: 0.012 }
+        Self { enabled: true, voxel: 0.006, reach: 0.5, face_budget: 2000, floor_band: 0.012 }
     }
 }

@@ -45,6 +45,7 @@ mod save;
 mod sphere;
 mod support;
 mod surface;
+mod tsdf;
 mod underside;
 mod views;
 mod voxels;

@@ -40,8 +40,9 @@ pub(crate) fn decimate(mesh: &Mesh, budget: usize) -> Mesh {
     }
     let was_closed = mesh.is_closed_oriented();
     let mut target = budget.max(8);
+    let max_error = 0.05 * mesh.aabb().map_or(0.0, |b| b.extents().max_element());
     while target < mesh.triangles.len() {
-        let simpler = collapse(mesh, target);
+        let simpler = simplify(mesh, target, max_error);
         if !simpler.triangles.is_empty() && (!was_closed || simpler.is_closed_oriented()) {
             return simpler;
         }
@@ -50,7 +51,8 @@ pub(crate) fn decimate(mesh: &Mesh, budget: usize) -> Mesh {
     mesh.clone()
 }
 
-fn collapse(mesh: &Mesh, target: usize) -> Mesh {
+/// Quadric collapses down to `target` faces as long as the surface moves by at most `max_error` metres.
+pub(crate) fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     let Some(bounds) = mesh.aabb() else { return mesh.clone() };
     // Single precision is ample once the mesh is near the origin.
     let positions: Vec<[f32; 3]> =
@@ -60,8 +62,8 @@ fn collapse(mesh: &Mesh, target: usize) -> Mesh {
         &indices,
         &positions,
         target * 3,
-        0.05,
-        meshopt::SimplifyOptions::None,
+        max_error as f32,
+        meshopt::SimplifyOptions::ErrorAbsolute,
         None,
     );
     let triangles = kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();

@@ -1,7 +1,7 @@
 //! Closing what no camera saw: the contact area on the surface below.
 
 use crate::grid::quantile;
-use crate::support::Rest;
+use crate::support::{Plane, Rest};
 use crate::views::{Sight, Views};
 use glamx::DVec3;
 use sms_core::PointCloud;
@@ -73,6 +73,23 @@ pub(crate) fn contact_points(
         }));
     }
     points
+}
+
+/// The convex outline, grown by `margin`, of the points less than `band` above a plane: on the plane, counter-clockwise
+/// seen from its normal.
+pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
+    let u = plane.normal.any_orthonormal_vector();
+    let v = plane.normal.cross(u);
+    let near = points.iter().filter(|&&p| plane.height_over(p) < band);
+    let grown: Vec<[f64; 2]> = near
+        .flat_map(|p| {
+            (0..8).map(move |k| {
+                let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
+                [p.dot(u) + margin * cos, p.dot(v) + margin * sin]
+            })
+        })
+        .collect();
+    convex_outline(&grown).iter().map(|&[s, t]| u * s + v * t + plane.normal * plane.offset).collect()
 }
 
 /// Whether cameras saw the carrying surface itself (or through it) at this point of the plane.
