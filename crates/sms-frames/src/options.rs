@@ -153,3 +153,30 @@ impl Default for LoadSettings {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_survive_a_file_and_unknown_keys_are_refused() {
+        let options =
+            ReadOptions { axes: Some(Axes::Opencv), pixel_center: Some(0.0), ..ReadOptions::default() };
+        let text = serde_json::to_string(&options).unwrap();
+        assert!(text.contains("\"axes\":\"opencv\"") && !text.contains("null"), "{text}");
+        assert_eq!(serde_json::from_str::<ReadOptions>(&text).unwrap(), options);
+        for align in [Align::Auto, Align::None, Align::Up([0.0, -1.0, 0.1])] {
+            let settings = LoadSettings { align, stride: 3, ..LoadSettings::default() };
+            let text = serde_json::to_string(&settings).unwrap();
+            assert_eq!(serde_json::from_str::<LoadSettings>(&text).unwrap(), settings);
+        }
+        let unknown = serde_json::from_str::<LoadSettings>("{\"long_sied\": 320}").unwrap_err();
+        assert!(unknown.to_string().contains("unknown field"));
+    }
+
+    #[test]
+    fn noise_grows_with_the_square_of_depth() {
+        let noise = DepthNoise { a_m: 0.001, b_per_m: 0.002 };
+        assert!((noise.sigma_m(2.0) - 0.009).abs() < 1e-15);
+    }
+}

@@ -97,7 +97,8 @@ impl Recording {
         let dir = dir.as_ref();
         check_options(options)?;
         if dir.is_file() && dir.file_name().is_some_and(|n| n == "transforms.json") {
-            return Self::open(dir.parent().unwrap_or(Path::new(".")), options);
+            let parent = dir.parent().filter(|p| !p.as_os_str().is_empty());
+            return Self::open(parent.unwrap_or(Path::new(".")), options);
         }
         if !dir.is_dir() {
             return Err(InputError::new(
@@ -155,6 +156,11 @@ impl Recording {
             .into());
         }
         Ok(depth)
+    }
+
+    /// Index of the recorded frame that a loaded frame came from.
+    pub fn index_of(&self, frame: &crate::Frame) -> Option<usize> {
+        self.frames.iter().position(|f| f.color_path == frame.color_path)
     }
 
     /// Reads the label image of frame `index` and resamples it (nearest neighbour, distortion undone) to the

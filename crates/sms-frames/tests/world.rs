@@ -152,6 +152,7 @@ fn frames_can_be_thinned_and_labels_follow() {
     assert_eq!(names, ["000002.png", "000004.png", "000006.png"]);
     assert_eq!(sequence.frames[0].mask_path, None);
     assert!(sequence.frames[1].mask_path.as_ref().unwrap().ends_with("mask.png"));
+    assert_eq!(recording.index_of(&sequence.frames[1]), Some(4));
     let labels = recording.read_labels(4, &sequence.frames[1].camera.intrinsics).unwrap().unwrap();
     assert_eq!(labels.size(), (40, 30));
     assert!(labels.data.iter().enumerate().all(|(i, &l)| l == u16::from(i % 40 >= 20)));
