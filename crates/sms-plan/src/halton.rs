@@ -52,8 +52,7 @@ mod tests {
     /// Squared L2-star discrepancy (Warnock 1972).
     fn discrepancy_squared(points: &[Vec<f64>]) -> f64 {
         let (n, d) = (points.len() as f64, points[0].len() as i32);
-        let single: f64 =
-            points.iter().map(|p| p.iter().map(|x| (1.0 - x * x) / 2.0).product::<f64>()).sum();
+        let single: f64 = points.iter().map(|p| p.iter().map(|x| (1.0 - x * x) / 2.0).product::<f64>()).sum();
         let pairs: f64 = points
             .iter()
             .flat_map(|p| {

@@ -1,11 +1,36 @@
-//! Optimisers and planning: Nelder-Mead, screening, multi-start, trial log.
+//! Optimisers and planning: Nelder-Mead, screening, multi-start, robust choice, trial log (paper section
+//! "Simulate").
+//!
+//! [`plan`] searches the actions of a task in the nominal world and chooses, among the good ones, the one that
+//! fares best in worlds that differ within what the scan and the materials leave open. The local search sits behind
+//! the [`Optimiser`] trait; [`NelderMead`] is the paper's.
+//!
+//! ```
+//! use sms_plan::{NelderMead, Optimiser};
+//! let valley = |x: &[f64]| Some((x[0] - 0.3).powi(2) + 10.0 * (x[1] - x[0]).powi(2));
+//! let found = NelderMead::default().minimise(&[vec![0.9, 0.1]], &[0.1, 0.1], &mut { valley });
+//! assert!((found.x[0] - 0.3).abs() < 0.01 && (found.x[1] - 0.3).abs() < 0.01);
+//! ```
 
+mod config;
+mod disturb;
 mod halton;
 mod nelder_mead;
 mod optimiser;
+mod outcome;
 mod plan;
+mod planner;
+mod robust;
+mod search;
+mod space;
+mod trials;
 
+pub use config::{Method, PlanConfig};
+pub use disturb::Disturbances;
 pub use halton::Halton;
 pub use nelder_mead::{Bounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
+pub use outcome::{PlanOutcome, load_plan, save_plan};
 pub use plan::{Plan, StartSummary};
+pub use planner::{PlanError, plan};
+pub use trials::{Phase, Trial, read_trials, write_trials};

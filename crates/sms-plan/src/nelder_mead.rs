@@ -248,12 +248,7 @@ impl NelderMead {
                 sigma: 1.0 - 1.0 / d,
             };
         }
-        Coefficients {
-            rho: self.reflection,
-            chi: self.expansion,
-            psi: self.contraction,
-            sigma: self.shrink,
-        }
+        Coefficients { rho: self.reflection, chi: self.expansion, psi: self.contraction, sigma: self.shrink }
     }
 
     fn has_converged(&self, sorted: &[Vertex]) -> bool {

@@ -165,11 +165,9 @@ impl Billiards {
         if self.goal_w.iter().any(|v| !v.is_finite()) {
             return fault("goal_w", "it must be two finite numbers, x and y in metres".to_owned());
         }
-        for (key, value, largest) in [
-            ("horizon_s", self.horizon_s, 60.0),
-            ("success_m", self.success_m, 10.0),
-            ("dt", self.dt, 0.02),
-        ] {
+        for (key, value, largest) in
+            [("horizon_s", self.horizon_s, 60.0), ("success_m", self.success_m, 10.0), ("dt", self.dt, 0.02)]
+        {
             if !(value > 0.0 && value <= largest) {
                 return fault(key, format!("it must be above 0 and at most {largest}, and is {value}"));
             }
@@ -189,7 +187,10 @@ impl Billiards {
             }
         }
         if !(0.0..=10.0).contains(&self.striker.friction) {
-            return fault("striker.friction", format!("it must be 0 to 10, and is {}", self.striker.friction));
+            return fault(
+                "striker.friction",
+                format!("it must be 0 to 10, and is {}", self.striker.friction),
+            );
         }
         if !(0.0..=1.0).contains(&self.striker.restitution) {
             let value = self.striker.restitution;
@@ -200,7 +201,11 @@ impl Billiards {
 
     /// The file to name in messages.
     pub(crate) fn path(&self) -> &Path {
-        if self.source.as_os_str().is_empty() { Path::new("(task made by the program)") } else { &self.source }
+        if self.source.as_os_str().is_empty() {
+            Path::new("(task made by the program)")
+        } else {
+            &self.source
+        }
     }
 }
 

@@ -50,6 +50,14 @@ impl ClosestApproach {
         self.time_s
     }
 
+    /// The smallest distance to the goal of a ray from the last position in a direction (of any length), metres.
+    pub(crate) fn distance_of_ray(&self, direction: DVec2) -> f64 {
+        let Some((_, p_w)) = self.last else { return f64::INFINITY };
+        let to_goal = self.goal_w - p_w;
+        let along = to_goal.dot(direction.normalize_or_zero()).max(0.0);
+        to_goal.distance(along * direction.normalize_or_zero())
+    }
+
     /// The distance at the last observation, metres.
     pub fn current_distance(&self) -> f64 {
         self.last.map_or(f64::INFINITY, |(_, p)| p.distance(self.goal_w))
@@ -69,6 +77,14 @@ mod tests {
         assert!((closest.distance() - 0.01).abs() < 1e-15);
         assert!((closest.time_s() - 0.05).abs() < 1e-15);
         assert!(closest.current_distance() > 0.1);
+    }
+
+    #[test]
+    fn a_ray_towards_the_goal_comes_near_and_one_away_does_not() {
+        let mut closest = ClosestApproach::new(DVec2::new(1.0, 0.1));
+        closest.observe(0.0, DVec2::ZERO);
+        assert!((closest.distance_of_ray(DVec2::X * 0.3) - 0.1).abs() < 1e-15);
+        assert_eq!(closest.distance_of_ray(-DVec2::X), closest.distance());
     }
 
     #[test]

@@ -1,10 +1,34 @@
 //! Tasks as data: actions, objectives, trajectories and the one rollout that planner and target share.
+//!
+//! A [`Task`] is a TOML file. [`Task::resolve`] finds its bodies in the planner's scene and gives a
+//! [`ResolvedTask`], which says what an [`Action`] means as a motion of the robot in the world
+//! ([`ResolvedTask::strike`]), and carries that motion out in any world ([`ResolvedTask::rollout`]): the planner's
+//! or a target's.
+//!
+//! ```
+//! use sms_task::{Billiards, Selector, Task};
+//! let file = r#"
+//!     kind = "billiards"
+//!     cue = { color = "white", sphere = true }
+//!     target = { color = "blue", sphere = true }
+//!     goal_w = [0.8, 0.1]
+//! "#;
+//! let dir = std::env::temp_dir().join("sms-task-example");
+//! std::fs::create_dir_all(&dir)?;
+//! std::fs::write(dir.join("shot.toml"), file)?;
+//! let Task::Billiards(task) = Task::read(&dir.join("shot.toml"))?;
+//! assert_eq!(task.cue, Selector::sphere_of_color("white"));
+//! assert_eq!(task.horizon_s, 4.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod action;
 mod billiards;
 mod closest;
 mod execution;
 pub mod json;
+mod resolved;
+mod rollout;
 mod selector;
 pub mod table;
 mod trajectory;
@@ -13,5 +37,7 @@ pub use action::{Action, Parameter};
 pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial, Task};
 pub use closest::ClosestApproach;
 pub use execution::Execution;
+pub use resolved::{Ball, ResolvedTask, TaskError};
+pub use rollout::{Recording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
 pub use trajectory::{BodyTrack, Trajectory};

@@ -1,0 +1,163 @@
+//! Settings of the planner.
+
+use crate::{Disturbances, NelderMead};
+use serde::{Deserialize, Serialize};
+use sms_core::InputError;
+use std::path::Path;
+
+/// How starts are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Half of the budget on Halton points, then a local search from each of the best ones.
+    Screen,
+    /// The paper: a local search from each of a number of random simplexes.
+    MultiStart,
+}
+
+/// Settings of the planner. Budgets count rollouts, never seconds, so that a plan does not depend on the machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PlanConfig {
+    /// How starts are found.
+    pub method: Method,
+    /// Number of starts (paper: 30).
+    pub starts: usize,
+    /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit counts instead.
+    pub evaluations: usize,
+    /// Share of them spent on screening.
+    pub screening_share: f64,
+    /// Whether the task may suggest points to try first (for billiards: aim at the ghost ball).
+    pub suggestions: bool,
+    /// The local search. Its steps begin at `initial_step` of the range that a start was drawn from.
+    pub nelder_mead: NelderMead,
+    /// First step of the local search, as a share of the range that its start was drawn from.
+    pub initial_step: f64,
+    /// Distinct actions that are tried in the first quarter of the disturbed worlds.
+    pub candidates: usize,
+    /// How many of them, those with the smallest 90 % quantile there, are tried in the others.
+    pub finalists: usize,
+    /// The disturbed worlds.
+    pub disturbances: Disturbances,
+    /// Nominal objective up to which an action is good enough to be chosen for its robustness alone, metres.
+    pub good_m: f64,
+}
+
+impl Default for PlanConfig {
+    fn default() -> Self {
+        Self {
+            method: Method::Screen,
+            starts: 30,
+            evaluations: 1500,
+            screening_share: 0.5,
+            suggestions: true,
+            nelder_mead: NelderMead::default(),
+            initial_step: 0.08,
+            candidates: 24,
+            finalists: 8,
+            disturbances: Disturbances::default(),
+            good_m: 0.01,
+        }
+    }
+}
+
+impl PlanConfig {
+    /// Checks the values; `path` is the settings file, or what stands for it.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key.
+    pub fn validate(&self, path: &Path) -> Result<(), InputError> {
+        let d = &self.disturbances;
+        for (key, value) in [
+            ("starts", self.starts),
+            ("evaluations", self.evaluations),
+            ("candidates", self.candidates),
+            ("finalists", self.finalists),
+            ("disturbances.worlds", d.worlds),
+        ] {
+            if !(1..=1_000_000).contains(&value) {
+                return Err(fault(path, key, "1 to 1000000", value as f64));
+            }
+        }
+        for (key, value, low, high) in [
+            ("screening_share", self.screening_share, 0.0, 1.0),
+            ("initial_step", self.initial_step, 1e-6, 1.0),
+            ("good_m", self.good_m, 0.0, 10.0),
+            ("disturbances.position_m", d.position_m, 0.0, 0.1),
+            ("disturbances.contact_m", d.contact_m, 0.0, 0.1),
+            ("disturbances.angle_rad", d.angle_rad, 0.0, 1.0),
+            ("disturbances.speed_share", d.speed_share, 0.0, 0.9),
+            ("nelder_mead.reflection", self.nelder_mead.reflection, 0.0, 100.0),
+            ("nelder_mead.expansion", self.nelder_mead.expansion, 0.0, 100.0),
+            ("nelder_mead.contraction", self.nelder_mead.contraction, 0.0, 1.0),
+            ("nelder_mead.shrink", self.nelder_mead.shrink, 0.0, 1.0),
+            ("nelder_mead.x_tolerance", self.nelder_mead.x_tolerance, 0.0, 1.0),
+            ("nelder_mead.f_tolerance", self.nelder_mead.f_tolerance, 0.0, 10.0),
+        ] {
+            if !(low..=high).contains(&value) {
+                return Err(fault(path, key, &format!("{low} to {high}"), value));
+            }
+        }
+        Ok(())
+    }
+
+    /// A quick plan: about a third of the rollouts.
+    pub fn draft() -> Self {
+        Self {
+            starts: 12,
+            evaluations: 480,
+            candidates: 12,
+            finalists: 4,
+            disturbances: Disturbances { worlds: 8, ..Disturbances::default() },
+            ..Self::default()
+        }
+    }
+
+    /// Four times the rollouts, for a machine with more cores.
+    pub fn fine() -> Self {
+        Self {
+            evaluations: 6000,
+            candidates: 48,
+            finalists: 16,
+            disturbances: Disturbances { worlds: 32, ..Disturbances::default() },
+            ..Self::default()
+        }
+    }
+
+    /// The paper's method: 30 searches of 30 iterations each, the nominally best action wins.
+    pub fn paper() -> Self {
+        Self {
+            method: Method::MultiStart,
+            nelder_mead: NelderMead::paper(),
+            candidates: 1,
+            finalists: 1,
+            ..Self::default()
+        }
+    }
+}
+
+fn fault(path: &Path, key: &str, allowed: &str, value: f64) -> InputError {
+    InputError::new(
+        format!("the planner's setting `{key}` must be {allowed}, and is {value}"),
+        path,
+        format!("correct `{key}`"),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_valid_and_faults_are_named() {
+        let path = Path::new("plan.toml");
+        for preset in [PlanConfig::default(), PlanConfig::draft(), PlanConfig::fine(), PlanConfig::paper()] {
+            preset.validate(path).unwrap();
+        }
+        let none = PlanConfig { starts: 0, ..PlanConfig::default() };
+        let message = none.validate(path).unwrap_err().to_string();
+        assert!(message.contains("`starts`") && message.contains("plan.toml"), "{message}");
+        let nan = PlanConfig { initial_step: f64::NAN, ..PlanConfig::default() };
+        assert!(nan.validate(path).is_err());
+    }
+}

@@ -1,0 +1,107 @@
+//! The trial log.
+
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, InputError};
+use sms_task::table::{Column, read_table, write_table};
+use sms_task::{Action, Parameter};
+use std::path::Path;
+
+/// What a rollout was for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// A point of the screening.
+    Screen,
+    /// A point of a local search.
+    Search,
+    /// A candidate in a disturbed world.
+    Disturbed,
+}
+
+impl Phase {
+    /// The word in the trial log.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Screen => "screen",
+            Self::Search => "search",
+            Self::Disturbed => "disturbed",
+        }
+    }
+}
+
+/// One rollout.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// What it was for.
+    pub phase: Phase,
+    /// Index of the start (search) or of the candidate (disturbed); −1 in the screening.
+    pub start: i32,
+    /// Number of the evaluation within the phase and start; the world's index for disturbed trials.
+    pub iteration: i32,
+    /// The action.
+    pub action: Action,
+    /// Its objective, in the task's unit.
+    pub objective: f64,
+}
+
+/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`. No
+/// times, so that the same plan gives the same bytes.
+///
+/// # Errors
+/// [`CoreError::Write`].
+pub fn write_trials(path: &Path, parameters: &[Parameter], trials: &[Trial]) -> Result<(), CoreError> {
+    let mut columns = vec![
+        ("phase", Column::Text(trials.iter().map(|t| t.phase.as_str().to_owned()).collect())),
+        ("start", Column::I32(trials.iter().map(|t| t.start).collect())),
+        ("iteration", Column::I32(trials.iter().map(|t| t.iteration).collect())),
+    ];
+    for (i, p) in parameters.iter().enumerate() {
+        columns.push((&p.name, Column::F64(trials.iter().map(|t| t.action.0[i]).collect())));
+    }
+    columns.push(("objective", Column::F64(trials.iter().map(|t| t.objective).collect())));
+    write_table(path, &columns)
+}
+
+/// Reads `trials.parquet`.
+///
+/// # Errors
+/// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
+pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
+    let table = read_table(path)?;
+    let rows = table.first().map_or(0, |(_, c)| c.len());
+    let mut parameters = Vec::new();
+    let (mut phases, mut starts, mut iterations, mut objectives) = (None, None, None, None);
+    for (name, column) in table {
+        match (name.as_str(), column) {
+            ("phase", Column::Text(v)) => phases = Some(v),
+            ("start", Column::I32(v)) => starts = Some(v),
+            ("iteration", Column::I32(v)) => iterations = Some(v),
+            ("objective", Column::F64(v)) => objectives = Some(v),
+            (_, Column::F64(v)) => parameters.push(v),
+            _ => {}
+        }
+    }
+    let not_trials = || {
+        InputError::new("this table is no trial log", path, "restore or regenerate the file with `sms plan`")
+    };
+    let (Some(phases), Some(starts), Some(iterations), Some(objectives)) =
+        (phases, starts, iterations, objectives)
+    else {
+        return Err(not_trials().into());
+    };
+    (0..rows)
+        .map(|i| {
+            let phase = [Phase::Screen, Phase::Search, Phase::Disturbed]
+                .into_iter()
+                .find(|p| p.as_str() == phases[i])
+                .ok_or_else(|| not_trials().because(format!("unknown phase `{}`", phases[i])))?;
+            Ok(Trial {
+                phase,
+                start: starts[i],
+                iteration: iterations[i],
+                action: Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect()),
+                objective: objectives[i],
+            })
+        })
+        .collect()
+}

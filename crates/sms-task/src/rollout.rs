@@ -1,0 +1,283 @@
+//! The one rollout that planner and targets share.
+
+use crate::resolved::horizontal;
+use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
+use glamx::{DVec2, DVec3};
+use sms_core::InputError;
+use sms_scene::{BodyKind, BodyShape, Scene};
+use sms_sim::{BodyId, BodyState, SimError, Simulation, StrikerMotion};
+
+/// Name of the striker's track.
+pub const STRIKER: &str = "striker";
+
+/// A body that turned or moved less than this is not recorded: metres and radians.
+const MOVED: (f64, f64) = (2e-4, 2e-3);
+
+/// Speeds (m/s, rad/s) below which a body that is no ball counts as standing still. A toppling body is faster.
+const STILL: (f64, f64) = (0.003, 0.03);
+
+/// How far outside of everything a ball has to be to count as gone, metres: obstacles are pushed about a little.
+const ARENA_MARGIN_M: f64 = 0.05;
+
+/// What to record of a rollout.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Recording {
+    /// Time between recorded states, seconds; 0 records every step.
+    pub every_s: f64,
+}
+
+/// The result of a rollout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rollout {
+    /// Smallest horizontal distance of the target ball's centre to the goal, metres, over all steps and between
+    /// them.
+    pub objective: f64,
+    /// When that was, seconds from the start of the sweep.
+    pub closest_s: f64,
+    /// When the rollout ended, seconds: the horizon, or earlier when nothing could change any more.
+    pub end_s: f64,
+    /// The motion, when it was recorded.
+    pub trajectory: Option<Trajectory>,
+}
+
+/// The bodies of a world that a rollout looks at. The world may be the planner's or a target's: bodies have other
+/// names and indices there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldBodies {
+    target: BodyId,
+    dynamic: Vec<Mover>,
+    /// Centre and radius of a disc on the floor that holds everything at the start.
+    arena: (DVec2, f64),
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Mover {
+    id: BodyId,
+    name: String,
+    /// For a ball its radius.
+    radius: Option<f64>,
+    mass: f64,
+    /// Largest principal moment or more, kg·m².
+    inertia: f64,
+}
+
+impl ResolvedTask {
+    /// The bodies of a world built from `scene`, in which the target ball is called `target`.
+    ///
+    /// # Errors
+    /// [`TaskError::Input`] when there is no dynamic body of that name.
+    pub fn bodies_in(&self, scene: &Scene, target: &str) -> Result<WorldBodies, TaskError> {
+        let dynamic: Vec<Mover> = scene
+            .bodies
+            .iter()
+            .enumerate()
+            .filter(|(_, b)| b.kind == BodyKind::Dynamic)
+            .map(|(id, b)| Mover {
+                id,
+                name: b.name.clone(),
+                radius: match b.shape {
+                    BodyShape::Sphere { radius } => Some(radius),
+                    _ => None,
+                },
+                mass: b.mass.map_or(0.0, |m| m.mass()),
+                inertia: b.mass.map_or(0.0, |m| {
+                    let i = m.inertia();
+                    i.x_axis.x.max(i.y_axis.y).max(i.z_axis.z)
+                }),
+            })
+            .collect();
+        let found = dynamic.iter().find(|m| m.name == target).map(|m| m.id).ok_or_else(|| {
+            let names: Vec<&str> = dynamic.iter().map(|m| m.name.as_str()).collect();
+            InputError::new(
+                format!("scene `{}` has no dynamic body `{target}`", scene.name),
+                self.settings().path(),
+                format!("its dynamic bodies are: {}", names.join(", ")),
+            )
+        })?;
+        Ok(WorldBodies { target: found, dynamic, arena: arena_of(scene) })
+    }
+
+    /// Carries out a strike in a simulation that is in its first state, and measures how near the target ball comes
+    /// to the goal.
+    ///
+    /// A rollout ends at the horizon or when the sweep is over and everything rests. Without recording it also ends
+    /// as soon as the target ball cannot come nearer any more: when all kinetic energy, given to it at once, would
+    /// not carry it there in the time left, or when it rolls away outside of all other bodies and not towards the
+    /// goal. Balls that roll away no longer count; bodies that are no balls must stand still, or they might topple.
+    ///
+    /// # Errors
+    /// [`SimError::Diverged`] when a state stops being finite.
+    pub fn rollout(
+        &self,
+        simulation: &mut Simulation,
+        motion: &StrikerMotion,
+        bodies: &WorldBodies,
+        recording: Option<Recording>,
+    ) -> Result<Rollout, SimError> {
+        let settings = self.settings();
+        let striker = simulation.strike(motion, settings.striker.friction, settings.striker.restitution);
+        let mut closest = ClosestApproach::new(self.goal_w());
+        let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
+        let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
+        let mut time_s = 0.0;
+        closest.observe(time_s, horizontal(simulation.state(bodies.target).x_wb.translation));
+        if let Some(r) = &mut recorder {
+            r.record(time_s, simulation);
+        }
+        for step in 1..=steps {
+            simulation.advance(settings.dt)?;
+            time_s = step as f64 * settings.dt;
+            closest.observe(time_s, horizontal(simulation.state(bodies.target).x_wb.translation));
+            if let Some(r) = &mut recorder {
+                r.record_if_due(time_s, simulation);
+            }
+            let left_s = settings.horizon_s - time_s;
+            // Looked at now and then: it costs as much as a few contacts.
+            if step % 16 == 0
+                && simulation.is_strike_over()
+                && (bodies.all_rest(simulation)
+                    || (recorder.is_none() && bodies.cannot_improve(simulation, &closest, left_s)))
+            {
+                break;
+            }
+        }
+        Ok(Rollout {
+            objective: closest.distance(),
+            closest_s: closest.time_s(),
+            end_s: time_s,
+            trajectory: recorder.map(|r| r.finish(time_s, simulation)),
+        })
+    }
+}
+
+impl WorldBodies {
+    fn all_rest(&self, simulation: &Simulation) -> bool {
+        self.dynamic.iter().all(|m| simulation.is_asleep(m.id))
+    }
+
+    fn cannot_improve(&self, simulation: &Simulation, closest: &ClosestApproach, left_s: f64) -> bool {
+        let mut energy = 0.0;
+        let mut target_mass = f64::INFINITY;
+        for m in &self.dynamic {
+            if m.id == self.target {
+                target_mass = m.mass;
+            }
+            if simulation.is_asleep(m.id) {
+                continue;
+            }
+            let state = simulation.state(m.id);
+            let (v, w) = (state.v_w.length(), state.w_w.length());
+            let Some(radius) = m.radius else {
+                if v > STILL.0 || w > STILL.1 {
+                    return false;
+                }
+                continue;
+            };
+            if !self.rolls_away(&state, radius) {
+                energy += 0.5 * (m.mass * v * v + m.inertia * w * w);
+            } else if m.id == self.target {
+                return closest.distance_of_ray(horizontal(state.v_w)) >= closest.distance();
+            }
+        }
+        let fastest = (2.0 * energy / target_mass).sqrt();
+        closest.current_distance() - fastest * left_s >= closest.distance()
+    }
+
+    /// Whether a ball is outside of everything, rolls without slip (so that spin cannot turn it back), and outwards.
+    fn rolls_away(&self, state: &BodyState, radius: f64) -> bool {
+        let (center, arena_radius) = self.arena;
+        let outwards = horizontal(state.x_wb.translation) - center;
+        let v = horizontal(state.v_w);
+        // Velocity of a ball whose lowest point rests on the floor.
+        let rolling = radius * horizontal(state.w_w.cross(DVec3::Z));
+        outwards.length() > arena_radius + radius + ARENA_MARGIN_M
+            && v.dot(outwards) > 0.0
+            && v.distance(rolling) < 0.02 * v.length()
+    }
+}
+
+/// The disc around the horizontal extents of all bodies but half spaces.
+fn arena_of(scene: &Scene) -> (DVec2, f64) {
+    let corners = scene.bodies.iter().flat_map(|b| {
+        let local: Vec<DVec3> = match &b.shape {
+            BodyShape::HalfSpace => Vec::new(),
+            // Where the ball is; its radius is added in every direction.
+            BodyShape::Sphere { radius } => {
+                let r = *radius;
+                vec![
+                    DVec3::new(r, r, 0.0),
+                    DVec3::new(-r, r, 0.0),
+                    DVec3::new(r, -r, 0.0),
+                    DVec3::new(-r, -r, 0.0),
+                ]
+            }
+            BodyShape::Hulls { hulls } => hulls.iter().flat_map(|h| h.vertices.iter().copied()).collect(),
+            BodyShape::TriMesh { mesh } => mesh.vertices.clone(),
+        };
+        local.into_iter().map(|p| b.x_wb.transform_point(p))
+    });
+    let points: Vec<DVec2> = corners.map(horizontal).collect();
+    let low = points.iter().fold(DVec2::INFINITY, |a, &p| a.min(p));
+    let high = points.iter().fold(DVec2::NEG_INFINITY, |a, &p| a.max(p));
+    if points.is_empty() {
+        return (DVec2::ZERO, 0.0);
+    }
+    let center = 0.5 * (low + high);
+    (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
+}
+
+struct Recorder<'a> {
+    every_s: f64,
+    bodies: &'a WorldBodies,
+    striker: BodyId,
+    times_s: Vec<f64>,
+    /// Per dynamic body, then the striker.
+    tracks: Vec<Vec<BodyState>>,
+}
+
+impl<'a> Recorder<'a> {
+    fn new(recording: Recording, bodies: &'a WorldBodies, striker: BodyId) -> Self {
+        let tracks = vec![Vec::new(); bodies.dynamic.len() + 1];
+        Self { every_s: recording.every_s, bodies, striker, times_s: Vec::new(), tracks }
+    }
+
+    fn record(&mut self, time_s: f64, simulation: &Simulation) {
+        self.times_s.push(time_s);
+        let ids = self.bodies.dynamic.iter().map(|m| m.id).chain([self.striker]);
+        for (track, id) in self.tracks.iter_mut().zip(ids) {
+            track.push(simulation.state(id));
+        }
+    }
+
+    fn record_if_due(&mut self, time_s: f64, simulation: &Simulation) {
+        // Half a microsecond of slack, so that rounding of the times does not skip a state.
+        if self.times_s.len() as f64 * self.every_s <= time_s + 5e-7 {
+            self.record(time_s, simulation);
+        }
+    }
+
+    fn finish(mut self, end_s: f64, simulation: &Simulation) -> Trajectory {
+        if self.times_s.last().is_some_and(|&t| t < end_s) {
+            self.record(end_s, simulation);
+        }
+        let striker = self.tracks.pop().unwrap_or_default();
+        let moved = |states: &[BodyState]| {
+            states.first().is_some_and(|first| {
+                states.iter().any(|s| {
+                    first.x_wb.translation.distance(s.x_wb.translation) > MOVED.0
+                        || first.x_wb.rotation.angle_between(s.x_wb.rotation) > MOVED.1
+                })
+            })
+        };
+        let bodies = self
+            .bodies
+            .dynamic
+            .iter()
+            .zip(self.tracks)
+            .filter(|(m, states)| m.id == self.bodies.target || moved(states))
+            .map(|(m, states)| BodyTrack { name: m.name.clone(), states })
+            .chain([BodyTrack { name: STRIKER.to_owned(), states: striker }])
+            .collect();
+        Trajectory { times_s: self.times_s, bodies }
+    }
+}
