@@ -107,6 +107,21 @@ impl StepTimes {
         self.adam += other.adam;
     }
 
+    /// What has been added since `earlier`.
+    pub fn since(&self, earlier: &Self) -> Self {
+        Self {
+            project: self.project - earlier.project,
+            bin: self.bin - earlier.bin,
+            blend: self.blend - earlier.blend,
+            ssim: self.ssim - earlier.ssim,
+            pixels: self.pixels - earlier.pixels,
+            segmentation: self.segmentation - earlier.segmentation,
+            unblend: self.unblend - earlier.unblend,
+            unproject: self.unproject - earlier.unproject,
+            adam: self.adam - earlier.adam,
+        }
+    }
+
     /// All parts.
     pub fn total(&self) -> f64 {
         let forward = self.project + self.bin + self.blend;
