@@ -14,7 +14,8 @@ fn main() {
         let began = Instant::now();
         let shown = [0, 17, 30, 50];
         for i in shown {
-            let frame = renderer.render(&Camera::new(settings.intrinsics(), poses[i]), &CameraModel::default());
+            let frame =
+                renderer.render(&Camera::new(settings.intrinsics(), poses[i]), &CameraModel::default());
             std::hint::black_box(frame);
         }
         let per_frame = began.elapsed().as_secs_f64() / shown.len() as f64;

@@ -20,6 +20,9 @@ pub const BALL_RADIUS_M: f64 = 0.028575;
 /// Facets around a turned object.
 const SEGMENTS: usize = 32;
 
+/// Mesh size of figures made of ellipsoids; at 5 mm chords lie 0.2 mm below a surface of 15 mm radius.
+const FIGURE_CELL_M: f64 = 0.005;
+
 /// The kinds of obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -486,7 +489,7 @@ fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
         name: "toy_duck",
         class: "rubber duck",
         material: "rubber",
-        solid: ellipsoid_union(&blobs, 0.0042),
+        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
@@ -526,7 +529,7 @@ fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
         name: "ceramic_bear",
         class: "ceramic bear",
         material: "ceramic",
-        solid: ellipsoid_union(&blobs, 0.0042),
+        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
@@ -550,12 +553,17 @@ fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
         rng,
         &[([210, 52, 44], [246, 206, 60]), ([44, 150, 88], [240, 240, 236]), ([230, 120, 30], [40, 60, 120])],
     );
-    let mut texture = texture(rng, Pattern::Checker, colors, (0.021 * s) as f32, 0.3);
+    let mut texture = texture(rng, Pattern::Plain, colors, 0.02, 0.3);
     texture.spots = spots(
         &[
             ([0.020, 0.010, 0.110], [0.004, 0.006, 0.006], [20, 24, 34]),
             ([0.020, -0.010, 0.110], [0.004, 0.006, 0.006], [20, 24, 34]),
             ([0.020, 0.0, 0.098], [0.004, 0.012, 0.003], [20, 24, 34]),
+            ([0.0, 0.0, 0.108], [0.05, 0.05, 0.018], colors.1),
+            ([0.0, 0.060, 0.050], [0.04, 0.02, 0.012], colors.1),
+            ([0.0, -0.060, 0.050], [0.04, 0.02, 0.012], colors.1),
+            ([0.022, 0.0, 0.066], [0.003, 0.020, 0.012], colors.1),
+            ([0.022, 0.0, 0.004], [0.06, 0.06, 0.010], [60, 62, 70]),
         ],
         s,
     );

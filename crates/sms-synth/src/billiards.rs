@@ -59,6 +59,10 @@ const SWEEP_M: f64 = 0.16;
 const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 /// Everything lies within this distance of the workspace's middle line, so that all views hold most of it.
 const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
+/// And within the wedge that the first, frontal view holds: the slope of its sides and how far its apex lies behind the
+/// robot's base (see `CameraPath` and `RecordingSettings::fov_x`).
+const FRONTAL_SLOPE: f64 = 0.66;
+const FRONTAL_DISTANCE_M: f64 = 0.15;
 /// Half size of the floor.
 const FLOOR_HALF_SIZE_M: f64 = 1.5;
 /// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
@@ -91,7 +95,7 @@ pub fn generate_billiards(seed: Seed, settings: &BilliardsSettings) -> TruthScen
         cue: objects[0].name.clone(),
         target: objects[1].name.clone(),
         objects,
-        floor: draw_floor(seed),
+        floor: draw_floor(scene_seed, seed),
         goal_w: shot.goal.to_array(),
         robot_base_w: DVec3::ZERO,
         workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
@@ -155,31 +159,34 @@ fn place_obstacle(
     placed: &[TruthObject],
 ) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
-    let mut object =
-        make_asset(kind, DVec2::ZERO, yaw, settings.object_size, &mut seed.derive("asset").rng());
-    // A disc around the asset's axis that holds its footprint.
-    let com = object.x_wb.translation;
-    let radius = footprint_radius(&object);
     let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
+    let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
     let mut rng = seed.derive("place").rng();
-    for _ in 0..4000 {
-        let p = DVec2::new(uniform(&mut rng, [0.2, settings.reach_m]), uniform(&mut rng, [-0.4, 0.4]));
-        let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
-        let free = p.length() + radius <= settings.reach_m + 0.02
-            && p.x - radius >= 0.16
-            && p.y.abs() + radius <= WORKSPACE_HALF_WIDTH_M
-            && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
-            && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
-            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
-            && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
-        if free {
-            object.x_wb.translation = com + DVec3::new(p.x, p.y, 0.0);
-            return Some(object);
+    // Where there is no room left, a smaller one may still fit.
+    for shrink in [1.0, 0.85, 0.72] {
+        let size = settings.object_size * shrink;
+        let mut object = make_asset(kind, DVec2::ZERO, yaw, size, &mut seed.derive("asset").rng());
+        let radius = footprint_radius(&object);
+        for _ in 0..3000 {
+            let p = DVec2::new(uniform(&mut rng, [0.2, settings.reach_m]), uniform(&mut rng, [-0.4, 0.4]));
+            let half_width = WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M));
+            let free = p.length() + radius <= settings.reach_m + 0.02
+                && p.x - radius >= 0.16
+                && p.y.abs() + radius <= half_width
+                && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
+                && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
+                && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+                && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
+            if free {
+                object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
+                return Some(object);
+            }
         }
     }
     None
 }
 
+/// Radius of the disc around the asset's axis that holds its footprint, for an object standing at the world's origin.
 fn footprint_radius(object: &TruthObject) -> f64 {
     let about_axis = |p: &DVec3| {
         let p_w = object.x_wb.translation + *p;
@@ -201,7 +208,7 @@ fn footprint(object: &TruthObject) -> (DVec2, f64) {
     (center, radius)
 }
 
-pub(crate) fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
+fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
     let along = b - a;
     let t = ((p - a).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
     p.distance(a + along * t)
@@ -219,11 +226,12 @@ fn name_uniquely(objects: &mut [TruthObject]) {
     }
 }
 
-fn draw_floor(seed: Seed) -> TruthFloor {
+/// Kinds of floor take turns with the seed's number, so that a few seeds show them all.
+fn draw_floor(scene_seed: Seed, seed: Seed) -> TruthFloor {
     let mut rng = seed.derive("floor").rng();
-    let (class, pattern, color, accent, scale_m, gloss) = match rng.random_range(0..3) {
-        0 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.25),
-        1 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.25),
+    let (class, pattern, color, accent, scale_m, gloss) = match scene_seed.0 % 3 {
+        1 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.25),
+        2 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.25),
         _ => ("stone_floor", Pattern::Terrazzo, [150, 146, 138], [222, 214, 198], 0.09, 0.2),
     };
     let texture =
@@ -234,6 +242,7 @@ fn draw_floor(seed: Seed) -> TruthFloor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BALL_RADIUS_M;
 
     #[test]
     fn distance_to_a_segment_counts_its_ends() {

@@ -9,8 +9,8 @@ use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, LabelMap, Progress, Seed, StageRng,
-    atomic, hash_serializable, write_png_color, write_png_gray16,
+    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Seed, StageRng, atomic,
+    hash_serializable, write_png_color, write_png_gray16,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -68,9 +68,9 @@ impl Default for RecordingSettings {
 }
 
 impl RecordingSettings {
-    /// A small recording for `sms sample` and tests: 20 frames of 320 × 200, with masks.
+    /// A small recording for `sms sample` and tests: 20 frames of 320 × 200.
     pub fn small() -> Self {
-        Self { frames: 20, width: 320, height: 200, expose_masks: true, ..Self::default() }
+        Self { frames: 20, width: 320, height: 200, ..Self::default() }
     }
 
     /// For `sms demo --quick`: 24 frames of 640 × 400.
@@ -188,7 +188,7 @@ pub fn write_recording(
 ) -> Result<RecordingSummary, CoreError> {
     settings.check(dir)?;
     claim_folder(scene, settings, dir)?;
-    atomic::write_json(&dir.join("truth/truth.json"), scene)?;
+    write_truth(scene, dir)?;
     let objects = objects_file(scene);
     atomic::write_json(&dir.join("truth/objects.json"), &objects)?;
     if settings.expose_masks {
@@ -216,6 +216,14 @@ pub fn write_recording(
     let rendered = rendered.into_inner() as usize;
     progress.end(&format!("{} frames recorded", settings.frames));
     Ok(RecordingSummary { dir: dir.to_owned(), frames: settings.frames, rendered })
+}
+
+/// Writes `truth/truth.json`, without the line breaks that would double the size of its meshes.
+fn write_truth(scene: &TruthScene, dir: &Path) -> Result<(), CoreError> {
+    atomic::write_with(&dir.join("truth/truth.json"), |w| {
+        serde_json::to_writer(&mut *w, scene).map_err(std::io::Error::other)?;
+        w.write_all(b"\n")
+    })
 }
 
 /// Makes sure that the frames already in `dir`, if any, come from the same scene and settings.
@@ -285,13 +293,9 @@ fn write_frame(
         &encode_depth(&frame.depth_noisy, settings.depth_unit_m),
     )?;
     for folder in folders.iter().filter(|f| f.ends_with("masks")) {
-        write_labels(&dir.join(frame_name(folder, index)), &frame.label)?;
+        write_png_gray16(&dir.join(frame_name(folder, index)), &frame.label)?;
     }
     Ok(true)
-}
-
-fn write_labels(path: &Path, label: &LabelMap) -> Result<(), CoreError> {
-    write_png_gray16(path, label)
 }
 
 /// Depth in units of `unit_m`; what does not fit into 16 bits counts as not measured.

@@ -182,9 +182,9 @@ impl<'a> Renderer<'a> {
     fn floor_light_at(&self, point: Vec3) -> [f32; 3] {
         let origin = point + Vec3::Z * 1e-4;
         let turn = hash01([(point.x * 4000.0) as i32, (point.y * 4000.0) as i32, 7]);
-        let [key, fill] = self.lamps.map(|lamp| {
-            self.lamp_visibility(origin, &lamp, (lamp.center - point).normalize(), turn)
-        });
+        let [key, fill] = self
+            .lamps
+            .map(|lamp| self.lamp_visibility(origin, &lamp, (lamp.center - point).normalize(), turn));
         [key, fill, self.openness(point, Vec3::Z, None)]
     }
 
@@ -247,7 +247,8 @@ impl<'a> Renderer<'a> {
         let to_eye = -direction / length;
         let cos_incidence = hit.flat_normal.dot(to_eye).abs();
         let normal = if hit.normal.dot(to_eye) < 0.0 { -hit.normal } else { hit.normal };
-        let footprint = hit.t * pixel_angle / cos_incidence.max(0.15);
+        // A slanted pixel is long and narrow; its mean width decides what detail it can show.
+        let footprint = hit.t * pixel_angle / cos_incidence.max(0.03).sqrt();
         let (texture, albedo) = match hit.object {
             None => {
                 let texture = &self.scene.floor.texture;

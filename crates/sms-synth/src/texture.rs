@@ -123,10 +123,12 @@ impl Texture {
                 tile.lerp(accent, strength * (1.0 - smoothstep(0.5 * joint_width, joint_width, joint)))
             }
             Pattern::Terrazzo => {
-                let chips = self.fbm(q * 9.0, 2, width * 9.0);
+                // Thresholds need the noise at full strength; it is the chips' contrast that fades.
+                let chips = self.fbm(q * 9.0, 2, 0.0);
                 let large = self.fbm(q * 1.1 + Vec3::splat(17.0), 3, width * 1.1);
-                let light = smoothstep(0.26, 0.34, chips);
-                let dark = smoothstep(0.28, 0.36, -chips);
+                let contrast = fade(width * 7.0);
+                let light = contrast * smoothstep(0.26, 0.34, chips);
+                let dark = contrast * smoothstep(0.28, 0.36, -chips);
                 let ground = color * (1.0 + 0.30 * large);
                 ground.lerp(accent, 0.45 * light) * (1.0 - 0.35 * dark)
             }
@@ -230,7 +232,7 @@ pub(crate) fn hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
 
 /// 1 for features much larger than a pixel, 0 for smaller ones; `width` is pixels per feature, inverted.
 fn fade(width: f32) -> f32 {
-    1.0 - smoothstep(0.3, 1.0, width)
+    1.0 - smoothstep(0.3, 1.6, width)
 }
 
 pub(crate) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
@@ -243,27 +245,25 @@ pub(crate) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 fn soccer(p: Vec3, light: Vec3, dark: Vec3) -> Vec3 {
     const PHI: f32 = 1.618_034;
     let d = p.normalize_or_zero();
-    let (mut best, mut second, mut third) = (-1.0f32, -1.0f32, -1.0f32);
+    // Cosines to the four nearest corners, largest first.
+    let mut near = [-1.0f32; 4];
     for sign in 0..4u32 {
         let (a, b) = (if sign & 1 == 0 { 1.0 } else { -1.0 }, if sign & 2 == 0 { PHI } else { -PHI });
         for corner in [Vec3::new(0.0, a, b), Vec3::new(a, b, 0.0), Vec3::new(b, 0.0, a)] {
-            let c = d.dot(corner) / (1.0 + PHI * PHI).sqrt();
-            if c > best {
-                (best, second, third) = (c, best, second);
-            } else if c > second {
-                (second, third) = (c, second);
-            } else if c > third {
-                third = c;
+            let mut cosine = d.dot(corner) / (1.0 + PHI * PHI).sqrt();
+            for slot in &mut near {
+                if cosine > *slot {
+                    std::mem::swap(slot, &mut cosine);
+                }
             }
         }
     }
-    // A hexagon's seam lies where the second and third nearest corners are equally far; pentagons are cut off around
-    // the nearest.
-    if best + 0.45 * second > 1.164 {
+    // A pentagon's side cuts the icosahedron's edge at a third: cos 43.3° / cos 20.1°. Two hexagons meet in the plane of
+    // an edge, where the corners opposite of it are equally far.
+    if near[1] < 0.775 * near[0] {
         return dark;
     }
-    let seam = second - third;
-    light.lerp(dark, 0.8 * (1.0 - smoothstep(0.012, 0.03, seam)))
+    light.lerp(dark, 0.8 * (1.0 - smoothstep(0.02, 0.045, near[2] - near[3])))
 }
 
 /// sRGB bytes to linear light.
