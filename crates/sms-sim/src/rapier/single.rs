@@ -4,3 +4,6 @@ use rapier3d as engine;
 
 #[path = "adapter.rs"]
 pub(super) mod adapter;
+
+#[path = "hull.rs"]
+mod hull;
