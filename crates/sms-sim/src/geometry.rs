@@ -73,9 +73,11 @@ impl BodyGeometry {
     pub(crate) fn of_body(body: &Body) -> Result<Self, SimError> {
         let refuse = |why: String| SimError::Body { body: body.name.clone(), why };
         let convex = |(i, mesh): (usize, &Mesh)| {
-            ConvexPolyhedron::from_convex_hull(&mesh.vertices)
+            Some(&mesh.vertices)
+                .filter(|v| v.len() >= 4)
+                .and_then(|v| ConvexPolyhedron::from_convex_hull(v))
                 .map(Part::Convex)
-                .ok_or_else(|| refuse(format!("hull {i} is flat or has fewer than four corners")))
+                .ok_or_else(|| refuse(format!("hull {i} has no volume")))
         };
         Ok(Self::new(match &body.shape {
             BodyShape::Sphere { radius } => vec![Part::Sphere(*radius)],

@@ -1,17 +1,20 @@
 //! A world with contact timing, rolling resistance and the striker: what every engine shares.
 
 use crate::geometry::{BodyGeometry, Part, Path};
-use crate::timing::time_of_impact;
+use crate::timing::{Impact, TOUCH_GAP, time_of_impact};
 use crate::{BodyId, BodyState, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
 use glamx::DVec3;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 
-/// Length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it.
+/// Least length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball
+/// gets as long as it needs to close the remaining gap in a part of the step, else an engine that predicts
+/// contacts only brakes it.
 const IMPACT_STEP_S: f64 = 5e-5;
+const IMPACT_STEP_GAPS: f64 = 4.0;
 /// Steps shorter than this are not made, seconds.
 const MIN_STEP_S: f64 = 4e-6;
 /// Splits of one nominal step after which the rest is one step.
-const MAX_SPLITS: usize = 12;
+const MAX_SPLITS: usize = 24;
 /// Gap up to which a ball is carried by what is below it, metres: engines let bodies sink in and float by some µm.
 const SUPPORT_GAP: f64 = 5e-5;
 /// Largest distance from the origin that still counts as a state, metres.
@@ -36,7 +39,11 @@ pub struct Simulation {
     states: Vec<BodyState>,
     sweeps: Vec<Sweep>,
     wrenches: Vec<(BodyId, DVec3, DVec3)>,
+    /// Simulated time.
     time_s: f64,
+    /// Time that was asked for. The difference, at most the length of an impact's step, is made up by the next
+    /// advance: an impact that begins just before the end of a step is not cut in two.
+    clock_s: f64,
     splits: usize,
     saved: Option<Saved>,
 }
@@ -67,6 +74,7 @@ struct Saved {
     states: Vec<BodyState>,
     sweeps: Vec<Sweep>,
     time_s: f64,
+    clock_s: f64,
     splits: usize,
 }
 
@@ -98,6 +106,7 @@ impl Simulation {
             sweeps: Vec::new(),
             wrenches: Vec::new(),
             time_s: 0.0,
+            clock_s: 0.0,
             splits: 0,
             saved: None,
         })
@@ -108,9 +117,10 @@ impl Simulation {
         self.world.engine()
     }
 
-    /// Simulated time, seconds.
+    /// Time that was advanced, seconds. States may be up to half a millisecond older, where an impact is about to
+    /// happen.
     pub fn time_s(&self) -> f64 {
-        self.time_s
+        self.clock_s
     }
 
     /// How often a step was split for an impact.
@@ -181,6 +191,7 @@ impl Simulation {
             states: self.states.clone(),
             sweeps: self.sweeps.clone(),
             time_s: self.time_s,
+            clock_s: self.clock_s,
             splits: self.splits,
         });
         true
@@ -196,6 +207,7 @@ impl Simulation {
         self.states.clone_from(&saved.states);
         self.sweeps.clone_from(&saved.sweeps);
         self.time_s = saved.time_s;
+        self.clock_s = saved.clock_s;
         self.splits = saved.splits;
         self.wrenches.clear();
         true
@@ -207,41 +219,47 @@ impl Simulation {
     /// [`SimError::Diverged`] when a state stops being finite; the simulation must then be restored or dropped.
     pub fn advance(&mut self, dt: f64) -> Result<(), SimError> {
         let steps = (dt / self.options.dt - 1e-9).ceil().max(1.0);
-        let start_s = self.time_s;
+        let start_s = self.clock_s;
         for k in 1..=steps as usize {
-            self.nominal_step(dt / steps)?;
-            // So that rounding does not add up over the splits.
-            self.time_s = start_s + dt * (k as f64 / steps);
+            self.clock_s = start_s + dt * (k as f64 / steps);
+            self.nominal_step()?;
         }
         self.wrenches.clear();
         Ok(())
     }
 
-    fn nominal_step(&mut self, dt: f64) -> Result<(), SimError> {
+    /// Steps until the clock's time, or until an impact that does not fit in before it.
+    fn nominal_step(&mut self) -> Result<(), SimError> {
         let supports = self.supports();
-        let mut left = dt;
         let mut splits = 0;
-        while left > 0.0 {
+        loop {
+            let left = self.clock_s - self.time_s;
+            if left < MIN_STEP_S {
+                return Ok(());
+            }
             let impact = if self.options.contact_timing && splits < MAX_SPLITS {
                 self.next_impact(left, &supports)
             } else {
                 None
             };
-            let Some(t) = impact else {
-                return self.step(left, &supports);
+            let Some(impact) = impact else {
+                self.step(left, &supports)?;
+                // So that rounding does not add up.
+                self.time_s = self.clock_s;
+                return Ok(());
             };
-            splits += 1;
-            if t > MIN_STEP_S {
-                self.step(t, &supports)?;
-                left -= t;
+            if impact.time_s > MIN_STEP_S {
+                self.step(impact.time_s, &supports)?;
+            } else {
+                let length = IMPACT_STEP_S.max(IMPACT_STEP_GAPS * TOUCH_GAP / impact.closing_speed);
+                if length > left {
+                    return Ok(());
+                }
+                self.step(length, &supports)?;
             }
-            // What is left may be too short for a step of its own.
-            let short = if left < IMPACT_STEP_S + MIN_STEP_S { left } else { IMPACT_STEP_S };
-            self.step(short, &supports)?;
-            left -= short;
+            splits += 1;
+            self.splits += 1;
         }
-        self.splits += splits;
-        Ok(())
     }
 
     /// One step of the engine.
@@ -362,9 +380,9 @@ impl Simulation {
         (torque.length_squared() > 0.0).then_some(torque)
     }
 
-    /// Time until the next ball touches another body, if within `horizon` seconds.
-    fn next_impact(&self, horizon: f64, supports: &[Support]) -> Option<f64> {
-        let mut first: Option<f64> = None;
+    /// The next touch of a ball and another body, if within `horizon` seconds.
+    fn next_impact(&self, horizon: f64, supports: &[Support]) -> Option<Impact> {
+        let mut first: Option<Impact> = None;
         for (ball, body) in self.bodies.iter().enumerate() {
             let Kind::Ball { radius, .. } = body.kind else { continue };
             let path = self.path(ball, supports);
@@ -375,10 +393,8 @@ impl Simulation {
                 }
                 let other_path = self.path(other, supports);
                 for part in &self.bodies[other].geometry.parts {
-                    let until = first.unwrap_or(horizon);
-                    if let Some(t) = time_of_impact(&path, radius, part, &other_path, until) {
-                        first = Some(t);
-                    }
+                    let until = first.map_or(horizon, |i| i.time_s);
+                    first = time_of_impact(&path, radius, part, &other_path, until).or(first);
                 }
             }
         }
@@ -414,7 +430,7 @@ impl Simulation {
         if bound.is_finite() {
             speed += b.w_w.length() * bound;
         }
-        let reach = radius + bound + speed * horizon;
+        let reach = radius + bound + speed * horizon + TOUCH_GAP;
         // A standing pair cannot meet, however near it is.
         speed > 1e-3 && a.x_wb.translation.distance_squared(b.x_wb.translation) < reach * reach
     }

@@ -5,15 +5,24 @@ use crate::geometry::{Part, Path};
 
 /// Gap at which a ball counts as touching, metres: far below what bends a path, above the resolution of single
 /// precision a metre from the origin (1.2e-7 m).
-pub(crate) const TOUCH_GAP: f64 = 4e-6;
+pub(crate) const TOUCH_GAP: f64 = 2e-6;
 
-/// Closing speed below which an impact is left to the engine, m/s: it travels 25 µm in a step of 2.5 ms.
-pub(crate) const MIN_CLOSING_SPEED: f64 = 0.01;
+/// Closing speed below which an impact is left to the engine, m/s: it travels 50 µm in a step of 2.5 ms.
+pub(crate) const MIN_CLOSING_SPEED: f64 = 0.02;
 
 /// Iterations after which a grazing approach is left to the engine.
 const MAX_ITERATIONS: usize = 32;
 
-/// Time until a ball of `radius` is within [`TOUCH_GAP`] of a part of another body, if that is before `horizon`
+/// A ball about to touch something.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Impact {
+    /// When, seconds from now.
+    pub(crate) time_s: f64,
+    /// Speed at which the gap closes then, m/s, positive.
+    pub(crate) closing_speed: f64,
+}
+
+/// When a ball of `radius` is within [`TOUCH_GAP`] of a part of another body, if that is before `horizon`
 /// seconds. Zero when it is already and closes in.
 ///
 /// Conservative advancement (Mirtich 1996): a convex part lies behind the plane through its nearest point, so the
@@ -25,7 +34,7 @@ pub(crate) fn time_of_impact(
     part: &Part,
     other: &Path,
     horizon: f64,
-) -> Option<f64> {
+) -> Option<Impact> {
     let mut t = 0.0;
     for _ in 0..MAX_ITERATIONS {
         let x_wb = other.pose_at(t);
@@ -42,7 +51,7 @@ pub(crate) fn time_of_impact(
         let relative = ball.velocity_at(t) - other.velocity_at(t) - spin;
         let closing = -relative.dot(normal_w);
         if gap <= TOUCH_GAP {
-            return (t > 0.0 || closing > MIN_CLOSING_SPEED).then_some(t);
+            return (closing > MIN_CLOSING_SPEED).then_some(Impact { time_s: t, closing_speed: closing });
         }
         let along = if part.is_convex() { closing } else { relative.length() };
         // The plane turns with the other body.
@@ -94,7 +103,7 @@ mod tests {
             let a = moving(DVec3::new(-ahead - gap, offset, 0.0), DVec3::new(speed, 0.0, 0.0));
             let b = moving(DVec3::ZERO, DVec3::ZERO);
             let t = time_of_impact(&free(&a), r, &Part::Sphere(r), &free(&b), horizon);
-            let t = t.expect("they meet within the horizon");
+            let t = t.expect("they meet within the horizon").time_s;
             // The touch is found up to the gap, which a grazing ball needs longer to close.
             let slack = TOUCH_GAP / (speed * ahead / (2.0 * r)) + 1e-9;
             prop_assert!(t <= gap / speed + 1e-9 && t > gap / speed - slack, "{t} {}", gap / speed);
@@ -107,7 +116,7 @@ mod tests {
             let state = moving(DVec3::new(0.0, 0.0, 0.03 + height), DVec3::new(0.8, 0.0, -drop));
             let ball = Path::Free { state: &state, acceleration_w: g };
             let still = moving(DVec3::ZERO, DVec3::ZERO);
-            let t = time_of_impact(&ball, 0.03, &Part::HalfSpace, &free(&still), 0.1).unwrap();
+            let t = time_of_impact(&ball, 0.03, &Part::HalfSpace, &free(&still), 0.1).unwrap().time_s;
             let exact = (-drop + (drop * drop + 2.0 * 9.81 * height).sqrt()) / 9.81;
             prop_assert!((t - exact).abs() < 2.0 * TOUCH_GAP / (drop * drop + 2.0 * 9.81 * height).sqrt());
         }
@@ -133,7 +142,7 @@ mod tests {
         let plank = Part::Cuboid(Cuboid::new(DVec3::new(0.5, 0.01, 0.05)));
         let turning = BodyState { x_wb: DPose3::IDENTITY, v_w: DVec3::ZERO, w_w: DVec3::Z };
         let ball = moving(DVec3::new(0.4, 0.05, 0.0), DVec3::ZERO);
-        let t = time_of_impact(&free(&ball), 0.03, &plank, &free(&turning), 0.1).unwrap();
+        let t = time_of_impact(&free(&ball), 0.03, &plank, &free(&turning), 0.1).unwrap().time_s;
         let x = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_z(t));
         let p = x.inverse_transform_point(ball.x_wb.translation);
         let gap = p.y - 0.01 - 0.03;

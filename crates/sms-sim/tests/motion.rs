@@ -1,0 +1,329 @@
+//! Sliding, rolling, resting, the striker and snapshots, in both precisions.
+
+mod common;
+
+use common::*;
+use glamx::{DMat3, DPose3, DQuat, DVec3};
+use sms_core::{MassProperties, Mesh, polyhedron_mass_properties};
+use sms_scene::{BodyKind, BodyShape};
+use sms_sim::{BodyState, StrikerMotion, WorldFactory, WorldOptions, resting_drift};
+
+fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
+    scene(
+        G,
+        vec![
+            floor(material(mu, 0.0, rolling_m)),
+            ball("b", DVec3::new(0.0, 0.0, R), material(mu, 0.0, rolling_m)),
+        ],
+    )
+}
+
+#[test]
+fn a_sliding_ball_ends_rolling_at_five_sevenths() {
+    let mu = 0.3;
+    for factory in factories() {
+        let mut simulation = simulate(factory, &floor_and_ball(mu, 0.0), &awake());
+        launch(&mut simulation, 1, DVec3::X, DVec3::ZERO);
+        let mut rolls_at = None;
+        for k in 1..=400 {
+            simulation.advance(DT).unwrap();
+            let s = simulation.state(1);
+            if rolls_at.is_none() && (s.v_w.x - R * s.w_w.y).abs() < 2e-3 {
+                rolls_at = Some(k as f64 * DT);
+            }
+        }
+        let s = simulation.state(1);
+        let expected_s = 2.0 / (7.0 * mu * G);
+        println!(
+            "{}: rolls at {rolls_at:?} ({expected_s:.4}), ratio {:.5}, aside {:.1e}",
+            factory.engine(),
+            s.v_w.x * 1.4,
+            s.x_wb.translation.y
+        );
+        assert!((s.v_w.x * 1.4 - 1.0).abs() < 2e-3, "{}", s.v_w.x);
+        assert!((rolls_at.unwrap() - expected_s).abs() < 2.0 * DT);
+        assert!(s.x_wb.translation.y.abs() < 1e-5);
+    }
+}
+
+#[test]
+fn rolling_resistance_decelerates_as_the_closed_form_says() {
+    let lever = 2e-4;
+    let (v0, a) = (0.3, 5.0 / 7.0 * G * lever / R);
+    for factory in factories() {
+        let mut simulation = simulate(factory, &floor_and_ball(0.3, lever), &awake());
+        let heading = DVec3::new(0.3f64.cos(), 0.3f64.sin(), 0.0);
+        launch(&mut simulation, 1, v0 * heading, DVec3::Z.cross(heading) * (v0 / R));
+        run(&mut simulation, 2.0);
+        let s = simulation.state(1);
+        assert!(
+            (s.v_w.length() - (v0 - 2.0 * a)).abs() < 2e-3 * v0,
+            "{}: {}",
+            factory.engine(),
+            s.v_w.length()
+        );
+        run(&mut simulation, 8.0);
+        let s = simulation.state(1);
+        let travel = DVec3 { z: 0.0, ..s.x_wb.translation };
+        println!(
+            "{}: stops after {:.4} m of {:.4}, aside {:.1e}",
+            factory.engine(),
+            travel.dot(heading),
+            v0 * v0 / (2.0 * a),
+            travel.cross(heading).z
+        );
+        assert!(s.v_w.length() < 1e-4, "{}: still at {}", factory.engine(), s.v_w.length());
+        assert!((travel.dot(heading) / (v0 * v0 / (2.0 * a)) - 1.0).abs() < 5e-3);
+        assert!(travel.cross(heading).z.abs() < 1e-3);
+    }
+}
+
+#[test]
+fn without_rolling_resistance_a_ball_rolls_on() {
+    for factory in factories() {
+        let mut simulation = simulate(factory, &floor_and_ball(0.3, 0.0), &awake());
+        launch(&mut simulation, 1, DVec3::new(0.5, 0.0, 0.0), DVec3::new(0.0, 0.5 / R, 0.0));
+        run(&mut simulation, 4.0);
+        let p = simulation.state(1).x_wb.translation;
+        println!("{}: {:.6} m of 2, height {:.1e}", factory.engine(), p.x, p.z - R);
+        assert!((p.x / 2.0 - 1.0).abs() < 1e-3 && p.y.abs() < 1e-4, "{}: {p}", factory.engine());
+    }
+}
+
+/// Two boxes on each other, and nearby a ball that keeps bouncing, so that most steps are split.
+#[test]
+fn a_stack_rests_under_split_steps() {
+    for factory in factories() {
+        let surface = || material(0.5, 0.2, 0.0);
+        let half = DVec3::new(0.04, 0.04, 0.03);
+        let at = |z| DPose3::from_translation(DVec3::new(0.0, 0.0, z));
+        let mut bodies = vec![
+            floor(surface()),
+            cuboid("lower", at(0.03), half, BodyKind::Dynamic, surface()),
+            cuboid("upper", at(0.09), half, BodyKind::Dynamic, surface()),
+        ];
+        let slab = DPose3::from_translation(DVec3::new(0.5, 0.0, 0.05));
+        bodies.push(cuboid(
+            "slab",
+            slab,
+            DVec3::new(0.1, 0.1, 0.05),
+            BodyKind::Static,
+            material(0.0, 1.0, 0.0),
+        ));
+        for (k, x) in [0.44, 0.56].into_iter().enumerate() {
+            let start = DVec3::new(x, 0.0, 0.1 + R + 0.002 + 0.001 * k as f64);
+            bodies.push(ball(&format!("ball{k}"), start, material(0.0, 1.0, 0.0)));
+        }
+        let mut simulation = simulate(factory, &scene(G, bodies), &awake());
+        run(&mut simulation, 4.0);
+        let (lower, upper) = (simulation.state(1), simulation.state(2));
+        let drift = |s: &BodyState, z: f64| (s.x_wb.translation - DVec3::new(0.0, 0.0, z)).length();
+        let turned = upper.x_wb.rotation.angle_between(DQuat::IDENTITY);
+        println!(
+            "{}: {} splits in 1600 steps, lower {:.1e} m, upper {:.1e} m, {turned:.1e} rad",
+            factory.engine(),
+            simulation.split_count(),
+            drift(&lower, 0.03),
+            drift(&upper, 0.09)
+        );
+        assert!(simulation.split_count() > 100, "{} splits", simulation.split_count());
+        // Rapier's boxes creep sideways by some 25 µm a second, split steps or not.
+        assert!(drift(&lower, 0.03) < 3e-4 && drift(&upper, 0.09) < 3e-4);
+        assert!((lower.x_wb.translation.z - 0.03).abs() < 1e-4, "the lower box sinks");
+        assert!((upper.x_wb.translation.z - 0.09).abs() < 1e-4, "the upper box sinks");
+        assert!(turned < 2e-3, "{turned}");
+    }
+}
+
+#[test]
+fn resting_drift_names_what_moves() {
+    for factory in factories() {
+        let half = DVec3::splat(0.03);
+        let surface = || material(0.5, 0.2, 0.0);
+        let at = |x: f64, z: f64| DPose3::from_translation(DVec3::new(x, 0.0, z));
+        let bodies = vec![
+            floor(surface()),
+            cuboid("rests", at(0.0, 0.03), half, BodyKind::Dynamic, surface()),
+            cuboid("falls", at(0.3, 0.05), half, BodyKind::Dynamic, surface()),
+        ];
+        let drift = resting_drift(factory, &scene(G, bodies), 1.0).unwrap();
+        println!("{}: {drift:?}", factory.engine());
+        assert_eq!(drift.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["rests", "falls"]);
+        assert!(drift[0].moved_m < 1e-4 && drift[0].turned_rad < 1e-3);
+        assert!((drift[1].moved_m - 0.02).abs() < 1e-3 && drift[1].turned_rad < 1e-2);
+    }
+}
+
+/// Ball speed after a strike, relative to the closed form (1 + e)·v for a striker that gives no way.
+fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64) -> (f64, f64) {
+    let e = 0.5 * (0.75 + 0.9);
+    let center = DVec3::new(0.4, 0.1, R);
+    let bodies = vec![floor(material(0.0, 0.0, 0.0)), ball("cue", center, material(0.0, 0.9, 0.0))];
+    let mut simulation = simulate(factory, &scene(G, bodies), &awake());
+    let across = DVec3::new(-angle.sin(), angle.cos(), 0.0);
+    let motion = StrikerMotion { contact_w: center + offset * across, angle, speed, ball_radius: R };
+    let striker = simulation.strike(&motion, 0.0, 0.75);
+    run(&mut simulation, motion.contact_s() + 0.02);
+    let v = simulation.state(1).v_w;
+    let direction = (v.y.atan2(v.x) - angle).to_degrees();
+    assert!(!simulation.is_strike_over());
+    run(&mut simulation, motion.duration_s());
+    assert!(simulation.is_strike_over());
+    assert!(simulation.state(striker).x_wb.translation.z > 0.2, "the finger is lifted");
+    ((v.x.hypot(v.y)) / ((1.0 + e) * speed) - 1.0, direction)
+}
+
+#[test]
+fn the_finger_gives_the_ball_one_plus_e_times_its_speed() {
+    for factory in factories() {
+        let (mut speeds, mut directions) = (Vec::new(), Vec::new());
+        for speed in [0.2, 0.33, 0.5, 0.7, 0.85] {
+            for angle in [-2.0, 0.0, 0.4] {
+                for offset in [0.0, 0.004] {
+                    let (s, d) = strike_error(factory, speed, angle, offset);
+                    speeds.push(s);
+                    directions.push(d);
+                }
+            }
+        }
+        println!(
+            "{}: strike: speed {:.5}, direction {:.4}°",
+            factory.engine(),
+            worst(&speeds),
+            worst(&directions)
+        );
+        assert!(worst(&speeds) < 3e-3, "{}: {speeds:?}", factory.engine());
+        assert!(worst(&directions) < 0.02, "{}: {directions:?}", factory.engine());
+    }
+}
+
+/// A torque about a skew axis accelerates a skew body as its inertia says: the whole tensor reaches the engine.
+#[test]
+fn the_whole_inertia_tensor_counts() {
+    let skew = DPose3::from_parts(DVec3::ZERO, DQuat::from_scaled_axis(DVec3::new(0.4, -0.7, 0.3)));
+    let mesh = Mesh::cuboid(DVec3::new(0.01, 0.02, 0.05)).transformed(&skew);
+    let mass = polyhedron_mass_properties(&mesh, 900.0).unwrap();
+    let mut body = cuboid("skew", DPose3::IDENTITY, DVec3::ONE, BodyKind::Dynamic, material(0.0, 0.0, 0.0));
+    body.mass = Some(MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap());
+    body.shape = BodyShape::Hulls { hulls: vec![mesh] };
+    let torque = DVec3::new(2e-5, 1e-5, -3e-5);
+    let inverse: DMat3 = mass.inertia().inverse();
+    for factory in factories() {
+        let mut simulation = simulate(factory, &scene(0.0, vec![body.clone()]), &awake());
+        let force = DVec3::new(0.0, 0.02, 0.0);
+        simulation.apply_wrench(0, force, torque);
+        simulation.advance(DT).unwrap();
+        let s = simulation.state(0);
+        assert!((s.w_w - inverse * torque * DT).length() < 1e-3 * s.w_w.length(), "{}", s.w_w);
+        assert!((s.v_w - force * (DT / mass.mass())).length() < 1e-5 * s.v_w.length());
+        let before = s.v_w;
+        simulation.advance(DT).unwrap();
+        assert!((simulation.state(0).v_w - before).length() < 1e-9, "a wrench acts for one step only");
+    }
+}
+
+fn busy_scene() -> sms_scene::Scene {
+    let surface = || material(0.4, 0.6, 1e-4);
+    let mut bodies = vec![
+        floor(surface()),
+        ball("cue", DVec3::new(0.0, 0.0, R), surface()),
+        ball("target", DVec3::new(0.25, 0.02, R), surface()),
+    ];
+    for k in 0..4 {
+        let x_wb = DPose3::from_translation(DVec3::new(0.5, -0.15 + 0.1 * k as f64, 0.05));
+        bodies.push(cuboid(
+            &format!("box{k}"),
+            x_wb,
+            DVec3::new(0.02, 0.03, 0.05),
+            BodyKind::Dynamic,
+            surface(),
+        ));
+    }
+    scene(G, bodies)
+}
+
+#[test]
+fn restoring_a_snapshot_repeats_every_bit() {
+    for factory in factories() {
+        let options = WorldOptions { dt: DT, ..WorldOptions::default() };
+        let mut simulation = simulate(factory, &busy_scene(), &options);
+        assert!(!simulation.restore(), "nothing saved yet");
+        assert!(simulation.save());
+        let mut rollout = |speed: f64| {
+            assert!(simulation.restore());
+            let motion =
+                StrikerMotion { contact_w: DVec3::new(0.0, 0.0, R), angle: 0.05, speed, ball_radius: R };
+            simulation.strike(&motion, 0.6, 0.7);
+            run(&mut simulation, 3.0);
+            (0..simulation.body_count()).map(|b| simulation.state(b)).collect::<Vec<_>>()
+        };
+        let first = rollout(0.7);
+        let other = rollout(0.3);
+        assert_eq!(first, rollout(0.7), "{}", factory.engine());
+        assert_ne!(first, other);
+        // A fresh world gives the same bits as a restored one.
+        let mut fresh = simulate(factory, &busy_scene(), &options);
+        let motion =
+            StrikerMotion { contact_w: DVec3::new(0.0, 0.0, R), angle: 0.05, speed: 0.7, ball_radius: R };
+        fresh.strike(&motion, 0.6, 0.7);
+        run(&mut fresh, 3.0);
+        assert_eq!(first[2], fresh.state(2), "{}", factory.engine());
+    }
+}
+
+#[test]
+fn what_rests_falls_asleep_and_what_is_hit_wakes() {
+    for factory in factories() {
+        let mut simulation = simulate(factory, &busy_scene(), &WorldOptions { dt: DT, ..Default::default() });
+        run(&mut simulation, 1.0);
+        assert!((0..7).all(|b| simulation.is_asleep(b)), "{}", factory.engine());
+        launch(&mut simulation, 1, DVec3::new(0.8, 0.0, 0.0), DVec3::new(0.0, 0.8 / R, 0.0));
+        assert!(!simulation.is_asleep(1));
+        run(&mut simulation, 0.3);
+        assert!(!simulation.is_asleep(2), "{}: the target was hit", factory.engine());
+        assert!(simulation.state(2).v_w.length() > 0.1);
+    }
+}
+
+/// A slow ball is not put to sleep before its rolling resistance stops it.
+#[test]
+fn a_slow_ball_rolls_to_its_end() {
+    let lever = 1e-4;
+    let (v0, a) = (0.02, 5.0 / 7.0 * G * lever / R);
+    for factory in factories() {
+        let options = WorldOptions { dt: DT, ..WorldOptions::default() };
+        let mut simulation = simulate(factory, &floor_and_ball(0.3, lever), &options);
+        launch(&mut simulation, 1, DVec3::new(v0, 0.0, 0.0), DVec3::new(0.0, v0 / R, 0.0));
+        run(&mut simulation, 3.0);
+        let travel = simulation.state(1).x_wb.translation.x;
+        println!("{}: {travel:.5} m of {:.5}", factory.engine(), v0 * v0 / (2.0 * a));
+        assert!(simulation.is_asleep(1));
+        assert!((travel - v0 * v0 / (2.0 * a)).abs() < 3e-4, "{}: {travel}", factory.engine());
+    }
+}
+
+#[test]
+fn bodies_that_cannot_be_simulated_are_refused_by_name() {
+    for factory in factories() {
+        let flat = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+        let mut bad =
+            cuboid("flat", DPose3::IDENTITY, DVec3::ONE, BodyKind::Dynamic, material(0.1, 0.1, 0.0));
+        bad.shape = BodyShape::Hulls { hulls: vec![Mesh::new(flat, vec![[0, 1, 2]])] };
+        let error = sms_sim::Simulation::new(factory, &scene(G, vec![bad.clone()]), &awake()).unwrap_err();
+        assert!(error.to_string().contains("flat"), "{error}");
+        bad.shape = BodyShape::Sphere { radius: R };
+        bad.mass = None;
+        let error = sms_sim::Simulation::new(factory, &scene(G, vec![bad]), &awake()).unwrap_err();
+        assert!(error.to_string().contains("no mass"), "{error}");
+    }
+}
+
+#[test]
+fn a_state_that_is_not_finite_is_an_error_and_no_panic() {
+    for factory in factories() {
+        let mut simulation = simulate(factory, &floor_and_ball(0.3, 0.0), &awake());
+        launch(&mut simulation, 1, DVec3::new(f64::NAN, 0.0, 0.0), DVec3::ZERO);
+        let error = (0..3).find_map(|_| simulation.advance(DT).err()).expect("it is noticed");
+        assert!(error.to_string().contains("`b`"), "{error}");
+    }
+}
