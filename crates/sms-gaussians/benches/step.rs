@@ -1,6 +1,6 @@
 //! Milliseconds of one full training step on the CPU, split by part, in both compiled forms.
 //!
-//! `cargo bench -p sms-gaussians [-- THREADS]`. The scene is a wall of discs about as dense as a scan leaves them.
+//! `cargo bench -p sms-gaussians [-- THREADS] [detected]`; with `detected` the portable form is left out. The scene is a wall of discs about as dense as a scan leaves them.
 
 use rand::RngExt;
 use sms_core::glamx::{DVec3, Quat, Vec3};
@@ -58,7 +58,12 @@ fn cpu_seconds() -> Option<f64> {
 }
 
 /// The shortest step by the clock with its parts, and the mean CPU seconds of a step.
-fn measure(mut trainer: CpuTrainer, (width, height): (usize, usize), count: usize, steps: usize) -> (f64, StepTimes, f64) {
+fn measure(
+    mut trainer: CpuTrainer,
+    (width, height): (usize, usize),
+    count: usize,
+    steps: usize,
+) -> (f64, StepTimes, f64) {
     let camera = camera(width, height);
     trainer.insert(&discs(&camera, count, Seed(2)));
     let maps = trainer.render(&camera);
@@ -91,6 +96,7 @@ fn measure(mut trainer: CpuTrainer, (width, height): (usize, usize), count: usiz
 
 fn main() {
     let threads = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(1);
+    let detected = std::env::args().any(|a| a == "detected");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
     println!("milliseconds of one step, best of several, {threads} thread(s); parts are summed over threads");
     let parts = "project     bin   blend    ssim  pixels segment unblend unproj.    adam";
@@ -99,20 +105,35 @@ fn main() {
     for size in [(320, 200), (640, 400)] {
         for count in [10_000, 20_000] {
             let mut steps = [0.0; 2];
-            for (form, name) in ["portable", "detected"].into_iter().enumerate() {
+            for (form, name) in ["portable", "detected"].into_iter().enumerate().skip(usize::from(detected)) {
                 let (seconds, t, cpu) = pool.install(|| {
                     let new = if form == 0 { CpuTrainer::portable } else { CpuTrainer::new };
                     measure(new(&config, CLASSES, Seed(3)), size, count, if form == 0 { 6 } else { 20 })
                 });
                 steps[form] = seconds;
                 let parts = [
-                    t.project, t.bin, t.blend, t.ssim, t.pixels, t.segmentation, t.unblend, t.unproject, t.adam,
+                    t.project,
+                    t.bin,
+                    t.blend,
+                    t.ssim,
+                    t.pixels,
+                    t.segmentation,
+                    t.unblend,
+                    t.unproject,
+                    t.adam,
                 ];
                 let parts: Vec<String> = parts.iter().map(|s| format!("{:7.2}", s * 1e3)).collect();
                 let size = format!("{}x{}", size.0, size.1);
-                println!("{size:>9} {count:>6} {name:>9} {:>8.2} {:>8.2}  {}", seconds * 1e3, cpu * 1e3, parts.join(" "));
+                println!(
+                    "{size:>9} {count:>6} {name:>9} {:>8.2} {:>8.2}  {}",
+                    seconds * 1e3,
+                    cpu * 1e3,
+                    parts.join(" ")
+                );
             }
-            println!("{:>26} {:>8.2}", "ratio", steps[0] / steps[1]);
+            if !detected {
+                println!("{:>26} {:>8.2}", "ratio", steps[0] / steps[1]);
+            }
         }
     }
 }

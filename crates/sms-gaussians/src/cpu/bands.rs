@@ -24,8 +24,9 @@ impl Span {
     /// The bands between the top and bottom of a splat's box.
     pub(super) fn of(projected: &Projected, bands: usize) -> Self {
         let (y, half) = (projected.splat.mean[1], projected.splat.extent_y);
-        let band = |y: f32| (y / BAND_ROWS as f32).clamp(0.0, bands as f32);
-        Self { first: band(y - half).floor() as u16, end: band(y + half).ceil() as u16 }
+        // Conversion to an integer rounds towards zero, which after the clamp is down.
+        let band = |y: f32| (y / BAND_ROWS as f32).clamp(0.0, bands as f32) as u16;
+        Self { first: band(y - half), end: band(y + half + BAND_ROWS as f32) }
     }
 
     pub(super) fn len(self) -> usize {
@@ -155,6 +156,7 @@ pub(super) struct Band {
     starts: Vec<u32>,
     lists: Vec<u32>,
     order: Vec<u64>,
+    candidates: Vec<Projected>,
     hits: Vec<(u32, u32)>,
 }
 
@@ -172,6 +174,7 @@ impl Band {
             starts: Vec::new(),
             lists: Vec::new(),
             order: Vec::new(),
+            candidates: Vec::new(),
             hits: Vec::new(),
         }
     }
@@ -184,10 +187,14 @@ impl Band {
     /// Collects the band's splats in order of depth and lists them by tile.
     pub(super) fn bin(&mut self, index: usize, grid: &Grid, projected: &[Projected], slots: &Slots) {
         self.order.clear();
+        self.candidates.clear();
         for (i, span) in slots.spans.iter().enumerate() {
             if usize::from(span.first) <= index && index < usize::from(span.end) {
-                // Depths are positive, so their bits sort like the numbers; ties by index.
-                self.order.push(u64::from(projected[i].z.to_bits()) << 32 | i as u64);
+                // Depths are positive, so their bits sort like the numbers; ties by index. The copies are few enough
+                // for the cache, where reading all of `projected` in order of depth would miss it every time.
+                let candidate = self.candidates.len() as u64;
+                self.order.push(u64::from(projected[i].z.to_bits()) << 32 | candidate);
+                self.candidates.push(projected[i]);
             }
         }
         self.order.sort_unstable();
@@ -199,8 +206,7 @@ impl Band {
         self.starts.clear();
         self.starts.resize(rows * grid.columns + 1, 0);
         for &key in &self.order {
-            let gaussian = key as u32 as usize;
-            let candidate = &projected[gaussian];
+            let candidate = &self.candidates[key as u32 as usize];
             let position = self.splats.len() as u32;
             let before = self.hits.len();
             for row in 0..rows {
@@ -215,7 +221,7 @@ impl Band {
                 }
             }
             if self.hits.len() > before {
-                slots.set(gaussian, index, self.splats.len());
+                slots.set(candidate.splat.gaussian as usize, index, self.splats.len());
                 self.splats.push(candidate.splat);
             }
         }
@@ -258,11 +264,10 @@ fn tile_columns(candidate: &Projected, y: f32, columns: usize) -> Option<(usize,
     let right = edge(row_of_right.clamp(low, high), 1.0).min(half_x);
     let left = edge((-row_of_right).clamp(low, high), -1.0).max(-half_x);
     let slack = 0.01 + 1e-4 * half_x;
-    let tile = |x: f32| x / TILE as f32;
-    // Column k holds the pixel centres from 8k + ½ to 8k + 7½.
-    let first = tile(splat.mean[0] + left - slack - (TILE as f32 - 0.5)).ceil().max(0.0);
-    let end = tile(splat.mean[0] + right + slack - 0.5).floor() + 1.0;
-    let (first, end) = (first as usize, end.max(0.0) as usize);
+    // Column k holds the pixel centres from 8k + ½ to 8k + 7½; conversion rounds down what the clamp leaves.
+    let column = |x: f32| (x * (1.0 / TILE as f32) + 1.0).max(0.0) as usize;
+    let first = column(splat.mean[0] + left - slack - (TILE as f32 - 0.5));
+    let end = column(splat.mean[0] + right + slack - 0.5);
     let end = end.min(columns);
     (first < end).then_some((first, end))
 }

@@ -5,7 +5,7 @@ use super::lanes::Simd;
 use super::losses::{PixelWeights, tile_losses, tile_moments};
 use super::perceptron::{Weights, tile_cross_entropy};
 use super::project::{Projected, View, project, smallest, unproject};
-use super::raster::{Splat, SplatGradient, TileGradient, TileImage, blend_tile, unblend_tile};
+use super::raster::{Splat, SplatGradient, TILE, TileGradient, TileImage, blend_tile, unblend_tile};
 use super::ssim::{DERIVATIVES, Planes, STATISTICS, gradient_layout, ssim_band, ssim_gradient_band};
 use super::target::{Grid, Target};
 use crate::parameters::{LOG_SCALE, Parameters, Row};
@@ -77,7 +77,7 @@ impl Engine {
         self.tiles.resize(grid.len(), TileImage::EMPTY);
         let classes = self.classes;
         self.bands.resize_with(grid.rows.div_ceil(BAND_TILES), || Band::new(classes));
-        let (columns, rows) = (grid.columns * super::raster::TILE, grid.rows * super::raster::TILE);
+        let (columns, rows) = (grid.columns * TILE, grid.rows * TILE);
         self.statistics.resize(3 * STATISTICS, columns, rows);
         self.derivatives.resize(3 * DERIVATIVES, columns, rows);
     }
@@ -128,10 +128,10 @@ impl Engine {
                 let blended = Instant::now();
                 band.times.blend = (blended - binned).as_secs_f64();
                 if let Some(target) = target {
-                    for (i, image) in tiles.iter().enumerate() {
-                        let (row, column) = (i / grid.columns * 8, i % grid.columns * 8);
-                        let to = (layout, &mut *statistics, row, column);
-                        tile_moments(simd, image, &target.tiles[first + i], to);
+                    let observed = &target.tiles[first..first + tiles.len()];
+                    let rows = tiles.chunks(grid.columns).zip(observed.chunks(grid.columns));
+                    for (row, (images, observed)) in rows.enumerate() {
+                        tile_moments(simd, images, observed, (layout, &mut *statistics, row * TILE));
                     }
                     band.times.ssim = blended.elapsed().as_secs_f64();
                 }
@@ -191,7 +191,7 @@ impl Engine {
         };
         let label_weight = share(weights.segmentation, target.labelled);
         let size = (grid.width, grid.height);
-        let (layout, row_length) = gradient_layout(grid.columns * super::raster::TILE);
+        let (layout, row_length) = gradient_layout(grid.columns * TILE);
         self.bands.par_iter_mut().zip(tiles.par_chunks(BAND_TILES * grid.columns)).enumerate().for_each(
             |(index, (band, tiles))| {
                 let mut last = Instant::now();
@@ -221,7 +221,7 @@ impl Engine {
                 let first = index * BAND_TILES * grid.columns;
                 for (i, image) in tiles.iter().enumerate() {
                     let observed = &target.tiles[first + i];
-                    let (row, column) = (i / grid.columns * 8, i % grid.columns * 8);
+                    let (row, column) = (i / grid.columns * TILE, i % grid.columns * TILE);
                     let ssim = (layout, &mut band.color_gradient[..], row, column);
                     let sums = tile_losses(simd, image, observed, pixel_weights, ssim, &mut gradient);
                     band.sums.color += sums.color;
@@ -285,18 +285,21 @@ impl Engine {
             .enumerate()
             .for_each(|(chunk, ((gradients, sums), seen))| {
                 *sums = [0.0; 2];
+                // First collect, then compute: the short first loop lets its scattered reads overlap.
+                let mut collected = [SplatGradient::ZERO; GAUSSIANS];
+                for (i, sum) in collected[..seen.len()].iter_mut().enumerate() {
+                    for (band, position) in slots.of(chunk * GAUSSIANS + i) {
+                        sum.add(&bands[band].gradients[position]);
+                    }
+                }
                 for (i, gradient) in gradients.iter_mut().enumerate() {
                     if !seen[i] {
                         *gradient = Row::ZERO;
                         continue;
                     }
                     let gaussian = chunk * GAUSSIANS + i;
-                    let mut splat_gradient = SplatGradient::ZERO;
-                    for (band, position) in slots.of(gaussian) {
-                        splat_gradient.add(&bands[band].gradients[position]);
-                    }
                     let row = &parameters.rows[gaussian];
-                    *gradient = unproject(row, &projected[gaussian].splat, &splat_gradient, view);
+                    *gradient = unproject(row, &projected[gaussian].splat, &collected[i], view);
                     let [isotropic, flat] = regularize(row, weights, per_gaussian, gradient);
                     sums[0] += f64::from(isotropic);
                     sums[1] += f64::from(flat);

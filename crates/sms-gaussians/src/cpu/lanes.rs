@@ -37,6 +37,8 @@ pub(super) trait Lanes:
     fn and_not(self, mask: Self) -> Self;
     /// Number of lanes whose sign bit is set: the selected ones of a mask.
     fn count(self) -> u32;
+    /// Whether any lane of a mask is selected.
+    fn any(self) -> bool;
     /// Sum of the lanes, always in the same order.
     fn sum(self) -> f32;
     /// `2^t` for `t` rounded by the magic-number trick; see [`Lanes::exp_nonpositive`].
@@ -202,6 +204,11 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
+    fn any(self) -> bool {
+        self.count() > 0
+    }
+
+    #[inline(always)]
     fn sum(self) -> f32 {
         let v = self.0;
         let four = [v[0] + v[4], v[1] + v[5], v[2] + v[6], v[3] + v[7]];
@@ -318,6 +325,7 @@ mod tests {
         let v = L::load(&[-2.0, 0.0, 3.0, f32::NAN, 1.0, -0.0, f32::INFINITY, 5.0]);
         assert_eq!(v.gt(L::splat(0.0)).count(), 4);
         assert_eq!(v.ge(L::splat(0.0)).count(), 6);
+        assert!(v.gt(L::splat(4.0)).any() && !L::splat(f32::NAN).gt(v).any());
         let mut sign = [9.0; WIDTH];
         v.signum().store(&mut sign);
         assert_eq!(sign, [-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0]);

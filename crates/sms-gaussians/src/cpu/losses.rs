@@ -4,7 +4,7 @@ use super::lanes::{Lanes, WIDTH, by_simd};
 use super::raster::{
     COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, TILE, TileGradient, TileImage,
 };
-use super::ssim::RowLayout;
+use super::ssim::{RowLayout, STATISTICS};
 use super::target::TargetTile;
 use crate::DepthTerm;
 
@@ -103,32 +103,35 @@ by_simd! {
     ) -> PixelSums
 }
 
-/// Writes a tile's colours, observed colours, their summed squares and products where SSIM reads them; zero where
-/// the observed colour must not be used.
+/// Writes a row of tiles' colours, observed colours, their summed squares and products where SSIM reads them; zero
+/// where the observed colour must not be used. Row by row of pixels, so that memory is written in order.
 #[inline(always)]
 fn moments_of_colors<L: Lanes>(
-    image: &TileImage,
-    target: &TargetTile,
-    (layout, band, row, column): (RowLayout, &mut [f32], usize, usize),
+    images: &[TileImage],
+    targets: &[TargetTile],
+    (layout, band, row): (RowLayout, &mut [f32], usize),
 ) {
     for y in 0..TILE {
         for c in 0..3 {
-            let observed = L::load(&target.color[c].0[y]);
-            let mask = usable(observed);
-            let observed = observed.and(mask);
-            let rendered = L::load(&image.channels[COLOR_CHANNEL + c].0[y]).and(mask);
-            let values = [rendered, observed, rendered * rendered + observed * observed, rendered * observed];
-            for (k, value) in values.into_iter().enumerate() {
-                value.store(layout.chunk_mut(band, row + y, super::ssim::STATISTICS * c + k, column));
+            for (i, (image, target)) in images.iter().zip(targets).enumerate() {
+                let observed = L::load(&target.color[c].0[y]);
+                let mask = usable(observed);
+                let observed = observed.and(mask);
+                let rendered = L::load(&image.channels[COLOR_CHANNEL + c].0[y]).and(mask);
+                let squares = rendered * rendered + observed * observed;
+                let values = [rendered, observed, squares, rendered * observed];
+                for (k, value) in values.into_iter().enumerate() {
+                    value.store(layout.chunk_mut(band, row + y, STATISTICS * c + k, i * TILE));
+                }
             }
         }
     }
 }
 
 by_simd! {
-    /// Fills the planes that SSIM reads.
+    /// Fills the planes that SSIM reads, for a row of tiles.
     fn tile_moments = moments_of_colors(
-        image: &TileImage, target: &TargetTile, to: (RowLayout, &mut [f32], usize, usize),
+        images: &[TileImage], targets: &[TargetTile], to: (RowLayout, &mut [f32], usize),
     )
 }
 

@@ -165,12 +165,13 @@ impl Batch {
 #[inline(always)]
 fn row_range(splat: &Splat, tile_y: f32) -> (usize, usize) {
     let center = splat.mean[1] - tile_y - 0.5;
-    let first = (center - splat.extent_y).ceil().max(0.0);
-    let end = (center + splat.extent_y).floor() + 1.0;
-    (first.min(TILE as f32) as usize, end.clamp(0.0, TILE as f32) as usize)
+    // Conversion to an integer rounds down what the clamp leaves; a row too many does no harm.
+    let whole = |y: f32| (y + 1.0).clamp(0.0, TILE as f32) as usize;
+    (whole(center - splat.extent_y), whole(center + splat.extent_y))
 }
 
-/// Alpha in the given rows (zero where the splat does not take part); returns the number of pixels it reaches.
+/// Alpha in the given rows (zero where the splat does not take part); returns the rows between the first and the last
+/// in which it reaches a pixel.
 #[inline(always)]
 fn alphas<L: Lanes>(
     splat: &Splat,
@@ -178,13 +179,13 @@ fn alphas<L: Lanes>(
     rows: (usize, usize),
     transmittance: &Plane,
     alpha: &mut Plane,
-) -> u32 {
+) -> (usize, usize) {
     let dx = L::load(&CENTERS) + L::splat(place.x - splat.mean[0]);
     let [a, b, c] = splat.conic;
     let xx = dx * dx * L::splat(-0.5 * a);
     let (smallest, largest) = (L::splat(ALPHA_MIN), L::splat(ALPHA_MAX));
     let opacity = L::splat(splat.opacity);
-    let mut reached = 0;
+    let mut reached = 0u32;
     for y in rows.0..rows.1 {
         let dy = place.y + y as f32 + 0.5 - splat.mean[1];
         let power = L::splat(-b * dy).mul_add(dx, xx + L::splat(-0.5 * c * dy * dy));
@@ -192,10 +193,11 @@ fn alphas<L: Lanes>(
         let value = (opacity * power.min(L::splat(0.0)).exp_nonpositive()).min(largest);
         let live = L::load(&transmittance.0[y]).gt(L::splat(TRANSMITTANCE_MIN));
         let taken = value.ge(smallest).and(live);
-        reached += taken.count();
+        reached |= u32::from(taken.any()) << y;
         value.and(taken).store(&mut alpha.0[y]);
     }
-    reached
+    // Without a branch in the loop: whether a row is reached is hard to predict.
+    (reached.trailing_zeros() as usize, (u32::BITS - reached.leading_zeros()) as usize)
 }
 
 /// Blends the splats of `list` (indices into `splats`, nearest first) and marks those that reached a pixel.
@@ -225,7 +227,7 @@ fn blend<L: Lanes>(
             for row in &transmittance.0[1..] {
                 most = most.max(L::load(row));
             }
-            if most.gt(L::splat(TRANSMITTANCE_MIN)).count() == 0 {
+            if !most.gt(L::splat(TRANSMITTANCE_MIN)).any() {
                 break;
             }
         }
@@ -235,7 +237,8 @@ fn blend<L: Lanes>(
         next += 1;
         let splat = &splats[index as usize];
         let rows = row_range(splat, place.y);
-        if rows.0 >= rows.1 || alphas::<L>(splat, place, rows, transmittance, &mut alpha) == 0 {
+        let rows = alphas::<L>(splat, place, rows, transmittance, &mut alpha);
+        if rows.0 >= rows.1 {
             continue;
         }
         reached[index as usize] = true;
@@ -329,7 +332,8 @@ fn unblend<L: Lanes>(
         let splat = &splats[index as usize];
         let rows = row_range(splat, place.y);
         let j = batch.len;
-        if rows.0 >= rows.1 || alphas::<L>(splat, place, rows, &transmittance, &mut alpha[j]) == 0 {
+        let rows = alphas::<L>(splat, place, rows, &transmittance, &mut alpha[j]);
+        if rows.0 >= rows.1 {
             continue;
         }
         batch.weight[j] = Plane::ZERO;
