@@ -253,3 +253,21 @@ fn a_full_floor_and_odd_settings_end() {
     let far = BilliardsSettings { cue_target_m: [2.0, 3.0], objects: 0, ..BilliardsSettings::default() };
     assert_eq!(generate_billiards(Seed(1), &far).objects.len(), 2);
 }
+
+#[test]
+fn published_seeds_keep_their_scenes() {
+    let pinned = [
+        (
+            1,
+            [0.7310795659825642, 0.27246949107663804],
+            "cardboard_box ceramic_bear marble_statue toy_duck bottle",
+        ),
+        (2, [0.7138476531149441, -0.23468258257942254], "soccer_ball mug cardboard_box vase ceramic_bear"),
+    ];
+    for (seed, goal, names) in pinned {
+        let scene = generate_billiards(Seed(seed), &BilliardsSettings::default());
+        let obstacles: Vec<&str> = scene.objects[2..].iter().map(|o| o.name.as_str()).collect();
+        assert_eq!(obstacles.join(" "), names);
+        assert!((0..2).all(|i| (scene.goal_w[i] - goal[i]).abs() < 1e-12), "seed {seed}: {:?}", scene.goal_w);
+    }
+}
