@@ -45,7 +45,9 @@ fn is_plausible(
     let [_, middle, long] = extents(surfels, object);
     if area < config.min_area_m2
         || long < config.min_object_m
-        || middle < 0.7 * config.min_object_m
+        || middle < 0.9 * config.min_object_m
+        // Ragged rims fill little of the rectangle around them.
+        || area < 0.35 * middle * long
         || long > config.max_object_m * 1.2
     {
         return false;
@@ -77,7 +79,39 @@ struct Patch {
     members: Vec<usize>,
     p_w: DVec3,
     n_w: DVec3,
-    color: [f32; 3],
+    color: ColorMoments,
+}
+
+/// Count, sum and sum of squares of colours, to compare the distributions of two segments.
+#[derive(Debug, Clone, Copy, Default)]
+struct ColorMoments {
+    count: f64,
+    sum: DVec3,
+    squares: DVec3,
+}
+
+impl ColorMoments {
+    fn add(&mut self, color: [f32; 3]) {
+        let c = DVec3::from_array(color.map(f64::from));
+        self.count += 1.0;
+        self.sum += c;
+        self.squares += c * c;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.count += other.count;
+        self.sum += other.sum;
+        self.squares += other.squares;
+    }
+
+    /// Distance of the means in units of the spreads. Shading alone spreads a colour by about 20 of 255.
+    fn distance(&self, other: &Self) -> f64 {
+        let (m, n) = (self.sum / self.count.max(1.0), other.sum / other.count.max(1.0));
+        let variance =
+            (self.squares / self.count.max(1.0) - m * m) + (other.squares / other.count.max(1.0) - n * n);
+        let d = m - n;
+        (d * d / (variance.max(DVec3::ZERO) + DVec3::splat(2.0 * 20.0 * 20.0))).element_sum().sqrt()
+    }
 }
 
 /// What is known of the border between two segments.
@@ -87,16 +121,14 @@ struct Border {
     pairs: f64,
     /// The same, weighted by how sharply each bends inwards (0 to 1).
     crease: f64,
-    /// Sum over pairs of the colours on the side of the lower and of the higher segment.
-    colors: [[f32; 3]; 2],
 }
 
 /// Splits a connected piece where two convex things meet.
 ///
 /// After locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR 2014), with
-/// borders judged as a whole: patches merge in the order of how little their border bends inwards, until every border
-/// is a crease. Segments too small to be objects join the neighbour with which they share the longest border. A crease
-/// only separates when colours differ across it or the border is narrow for the smaller side.
+/// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
+/// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
+/// the longest border. Not every crease separates: see [`are_distinct`].
 fn split(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -118,7 +150,8 @@ fn split(
         let a = patch_of[&i];
         for j in graph.of(i) {
             let Some(&b) = patch_of.get(&j) else { continue };
-            if a < b {
+            let near = surfels[i].p_w.distance_squared(surfels[j].p_w) < (1.6 * config.voxel_m).powi(2);
+            if a < b && near {
                 let border = borders[a].entry(b).or_default();
                 border.pairs += 1.0;
             }
@@ -127,25 +160,30 @@ fn split(
     for a in 0..patches.len() {
         for (&b, border) in &mut borders[a] {
             border.crease = border.pairs * inward_bend(&patches[a], &patches[b], config);
-            for c in 0..3 {
-                border.colors[0][c] = border.pairs as f32 * patches[a].color[c];
-                border.colors[1][c] = border.pairs as f32 * patches[b].color[c];
-            }
         }
     }
     let mut segments = Segments::new(&patches, borders);
-    segments.merge_while(|b, _, _| 1.0 - b.crease / b.pairs, 0.5);
+    segments.merge_while(
+        |s, a, b, border| 1.0 - border.crease / border.pairs - 0.1 * s.contrast(a, b).min(2.0),
+        1.0 - config.crease_share,
+    );
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
     segments.merge_small(|members| {
-        let thick = extents(surfels, members);
-        members.len() < smallest || thick[1] < config.min_object_m || thick[2] < 1.5 * config.min_object_m
+        let [_, middle, long] = extents(surfels, members);
+        members.len() < smallest || middle < config.min_object_m || long < 1.5 * config.min_object_m
     });
+    let is_clutter = extents(surfels, &piece)[2] > config.clutter_m;
     segments.merge_while(
-        |b, m, n| {
-            let narrow = b.pairs / (m.min(n) as f64).sqrt();
-            if chroma_distance(b) > 0.05 || narrow < 12.0 { 0.0 } else { 1.0 }
+        |s, a, b, border| {
+            let (m, n) = (s.size(a) as f64, s.size(b) as f64);
+            let contrast = s.contrast(a, b);
+            if are_distinct(contrast, border, m.min(n), m.max(n), is_clutter) {
+                0.0
+            } else {
+                1.0 / (1.0 + contrast)
+            }
         },
-        0.5,
+        0.0,
     );
     segments.into_members()
 }
@@ -173,10 +211,8 @@ fn patches(surfels: &[Surfel], piece: &[usize], config: &GeometryConfig) -> Vec<
             let mean = |f: &dyn Fn(&Surfel) -> DVec3| members.iter().map(|&i| f(&surfels[i])).sum::<DVec3>();
             let p_w = mean(&|s| s.p_w) / members.len() as f64;
             let n_w = mean(&|s| s.n_w).normalize_or(DVec3::Z);
-            let mut color = [0.0f32; 3];
-            for &i in &members {
-                (0..3).for_each(|c| color[c] += surfels[i].color[c] / members.len() as f32);
-            }
+            let mut color = ColorMoments::default();
+            members.iter().for_each(|&i| color.add(surfels[i].color));
             Patch { members, p_w, n_w, color }
         })
         .collect()
@@ -190,19 +226,25 @@ fn inward_bend(a: &Patch, b: &Patch, config: &GeometryConfig) -> f64 {
     if inward { ((angle - 0.5 * config.crease_rad) / config.crease_rad).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// How much the colours on both sides of a border differ, brightness apart (shading changes it across any edge).
-fn chroma_distance(border: &Border) -> f64 {
-    let chroma = |c: [f32; 3]| {
-        let sum = f64::from(c[0] + c[1] + c[2]).max(1e-6);
-        DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2])) / sum
-    };
-    chroma(border.colors[0]).distance(chroma(border.colors[1]))
+/// Whether two segments with a crease between them are two things. In a piece too large to be one thing the colours or
+/// the width of the border decide; a piece of an object's size is one thing (a toy's head, a bottle's cap) unless colours
+/// differ clearly across a sharp crease and no side is a mere detail, or the two touch in little more than a point.
+fn are_distinct(contrast: f64, border: &Border, smaller: f64, larger: f64, is_clutter: bool) -> bool {
+    // Pairs grow with the border's length and surfels with the area: the ratio does not depend on size.
+    let width = border.pairs / smaller.sqrt();
+    let sharp = border.crease > 0.5 * border.pairs;
+    if is_clutter {
+        contrast > 1.2 || width < 12.0
+    } else {
+        sharp && smaller > 0.2 * larger && (contrast > 1.5 || width < 1.5)
+    }
 }
 
 /// Segments that merge pairwise, and their borders.
 struct Segments {
     members: Vec<Option<Vec<usize>>>,
-    /// Borders of each segment, under both of its sides' numbers; colours are (own, other).
+    colors: Vec<ColorMoments>,
+    /// Borders of each segment, under both of its sides' numbers.
     borders: Vec<BTreeMap<usize, Border>>,
 }
 
@@ -211,10 +253,11 @@ impl Segments {
         let mut borders = one_sided.clone();
         for (a, list) in one_sided.into_iter().enumerate() {
             for (b, border) in list {
-                borders[b].insert(a, Border { colors: [border.colors[1], border.colors[0]], ..border });
+                borders[b].insert(a, border);
             }
         }
-        Self { members: patches.iter().map(|p| Some(p.members.clone())).collect(), borders }
+        let members = patches.iter().map(|p| Some(p.members.clone())).collect();
+        Self { members, colors: patches.iter().map(|p| p.color).collect(), borders }
     }
 
     fn size(&self, a: usize) -> usize {
@@ -222,12 +265,12 @@ impl Segments {
     }
 
     /// Merges the pair whose border scores highest (the first of equals) until none scores above `least`.
-    fn merge_while(&mut self, score: impl Fn(&Border, usize, usize) -> f64, least: f64) {
+    fn merge_while(&mut self, score: impl Fn(&Self, usize, usize, &Border) -> f64, least: f64) {
         loop {
             let mut best: Option<(f64, usize, usize)> = None;
             for a in 0..self.borders.len() {
                 for (&b, border) in self.borders[a].range(a + 1..) {
-                    let s = score(border, self.size(a), self.size(b));
+                    let s = score(self, a, b, border);
                     if s > least && best.is_none_or(|(t, _, _)| s > t) {
                         best = Some((s, a, b));
                     }
@@ -258,22 +301,23 @@ impl Segments {
         if let Some(moved) = self.members[b].take() {
             self.members[a].get_or_insert_default().extend(moved);
         }
+        let color = self.colors[b];
+        self.colors[a].merge(&color);
         for (c, border) in std::mem::take(&mut self.borders[b]) {
             self.borders[c].remove(&b);
-            if c == a {
-                continue;
-            }
-            let add = |sum: &mut Border, swap: bool| {
-                sum.pairs += border.pairs;
-                sum.crease += border.crease;
-                for side in 0..2 {
-                    let from = if swap { 1 - side } else { side };
-                    (0..3).for_each(|k| sum.colors[side][k] += border.colors[from][k]);
+            if c != a {
+                for (x, y) in [(a, c), (c, a)] {
+                    let sum = self.borders[x].entry(y).or_default();
+                    sum.pairs += border.pairs;
+                    sum.crease += border.crease;
                 }
-            };
-            add(self.borders[a].entry(c).or_default(), false);
-            add(self.borders[c].entry(a).or_default(), true);
+            }
         }
+    }
+
+    /// How different the colours of two segments are.
+    fn contrast(&self, a: usize, b: usize) -> f64 {
+        self.colors[a].distance(&self.colors[b])
     }
 
     fn into_members(self) -> Vec<Vec<usize>> {

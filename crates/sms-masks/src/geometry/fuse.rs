@@ -42,13 +42,14 @@ pub(crate) fn fuse(
 ) -> Result<(Vec<Surfel>, Neighbors), CoreError> {
     let fused: Vec<&Frame> =
         spread(sequence.len(), config.max_fused_frames).map(|i| &sequence.frames[i]).collect();
+    let limit = depth_limit(&fused, config);
     let parts: Vec<Vec<Cell>> = fused
         .par_iter()
         .map(|f| {
             if cancel.is_cancelled() {
                 return vec![];
             }
-            merge(samples(f, config))
+            merge(samples(f, limit, config))
         })
         .collect();
     cancel.check()?;
@@ -66,7 +67,7 @@ pub(crate) fn fuse(
     let keys: Vec<u64> = cells.iter().map(|c| c.key).collect();
     let graph = Neighbors::new(&keys, &positions, config.gap_m, config.voxel_m);
     cancel.check()?;
-    let surfels = orient(&cells, &positions, &graph, config);
+    let surfels = orient(&cells, &positions, &graph, config.gap_m);
     Ok((surfels, graph))
 }
 
@@ -76,17 +77,35 @@ fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..n).map(move |k| k * count / n)
 }
 
+/// Depth beyond which nothing is fused: a multiple of the median depth of what the cameras look at, the central ninth
+/// of their images.
+fn depth_limit(frames: &[&Frame], config: &GeometryConfig) -> f64 {
+    let mut depths: Vec<f32> = Vec::new();
+    for frame in frames {
+        let (w, h) = frame.depth.size();
+        for y in (h / 3..2 * h / 3).step_by(3) {
+            depths.extend((w / 3..2 * w / 3).step_by(3).map(|x| frame.depth[(x, y)]).filter(|&z| z > 0.0));
+        }
+    }
+    if depths.is_empty() {
+        return config.max_depth_m;
+    }
+    let middle = depths.len() / 2;
+    let usual = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
+    config.max_depth_m.min(config.depth_spread * usual)
+}
+
 /// The back-projected pixels of one frame. Isolated depths (fewer than 4 of the 5×5 around agree within 3 %) are not
 /// surface. A sample weighs by the inverse of z², and by the cosine of its viewing angle where the normal is known:
 /// samples near silhouettes are off by up to a pixel.
-fn samples(frame: &Frame, config: &GeometryConfig) -> Vec<Cell> {
+fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<Cell> {
     let (w, h) = frame.depth.size();
     let center_w = frame.camera.center_w();
     let mut cells = Vec::new();
     for y in 0..h {
         for x in 0..w {
             let z = frame.depth[(x, y)];
-            if z <= 0.0 || f64::from(z) > config.max_depth_m || !z.is_finite() {
+            if z <= 0.0 || f64::from(z) > limit_m || !z.is_finite() {
                 continue;
             }
             let mut agree = 0;
@@ -118,6 +137,32 @@ fn samples(frame: &Frame, config: &GeometryConfig) -> Vec<Cell> {
         }
     }
     cells
+}
+
+/// The same surface in cells of size `cell_m`, which surfels are near each other there (2.5 cells), and the coarse surfel
+/// of each fine one. Coarse normals come from a wider neighbourhood: they hold where noise tilts fine ones.
+pub(crate) fn coarsen(surfels: &[Surfel], cell_m: f64) -> (Vec<Surfel>, Neighbors, Vec<u32>) {
+    let key = |s: &Surfel| key_of(s.p_w, cell_m).unwrap_or(u64::MAX);
+    let cells = merge(
+        surfels
+            .iter()
+            .map(|s| Cell {
+                key: key(s),
+                p_w: s.p_w * s.weight,
+                to_camera: s.n_w * s.weight,
+                color: s.color.map(|c| c * s.weight as f32),
+                weight: s.weight,
+                count: 1,
+            })
+            .collect(),
+    );
+    let positions: Vec<DVec3> = cells.iter().map(|c| c.p_w / c.weight).collect();
+    let keys: Vec<u64> = cells.iter().map(|c| c.key).collect();
+    let graph = Neighbors::new(&keys, &positions, 2.5 * cell_m, cell_m);
+    let coarse = orient(&cells, &positions, &graph, 2.5 * cell_m);
+    // Every key is there: the cells were made of these surfels.
+    let parent = surfels.par_iter().map(|s| keys.partition_point(|&k| k < key(s)) as u32).collect();
+    (coarse, graph, parent)
 }
 
 /// Adds up the cells of equal key; the sort is stable, so sums run in the frames' order.
@@ -176,11 +221,11 @@ fn around(depth: &DepthImage, x: usize, y: usize) -> Option<(f64, f64)> {
 
 /// Normals from the weighted neighbourhood of each cell; then each position moves along its normal onto the mean of
 /// those neighbours that face the same way, which turns the noise's thick skin into a surface.
-fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, config: &GeometryConfig) -> Vec<Surfel> {
+fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, reach_m: f64) -> Vec<Surfel> {
     // Gaussian of half the reach, truncated at the reach.
     let near = |i: usize| {
         graph.of(i).chain(std::iter::once(i)).map(move |j| {
-            let d2 = positions[i].distance_squared(positions[j]) / (config.gap_m * config.gap_m);
+            let d2 = positions[i].distance_squared(positions[j]) / (reach_m * reach_m);
             (j, cells[j].weight * (-2.0 * d2).exp())
         })
     };
@@ -196,7 +241,7 @@ fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, config: &Geome
                     (if n.dot(towards) < 0.0 { -n } else { n }, values[0].max(0.0).sqrt())
                 }
                 // Too lonely for a normal of its own.
-                _ => (towards, config.voxel_m),
+                _ => (towards, 0.4 * reach_m),
             }
         })
         .collect();

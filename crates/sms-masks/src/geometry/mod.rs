@@ -27,6 +27,8 @@ pub struct GeometryConfig {
     pub max_fused_frames: usize,
     /// Depth beyond this is not used: noise grows with the square of depth.
     pub max_depth_m: f64,
+    /// Neither is depth beyond this multiple of the median depth in the middle of the images.
+    pub depth_spread: f64,
     /// Planar pieces longer than this, and pieces of any shape longer than this, are not objects.
     pub max_object_m: f64,
     /// Planar pieces with more area than this (m²) are not faces of an object; the side of a large cereal box has
@@ -41,6 +43,10 @@ pub struct GeometryConfig {
     /// Neighbouring patches that bend inwards by more than this (radians) form a crease; a piece is split along
     /// creases.
     pub crease_rad: f64,
+    /// Share of a border that bends inwards from which it is a crease.
+    pub crease_share: f64,
+    /// A connected piece longer than this is taken for several things rather than one.
+    pub clutter_m: f64,
     /// The share of frames in which an object must be visible.
     pub min_seen_share: f64,
     /// For the random draws of plane fitting.
@@ -53,13 +59,16 @@ impl Default for GeometryConfig {
             voxel_m: 0.004,
             max_fused_frames: 40,
             max_depth_m: 2.5,
+            depth_spread: 1.8,
             max_object_m: 0.42,
             max_face_m2: 0.065,
             min_object_m: 0.015,
-            min_area_m2: 6e-4,
+            min_area_m2: 9e-4,
             gap_m: 0.010,
             crease_rad: 0.5,
-            min_seen_share: 0.15,
+            crease_share: 0.4,
+            clutter_m: 0.22,
+            min_seen_share: 0.2,
             seed: Seed(0),
         }
     }
@@ -68,9 +77,12 @@ impl Default for GeometryConfig {
 /// The embedded default: objects by geometry, without any network.
 ///
 /// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Things that touch are separated where
-/// they meet in a sharp inward crease and either differ in colour on both sides of it or touch in a narrow neck only:
-/// a crease alone is not enough, since toys and statues have creases. Stacked boxes of one colour whose sides are flush
-/// therefore remain one object.
+/// they meet in a sharp inward crease and differ in colour or touch in little more than a point; a crease alone is not
+/// enough, since toys and statues have creases. In clutter (connected pieces longer than
+/// [`GeometryConfig::clutter_m`]) less evidence is needed.
+///
+/// Limits: stacked things of one colour, and stacks whose sides are flush, remain one object; a thing without contrast
+/// to a wall that it touches may keep a fringe of it.
 #[derive(Debug, Clone, Default)]
 pub struct GeometryMasks {
     /// The settings.

@@ -1,10 +1,11 @@
 //! Floor, desk, walls: planar pieces that are too large to belong to an object.
 
 use super::GeometryConfig;
-use super::fuse::{Neighbors, Surfel};
+use super::fuse::{Neighbors, Surfel, coarsen};
 use super::linalg::{mean_and_covariance, symmetric_eigen};
 use glamx::DVec3;
 use rand::RngExt;
+use rayon::prelude::*;
 use sms_core::{Cancel, CoreError};
 use std::collections::BTreeSet;
 
@@ -17,9 +18,7 @@ pub(crate) struct StaticPlane {
     pub(crate) n_w: DVec3,
     /// Distance from the plane within which a surfel that faces the same way belongs to it: three times the spread of
     /// its own surfels.
-    pub(crate) band_m: f64,
-    /// Its surfels, sorted.
-    pub(crate) members: Vec<usize>,
+    band_m: f64,
 }
 
 impl StaticPlane {
@@ -33,64 +32,102 @@ impl StaticPlane {
 const MAX_FITS: usize = 60;
 /// Planes drawn for one fit.
 const DRAWS: usize = 160;
-/// Cosine of the angle between the normals of a plane and of its surfels.
-const ALIGNED: f64 = 0.9;
+/// Cosine of the angle between the normals of a plane and of its coarse surfels.
+const ALIGNED: f64 = 0.92;
+/// The same for fine surfels, whose normals are noisier.
+const ROUGHLY_ALIGNED: f64 = 0.75;
+/// Size of the coarse cells that planes are found on, in fine cells.
+const COARSE: f64 = 3.0;
+/// Real floors, walls and sensors bend so far from the plane.
+const BEND_M: f64 = 0.015;
 
 /// Which surfels are static, and the planes they lie on.
+///
+/// Planes are found on coarse surfels by one-point RANSAC (a surfel and its normal are a plane), one after the other;
+/// each falls into connected pieces, of which the large ones are static and grow over what continues them smoothly.
+/// Then the fine surfels over these pieces are judged by their distance.
 pub(crate) fn static_surfels(
     surfels: &[Surfel],
     graph: &Neighbors,
     config: &GeometryConfig,
     cancel: &Cancel,
 ) -> Result<(Vec<bool>, Vec<StaticPlane>), CoreError> {
+    let cell_m = COARSE * config.voxel_m;
+    let (coarse, coarse_graph, parent) = coarsen(surfels, cell_m);
+    let mut children: Vec<Vec<u32>> = vec![vec![]; coarse.len()];
+    parent.iter().enumerate().for_each(|(i, &c)| children[c as usize].push(i as u32));
+    let pieces = large_pieces(&coarse, &coarse_graph, cell_m, config, cancel)?;
+    let mut is_static = vec![false; surfels.len()];
+    let mut planes = Vec::with_capacity(pieces.len());
+    for (members, n_w) in pieces {
+        let fine: Vec<usize> = members.iter().flat_map(|&c| &children[c]).map(|&i| i as usize).collect();
+        let plane = fit(surfels, &fine, n_w);
+        let members = extend(&plane, members, &coarse, &coarse_graph);
+        // The cells over, under and beside the piece hold its outskirts.
+        let mut over: Vec<usize> =
+            members.iter().flat_map(|&c| coarse_graph.of(c).chain(std::iter::once(c))).collect();
+        over.sort_unstable();
+        over.dedup();
+        for &i in over.iter().flat_map(|&c| &children[c]) {
+            let i = i as usize;
+            is_static[i] |= plane.holds(&surfels[i], &coarse[parent[i] as usize]);
+        }
+        planes.push(plane);
+    }
+    for _ in 0..2 {
+        follow_majority(&mut is_static, surfels, graph, &planes);
+    }
+    Ok((is_static, planes))
+}
+
+/// The large planar pieces of the coarse surfels: members (sorted) and normal.
+fn large_pieces(
+    coarse: &[Surfel],
+    graph: &Neighbors,
+    cell_m: f64,
+    config: &GeometryConfig,
+    cancel: &Cancel,
+) -> Result<Vec<(Vec<usize>, DVec3)>, CoreError> {
     let mut rng = config.seed.derive("planes").rng();
-    let mut open: Vec<usize> = (0..surfels.len()).collect();
-    let mut planes = Vec::new();
-    let smallest = (0.4 * config.max_face_m2 / config.voxel_m.powi(2)) as usize;
-    let noise = median(surfels.iter().map(|s| s.sigma_m).collect());
-    let band = (3.0 * noise).clamp(0.003, 0.008);
+    let mut open: Vec<usize> = (0..coarse.len()).collect();
+    let mut large = Vec::new();
+    // A piece of least area that is long enough to be static.
+    let smallest = (STRIP * config.max_face_m2 / cell_m.powi(2)) as usize;
+    let band = (3.0 * median(coarse.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
     for _ in 0..MAX_FITS {
         cancel.check()?;
         if open.len() < smallest.max(3) {
             break;
         }
-        // Plane through one surfel along its normal; scored on a sample of the open surfels.
         let step = open.len().div_ceil(4000);
         let draws: Vec<usize> = (0..DRAWS).map(|_| open[rng.random_range(0..open.len())]).collect();
         let score = |&i: &usize| {
-            let s = &surfels[i];
-            open.iter().step_by(step).filter(|&&j| fits(&surfels[j], s.p_w, s.n_w, 1.5 * band)).count()
+            let s = &coarse[i];
+            open.iter().step_by(step).filter(|&&j| fits(&coarse[j], s.p_w, s.n_w, 1.5 * band)).count()
         };
-        let Some(best) = draws.iter().max_by_key(|i| (score(i), std::cmp::Reverse(**i))) else { break };
-        let (mut p_w, mut n_w) = (surfels[*best].p_w, surfels[*best].n_w);
+        let scores: Vec<usize> = draws.par_iter().map(score).collect();
+        let best =
+            (0..DRAWS).max_by_key(|&k| (scores[k], std::cmp::Reverse(draws[k]))).map_or(0, |k| draws[k]);
+        let (mut p_w, mut n_w) = (coarse[best].p_w, coarse[best].n_w);
         for _ in 0..4 {
-            let on = open.iter().map(|&j| &surfels[j]).filter(|s| fits(s, p_w, n_w, band));
-            let Some((mean, covariance, _)) = mean_and_covariance(on.map(|s| (s.p_w, s.weight.min(50.0))))
-            else {
-                break;
-            };
+            let on = open.iter().map(|&j| &coarse[j]).filter(|s| fits(s, p_w, n_w, band));
+            let Some((mean, covariance, _)) = mean_and_covariance(on.map(|s| (s.p_w, 1.0))) else { break };
             let n = symmetric_eigen(covariance).1[0];
             (p_w, n_w) = (mean, if n.dot(n_w) < 0.0 { -n } else { n });
         }
-        let mut on = vec![false; surfels.len()];
-        open.iter().for_each(|&j| on[j] = fits(&surfels[j], p_w, n_w, band));
+        let mut on = vec![false; coarse.len()];
+        open.iter().for_each(|&j| on[j] = fits(&coarse[j], p_w, n_w, band));
         let pieces = graph.components(|i| on[i]);
-        let found: usize = pieces.iter().map(Vec::len).sum();
         // What was looked at is not looked at again, large or not.
-        open.retain(|&j| !on[j]);
-        if found < smallest {
-            break;
+        open.retain(|&j| !on[j] && j != best);
+        if pieces.iter().map(Vec::len).sum::<usize>() < smallest {
+            continue;
         }
-        for members in pieces.into_iter().filter(|m| is_large(surfels, m, n_w, config)) {
-            planes.push(finish(surfels, members, n_w));
-        }
+        large.extend(
+            pieces.into_iter().filter(|m| is_large(coarse, graph, m, n_w, cell_m, config)).map(|m| (m, n_w)),
+        );
     }
-    let mut is_static = vec![false; surfels.len()];
-    for plane in &mut planes {
-        extend(plane, surfels, graph);
-        plane.members.iter().for_each(|&i| is_static[i] = true);
-    }
-    Ok((is_static, planes))
+    Ok(large)
 }
 
 fn fits(s: &Surfel, p_w: DVec3, n_w: DVec3, band: f64) -> bool {
@@ -102,22 +139,49 @@ fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
-/// Whether a planar piece is longer or has more area than a face of an object.
-fn is_large(surfels: &[Surfel], members: &[usize], n_w: DVec3, config: &GeometryConfig) -> bool {
+/// Share of the largest face's area that makes a piece static if it is longer than any object: a bin's lip, a rail.
+const STRIP: f64 = 0.2;
+
+/// Share of the largest face's area that makes a piece static if it walls something in.
+const WALL: f64 = 0.3;
+
+/// Whether a planar piece is longer or has more area than a face of an object, or has some area and walls things in.
+fn is_large(
+    coarse: &[Surfel],
+    graph: &Neighbors,
+    members: &[usize],
+    n_w: DVec3,
+    cell_m: f64,
+    config: &GeometryConfig,
+) -> bool {
     let u = n_w.any_orthonormal_vector();
     let v = n_w.cross(u);
     // Cells across the plane: the skin's thickness must not count as area.
-    let cell = 1.5 * config.voxel_m;
     let cells: BTreeSet<(i64, i64)> = members
         .iter()
         .map(|&i| {
-            let p = surfels[i].p_w;
-            ((u.dot(p) / cell).floor() as i64, (v.dot(p) / cell).floor() as i64)
+            let p = coarse[i].p_w;
+            ((u.dot(p) / cell_m).floor() as i64, (v.dot(p) / cell_m).floor() as i64)
         })
         .collect();
-    let area = cells.len() as f64 * cell * cell;
+    let area = cells.len() as f64 * cell_m * cell_m;
     area > config.max_face_m2
-        || (area > 0.2 * config.max_face_m2 && length(surfels, members) > config.max_object_m)
+        || (area > STRIP * config.max_face_m2 && length(coarse, members) > config.max_object_m)
+        || (area > WALL * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
+}
+
+/// Whether what adjoins a planar piece lies in front of it, as with the inside of a bin: the face of an object has the
+/// object's other faces, or what the object stands on, behind it.
+fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3) -> bool {
+    const CLEAR_M: f64 = 0.008;
+    let inside: BTreeSet<usize> = members.iter().copied().collect();
+    let ring: BTreeSet<usize> =
+        members.iter().flat_map(|&i| graph.of(i)).filter(|j| !inside.contains(j)).collect();
+    let mean = members.iter().map(|&i| coarse[i].p_w).sum::<DVec3>() / members.len().max(1) as f64;
+    let heights = || ring.iter().map(|&j| n_w.dot(coarse[j].p_w - mean));
+    let front = heights().filter(|h| *h > CLEAR_M).count();
+    let behind = heights().filter(|h| *h < -CLEAR_M).count();
+    10 * front > 3 * ring.len() && 4 * behind < front
 }
 
 /// Extent of a piece along its longest principal axis.
@@ -137,45 +201,82 @@ pub(crate) fn extents(surfels: &[Surfel], members: &[usize]) -> [f64; 3] {
     })
 }
 
-/// The plane of a piece, fitted again to its own surfels, with its own spread.
-fn finish(surfels: &[Surfel], members: Vec<usize>, n_w: DVec3) -> StaticPlane {
-    let points = members.iter().map(|&i| (surfels[i].p_w, surfels[i].weight.min(50.0)));
-    let (p_w, n_w) = match mean_and_covariance(points) {
-        Some((mean, covariance, _)) => {
-            let n = symmetric_eigen(covariance).1[0];
-            (mean, if n.dot(n_w) < 0.0 { -n } else { n })
-        }
-        None => (surfels[members[0]].p_w, n_w),
+/// The plane of a piece's fine surfels, with their spread.
+fn fit(surfels: &[Surfel], members: &[usize], n_w: DVec3) -> StaticPlane {
+    let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
+    let (mut p_w, mut n_w) = match mean_and_covariance(points) {
+        Some((mean, covariance, _)) => (mean, aligned(symmetric_eigen(covariance).1[0], n_w)),
+        None => (DVec3::ZERO, n_w),
     };
-    let spread = 1.4826 * median(members.iter().map(|&i| n_w.dot(surfels[i].p_w - p_w).abs()).collect());
-    StaticPlane { p_w, n_w, band_m: (3.0 * spread).clamp(0.0015, 0.006), members }
+    let spread = |p_w: DVec3, n_w: DVec3| {
+        1.4826 * median(members.iter().map(|&i| n_w.dot(surfels[i].p_w - p_w).abs()).collect())
+    };
+    // Things that stand on it pull the plane up; within the spread they do not.
+    for _ in 0..3 {
+        let within = 3.0 * spread(p_w, n_w).max(5e-4);
+        let near = members.iter().map(|&i| surfels[i].p_w).filter(|&p| n_w.dot(p - p_w).abs() < within);
+        if let Some((mean, covariance, _)) = mean_and_covariance(near.map(|p| (p, 1.0))) {
+            (p_w, n_w) = (mean, aligned(symmetric_eigen(covariance).1[0], n_w));
+        }
+    }
+    StaticPlane { p_w, n_w, band_m: (3.0 * spread(p_w, n_w)).clamp(0.0015, 0.008) }
 }
 
-/// Grows a plane over what continues it: surfels that face the same way and rise from a neighbour by less than a slope
-/// of about 1:8 (real floors and sensors bend by several millimetres), and, whichever way they face, those within a
-/// third of its band (where a wall meets the floor, normals are mixed and only height decides).
-fn extend(plane: &mut StaticPlane, surfels: &[Surfel], graph: &Neighbors) {
-    const BEND_M: f64 = 0.012;
-    let mut taken = vec![false; surfels.len()];
-    plane.members.iter().for_each(|&i| taken[i] = true);
+fn aligned(n: DVec3, with: DVec3) -> DVec3 {
+    if n.dot(with) < 0.0 { -n } else { n }
+}
+
+/// Grows a piece over the coarse surfels that continue it: they face the same way and rise from a neighbour by less
+/// than a slope of about 1:8.
+fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph: &Neighbors) -> Vec<usize> {
+    let mut taken = vec![false; coarse.len()];
+    members.iter().for_each(|&i| taken[i] = true);
     let mut next = 0;
-    while next < plane.members.len() {
-        let i = plane.members[next];
+    while next < members.len() {
+        let i = members[next];
         next += 1;
-        let from = &surfels[i];
         for j in graph.of(i) {
-            let to = &surfels[j];
-            let d = to.p_w - from.p_w;
-            let continues = to.n_w.dot(plane.n_w) > ALIGNED
-                && from.n_w.dot(plane.n_w) > ALIGNED
-                && plane.n_w.dot(d).abs() < 0.0008 + 0.12 * d.length()
-                && plane.height(to.p_w).abs() < BEND_M;
-            let touches = plane.height(to.p_w) < plane.band_m / 3.0 && plane.height(to.p_w) > -BEND_M;
-            if !taken[j] && (continues || touches) {
+            let d = coarse[j].p_w - coarse[i].p_w;
+            let continues = coarse[j].n_w.dot(plane.n_w) > ALIGNED
+                && plane.n_w.dot(d).abs() < 0.001 + 0.12 * d.length()
+                && plane.height(coarse[j].p_w).abs() < BEND_M;
+            if !taken[j] && continues {
                 taken[j] = true;
-                plane.members.push(j);
+                members.push(j);
             }
         }
     }
-    plane.members.sort_unstable();
+    members.sort_unstable();
+    members
+}
+
+impl StaticPlane {
+    /// Whether a fine surfel over one of the plane's cells belongs to it: within the band and facing the same way;
+    /// within a third of the band whichever way it faces (where a wall meets the floor, normals are mixed and only
+    /// height decides); or where the plane bends, near the coarse surface around it.
+    fn holds(&self, s: &Surfel, coarse: &Surfel) -> bool {
+        let height = self.height(s.p_w);
+        let faces = s.n_w.dot(self.n_w) > ROUGHLY_ALIGNED;
+        let bends = coarse.n_w.dot(self.n_w) > 0.97
+            && coarse.n_w.dot(s.p_w - coarse.p_w).abs() < self.band_m
+            && height.abs() < BEND_M;
+        (faces && (height.abs() < self.band_m || bends)) || (height < self.band_m / 3.0 && height > -BEND_M)
+    }
+}
+
+/// A surfel near a plane among neighbours that are mostly static is static: noise tilts single normals.
+fn follow_majority(is_static: &mut [bool], surfels: &[Surfel], graph: &Neighbors, planes: &[StaticPlane]) {
+    let joins: Vec<bool> = (0..surfels.len())
+        .into_par_iter()
+        .map(|i| {
+            let (mut all, mut own) = (0, 0);
+            for j in graph.of(i) {
+                all += 1;
+                own += usize::from(is_static[j]);
+            }
+            let near = |p: &StaticPlane| p.height(surfels[i].p_w).abs() < 1.5 * p.band_m;
+            !is_static[i] && 10 * own > 6 * all && planes.iter().any(near)
+        })
+        .collect();
+    is_static.iter_mut().zip(joins).for_each(|(s, j)| *s |= j);
 }
