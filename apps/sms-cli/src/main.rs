@@ -1,2 +1,44 @@
-//! The command `sms`.
-fn main() {}
+//! The command `sms`: from a posed RGB-D recording to a simulated scene, a plan, an execution and a report.
+//!
+//! One file per command; each only wires stages together. Exit codes: 0 done, 2 bad input, 1 any other failure.
+
+mod bars;
+mod cli;
+mod commands;
+mod context;
+mod failure;
+mod settings;
+
+use clap::Parser;
+use cli::{Arguments, Command};
+use context::Context;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let context = match Context::new(&arguments.common, matches!(arguments.command, Command::Demo(_))) {
+        Ok(context) => context,
+        Err(error) => return failure::report(&error),
+    };
+    match run(&context, arguments.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => failure::report(&error),
+    }
+}
+
+fn run(context: &Context, command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Check(a) => commands::check::run(context, &a),
+        Command::Scan(a) => commands::scan::run(context, &a).map(drop),
+        Command::Materialize(a) => commands::materialize::run(context, &a),
+        Command::Simulate(a) => commands::simulate::run(context, &a),
+        Command::Plan(a) => commands::plan::run(context, &a),
+        Command::Execute(a) => commands::execute::run(context, &a),
+        Command::Evaluate(a) => commands::evaluate::run(context, &a),
+        Command::Report(a) => commands::report::run(context, &a).map(drop),
+        Command::Export(a) => commands::export::run(context, &a),
+        Command::View(a) => commands::view::run(context, &a),
+        Command::Demo(a) => commands::demo::run(context, &a),
+        Command::Sample(a) => commands::sample::run(context, &a),
+    }
+}

@@ -54,7 +54,7 @@ impl MassProperties {
     /// # Errors
     /// [`InertiaError`] unless mass > 0 and the moments are physically possible (within rounding).
     pub fn new(mass: f64, com: DVec3, inertia: DMat3) -> Result<Self, InertiaError> {
-        if !(mass > 0.0 && mass.is_finite()) || !com.is_finite() {
+        if !(mass > 0.0 && mass.is_finite() && com.is_finite()) {
             return Err(InertiaError::Mass(mass));
         }
         let symmetric = 0.5 * (inertia + inertia.transpose());

@@ -162,7 +162,14 @@
     if (!source) return null;
     const bodies = {};
     for (const [name, text] of Object.entries(source.bodies)) bodies[name] = floats(text);
-    return { times: floats(source.times), bodies };
+    const times = floats(source.times);
+    // The finger is taken away after its sweep: show it until the first jump.
+    let sweep = times.length ? times[times.length - 1] : 0;
+    const arm = bodies.striker;
+    for (let i = 1; arm && i < times.length; i++) {
+      if (Math.hypot(...[0, 1, 2].map((k) => arm[i * 7 + k] - arm[i * 7 - 7 + k])) > 0.05) { sweep = times[i - 1]; break; }
+    }
+    return { times, bodies, sweep };
   };
   const predicted = motion(data.predicted);
   const realised = motion(data.realised);
@@ -209,7 +216,7 @@
       if (name === 'striker') {
         arm.visible = true;
         sample(m, track, time, arm.position, arm.quaternion);
-        arm.visible = arm.position.length() < 5;
+        arm.visible = time <= m.sweep;
         continue;
       }
       const mover = movers[name];
@@ -254,7 +261,12 @@
     const choice = which.value;
     follow(choice === 'realised' ? realised : predicted, time, 'solid', arms.predicted);
     follow(realised, time, 'ghost', arms.realised);
-    if (layers.Realised) for (const child of layers.Realised.children) if (child !== arms.realised) child.visible = choice === 'both';
+    // A ghost on top of its body says nothing and tints it.
+    for (const mover of Object.values(movers)) {
+      const apart = mover.ghost.position.distanceTo(mover.solid.position) > 0.002
+        || mover.ghost.quaternion.angleTo(mover.solid.quaternion) > 0.02;
+      mover.ghost.visible = choice === 'both' && apart;
+    }
     if (choice !== 'both') arms.realised.visible = false;
     slider.value = duration ? String(1000 * time / duration) : '0';
     clock.textContent = time.toFixed(2) + ' s';
@@ -289,7 +301,7 @@
   const middle = bounds.isEmpty() ? new THREE.Vector3() : bounds.getCenter(new THREE.Vector3());
   const reach = Math.max(0.35, bounds.isEmpty() ? 1 : bounds.getSize(new THREE.Vector3()).length());
   controls.target.copy(middle);
-  camera.position.set(middle.x - 0.75 * reach, middle.y - 0.55 * reach, middle.z + 0.62 * reach);
+  camera.position.set(middle.x - 0.8 * reach, middle.y - 0.35 * reach, middle.z + 0.5 * reach);
   sun.position.set(middle.x - 0.6, middle.y + 0.5, 1.6);
   sun.target.position.copy(middle);
   Object.assign(sun.shadow.camera, { left: -1.2, right: 1.2, top: 1.2, bottom: -1.2, near: 0.1, far: 5 });

@@ -87,7 +87,8 @@ pub fn evaluate_object(
     let samples = sample_surface(mesh_w, settings.samples, Seed(settings.seed));
     let cloud = SurfaceIndex::of_points(&model_w.points_w).ok_or(EvaluateError::Empty("the known model"))?;
     let mut accuracy: Vec<f64> = samples.par_iter().map(|&p| cloud.closest(p).distance).collect();
-    let mut completion: Vec<f64> = model_w.points_w.par_iter().map(|&p| surface.closest(p).distance).collect();
+    let mut completion: Vec<f64> =
+        model_w.points_w.par_iter().map(|&p| surface.closest(p).distance).collect();
     if accuracy.is_empty() {
         return Err(EvaluateError::Empty("the reconstruction"));
     }
@@ -110,11 +111,7 @@ pub fn evaluate_object(
 }
 
 /// Centre and radius errors of a fitted sphere, as `evaluate.<name>.*` metrics.
-pub fn compare_sphere(
-    name: &str,
-    found: (DVec3, f64),
-    truth: (DVec3, f64),
-) -> Metrics {
+pub fn compare_sphere(name: &str, found: (DVec3, f64), truth: (DVec3, f64)) -> Metrics {
     let mut m = Metrics::new();
     m.set(format!("evaluate.{name}.center_error_m"), (found.0 - truth.0).length());
     m.set(format!("evaluate.{name}.radius_error_m"), (found.1 - truth.1).abs());
@@ -215,8 +212,7 @@ mod tests {
     #[test]
     fn half_a_sphere_is_accurate_but_not_complete() {
         let full = Mesh::icosphere(0.05, 4);
-        let model =
-            PointCloud { points_w: sample_surface(&full, 20_000, Seed(3)), ..PointCloud::default() };
+        let model = PointCloud { points_w: sample_surface(&full, 20_000, Seed(3)), ..PointCloud::default() };
         let mut half = full.clone();
         half.triangles.retain(|t| t.iter().all(|&i| full.vertices[i as usize].z > 0.0));
         let s = evaluate_object(&half, &model, &EvaluateSettings::default()).unwrap();

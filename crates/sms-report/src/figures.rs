@@ -55,7 +55,11 @@ pub(crate) fn view_rows(views: &[ViewPair], dir: &Path) -> Result<String, CoreEr
         for (name, caption, picture) in pictures {
             let path = dir.join(format!("view_{:03}_{name}.png", view.frame_index));
             write_png_color(&path, &picture)?;
-            let _ = write!(html, "<figure><img src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>", data_uri(&path)?);
+            let _ = write!(
+                html,
+                "<figure><img src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>",
+                data_uri(&path)?
+            );
         }
         html.push_str("</div>");
     }

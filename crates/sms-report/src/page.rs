@@ -176,7 +176,8 @@ fn cards(input: &ReportInput<'_>) -> String {
         let spheres = dynamic.clone().filter(|b| matches!(b.shape, BodyShape::Sphere { .. })).count();
         card(&mut html, "Objects", &dynamic.count().to_string(), &format!("{spheres} spheres"), "");
     }
-    let seconds: f64 = ["scan.seconds", "materialize.seconds", "plan.seconds"].iter().filter_map(|k| m(k)).sum();
+    let seconds: f64 =
+        ["scan.seconds", "materialize.seconds", "plan.seconds"].iter().filter_map(|k| m(k)).sum();
     if seconds > 0.0 {
         card(&mut html, "Time", &format!("{seconds:.0} s"), "scan, materialize, plan", "");
     }
@@ -233,7 +234,8 @@ fn objects_table(input: &ReportInput<'_>) -> String {
         let role = input.roles.iter().find(|r| r.0 == body.name).map(|r| r.1.as_str());
         let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape(r))).unwrap_or_default();
         let mass = body.mass.map(|p| format!("{:.0} g", p.mass() * 1e3)).unwrap_or_else(|| "static".into());
-        let interval = |v: sms_core::Interval| format!("{:.2} <small>[{:.2}, {:.2}]</small>", v.best, v.low, v.high);
+        let interval =
+            |v: sms_core::Interval| format!("{:.2} <small>[{:.2}, {:.2}]</small>", v.best, v.low, v.high);
         let source = serde_json::to_value(m.density.source).ok();
         let source = source.as_ref().and_then(Value::as_str).unwrap_or("");
         let [r, g, b] = body.color;
@@ -291,7 +293,9 @@ fn loss_curves(losses: &[LossPoint]) -> String {
         let points: Vec<String> = losses
             .iter()
             .zip(&logs)
-            .map(|(l, v)| format!("{:.1},{:.1}", l.step as f64 / last * w, (high - v) / span * (h - 30.0) + 8.0))
+            .map(|(l, v)| {
+                format!("{:.1},{:.1}", l.step as f64 / last * w, (high - v) / span * (h - 30.0) + 8.0)
+            })
             .collect();
         let _ = write!(
             html,
@@ -421,7 +425,8 @@ mod tests {
     #[test]
     fn an_empty_run_says_what_is_missing() {
         let dir = tempfile::tempdir().unwrap();
-        let page = std::fs::read_to_string(write_report(dir.path(), &ReportInput::default()).unwrap()).unwrap();
+        let page =
+            std::fs::read_to_string(write_report(dir.path(), &ReportInput::default()).unwrap()).unwrap();
         for command in ["sms scan", "sms materialize", "sms plan", "sms simulate"] {
             assert!(page.contains(command), "{command}");
         }

@@ -72,7 +72,9 @@ fn log_all(path: &Path, input: &ReportInput<'_>) -> Logged {
     }
     for point in &input.losses {
         rec.set_time_sequence("step", point.step as i64);
-        for (name, value) in [("color_l1", point.color_l1), ("depth_m", point.depth_m), ("total", point.total)] {
+        for (name, value) in
+            [("color_l1", point.color_l1), ("depth_m", point.depth_m), ("total", point.total)]
+        {
             rec.log(format!("losses/{name}"), &rerun::Scalars::new([value]))?;
         }
     }
@@ -81,13 +83,22 @@ fn log_all(path: &Path, input: &ReportInput<'_>) -> Logged {
     Ok(())
 }
 
-fn rerun_sink_error(path: &Path, error: &dyn std::error::Error) -> rerun::external::re_log_encoding::FileSinkError {
-    rerun::external::re_log_encoding::FileSinkError::CreateFile(path.to_owned(), std::io::Error::other(error.to_string()))
+fn rerun_sink_error(
+    path: &Path,
+    error: &dyn std::error::Error,
+) -> rerun::external::re_log_encoding::FileSinkError {
+    rerun::external::re_log_encoding::FileSinkError::CreateFile(
+        path.to_owned(),
+        std::io::Error::other(error.to_string()),
+    )
 }
 
 fn blueprint() -> Blueprint {
     Blueprint::new(Horizontal::new([
-        Spatial3DView::new("scene").with_origin("world").with_contents(["world/**", "- world/camera/**"]).into(),
+        Spatial3DView::new("scene")
+            .with_origin("world")
+            .with_contents(["world/**", "- world/camera/**"])
+            .into(),
         Vertical::new([
             Spatial2DView::new("observed").with_origin("world/camera/observed").into(),
             Spatial2DView::new("rendered").with_origin("world/camera/rendered").into(),
@@ -107,11 +118,13 @@ fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
             rerun::Quaternion::from_xyzw(q.to_array()),
         );
         rec.log("world/camera", &pose)?;
-        let pinhole =
-            rerun::Pinhole::from_focal_length_and_resolution([k.fx as f32, k.fy as f32], [k.width as f32, k.height as f32])
-                .with_principal_point([k.cx as f32, k.cy as f32])
-                .with_camera_xyz(rerun::components::ViewCoordinates::RDF)
-                .with_image_plane_distance(0.1);
+        let pinhole = rerun::Pinhole::from_focal_length_and_resolution(
+            [k.fx as f32, k.fy as f32],
+            [k.width as f32, k.height as f32],
+        )
+        .with_principal_point([k.cx as f32, k.cy as f32])
+        .with_camera_xyz(rerun::components::ViewCoordinates::RDF)
+        .with_image_plane_distance(0.1);
         let size = [k.width as u32, k.height as u32];
         for (name, color, depth, label) in [
             ("observed", &view.observed_color, &view.observed_depth, &view.observed_label),

@@ -9,7 +9,7 @@ use std::fmt::Write;
 
 /// Pixels of the picture's longer side.
 const SIZE: f64 = 760.0;
-const MARGIN_M: f64 = 0.06;
+const MARGIN_M: f64 = 0.15;
 
 /// Convex hull of points in the plane, counter-clockwise (Andrew's monotone chain).
 pub(crate) fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
@@ -69,10 +69,7 @@ pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
     let mut extent: Vec<DVec2> = dynamic.iter().flat_map(|b| footprint(b)).collect();
     extent.extend(dynamic.iter().map(|b| b.x_wb.translation.truncate()));
     extent.extend(input.goal_w.map(|[x, y]| DVec2::new(x, y)));
-    for body in &dynamic {
-        extent.extend(predicted.map(|t| path_of(t, &body.name)).unwrap_or_default());
-        extent.extend(realised.map(|t| path_of(t, &target_name(&body.name))).unwrap_or_default());
-    }
+    // Balls roll far beyond the scene once they have passed the goal: what happens among the objects is the shot.
     let bounds = Aabb::of_points(extent.iter().map(|p| p.extend(0.0)))?;
     let min = bounds.min.truncate() - DVec2::splat(MARGIN_M);
     let size = bounds.extents().truncate() + DVec2::splat(2.0 * MARGIN_M);
@@ -110,7 +107,9 @@ pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
             (predicted, body.name.clone(), ""),
             (realised, target_name(&body.name), " stroke-dasharray=\"7 5\""),
         ] {
-            let Some(points) = trajectory.map(|t| path_of(t, &name)).filter(|p| p.len() > 1) else { continue };
+            let Some(points) = trajectory.map(|t| path_of(t, &name)).filter(|p| p.len() > 1) else {
+                continue;
+            };
             if points.iter().all(|&p| (p - points[0]).length() < 0.003) {
                 continue;
             }
@@ -123,7 +122,9 @@ pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
         }
     }
     if let Some(points) = predicted.map(|t| path_of(t, "striker")).filter(|p| p.len() > 1) {
-        let moving: Vec<DVec2> = points.iter().copied().take_while(|p| p.is_finite() && p.length() < 5.0).collect();
+        // The finger is taken away after its sweep; that jump is no path.
+        let sweep = points.windows(2).take_while(|w| (w[1] - w[0]).length() < 0.05).map(|w| w[1]);
+        let moving: Vec<DVec2> = points.first().copied().into_iter().chain(sweep).collect();
         let _ = write!(
             svg,
             "<polyline points=\"{}\" fill=\"none\" stroke=\"#555\" stroke-width=\"6\" stroke-opacity=\"0.35\" \
@@ -197,7 +198,7 @@ fn draw_body(
     }
     let _ = write!(
         svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"12\" text-anchor=\"middle\" fill=\"#222\" \
+        "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"15\" text-anchor=\"middle\" fill=\"#222\" \
          stroke=\"#f4f1ea\" stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
         c.x,
         c.y + 4.0,
@@ -209,10 +210,10 @@ fn legend(svg: &mut String, height: f64) {
     let y = height - 14.0;
     let _ = write!(
         svg,
-        "<g font-size=\"12\" fill=\"#333\"><line x1=\"12\" x2=\"44\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"#1f5fd0\" \
-         stroke-width=\"3\"/><text x=\"50\" y=\"{t:.0}\">predicted</text><line x1=\"122\" x2=\"154\" y1=\"{y:.0}\" \
-         y2=\"{y:.0}\" stroke=\"#1f5fd0\" stroke-width=\"3\" stroke-dasharray=\"7 5\"/><text x=\"160\" \
-         y=\"{t:.0}\">realised</text><text x=\"228\" y=\"{t:.0}\">grid 10 cm</text></g>",
+        "<g font-size=\"14\" fill=\"#333\"><line x1=\"12\" x2=\"44\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"#1f5fd0\" \
+         stroke-width=\"3\"/><text x=\"50\" y=\"{t:.0}\">predicted</text><line x1=\"134\" x2=\"166\" y1=\"{y:.0}\" \
+         y2=\"{y:.0}\" stroke=\"#1f5fd0\" stroke-width=\"3\" stroke-dasharray=\"7 5\"/><text x=\"172\" \
+         y=\"{t:.0}\">realised</text><text x=\"250\" y=\"{t:.0}\">grid 10 cm</text></g>",
         t = y + 4.0
     );
 }

@@ -58,8 +58,8 @@ impl SurfaceIndex {
 
     fn split(&mut self, from: usize, to: usize) -> u32 {
         let corners = self.order[from..to].iter().flat_map(|&t| self.triangles[t as usize]);
-        let (min, max) = corners
-            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let (min, max) =
+            corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
         let id = self.nodes.len() as u32;
         self.nodes.push(Node { min, max, start: from as u32, count: (to - from) as u32 });
         if to - from > LEAF {
@@ -88,8 +88,8 @@ impl SurfaceIndex {
             }
             if node.count == 0 {
                 let (left, right) = (id + 1, node.start);
-                let near_left =
-                    box_distance(&self.nodes[left as usize], p) <= box_distance(&self.nodes[right as usize], p);
+                let near_left = box_distance(&self.nodes[left as usize], p)
+                    <= box_distance(&self.nodes[right as usize], p);
                 stack.extend(if near_left { [right, left] } else { [left, right] });
                 continue;
             }

@@ -1,0 +1,223 @@
+//! The command line's shape.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
+#[derive(Debug, Parser)]
+#[command(name = "sms", version, about, propagate_version = true)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+    #[command(flatten)]
+    pub common: Common,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Common {
+    /// Print the flat metrics object alone, as JSON.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Worker threads (default: all cores). Results do not depend on it.
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Redo stages even where nothing has changed.
+    #[arg(long, global = true)]
+    pub force: bool,
+    /// A TOML file with settings of any stage; `run.toml` of a run shows all of them.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Show no progress.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Check a recording: sizes, poses, units, overlap; says what to change when another reading fits better.
+    Check(Check),
+    /// Reconstruct a recording as 3D Gaussians with object labels.
+    Scan(Scan),
+    /// Turn a scan into closed meshes, spheres, convex parts and materials: a simulation-ready scene.
+    Materialize(Materialize),
+    /// Put the scene into the physics engine and see whether it rests.
+    Simulate(Simulate),
+    /// Search the best action for a task.
+    Plan(Plan),
+    /// Carry the plan out in an independent target world.
+    Execute(Execute),
+    /// Measure the reconstruction against known models.
+    Evaluate(Evaluate),
+    /// Write the report page.
+    Report(Report),
+    /// Write the scene for another simulator.
+    Export(Export),
+    /// Open the report in a browser.
+    View(View),
+    /// The whole flow on a generated scene.
+    Demo(Demo),
+    /// Write a small generated recording to try the commands on.
+    Sample(Sample),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Check {
+    /// Folder of the recording (nerfstudio transforms.json with depth, or TUM RGB-D).
+    pub recording: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PresetName {
+    /// A look in under a minute.
+    Draft,
+    /// The default.
+    Standard,
+    /// The paper's half resolution.
+    Fine,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MasksName {
+    /// Clusters of the fused depth; needs nothing else.
+    Geometry,
+    /// Label images that came with the recording.
+    Files,
+    /// The truth of a generated recording (ablations only).
+    Truth,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Scan {
+    /// Folder of the recording.
+    pub recording: PathBuf,
+    /// Folder of the run (made where it is missing; an interrupted run is resumed).
+    #[arg(long, value_name = "RUN")]
+    pub out: PathBuf,
+    /// How much work to spend.
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Where object masks come from.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: MasksName,
+    /// Keep every N-th frame out of training, to measure quality on it (0: none).
+    #[arg(long, value_name = "N")]
+    pub holdout: Option<usize>,
+    /// Seed of everything random.
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Scan even when the check finds that the recording is wrong.
+    #[arg(long)]
+    pub no_check: bool,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Materialize {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// A TOML file with your own material values (`[object.NAME] class = "ceramic"`).
+    #[arg(long, value_name = "FILE")]
+    pub materials: Option<PathBuf>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Simulate {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Seconds to simulate.
+    #[arg(long, default_value_t = 1.0)]
+    pub seconds: f64,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Plan {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// The task (TOML).
+    #[arg(long, value_name = "TASK.toml")]
+    pub task: PathBuf,
+    /// Seed of the search (default: the run's).
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Execute {
+    /// Folder of the run.
+    pub run: PathBuf,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Evaluate {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// `objects.json` of known models; by default the truth of a generated recording.
+    #[arg(long, value_name = "FILE")]
+    pub objects: Option<PathBuf>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Report {
+    /// Folder of the run.
+    pub run: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FormatName {
+    /// MuJoCo.
+    Mjcf,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Export {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Format.
+    #[arg(long, value_enum)]
+    pub format: FormatName,
+    /// Folder to write to (default: RUN/export/FORMAT).
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct View {
+    /// Folder of the run.
+    pub run: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DemoName {
+    /// Strike the cue ball so that the target ball passes over the goal.
+    Billiards,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Demo {
+    /// Which demo.
+    #[arg(value_enum)]
+    pub name: DemoName,
+    /// Seed of the scene and of everything else.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder of the run (default: runs/billiards-SEED).
+    #[arg(long, value_name = "RUN")]
+    pub out: Option<PathBuf>,
+    /// A smaller recording and less search: about a minute and a half.
+    #[arg(long)]
+    pub quick: bool,
+    /// How much work to spend on the scan.
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Where object masks come from.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: MasksName,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Sample {
+    /// Folder to write (must be missing or empty).
+    pub folder: PathBuf,
+    /// Seed of the scene.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}

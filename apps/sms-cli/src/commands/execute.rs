@@ -1,0 +1,59 @@
+//! `sms execute`: the plan in the target world.
+
+use super::materialize::run_settings;
+use super::{inputs_hash, length_text, run_stage, shown};
+use crate::cli::Execute;
+use crate::context::Context;
+use sms_core::metrics::Metrics;
+use sms_core::{Hash, Hasher, InputError, RunFolder};
+use sms_plan::load_plan;
+use sms_scene::load_scene;
+use sms_synth::read_truth;
+use sms_target::{TargetOptions, execute};
+use sms_task::{Execution, Task};
+use std::path::Path;
+
+pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
+    let run = RunFolder::open(&a.run)?;
+    let plan_dir = run.stage_dir("plan", "plan --task TASK.toml")?;
+    let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
+    let recording = run_settings(&run)?.recording;
+    let truth_file = Path::new(&recording).join("truth").join("truth.json");
+    if !truth_file.is_file() {
+        return Err(InputError::new(
+            "this recording has no target world to execute in",
+            &truth_file,
+            "execution needs a generated recording (`sms sample DIR`, `sms demo billiards`); of a real scene, take \
+             plan/plan.json to your robot",
+        )
+        .into());
+    }
+    let plan = load_plan(&plan_dir)?;
+    let task = Task::read(&plan_dir.join("task.toml"))?;
+    let options = TargetOptions::default();
+    let before = run.stage_hash("plan").unwrap_or(Hash(String::new()));
+    let mut truth_hash = Hasher::new();
+    truth_hash.file(&truth_file)?;
+    let hash = inputs_hash(&[&before, &truth_hash.finish()], &options)?;
+    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage| {
+        let truth = read_truth(Path::new(&recording))?;
+        let execution = execute(&task, &plan.action, &scene, &truth, &options)?;
+        execution.save(stage.dir())?;
+        let mut m = Metrics::new();
+        m.set("execute.engine", execution.engine.clone());
+        m.set("execute.objective", execution.objective);
+        m.set("execute.success", execution.success);
+        m.set("execute.chaos_floor", execution.chaos_floor);
+        Ok(m)
+    })?;
+    let e = Execution::load(&dir)?;
+    context.say(format!("execute: {}", e.engine));
+    context.say(format!(
+        "  realised {} from the goal (predicted {}); {}",
+        length_text(e.objective),
+        length_text(plan.objective),
+        if e.success { "success" } else { "missed" }
+    ));
+    context.say(format!("  in {}", shown(&dir.join("execution.json"))));
+    context.print_metrics(&run)
+}

@@ -1,0 +1,136 @@
+//! `sms materialize`: Gaussians → entities → materials → scene.
+
+use super::scan::RunSettings;
+use super::{inputs_hash, run_stage, shown, timed};
+use crate::cli::Materialize;
+use crate::context::Context;
+use serde::Deserialize;
+use sms_core::metrics::Metrics;
+use sms_core::{EntityKind, EntityShape, Hash, Hasher, InputError, RunFolder, Seed, atomic};
+use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
+use sms_frames::Sequence;
+use sms_gaussians::read_ply;
+use sms_masks::load_labels;
+use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
+use sms_scene::{build_scene, save_scene, write_mjcf};
+
+pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
+    let run = RunFolder::open(&a.run)?;
+    let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
+    let frames_dir = run.stage_dir("frames", "scan DIR --out")?;
+    let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
+    let settings = run_settings(&run)?;
+    let config = context.settings.section("entities", EntitiesConfig::default())?;
+    let seed = Seed(settings.seed);
+    run.record_settings("entities", &config)?;
+
+    let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
+    let hash = inputs_hash(&[&before], &(&config, seed))?;
+    let entities_dir =
+        run_stage(context, &run, "entities", &["entities.", "materialize."], &hash, |stage| {
+            timed("materialize.seconds", || {
+                let model = read_ply(&gaussians_dir.join("scene.ply"))?;
+                let sequence = Sequence::load(&frames_dir)?;
+                let labels = load_labels(&masks_dir)?;
+                let set = build_entities(
+                    &model,
+                    &sequence,
+                    &labels,
+                    &config,
+                    seed,
+                    context.progress.as_ref(),
+                    &context.cancel,
+                    &context.warnings,
+                )?;
+                save_entities(stage.dir(), &set)?;
+                Ok(entity_metrics(&set))
+            })
+        })?;
+    let set = load_entities(&entities_dir)?;
+
+    let overrides = a.materials.as_deref().map(Overrides::read).transpose()?;
+    let mut given = Hasher::new();
+    if let Some(path) = &a.materials {
+        given.file(path)?;
+    }
+    let scene_hash = inputs_hash(&[&hash, &given.finish()], &"scene 1")?;
+    let x_world_recording = Sequence::load(&frames_dir)?.x_world_recording;
+    let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage| {
+        let mut queries: Vec<ObjectQuery> = set
+            .entities
+            .iter()
+            .map(|e| ObjectQuery {
+                name: e.name.clone(),
+                description: e.description.clone(),
+                is_sphere: matches!(e.shape, EntityShape::Sphere { .. }),
+                mean_color: e.mean_color,
+            })
+            .collect();
+        queries.push(ObjectQuery {
+            name: "floor".into(),
+            description: "floor".into(),
+            is_sphere: false,
+            mean_color: [128; 3],
+        });
+        let mut materials =
+            assign(&queries, &MaterialTable::builtin(), overrides.as_ref(), &context.warnings)?;
+        let floor = materials.pop();
+        let support = set.support_height.zip(floor);
+        let scene =
+            build_scene(&settings.recording_name(), &set.entities, &materials, support, x_world_recording)?;
+        save_scene(stage.dir(), &scene)?;
+        write_mjcf(stage.dir(), &scene)?;
+        Ok(Metrics::new())
+    })?;
+    summary(context, &set);
+    context.say(format!("  in {}", shown(&scene_dir.join("scene.json"))));
+    context.print_metrics(&run)
+}
+
+/// The `[run]` table of `run.toml`.
+pub(crate) fn run_settings(run: &RunFolder) -> anyhow::Result<RunSettings> {
+    #[derive(Deserialize)]
+    struct File {
+        run: RunSettings,
+    }
+    let path = run.root().join("run.toml");
+    let text = std::fs::read_to_string(&path)?;
+    let file: File = toml::from_str(&text).map_err(|e| {
+        InputError::new("run.toml is damaged", &path, "scan again with `sms scan DIR --out RUN`").because(e)
+    })?;
+    Ok(file.run)
+}
+
+impl RunSettings {
+    /// The recording's folder name.
+    pub(crate) fn recording_name(&self) -> String {
+        let path = std::path::Path::new(&self.recording);
+        path.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
+    }
+}
+
+fn entity_metrics(set: &EntitySet) -> Metrics {
+    let dynamic: Vec<_> = set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic).collect();
+    let spheres = dynamic.iter().filter(|e| matches!(e.shape, EntityShape::Sphere { .. })).count();
+    let closed = dynamic.iter().filter(|e| e.mesh.is_closed_oriented()).count();
+    let mut m = Metrics::new();
+    m.set("entities.count", dynamic.len()).set("entities.spheres", spheres).set("entities.closed", closed);
+    m.set("entities.static", set.entities.len() - dynamic.len());
+    m
+}
+
+fn summary(context: &Context, set: &EntitySet) {
+    for e in &set.entities {
+        let what = match (&e.kind, &e.shape) {
+            (EntityKind::Static, _) => format!("static, {} triangles", e.mesh.triangles.len()),
+            (_, EntityShape::Sphere { radius, .. }) => format!("sphere, radius {:.2} mm", radius * 1e3),
+            _ => format!("{} convex parts, {:.0} cm³", e.parts.len(), e.mesh.volume() * 1e6),
+        };
+        context.say(format!("{:>16}: {what}, {:.0} % observed", e.name, 100.0 * e.observed_share));
+    }
+}
+
+/// Reads JSON of a stage that may be absent.
+pub(crate) fn read_optional<T: serde::de::DeserializeOwned>(path: &std::path::Path) -> Option<T> {
+    path.exists().then(|| atomic::read_json(path).ok()).flatten()
+}

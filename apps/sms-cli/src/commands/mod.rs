@@ -1,0 +1,69 @@
+//! One file a command. Each opens the run, runs its stages where something has changed, and prints what was made.
+
+pub(crate) mod check;
+pub(crate) mod demo;
+pub(crate) mod evaluate;
+pub(crate) mod execute;
+pub(crate) mod export;
+pub(crate) mod materialize;
+pub(crate) mod plan;
+pub(crate) mod report;
+pub(crate) mod sample;
+pub(crate) mod scan;
+pub(crate) mod simulate;
+pub(crate) mod view;
+
+use crate::context::Context;
+use sms_core::metrics::Metrics;
+use sms_core::{Hash, Hasher, RunFolder, Stage, StageState};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// The hash of a stage: the stage before it and the settings.
+pub(crate) fn inputs_hash<T: serde::Serialize>(before: &[&Hash], settings: &T) -> anyhow::Result<Hash> {
+    let mut hasher = Hasher::new();
+    for hash in before {
+        hasher.text(&hash.0);
+    }
+    hasher.text(&serde_json::to_string(settings)?);
+    Ok(hasher.finish())
+}
+
+/// Runs a stage unless it is up to date. `work` fills the stage's folder and returns metrics, which are saved with
+/// the warnings of the stage. Returns the stage's folder.
+pub(crate) fn run_stage(
+    context: &Context,
+    run: &RunFolder,
+    name: &str,
+    prefixes: &[&str],
+    hash: &Hash,
+    work: impl FnOnce(&Stage) -> anyhow::Result<Metrics>,
+) -> anyhow::Result<PathBuf> {
+    match run.begin(name, hash, context.force)? {
+        StageState::Done(dir) => Ok(dir),
+        StageState::Todo(stage) => {
+            let metrics = work(&stage)?;
+            // Metrics before the rename: a kill in between redoes the stage and writes them again.
+            context.finish(run, &[name], prefixes, metrics)?;
+            Ok(stage.commit()?)
+        }
+    }
+}
+
+/// Runs `f` and adds its seconds to the metric.
+pub(crate) fn timed(key: &str, f: impl FnOnce() -> anyhow::Result<Metrics>) -> anyhow::Result<Metrics> {
+    let began = Instant::now();
+    let mut metrics = f()?;
+    metrics.set(key, began.elapsed().as_secs_f64());
+    Ok(metrics)
+}
+
+/// Millimetres below a centimetre, centimetres above.
+pub(crate) fn length_text(metres: f64) -> String {
+    if metres.abs() < 0.01 { format!("{:.2} mm", metres * 1e3) } else { format!("{:.2} cm", metres * 1e2) }
+}
+
+/// A path for people.
+pub(crate) fn shown(path: &Path) -> String {
+    path.display().to_string()
+}

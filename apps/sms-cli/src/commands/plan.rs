@@ -1,0 +1,63 @@
+//! `sms plan`: the best action for a task.
+
+use super::materialize::run_settings;
+use super::{inputs_hash, length_text, run_stage, shown, timed};
+use crate::cli::Plan;
+use crate::context::Context;
+use sms_core::{Hash, RunFolder, Seed};
+use sms_plan::{PlanConfig, load_plan, plan, save_plan};
+use sms_scene::load_scene;
+use sms_sim::RapierFactory;
+use sms_task::Task;
+
+pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
+    let task = Task::read(&a.task)?;
+    let config = context.settings.section("plan", PlanConfig::default())?;
+    run_with(context, a, &task, &config)
+}
+
+/// The same with the planner's settings given (the demo's presets).
+pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanConfig) -> anyhow::Result<()> {
+    let run = RunFolder::open(&a.run)?;
+    let scene_dir = run.stage_dir("scene", "materialize")?;
+    let scene = load_scene(&scene_dir)?;
+    let seed = Seed(a.seed.map_or_else(|| run_settings(&run).map(|s| s.seed), Ok)?);
+    let resolved = task.resolve(&scene)?;
+    run.record_settings("plan", config)?;
+    let before = run.stage_hash("scene").unwrap_or(Hash(String::new()));
+    let hash = inputs_hash(&[&before], &(task, config, seed))?;
+    let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage| {
+        timed("plan.seconds", || {
+            let outcome = plan(
+                &resolved,
+                &scene,
+                &RapierFactory,
+                config,
+                seed,
+                context.progress.as_ref(),
+                &context.cancel,
+                &context.warnings,
+            )?;
+            save_plan(stage.dir(), &outcome)?;
+            task.write(&stage.dir().join("task.toml"))?;
+            Ok(outcome.metrics())
+        })
+    })?;
+    let plan = load_plan(&dir)?;
+    let values: Vec<String> = plan
+        .parameters
+        .iter()
+        .zip(&plan.action.0)
+        .map(|(p, v)| format!("{} {v:.4} {}", p.name, p.unit))
+        .collect();
+    context.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
+    context.say(format!("  {}", values.join(", ")));
+    context.say(format!(
+        "  predicted {} from the goal ({} in 90 % of disturbed worlds), {} rollouts",
+        length_text(plan.objective),
+        length_text(plan.objective_q90),
+        plan.evaluations
+    ));
+    context.say(format!("  in {}", shown(&dir.join("plan.json"))));
+    context.print_metrics(&run)
+}

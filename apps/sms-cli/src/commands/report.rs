@@ -1,0 +1,138 @@
+//! `sms report`: one page of everything that the run has.
+
+use super::materialize::{read_optional, run_settings};
+use super::shown;
+use crate::cli::Report;
+use crate::context::Context;
+use sms_core::metrics::Metrics;
+use sms_core::{RunFolder, Warning};
+use sms_frames::Sequence;
+use sms_gaussians::{GaussianModel, LossSample, read_ply, render_views};
+use sms_masks::load_labels;
+use sms_plan::load_plan;
+use sms_report::{LossPoint, ReportInput, ViewPair, write_report};
+use sms_scene::load_scene;
+use sms_sim::FINGER_HALF;
+use sms_task::{Execution, ResolvedTask, Task};
+use std::path::{Path, PathBuf};
+
+/// Frames shown, spread over the recording; held-out ones where there are any.
+const VIEWS: usize = 3;
+
+/// Writes the report; returns the page's path.
+pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
+    let run = RunFolder::open(&a.run)?;
+    let settings = run_settings(&run)?;
+    let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
+    let model = read_ply(&gaussians_dir.join("scene.ply"))?;
+    let scene = run.stage_dir("scene", "materialize").ok().map(|d| load_scene(&d)).transpose()?;
+    let plan_dir = run.stage_dir("plan", "plan").ok();
+    let plan = plan_dir.as_deref().map(load_plan).transpose()?;
+    let execution = run.stage_dir("target", "execute").ok().map(|d| Execution::load(&d)).transpose()?;
+    let resolved = match (&plan_dir, &scene) {
+        (Some(dir), Some(scene)) => Some(Task::read(&dir.join("task.toml"))?.resolve(scene)?),
+        _ => None,
+    };
+    let metrics = Metrics::load(&run.metrics_path())?;
+    let warnings: Vec<Warning> = read_optional(&run.warnings_path()).unwrap_or_default();
+    let views = views(&run, &model, holdout(&run))?;
+    let mut subtitle =
+        format!("{} · masks from {} · preset {}", settings.recording_name(), settings.masks, settings.preset);
+    if let Some(e) = &execution {
+        subtitle += &format!(" · executed in {}", e.engine);
+    }
+    let input = ReportInput {
+        title: title(&settings.recording, resolved.as_ref(), settings.seed),
+        subtitle,
+        views,
+        gaussians: Some(&model),
+        scene: scene.as_ref(),
+        plan: plan.as_ref(),
+        execution: execution.as_ref(),
+        goal_w: resolved.as_ref().map(|t| t.goal_w().to_array()),
+        striker_half_m: Some(FINGER_HALF.to_array()),
+        roles: resolved.as_ref().map(roles).unwrap_or_default(),
+        losses: losses(&gaussians_dir),
+        metrics,
+        warnings,
+        settings_toml: std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default(),
+    };
+    let page = write_report(&run.root().join("report"), &input)?;
+    context.say(format!("report: {}", shown(&page)));
+    #[cfg(feature = "rerun")]
+    {
+        let path = run.root().join("report").join("run.rrd");
+        sms_report::write_rrd(&path, &input)?;
+        context.say(format!("  for Rerun: {}", shown(&path)));
+    }
+    context.print_metrics(&run)?;
+    Ok(page)
+}
+
+fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
+    match task {
+        Some(task) if Path::new(recording).join("truth").is_dir() => {
+            let kind = task.kind();
+            let (first, rest) = kind.split_at(1);
+            format!("{}{rest}, seed {seed}", first.to_uppercase())
+        }
+        _ => Path::new(recording)
+            .file_name()
+            .map_or_else(|| "Scan".into(), |n| n.to_string_lossy().into_owned()),
+    }
+}
+
+fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
+    vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
+}
+
+fn holdout(run: &RunFolder) -> usize {
+    let text = std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default();
+    let table: toml::Table = text.parse().unwrap_or_default();
+    let value = table.get("scan").and_then(|s| s.get("holdout")).and_then(toml::Value::as_integer);
+    value.and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
+}
+
+fn losses(gaussians_dir: &Path) -> Vec<LossPoint> {
+    let samples: Vec<LossSample> = read_optional(&gaussians_dir.join("losses.json")).unwrap_or_default();
+    samples
+        .iter()
+        .map(|s| LossPoint {
+            step: s.step,
+            color_l1: f64::from(s.loss.color_l1),
+            depth_m: f64::from(s.loss.depth),
+            total: f64::from(s.loss.total),
+        })
+        .collect()
+}
+
+fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> anyhow::Result<Vec<ViewPair>> {
+    let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
+    let labels = load_labels(&run.stage_dir("masks", "scan DIR --out")?)?;
+    let mut candidates: Vec<usize> =
+        (0..sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect();
+    if candidates.is_empty() {
+        candidates = (0..sequence.len()).collect();
+    }
+    let count = VIEWS.min(candidates.len());
+    let chosen: Vec<usize> =
+        (0..count).map(|i| candidates[(2 * i + 1) * candidates.len() / (2 * count)]).collect();
+    let renders = render_views(model, &sequence, &chosen);
+    Ok(renders
+        .into_iter()
+        .map(|view| {
+            let frame = &sequence.frames[view.frame_index];
+            ViewPair {
+                frame_index: view.frame_index,
+                held_out: Sequence::is_held_out(view.frame_index, holdout),
+                camera: frame.camera,
+                observed_color: frame.color.clone(),
+                observed_depth: frame.depth.clone(),
+                observed_label: labels.maps[view.frame_index].clone(),
+                rendered_color: view.color,
+                rendered_depth: view.depth,
+                rendered_label: view.label,
+            }
+        })
+        .collect())
+}

@@ -1,0 +1,52 @@
+//! `sms sample`: a small generated recording with a task.
+
+use super::shown;
+use crate::cli::Sample;
+use crate::context::Context;
+use sms_core::{InputError, Seed};
+use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billiards, write_recording};
+use sms_task::{Billiards, Selector, Task};
+use std::path::Path;
+
+pub(crate) fn run(context: &Context, a: &Sample) -> anyhow::Result<()> {
+    let occupied = a.folder.read_dir().is_ok_and(|mut entries| entries.next().is_some());
+    if occupied && !a.folder.join("transforms.json").is_file() {
+        return Err(InputError::new("this folder is not empty", &a.folder, "name a new folder").into());
+    }
+    let truth = generate_billiards(Seed(a.seed), &BilliardsSettings::default());
+    let settings = RecordingSettings { seed: Seed(a.seed), ..RecordingSettings::small() };
+    write(context, &truth, &settings, &a.folder)?;
+    let folder = shown(&a.folder);
+    context.say(format!("a recording of {} objects in {folder}; now try", truth.objects.len()));
+    context.say(format!("  sms check {folder}"));
+    context.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
+    context.say("  sms materialize my-run");
+    context.say("  sms simulate my-run");
+    context.say(format!("  sms plan my-run --task {folder}/task.toml"));
+    context.say("  sms execute my-run");
+    context.say("  sms evaluate my-run");
+    context.say("  sms view my-run");
+    Ok(())
+}
+
+/// Writes a recording and its task.
+pub(crate) fn write(
+    context: &Context,
+    truth: &TruthScene,
+    settings: &RecordingSettings,
+    folder: &Path,
+) -> anyhow::Result<()> {
+    write_recording(truth, settings, folder, context.progress.as_ref(), &context.cancel)?;
+    task_of(truth).write(&folder.join("task.toml"))?;
+    Ok(())
+}
+
+/// What a user would say: strike the white ball so that the blue one reaches the goal. Nothing of the truth but the
+/// goal is in it.
+pub(crate) fn task_of(truth: &TruthScene) -> Task {
+    Task::Billiards(Billiards::new(
+        Selector::sphere_of_color("white"),
+        Selector::sphere_of_color("blue"),
+        truth.goal_w,
+    ))
+}

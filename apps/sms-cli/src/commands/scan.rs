@@ -1,0 +1,186 @@
+//! `sms scan`: recording → frames → masks → Gaussians.
+
+use super::{inputs_hash, length_text, run_stage, shown, timed};
+use crate::cli::{MasksName, PresetName, Scan};
+use crate::context::{Context, peak_bytes};
+use serde::{Deserialize, Serialize};
+use sms_core::metrics::Metrics;
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed};
+use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
+use sms_gaussians::{CpuTrainer, Preset, ScanConfig};
+use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
+use std::path::Path;
+
+/// What the command line itself chose; kept in `run.toml` for later commands.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct RunSettings {
+    /// The recording's folder.
+    pub recording: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Preset.
+    pub preset: String,
+    /// Source of the masks.
+    pub masks: String,
+}
+
+/// Runs the scan's stages; returns the open run.
+pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
+    let preset = a.preset.unwrap_or(PresetName::Standard);
+    let read = context.settings.section("read", ReadOptions::default())?;
+    let recording = Recording::open(&a.recording, &read)?;
+    let (kind, preset_name) = match preset {
+        PresetName::Draft => (Preset::Draft, "draft"),
+        PresetName::Standard => (Preset::Standard, "standard"),
+        PresetName::Fine => (Preset::Fine, "fine"),
+    };
+    let long_side = LoadSettings { long_side: kind.long_side(), ..LoadSettings::default() };
+    let frames_settings = context.settings.section("frames", long_side)?;
+    let mut scan_config = context.settings.section("scan", ScanConfig::preset(kind))?;
+    if let Some(holdout) = a.holdout {
+        scan_config.holdout = holdout;
+    }
+    let geometry = context.settings.section("masks", GeometryConfig::default())?;
+    let seed = Seed(a.seed.unwrap_or(0));
+
+    let run = RunFolder::create(&a.out)?;
+    let settings = RunSettings {
+        recording: std::path::absolute(&a.recording)?.display().to_string(),
+        seed: seed.0,
+        preset: preset_name.into(),
+        masks: format!("{:?}", a.masks).to_lowercase(),
+    };
+    run.record_settings("run", &settings)?;
+    run.record_settings("read", &read)?;
+    run.record_settings("frames", &frames_settings)?;
+    run.record_settings("scan", &scan_config)?;
+
+    let fingerprint = recording_fingerprint(&recording)?;
+    let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, a.no_check))?;
+    let frames_dir = run_stage(context, &run, "frames", &["check."], &frames_hash, |stage| {
+        let metrics = checked(context, &recording, a.no_check)?;
+        let sequence = load(
+            &recording,
+            &frames_settings,
+            context.progress.as_ref(),
+            &context.cancel,
+            &context.warnings,
+        )?;
+        sequence.save_with_settings(stage.dir(), &frames_settings)?;
+        Ok(metrics)
+    })?;
+    let sequence = Sequence::load(&frames_dir)?;
+
+    let masks_settings = (&settings.masks, (a.masks == MasksName::Geometry).then_some(&geometry));
+    let masks_hash = inputs_hash(&[&frames_hash], &masks_settings)?;
+    if a.masks == MasksName::Geometry {
+        run.record_settings("masks", &geometry)?;
+    }
+    let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage| {
+        let segmenter: Box<dyn Segmenter> = match a.masks {
+            MasksName::Geometry => Box::new(GeometryMasks { config: geometry.clone() }),
+            MasksName::Files => Box::new(FileMasks::default()),
+            MasksName::Truth => Box::new(TruthMasks),
+        };
+        let labels =
+            segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, &context.warnings)?;
+        save_labels(stage.dir(), &labels)?;
+        let mut metrics = Metrics::new();
+        metrics.set("masks.objects", labels.objects.len()).set("masks.source", settings.masks.clone());
+        Ok(metrics)
+    })?;
+    let labels = load_labels(&masks_dir)?;
+
+    // A user may have edited labels.json; the Gaussians depend on what it says now.
+    let mut edited = Hasher::new();
+    edited.file(&masks_dir.join("labels.json"))?;
+    let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&scan_config, seed))?;
+    run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage| {
+        let mut metrics = timed("scan.seconds", || {
+            let mut trainer = CpuTrainer::new(&scan_config.train, labels.class_count(), seed);
+            let result = sms_gaussians::scan(
+                &sequence,
+                &labels,
+                &scan_config,
+                seed,
+                stage.dir(),
+                &mut trainer,
+                context.progress.as_ref(),
+                &context.cancel,
+                &context.warnings,
+            )?;
+            Ok(result.metrics)
+        })?;
+        metrics.set("scan.device", "cpu");
+        if let Some(bytes) = peak_bytes() {
+            metrics.set("scan.peak_bytes", bytes);
+        }
+        Ok(metrics)
+    })?;
+    summary(context, &run, labels.objects.len())?;
+    context.print_metrics(&run)?;
+    Ok(run)
+}
+
+/// Checks the recording; a fault stops the scan unless `--no-check`.
+fn checked(context: &Context, recording: &Recording, no_check: bool) -> anyhow::Result<Metrics> {
+    let report = check(recording, context.progress.as_ref(), &context.cancel)?;
+    for finding in &report.findings {
+        if finding.severity == Severity::Fault && !no_check {
+            return Err(InputError::new(
+                finding.what.clone(),
+                &recording.root,
+                format!("{}; or scan as it is with --no-check", finding.cure),
+            )
+            .into());
+        }
+        if finding.severity != Severity::Info {
+            context.warnings.add("frames", finding.code, finding.what.clone(), finding.cure.clone());
+        }
+    }
+    Ok(report.metrics())
+}
+
+/// Content hash of everything that the recording's frames consist of.
+fn recording_fingerprint(recording: &Recording) -> anyhow::Result<Hash> {
+    let mut hasher = Hasher::new();
+    hasher.text(&std::path::absolute(&recording.root)?.display().to_string());
+    for frame in &recording.frames {
+        hasher.text(&serde_json::to_string(&(&frame.x_rc, &frame.time_s))?);
+        let files = [Some(&frame.color_path), Some(&frame.depth_path), frame.mask_path.as_ref()];
+        for path in files.into_iter().flatten() {
+            hash_file(&mut hasher, path)?;
+        }
+    }
+    Ok(hasher.finish())
+}
+
+/// A missing or unreadable image is not the fingerprint's to report: the reader names it with its cure.
+fn hash_file(hasher: &mut Hasher, path: &Path) -> anyhow::Result<()> {
+    hasher.text(&path.display().to_string());
+    if path.is_file() {
+        hasher.file(path)?;
+    }
+    Ok(())
+}
+
+fn summary(context: &Context, run: &RunFolder, objects: usize) -> anyhow::Result<()> {
+    let m = Metrics::load(&run.metrics_path())?;
+    let n = |key: &str| m.number(key);
+    let mut line = format!(
+        "scan: {} Gaussians from {} frames, {objects} objects",
+        n("scan.gaussians").unwrap_or(0.0),
+        n("scan.frames").unwrap_or(0.0)
+    );
+    if let Some(psnr) = n("scan.holdout_psnr_db") {
+        line += &format!(", {psnr:.1} dB on held-out views");
+    } else if let Some(psnr) = n("scan.train_psnr_db") {
+        line += &format!(", {psnr:.1} dB");
+    }
+    if let Some(depth) = n("scan.holdout_depth_mae_m") {
+        line += &format!(", depth error {}", length_text(depth));
+    }
+    context.say(line);
+    context.say(format!("  in {}", shown(&run.root().join("gaussians").join("scene.ply"))));
+    Ok(())
+}

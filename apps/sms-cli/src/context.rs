@@ -1,0 +1,119 @@
+//! What every command has: progress, warnings, interruption, settings.
+
+use crate::bars::Bars;
+use crate::cli::Common;
+use crate::settings::Settings;
+use anyhow::Context as _;
+use sms_core::metrics::Metrics;
+use sms_core::{Cancel, NoProgress, PlainProgress, Progress, RunFolder, Warnings};
+use std::io::IsTerminal;
+
+/// Shared by all commands of one invocation.
+pub(crate) struct Context {
+    /// Shows progress.
+    pub progress: Box<dyn Progress>,
+    /// Collects warnings of all stages.
+    pub warnings: Warnings,
+    /// Set by Ctrl-C.
+    pub cancel: Cancel,
+    /// Settings of all stages.
+    pub settings: Settings,
+    /// Redo stages even where nothing has changed.
+    pub force: bool,
+    /// Whether a command runs as a step of another (the demo), which prints the metrics itself.
+    pub part_of_a_flow: bool,
+    /// Print metrics as JSON and nothing else.
+    pub json: bool,
+}
+
+impl Context {
+    /// A context for one invocation; sets the thread pool and listens for Ctrl-C.
+    pub(crate) fn new(common: &Common, part_of_a_flow: bool) -> anyhow::Result<Self> {
+        if let Some(threads) = common.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads.max(1))
+                .build_global()
+                .context("cannot start the worker threads")?;
+        }
+        let cancel = Cancel::new();
+        let on_signal = cancel.clone();
+        ctrlc::set_handler(move || {
+            if on_signal.is_cancelled() {
+                // The second Ctrl-C does not wait for the current unit of work.
+                std::process::exit(130);
+            }
+            on_signal.cancel();
+        })
+        .context("cannot listen for Ctrl-C")?;
+        let progress: Box<dyn Progress> = if common.quiet || common.json {
+            Box::new(NoProgress)
+        } else if std::io::stderr().is_terminal() {
+            Box::new(Bars::default())
+        } else {
+            Box::new(PlainProgress::default())
+        };
+        Ok(Self {
+            progress,
+            warnings: Warnings::new(),
+            cancel,
+            settings: Settings::read(common.settings.as_deref())?,
+            force: common.force,
+            part_of_a_flow,
+            json: common.json,
+        })
+    }
+
+    /// A line for people; nothing with `--json`.
+    pub(crate) fn say(&self, line: impl std::fmt::Display) {
+        if !self.json {
+            println!("{line}");
+        }
+    }
+
+    /// Merges metrics into the run's (keys that start with one of `prefixes` are replaced as a whole), saves the
+    /// warnings of `stages`, shows them, and prints the metrics with `--json`.
+    pub(crate) fn finish(
+        &self,
+        run: &RunFolder,
+        stages: &[&str],
+        prefixes: &[&str],
+        metrics: Metrics,
+    ) -> anyhow::Result<()> {
+        let path = run.metrics_path();
+        let mut all = Metrics::load(&path)?;
+        for prefix in prefixes {
+            all.remove_prefix(prefix);
+        }
+        all.merge(metrics);
+        all.save(&path)?;
+        self.warnings.save(&run.warnings_path(), stages)?;
+        for w in self.warnings.snapshot().iter().filter(|w| stages.contains(&w.stage.as_str())) {
+            let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
+            eprintln!("warning: {}{times}{}{}", w.message, if w.cure.is_empty() { "" } else { "; " }, w.cure);
+        }
+        Ok(())
+    }
+
+    /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).
+    pub(crate) fn print_metrics(&self, run: &RunFolder) -> anyhow::Result<()> {
+        if self.json && !self.part_of_a_flow {
+            let all = Metrics::load(&run.metrics_path())?;
+            self.print_json(&all)?;
+        }
+        Ok(())
+    }
+
+    /// Prints a metrics object as JSON.
+    pub(crate) fn print_json(&self, metrics: &Metrics) -> anyhow::Result<()> {
+        let map: serde_json::Map<_, _> = metrics.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
+        println!("{}", serde_json::to_string_pretty(&map)?);
+        Ok(())
+    }
+}
+
+/// Peak resident memory of this process in bytes, where the system tells.
+pub(crate) fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+}
