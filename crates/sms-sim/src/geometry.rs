@@ -4,7 +4,7 @@ use crate::{BodyState, KinematicShape, SimError, StrikerMotion};
 use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, Segment, TriMesh};
-use sms_core::Mesh;
+use sms_core::{Aabb, Mesh};
 use sms_scene::{Body, BodyShape};
 
 /// A shape in its body's frame.
@@ -40,15 +40,19 @@ impl Part {
         !matches!(self, Self::Mesh(_))
     }
 
-    fn bounding_radius(&self) -> f64 {
-        let farthest = |points: &[DVec3]| points.iter().map(|p| p.length()).fold(0.0, f64::max);
+    /// A sphere that holds the part: centre and radius.
+    fn bounds(&self) -> (DVec3, f64) {
+        let around = |points: &[DVec3]| {
+            let center = Aabb::of_points(points.iter().copied()).map_or(DVec3::ZERO, |b| b.center());
+            (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
+        };
         match self {
-            Self::HalfSpace => f64::INFINITY,
-            Self::Sphere(radius) => *radius,
-            Self::Convex(s) => farthest(s.points()),
-            Self::Mesh(s) => farthest(s.vertices()),
-            Self::Cuboid(s) => s.half_extents.length(),
-            Self::Capsule(axis, radius) => axis.a.length() + radius,
+            Self::HalfSpace => (DVec3::ZERO, f64::INFINITY),
+            Self::Sphere(radius) => (DVec3::ZERO, *radius),
+            Self::Convex(s) => around(s.points()),
+            Self::Mesh(s) => around(s.vertices()),
+            Self::Cuboid(s) => (DVec3::ZERO, s.half_extents.length()),
+            Self::Capsule(axis, radius) => (DVec3::ZERO, axis.a.length() + radius),
         }
     }
 }
@@ -59,15 +63,34 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
 
 /// The shapes of a body.
 pub(crate) struct BodyGeometry {
-    pub(crate) parts: Vec<Part>,
+    parts: Vec<BoundedPart>,
     /// Radius of a sphere about the body's origin that holds it; infinite for a half space.
     pub(crate) bounding_radius: f64,
 }
 
+struct BoundedPart {
+    part: Part,
+    center: DVec3,
+    radius: f64,
+}
+
 impl BodyGeometry {
     fn new(parts: Vec<Part>) -> Self {
-        let bounding_radius = parts.iter().map(Part::bounding_radius).fold(0.0, f64::max);
+        let bounded = |part: Part| {
+            let (center, radius) = part.bounds();
+            BoundedPart { part, center, radius }
+        };
+        let parts: Vec<BoundedPart> = parts.into_iter().map(bounded).collect();
+        let bounding_radius = parts.iter().map(|p| p.center.length() + p.radius).fold(0.0, f64::max);
         Self { parts, bounding_radius }
+    }
+
+    /// The parts that may come within `reach` of a point `p` of the body's frame.
+    pub(crate) fn parts_near(&self, p: DVec3, reach: f64) -> impl Iterator<Item = &Part> {
+        self.parts
+            .iter()
+            .filter(move |b| b.center.distance_squared(p) <= (b.radius + reach) * (b.radius + reach))
+            .map(|b| &b.part)
     }
 
     pub(crate) fn of_body(body: &Body) -> Result<Self, SimError> {

@@ -46,7 +46,7 @@ mod striker;
 mod timing;
 mod world;
 
-pub use rapier::{RapierF64Factory, RapierFactory};
+pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestingDrift, resting_drift};
 pub use simulation::Simulation;
 pub use striker::{FINGER_HALF, SEGMENT_M, StrikerMotion};

@@ -1,7 +1,7 @@
 //! A world with contact timing, rolling resistance and the striker: what every engine shares.
 
 use crate::geometry::{BodyGeometry, Part, Path};
-use crate::timing::{Impact, TOUCH_GAP, time_of_impact};
+use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
 use crate::{BodyId, BodyState, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
 use glamx::DVec3;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -39,11 +39,11 @@ pub struct Simulation {
     states: Vec<BodyState>,
     sweeps: Vec<Sweep>,
     wrenches: Vec<(BodyId, DVec3, DVec3)>,
-    /// Simulated time.
-    time_s: f64,
+    /// Time of the world.
+    world_s: f64,
     /// Time that was asked for. The difference, at most the length of an impact's step, is made up by the next
     /// advance: an impact that begins just before the end of a step is not cut in two.
-    clock_s: f64,
+    time_s: f64,
     splits: usize,
     saved: Option<Saved>,
 }
@@ -73,8 +73,8 @@ struct Sweep {
 struct Saved {
     states: Vec<BodyState>,
     sweeps: Vec<Sweep>,
+    world_s: f64,
     time_s: f64,
-    clock_s: f64,
     splits: usize,
 }
 
@@ -105,8 +105,8 @@ impl Simulation {
             states,
             sweeps: Vec::new(),
             wrenches: Vec::new(),
+            world_s: 0.0,
             time_s: 0.0,
-            clock_s: 0.0,
             splits: 0,
             saved: None,
         })
@@ -120,7 +120,7 @@ impl Simulation {
     /// Time that was advanced, seconds. States may be up to half a millisecond older, where an impact is about to
     /// happen.
     pub fn time_s(&self) -> f64 {
-        self.clock_s
+        self.time_s
     }
 
     /// How often a step was split for an impact.
@@ -173,7 +173,7 @@ impl Simulation {
             rolling_m: 0.0,
         });
         self.states.push(BodyState { x_wb: motion.pose_at(0.0), v_w: DVec3::ZERO, w_w: DVec3::ZERO });
-        self.sweeps.push(Sweep { body, motion: *motion, start_s: self.time_s, over: false });
+        self.sweeps.push(Sweep { body, motion: *motion, start_s: self.world_s, over: false });
         body
     }
 
@@ -190,8 +190,8 @@ impl Simulation {
         self.saved = Some(Saved {
             states: self.states.clone(),
             sweeps: self.sweeps.clone(),
+            world_s: self.world_s,
             time_s: self.time_s,
-            clock_s: self.clock_s,
             splits: self.splits,
         });
         true
@@ -206,8 +206,8 @@ impl Simulation {
         self.bodies.truncate(saved.states.len());
         self.states.clone_from(&saved.states);
         self.sweeps.clone_from(&saved.sweeps);
+        self.world_s = saved.world_s;
         self.time_s = saved.time_s;
-        self.clock_s = saved.clock_s;
         self.splits = saved.splits;
         self.wrenches.clear();
         true
@@ -219,21 +219,21 @@ impl Simulation {
     /// [`SimError::Diverged`] when a state stops being finite; the simulation must then be restored or dropped.
     pub fn advance(&mut self, dt: f64) -> Result<(), SimError> {
         let steps = (dt / self.options.dt - 1e-9).ceil().max(1.0);
-        let start_s = self.clock_s;
+        let start_s = self.time_s;
         for k in 1..=steps as usize {
-            self.clock_s = start_s + dt * (k as f64 / steps);
+            self.time_s = start_s + dt * (k as f64 / steps);
             self.nominal_step()?;
         }
         self.wrenches.clear();
         Ok(())
     }
 
-    /// Steps until the clock's time, or until an impact that does not fit in before it.
+    /// Steps until the time that was asked for, or until an impact that does not fit in before it.
     fn nominal_step(&mut self) -> Result<(), SimError> {
         let supports = self.supports();
         let mut splits = 0;
         loop {
-            let left = self.clock_s - self.time_s;
+            let left = self.time_s - self.world_s;
             if left < MIN_STEP_S {
                 return Ok(());
             }
@@ -245,7 +245,7 @@ impl Simulation {
             let Some(impact) = impact else {
                 self.step(left, &supports)?;
                 // So that rounding does not add up.
-                self.time_s = self.clock_s;
+                self.world_s = self.time_s;
                 return Ok(());
             };
             if impact.time_s > MIN_STEP_S {
@@ -276,7 +276,7 @@ impl Simulation {
             if sweep.over {
                 continue;
             }
-            let t = self.time_s + dt - sweep.start_s;
+            let t = self.world_s + dt - sweep.start_s;
             sweep.over = t > sweep.motion.duration_s();
             if sweep.over {
                 self.world.set_kinematic_enabled(sweep.body, false);
@@ -284,7 +284,7 @@ impl Simulation {
             self.world.set_kinematic_target(sweep.body, sweep.motion.pose_at(t));
         }
         self.world.step(dt);
-        self.time_s += dt;
+        self.world_s += dt;
         self.refresh_states()
     }
 
@@ -295,7 +295,7 @@ impl Simulation {
                 Kind::Static => {}
                 Kind::Kinematic => {
                     let Some(sweep) = self.sweeps.iter().find(|s| s.body == body) else { continue };
-                    let t = self.time_s - sweep.start_s;
+                    let t = self.world_s - sweep.start_s;
                     *state = BodyState {
                         x_wb: sweep.motion.pose_at(t),
                         v_w: sweep.motion.velocity_at(t),
@@ -318,7 +318,7 @@ impl Simulation {
             None => Ok(()),
             Some(body) => Err(SimError::Diverged {
                 engine: self.world.engine(),
-                time_s: self.time_s,
+                time_s: self.world_s,
                 body: self.names.get(body).cloned().unwrap_or_else(|| "striker".to_owned()),
             }),
         }
@@ -346,7 +346,7 @@ impl Simulation {
                 continue;
             }
             let p = state.x_wb.inverse_transform_point(center_w);
-            for part in &body.geometry.parts {
+            for part in body.geometry.parts_near(p, radius + SUPPORT_GAP) {
                 let (nearest, inside) = part.nearest(p);
                 let distance = p.distance(nearest);
                 if inside || distance > radius + SUPPORT_GAP || distance == 0.0 {
@@ -386,13 +386,19 @@ impl Simulation {
         for (ball, body) in self.bodies.iter().enumerate() {
             let Kind::Ball { radius, .. } = body.kind else { continue };
             let path = self.path(ball, supports);
+            let center_w = self.states[ball].x_wb.translation;
             for other in 0..self.bodies.len() {
-                // A pair of balls is looked at once, from the faster one.
-                if other == ball || !self.may_meet(ball, other, horizon) {
+                let until = first.map_or(horizon, |i| i.time_s);
+                let Some(travel) = self.travel(ball, other, until) else { continue };
+                let geometry = &self.bodies[other].geometry;
+                let x_wb = &self.states[other].x_wb;
+                let reach = radius + travel;
+                let far = geometry.bounding_radius + reach;
+                if center_w.distance_squared(x_wb.translation) > far * far {
                     continue;
                 }
                 let other_path = self.path(other, supports);
-                for part in &self.bodies[other].geometry.parts {
+                for part in geometry.parts_near(x_wb.inverse_transform_point(center_w), reach) {
                     let until = first.map_or(horizon, |i| i.time_s);
                     first = time_of_impact(&path, radius, part, &other_path, until).or(first);
                 }
@@ -403,7 +409,7 @@ impl Simulation {
 
     fn path(&self, body: BodyId, supports: &[Support]) -> Path<'_> {
         if let Some(sweep) = self.sweeps.iter().find(|s| s.body == body) {
-            return Path::Sweep { motion: &sweep.motion, start_s: self.time_s - sweep.start_s };
+            return Path::Sweep { motion: &sweep.motion, start_s: self.world_s - sweep.start_s };
         }
         let is_flying = matches!(self.bodies[body].kind, Kind::Ball { .. })
             && !supports[body].touching
@@ -412,27 +418,34 @@ impl Simulation {
         Path::Free { state: &self.states[body], acceleration_w }
     }
 
-    /// Whether a ball can reach another body within `horizon` seconds, by their bounding spheres.
-    fn may_meet(&self, ball: BodyId, other: BodyId, horizon: f64) -> bool {
+    /// How much nearer a ball can come to a point of another body within `horizon` seconds, metres; `None` where
+    /// the pair is not to be looked at.
+    fn travel(&self, ball: BodyId, other: BodyId, horizon: f64) -> Option<f64> {
         let (a, b) = (&self.states[ball], &self.states[other]);
-        let is_ball = matches!(self.bodies[other].kind, Kind::Ball { .. });
-        let (slower, tie) = (a.v_w.length_squared() < b.v_w.length_squared(), a.v_w == b.v_w);
-        if is_ball && (slower || (tie && ball > other)) {
-            return false;
+        let mut speed = (a.v_w - b.v_w).length();
+        match self.bodies[other].kind {
+            _ if ball == other => return None,
+            // A pair of balls is looked at once, from the faster one.
+            Kind::Ball { .. } => {
+                let (own, its) = (a.v_w.length_squared(), b.v_w.length_squared());
+                if own < its || (own == its && ball > other) {
+                    return None;
+                }
+            }
+            Kind::Kinematic => {
+                if self.sweeps.iter().any(|s| s.body == other && s.over) {
+                    return None;
+                }
+            }
+            Kind::Dynamic => speed += b.w_w.length() * self.bodies[other].geometry.bounding_radius,
+            Kind::Static => {}
         }
-        if self.bodies[other].kind == Kind::Kinematic && self.sweeps.iter().any(|s| s.body == other && s.over)
-        {
-            return false;
+        if speed == 0.0 && self.world.is_asleep(ball) {
+            return None;
         }
-        let Kind::Ball { radius, .. } = self.bodies[ball].kind else { return false };
-        let bound = self.bodies[other].geometry.bounding_radius;
-        let mut speed = (a.v_w - b.v_w).length() + self.gravity_w.length() * horizon;
-        if bound.is_finite() {
-            speed += b.w_w.length() * bound;
-        }
-        let reach = radius + bound + speed * horizon + TOUCH_GAP;
-        // A standing pair cannot meet, however near it is.
-        speed > 1e-3 && a.x_wb.translation.distance_squared(b.x_wb.translation) < reach * reach
+        // Whether it flies or is accelerated by the finger.
+        speed += self.gravity_w.length() * horizon;
+        if speed < MIN_CLOSING_SPEED { None } else { Some(speed * horizon + TOUCH_GAP) }
     }
 }
 
@@ -463,7 +476,7 @@ impl std::fmt::Debug for Simulation {
         f.debug_struct("Simulation")
             .field("engine", &self.world.engine())
             .field("bodies", &self.names)
-            .field("time_s", &self.time_s)
+            .field("time_s", &self.world_s)
             .finish_non_exhaustive()
     }
 }

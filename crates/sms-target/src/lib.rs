@@ -1,1 +1,31 @@
-//! Target worlds in which a plan is executed; the planner never reads them.
+//! Target worlds in which a plan is carried out; the planner never reads them.
+//!
+//! [`execute`] takes a task, the planned action, the planner's scene and the truth of a generated scene, and says what
+//! really happens. The target of this crate is [`SameEngineTarget`]; other engines come behind the [`Target`] trait.
+//!
+//! ```
+//! use sms_core::Seed;
+//! use sms_synth::{BilliardsSettings, generate_billiards};
+//! use sms_target::{TargetOptions, execute, scene_from_truth};
+//! use sms_task::{Billiards, Selector, Task};
+//!
+//! let truth = generate_billiards(Seed(1), &BilliardsSettings { objects: 1, ..Default::default() });
+//! // A perfect scan; `sms materialize` gives a scene that differs from the truth.
+//! let planned = scene_from_truth(&truth)?;
+//! let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+//! let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
+//! let action = task.resolve(&planned)?.suggestions()[0].clone();
+//! let execution = execute(&task, &action, &planned, &truth, &TargetOptions::default())?;
+//! println!("{}: {:.3} m from the goal", execution.engine, execution.objective);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod execute;
+mod matching;
+mod scene;
+mod target;
+
+pub use execute::{TargetError, TargetOptions, execute, execute_on};
+pub use matching::match_bodies;
+pub use scene::scene_from_truth;
+pub use target::{SAME_ENGINE, SameEngineTarget, Target};

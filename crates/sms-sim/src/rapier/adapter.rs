@@ -29,8 +29,9 @@ const CONTACT_FREQUENCY: f64 = 200.0;
 /// slides before its friction stops it.
 const SLEEP_SPEED_BALL: f64 = 1e-3;
 const SLEEP_SPEED: f64 = 5e-3;
-/// Time below that speed until a body sleeps, seconds.
-const TIME_UNTIL_SLEEP: f64 = 0.5;
+/// Time below that speed until a body sleeps, seconds. Half of Rapier's, whose speed is ten times as large; a body
+/// must have moved less than 2.5 mm in it.
+const TIME_UNTIL_SLEEP: f64 = 0.25;
 /// Approach speed from which a contact counts as an impact, m/s.
 const IMPACT_SPEED: f64 = 5e-3;
 

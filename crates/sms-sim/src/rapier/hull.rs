@@ -3,6 +3,10 @@
 //! Parry describes the face of a convex polyhedron by its first four vertices. Of a round or many-cornered base these
 //! are neighbours, a sliver at its rim: a body that stands on such a base tips over the sliver. This shape is the same
 //! polyhedron, but describes each face by the four of its vertices that span the largest area.
+#![allow(
+    clippy::unnecessary_cast,
+    reason = "`Real` is f32 in one instance of this file and f64 in the other"
+)]
 
 use super::engine::math::{Pose, Real, Vector};
 use super::engine::parry::bounding_volume::{Aabb, BoundingSphere};

@@ -14,6 +14,23 @@ pub struct RapierFactory;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RapierF64Factory;
 
+/// Rapier in double precision under another name, for a target whose engine must not be taken for another one.
+#[derive(Debug, Clone, Copy)]
+pub struct NamedRapierF64 {
+    /// What [`WorldFactory::engine`] and every world say.
+    pub name: &'static str,
+}
+
+impl WorldFactory for NamedRapierF64 {
+    fn engine(&self) -> &'static str {
+        self.name
+    }
+
+    fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError> {
+        Ok(Box::new(double::adapter::RapierWorld::build(self.name, scene, options)?))
+    }
+}
+
 impl WorldFactory for RapierFactory {
     fn engine(&self) -> &'static str {
         "rapier3d f32"

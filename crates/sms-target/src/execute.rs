@@ -1,0 +1,129 @@
+//! Carrying out a plan in a target world.
+
+use crate::scene::carried;
+use crate::{SameEngineTarget, Target, match_bodies, scene_from_truth};
+use glamx::DVec3;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sms_core::{InertiaError, Seed};
+use sms_scene::{BodyKind, Scene};
+use sms_sim::{SimError, StrikerMotion};
+use sms_synth::TruthScene;
+use sms_task::{Action, Execution, Recording, ResolvedTask, Rollout, Task, TaskError};
+
+/// Settings of an execution.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TargetOptions {
+    /// Reruns with disturbed start positions, for the chaos floor.
+    pub chaos_runs: usize,
+    /// Half width of these disturbances, metres, in x and y of every body.
+    pub chaos_m: f64,
+    /// Time between recorded states, seconds.
+    pub record_every_s: f64,
+    /// Seed of the disturbances.
+    pub seed: Seed,
+}
+
+impl Default for TargetOptions {
+    fn default() -> Self {
+        Self { chaos_runs: 4, chaos_m: 1e-6, record_every_s: 1.0 / 120.0, seed: Seed(0) }
+    }
+}
+
+/// Errors of an execution.
+#[derive(Debug, thiserror::Error)]
+pub enum TargetError {
+    /// The task does not fit the planner's scene.
+    #[error(transparent)]
+    Task(#[from] TaskError),
+    /// The target's world could not be built or blew up.
+    #[error(transparent)]
+    Sim(#[from] SimError),
+    /// The truth names masses that no body has.
+    #[error("the truth cannot be simulated: {0}")]
+    Truth(#[from] InertiaError),
+}
+
+/// Carries out a planned action in the true scene, on [`SameEngineTarget`].
+///
+/// The action is what was planned: the task is resolved against the *planner's* scene, which gives the robot's motion
+/// in world coordinates, and the robot repeats that motion whatever is really there. The objective is measured on the
+/// true body in the place of the planner's target ball, or where none is there, on the scene's true target ball.
+///
+/// # Errors
+/// [`TargetError`].
+pub fn execute(
+    task: &Task,
+    action: &Action,
+    planned_scene: &Scene,
+    truth: &TruthScene,
+    options: &TargetOptions,
+) -> Result<Execution, TargetError> {
+    execute_on(&SameEngineTarget, task, action, planned_scene, truth, options)
+}
+
+/// [`execute`] on a given target.
+///
+/// # Errors
+/// [`TargetError`].
+pub fn execute_on(
+    target: &dyn Target,
+    task: &Task,
+    action: &Action,
+    planned_scene: &Scene,
+    truth: &TruthScene,
+    options: &TargetOptions,
+) -> Result<Execution, TargetError> {
+    let task = task.resolve(planned_scene)?;
+    let motion = task.strike(action);
+    // The truth is in the recording's world, the plan in the one that the recording was aligned to.
+    let true_scene = carried(scene_from_truth(truth)?, &planned_scene.x_world_recording);
+    let matches = match_bodies(planned_scene, &true_scene);
+    let ball = matches
+        .iter()
+        .find(|(planned, _)| *planned == task.target().name)
+        .map_or(truth.target.as_str(), |(_, name)| name.as_str());
+
+    let run = |scene: &Scene, recording| rollout(target, &task, &motion, scene, ball, recording);
+    let recording = Recording { every_s: options.record_every_s };
+    let realised = run(&true_scene, Some(recording))?;
+    let mut chaos_floor = 0.0f64;
+    for index in 0..options.chaos_runs {
+        let moved = run(&disturbed(&true_scene, options, index), None)?;
+        chaos_floor = chaos_floor.max((moved.objective - realised.objective).abs());
+    }
+    Ok(Execution {
+        engine: target.label().to_owned(),
+        objective: realised.objective,
+        objective_unit: task.objective_unit().to_owned(),
+        success: task.is_success(realised.objective),
+        chaos_floor,
+        trajectory: realised.trajectory.unwrap_or_default(),
+        matches,
+    })
+}
+
+fn rollout(
+    target: &dyn Target,
+    task: &ResolvedTask,
+    motion: &StrikerMotion,
+    scene: &Scene,
+    ball: &str,
+    recording: Option<Recording>,
+) -> Result<Rollout, TargetError> {
+    let bodies = task.bodies_in(scene, ball)?;
+    let mut simulation = target.simulation(scene, &task.world_options())?;
+    Ok(task.rollout(&mut simulation, motion, &bodies, recording)?)
+}
+
+/// The scene with every dynamic body moved by up to `chaos_m` along x and y.
+fn disturbed(scene: &Scene, options: &TargetOptions, index: usize) -> Scene {
+    let mut rng = options.seed.derive_index("chaos floor", index as u64).rng();
+    let mut offset = || options.chaos_m * rng.random_range(-1.0..=1.0f64);
+    let mut scene = scene.clone();
+    for body in scene.bodies.iter_mut().filter(|b| b.kind == BodyKind::Dynamic) {
+        body.x_wb.translation += DVec3::new(offset(), offset(), 0.0);
+    }
+    scene
+}

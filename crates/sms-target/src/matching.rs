@@ -1,0 +1,101 @@
+//! Which reconstructed body is which true one.
+
+use glamx::DVec3;
+use sms_core::Aabb;
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
+
+/// Least share of the union of both boxes that their intersection must have.
+const MIN_OVERLAP: f64 = 0.1;
+
+/// Pairs (planner's body, target's body) of dynamic bodies that are in the same place: those whose boxes in the world
+/// overlap most come first, each body is in at most one pair, and boxes that share less than a tenth of their union
+/// are no pair. Both scenes are in the same world. The result is in the order of the planner's bodies.
+pub fn match_bodies(planned: &Scene, truth: &Scene) -> Vec<(String, String)> {
+    let (own, other) = (boxes(planned), boxes(truth));
+    let mut candidates: Vec<(f64, usize, usize)> = Vec::new();
+    for (i, (_, a)) in own.iter().enumerate() {
+        for (j, (_, b)) in other.iter().enumerate() {
+            let overlap = intersection_over_union(a, b);
+            if overlap >= MIN_OVERLAP {
+                candidates.push((overlap, i, j));
+            }
+        }
+    }
+    candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut partner: Vec<Option<usize>> = vec![None; own.len()];
+    for (_, i, j) in candidates {
+        if partner[i].is_none() && !partner.contains(&Some(j)) {
+            partner[i] = Some(j);
+        }
+    }
+    let name = |(a, j): (&(&Body, Aabb), Option<usize>)| Some((a.0.name.clone(), other[j?].0.name.clone()));
+    own.iter().zip(partner).filter_map(name).collect()
+}
+
+fn boxes(scene: &Scene) -> Vec<(&Body, Aabb)> {
+    let dynamic = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
+    dynamic.filter_map(|b| Some((b, aabb_w(b)?))).collect()
+}
+
+fn aabb_w(body: &Body) -> Option<Aabb> {
+    let in_world = |p: &DVec3| body.x_wb.transform_point(*p);
+    match &body.shape {
+        BodyShape::Sphere { radius } => {
+            let center = body.x_wb.translation;
+            Some(Aabb { min: center - *radius, max: center + *radius })
+        }
+        BodyShape::HalfSpace => None,
+        BodyShape::Hulls { hulls } => {
+            Aabb::of_points(hulls.iter().flat_map(|h| h.vertices.iter().map(in_world)))
+        }
+        BodyShape::TriMesh { mesh } => Aabb::of_points(mesh.vertices.iter().map(in_world)),
+    }
+}
+
+fn intersection_over_union(a: &Aabb, b: &Aabb) -> f64 {
+    let common = (a.max.min(b.max) - a.min.max(b.min)).max(DVec3::ZERO).element_product();
+    let union = a.extents().element_product() + b.extents().element_product() - common;
+    if union > 0.0 { common / union } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use sms_core::sphere_mass_properties;
+    use sms_scene::{SCENE_VERSION, example_material, floor_body};
+
+    fn scene(balls: &[(&str, f64, f64)]) -> Scene {
+        let ball = |&(name, x, radius): &(&str, f64, f64)| Body {
+            name: name.into(),
+            kind: BodyKind::Dynamic,
+            x_wb: DPose3::from_translation(DVec3::new(x, 0.0, 0.03)),
+            shape: BodyShape::Sphere { radius },
+            mass: Some(sphere_mass_properties(DVec3::ZERO, radius, 1000.0).unwrap()),
+            ..floor_body(0.0, example_material())
+        };
+        let floor = floor_body(0.0, example_material());
+        Scene {
+            version: SCENE_VERSION,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z,
+            x_world_recording: DPose3::IDENTITY,
+            bodies: [floor].into_iter().chain(balls.iter().map(ball)).collect(),
+        }
+    }
+
+    #[test]
+    fn bodies_in_the_same_place_are_matched_whatever_their_order_and_names() {
+        let planned = scene(&[("ghost", 2.0, 0.03), ("a", 0.101, 0.029), ("b", 0.5, 0.03)]);
+        let truth = scene(&[("target", 0.5, 0.03), ("cue", 0.1, 0.03), ("unseen", 0.9, 0.03)]);
+        let pairs = match_bodies(&planned, &truth);
+        assert_eq!(pairs, [("a".to_owned(), "cue".to_owned()), ("b".to_owned(), "target".to_owned())]);
+    }
+
+    #[test]
+    fn the_better_of_two_candidates_wins() {
+        let planned = scene(&[("far", 0.02, 0.03), ("near", 0.001, 0.03)]);
+        let truth = scene(&[("ball", 0.0, 0.03)]);
+        assert_eq!(match_bodies(&planned, &truth), [("near".to_owned(), "ball".to_owned())]);
+    }
+}
