@@ -52,23 +52,21 @@ pub(crate) fn label_frames(
 fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &GeometryConfig) -> LabelMap {
     let (w, h) = frame.depth.size();
     let mut map = Image::filled(w, h, BACKGROUND);
-    let mut seen = visible(frame, surfels, labels);
-    seen.sort_by_key(|s| s.pixel);
-    let mut start = vec![0u32; w * h + 1];
-    seen.iter().for_each(|s| start[s.pixel as usize + 1] += 1);
-    for i in 1..start.len() {
-        start[i] += start[i - 1];
-    }
-    // The ray may meet a surfel's disc so many pixels away from where its centre projects.
-    let nearest =
-        seen.iter().filter(|s| s.label != BACKGROUND).map(|s| s.p_c.z).fold(f64::INFINITY, f64::min);
+    let mut seen = visible(frame, surfels, labels, |label, _| label != BACKGROUND);
+    let nearest = seen.iter().map(|s| s.p_c.z).fold(f64::INFINITY, f64::min);
     if !nearest.is_finite() {
         return map;
     }
+    // The ray may meet a surfel's disc so many pixels away from where its centre projects.
     let k = &frame.camera.intrinsics;
     let reach = ((REACH * config.voxel_m * k.fx.max(k.fy) / nearest).ceil() as usize).clamp(1, 12);
+    // All other pixels are background, whatever is seen there.
+    let near = around(&seen, (w, h), reach);
+    let wanted = around(&seen, (w, h), 2 * reach);
+    seen.extend(visible(frame, surfels, labels, |label, pixel| label == BACKGROUND && wanted[pixel]));
+    let (start, seen) = by_pixel(&seen, w * h);
     let mut candidates = Vec::new();
-    for (x, y) in near_objects(&seen, (w, h), reach) {
+    for (x, y) in (0..w * h).filter(|&i| near[i]).map(|i| (i % w, i / w)) {
         let d = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0);
         candidates.clear();
         for j in y.saturating_sub(reach)..(y + reach + 1).min(h) {
@@ -92,42 +90,69 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
 }
 
 /// Largest distance of a ray from a surfel, in cells.
-const REACH: f64 = 1.6;
+const REACH: f64 = 1.25;
 
-fn visible(frame: &Frame, surfels: &[Surfel], labels: &[u16]) -> Vec<Seen> {
+/// The surfels in front of the camera whose label and pixel `keep` accepts.
+fn visible(
+    frame: &Frame,
+    surfels: &[Surfel],
+    labels: &[u16],
+    keep: impl Fn(u16, usize) -> bool,
+) -> Vec<Seen> {
     let camera = &frame.camera;
     let x_cw = camera.x_wc.inverse();
+    let r_cw = glamx::DMat3::from_quat(x_cw.rotation);
     let k = &camera.intrinsics;
     let mut seen = Vec::new();
     for (s, &label) in surfels.iter().zip(labels) {
-        let p_c = x_cw.transform_point(s.p_w);
+        let p_c = r_cw * s.p_w + x_cw.translation;
         if p_c.z < 0.02 {
             continue;
         }
-        let n_c = x_cw.rotation * s.n_w;
         let Some((x, y)) = camera.pixel_at(k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy) else {
             continue;
         };
-        seen.push(Seen { pixel: (y * k.width + x) as u32, label, p_c, n_c });
+        let pixel = y * k.width + x;
+        if keep(label, pixel) {
+            let n_c = r_cw * s.n_w;
+            // Surfels that face away hide nothing that another surfel does not.
+            if n_c.dot(p_c) < 0.0 {
+                seen.push(Seen { pixel: pixel as u32, label, p_c, n_c });
+            }
+        }
     }
     seen
 }
 
-/// The pixels with a surfel of an object within `reach`; all others are background.
-fn near_objects(seen: &[Seen], (w, h): (usize, usize), reach: usize) -> Vec<(usize, usize)> {
+/// Sorted by pixel, with the position of each pixel's first (counting sort; equal pixels keep their order).
+fn by_pixel(seen: &[Seen], pixels: usize) -> (Vec<u32>, Vec<Seen>) {
+    let mut start = vec![0u32; pixels + 1];
+    seen.iter().for_each(|s| start[s.pixel as usize + 1] += 1);
+    for i in 1..start.len() {
+        start[i] += start[i - 1];
+    }
+    let mut next = start.clone();
+    let mut sorted = seen.to_vec();
+    for s in seen {
+        let slot = &mut next[s.pixel as usize];
+        sorted[*slot as usize] = *s;
+        *slot += 1;
+    }
+    (start, sorted)
+}
+
+/// Which pixels have one of these surfels within `reach` pixels.
+fn around(seen: &[Seen], (w, h): (usize, usize), reach: usize) -> Vec<bool> {
+    let mut holds = vec![false; w * h];
+    seen.iter().for_each(|s| holds[s.pixel as usize] = true);
     let mut near = vec![false; w * h];
-    let mut last = u32::MAX;
-    for s in seen.iter().filter(|s| s.label != BACKGROUND) {
-        if s.pixel == last {
-            continue;
-        }
-        last = s.pixel;
-        let (x, y) = (s.pixel as usize % w, s.pixel as usize / w);
+    for i in (0..w * h).filter(|&i| holds[i]) {
+        let (x, y) = (i % w, i / w);
         for j in y.saturating_sub(reach)..(y + reach + 1).min(h) {
             near[j * w + x.saturating_sub(reach)..j * w + (x + reach + 1).min(w)].fill(true);
         }
     }
-    (0..w * h).filter(|&i| near[i]).map(|i| (i % w, i / w)).collect()
+    near
 }
 
 /// The winning label of the candidates of one pixel.
