@@ -22,6 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         _ => Box::new(FileMasks::default()),
     };
     let labels = segmenter.segment(&sequence, &progress, &cancel, &warnings)?;
+    let progress = sms_core::PlainProgress::new(std::time::Duration::ZERO);
     let began = std::time::Instant::now();
     let config = EntitiesConfig::default();
     let model = GaussianModel::default();

@@ -2,16 +2,19 @@
 
 use crate::cloud::{self, Disc};
 use crate::config::EntitiesConfig;
+use crate::contact;
 use crate::environment;
+use crate::grid::{PointGrid, quantile};
 use crate::mesher::{self, MeshInput, MeshPath};
 use crate::sphere::{self, RaySample, SphereFit};
 use crate::support::{self, Carrier, Rest, Surroundings};
-use crate::underside::contact_points;
+use crate::underside::{contact_points, is_over, outline_on_plane};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
 use sms_core::{
-    Cancel, Entity, EntityKind, EntityShape, LabelInfo, Labels, Mesh, PointCloud, Progress, Seed, Warnings,
+    Cancel, Entity, EntityKind, EntityShape, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Progress, Seed,
+    Warnings,
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
@@ -56,6 +59,9 @@ pub fn build_entities(
         let object_seed = seed.derive_index("object", u64::from(info.id));
         drafts.extend(draft(model, &views, &around, support_height, info, config, object_seed, warnings));
     }
+    if labels.source == MaskSource::Geometry {
+        join_pieces(&mut drafts, &views, config, seed, warnings);
+    }
     let mut entities = Vec::new();
     for (i, draft) in drafts.iter().enumerate() {
         cancel.check()?;
@@ -65,11 +71,24 @@ pub fn build_entities(
             None => mesh_entity(draft, &views, config, spacing, warnings),
         });
     }
+    for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
+        let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
+        let message =
+            format!("`{a}` and `{b}` overlapped by {:.1} mm; they were cut apart", 1e3 * overlap.depth);
+        warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
+    }
     cancel.check()?;
     if config.environment.enabled {
         progress.update(2 * count, "environment");
         let rests: Vec<(u16, Rest)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
-        entities.extend(environment::environment_entity(&views, &entities, &rests, support_height, config));
+        entities.extend(environment::environment_entity(
+            &views,
+            &around,
+            &entities,
+            &rests,
+            support_height,
+            config,
+        ));
     }
     progress.end(&format!("{} entities", entities.len()));
     Ok(EntitySet { entities, support_height })
@@ -159,6 +178,67 @@ fn draft(
     drop_carrier_points(&mut cloud, &rest);
     let sphere = recognise_sphere(&cloud, views, info.id, &rest, config, seed);
     Some(Draft { info: info.clone(), cloud, rest, sphere })
+}
+
+/// What touches another object but could not stay where it is by itself is a piece of that object that its mask
+/// lost: a head on a statue, a nose on a bear. It is joined to it. What lies on another object (a stack) stays apart.
+/// For masks from geometry only: those of people and networks mean what they say.
+fn join_pieces(
+    drafts: &mut Vec<Draft>,
+    views: &Views,
+    config: &EntitiesConfig,
+    seed: Seed,
+    warnings: &Warnings,
+) {
+    let reach = 2.0 * cloud::spacing(config);
+    let mut i = 0;
+    while i < drafts.len() {
+        let points = &drafts[i].cloud.points_w;
+        let touches = |j: &usize| {
+            let grid = PointGrid::new(&drafts[*j].cloud.points_w, reach);
+            let gaps = points.iter().filter_map(|&p| grid.nearest(p)).map(|n| n.0).collect();
+            *j != i && quantile(gaps, 0.05) < reach
+        };
+        let size = |j: usize| drafts[j].cloud.points_w.len();
+        let host = (0..drafts.len()).filter(touches).max_by_key(|&j| size(j)).filter(|&j| {
+            let carried = matches!(drafts[i].rest.carrier, Carrier::Object(_) | Carrier::Unseen);
+            !can_stay(&drafts[i]) || (carried && 4 * points.len() < size(j))
+        });
+        let Some(host) = host else {
+            i += 1;
+            continue;
+        };
+        let piece = drafts.remove(i);
+        let host = &mut drafts[if host > i { host - 1 } else { host }];
+        host.cloud.points_w.extend(piece.cloud.points_w);
+        host.cloud.normals_w.extend(piece.cloud.normals_w);
+        host.cloud.colors.extend(piece.cloud.colors);
+        host.sphere = recognise_sphere(&host.cloud, views, host.info.id, &host.rest, config, seed);
+        let message = format!(
+            "`{}` cannot stand by itself and touches `{}`: they were joined",
+            piece.info.name, host.info.name
+        );
+        warnings.add(STAGE, "pieces_joined", message, "correct the masks if they are two things");
+        // The host may stand now, or have grown to touch another: look again from the start.
+        i = 0;
+    }
+}
+
+/// Whether an object would stay where it was seen: it stands on the floor or the environment, or it lies flat on
+/// another object with its middle over the contact.
+fn can_stay(draft: &Draft) -> bool {
+    let plane = &draft.rest.plane;
+    let points = &draft.cloud.points_w;
+    let lowest = quantile(points.iter().map(|&p| plane.height_over(p)).collect(), 0.02);
+    match draft.rest.carrier {
+        Carrier::Unseen => false,
+        Carrier::Floor | Carrier::Environment => lowest < 0.015,
+        Carrier::Object(_) => {
+            let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
+            let foot = outline_on_plane(points, plane, 0.01, 0.0);
+            draft.sphere.is_none() && lowest < 0.01 && foot.len() >= 3 && is_over(&foot, plane, middle)
+        }
+    }
 }
 
 /// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own.

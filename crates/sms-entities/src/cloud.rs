@@ -2,8 +2,9 @@
 
 use crate::config::EntitiesConfig;
 use crate::grid::{PointGrid, median};
+use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
-use glamx::{DMat3, DVec3};
+use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{PointCloud, Seed};
 use sms_gaussians::GaussianModel;
@@ -154,29 +155,40 @@ pub(crate) fn drop_islands(discs: Vec<Disc>, spacing: f64) -> Vec<Disc> {
 /// Indices of points that keep `distance` from each other, in order; points on opposite sides of a thin wall do not
 /// see each other.
 pub(crate) fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
-    let mut cells: std::collections::BTreeMap<[i64; 3], Vec<usize>> = std::collections::BTreeMap::new();
+    const EMPTY: u32 = u32::MAX;
+    let Some(bounds) = sms_core::Aabb::of_points(points.iter().copied()) else { return Vec::new() };
+    let mut cell = distance;
+    while (bounds.extents() / cell + DVec3::splat(3.0)).to_array().iter().product::<f64>() > 4e6 {
+        cell *= 1.5;
+    }
+    // A rim of empty cells all round spares the bounds checks; kept points are chained within their cell.
+    let size = (bounds.extents() / cell).to_array().map(|v| v as usize + 3);
+    let mut head = vec![EMPTY; size.iter().product()];
+    let mut next = vec![EMPTY; points.len()];
     let mut kept = Vec::new();
     let limit = distance * distance;
     for (i, &p) in points.iter().enumerate() {
-        let cell = (p / distance).floor().to_array().map(|v| v as i64);
+        let at = ((p - bounds.min) / cell).to_array().map(|v| v as usize + 1);
         let mut blocked = false;
-        'search: for dx in -1..=1 {
-            for dy in -1..=1 {
-                for dz in -1..=1 {
-                    let Some(there) = cells.get(&[cell[0] + dx, cell[1] + dy, cell[2] + dz]) else {
-                        continue;
-                    };
-                    blocked = there
-                        .iter()
-                        .any(|&j| points[j].distance_squared(p) < limit && normals[j].dot(normals[i]) > 0.3);
-                    if blocked {
-                        break 'search;
+        'search: for z in at[2] - 1..=at[2] + 1 {
+            for y in at[1] - 1..=at[1] + 1 {
+                for x in at[0] - 1..=at[0] + 1 {
+                    let mut j = head[(z * size[1] + y) * size[0] + x];
+                    while j != EMPTY {
+                        let k = j as usize;
+                        if points[k].distance_squared(p) < limit && normals[k].dot(normals[i]) > 0.3 {
+                            blocked = true;
+                            break 'search;
+                        }
+                        j = next[k];
                     }
                 }
             }
         }
         if !blocked {
-            cells.entry(cell).or_default().push(i);
+            let slot = &mut head[(at[2] * size[1] + at[1]) * size[0] + at[0]];
+            next[i] = *slot;
+            *slot = i as u32;
             kept.push(i);
         }
     }
@@ -249,35 +261,23 @@ pub(crate) fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
     let smoothed: Vec<DVec3> = (0..cloud.points_w.len())
         .map(|i| {
             let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
-            let (mut sum, mut mean, mut weight, mut near) = (DVec3::ZERO, DVec3::ZERO, 0.0, Vec::new());
+            let (mut sum, mut near) = (DVec3::ZERO, Vec::new());
             grid.for_each_within(p, radius, |j, d| {
                 let like = cloud.normals_w[j].dot(n);
                 if like > 0.5 {
                     let w = (1.0 - d / (radius * radius)) * like;
                     sum += cloud.normals_w[j] * w;
-                    mean += cloud.points_w[j] * w;
-                    weight += w;
-                    near.push((j, w));
+                    near.push((cloud.points_w[j], w));
                 }
             });
             let average = sum.normalize_or(n);
-            if near.len() < 6 || weight <= 0.0 {
+            if near.len() < 6 {
                 return average;
             }
-            mean /= weight;
-            let mut scatter = DMat3::ZERO;
-            for (j, w) in near {
-                let d = cloud.points_w[j] - mean;
-                scatter += DMat3::from_cols(d * d.x, d * d.y, d * d.z) * w;
-            }
-            let eigen = glamx::DSymmetricEigen3::new(scatter);
-            let values = eigen.eigenvalues.to_array();
-            let vectors = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
-            let mut by_size = [0, 1, 2];
-            by_size.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-            let flat = values[by_size[0]] < 0.1 * values[by_size[1]];
-            let fit = vectors[by_size[0]];
-            let fit = if fit.dot(average) < 0.0 { -fit } else { fit };
+            let axes = scatter(near.iter().copied()).and_then(|(moments, _)| principal_axes(moments));
+            let Some((values, axes)) = axes else { return average };
+            let flat = values[0] < 0.1 * values[1];
+            let fit = if axes[0].dot(average) < 0.0 { -axes[0] } else { axes[0] };
             if flat && fit.dot(average) > 0.7 { (average + fit).normalize() } else { average }
         })
         .collect();

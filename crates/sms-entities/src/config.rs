@@ -120,7 +120,7 @@ pub struct ConvexConfig {
 
 impl Default for ConvexConfig {
     fn default() -> Self {
-        Self { max_parts: 16, max_vertices: 64, concavity: 0.04, concavity_floor: 0.003 }
+        Self { max_parts: 16, max_vertices: 64, concavity: 0.035, concavity_floor: 0.0035 }
     }
 }
 

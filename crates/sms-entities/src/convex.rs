@@ -46,11 +46,11 @@ pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
 
 fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Mesh>> {
     let size = mesh.aabb()?.extents().max_element();
-    let solid = VoxelSolid::new(mesh, 64)?;
-    let threshold = (config.concavity * size).max(config.concavity_floor).max(1.5 * solid.cell());
+    let solid = VoxelSolid::new(mesh, 80)?;
+    let threshold = (config.concavity * size).max(config.concavity_floor).max(1.2 * solid.cell());
     let all = (0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect();
     let mut pieces = vec![piece(all, &solid)?];
-    let most = 3 * config.max_parts.max(1);
+    let most = 2 * config.max_parts.max(1);
     while pieces.len() < most {
         let worst = (0..pieces.len())
             .max_by(|&a, &b| pieces[a].concavity.total_cmp(&pieces[b].concavity).then(b.cmp(&a)))?;
@@ -118,7 +118,7 @@ fn best_cut(piece: &Piece, solid: &VoxelSolid) -> Option<(Piece, Piece)> {
 }
 
 /// The triangles below and above a plane, cut where they cross it.
-fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
+pub(crate) fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
     let (mut below, mut above) = (Vec::new(), Vec::new());
     for t in triangles {
         let h = t.map(|p| p.dot(n) - d);

@@ -3,9 +3,9 @@
 use crate::config::EntitiesConfig;
 use crate::grid::PointGrid;
 use crate::refine;
-use crate::support::{Carrier, Plane, Rest};
+use crate::support::{Carrier, Plane, Rest, Surroundings};
 use crate::tsdf::Tsdf;
-use crate::underside::outline_on_plane;
+use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
@@ -14,14 +14,15 @@ use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointClo
 const CLEARANCE: f64 = 0.008;
 /// Connected surface smaller than this is noise, m².
 const MIN_AREA: f64 = 4e-4;
-/// Largest error of decimation, metres.
-const DECIMATION_ERROR: f64 = 0.002;
+/// Errors of decimation that are tried in turn until the face budget is met, metres.
+const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 
 /// The static environment near the objects as an open mesh that faces free space, without the support plane (a half
 /// space stands for it), and with flat patches under the objects that rest on it, where no camera could see.
 /// `rests[i]` is what object `i` rests on. `None` where nothing but the support plane was seen.
 pub(crate) fn environment_entity(
     views: &Views,
+    around: &Surroundings,
     objects: &[Entity],
     rests: &[(u16, Rest)],
     support_height: Option<f64>,
@@ -37,7 +38,13 @@ pub(crate) fn environment_entity(
     let tsdf = Tsdf::fuse(views, &region, settings.voxel, is_floor);
     let mut mesh = tsdf.surface();
     smooth_open(&mut mesh, 0.5 * settings.voxel);
-    let own: Vec<DVec3> = objects.iter().flat_map(|e| e.cloud.points_w.iter().copied()).collect();
+    let own: Vec<DVec3> = objects
+        .iter()
+        .flat_map(|e| {
+            let faces = (0..e.mesh.triangles.len()).map(|t| e.mesh.corners(t).iter().sum::<DVec3>() / 3.0);
+            e.cloud.points_w.iter().chain(&e.mesh.vertices).copied().chain(faces)
+        })
+        .collect();
     let own = PointGrid::new(&own, CLEARANCE);
     let patches: Vec<(Vec<DVec3>, Plane)> = objects
         .iter()
@@ -67,7 +74,12 @@ pub(crate) fn environment_entity(
             append(&mut out, &part);
         }
     }
-    let mut mesh = refine::simplify(&out, settings.face_budget, DECIMATION_ERROR);
+    let mut mesh = out;
+    for error in DECIMATION_ERRORS {
+        if mesh.triangles.len() > settings.face_budget {
+            mesh = refine::simplify(&mesh, settings.face_budget, error);
+        }
+    }
     for (outline, _) in &patches {
         let fan = (1..outline.len() - 1).map(|k| [0, k as u32, k as u32 + 1]).collect();
         append(&mut mesh, &Mesh::new(outline.clone(), fan));
@@ -75,7 +87,7 @@ pub(crate) fn environment_entity(
     if mesh.triangles.is_empty() {
         return None;
     }
-    let cloud = background_cloud(views, &mesh, settings.voxel);
+    let cloud = background_cloud(around, &mesh, 4.0 * settings.voxel);
     mesh.colors = refine::colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.voxel);
     let stride = cloud.points_w.len().div_ceil(500).max(1);
     let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
@@ -101,14 +113,6 @@ fn append(mesh: &mut Mesh, part: &Mesh) {
     mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + offset)));
 }
 
-/// Whether `p` lies over the convex outline, seen along the plane's normal.
-fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
-    (0..outline.len()).all(|i| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).cross(p - a).dot(plane.normal) >= 0.0
-    })
-}
-
 /// Taubin smoothing that leaves the rim of an open mesh where it is.
 fn smooth_open(mesh: &mut Mesh, limit: f64) {
     let mut edges: std::collections::BTreeMap<(u32, u32), i32> = Default::default();
@@ -127,47 +131,22 @@ fn smooth_open(mesh: &mut Mesh, limit: f64) {
     refine::taubin(mesh, &rim, 6, limit);
 }
 
-/// Unlabelled measured points on the mesh, thinned, with colours.
-fn background_cloud(views: &Views, mesh: &Mesh, voxel: f64) -> PointCloud {
-    let Some(bounds) = mesh.aabb() else { return PointCloud::default() };
-    let mut taken = std::collections::BTreeSet::new();
+/// The unlabelled surroundings that the mesh represents.
+fn background_cloud(around: &Surroundings, mesh: &Mesh, reach: f64) -> PointCloud {
+    let mut on_mesh: Vec<DVec3> = mesh.vertices.clone();
+    on_mesh.extend((0..mesh.triangles.len()).map(|t| mesh.corners(t).iter().sum::<DVec3>() / 3.0));
+    let grid = PointGrid::new(&on_mesh, reach);
     let mut cloud = PointCloud::default();
-    let (low, high) = (bounds.min - DVec3::splat(voxel), bounds.max + DVec3::splat(voxel));
-    for (f, frame) in views.sequence.frames.iter().enumerate() {
-        let map = &views.labels.maps[f];
-        for (i, &label) in map.data.iter().enumerate() {
-            let (x, y) = (i % map.width, i / map.width);
-            let depth = f64::from(frame.depth.data[i]);
-            let n = frame.normal_c.data[i].map(f64::from);
-            if label != BACKGROUND || depth <= 0.0 || n == [0.0; 3] {
-                continue;
-            }
-            let p = frame.camera.unproject_pixel(x, y, depth);
-            if p.cmplt(low).any() || p.cmpgt(high).any() {
-                continue;
-            }
-            if taken.insert((p / (1.5 * voxel)).floor().to_array().map(|v| v as i64)) {
-                cloud.points_w.push(p);
-                cloud.normals_w.push(frame.camera.x_wc.rotation * DVec3::from_array(n));
-                cloud.colors.push(frame.color.data[i]);
-            }
+    for i in 0..around.points.len() {
+        let mut near = false;
+        if around.labels[i] == BACKGROUND {
+            grid.for_each_within(around.points[i], reach, |_, _| near = true);
+        }
+        if near {
+            cloud.points_w.push(around.points[i]);
+            cloud.normals_w.push(around.normals[i]);
+            cloud.colors.push(around.colors[i]);
         }
     }
-    // The plane itself, and what was cut away, are not on the mesh.
-    let centers: Vec<DVec3> =
-        (0..mesh.triangles.len()).map(|t| mesh.corners(t).iter().sum::<DVec3>() / 3.0).collect();
-    let mut on_mesh: Vec<DVec3> = mesh.vertices.clone();
-    on_mesh.extend(centers);
-    let grid = PointGrid::new(&on_mesh, 4.0 * voxel);
-    let keep: Vec<bool> = cloud
-        .points_w
-        .iter()
-        .map(|&p| {
-            let mut near = false;
-            grid.for_each_within(p, 4.0 * voxel, |_, _| near = true);
-            near
-        })
-        .collect();
-    crate::cloud::retain(&mut cloud, &keep);
     cloud
 }

@@ -9,7 +9,8 @@
 //! 3. `sphere`: round objects become spheres, whatever they are called.
 //! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes.
 //! 5. `convex`: meshes are split into convex parts for physics.
-//! 6. `environment`: the unlabelled rest becomes a static triangle mesh.
+//! 6. `contact`: parts of different objects that overlap are cut apart.
+//! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
 //!
 //! ```
 //! use sms_core::{Mesh, Seed, glamx::DVec3};
@@ -29,6 +30,7 @@
 mod build;
 mod cloud;
 mod config;
+mod contact;
 mod convex;
 mod delaunay;
 mod environment;
@@ -39,6 +41,7 @@ mod hull;
 mod inside;
 mod maxflow;
 mod mesher;
+mod pca;
 mod predicates;
 mod refine;
 mod save;

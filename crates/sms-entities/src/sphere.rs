@@ -50,27 +50,35 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
     let mut rng = seed.derive("sphere").rng();
     let stride = points.len().div_ceil(3000);
     let sample: Vec<DVec3> = points.iter().copied().step_by(stride).collect();
-    let mut best: Option<(f64, DVec3, f64)> = None;
-    for _ in 0..config.samples {
-        let pick: [DVec3; 4] = std::array::from_fn(|_| sample[rng.random_range(0..sample.len())]);
-        let Some((center, radius)) = sphere_through(pick) else { continue };
-        if !(config.min_radius..=config.max_radius).contains(&radius) {
-            continue;
-        }
+    // Truncated squares (MSAC; Torr and Zisserman 2000) prefer the tight fit among equal counts.
+    let cost = |center: DVec3, radius: f64| -> f64 {
         let reach = inlier_distance(config, radius);
-        // Truncated squares (MSAC; Torr and Zisserman 2000) prefer the tight fit among equal counts.
-        let cost: f64 =
-            sample.iter().map(|p| (((p.distance(center) - radius) / reach).powi(2)).min(1.0)).sum();
-        if best.is_none_or(|b| cost < b.0) {
-            best = Some((cost, center, radius));
-        }
-    }
-    let (cost, center, radius) = best?;
-    if cost > 0.9 * sample.len() as f64 {
+        sample.iter().map(|p| (((p.distance(center) - radius) / reach).powi(2)).min(1.0)).sum()
+    };
+    let allowed = config.min_radius..=config.max_radius;
+    let mut candidates: Vec<(f64, DVec3, f64)> = (0..config.samples)
+        .filter_map(|_| {
+            let pick = std::array::from_fn(|_| sample[rng.random_range(0..sample.len())]);
+            let (center, radius) = sphere_through(pick)?;
+            allowed.contains(&radius).then(|| (cost(center, radius), center, radius))
+        })
+        .collect();
+    candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // Four noisy points of a shallow cap give a rough sphere at best: several of the best are refined (locally
+    // optimised RANSAC; Chum, Matas and Kittler 2003).
+    let (found, center, radius) = candidates
+        .iter()
+        .take(12)
+        .map(|&(_, center, radius)| {
+            let (center, radius, _) = refine(&sample, center, radius, inlier_distance(config, radius));
+            (if allowed.contains(&radius) { cost(center, radius) } else { f64::INFINITY }, center, radius)
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if found > 0.9 * sample.len() as f64 {
         return None;
     }
     let (center, radius, sigma) = refine(points, center, radius, inlier_distance(config, radius));
-    if !(config.min_radius..=config.max_radius).contains(&radius) {
+    if !allowed.contains(&radius) {
         return None;
     }
     Some(describe(points, center, radius, sigma, config))
@@ -128,11 +136,12 @@ fn tukey(residual: f64, scale: f64) -> f64 {
 /// Gauss-Newton on distances to the surface. Returns centre, radius and the residuals' robust deviation.
 fn refine(points: &[DVec3], mut center: DVec3, mut radius: f64, reach: f64) -> (DVec3, f64, f64) {
     let mut sigma = reach;
-    for _ in 0..30 {
+    for round in 0..30 {
         let residuals: Vec<f64> = points.iter().map(|p| p.distance(center) - radius).collect();
         let near: Vec<f64> = residuals.iter().map(|r| r.abs()).filter(|&r| r < 2.0 * reach).collect();
         sigma = (1.4826 * median(near)).max(1e-6);
-        let scale = 4.685 * sigma;
+        // Wide at first, so that a rough start can travel.
+        let scale = if round < 4 { 3.0 * reach } else { 4.685 * sigma };
         let rows = points.iter().zip(&residuals).map(|(p, &r)| {
             let n = (*p - center).normalize_or_zero();
             ([-n.x, -n.y, -n.z, -1.0], r, tukey(r, scale))

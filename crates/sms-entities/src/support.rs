@@ -1,10 +1,12 @@
 //! What objects rest on.
 
 use crate::grid::{PointGrid, median, quantile};
+use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::Seed;
+use std::collections::BTreeMap;
 
 /// Thinned surface points of the whole scene with normals and labels.
 #[derive(Debug, Clone, Default)]
@@ -12,6 +14,7 @@ pub(crate) struct Surroundings {
     pub(crate) points: Vec<DVec3>,
     pub(crate) normals: Vec<DVec3>,
     pub(crate) labels: Vec<u16>,
+    pub(crate) colors: Vec<[u8; 3]>,
 }
 
 /// A plane: points x with `normal · x = offset`; the normal points up, out of what carries.
@@ -55,15 +58,28 @@ pub(crate) struct Rest {
     pub(crate) carrier: Carrier,
 }
 
-/// Surface points of all frames about `spacing` apart, with the normals of the depth.
+/// Sums over the measurements in one cell.
+#[derive(Default)]
+struct Cell {
+    point: DVec3,
+    normal: DVec3,
+    color: [u32; 3],
+    count: u32,
+}
+
+/// Measurements looked at: enough for several in each cell of a desk.
+const SAMPLES: usize = 1_000_000;
+
+/// Surface points of all frames about `spacing` apart, each the mean of several measurements, with the normals of the
+/// depth. Both sides of a wall are kept apart.
 pub(crate) fn surroundings(views: &Views, spacing: f64) -> Surroundings {
-    // Several measurements a cell, so that the kept mean is better than one pixel; both sides of a wall are apart.
-    let mut cells: std::collections::BTreeMap<([i64; 3], u16, u8), (DVec3, DVec3, f64)> = Default::default();
+    let mut cells: BTreeMap<([i32; 3], u16, u8), Cell> = BTreeMap::new();
+    let pixels: usize = views.labels.maps.iter().map(|m| m.data.len()).sum();
+    let stride = ((pixels as f64 / SAMPLES as f64).sqrt().round() as usize).max(1);
     for (f, frame) in views.sequence.frames.iter().enumerate() {
         let map = &views.labels.maps[f];
-        let stride = (map.width / 320).max(1);
-        for y in (0..map.height).step_by(stride) {
-            for x in (0..map.width).step_by(stride) {
+        for y in (f % stride..map.height).step_by(stride) {
+            for x in (f % stride..map.width).step_by(stride) {
                 let depth = f64::from(frame.depth[(x, y)]);
                 let n = frame.normal_c[(x, y)].map(f64::from);
                 if depth <= 0.0 || n == [0.0; 3] {
@@ -71,30 +87,29 @@ pub(crate) fn surroundings(views: &Views, spacing: f64) -> Surroundings {
                 }
                 let p = frame.camera.unproject_pixel(x, y, depth);
                 let normal = frame.camera.x_wc.rotation * DVec3::from_array(n);
-                let cell = (p / spacing).floor().to_array().map(|v| v as i64);
+                let at = (p / spacing).floor().to_array().map(|v| v as i32);
                 let a = normal.abs();
-                let axis = if a.z >= a.x && a.z >= a.y {
-                    2
-                } else if a.y >= a.x {
-                    1
-                } else {
-                    0
-                };
+                let axis = if a.z >= a.x && a.z >= a.y { 2 } else { usize::from(a.y >= a.x) };
                 let side = 2 * axis as u8 + u8::from(normal[axis] > 0.0);
-                let entry = cells.entry((cell, map[(x, y)], side)).or_insert((DVec3::ZERO, DVec3::ZERO, 0.0));
-                entry.0 += p;
-                entry.1 += normal;
-                entry.2 += 1.0;
+                let cell = cells.entry((at, map[(x, y)], side)).or_default();
+                cell.point += p;
+                cell.normal += normal;
+                for (sum, c) in cell.color.iter_mut().zip(frame.color[(x, y)]) {
+                    *sum += u32::from(c);
+                }
+                cell.count += 1;
             }
         }
     }
+    // A cell hit once is more often a flying pixel than a surface.
+    let least = if views.sequence.frames.len() > 5 { 3 } else { 1 };
     let mut out = Surroundings::default();
-    for ((_, label, _), (p, n, count)) in cells {
-        // A cell hit once or twice is more often a flying pixel than a surface.
-        if count >= 3.0 {
-            out.points.push(p / count);
-            out.normals.push(n.normalize_or(DVec3::Z));
+    for ((_, label, _), cell) in cells {
+        if cell.count >= least {
+            out.points.push(cell.point / f64::from(cell.count));
+            out.normals.push(cell.normal.normalize_or(DVec3::Z));
             out.labels.push(label);
+            out.colors.push(cell.color.map(|c| (c / cell.count) as u8));
         }
     }
     out
@@ -144,7 +159,7 @@ pub(crate) fn find_rest(
                 && around.normals[i].z > 0.75
                 && p.z > lowest - 0.04
                 && p.z < lowest + (0.25 * height).clamp(0.008, 0.02)
-                && flat.nearest(p.with_z(0.0)).is_some_and(|n| n.0 < 0.05)
+                && flat.nearest(p.with_z(0.0)).is_some_and(|n| n.0 < 0.04)
         })
         .collect();
     let floor = |height: f64| Rest { plane: Plane::horizontal(height), carrier: Carrier::Floor };
@@ -160,7 +175,7 @@ pub(crate) fn find_rest(
             return floor(h);
         }
     }
-    let mut votes: std::collections::BTreeMap<u16, usize> = Default::default();
+    let mut votes: BTreeMap<u16, usize> = BTreeMap::new();
     for &i in &members {
         *votes.entry(around.labels[i]).or_default() += 1;
     }
@@ -175,62 +190,80 @@ pub(crate) fn height_at(plane: &Plane, p: DVec3) -> Option<f64> {
         .then(|| (plane.offset - plane.normal.x * p.x - plane.normal.y * p.y) / plane.normal.z)
 }
 
-/// RANSAC for a plane within 40° of level that few of the object's points lie below.
+/// Planes within 40° of level compete for what was seen round the object's foot; planes that the object would reach
+/// through lose, and among ambiguous ones (a foot amid clutter) the object's own upright axis decides: things stand
+/// along it.
 fn fit_level_plane(
     candidates: &[usize],
     around: &Surroundings,
     object: &[DVec3],
     seed: Seed,
 ) -> Option<(Plane, Vec<usize>)> {
+    const REACH: f64 = 0.003;
+    const TRIALS: usize = 400;
     if candidates.len() < 12 {
         return None;
     }
     let mut rng = seed.derive("rest").rng();
     let at = |i: usize| around.points[i];
     let stride = object.len().div_ceil(500).max(1);
-    let mut best: Option<(f64, Plane)> = None;
-    for _ in 0..300 {
+    let upright = upright_axis(object);
+    let mut best: Option<(f64, f64, Plane)> = None;
+    for trial in 0..TRIALS {
         let [a, b, c]: [usize; 3] =
             std::array::from_fn(|_| candidates[rng.random_range(0..candidates.len())]);
-        let normal = (at(b) - at(a)).cross(at(c) - at(a)).normalize_or_zero();
+        let normal = match upright {
+            Some(axis) if trial % 2 == 1 => axis,
+            _ => (at(b) - at(a)).cross(at(c) - at(a)).normalize_or_zero(),
+        };
         let normal = if normal.z < 0.0 { -normal } else { normal };
         if normal.z < 0.766 {
             continue;
         }
         let plane = Plane { normal, offset: normal.dot(at(a)) };
-        let near = candidates.iter().filter(|&&i| plane.height_over(at(i)).abs() < 0.003).count() as f64;
+        let near = candidates.iter().filter(|&&i| plane.height_over(at(i)).abs() < REACH).count() as f64;
         let below = object.iter().step_by(stride).filter(|&&p| plane.height_over(p) < -0.004).count() as f64
             / object.len().div_ceil(stride) as f64;
-        let score = near * (1.0 - 5.0 * below).max(0.0);
+        let along = upright.map_or(1.0, |axis| {
+            let angle = axis.dot(normal).clamp(-1.0, 1.0).acos().to_degrees();
+            0.5 + 0.5 * (-(angle / 8.0).powi(2)).exp()
+        });
+        let score = near * (1.0 - 5.0 * below).max(0.0) * along;
         if best.is_none_or(|b| score > b.0) {
-            best = Some((score, plane));
+            best = Some((score, near, plane));
         }
     }
-    let (_, mut plane) = best.filter(|b| b.0 >= 10.0)?;
-    let mut members = Vec::new();
-    for reach in [0.004, 0.003] {
-        members = candidates.iter().copied().filter(|&i| plane.height_over(at(i)).abs() < reach).collect();
-        let points: Vec<DVec3> = members.iter().map(|&i| at(i)).collect();
-        plane = least_squares_plane(&points).unwrap_or(plane);
+    let (_, near, mut plane) = best.filter(|b| b.0 >= 6.0)?;
+    let members = |plane: &Plane| -> Vec<usize> {
+        candidates.iter().copied().filter(|&i| plane.height_over(at(i)).abs() < REACH).collect()
+    };
+    // A plane that only a minority agrees on would turn towards the clutter when refined.
+    if near > 0.5 * candidates.len() as f64 {
+        for _ in 0..2 {
+            let points: Vec<DVec3> = members(&plane).iter().map(|&i| at(i)).collect();
+            plane = least_squares_plane(&points).unwrap_or(plane);
+        }
     }
+    let members = members(&plane);
     Some((plane, members))
+}
+
+/// The principal axis of an object that is within 30° of vertical and clearly longer or shorter than the others.
+fn upright_axis(object: &[DVec3]) -> Option<DVec3> {
+    let (moments, _) = scatter(object.iter().map(|&p| (p, 1.0)))?;
+    let (values, vectors) = principal_axes(moments)?;
+    let k = (0..3).max_by(|&a, &b| vectors[a].z.abs().total_cmp(&vectors[b].z.abs()))?;
+    let distinct = (0..3).filter(|&o| o != k).all(|o| {
+        let ratio = (values[k] / values[o].max(1e-12)).sqrt();
+        !(0.7..=1.4).contains(&ratio)
+    });
+    (distinct && vectors[k].z.abs() > 30f64.to_radians().cos()).then(|| vectors[k] * vectors[k].z.signum())
 }
 
 /// Total least squares, normal up.
 pub(crate) fn least_squares_plane(points: &[DVec3]) -> Option<Plane> {
-    if points.len() < 3 {
-        return None;
-    }
-    let mean = points.iter().sum::<DVec3>() / points.len() as f64;
-    let mut scatter = glamx::DMat3::ZERO;
-    for p in points {
-        let d = *p - mean;
-        scatter += glamx::DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-    }
-    let eigen = glamx::DSymmetricEigen3::new(scatter);
-    let values = eigen.eigenvalues.to_array();
-    let vectors = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
-    let k = (0..3).min_by(|&a, &b| values[a].total_cmp(&values[b]))?;
-    let normal = if vectors[k].z < 0.0 { -vectors[k] } else { vectors[k] };
-    normal.is_finite().then(|| Plane { normal, offset: normal.dot(mean) })
+    let (moments, mean) = scatter(points.iter().map(|&p| (p, 1.0)))?;
+    let normal = principal_axes(moments)?.1[0];
+    let normal = if normal.z < 0.0 { -normal } else { normal };
+    Some(Plane { normal, offset: normal.dot(mean) })
 }

@@ -92,6 +92,14 @@ pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margi
     convex_outline(&grown).iter().map(|&[s, t]| u * s + v * t + plane.normal * plane.offset).collect()
 }
 
+/// Whether `p` lies over the convex outline, seen along the plane's normal.
+pub(crate) fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
+    (0..outline.len()).all(|i| {
+        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
+        (b - a).cross(p - a).dot(plane.normal) >= 0.0
+    })
+}
+
 /// Whether cameras saw the carrying surface itself (or through it) at this point of the plane.
 fn plane_seen(views: &Views, p_w: DVec3, label: u16) -> bool {
     let frames = views.sequence.frames.len();

@@ -1,0 +1,166 @@
+//! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
+
+use crate::convex::clip;
+use crate::hull::convex_hull;
+use glamx::{DPose3, DVec3};
+use parry3d_f64::query;
+use parry3d_f64::shape::{Ball, ConvexPolyhedron, Shape};
+use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+
+/// Overlap that physics engines tolerate, metres.
+const ALLOWED: f64 = 1e-5;
+
+/// Two objects that still overlap, by their indices, and by how much (metres).
+pub(crate) struct Overlap {
+    pub(crate) first: usize,
+    pub(crate) second: usize,
+    pub(crate) depth: f64,
+}
+
+/// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
+/// meet without overlap and without gap; a sphere keeps its shape and the other side gives way. Returns overlaps deeper
+/// than `report` metres that there were.
+pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report: f64) -> Vec<Overlap> {
+    let mut found = Vec::new();
+    for second in 0..entities.len() {
+        for first in 0..second {
+            let depth = part_pair(entities, first, second, max_vertices);
+            if depth > report {
+                found.push(Overlap { first, second, depth });
+            }
+        }
+    }
+    found
+}
+
+fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices: usize) -> f64 {
+    let (left, right) = entities.split_at_mut(second);
+    let (a, b) = (&mut left[first], &mut right[0]);
+    let both_move = a.kind == EntityKind::Dynamic && b.kind == EntityKind::Dynamic;
+    let apart = match (a.mesh.aabb(), b.mesh.aabb()) {
+        (Some(p), Some(q)) => p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any(),
+        _ => true,
+    };
+    if !both_move || apart {
+        return 0.0;
+    }
+    let mut deepest = 0.0f64;
+    for i in 0..piece_count(a) {
+        for j in 0..piece_count(b) {
+            // Each cut lessens the overlap along one direction; a few suffice for convex pieces.
+            for _ in 0..4 {
+                let Some((normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
+                let depth = (on_a - on_b).dot(normal);
+                deepest = deepest.max(depth);
+                let middle = match (is_sphere(a), is_sphere(b)) {
+                    (true, true) => break,
+                    (true, false) => on_a,
+                    (false, true) => on_b,
+                    (false, false) => 0.5 * (on_a + on_b),
+                };
+                let offset = normal.dot(middle);
+                let cut_a = is_sphere(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
+                let cut_b = is_sphere(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
+                if !cut_a || !cut_b {
+                    break;
+                }
+            }
+        }
+    }
+    deepest
+}
+
+fn is_sphere(entity: &Entity) -> bool {
+    matches!(entity.shape, EntityShape::Sphere { .. })
+}
+
+fn piece_count(entity: &Entity) -> usize {
+    if is_sphere(entity) { 1 } else { entity.parts.len() }
+}
+
+fn piece(entity: &Entity, i: usize) -> Option<(DPose3, Box<dyn Shape>)> {
+    match entity.shape {
+        EntityShape::Sphere { center_w, radius } => {
+            Some((DPose3::from_translation(center_w), Box::new(Ball::new(radius))))
+        }
+        _ => {
+            let part = &entity.parts[i];
+            let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
+            Some((DPose3::identity(), Box::new(shape)))
+        }
+    }
+}
+
+/// Normal from `a` to `b` and the deepest points of both, where the pieces overlap.
+fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, DVec3)> {
+    let bounds = |e: &Entity, k: usize| if is_sphere(e) { e.mesh.aabb() } else { e.parts[k].aabb() };
+    let (p, q) = (bounds(a, i)?, bounds(b, j)?);
+    if p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any() {
+        return None;
+    }
+    let ((pose_a, shape_a), (pose_b, shape_b)) = (piece(a, i)?, piece(b, j)?);
+    let contact = query::contact(&pose_a, &*shape_a, &pose_b, &*shape_b, 0.0).ok()??;
+    let usable = contact.dist < -ALLOWED && contact.normal1.is_finite();
+    usable.then_some((contact.normal1, contact.point1, contact.point2))
+}
+
+/// Keeps what lies below the plane; `false`, and no change, when nothing solid would be left.
+fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
+    let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
+    let (below, _) = clip(&triangles, normal, offset);
+    let points: Vec<DVec3> = below.into_iter().flatten().collect();
+    match convex_hull(&points, max_vertices, 1e-6) {
+        Some(hull) if hull.volume() > 0.2 * part.volume() => {
+            *part = hull;
+            true
+        }
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::PointCloud;
+
+    fn entity(center: DVec3, half: f64, radius: Option<f64>) -> Entity {
+        let mut mesh = Mesh::cuboid(DVec3::splat(radius.unwrap_or(half)));
+        mesh.vertices.iter_mut().for_each(|v| *v += center);
+        Entity {
+            label: 1,
+            name: "a".into(),
+            description: String::new(),
+            kind: EntityKind::Dynamic,
+            shape: match radius {
+                Some(radius) => EntityShape::Sphere { center_w: center, radius },
+                None => EntityShape::Convex,
+            },
+            cloud: PointCloud::default(),
+            parts: if radius.is_some() { Vec::new() } else { vec![mesh.clone()] },
+            mesh,
+            observed_share: 1.0,
+            residual_m: 0.0,
+            mean_color: [0; 3],
+        }
+    }
+
+    #[test]
+    fn overlapping_boxes_meet_in_the_middle() {
+        let mut pair = [entity(DVec3::ZERO, 0.05, None), entity(DVec3::new(0.096, 0.01, 0.003), 0.05, None)];
+        let found = part_objects(&mut pair, 64, 0.001);
+        assert!((found[0].depth - 0.004).abs() < 1e-9);
+        let (left, right) = (pair[0].parts[0].aabb().unwrap(), pair[1].parts[0].aabb().unwrap());
+        assert!((left.max.x - 0.048).abs() < 1e-6 && (right.min.x - 0.048).abs() < 1e-6);
+        assert!(pair.iter().all(|e| e.parts[0].is_closed_oriented()));
+        assert!(part_objects(&mut pair, 64, 1e-4).is_empty());
+    }
+
+    #[test]
+    fn a_box_gives_way_to_a_ball() {
+        let mut pair =
+            [entity(DVec3::ZERO, 0.05, None), entity(DVec3::new(0.077, 0.0, 0.0), 0.0, Some(0.03))];
+        part_objects(&mut pair, 64, 0.0);
+        assert!((pair[0].parts[0].aabb().unwrap().max.x - 0.047).abs() < 1e-6);
+        assert!(matches!(pair[1].shape, EntityShape::Sphere { radius: 0.03, .. }));
+    }
+}
