@@ -1,7 +1,8 @@
 //! Plans shots on generated scenes with their true geometry, and carries them out in a finer world with the true
 //! materials: what the planner can reach when the scan is perfect up to a millimetre.
 //!
-//! `cargo run --release -p sms-plan --example generated_scenes -- [first seed] [number] [draft|standard|fine|paper]`
+//! `cargo run --release -p sms-plan --example generated_scenes -- [first seed] [number] [draft|standard|fine|paper]
+//! [speed_angle_contact|speed_angle] [free|blocked]`; `blocked` puts obstacles anywhere and asks for any cut.
 //! Tune on seeds from 1000 on; the ones below are for reported figures.
 
 use rand::RngExt;
@@ -82,10 +83,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some("speed_angle") => ActionForm::SpeedAngle,
         _ => ActionForm::SpeedAngleContact,
     };
+    let settings = match arguments.get(4).map(String::as_str) {
+        Some("blocked") => BilliardsSettings {
+            corridor_half_width_m: 0.0,
+            max_cut_angle: std::f64::consts::FRAC_PI_2,
+            ..BilliardsSettings::default()
+        },
+        _ => BilliardsSettings::default(),
+    };
     println!("seed  start cm  planned mm  q90 mm  realised mm  shots  s   ms/shot·core  speed  angle°");
     let (mut planned, mut realised) = (Vec::new(), Vec::new());
     for seed in first..first + count {
-        let truth = generate_billiards(Seed(seed), &BilliardsSettings::default());
+        let truth = generate_billiards(Seed(seed), &settings);
         let true_scene = true_scene(&truth);
         let believed = believed_scene(&true_scene, Seed(seed).derive("scan"));
         let mut task =

@@ -196,11 +196,7 @@ impl<'a> Worlds<'a> {
         let idle = self.idle.lock().ok().and_then(|mut idle| idle.pop());
         let mut simulation = match idle {
             Some(simulation) => simulation,
-            None => {
-                let mut simulation = Simulation::new(self.factory, self.scene, &self.options)?;
-                simulation.save();
-                simulation
-            }
+            None => self.task.prepare(self.factory, self.scene, &self.options, &self.bodies)?,
         };
         let reusable = simulation.restore();
         let rollout = self.task.rollout(&mut simulation, motion, &self.bodies, recording);

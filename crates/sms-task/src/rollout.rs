@@ -5,7 +5,7 @@ use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
 use sms_scene::{BodyKind, BodyShape, Scene};
-use sms_sim::{BodyId, BodyState, SimError, Simulation, StrikerMotion};
+use sms_sim::{BodyId, BodyState, SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions};
 
 /// Name of the striker's track.
 pub const STRIKER: &str = "striker";
@@ -18,6 +18,10 @@ const STILL: (f64, f64) = (0.003, 0.03);
 
 /// How far outside of everything a ball has to be to count as gone, metres: obstacles are pushed about a little.
 const ARENA_MARGIN_M: f64 = 0.05;
+
+/// Longest settling, seconds, and farthest that anything may move horizontally in it, metres.
+const SETTLE_S: f64 = 1.0;
+const SETTLE_M: f64 = 5e-4;
 
 /// What to record of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,6 +101,27 @@ impl ResolvedTask {
         Ok(WorldBodies { target: found, dynamic, arena: arena_of(scene) })
     }
 
+    /// Builds a world of a scene and saves it as [`ResolvedTask::rollout`] wants it: at rest. The scan saw the objects
+    /// standing still; a world that first lets them settle and fall asleep spends no time on those that the shot
+    /// does not touch. Where they do not come to rest at once and in place, the world starts as the scene says.
+    ///
+    /// # Errors
+    /// [`SimError::Body`] when a body cannot be simulated.
+    pub fn prepare(
+        &self,
+        factory: &dyn WorldFactory,
+        scene: &Scene,
+        options: &WorldOptions,
+        bodies: &WorldBodies,
+    ) -> Result<Simulation, SimError> {
+        let mut simulation = Simulation::new(factory, scene, options)?;
+        if !bodies.settle(&mut simulation, options.dt) {
+            simulation = Simulation::new(factory, scene, options)?;
+        }
+        simulation.save();
+        Ok(simulation)
+    }
+
     /// Carries out a strike in a simulation that is in its first state, and measures how near the target ball comes
     /// to the goal.
     ///
@@ -151,6 +176,24 @@ impl ResolvedTask {
 }
 
 impl WorldBodies {
+    /// Lets everything come to rest; whether it did, without anything having left its place.
+    fn settle(&self, simulation: &mut Simulation, dt: f64) -> bool {
+        let places: Vec<DVec2> = self.places(simulation).collect();
+        let mut time_s = 0.0;
+        while time_s < SETTLE_S && !self.all_rest(simulation) {
+            if simulation.advance(dt).is_err() {
+                return false;
+            }
+            time_s += dt;
+        }
+        let moved = places.iter().zip(self.places(simulation)).map(|(a, b)| a.distance(b));
+        self.all_rest(simulation) && moved.fold(0.0, f64::max) < SETTLE_M
+    }
+
+    fn places<'a>(&'a self, simulation: &'a Simulation) -> impl Iterator<Item = DVec2> + 'a {
+        self.dynamic.iter().map(|m| horizontal(simulation.state(m.id).x_wb.translation))
+    }
+
     fn all_rest(&self, simulation: &Simulation) -> bool {
         self.dynamic.iter().all(|m| simulation.is_asleep(m.id))
     }

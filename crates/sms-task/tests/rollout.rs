@@ -3,8 +3,9 @@
 mod common;
 
 use common::{RADIUS, ball, material, two_balls};
-use sms_core::glamx::{DQuat, DVec2, DVec3};
-use sms_scene::Scene;
+use sms_core::glamx::{DPose3, DQuat, DVec2, DVec3};
+use sms_core::{Mesh, polyhedron_mass_properties};
+use sms_scene::{Body, BodyShape, Scene};
 use sms_sim::{RapierFactory, Simulation};
 use sms_task::{Action, ActionForm, Billiards, Recording, ResolvedTask, Rollout, STRIKER, Selector, Task};
 
@@ -71,6 +72,62 @@ fn recording_and_reusing_a_world_do_not_change_the_objective() {
             assert_eq!(again, fresh);
         }
     }
+}
+
+/// Two balls among boxes: one to bounce off, one that topples.
+fn two_balls_and_boxes() -> Scene {
+    let mut scene = two_balls();
+    let boxes = [(0.85, 0.05, DVec3::new(0.03, 0.06, 0.04)), (0.7, -0.12, DVec3::new(0.015, 0.015, 0.06))];
+    for (i, (x, y, half)) in boxes.into_iter().enumerate() {
+        let mesh = Mesh::cuboid(half);
+        scene.bodies.push(Body {
+            name: format!("box_{i}"),
+            x_wb: DPose3::from_translation(DVec3::new(x, y, half.z)),
+            shape: BodyShape::Hulls { hulls: vec![mesh.clone()] },
+            mass: Some(polyhedron_mass_properties(&mesh, 600.0).unwrap()),
+            ..ball("box", 0.0, 0.0, [120, 90, 60], material(0.4, 0.4))
+        });
+    }
+    scene
+}
+
+#[test]
+fn stopping_early_changes_no_objective() {
+    let scene = two_balls_and_boxes();
+    let task = task_in(&scene, DVec2::new(0.65, 0.15), ActionForm::SpeedAngle);
+    let bodies = task.bodies_in(&scene, "blue").unwrap();
+    let mut world = task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).unwrap();
+    let (mut stopped_early, mut bounced) = (0, 0);
+    for i in 0..24 {
+        let action = Action(vec![0.25 + 0.025 * f64::from(i), -0.2 + 0.4 * f64::from(i * 7 % 24) / 23.0]);
+        let motion = task.strike(&action);
+        assert!(world.restore());
+        let full = task.rollout(&mut world, &motion, &bodies, Some(Recording { every_s: 0.1 })).unwrap();
+        assert!(world.restore());
+        let short = task.rollout(&mut world, &motion, &bodies, None).unwrap();
+        assert_eq!(short.objective, full.objective, "{action:?}");
+        stopped_early += usize::from(short.end_s < full.end_s);
+        bounced += usize::from(full.trajectory.unwrap().body("box_0").is_some());
+    }
+    assert!(stopped_early > 12, "{stopped_early} of 24 stopped early");
+    assert!(bounced > 3, "{bounced} of 24 hit the box");
+}
+
+#[test]
+fn a_prepared_world_sleeps_in_place_and_rolls_like_a_fresh_one() {
+    let scene = two_balls_and_boxes();
+    let task = task_in(&scene, DVec2::new(0.8, 0.0), ActionForm::SpeedAngle);
+    let bodies = task.bodies_in(&scene, "blue").unwrap();
+    let mut world = task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).unwrap();
+    for (i, body) in scene.bodies.iter().enumerate() {
+        assert!(world.is_asleep(i), "{} is awake", body.name);
+        assert!(world.state(i).x_wb.translation.distance(body.x_wb.translation) < 1e-4);
+    }
+    assert!(world.restore(), "it is saved");
+    let motion = task.strike(&Action(vec![0.5, 0.01]));
+    let prepared = task.rollout(&mut world, &motion, &bodies, None).unwrap();
+    let fresh = roll(&task, &scene, &[0.5, 0.01], None);
+    assert!((prepared.objective - fresh.objective).abs() < 1e-3, "{prepared:?} {fresh:?}");
 }
 
 #[test]
