@@ -66,7 +66,7 @@ fn pixel_losses<L: Lanes>(
         let least = L::splat(DEPTH_OPACITY_MIN as f32);
         let divisor = match weights.depth_term {
             DepthTerm::Accumulated => one,
-            DepthTerm::Normalized | DepthTerm::Quotient => opacity.max(least),
+            DepthTerm::Detached | DepthTerm::Normalized => opacity.max(least),
         };
         let depth = blended / divisor;
         let error = (depth - observed).and(mask);
@@ -74,8 +74,8 @@ fn pixel_losses<L: Lanes>(
         let g = error.signum() * L::splat(weights.depth) / divisor;
         g.store(&mut gradient.channels[DEPTH_CHANNEL].0[y]);
         let through_opacity = match weights.depth_term {
-            DepthTerm::Quotient => (zero - g * depth).and(opacity.gt(least)),
-            DepthTerm::Accumulated | DepthTerm::Normalized => zero,
+            DepthTerm::Normalized => (zero - g * depth).and(opacity.gt(least)),
+            DepthTerm::Accumulated | DepthTerm::Detached => zero,
         };
         through_opacity.store(&mut gradient.channels[OPACITY_CHANNEL].0[y]);
 

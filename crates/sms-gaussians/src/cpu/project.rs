@@ -135,7 +135,7 @@ pub(super) struct Projected {
 pub(super) fn project(row: &Row, gaussian: u32, view: &View) -> Option<Projected> {
     let row = &row.0;
     let opacity = sigmoid(row[LOGIT_OPACITY]);
-    if !(opacity >= ALPHA_MIN) {
+    if opacity < ALPHA_MIN {
         return None;
     }
     let m = linearize(row, view)?;

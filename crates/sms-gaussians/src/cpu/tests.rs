@@ -5,7 +5,8 @@ use crate::oracle::{CHANNELS, Oracle};
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, PARAMETERS, ROTATION};
 use crate::test_scene::{CLASSES, camera, frame, seedlings};
 use crate::{AFFINITY_DIM, DepthTerm, LossWeights};
-use glamx::Quat;
+use glamx::{DPose3, Quat};
+use sms_core::Intrinsics;
 
 const SIZE: (usize, usize) = (61, 37);
 const COUNT: usize = 150;
@@ -136,7 +137,7 @@ fn gradients_equal_the_oracle() {
     let configs = [
         TrainConfig::default(),
         TrainConfig { weights: ssim_only, ..TrainConfig::default() },
-        TrainConfig { weights: round, depth_term: DepthTerm::Quotient, ..TrainConfig::default() },
+        TrainConfig { weights: round, depth_term: DepthTerm::Normalized, ..TrainConfig::default() },
         TrainConfig { depth_term: DepthTerm::Accumulated, ..TrainConfig::default() },
     ];
     for config in &configs {
@@ -144,6 +145,44 @@ fn gradients_equal_the_oracle() {
             compare_gradients(config, simd, (2e-3, 5e-3));
         }
     }
+}
+
+#[test]
+fn equal_depths_leave_opacities_to_the_other_terms() {
+    let camera = Camera::new(Intrinsics::from_fov(61, 37, 1.0), DPose3::identity());
+    let opacity_gradient = |depth_term| {
+        let weights = LossWeights {
+            color: 0.0,
+            isotropic: 0.0,
+            normal: 0.0,
+            flat: 0.0,
+            segmentation: 0.0,
+            ..LossWeights::default()
+        };
+        let config = TrainConfig { weights, depth_term, ..TrainConfig::default() };
+        let mut trainer = CpuTrainer::new(&config, CLASSES, Seed(2));
+        let disc = |k: i32| Seedling {
+            position_w: Vec3::new(0.03 * k as f32, 0.0, 1.0),
+            rotation_wg: Quat::IDENTITY,
+            scale: Vec3::new(0.03, 0.03, 0.001),
+            opacity: 0.6,
+            color: [0.5; 3],
+            affinity: [0.0; AFFINITY_DIM],
+        };
+        trainer.insert(&[disc(-1), disc(0), disc(1)]);
+        let mut observed = frame(camera, Seed(4));
+        // Only where the discs are opaque enough for the divisor to be their opacity.
+        for (i, depth) in observed.depth.iter_mut().enumerate() {
+            let (x, y) = (i as i32 % 61, i as i32 / 61);
+            *depth = if (x - 30).abs() < 3 && (y - 18).abs() < 3 { 0.9 } else { 0.0 };
+        }
+        trainer.add_frame(observed);
+        trainer.differentiate(0);
+        trainer.engine.gradients.iter().fold(0.0f32, |m, g| m.max(g.0[LOGIT_OPACITY].abs()))
+    };
+    assert!(opacity_gradient(DepthTerm::Detached) > 1e-3, "the form that drains opacity");
+    let largest = opacity_gradient(DepthTerm::Normalized);
+    assert!(largest < 1e-3 * opacity_gradient(DepthTerm::Detached), "{largest:e}");
 }
 
 fn after_steps(threads: usize, simd: Simd, steps: usize) -> (StepStats, TrainState) {

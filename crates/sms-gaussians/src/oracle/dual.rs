@@ -53,8 +53,8 @@ impl Add for Dual {
 impl Mul for Dual {
     type Output = Self;
     fn mul(self, b: Self) -> Self {
-        let derivative = std::array::from_fn(|i| self.derivative[i] * b.value + self.value * b.derivative[i]);
-        Self { value: self.value * b.value, derivative }
+        let by_parts = self.through(self.value * b.value, b.value) + b.through(0.0, self.value);
+        Self { value: self.value * b.value, ..by_parts }
     }
 }
 

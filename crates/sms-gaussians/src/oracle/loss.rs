@@ -16,7 +16,7 @@ pub(super) const OPACITY: usize = 23;
 pub struct OracleTerms {
     /// Mean absolute colour error.
     pub color_l1: f64,
-    /// 1 − SSIM.
+    /// 1 − SSIM; not evaluated (zero) where it has no weight, since it is the slowest term.
     pub dssim: f64,
     /// Isotropic regulariser, metres.
     pub isotropic: f64,
@@ -59,7 +59,7 @@ fn sign(x: f64) -> f64 {
 pub(super) fn depth_divisors(image: &[[f64; CHANNELS]], term: DepthTerm) -> Vec<f64> {
     let divisor = |pixel: &[f64; CHANNELS]| match term {
         DepthTerm::Accumulated => 1.0,
-        DepthTerm::Normalized | DepthTerm::Quotient => pixel[OPACITY].max(DEPTH_OPACITY_MIN),
+        DepthTerm::Detached | DepthTerm::Normalized => pixel[OPACITY].max(DEPTH_OPACITY_MIN),
     };
     image.iter().map(divisor).collect()
 }
@@ -110,7 +110,7 @@ pub(super) fn image_loss(
             out.terms.depth += error.abs() / n_depth;
             let g = f64::from(w.depth) * sign(error) / n_depth;
             d[DEPTH] += g / divisors[i];
-            if config.depth_term == DepthTerm::Quotient && pixel[OPACITY] > DEPTH_OPACITY_MIN {
+            if config.depth_term == DepthTerm::Normalized && pixel[OPACITY] > DEPTH_OPACITY_MIN {
                 d[OPACITY] -= g * pixel[DEPTH] / (divisors[i] * divisors[i]);
             }
         }
@@ -125,7 +125,9 @@ pub(super) fn image_loss(
         }
     }
     let ssim_weight = -f64::from(w.color) * f64::from(w.ssim);
-    out.terms.dssim = 1.0 - similarity(image, frame, &colored, ssim_weight, &mut out.d_image);
+    if ssim_weight != 0.0 {
+        out.terms.dssim = 1.0 - similarity(image, frame, &colored, ssim_weight, &mut out.d_image);
+    }
     out
 }
 

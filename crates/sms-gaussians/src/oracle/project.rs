@@ -41,7 +41,7 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let p: [Dual; 3] = std::array::from_fn(|i| {
         (0..3).fold(Dual::constant(x_cw.translation[i]), |sum, j| sum + r_cw(i, j) * position[j])
     });
-    if !(p[2].value >= NEAR) {
+    if p[2].value < NEAR {
         return None;
     }
     let r_wg = rotation(std::array::from_fn(|i| input(ROTATION + i)));
