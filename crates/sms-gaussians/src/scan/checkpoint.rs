@@ -114,8 +114,14 @@ mod tests {
             loss: LossTerms { total: 0.1, depth: 1e-3, ..LossTerms::default() },
             gaussians: 11,
         }];
-        let place =
-            Place { slot: 2, step: 30, seeded: true, batch_losses: vec![0.3, 0.1], losses, ..Place::default() };
+        let place = Place {
+            slot: 2,
+            step: 30,
+            seeded: true,
+            batch_losses: vec![0.3, 0.1],
+            losses,
+            ..Place::default()
+        };
         (place, TrainState { bytes: (0..200).collect() })
     }
 

@@ -1,6 +1,6 @@
 //! Settings of the scan.
 
-use crate::TrainConfig;
+use crate::{LearningRates, LossWeights, TrainConfig};
 use serde::{Deserialize, Serialize};
 use sms_frames::DepthNoise;
 
@@ -139,6 +139,10 @@ pub struct ScanConfig {
     pub seeding: SeedingConfig,
     /// Pruning.
     pub pruning: PruningConfig,
+    /// Bring the Gaussians onto the surface that all frames together measured, before and after the refinement.
+    pub fuse_depth: bool,
+    /// Correct labels that the masks contradict, before and after the refinement.
+    pub correct_labels: bool,
     /// Early stopping.
     pub stop: StopConfig,
     /// Depth noise of the sensor.
@@ -158,36 +162,46 @@ impl Default for ScanConfig {
         Self {
             steps_first: 1000,
             steps_frame: 100,
-            final_steps: 600,
+            final_steps: 300,
             batch_steps: 10,
             current_share: 0.4,
             seeding: SeedingConfig::default(),
             pruning: PruningConfig::default(),
+            fuse_depth: true,
+            correct_labels: true,
             stop: StopConfig::default(),
             noise: DepthNoise::default(),
             max_gaussians: 50_000,
             holdout: 0,
             checkpoint_seconds: 5.0,
-            train: TrainConfig::default(),
+            train: training(),
         }
+    }
+}
+
+/// Losses and rates of the scan. Positions start, and end, on the fused depth, so they hardly move: with 1e-4 m a
+/// step the colours push centres 2 mm off the surface, and the depth loss alone as far behind it (see `fusion`).
+fn training() -> TrainConfig {
+    TrainConfig {
+        weights: LossWeights { depth: 10.0, ..LossWeights::default() },
+        rates: LearningRates { position: 3e-6, color: 5e-3, ..LearningRates::default() },
+        ..TrainConfig::default()
     }
 }
 
 impl ScanConfig {
     /// The settings of a preset.
     pub fn preset(preset: Preset) -> Self {
-        let standard = Self::default();
+        // Measured on the test's recording at 320 × 200, 24 frames, 1 mm of noise: 900 steps (200, then 30 a frame)
+        // reach the surface error, label accuracy and, within 0.5 dB, the PSNR of 2700 steps.
+        let standard = Self { steps_first: 200, steps_frame: 30, ..Self::default() };
         match preset {
-            Preset::Draft => Self {
-                steps_first: 200,
-                steps_frame: 30,
-                final_steps: 200,
-                seeding: SeedingConfig { spacing_px: 2.5, ..standard.seeding },
-                ..standard
-            },
+            Preset::Draft => Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard },
             Preset::Standard => standard,
             Preset::Fine => Self {
-                final_steps: 2000,
+                steps_first: 400,
+                steps_frame: 60,
+                final_steps: 1000,
                 seeding: SeedingConfig { spacing_px: 3.0, ..standard.seeding },
                 ..standard
             },

@@ -52,11 +52,8 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
     let coverage = errors.len() as f64 / (at_depth.1 / 3).max(1) as f64;
     let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
     let middle = errors.len() / 2;
-    let depth_median_m = if errors.is_empty() {
-        f64::NAN
-    } else {
-        *errors.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
+    let depth_median_m =
+        if errors.is_empty() { f64::NAN } else { *errors.select_nth_unstable_by(middle, f64::total_cmp).1 };
     ViewScore {
         frame_index: frame.index,
         held_out,

@@ -5,9 +5,11 @@
 
 mod checkpoint;
 mod config;
+mod consensus;
 mod error;
 mod evaluate;
 mod frames;
+mod fusion;
 mod losses;
 mod occupancy;
 mod ply;

@@ -28,7 +28,10 @@ impl Occupancy {
         debug_assert!(radius <= self.cell * 1.0001);
         let [x, y, z] = self.cell_of(p);
         let offsets = (0..27).map(|k| [x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1]);
-        offsets.filter_map(|c| self.cells.get(&c)).flatten().any(|q| (*q - p).length_squared() < radius * radius)
+        offsets
+            .filter_map(|c| self.cells.get(&c))
+            .flatten()
+            .any(|q| (*q - p).length_squared() < radius * radius)
     }
 }
 

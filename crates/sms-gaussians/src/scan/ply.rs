@@ -248,7 +248,8 @@ mod tests {
         let mut expected = String::from(
             "ply\nformat binary_little_endian 1.0\ncomment frame: world, metres, z up\nelement vertex 2\n",
         );
-        let standard = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+        let standard =
+            "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
         let names = standard.split(' ').map(str::to_owned);
         let own = (0..16).map(|k| format!("affinity_{k}")).chain(["label".into(), "confidence".into()]);
         names.chain(own).for_each(|n| expected.push_str(&format!("property float {n}\n")));
@@ -272,7 +273,10 @@ mod tests {
         columns[12].1 = Column::F32(vec![0.0, f32::NAN]);
         ply::write(&path, &[], &columns).unwrap();
         let message = read_ply(&path).unwrap_err().to_string();
-        assert!(message.contains("scale_2") && message.contains("other.ply") && message.contains("cure"), "{message}");
+        assert!(
+            message.contains("scale_2") && message.contains("other.ply") && message.contains("cure"),
+            "{message}"
+        );
         columns.remove(9);
         ply::write(&path, &[], &columns).unwrap();
         assert!(read_ply(&path).unwrap_err().to_string().contains("no property `opacity`"));

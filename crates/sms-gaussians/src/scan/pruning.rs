@@ -3,6 +3,7 @@
 use super::config::ScanConfig;
 use crate::Trainer;
 use glamx::Vec3;
+use rayon::prelude::*;
 use sms_frames::Frame;
 
 /// Removes Gaussians below the opacity threshold.
@@ -13,11 +14,17 @@ pub(crate) fn prune_transparent(trainer: &mut dyn Trainer, config: &ScanConfig) 
     }
 }
 
-/// Removes Gaussians that more of `frames` look through than measure a surface near.
-pub(crate) fn prune_floaters(trainer: &mut dyn Trainer, frames: &[&Frame], config: &ScanConfig) {
+/// Removes Gaussians that more of `frames` look through than measure a surface near, and those near which fewer than
+/// `least` measure one: hidden ones that nothing supports.
+pub(crate) fn prune_floaters(
+    trainer: &mut dyn Trainer,
+    frames: &[&Frame],
+    least: usize,
+    config: &ScanConfig,
+) {
     let keep: Vec<bool> = trainer
         .positions_w()
-        .iter()
+        .par_iter()
         .map(|p| {
             let sights = frames.iter().map(|f| sight(f, *p, config));
             let (mut through, mut surface) = (0, 0);
@@ -25,7 +32,7 @@ pub(crate) fn prune_floaters(trainer: &mut dyn Trainer, frames: &[&Frame], confi
                 through += usize::from(sight == Sight::Through);
                 surface += usize::from(sight == Sight::Surface);
             }
-            through <= surface
+            surface >= through.max(least)
         })
         .collect();
     if keep.contains(&false) {

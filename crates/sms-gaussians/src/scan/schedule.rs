@@ -1,15 +1,17 @@
 //! The sequential schedule (paper, Section "Scan"): frame after frame is seeded and optimised while earlier frames
 //! are replayed, then all frames are refined together.
 
+use super::ScanError;
 use super::checkpoint::{self, Found, Place};
 use super::config::ScanConfig;
+use super::consensus::correct_labels;
 use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
 use super::frames::{check_inputs, held_out_frames, train_frame, trained_frames};
+use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
 use super::ply::write_ply;
 use super::pruning::{prune_floaters, prune_transparent};
-use super::seeding::{seed_frame, shuffle};
-use super::ScanError;
+use super::seeding::{AffinityCodes, seed_frame, shuffle};
 use crate::{FrameId, GaussianModel, Trainer};
 use rand::RngExt;
 use sms_core::metrics::Metrics;
@@ -63,6 +65,7 @@ pub fn scan(
         seed,
         settings: settings_hash(sequence, labels, config, seed),
         checkpoint: work_dir.join("checkpoint.bin"),
+        codes: AffinityCodes::new(labels.class_count(), seed),
         ids: Vec::with_capacity(trained.len()),
         trained,
         place: Place::default(),
@@ -103,6 +106,7 @@ struct Schedule<'a> {
     checkpoint: std::path::PathBuf,
     /// Sequence indices of the frames trained on; a slot is a position in this list.
     trained: Vec<usize>,
+    codes: AffinityCodes,
     /// The trainer's ids of the slots reached so far.
     ids: Vec<FrameId>,
     place: Place,
@@ -176,7 +180,7 @@ impl Schedule<'_> {
             0 => self.config.steps_first,
             _ => self.config.steps_frame,
         };
-        self.seed_slot();
+        self.seed_slot()?;
         let mut stop = self.config.stop;
         if self.is_refinement() {
             // Every frame is in both of the windows compared.
@@ -203,32 +207,57 @@ impl Schedule<'_> {
                 None => &self.trained,
             };
             let seen: Vec<&Frame> = seen.iter().map(|&i| &self.sequence.frames[i]).collect();
-            prune_floaters(self.trainer, &seen, self.config);
+            let least = usize::from(self.is_refinement());
+            prune_floaters(self.trainer, &seen, least, self.config);
+        }
+        if self.is_refinement() {
+            self.fuse_all()?;
         }
         self.report();
         Ok(())
     }
 
-    fn seed_slot(&mut self) {
-        let Some(frame) = self.trained.get(self.place.slot).map(|&i| &self.sequence.frames[i]) else { return };
-        if self.place.seeded {
-            return;
+    /// Brings geometry and labels in line with all frames together.
+    fn fuse_all(&mut self) -> Result<(), ScanError> {
+        let frames = || self.trained.iter().map(|&i| &self.sequence.frames[i]);
+        if self.config.fuse_depth {
+            fuse(self.trainer, &frames().collect::<Vec<_>>(), self.config)?;
         }
+        if self.config.correct_labels {
+            let labelled: Vec<_> = frames().zip(self.trained.iter().map(|&i| &self.labels.maps[i])).collect();
+            correct_labels(self.trainer, &labelled, self.config)?;
+        }
+        Ok(())
+    }
+
+    /// What a slot begins with, once: new Gaussians for a frame, fused depth for the refinement.
+    fn seed_slot(&mut self) -> Result<(), ScanError> {
+        if std::mem::replace(&mut self.place.seeded, true) {
+            return Ok(());
+        }
+        let Some(&index) = self.trained.get(self.place.slot) else {
+            return self.fuse_all();
+        };
+        let frame = &self.sequence.frames[index];
         let rendered = (!self.trainer.is_empty()).then(|| self.trainer.render(&frame.camera));
         let positions_w = self.trainer.positions_w();
         let room = self.config.max_gaussians.saturating_sub(positions_w.len());
         let seed = self.seed.derive_index("seeding", self.place.slot as u64);
-        let seedlings = seed_frame(frame, rendered.as_ref(), &positions_w, room, self.config, seed);
+        let labels = (&self.labels.maps[index], &self.codes);
+        let seedlings = seed_frame(frame, labels, rendered.as_ref(), &positions_w, room, self.config, seed);
         if !seedlings.is_empty() && seedlings.len() == room {
             self.warnings.add(
                 STAGE,
                 "max_gaussians",
-                format!("the limit of {} Gaussians was reached; later views lack detail", self.config.max_gaussians),
+                format!(
+                    "the limit of {} Gaussians was reached; later views lack detail",
+                    self.config.max_gaussians
+                ),
                 "raise `max_gaussians`, or `seeding.spacing_px` for fewer and larger ones",
             );
         }
         self.trainer.insert(&seedlings);
-        self.place.seeded = true;
+        Ok(())
     }
 
     fn batch(&self) -> usize {

@@ -1,0 +1,128 @@
+//! Labels by consensus of the masks.
+//!
+//! Adam gives a Gaussian behind an object, which shines through by a thousandth, steps as long as one in front, so
+//! its affinity drifts towards the object's label. The masks know better: where a frame measures the Gaussian on the
+//! surface, the mask there is a vote. A Gaussian whose label a clear majority contradicts takes over the affinity
+//! of the surest Gaussian of the voted label, so that the classifier, the renders and the labels stay consistent.
+
+use super::config::ScanConfig;
+use crate::parameters::{AFFINITY, PARAMETERS, Parameters};
+use crate::{AFFINITY_DIM, GaussianModel, Trainer, TrainerError};
+use glamx::Vec3;
+use rayon::prelude::*;
+use sms_core::LabelMap;
+use sms_frames::Frame;
+
+/// Share of the votes that a label needs.
+const MAJORITY: f64 = 0.6;
+
+/// Corrects labels that the masks of `frames` contradict.
+///
+/// # Errors
+/// [`TrainerError::BadState`], which would be a defect of the back end.
+pub(crate) fn correct_labels(
+    trainer: &mut dyn Trainer,
+    frames: &[(&Frame, &LabelMap)],
+    config: &ScanConfig,
+) -> Result<(), TrainerError> {
+    let model = trainer.model();
+    let votes: Vec<Option<u16>> = model
+        .positions_w
+        .par_iter()
+        .map(|p| voted_label(*p, frames, model.classifier.classes, config))
+        .collect();
+    let surest = surest_of_labels(&model, &votes);
+    let mut parameters = Parameters::decode(&trainer.snapshot())?;
+    for (i, vote) in votes.iter().enumerate() {
+        let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
+        if let Some(affinity) = surest[usize::from(label)] {
+            parameters.rows[i].0[AFFINITY..PARAMETERS].copy_from_slice(&affinity);
+            // Moments of the old place would carry the affinity back.
+            parameters.first[i].0[AFFINITY..PARAMETERS].fill(0.0);
+        }
+    }
+    trainer.restore(&parameters.encode())
+}
+
+/// The label that a clear majority of the frames which measure a surface at `p_w` give it.
+fn voted_label(
+    p_w: Vec3,
+    frames: &[(&Frame, &LabelMap)],
+    classes: usize,
+    config: &ScanConfig,
+) -> Option<u16> {
+    let mut counts = vec![0usize; classes];
+    for (frame, labels) in frames {
+        let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { continue };
+        let Some(pixel) = frame.camera.pixel_at(u, v) else { continue };
+        let depth = f64::from(frame.depth[pixel]);
+        if depth > 0.0
+            && (depth - z).abs() <= config.tolerance_m(z)
+            && let Some(count) = counts.get_mut(usize::from(labels[pixel]))
+        {
+            *count += 1;
+        }
+    }
+    let total: usize = counts.iter().sum();
+    let (label, most) =
+        counts.iter().enumerate().max_by_key(|&(label, count)| (*count, std::cmp::Reverse(label)))?;
+    (*most > 0 && *most as f64 >= MAJORITY * total as f64).then_some(label as u16)
+}
+
+/// The affinity of the Gaussian of each label of which classifier and votes agree and the classifier is surest.
+fn surest_of_labels(model: &GaussianModel, votes: &[Option<u16>]) -> Vec<Option<[f32; AFFINITY_DIM]>> {
+    let mut best: Vec<Option<usize>> = vec![None; model.classifier.classes];
+    for (i, vote) in votes.iter().enumerate() {
+        let label = model.labels[i];
+        if *vote == Some(label) {
+            let slot = &mut best[usize::from(label)];
+            if slot.is_none_or(|b| model.label_confidence[i] > model.label_confidence[b]) {
+                *slot = Some(i);
+            }
+        }
+    }
+    best.into_iter().map(|b| b.map(|i| model.affinities[i])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::{BALL, BALL_CENTER, BALL_RADIUS, Recorded, SMALL, record};
+    use super::*;
+    use crate::{CpuTrainer, Seedling, TrainConfig};
+    use glamx::Quat;
+    use sms_core::Seed;
+
+    #[test]
+    fn a_label_that_the_masks_contradict_is_corrected_and_a_hidden_one_is_left() {
+        let (sequence, labels) = record(Recorded { noise_m: 0.0, ..SMALL });
+        let frames: Vec<_> = sequence.frames.iter().zip(&labels.maps).collect();
+        let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
+        // Affinities that the untrained classifier labels as the ball and as the background.
+        let classifier = trainer.classifier();
+        let affinity = |label: u16| {
+            let axes = (0..AFFINITY_DIM).flat_map(|k| [3.0f32, -3.0].map(|v| (k, v)));
+            let mut candidates = axes.map(|(k, v)| std::array::from_fn(|j| if j == k { v } else { 0.0 }));
+            candidates.find(|a| classifier.classify(a).0 == label).unwrap()
+        };
+        let top = (BALL_CENTER + glamx::DVec3::new(0.0, -0.6, 0.8) * BALL_RADIUS).as_vec3();
+        let seedling = |position_w: Vec3, label: u16| Seedling {
+            position_w,
+            rotation_wg: Quat::IDENTITY,
+            scale: Vec3::splat(1e-3),
+            opacity: 0.5,
+            color: [0.5; 3],
+            affinity: affinity(label),
+        };
+        let hidden = BALL_CENTER.as_vec3();
+        trainer.insert(&[
+            seedling(top, BALL),
+            seedling(top + Vec3::X * 1e-3, 0),
+            seedling(hidden, 0),
+            seedling(Vec3::new(0.0, -0.12, 0.0), BALL),
+            seedling(Vec3::new(0.01, -0.12, 0.0), 0),
+        ]);
+        assert_eq!(trainer.model().labels, [BALL, 0, 0, BALL, 0]);
+        correct_labels(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+        assert_eq!(trainer.model().labels, [BALL, BALL, 0, 0, 0]);
+    }
+}

@@ -1,0 +1,276 @@
+//! The scan as a whole on the analytic recording: exact resume, threads, quality.
+
+use super::config::{Preset, ScanConfig};
+use super::fixture::{self, BALL, BOX, SMALL, record, signed_distance_m};
+use super::ply::read_ply;
+use super::schedule::{ScanResult, scan};
+use super::{ScanError, render_views, state_of_model};
+use crate::{
+    Classifier, CpuTrainer, FrameId, GaussianModel, RenderedMaps, Seedling, StepStats, TrainFrame,
+    TrainState, Trainer, TrainerError,
+};
+use glamx::Vec3;
+use sms_core::{Camera, Cancel, CoreError, Labels, NoProgress, Seed, Warnings};
+use sms_frames::Sequence;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+const SEED: Seed = Seed(5);
+
+/// Few enough steps for many runs; every part of the schedule takes place.
+fn quick() -> ScanConfig {
+    let mut config =
+        ScanConfig { steps_first: 40, steps_frame: 20, final_steps: 20, ..ScanConfig::default() };
+    config.seeding.spacing_px = 4.0;
+    config.holdout = 4;
+    config
+}
+
+fn run(
+    (sequence, labels): &(Sequence, Labels),
+    config: &ScanConfig,
+    dir: &Path,
+    disturb: Option<Disturbance>,
+    warnings: &Warnings,
+) -> Result<ScanResult, ScanError> {
+    let cancel = Cancel::new();
+    let inner = CpuTrainer::new(&config.train, labels.class_count(), SEED);
+    let mut trainer = Disturbed { inner, disturb, calls: 0, cancel: cancel.clone() };
+    scan(sequence, labels, config, SEED, dir, &mut trainer, &NoProgress, &cancel, warnings)
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Disturbance {
+    /// Ctrl-C at this call of `steps`.
+    Cancel(usize),
+    /// The process dies in this call of `steps`.
+    Kill(usize),
+}
+
+/// A trainer during whose steps something happens.
+struct Disturbed {
+    inner: CpuTrainer,
+    disturb: Option<Disturbance>,
+    calls: usize,
+    cancel: Cancel,
+}
+
+impl Trainer for Disturbed {
+    fn steps(&mut self, frames: &[FrameId]) -> StepStats {
+        self.calls += 1;
+        match self.disturb {
+            Some(Disturbance::Cancel(at)) if at == self.calls => self.cancel.cancel(),
+            Some(Disturbance::Kill(at)) if at == self.calls => std::panic::resume_unwind(Box::new("killed")),
+            _ => {}
+        }
+        self.inner.steps(frames)
+    }
+    fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
+        self.inner.add_frame(frame)
+    }
+    fn len(&self) -> usize {
+        self.inner.len()
+    }
+    fn insert(&mut self, seedlings: &[Seedling]) {
+        self.inner.insert(seedlings);
+    }
+    fn retain(&mut self, mask: &[bool]) {
+        self.inner.retain(mask);
+    }
+    fn render(&mut self, camera: &Camera) -> RenderedMaps {
+        self.inner.render(camera)
+    }
+    fn opacities(&self) -> Vec<f32> {
+        self.inner.opacities()
+    }
+    fn positions_w(&self) -> Vec<Vec3> {
+        self.inner.positions_w()
+    }
+    fn classifier(&self) -> Classifier {
+        self.inner.classifier()
+    }
+    fn model(&self) -> GaussianModel {
+        self.inner.model()
+    }
+    fn snapshot(&self) -> TrainState {
+        self.inner.snapshot()
+    }
+    fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
+        self.inner.restore(state)
+    }
+}
+
+/// What a scan leaves, byte for byte.
+fn bytes(dir: &Path) -> Vec<Vec<u8>> {
+    ["scene.ply", "scene.classifier.json", "losses.json", "views.json"]
+        .map(|name| std::fs::read(dir.join(name)).unwrap())
+        .into()
+}
+
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+#[test]
+fn stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes_on_one_and_two_threads() {
+    let recording = record(SMALL);
+    let config = quick();
+    let undisturbed = tempfile::tempdir().unwrap();
+    let warnings = Warnings::new();
+    with_threads(1, || run(&recording, &config, undisturbed.path(), None, &warnings)).unwrap();
+    let expected = bytes(undisturbed.path());
+
+    let stopped = tempfile::tempdir().unwrap();
+    with_threads(2, || {
+        for at in [1, 3, 6, 2, 7] {
+            let result = run(&recording, &config, stopped.path(), Some(Disturbance::Cancel(at)), &warnings);
+            assert!(matches!(result, Err(ScanError::Core(CoreError::Interrupted))), "at {at}");
+        }
+        run(&recording, &config, stopped.path(), None, &warnings).unwrap();
+    });
+    assert_eq!(bytes(stopped.path()), expected, "stopped");
+
+    // A checkpoint before every batch, and one after every frame only.
+    for (checkpoint_seconds, kills) in [(0.0, [1, 2, 9, 4]), (1e9, [3, 5, 6, 11])] {
+        let config = ScanConfig { checkpoint_seconds, ..config.clone() };
+        let killed = tempfile::tempdir().unwrap();
+        with_threads(2, || {
+            for at in kills {
+                let died = catch_unwind(AssertUnwindSafe(|| {
+                    run(&recording, &config, killed.path(), Some(Disturbance::Kill(at)), &warnings).map(drop)
+                }));
+                assert!(died.is_err(), "killed at {at}");
+            }
+            run(&recording, &config, killed.path(), None, &warnings).unwrap();
+        });
+        assert_eq!(bytes(killed.path()), expected, "killed");
+    }
+    assert!(warnings.snapshot().is_empty(), "{:?}", warnings.snapshot());
+}
+
+#[test]
+fn a_damaged_checkpoint_is_a_warning_and_other_settings_start_anew() {
+    let recording = record(SMALL);
+    let config = quick();
+    let dir = tempfile::tempdir().unwrap();
+    let warnings = Warnings::new();
+    let once = run(&recording, &config, dir.path(), None, &warnings).unwrap();
+    let expected = bytes(dir.path());
+    let path = dir.path().join("checkpoint.bin");
+    let mut damaged = std::fs::read(&path).unwrap();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    std::fs::write(&path, &damaged).unwrap();
+    let again = run(&recording, &config, dir.path(), None, &warnings).unwrap();
+    assert_eq!(warnings.snapshot()[0].code, "checkpoint_damaged");
+    assert_eq!((bytes(dir.path()), again.metrics), (expected.clone(), once.metrics));
+
+    let other = ScanConfig { final_steps: 40, ..config };
+    run(&recording, &other, dir.path(), None, &warnings).unwrap();
+    assert_ne!(bytes(dir.path()), expected);
+    assert_eq!(warnings.snapshot().len(), 1);
+}
+
+#[test]
+fn held_out_frames_change_nothing_but_their_own_scores() {
+    let mut recording = record(SMALL);
+    let config = quick();
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let warnings = Warnings::new();
+    run(&recording, &config, a.path(), None, &warnings).unwrap();
+    for frame in recording.0.frames.iter_mut().filter(|f| Sequence::is_held_out(f.index, config.holdout)) {
+        frame.color.data.fill([255, 0, 255]);
+        frame.depth.data.fill(0.2);
+    }
+    run(&recording, &config, b.path(), None, &warnings).unwrap();
+    let (a, b) = (bytes(a.path()), bytes(b.path()));
+    assert_eq!(a[..3], b[..3]);
+    assert_ne!(a[3], b[3]);
+}
+
+/// Mean and mean magnitude of the signed distance to the true surface of the Gaussians labelled `label` (metres),
+/// over those nearer than 1 cm.
+fn surface_error_m(model: &GaussianModel, label: u16) -> (f64, f64, usize) {
+    let distances: Vec<f64> = (0..model.len())
+        .filter(|&i| model.labels[i] == label)
+        .map(|i| signed_distance_m(label, model.positions_w[i]))
+        .filter(|d| d.abs() < 0.01)
+        .collect();
+    let n = distances.len() as f64;
+    (distances.iter().sum::<f64>() / n, distances.iter().map(|d| d.abs()).sum::<f64>() / n, distances.len())
+}
+
+#[test]
+fn the_standard_preset_reconstructs_the_recording() {
+    let (sequence, labels) = record(SMALL);
+    let mut config = ScanConfig::preset(Preset::Standard);
+    config.holdout = 3;
+    let dir = tempfile::tempdir().unwrap();
+    let result = run(&(sequence.clone(), labels), &config, dir.path(), None, &Warnings::new()).unwrap();
+    let (model, metric) = (&result.model, |key: &str| result.metrics.number(key).unwrap());
+    for (key, value) in result.metrics.iter() {
+        println!("{key} = {value}");
+    }
+    for label in [0, BALL, BOX] {
+        println!("label {label}: bias, mean distance, count {:?}", surface_error_m(model, label));
+    }
+    assert!(metric("scan.train_psnr_db") > 30.0 && metric("scan.holdout_psnr_db") > 23.0);
+    // Discs of 4 mm are blended at their centres' depths, which on a slanted floor costs about half of that.
+    assert!(metric("scan.holdout_depth_mae_m") < 0.004 && metric("scan.holdout_depth_median_m") < 0.003);
+    assert!(metric("scan.holdout_miou") > 0.93 && metric("scan.holdout_coverage") > 0.97);
+    // The Gaussians themselves lie on the surface: with 1 mm of noise a frame, without bias.
+    for (label, bias, distance) in [(0, 5e-5, 4e-4), (BALL, 1.5e-4, 3e-4), (BOX, 1e-4, 3e-4)] {
+        let (mean, magnitude, count) = surface_error_m(model, label);
+        assert!(
+            mean.abs() < bias && magnitude < distance && count > 50,
+            "{label}: {mean} {magnitude} {count}"
+        );
+    }
+    // Gaussians near the ball and off the floor carry its label.
+    let near: Vec<usize> = (0..model.len())
+        .filter(|&i| {
+            signed_distance_m(BALL, model.positions_w[i]).abs() < 0.004 && model.positions_w[i].z > 0.008
+        })
+        .collect();
+    let right = near.iter().filter(|&&i| model.labels[i] == BALL).count();
+    println!("{right} of {} Gaussians on the ball are labelled so", near.len());
+    assert!(right as f64 >= 0.95 * near.len() as f64 && near.len() > 50);
+
+    // What was written is what was made.
+    let read = read_ply(&dir.path().join("scene.ply")).unwrap();
+    assert_eq!((&read.positions_w, &read.labels), (&model.positions_w, &model.labels));
+    assert_eq!(state_of_model(&read).bytes.len(), state_of_model(model).bytes.len());
+    let views = render_views(&read, &sequence, &[2, 99]);
+    assert_eq!((views.len(), views[0].frame_index), (1, 2));
+    let observed = &sequence.frames[2].depth;
+    let covered = (0..observed.data.len()).filter(|&i| views[0].alpha.data[i] >= 0.5);
+    let errors: Vec<f32> = covered.map(|i| (observed.data[i] - views[0].depth.data[i]).abs()).collect();
+    assert!(errors.len() > 15_000 && errors.iter().sum::<f32>() / (errors.len() as f32) < 0.004);
+    let ball = views[0].label.data.iter().filter(|&&l| l == BALL).count();
+    let truth = fixture::record(SMALL).1.maps[2].data.iter().filter(|&&l| l == BALL).count();
+    assert!(ball.abs_diff(truth) < truth / 8, "{ball} of {truth}");
+}
+
+#[test]
+fn what_cannot_be_scanned_is_refused_with_a_cure() {
+    let (sequence, labels) = record(fixture::Recorded { frames: 2, width: 16, height: 10, noise_m: 0.0 });
+    let dir = tempfile::tempdir().unwrap();
+    let refusal = |sequence: &Sequence, labels: &Labels| {
+        let input = (sequence.clone(), labels.clone());
+        match run(&input, &quick(), dir.path(), None, &Warnings::new()) {
+            Err(ScanError::Input(e)) => e.to_string(),
+            other => panic!("{:?}", other.map(|r| r.metrics)),
+        }
+    };
+    let mut fewer = labels.clone();
+    fewer.maps.pop();
+    assert!(refusal(&sequence, &fewer).contains("1 label maps for 2 frames"));
+    let mut blind = sequence.clone();
+    blind.frames.iter_mut().for_each(|f| f.depth.data.fill(0.0));
+    assert!(refusal(&blind, &labels).contains("depth"));
+    let mut other_size = labels.clone();
+    other_size.maps[1] = sms_core::Image::filled(3, 3, 0);
+    assert!(refusal(&sequence, &other_size).contains("frame 1 differ in size"));
+    let none = Sequence { frames: vec![], ..sequence };
+    assert!(refusal(&none, &labels).contains("no frames"));
+}
