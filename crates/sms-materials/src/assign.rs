@@ -88,7 +88,10 @@ mod tests {
         let m = assign(&objects, &MaterialTable::builtin(), Some(&mine), &warnings).unwrap();
         assert_eq!((m[0].class.as_str(), m[0].density.source), ("ceramic", PropertySource::Table));
         assert_eq!((m[1].class.as_str(), m[1].density.source), ("unknown", PropertySource::Prior));
-        assert!(m[1].restitution.value.best > m[0].restitution.value.best, "an unknown sphere bounces like a ball");
+        assert!(
+            m[1].restitution.value.best > m[0].restitution.value.best,
+            "an unknown sphere bounces like a ball"
+        );
         assert_eq!((m[2].class.as_str(), m[2].friction.source), ("brass", PropertySource::User));
         assert_eq!((m[2].density.value.low, m[2].density.value.high), (8400.0, 8400.0));
         assert_eq!(m[2].restitution.source, PropertySource::Table);

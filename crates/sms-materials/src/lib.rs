@@ -16,8 +16,10 @@
 
 mod assign;
 mod overrides;
+mod store;
 mod table;
 
 pub use assign::{ObjectQuery, assign};
 pub use overrides::{ObjectOverride, OverrideValue, Overrides};
+pub use store::{load_materials, save_materials};
 pub use table::{ClassEntry, MaterialTable, Range};

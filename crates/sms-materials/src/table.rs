@@ -11,9 +11,11 @@ const BUILTIN: &str = include_str!("handbook.toml");
 pub type Range = [f64; 3];
 
 /// Properties of one material class, each `[best, low, high]` in SI units.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClassEntry {
+    /// Keys of the table's sources.
+    pub sources: Vec<String>,
     /// Density, kg/m³.
     pub density: Range,
     /// Coulomb friction coefficient.
@@ -41,6 +43,7 @@ struct ObjectEntry {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaterialTable {
+    source: BTreeMap<String, String>,
     class: BTreeMap<String, ClassEntry>,
     object: Vec<ObjectEntry>,
     prior: Priors,
@@ -104,9 +107,12 @@ impl MaterialTable {
         let table: Self = atomic::read_toml(path)?;
         match table.fault() {
             None => Ok(table),
-            Some(what) => {
-                Err(InputError::new(what, path, "write [best, low, high] with low ≤ best ≤ high, in SI units").into())
-            }
+            Some(what) => Err(InputError::new(
+                what,
+                path,
+                "write [best, low, high] with low ≤ best ≤ high, in SI units",
+            )
+            .into()),
         }
     }
 
@@ -118,6 +124,12 @@ impl MaterialTable {
     /// A class as a material.
     pub fn class(&self, name: &str) -> Option<Material> {
         self.class.get(name).map(|c| c.material(name, PropertySource::Table))
+    }
+
+    /// The publications that the values of a class are from.
+    pub fn sources(&self, class: &str) -> Vec<&str> {
+        let keys = self.class.get(class).map_or(&[][..], |c| &c.sources);
+        keys.iter().filter_map(|k| self.source.get(k)).map(String::as_str).collect()
     }
 
     /// What the words of a name or description say: the entry with the longest matching word or phrase, else a class
@@ -157,6 +169,12 @@ impl MaterialTable {
             .map(|(n, e)| (n.as_str(), e))
             .chain([("prior.object", &self.prior.object), ("prior.sphere", &self.prior.sphere)]);
         for (name, entry) in entries {
+            if entry.sources.is_empty() {
+                return Some(format!("`{name}` names no source"));
+            }
+            if let Some(unknown) = entry.sources.iter().find(|s| !self.source.contains_key(*s)) {
+                return Some(format!("`{name}` names the unknown source `{unknown}`"));
+            }
             for (key, [best, low, high]) in entry.ranges() {
                 let ordered = low <= best && best <= high && low >= 0.0 && high.is_finite();
                 let in_range = match key {
@@ -197,6 +215,8 @@ mod tests {
         let table = MaterialTable::builtin();
         assert_eq!(table.fault(), None);
         assert!(table.classes().count() >= 15);
+        assert!(table.sources("phenolic_resin")[0].contains("Alciatore"));
+        assert!(table.sources("no such class").is_empty());
     }
 
     #[test]
@@ -213,12 +233,31 @@ mod tests {
     }
 
     #[test]
+    fn the_floor_has_the_papers_values_and_priors_are_wide() {
+        let table = MaterialTable::builtin();
+        let floor = table.by_words("floor").unwrap();
+        assert_eq!((floor.friction.value.best, floor.restitution.value.best), (0.66, 0.6));
+        for is_sphere in [false, true] {
+            let prior = table.prior(is_sphere);
+            assert_eq!(prior.density.source, PropertySource::Prior);
+            assert!(prior.density.value.high > 5.0 * prior.density.value.low);
+            assert!(prior.friction.value.high > 2.0 * prior.friction.value.low);
+        }
+    }
+
+    #[test]
     fn a_table_out_of_order_is_refused_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mine.toml");
-        std::fs::write(&path, BUILTIN.replace("restitution = [0.92, 0.85, 0.97]", "restitution = [0.92, 0.85, 1.97]"))
-            .unwrap();
+        std::fs::write(
+            &path,
+            BUILTIN.replace("restitution = [0.92, 0.85, 0.97]", "restitution = [0.92, 0.85, 1.97]"),
+        )
+        .unwrap();
         let message = MaterialTable::read(&path).unwrap_err().to_string();
         assert!(message.contains("phenolic_resin") && message.contains("mine.toml"), "{message}");
+        std::fs::write(&path, BUILTIN.replace("[\"alciatore\", \"ashby\"]", "[\"hearsay\"]")).unwrap();
+        let message = MaterialTable::read(&path).unwrap_err().to_string();
+        assert!(message.contains("phenolic_resin") && message.contains("hearsay"), "{message}");
     }
 }

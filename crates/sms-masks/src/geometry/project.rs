@@ -38,15 +38,14 @@ pub(crate) fn label_frames(
     config: &GeometryConfig,
     cancel: &Cancel,
 ) -> Result<Vec<LabelMap>, CoreError> {
-    let maps = sequence
+    sequence
         .frames
         .par_iter()
         .map(|frame| {
             cancel.check()?;
             Ok(label_frame(frame, surfels, labels, config))
         })
-        .collect();
-    maps
+        .collect()
 }
 
 fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &GeometryConfig) -> LabelMap {
