@@ -43,6 +43,34 @@ const GAUSSIANS: usize = 256;
 ///
 /// Only Gaussians that reach a pixel of the step's view are moved: their moments, step counts and regularisers stay
 /// out of steps that cannot see them.
+///
+/// ```
+/// use sms_core::glamx::{DPose3, Quat, Vec3};
+/// use sms_core::{Camera, Intrinsics, Seed};
+/// use sms_gaussians::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig, TrainFrame, Trainer};
+///
+/// let camera = Camera::new(Intrinsics::from_fov(32, 24, 1.0), DPose3::identity());
+/// let mut trainer = CpuTrainer::new(&TrainConfig::default(), 2, Seed(1));
+/// trainer.insert(&[Seedling {
+///     position_w: Vec3::new(0.0, 0.0, 1.0),
+///     rotation_wg: Quat::IDENTITY,
+///     scale: Vec3::new(0.1, 0.1, 0.01),
+///     opacity: 0.5,
+///     color: [0.5; 3],
+///     affinity: [0.1; AFFINITY_DIM],
+/// }]);
+/// let red = TrainFrame {
+///     camera,
+///     color: vec![[1.0, 0.0, 0.0]; 32 * 24],
+///     depth: vec![1.0; 32 * 24],
+///     normal_w: vec![[0.0, 0.0, -1.0]; 32 * 24],
+///     label: vec![1; 32 * 24],
+/// };
+/// let frame = trainer.add_frame(red);
+/// let first = trainer.steps(&[frame]).loss.total;
+/// trainer.steps(&[frame; 50]);
+/// assert!(trainer.steps(&[frame]).loss.total < first);
+/// ```
 pub struct CpuTrainer {
     config: TrainConfig,
     parameters: Parameters,
