@@ -1,0 +1,170 @@
+//! Bad input gives one clear message that names the file and the cure, and exit code 2.
+
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+fn sms(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
+    command.args(arguments).arg("--quiet");
+    command.output().expect("the program starts")
+}
+
+/// A generated recording, made once.
+fn sample() -> &'static Path {
+    static SAMPLE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
+    &SAMPLE
+        .get_or_init(|| {
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("sample");
+            let made = sms(&["sample", path.to_str().unwrap()]);
+            assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+            (dir, path)
+        })
+        .1
+}
+
+struct Broken {
+    dir: tempfile::TempDir,
+}
+
+impl Broken {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        copy(sample(), &dir.path().join("recording"));
+        Self { dir }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join("recording").join(name)
+    }
+
+    fn edit(&self, change: impl FnOnce(&mut Value)) -> &Self {
+        let path = self.path("transforms.json");
+        let mut value: Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+        change(&mut value);
+        fs::write(&path, value.to_string()).unwrap();
+        self
+    }
+
+    /// Scans; the message must be one of bad input and hold every word.
+    fn refused(&self, words: &[&str], more: &[&str]) {
+        let recording = self.dir.path().join("recording");
+        let run = self.dir.path().join("run");
+        let mut arguments = vec!["scan", recording.to_str().unwrap(), "--out", run.to_str().unwrap()];
+        arguments.extend(["--preset", "draft"]);
+        arguments.extend(more);
+        expect_refusal(&sms(&arguments), words);
+        assert!(!run.join("gaussians").exists());
+    }
+}
+
+fn expect_refusal(output: &Output, words: &[&str]) {
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("cure:"), "{message}");
+    assert_eq!(message.matches("error:").count(), 1, "one message: {message}");
+    for word in words {
+        assert!(message.contains(word), "`{word}` is missing in: {message}");
+    }
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.file_name() == "truth" {
+            continue;
+        }
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+fn blank_png(path: &Path, width: u32, height: u32) {
+    let pixels = vec![0u8; (width * height * 2) as usize];
+    let image = sms_core::Image::from_vec(
+        width as usize,
+        height as usize,
+        pixels.chunks_exact(2).map(|p| u16::from_be_bytes([p[0], p[1]])).collect(),
+    );
+    sms_core::write_png_gray16(path, &image).unwrap();
+}
+
+#[test]
+fn a_missing_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    let nowhere = dir.path().join("nowhere");
+    let run = dir.path().join("run");
+    expect_refusal(&sms(&["scan", nowhere.to_str().unwrap(), "--out", run.to_str().unwrap()]), &["nowhere"]);
+    expect_refusal(&sms(&["check", nowhere.to_str().unwrap()]), &["nowhere"]);
+    expect_refusal(&sms(&["materialize", nowhere.to_str().unwrap()]), &["nowhere", "sms scan"]);
+}
+
+#[test]
+fn images_that_are_missing_cut_short_or_of_another_size() {
+    let b = Broken::new();
+    fs::remove_file(b.path("depth/000003.png")).unwrap();
+    b.refused(&["000003.png"], &[]);
+    let b = Broken::new();
+    let victim = b.path("color/000002.png");
+    let bytes = fs::read(&victim).unwrap();
+    fs::write(&victim, &bytes[..bytes.len() - 300]).unwrap();
+    b.refused(&["000002.png"], &[]);
+    let b = Broken::new();
+    for entry in fs::read_dir(b.path("depth")).unwrap() {
+        blank_png(&entry.unwrap().path(), 100, 77);
+    }
+    b.refused(&["depth", "100"], &[]);
+}
+
+#[test]
+fn poses_numbers_and_frames_that_cannot_be() {
+    Broken::new()
+        .edit(|t| t["frames"][1]["transform_matrix"][0][0] = Value::from(1.9))
+        .refused(&["transforms.json", "frame 1"], &[]);
+    Broken::new().edit(|t| t["frames"] = Value::Array(Vec::new())).refused(&["transforms.json"], &[]);
+    let b = Broken::new();
+    let text = fs::read_to_string(b.path("transforms.json")).unwrap();
+    fs::write(b.path("transforms.json"), text.replacen("\"frames\"", "\"k1\": NaN, \"frames\"", 1)).unwrap();
+    b.refused(&["transforms.json"], &[]);
+}
+
+#[test]
+fn depth_without_a_measurement_and_masks_for_some_frames_only() {
+    let b = Broken::new();
+    for entry in fs::read_dir(b.path("depth")).unwrap() {
+        blank_png(&entry.unwrap().path(), 320, 200);
+    }
+    b.refused(&["depth"], &[]);
+    let b = Broken::new();
+    fs::create_dir_all(b.path("masks")).unwrap();
+    blank_png(&b.path("masks/000000.png"), 320, 200);
+    b.edit(|t| t["frames"][0]["mask_path"] = Value::from("masks/000000.png"));
+    b.refused(&["mask"], &["--masks", "files"]);
+}
+
+#[test]
+fn settings_with_an_unknown_key() {
+    let b = Broken::new();
+    let settings = b.dir.path().join("mine.toml");
+    fs::write(&settings, "[scan]\nsteps_frst = 3\n").unwrap();
+    b.refused(&["mine.toml", "steps_frst"], &["--settings", settings.to_str().unwrap()]);
+    fs::write(&settings, "[scna]\n").unwrap();
+    b.refused(&["mine.toml", "scna"], &["--settings", settings.to_str().unwrap()]);
+}
+
+#[test]
+fn a_folder_that_holds_something_else_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("thesis.tex"), "do not touch").unwrap();
+    expect_refusal(&sms(&["sample", dir.path().to_str().unwrap()]), &["not empty"]);
+    expect_refusal(&sms(&["demo", "billiards", "--out", dir.path().to_str().unwrap()]), &["something else"]);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
