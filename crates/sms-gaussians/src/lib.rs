@@ -1,4 +1,42 @@
 //! Differentiable 3D Gaussians: model, losses, training schedule, CPU back end, checkpoint and PLY.
+//!
+//! [`scan`] turns posed RGB-D frames with labels into a [`GaussianModel`] (paper, Section "Scan"): frame after frame
+//! is seeded and optimised while earlier frames are replayed. It knows its back end only as a [`Trainer`], which takes
+//! whole training steps; [`CpuTrainer`] is the one here, and [`oracle`] the double-precision truth it is tested
+//! against. [`write_ply`] and [`read_ply`] keep the model as a standard 3D Gaussian Splatting file.
+//!
+//! ```
+//! use sms_core::{BACKGROUND, Camera, Cancel, Image, Intrinsics, Labels, MaskSource, NoProgress, Seed, Warnings};
+//! use sms_core::glamx::DPose3;
+//! use sms_frames::{Frame, Sequence};
+//! use sms_gaussians::{CpuTrainer, Preset, ScanConfig, read_ply, scan};
+//! // One grey wall, half a metre away.
+//! let frame = Frame {
+//!     index: 0,
+//!     time_s: None,
+//!     camera: Camera::new(Intrinsics::from_fov(32, 20, 0.6), DPose3::identity()),
+//!     color: Image::filled(32, 20, [128; 3]),
+//!     depth: Image::filled(32, 20, 0.5),
+//!     normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
+//!     color_path: "000000.png".into(),
+//!     mask_path: None,
+//! };
+//! let sequence =
+//!     Sequence { frames: vec![frame], x_world_recording: DPose3::identity(), source: "wall".into() };
+//! let labels =
+//!     Labels { maps: vec![Image::filled(32, 20, BACKGROUND)], objects: vec![], source: MaskSource::Files };
+//! let config = ScanConfig::preset(Preset::Draft);
+//! let seed = Seed(1);
+//! let mut trainer = CpuTrainer::new(&config.train, labels.class_count(), seed);
+//! let dir = tempfile::tempdir()?;
+//! let (cancel, warnings) = (Cancel::new(), Warnings::new());
+//! let result = scan(
+//!     &sequence, &labels, &config, seed, dir.path(), &mut trainer, &NoProgress, &cancel, &warnings,
+//! )?;
+//! assert!(result.model.positions_w.iter().all(|p| (p.z - 0.5).abs() < 1e-3));
+//! assert_eq!(read_ply(&dir.path().join("scene.ply"))?.len(), result.model.len());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod config;
 mod cpu;
