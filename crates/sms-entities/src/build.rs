@@ -27,6 +27,8 @@ struct Draft {
     cloud: PointCloud,
     rest: Rest,
     sphere: Option<SphereFit>,
+    /// Whether it stays where it is: physics would drop what only seems to float.
+    fixed: bool,
 }
 
 /// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of
@@ -61,6 +63,7 @@ pub fn build_entities(
     }
     if labels.source == MaskSource::Geometry {
         join_pieces(&mut drafts, &views, config, seed, warnings);
+        fix_floating(&mut drafts, warnings);
     }
     let mut entities = Vec::new();
     for (i, draft) in drafts.iter().enumerate() {
@@ -177,7 +180,7 @@ fn draft(
     }
     drop_carrier_points(&mut cloud, &rest);
     let sphere = recognise_sphere(&cloud, views, info.id, &rest, config, seed);
-    Some(Draft { info: info.clone(), cloud, rest, sphere })
+    Some(Draft { info: info.clone(), cloud, rest, sphere, fixed: false })
 }
 
 /// What touches another object but could not stay where it is by itself is a piece of that object that its mask
@@ -224,15 +227,35 @@ fn join_pieces(
     }
 }
 
+/// What is left without anything to stand on is part of something larger that was not seen whole (a shelf, a cable, a
+/// card stuck to a wall): it becomes a fixed collider.
+fn fix_floating(drafts: &mut [Draft], warnings: &Warnings) {
+    for draft in drafts.iter_mut().filter(|d| !can_stay(d)) {
+        draft.fixed = true;
+        let message =
+            format!("nothing that carries `{}` was seen: it is kept as a fixed collider", draft.info.name);
+        let cure = "scan the surface around it, or correct the masks";
+        warnings.add(STAGE, "kept_fixed", message, cure);
+    }
+}
+
+fn kind(draft: &Draft) -> EntityKind {
+    if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic }
+}
+
 /// Whether an object would stay where it was seen: it stands on the floor or the environment, or it lies flat on
 /// another object with its middle over the contact.
 fn can_stay(draft: &Draft) -> bool {
     let plane = &draft.rest.plane;
     let points = &draft.cloud.points_w;
-    let lowest = quantile(points.iter().map(|&p| plane.height_over(p)).collect(), 0.02);
+    let heights: Vec<f64> = points.iter().map(|&p| plane.height_over(p)).collect();
+    let seen = quantile(heights.clone(), 0.02);
+    // The foot itself is often hidden: a ball's lowest point follows from the fit, other shapes get a tenth.
+    let lowest = draft.sphere.map_or(seen, |fit| plane.height_over(fit.center) - fit.radius);
+    let slack = (0.1 * (quantile(heights, 0.98) - seen)).max(0.015);
     match draft.rest.carrier {
         Carrier::Unseen => false,
-        Carrier::Floor | Carrier::Environment => lowest < 0.015,
+        Carrier::Floor | Carrier::Environment => lowest < slack,
         Carrier::Object(_) => {
             let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
             let foot = outline_on_plane(points, plane, 0.01, 0.0);
@@ -339,7 +362,7 @@ fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
         label: draft.info.id,
         name: draft.info.name.clone(),
         description: draft.info.description.clone(),
-        kind: EntityKind::Dynamic,
+        kind: kind(draft),
         shape: EntityShape::Sphere { center_w, radius: fit.radius },
         cloud: draft.cloud.clone(),
         mesh,
@@ -398,7 +421,7 @@ fn mesh_entity(
         label: draft.info.id,
         name: name.clone(),
         description: draft.info.description.clone(),
-        kind: EntityKind::Dynamic,
+        kind: kind(draft),
         shape: EntityShape::Convex,
         cloud: draft.cloud.clone(),
         observed_share: mesher::observed_share(&mesh, &draft.cloud, 1.5 * spacing),

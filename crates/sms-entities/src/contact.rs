@@ -10,7 +10,10 @@ use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 /// Overlap that physics engines tolerate, metres.
 const ALLOWED: f64 = 1e-5;
 
-/// Two objects that still overlap, by their indices, and by how much (metres).
+/// Overlap that remains after cutting and costs a piece, metres.
+const GIVE_UP: f64 = 0.001;
+
+/// Two objects that overlapped, by their indices, and by how much (metres).
 pub(crate) struct Overlap {
     pub(crate) first: usize,
     pub(crate) second: usize,
@@ -36,12 +39,12 @@ pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report:
 fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices: usize) -> f64 {
     let (left, right) = entities.split_at_mut(second);
     let (a, b) = (&mut left[first], &mut right[0]);
-    let both_move = a.kind == EntityKind::Dynamic && b.kind == EntityKind::Dynamic;
+    let either_moves = a.kind == EntityKind::Dynamic || b.kind == EntityKind::Dynamic;
     let apart = match (a.mesh.aabb(), b.mesh.aabb()) {
         (Some(p), Some(q)) => p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any(),
         _ => true,
     };
-    if !both_move || apart {
+    if !either_moves || apart {
         return 0.0;
     }
     let mut deepest = 0.0f64;
@@ -65,9 +68,27 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
                     break;
                 }
             }
+            if overlap(a, i, b, j).is_some_and(|(normal, on_a, on_b)| (on_a - on_b).dot(normal) > GIVE_UP) {
+                give_up_smaller(a, i, b, j);
+            }
         }
     }
+    for entity in [a, b] {
+        entity.parts.retain(|p| !p.triangles.is_empty());
+    }
     deepest
+}
+
+/// Of two pieces that no cut can part, the smaller goes, where its object has others.
+fn give_up_smaller(a: &mut Entity, i: usize, b: &mut Entity, j: usize) {
+    let volume = |e: &Entity, k: usize| if is_sphere(e) { f64::INFINITY } else { e.parts[k].volume() };
+    let others = |e: &Entity| e.parts.iter().filter(|p| !p.triangles.is_empty()).count() > 1;
+    let first_goes = others(a) && (volume(a, i) <= volume(b, j) || !others(b));
+    if first_goes {
+        a.parts[i] = Mesh::default();
+    } else if others(b) {
+        b.parts[j] = Mesh::default();
+    }
 }
 
 fn is_sphere(entity: &Entity) -> bool {

@@ -57,13 +57,13 @@ fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Mesh>> {
         if pieces[worst].concavity <= threshold {
             break;
         }
-        let Some((below, above)) = best_cut(&pieces[worst], &solid) else {
+        let Some(cut) = best_cut(&pieces[worst], &solid) else {
             // It cannot be cut any further; keep it and go on with the others.
             pieces[worst].concavity = 0.0;
             continue;
         };
-        pieces[worst] = below;
-        pieces.push(above);
+        pieces.swap_remove(worst);
+        pieces.extend(cut);
     }
     Some(merge(pieces.into_iter().map(|p| p.hull).collect(), &solid, threshold, config.max_parts))
 }
@@ -81,40 +81,78 @@ fn corner_points(triangles: &[[DVec3; 3]]) -> Vec<DVec3> {
     points
 }
 
-/// The plane that leaves the least hull volume on both sides together.
-fn best_cut(piece: &Piece, solid: &VoxelSolid) -> Option<(Piece, Piece)> {
-    let mut normals = vec![DVec3::Z];
-    normals.extend((0..8).map(|k| {
+/// Directions that planes are tried along: up, and eight level ones.
+fn cut_normals() -> Vec<DVec3> {
+    let level = (0..8).map(|k| {
         let (sin, cos) = (std::f64::consts::PI / 8.0 * f64::from(k)).sin_cos();
         DVec3::new(cos, sin, 0.0)
-    }));
+    });
+    std::iter::once(DVec3::Z).chain(level).collect()
+}
+
+fn hull_volume(side: &[[DVec3; 3]]) -> f64 {
+    convex_hull(&corner_points(side), 32, 1e-4).map_or(0.0, |hull| hull.volume())
+}
+
+/// Cuts by the plane that saves the most hull volume, or by two planes at once through the deepest point where that
+/// saves more for each cut: halves of a tube have the hull of the whole tube, and only its quarters show the gain.
+fn best_cut(piece: &Piece, solid: &VoxelSolid) -> Option<Vec<Piece>> {
+    let normals = cut_normals();
     let points = corner_points(&piece.triangles);
-    let mut planes = Vec::new();
+    let margin = solid.cell();
+    let range = |n: DVec3| {
+        points.iter().map(|p| p.dot(n)).fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v), b.max(v)))
+    };
+    let mut cuts: Vec<Vec<(DVec3, f64)>> = Vec::new();
+    let mut deep = Vec::new();
     for &n in &normals {
-        let low = points.iter().map(|p| p.dot(n)).fold(f64::MAX, f64::min);
-        let high = points.iter().map(|p| p.dot(n)).fold(f64::MIN, f64::max);
-        let margin = solid.cell();
+        let (low, high) = range(n);
+        let is_inner = |d: f64| d > low + margin && d < high - margin;
         let deepest = piece.deepest.dot(n);
         let offsets = (1..8).map(|k| low + (high - low) * f64::from(k) / 8.0).chain([deepest]);
-        planes.extend(offsets.filter(|&d| d > low + margin && d < high - margin).map(|d| (n, d)));
+        cuts.extend(offsets.filter(|&d| is_inner(d)).map(|d| vec![(n, d)]));
+        if is_inner(deepest) {
+            deep.push((n, deepest));
+        }
     }
-    // Scores come back in the planes' order whatever the threads do.
-    let scores: Vec<f64> = planes
+    for (i, &first) in deep.iter().enumerate() {
+        cuts.extend(
+            deep[..i].iter().filter(|second| second.0.dot(first.0).abs() < 0.8).map(|&s| vec![first, s]),
+        );
+    }
+    let whole = piece.hull.volume();
+    // Scores come back in the cuts' order whatever the threads do.
+    let gains: Vec<f64> = cuts
         .par_iter()
-        .map(|&(n, d)| {
-            let (below, above) = clip(&piece.triangles, n, d);
-            let volume = |side: &[[DVec3; 3]]| {
-                convex_hull(&corner_points(side), 32, 1e-4).map_or(0.0, |hull| hull.volume())
-            };
-            volume(&below) + volume(&above)
+        .map(|planes| {
+            let sides = apply(&piece.triangles, planes);
+            let left: f64 = sides.iter().map(|side| hull_volume(side)).sum();
+            (whole - left) / (sides.len() as f64 - 1.0).max(1.0)
         })
         .collect();
-    let mut order: Vec<usize> = (0..planes.len()).collect();
-    order.sort_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(a.cmp(&b)));
+    let mut order: Vec<usize> = (0..cuts.len()).collect();
+    order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]).then(a.cmp(&b)));
     order.into_iter().take(4).find_map(|i| {
-        let (below, above) = clip(&piece.triangles, planes[i].0, planes[i].1);
-        Some((self::piece(below, solid)?, self::piece(above, solid)?))
+        let sides = apply(&piece.triangles, &cuts[i]);
+        let pieces: Vec<Piece> = sides.into_iter().filter_map(|side| self::piece(side, solid)).collect();
+        (pieces.len() >= 2).then_some(pieces)
     })
+}
+
+/// All sides of all planes that hold any surface.
+fn apply(triangles: &[[DVec3; 3]], planes: &[(DVec3, f64)]) -> Vec<Vec<[DVec3; 3]>> {
+    let mut sides = vec![triangles.to_vec()];
+    for &(n, d) in planes {
+        sides = sides
+            .iter()
+            .flat_map(|side| {
+                let (below, above) = clip(side, n, d);
+                [below, above]
+            })
+            .filter(|side| !side.is_empty())
+            .collect();
+    }
+    sides
 }
 
 /// The triangles below and above a plane, cut where they cross it.

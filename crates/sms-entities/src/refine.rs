@@ -55,8 +55,17 @@ pub(crate) fn decimate(mesh: &Mesh, budget: usize) -> Mesh {
 pub(crate) fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     let Some(bounds) = mesh.aabb() else { return mesh.clone() };
     // Single precision is ample once the mesh is near the origin.
-    let positions: Vec<[f32; 3]> =
-        mesh.vertices.iter().map(|&v| (v - bounds.center()).as_vec3().to_array()).collect();
+    // Vertices of different sheets at one place would be welded: a micrometre keeps them apart.
+    let mut order: Vec<usize> = (0..mesh.vertices.len()).collect();
+    let key = |i: usize| mesh.vertices[i].to_array();
+    order.sort_by(|&a, &b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal).then(a.cmp(&b)));
+    let mut positions = vec![[0.0f32; 3]; mesh.vertices.len()];
+    let mut twins = 0;
+    for (n, &i) in order.iter().enumerate() {
+        twins = if n > 0 && key(order[n - 1]) == key(i) { twins + 1 } else { 0 };
+        let apart = DVec3::splat(1e-6 * f64::from(twins));
+        positions[i] = (mesh.vertices[i] + apart - bounds.center()).as_vec3().to_array();
+    }
     let indices: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
     let kept = meshopt::simplify_decoder(
         &indices,

@@ -97,6 +97,12 @@ fn a_cup_keeps_its_hollow() {
             assert!(!parts.iter().any(|part| is_within(part, p)), "a part fills the hollow at {p}");
         }
     }
+    let sum: f64 = parts.iter().map(Mesh::volume).sum();
+    assert!(
+        sum < 1.5 * objects[0].volume,
+        "parts swell the cup to {:.2} of its volume",
+        sum / objects[0].volume
+    );
     // The wall itself is covered.
     let on_wall = (0..64).filter(|&k| {
         let (sin, cos) = (std::f64::consts::TAU / 64.0 * f64::from(k)).sin_cos();
@@ -116,6 +122,30 @@ fn balls_are_found_as_spheres_whatever_they_are_called() {
         assert!(center_w.distance(center) < 3e-4 && (radius - r).abs() < 1.5e-4);
         assert!(entity.mesh.is_closed_oriented());
     }
+}
+
+#[test]
+fn with_masks_from_geometry_scraps_are_joined_and_balls_stay_free() {
+    // The tower of the bracket carries a cap that the masks took for a thing of its own; a large ball hides its foot.
+    let tower = DVec3::new(-0.06, 0.0, 0.0);
+    let objects = [
+        cuboid(tower, DVec3::new(0.03, 0.03, 0.05), 0.0),
+        ball(tower + DVec3::Z * 0.112, 0.018),
+        ball(DVec3::new(0.1, 0.0, 0.06), 0.06),
+    ];
+    let mut fixture = observe(&objects, &[], &Observation { distance: 0.7, ..Default::default() }, 13);
+    assert_eq!(build(&fixture).entities.len(), 3, "masks that are told mean what they say");
+    fixture.labels.source = sms_core::MaskSource::Geometry;
+    let warnings = Warnings::new();
+    let set = run(&fixture, &EntitiesConfig::default(), &warnings).unwrap();
+    assert_eq!(set.entities.iter().map(|e| e.label).collect::<Vec<_>>(), [1, 3]);
+    assert!(set.entities.iter().all(|e| e.kind == EntityKind::Dynamic));
+    assert!(warnings.snapshot().iter().any(|w| w.code == "pieces_joined"));
+    let top = set.entities[0].mesh.vertices.iter().map(|v| v.z).fold(0.0, f64::max);
+    assert!((top - 0.13).abs() < 0.003, "{top}");
+    assert!(
+        matches!(set.entities[1].shape, EntityShape::Sphere { radius, .. } if (radius - 0.06).abs() < 3e-4)
+    );
 }
 
 #[test]
