@@ -25,29 +25,26 @@ impl Progress for Bars {
         }
         bar.set_prefix(part.to_owned());
         bar.enable_steady_tick(Duration::from_millis(250));
-        if let Ok(mut current) = self.current.lock() {
-            if let Some(old) = current.replace(bar) {
-                old.finish_and_clear();
-            }
+        let Ok(mut current) = self.current.lock() else { return };
+        if let Some(old) = current.replace(bar) {
+            old.finish_and_clear();
         }
     }
 
     fn update(&self, done: u64, message: &str) {
-        if let Ok(current) = self.current.lock() {
-            if let Some(bar) = current.as_ref() {
-                bar.set_position(done);
-                bar.set_message(message.to_owned());
-            }
+        let Ok(current) = self.current.lock() else { return };
+        if let Some(bar) = current.as_ref() {
+            bar.set_position(done);
+            bar.set_message(message.to_owned());
         }
     }
 
     fn end(&self, message: &str) {
-        if let Ok(mut current) = self.current.lock() {
-            if let Some(bar) = current.take() {
-                let line = format!("{:>22} {message} ({:.1} s)", bar.prefix(), bar.elapsed().as_secs_f64());
-                bar.finish_and_clear();
-                eprintln!("{line}");
-            }
+        let Ok(mut current) = self.current.lock() else { return };
+        if let Some(bar) = current.take() {
+            let line = format!("{:>22} {message} ({:.1} s)", bar.prefix(), bar.elapsed().as_secs_f64());
+            bar.finish_and_clear();
+            eprintln!("{line}");
         }
     }
 }

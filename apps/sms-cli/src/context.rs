@@ -12,8 +12,6 @@ use std::io::IsTerminal;
 pub(crate) struct Context {
     /// Shows progress.
     pub progress: Box<dyn Progress>,
-    /// Collects warnings of all stages.
-    pub warnings: Warnings,
     /// Set by Ctrl-C.
     pub cancel: Cancel,
     /// Settings of all stages.
@@ -54,7 +52,6 @@ impl Context {
         };
         Ok(Self {
             progress,
-            warnings: Warnings::new(),
             cancel,
             settings: Settings::read(common.settings.as_deref())?,
             force: common.force,
@@ -71,13 +68,14 @@ impl Context {
     }
 
     /// Merges metrics into the run's (keys that start with one of `prefixes` are replaced as a whole), saves the
-    /// warnings of `stages`, shows them, and prints the metrics with `--json`.
+    /// warnings as those of `stage`, and shows them.
     pub(crate) fn finish(
         &self,
         run: &RunFolder,
-        stages: &[&str],
+        stage: &str,
         prefixes: &[&str],
         metrics: Metrics,
+        warnings: &Warnings,
     ) -> anyhow::Result<()> {
         let path = run.metrics_path();
         let mut all = Metrics::load(&path)?;
@@ -86,8 +84,8 @@ impl Context {
         }
         all.merge(metrics);
         all.save(&path)?;
-        self.warnings.save(&run.warnings_path(), stages)?;
-        for w in self.warnings.snapshot().iter().filter(|w| stages.contains(&w.stage.as_str())) {
+        warnings.save_as(&run.warnings_path(), stage)?;
+        for w in warnings.snapshot() {
             let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
             eprintln!("warning: {}{times}{}{}", w.message, if w.cure.is_empty() { "" } else { "; " }, w.cure);
         }

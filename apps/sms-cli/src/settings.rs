@@ -26,13 +26,13 @@ impl Settings {
         let settings = Self { table: atomic::read_toml(path)?, path: path.to_owned() };
         for name in settings.table.keys() {
             match name.as_str() {
-                "read" => drop(settings.section(name, ReadOptions::default())?),
-                "frames" => drop(settings.section(name, LoadSettings::default())?),
-                "masks" => drop(settings.section(name, GeometryConfig::default())?),
-                "scan" => drop(settings.section(name, ScanConfig::default())?),
-                "entities" => drop(settings.section(name, EntitiesConfig::default())?),
-                "plan" => drop(settings.section(name, PlanConfig::default())?),
-                "evaluate" => drop(settings.section(name, EvaluateSettings::default())?),
+                "read" => settings.checked::<ReadOptions>(name)?,
+                "frames" => settings.checked::<LoadSettings>(name)?,
+                "masks" => settings.checked::<GeometryConfig>(name)?,
+                "scan" => settings.checked::<ScanConfig>(name)?,
+                "entities" => settings.checked::<EntitiesConfig>(name)?,
+                "plan" => settings.checked::<PlanConfig>(name)?,
+                "evaluate" => settings.checked::<EvaluateSettings>(name)?,
                 _ => {
                     return Err(InputError::new(
                         format!("this settings file has an unknown section `{name}`"),
@@ -44,6 +44,11 @@ impl Settings {
             }
         }
         Ok(settings)
+    }
+
+    /// Whether every key of a section exists and has a value of its kind.
+    fn checked<T: Default + Serialize + DeserializeOwned>(&self, name: &str) -> anyhow::Result<()> {
+        self.section(name, T::default()).map(|_| ())
     }
 
     /// `base` with this file's values of a section in place of its own.

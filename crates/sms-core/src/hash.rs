@@ -9,7 +9,7 @@ use std::path::Path;
 #[serde(transparent)]
 pub struct Hash(pub String);
 
-/// Builds a [`Hash`] from parts; each part is framed by its length so that parts cannot run into each other.
+/// Builds a [`struct@Hash`] from parts; each part is framed by its length so that parts cannot run into each other.
 #[derive(Debug, Default)]
 pub struct Hasher(blake3::Hasher);
 

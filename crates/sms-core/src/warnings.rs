@@ -52,12 +52,15 @@ impl Warnings {
         list
     }
 
-    /// Merges into `warnings.json`: entries of `stages` are replaced by this collector's, others are kept.
-    pub fn save(&self, path: &Path, stages: &[&str]) -> Result<(), CoreError> {
-        let mut all: Vec<Warning> =
-            if path.exists() { crate::atomic::read_json(path).unwrap_or_default() } else { Vec::new() };
-        all.retain(|w| !stages.contains(&w.stage.as_str()));
-        all.extend(self.snapshot().into_iter().filter(|w| stages.contains(&w.stage.as_str())));
+    /// Merges into `warnings.json` as the warnings of `stage`: what that stage said before is replaced by this
+    /// collector's, whatever part of the program added it; other stages' are kept.
+    ///
+    /// # Errors
+    /// When the file cannot be read or written.
+    pub fn save_as(&self, path: &Path, stage: &str) -> Result<(), CoreError> {
+        let mut all: Vec<Warning> = if path.exists() { crate::atomic::read_json(path)? } else { Vec::new() };
+        all.retain(|w| w.stage != stage);
+        all.extend(self.snapshot().into_iter().map(|w| Warning { stage: stage.to_owned(), ..w }));
         crate::atomic::write_json(path, &all)
     }
 }
@@ -71,12 +74,16 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("warnings.json");
         let first = Warnings::new();
-        first.add("scan", "few_frames", "only 3 frames", "");
-        first.add("scan", "few_frames", "only 3 frames", "");
-        first.add("plan", "hard", "no shot found", "");
-        assert_eq!(first.snapshot().len(), 2);
-        first.save(&path, &["scan", "plan"]).unwrap();
-        Warnings::new().save(&path, &["scan"]).unwrap();
+        first.add("reader", "few_frames", "only 3 frames", "");
+        first.add("reader", "few_frames", "only 3 frames", "");
+        assert_eq!(first.snapshot()[0].count, 2);
+        first.save_as(&path, "frames").unwrap();
+        let second = Warnings::new();
+        second.add("plan", "hard", "no shot found", "");
+        second.save_as(&path, "plan").unwrap();
+        let both: Vec<Warning> = crate::atomic::read_json(&path).unwrap();
+        assert_eq!(both.iter().map(|w| w.stage.as_str()).collect::<Vec<_>>(), ["frames", "plan"]);
+        Warnings::new().save_as(&path, "frames").unwrap();
         let left: Vec<Warning> = crate::atomic::read_json(&path).unwrap();
         assert_eq!(left.len(), 1);
         assert_eq!(left[0].stage, "plan");

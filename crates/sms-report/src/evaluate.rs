@@ -74,21 +74,48 @@ impl ObjectScores {
     }
 }
 
-/// Compares a reconstructed mesh with a known cloud, both in the world.
+/// What a reconstruction is compared with, in the world.
+#[derive(Debug, Clone, Copy)]
+pub enum KnownSurface<'a> {
+    /// A scanner's points, dense enough that the distance to the nearest is the distance to the surface.
+    Cloud(&'a PointCloud),
+    /// An exact mesh.
+    Mesh(&'a Mesh),
+}
+
+impl KnownSurface<'_> {
+    fn index(&self) -> Option<SurfaceIndex> {
+        match self {
+            Self::Cloud(cloud) => SurfaceIndex::of_points(&cloud.points_w),
+            Self::Mesh(mesh) => SurfaceIndex::new(mesh),
+        }
+    }
+
+    fn points(&self, settings: &EvaluateSettings) -> Vec<DVec3> {
+        match self {
+            Self::Cloud(cloud) => cloud.points_w.clone(),
+            Self::Mesh(mesh) => {
+                sample_surface(mesh, settings.samples, Seed(settings.seed).derive("known surface"))
+            }
+        }
+    }
+}
+
+/// Compares a reconstructed mesh with a known surface, both in the world.
 ///
 /// # Errors
 /// [`EvaluateError::Empty`] when either has no surface.
 pub fn evaluate_object(
     mesh_w: &Mesh,
-    model_w: &PointCloud,
+    known_w: KnownSurface<'_>,
     settings: &EvaluateSettings,
 ) -> Result<ObjectScores, EvaluateError> {
     let surface = SurfaceIndex::new(mesh_w).ok_or(EvaluateError::Empty("the reconstruction"))?;
     let samples = sample_surface(mesh_w, settings.samples, Seed(settings.seed));
-    let cloud = SurfaceIndex::of_points(&model_w.points_w).ok_or(EvaluateError::Empty("the known model"))?;
-    let mut accuracy: Vec<f64> = samples.par_iter().map(|&p| cloud.closest(p).distance).collect();
+    let known = known_w.index().ok_or(EvaluateError::Empty("the known model"))?;
+    let mut accuracy: Vec<f64> = samples.par_iter().map(|&p| known.closest(p).distance).collect();
     let mut completion: Vec<f64> =
-        model_w.points_w.par_iter().map(|&p| surface.closest(p).distance).collect();
+        known_w.points(settings).par_iter().map(|&p| surface.closest(p).distance).collect();
     if accuracy.is_empty() {
         return Err(EvaluateError::Empty("the reconstruction"));
     }
@@ -200,12 +227,15 @@ mod tests {
             ..PointCloud::default()
         };
         let grown = Mesh::icosphere(0.052, 4);
-        let s = evaluate_object(&grown, &model, &EvaluateSettings::default()).unwrap();
+        let exact = Mesh::icosphere(0.05, 4);
+        let s = evaluate_object(&grown, KnownSurface::Mesh(&exact), &EvaluateSettings::default()).unwrap();
+        assert!((s.accuracy_median_m - 0.002).abs() < 2e-5 && (s.chamfer_m - 0.002).abs() < 2e-5, "{s:?}");
+        let s = evaluate_object(&grown, KnownSurface::Cloud(&model), &EvaluateSettings::default()).unwrap();
         assert!((s.accuracy_median_m - 0.002).abs() < 2e-4, "{s:?}");
         assert!((s.completion_median_m - 0.002).abs() < 2e-4, "{s:?}");
         assert!(s.f1_2p5mm > 0.95 && s.f1_5mm == 1.0, "{s:?}");
         let far = grown.transformed(&DPose3::from_translation(DVec3::X));
-        let s = evaluate_object(&far, &model, &EvaluateSettings::default()).unwrap();
+        let s = evaluate_object(&far, KnownSurface::Cloud(&model), &EvaluateSettings::default()).unwrap();
         assert_eq!(s.f1_5mm, 0.0);
     }
 
@@ -215,7 +245,7 @@ mod tests {
         let model = PointCloud { points_w: sample_surface(&full, 20_000, Seed(3)), ..PointCloud::default() };
         let mut half = full.clone();
         half.triangles.retain(|t| t.iter().all(|&i| full.vertices[i as usize].z > 0.0));
-        let s = evaluate_object(&half, &model, &EvaluateSettings::default()).unwrap();
+        let s = evaluate_object(&half, KnownSurface::Cloud(&model), &EvaluateSettings::default()).unwrap();
         assert!(s.accuracy_p90_m < 1.5e-3 && s.f1_2p5mm < 0.75 && s.f1_2p5mm > 0.55, "{s:?}");
     }
 

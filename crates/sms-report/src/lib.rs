@@ -5,11 +5,11 @@
 //! against realised, and a 3-D view; its pictures are also written as PNG beside it.
 //!
 //! ```
-//! use sms_core::{Mesh, PointCloud, glamx::DVec3};
-//! let ball = Mesh::icosphere(0.03, 4);
-//! let model = PointCloud { points_w: Mesh::icosphere(0.03, 3).vertices, ..PointCloud::default() };
-//! let scores = sms_report::evaluate_object(&ball, &model, &sms_report::EvaluateSettings::default()).unwrap();
-//! assert!(scores.chamfer_m < 1e-3 && scores.f1_2p5mm > 0.99);
+//! use sms_core::Mesh;
+//! use sms_report::{EvaluateSettings, KnownSurface, evaluate_object};
+//! let (found, truth) = (Mesh::icosphere(0.0301, 4), Mesh::icosphere(0.03, 4));
+//! let scores = evaluate_object(&found, KnownSurface::Mesh(&truth), &EvaluateSettings::default()).unwrap();
+//! assert!((scores.chamfer_m - 1e-4).abs() < 1e-5 && scores.f1_2p5mm == 1.0);
 //! ```
 
 mod colormap;
@@ -24,8 +24,8 @@ mod view3d;
 
 pub use colormap::{depth_picture, error_picture, label_picture, turbo};
 pub use evaluate::{
-    EvaluateError, EvaluateSettings, KnownObject, ObjectScores, compare_sphere, evaluate_object,
-    read_known_objects,
+    EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,
+    evaluate_object, read_known_objects,
 };
 pub use figures::ViewPair;
 pub use page::{LossPoint, ReportError, ReportInput, write_report};

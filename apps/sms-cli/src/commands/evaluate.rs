@@ -6,10 +6,10 @@ use crate::cli::Evaluate;
 use crate::context::Context;
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{Entity, EntityKind, EntityShape, InputError, Mesh, PointCloud, RunFolder, Seed};
+use sms_core::{Entity, EntityKind, EntityShape, InputError, Mesh, PointCloud, RunFolder, Warnings};
 use sms_entities::load_entities;
 use sms_frames::Sequence;
-use sms_report::{EvaluateSettings, compare_sphere, evaluate_object, read_known_objects, sample_surface};
+use sms_report::{EvaluateSettings, KnownSurface, compare_sphere, evaluate_object, read_known_objects};
 use sms_synth::{TruthObject, read_truth};
 use std::path::Path;
 
@@ -20,6 +20,7 @@ pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
     let settings = context.settings.section("evaluate", EvaluateSettings::default())?;
     let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
     let recorded = run_settings(&run)?;
+    let warnings = Warnings::new();
     let metrics = match &a.objects {
         Some(path) => {
             if !path.is_file() {
@@ -31,7 +32,7 @@ pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
                 .into());
             }
             let by_label = recorded.masks == "files";
-            against_models(context, path, &dynamic, &x_wr, by_label, &settings)?
+            against_models(context, path, &dynamic, &x_wr, by_label, &settings, &warnings)?
         }
         None => {
             let recording = Path::new(&recorded.recording);
@@ -43,10 +44,10 @@ pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
                 )
                 .into());
             }
-            against_truth(context, recording, &dynamic, &x_wr, &settings)?
+            against_truth(context, recording, &dynamic, &x_wr, &settings, &warnings)?
         }
     };
-    context.finish(&run, &["evaluate"], &["evaluate."], metrics)?;
+    context.finish(&run, "evaluate", &["evaluate."], metrics, &warnings)?;
     context.print_metrics(&run)
 }
 
@@ -58,6 +59,7 @@ fn against_models(
     x_wr: &DPose3,
     by_label: bool,
     settings: &EvaluateSettings,
+    warnings: &Warnings,
 ) -> anyhow::Result<Metrics> {
     let known = read_known_objects(path)?;
     if known.is_empty() {
@@ -78,7 +80,7 @@ fn against_models(
         let center_w = model_w.points_w.iter().copied().sum::<DVec3>() / count;
         let labelled = dynamic.iter().copied().find(|e| by_label && e.label == object.mask_value);
         let Some(entity) = labelled.or_else(|| nearest(dynamic, center_w, 0.1)) else {
-            context.warnings.add(
+            warnings.add(
                 "evaluate",
                 "not_found",
                 format!("`{}` was not reconstructed", object.name),
@@ -86,7 +88,7 @@ fn against_models(
             );
             continue;
         };
-        let scores = evaluate_object(&entity.mesh, &model_w, settings)?;
+        let scores = evaluate_object(&entity.mesh, KnownSurface::Cloud(&model_w), settings)?;
         context.say(format!(
             "{} ({}): accuracy {} median, {} p90; completion {}; F1 {:.3} at 2.5 mm, {:.3} at 5 mm",
             object.name,
@@ -109,6 +111,7 @@ fn against_truth(
     dynamic: &[&Entity],
     x_wr: &DPose3,
     settings: &EvaluateSettings,
+    warnings: &Warnings,
 ) -> anyhow::Result<Metrics> {
     let truth = read_truth(recording)?;
     let mut metrics = Metrics::new();
@@ -118,7 +121,7 @@ fn against_truth(
         let center_w = x_wr.transform_point(object.x_wb.translation);
         let radius = object.aabb_w().extents().length() * 0.5;
         let Some(entity) = nearest(dynamic, center_w, radius) else {
-            context.warnings.add(
+            warnings.add(
                 "evaluate",
                 "not_found",
                 format!("`{}` ({}) was not reconstructed", object.name, object.class),
@@ -147,11 +150,7 @@ fn compare_with_truth(
     metrics: &mut Metrics,
 ) -> anyhow::Result<String> {
     let mesh_w: Mesh = object.mesh_w().transformed(x_wr);
-    let model = PointCloud {
-        points_w: sample_surface(&mesh_w, settings.samples, Seed(settings.seed).derive("truth")),
-        ..PointCloud::default()
-    };
-    let scores = evaluate_object(&entity.mesh, &model, settings)?;
+    let scores = evaluate_object(&entity.mesh, KnownSurface::Mesh(&mesh_w), settings)?;
     metrics.merge(scores.metrics(&entity.name));
     metrics.set(format!("evaluate.{}.truth", entity.name), object.name.clone());
     let ratio = entity.mesh.volume() / mesh_w.volume();

@@ -35,7 +35,7 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let mut truth_hash = Hasher::new();
     truth_hash.file(&truth_file)?;
     let hash = inputs_hash(&[&before, &truth_hash.finish()], &options)?;
-    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage| {
+    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, _| {
         let truth = read_truth(Path::new(&recording))?;
         let execution = execute(&task, &plan.action, &scene, &truth, &options)?;
         execution.save(stage.dir())?;

@@ -6,7 +6,7 @@ use crate::cli::Materialize;
 use crate::context::Context;
 use serde::Deserialize;
 use sms_core::metrics::Metrics;
-use sms_core::{EntityKind, EntityShape, Hash, Hasher, InputError, RunFolder, Seed, atomic};
+use sms_core::{EntityKind, EntityShape, Hash, Hasher, InputError, Labels, RunFolder, Seed, atomic};
 use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
 use sms_frames::Sequence;
 use sms_gaussians::read_ply;
@@ -27,11 +27,11 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
     let hash = inputs_hash(&[&before], &(&config, seed))?;
     let entities_dir =
-        run_stage(context, &run, "entities", &["entities.", "materialize."], &hash, |stage| {
+        run_stage(context, &run, "entities", &["entities.", "materialize."], &hash, |stage, warnings| {
             timed("materialize.seconds", || {
                 let model = read_ply(&gaussians_dir.join("scene.ply"))?;
-                let sequence = Sequence::load(&frames_dir)?;
-                let labels = load_labels(&masks_dir)?;
+                let (sequence, labels) =
+                    trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
                 let set = build_entities(
                     &model,
                     &sequence,
@@ -40,7 +40,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                     seed,
                     context.progress.as_ref(),
                     &context.cancel,
-                    &context.warnings,
+                    warnings,
                 )?;
                 save_entities(stage.dir(), &set)?;
                 Ok(entity_metrics(&set))
@@ -55,7 +55,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     }
     let scene_hash = inputs_hash(&[&hash, &given.finish()], &"scene 1")?;
     let x_world_recording = Sequence::load(&frames_dir)?.x_world_recording;
-    let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage| {
+    let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
         let mut queries: Vec<ObjectQuery> = set
             .entities
             .iter()
@@ -72,8 +72,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
             is_sphere: false,
             mean_color: [128; 3],
         });
-        let mut materials =
-            assign(&queries, &MaterialTable::builtin(), overrides.as_ref(), &context.warnings)?;
+        let mut materials = assign(&queries, &MaterialTable::builtin(), overrides.as_ref(), warnings)?;
         let floor = materials.pop();
         let support = set.support_height.zip(floor);
         let scene =
@@ -85,6 +84,14 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     summary(context, &set);
     context.say(format!("  in {}", shown(&scene_dir.join("scene.json"))));
     context.print_metrics(&run)
+}
+
+/// The frames that were trained on, with their label maps: objects must not see what was kept out either.
+fn trained_on(sequence: Sequence, labels: Labels, holdout: usize) -> (Sequence, Labels) {
+    let kept = |index: usize| !Sequence::is_held_out(index, holdout);
+    let maps = labels.maps.into_iter().enumerate().filter(|(i, _)| kept(*i)).map(|(_, m)| m).collect();
+    let frames = sequence.frames.into_iter().enumerate().filter(|(i, _)| kept(*i)).map(|(_, f)| f).collect();
+    (Sequence { frames, ..sequence }, Labels { maps, ..labels })
 }
 
 /// The `[run]` table of `run.toml`.

@@ -15,7 +15,7 @@ pub(crate) mod view;
 
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, RunFolder, Stage, StageState};
+use sms_core::{Hash, Hasher, RunFolder, Stage, StageState, Warnings};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -37,14 +37,15 @@ pub(crate) fn run_stage(
     name: &str,
     prefixes: &[&str],
     hash: &Hash,
-    work: impl FnOnce(&Stage) -> anyhow::Result<Metrics>,
+    work: impl FnOnce(&Stage, &Warnings) -> anyhow::Result<Metrics>,
 ) -> anyhow::Result<PathBuf> {
     match run.begin(name, hash, context.force)? {
         StageState::Done(dir) => Ok(dir),
         StageState::Todo(stage) => {
-            let metrics = work(&stage)?;
+            let warnings = Warnings::new();
+            let metrics = work(&stage, &warnings)?;
             // Metrics before the rename: a kill in between redoes the stage and writes them again.
-            context.finish(run, &[name], prefixes, metrics)?;
+            context.finish(run, name, prefixes, metrics, &warnings)?;
             Ok(stage.commit()?)
         }
     }

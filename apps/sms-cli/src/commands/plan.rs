@@ -26,7 +26,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     run.record_settings("plan", config)?;
     let before = run.stage_hash("scene").unwrap_or(Hash(String::new()));
     let hash = inputs_hash(&[&before], &(task, config, seed))?;
-    let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage| {
+    let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
             let outcome = plan(
                 &resolved,
@@ -36,7 +36,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
                 seed,
                 context.progress.as_ref(),
                 &context.cancel,
-                &context.warnings,
+                warnings,
             )?;
             save_plan(stage.dir(), &outcome)?;
             task.write(&stage.dir().join("task.toml"))?;

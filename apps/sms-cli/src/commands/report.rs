@@ -35,7 +35,7 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
     };
     let metrics = Metrics::load(&run.metrics_path())?;
     let warnings: Vec<Warning> = read_optional(&run.warnings_path()).unwrap_or_default();
-    let views = views(&run, &model, holdout(&run))?;
+    let views = views(&run, &model, settings.holdout)?;
     let mut subtitle =
         format!("{} · masks from {} · preset {}", settings.recording_name(), settings.masks, settings.preset);
     if let Some(e) = &execution {
@@ -84,13 +84,6 @@ fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
 
 fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
     vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
-}
-
-fn holdout(run: &RunFolder) -> usize {
-    let text = std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default();
-    let table: toml::Table = text.parse().unwrap_or_default();
-    let value = table.get("scan").and_then(|s| s.get("holdout")).and_then(toml::Value::as_integer);
-    value.and_then(|v| usize::try_from(v).ok()).unwrap_or(0)
 }
 
 fn losses(gaussians_dir: &Path) -> Vec<LossPoint> {

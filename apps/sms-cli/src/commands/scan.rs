@@ -5,7 +5,7 @@ use crate::cli::{MasksName, PresetName, Scan};
 use crate::context::{Context, peak_bytes};
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, InputError, RunFolder, Seed};
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::{CpuTrainer, Preset, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
@@ -22,6 +22,8 @@ pub(crate) struct RunSettings {
     pub preset: String,
     /// Source of the masks.
     pub masks: String,
+    /// Every so many frames one was kept out of training (0: none).
+    pub holdout: usize,
 }
 
 /// Runs the scan's stages; returns the open run.
@@ -49,6 +51,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         seed: seed.0,
         preset: preset_name.into(),
         masks: format!("{:?}", a.masks).to_lowercase(),
+        holdout: scan_config.holdout,
     };
     run.record_settings("run", &settings)?;
     run.record_settings("read", &read)?;
@@ -57,15 +60,10 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
 
     let fingerprint = recording_fingerprint(&recording)?;
     let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, a.no_check))?;
-    let frames_dir = run_stage(context, &run, "frames", &["check."], &frames_hash, |stage| {
-        let metrics = checked(context, &recording, a.no_check)?;
-        let sequence = load(
-            &recording,
-            &frames_settings,
-            context.progress.as_ref(),
-            &context.cancel,
-            &context.warnings,
-        )?;
+    let frames_dir = run_stage(context, &run, "frames", &["check."], &frames_hash, |stage, warnings| {
+        let metrics = checked(context, &recording, a.no_check, warnings)?;
+        let sequence =
+            load(&recording, &frames_settings, context.progress.as_ref(), &context.cancel, warnings)?;
         sequence.save_with_settings(stage.dir(), &frames_settings)?;
         Ok(metrics)
     })?;
@@ -76,14 +74,13 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if a.masks == MasksName::Geometry {
         run.record_settings("masks", &geometry)?;
     }
-    let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage| {
+    let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
         let segmenter: Box<dyn Segmenter> = match a.masks {
             MasksName::Geometry => Box::new(GeometryMasks { config: geometry.clone() }),
             MasksName::Files => Box::new(FileMasks::default()),
             MasksName::Truth => Box::new(TruthMasks),
         };
-        let labels =
-            segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, &context.warnings)?;
+        let labels = segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)?;
         save_labels(stage.dir(), &labels)?;
         let mut metrics = Metrics::new();
         metrics.set("masks.objects", labels.objects.len()).set("masks.source", settings.masks.clone());
@@ -95,7 +92,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let mut edited = Hasher::new();
     edited.file(&masks_dir.join("labels.json"))?;
     let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&scan_config, seed))?;
-    run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage| {
+    run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
         let mut metrics = timed("scan.seconds", || {
             let mut trainer = CpuTrainer::new(&scan_config.train, labels.class_count(), seed);
             let result = sms_gaussians::scan(
@@ -107,7 +104,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
                 &mut trainer,
                 context.progress.as_ref(),
                 &context.cancel,
-                &context.warnings,
+                warnings,
             )?;
             Ok(result.metrics)
         })?;
@@ -123,7 +120,12 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
 }
 
 /// Checks the recording; a fault stops the scan unless `--no-check`.
-fn checked(context: &Context, recording: &Recording, no_check: bool) -> anyhow::Result<Metrics> {
+fn checked(
+    context: &Context,
+    recording: &Recording,
+    no_check: bool,
+    warnings: &Warnings,
+) -> anyhow::Result<Metrics> {
     let report = check(recording, context.progress.as_ref(), &context.cancel)?;
     for finding in &report.findings {
         if finding.severity == Severity::Fault && !no_check {
@@ -135,7 +137,7 @@ fn checked(context: &Context, recording: &Recording, no_check: bool) -> anyhow::
             .into());
         }
         if finding.severity != Severity::Info {
-            context.warnings.add("frames", finding.code, finding.what.clone(), finding.cure.clone());
+            warnings.add("frames", finding.code, finding.what.clone(), finding.cure.clone());
         }
     }
     Ok(report.metrics())

@@ -4,7 +4,7 @@ use super::length_text;
 use crate::cli::Simulate;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, RunFolder, atomic};
+use sms_core::{InputError, RunFolder, Warnings, atomic};
 use sms_scene::load_scene;
 use sms_sim::{RapierFactory, resting_drift};
 
@@ -25,6 +25,7 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
     metrics.set("simulate.seconds_simulated", a.seconds);
     metrics.set("simulate.drift_m", worst(|d| d.moved_m));
     metrics.set("simulate.turn_rad", worst(|d| d.turned_rad));
+    let warnings = Warnings::new();
     for d in &drifts {
         context.say(format!(
             "{:>16}: moved {}, turned {:.2}° in {} s",
@@ -34,7 +35,7 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
             a.seconds
         ));
         if d.moved_m > 0.002 || d.turned_rad > 1f64.to_radians() {
-            context.warnings.add(
+            warnings.add(
                 "simulate",
                 "does_not_rest",
                 format!(
@@ -48,6 +49,6 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
         }
     }
     atomic::write_json(&run.root().join("simulate.json"), &drifts)?;
-    context.finish(&run, &["simulate"], &["simulate."], metrics)?;
+    context.finish(&run, "simulate", &["simulate."], metrics, &warnings)?;
     context.print_metrics(&run)
 }
