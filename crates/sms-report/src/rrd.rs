@@ -5,7 +5,7 @@
 //! predicted), `world/realised/*`, `world/paths/*`, `losses/*`.
 
 use crate::page::ReportInput;
-use rerun::external::re_sdk::blueprint::{
+use rerun::blueprint::{
     Blueprint, BlueprintActivation, Horizontal, Spatial2DView, Spatial3DView, TimeSeriesView, Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
@@ -26,6 +26,14 @@ pub enum RrdError {
         /// Why.
         source: rerun::RecordingStreamError,
     },
+    /// Not everything reached the file.
+    #[error("the Rerun recording {path} is not whole: {why}")]
+    Flush {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        why: String,
+    },
     /// The finished recording could not be put in place.
     #[error(transparent)]
     Core(#[from] sms_core::CoreError),
@@ -37,30 +45,34 @@ pub enum RrdError {
 /// [`RrdError`] naming the file.
 pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
     let temporary = path.with_extension("rrd.tmp");
-    log_all(&temporary, input).map_err(|source| RrdError::Sdk { path: path.to_owned(), source })?;
+    let sdk = |source| RrdError::Sdk { path: path.to_owned(), source };
+    let rec =
+        RecordingStreamBuilder::new("sms").recording_name(input.title.clone()).save(&temporary).map_err(sdk)?;
+    log_all(&rec, input).map_err(sdk)?;
+    rec.flush_blocking().map_err(|e| RrdError::Flush { path: path.to_owned(), why: e.to_string() })?;
+    drop(rec);
     std::fs::rename(&temporary, path).map_err(sms_core::CoreError::write(path))?;
     Ok(())
 }
 
 type Logged = Result<(), rerun::RecordingStreamError>;
 
-fn log_all(path: &Path, input: &ReportInput<'_>) -> Logged {
-    let rec = RecordingStreamBuilder::new("sms").recording_name(input.title.clone()).save(path)?;
-    blueprint().send(&rec, BlueprintActivation { make_active: true, make_default: true })?;
+fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
+    blueprint().send(rec, BlueprintActivation { make_active: true, make_default: true })?;
     rec.log_static("world", &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
-    log_views(&rec, input)?;
-    log_gaussians(&rec, input)?;
+    log_views(rec, input)?;
+    log_gaussians(rec, input)?;
     if let Some(scene) = input.scene {
-        log_bodies(&rec, scene, "world/bodies", None)?;
+        log_bodies(rec, scene, "world/bodies", None)?;
         if let Some(plan) = input.plan {
-            log_motion(&rec, scene, &plan.trajectory, "world/bodies", |n| Some(n.to_owned()))?;
-            log_paths(&rec, &plan.trajectory, "predicted", [31, 95, 208])?;
+            log_motion(rec, scene, &plan.trajectory, "world/bodies", |n| Some(n.to_owned()))?;
+            log_paths(rec, &plan.trajectory, "predicted", [31, 95, 208])?;
         }
         if let Some(e) = input.execution {
             let matched = |n: &str| e.matches.iter().find(|m| m.1 == n).map(|m| m.0.clone());
-            log_bodies(&rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
-            log_motion(&rec, scene, &e.trajectory, "world/realised", matched)?;
-            log_paths(&rec, &e.trajectory, "realised", [73, 209, 124])?;
+            log_bodies(rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
+            log_motion(rec, scene, &e.trajectory, "world/realised", matched)?;
+            log_paths(rec, &e.trajectory, "realised", [73, 209, 124])?;
         }
     }
     if let Some([x, y]) = input.goal_w {
@@ -78,19 +90,7 @@ fn log_all(path: &Path, input: &ReportInput<'_>) -> Logged {
             rec.log(format!("losses/{name}"), &rerun::Scalars::new([value]))?;
         }
     }
-    // A flush error means that the file is not whole; report it as a failed save.
-    rec.flush_blocking().map_err(|e| rerun::RecordingStreamError::FileSink(rerun_sink_error(path, &e)))?;
     Ok(())
-}
-
-fn rerun_sink_error(
-    path: &Path,
-    error: &dyn std::error::Error,
-) -> rerun::external::re_log_encoding::FileSinkError {
-    rerun::external::re_log_encoding::FileSinkError::CreateFile(
-        path.to_owned(),
-        std::io::Error::other(error.to_string()),
-    )
 }
 
 fn blueprint() -> Blueprint {
