@@ -105,6 +105,9 @@ pub(crate) struct Scan {
     /// Seed of everything random.
     #[arg(long)]
     pub seed: Option<u64>,
+    /// The recording's up direction in its own world, where the surfaces do not tell it (any length).
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    pub up: Option<Vec<f64>>,
     /// Scan even when the check finds that the recording is wrong.
     #[arg(long)]
     pub no_check: bool,

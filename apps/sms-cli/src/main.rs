@@ -1,6 +1,7 @@
 //! The command `sms`: from a posed RGB-D recording to a simulated scene, a plan, an execution and a report.
 //!
-//! One file per command; each only wires stages together. Exit codes: 0 done, 2 bad input, 1 any other failure.
+//! One file per command; each only wires stages together. Exit codes: 0 done, 2 bad input, 130
+//! interrupted (run the same command again to resume), 1 any other failure.
 
 mod bars;
 mod cli;

@@ -42,6 +42,7 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         masks: a.masks,
         holdout: Some(HOLDOUT),
         seed: Some(a.seed),
+        up: None,
         no_check: false,
     };
     drop(scan::run(context, &scan_arguments)?);

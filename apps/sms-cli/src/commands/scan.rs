@@ -6,7 +6,7 @@ use crate::context::{Context, peak_bytes};
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings};
-use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
+use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::{CpuTrainer, Preset, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
 use std::path::Path;
@@ -23,6 +23,7 @@ pub(crate) struct RunSettings {
     /// Source of the masks.
     pub masks: String,
     /// Every so many frames one was kept out of training (0: none).
+    #[serde(default)]
     pub holdout: usize,
 }
 
@@ -37,7 +38,10 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         PresetName::Fine => (Preset::Fine, "fine"),
     };
     let long_side = LoadSettings { long_side: kind.long_side(), ..LoadSettings::default() };
-    let frames_settings = context.settings.section("frames", long_side)?;
+    let mut frames_settings = context.settings.section("frames", long_side)?;
+    if let Some(up) = &a.up {
+        frames_settings.align = Align::Up(up_direction(up)?);
+    }
     let mut scan_config = context.settings.section("scan", ScanConfig::preset(kind))?;
     if let Some(holdout) = a.holdout {
         scan_config.holdout = holdout;
@@ -70,7 +74,8 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let sequence = Sequence::load(&frames_dir)?;
 
     let masks_settings = (&settings.masks, (a.masks == MasksName::Geometry).then_some(&geometry));
-    let masks_hash = inputs_hash(&[&frames_hash], &masks_settings)?;
+    let names = mask_names_hash(&recording, a.masks)?;
+    let masks_hash = inputs_hash(&[&frames_hash, &names], &masks_settings)?;
     if a.masks == MasksName::Geometry {
         run.record_settings("masks", &geometry)?;
     }
@@ -119,6 +124,19 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     Ok(run)
 }
 
+fn up_direction(values: &[f64]) -> Result<[f64; 3], InputError> {
+    match values {
+        &[x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) && x * x + y * y + z * z > 1e-12 => {
+            Ok([x, y, z])
+        }
+        _ => Err(InputError::new(
+            format!("{values:?} is no direction"),
+            "--up",
+            "give three numbers that are not all zero, such as --up 0,0,1",
+        )),
+    }
+}
+
 /// Checks the recording; a fault stops the scan unless `--no-check`.
 fn checked(
     context: &Context,
@@ -153,6 +171,20 @@ fn recording_fingerprint(recording: &Recording) -> anyhow::Result<Hash> {
         for path in files.into_iter().flatten() {
             hash_file(&mut hasher, path)?;
         }
+    }
+    Ok(hasher.finish())
+}
+
+/// Content hash of what names the objects of masks from files, or of a generated recording's truth.
+fn mask_names_hash(recording: &Recording, masks: MasksName) -> anyhow::Result<Hash> {
+    let file = match masks {
+        MasksName::Geometry => None,
+        MasksName::Files => Some(recording.root.join("objects.json")),
+        MasksName::Truth => Some(recording.root.join("truth").join("truth.json")),
+    };
+    let mut hasher = Hasher::new();
+    if let Some(path) = file {
+        hash_file(&mut hasher, &path)?;
     }
     Ok(hasher.finish())
 }
