@@ -334,12 +334,38 @@ fn recognise_sphere(
     let gap = first.center.z - first.radius - rest.plane.offset;
     let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
     let rays = object_rays(views, label);
-    let Some((center, radius)) = sphere::refine_on_rays(&rays, first.center, first.radius, floor) else {
-        return Some(first);
+    let best = match sphere::refine_on_rays(&rays, first.center, first.radius, floor) {
+        Some((center, radius)) => {
+            let refined = sphere::describe(points, center, radius, first.sigma, &config.sphere);
+            // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
+            if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
+        }
+        None => first,
     };
-    let refined = sphere::describe(points, center, radius, first.sigma, &config.sphere);
-    // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
-    Some(if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first })
+    (!is_contradicted(&best, views, label, rest)).then_some(best)
+}
+
+/// Share of a sphere's seen directions through which cameras may look before it is no ball. Borders of masks and of
+/// depth cost a few percent; a bowl, the cap of a sphere, is seen through over half of it.
+const SEEN_THROUGH: f64 = 0.12;
+/// How far a ball may reach below what it rests on, metres.
+const SUNK_M: f64 = 0.003;
+
+/// Whether the cameras or the floor contradict that a whole sphere is there. A round bowl's wall lies on a sphere, too.
+fn is_contradicted(fit: &SphereFit, views: &Views, label: u16, rest: &Rest) -> bool {
+    if rest.plane.height_over(fit.center) - fit.radius < -SUNK_M {
+        return true;
+    }
+    let (mut seen, mut through) = (0, 0);
+    for direction in sphere::directions(400) {
+        // Slightly inside, so that noise of a true surface is not taken for emptiness.
+        let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
+        if count.own + count.free >= 2 {
+            seen += 1;
+            through += usize::from(count.free > count.own);
+        }
+    }
+    through as f64 > SEEN_THROUGH * f64::from(seen.max(1))
 }
 
 fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {

@@ -112,6 +112,17 @@ fn a_cup_keeps_its_hollow() {
 }
 
 #[test]
+fn a_round_bowl_is_no_ball() {
+    // Its wall lies on a sphere, and more than half of its cloud with it; but cameras look through where the upper
+    // half would be.
+    let objects = [round_bowl(DVec3::ZERO, 0.07, 0.06, 0.005)];
+    let entity = &build(&observe(&objects, &[], &Observation::default(), 5)).entities[0];
+    assert!(matches!(entity.shape, EntityShape::Convex), "{:?}", entity.shape);
+    let ratio = entity.mesh.volume() / objects[0].volume;
+    assert!((0.85..1.3).contains(&ratio), "the hollow is kept: volume × {ratio:.2}");
+}
+
+#[test]
 fn balls_are_found_as_spheres_whatever_they_are_called() {
     let truth = [(DVec3::new(0.1, 0.0, 0.028), 0.028), (DVec3::new(-0.12, 0.05, 0.035), 0.035)];
     let objects = truth.map(|(center, r)| ball(center, r));

@@ -165,7 +165,10 @@ fn cards(input: &ReportInput<'_>) -> String {
         card(&mut html, "Scan PSNR", &format!("{psnr:.1} dB"), note, "");
     }
     if let Some(mae) = m("scan.holdout_depth_mae_m").or(m("scan.train_depth_mae_m")) {
-        card(&mut html, "Depth error", &length_text(mae), "mean absolute", "");
+        let median = m("scan.holdout_depth_median_m").or(m("scan.train_depth_median_m"));
+        let note =
+            median.map(|v| format!("mean; median {}", length_text(v))).unwrap_or_else(|| "mean".into());
+        card(&mut html, "Depth error", &length_text(mae), &note, "");
     }
     if let Some(n) = m("scan.gaussians") {
         let note = m("scan.steps").map(|s| format!("{s:.0} training steps")).unwrap_or_default();

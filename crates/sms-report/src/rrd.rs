@@ -46,8 +46,10 @@ pub enum RrdError {
 pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
     let temporary = path.with_extension("rrd.tmp");
     let sdk = |source| RrdError::Sdk { path: path.to_owned(), source };
-    let rec =
-        RecordingStreamBuilder::new("sms").recording_name(input.title.clone()).save(&temporary).map_err(sdk)?;
+    let rec = RecordingStreamBuilder::new("sms")
+        .recording_name(input.title.clone())
+        .save(&temporary)
+        .map_err(sdk)?;
     log_all(&rec, input).map_err(sdk)?;
     rec.flush_blocking().map_err(|e| RrdError::Flush { path: path.to_owned(), why: e.to_string() })?;
     drop(rec);

@@ -45,6 +45,24 @@ pub fn cylinder(foot: DVec3, r: f64, h: f64) -> Shape {
     Shape { name: "cylinder", sdf: Box::new(sdf), volume: PI * r * r * h }
 }
 
+/// A bowl whose wall is the lower part, up to `h`, of a spherical shell of outer radius `r` and thickness `t`, standing on
+/// a flat of 4 mm depth.
+pub fn round_bowl(foot: DVec3, r: f64, h: f64, t: f64) -> Shape {
+    let center = r - 0.004;
+    let sdf = move |p: DVec3| {
+        let q = p - foot;
+        let from_center = (q - DVec3::Z * center).length();
+        (from_center - r).max((r - t) - from_center).max(q.z - h).max(-q.z)
+    };
+    // Volume of a ball of radius `r` around height `center`, between two heights.
+    let segment = move |r: f64, low: f64, high: f64| {
+        let integral = |z: f64| PI * (r * r * z - (z - center).powi(3) / 3.0);
+        integral(high) - integral(low)
+    };
+    let volume = segment(r, 0.0, h) - segment(r - t, (center - (r - t)).max(0.0), h);
+    Shape { name: "bowl", sdf: Box::new(sdf), volume }
+}
+
 /// A mug without a handle: a cup of wall and floor thickness `t`.
 pub fn cup(foot: DVec3, r: f64, h: f64, t: f64) -> Shape {
     let sdf = move |p: DVec3| {
