@@ -5,7 +5,7 @@ use super::{inputs_hash, length_text, run_stage, shown};
 use crate::cli::Execute;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, InputError, RunFolder};
+use sms_core::{Hasher, InputError, RunFolder};
 use sms_plan::load_plan;
 use sms_scene::load_scene;
 use sms_synth::read_truth;
@@ -16,7 +16,8 @@ use std::path::Path;
 pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let plan_dir = run.stage_dir("plan", "plan --task TASK.toml")?;
-    let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
+    let scene_dir = run.stage_dir("scene", "materialize")?;
+    let scene = load_scene(&scene_dir)?;
     let recording = run_settings(&run)?.recording;
     let truth_file = Path::new(&recording).join("truth").join("truth.json");
     if !truth_file.is_file() {
@@ -31,10 +32,9 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?;
     let options = TargetOptions::default();
-    let before = run.stage_hash("plan").unwrap_or(Hash(String::new()));
-    let mut truth_hash = Hasher::new();
-    truth_hash.file(&truth_file)?;
-    let hash = inputs_hash(&[&before, &truth_hash.finish()], &options)?;
+    let mut read = Hasher::new();
+    read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
+    let hash = inputs_hash(&[&read.finish()], &options)?;
     let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, _| {
         let truth = read_truth(Path::new(&recording))?;
         let execution = execute(&task, &plan.action, &scene, &truth, &options)?;

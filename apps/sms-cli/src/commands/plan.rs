@@ -4,7 +4,7 @@ use super::materialize::run_settings;
 use super::{inputs_hash, length_text, run_stage, shown, timed};
 use crate::cli::Plan;
 use crate::context::Context;
-use sms_core::{Hash, RunFolder, Seed};
+use sms_core::{Hasher, RunFolder, Seed};
 use sms_plan::{PlanConfig, load_plan, plan, save_plan};
 use sms_scene::load_scene;
 use sms_sim::RapierFactory;
@@ -24,8 +24,10 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     let seed = Seed(a.seed.map_or_else(|| run_settings(&run).map(|s| s.seed), Ok)?);
     let resolved = task.resolve(&scene)?;
     run.record_settings("plan", config)?;
-    let before = run.stage_hash("scene").unwrap_or(Hash(String::new()));
-    let hash = inputs_hash(&[&before], &(task, config, seed))?;
+    // What the manifest says now: a user may have edited a mass or a friction.
+    let mut manifest = Hasher::new();
+    manifest.file(&scene_dir.join("scene.json"))?;
+    let hash = inputs_hash(&[&manifest.finish()], &(task, config, seed))?;
     let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
             let outcome = plan(
