@@ -28,6 +28,8 @@ pub struct GaussianModel {
     pub label_confidence: Vec<f32>,
     /// The classifier.
     pub classifier: Classifier,
+    /// Colour behind all Gaussians, 0 to 1: what a pixel without any of them shows.
+    pub background: [f32; 3],
 }
 
 /// The two-layer perceptron φ of the paper (Section "Scan"): affinity → ReLU hidden layer → logits.

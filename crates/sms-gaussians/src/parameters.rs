@@ -155,7 +155,8 @@ impl Parameters {
         keep(&mut self.steps, mask);
     }
 
-    /// The model in natural units, each Gaussian labelled by the classifier on its own affinity.
+    /// The model in natural units before a black background, each Gaussian labelled by the classifier on its own
+    /// affinity.
     pub fn model(&self) -> GaussianModel {
         let mut model =
             GaussianModel { classifier: self.classifier.classifier(), ..GaussianModel::default() };

@@ -127,6 +127,9 @@ pub trait Trainer: Send {
     fn retain(&mut self, mask: &[bool]);
     /// One step per entry, in order.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats;
+    /// The constant colour b behind all Gaussians (0 to 1; black until set): a pixel shows Σ c·α·T + T_final·b, in
+    /// training and rendering alike. It is not learnt and no part of the state: callers set it before anything else.
+    fn set_background(&mut self, rgb: [f32; 3]);
     /// Renders a view (no gradients).
     fn render(&mut self, camera: &Camera) -> RenderedMaps;
     /// Opacities in order.

@@ -20,6 +20,8 @@ const GAUSSIANS: usize = 256;
 pub(super) struct Engine {
     pub(super) simd: Simd,
     pub(super) grid: Grid,
+    /// Colour behind all Gaussians.
+    pub(super) background: [f32; 3],
     pub(super) bands: Vec<Band>,
     pub(super) tiles: Vec<TileImage>,
     /// ∂L/∂parameters of the last step, zero where not seen.
@@ -57,6 +59,7 @@ impl Engine {
         Self {
             simd,
             grid: Grid::new(0, 0),
+            background: [0.0; 3],
             bands: Vec::new(),
             tiles: Vec::new(),
             gradients: Vec::new(),
@@ -103,8 +106,8 @@ impl Engine {
         self.slots.prepare();
         self.times.project += start.elapsed().as_secs_f64();
 
-        let Self { simd, grid, projected, slots, statistics, .. } = self;
-        let (simd, grid) = (*simd, *grid);
+        let Self { simd, grid, background, projected, slots, statistics, .. } = self;
+        let (simd, grid, background) = (*simd, *grid, *background);
         let (layout, inside, length) = statistics.inside_mut(BAND_ROWS);
         self.bands
             .par_iter_mut()
@@ -122,7 +125,7 @@ impl Engine {
                 for (i, image) in tiles.iter_mut().enumerate() {
                     let place = grid.place(first + i);
                     let mut reached = std::mem::take(&mut band.reached);
-                    blend_tile(simd, &band.splats, band.list(i), place, image, &mut reached);
+                    blend_tile(simd, &band.splats, band.list(i), place, background, image, &mut reached);
                     band.reached = reached;
                 }
                 let blended = Instant::now();

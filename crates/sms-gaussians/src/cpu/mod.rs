@@ -220,6 +220,10 @@ impl Trainer for CpuTrainer {
         maps
     }
 
+    fn set_background(&mut self, rgb: [f32; 3]) {
+        self.engine.background = rgb.map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
+    }
+
     fn opacities(&self) -> Vec<f32> {
         self.parameters.rows.iter().map(|r| sigmoid(r.0[LOGIT_OPACITY])).collect()
     }
@@ -233,7 +237,7 @@ impl Trainer for CpuTrainer {
     }
 
     fn model(&self) -> GaussianModel {
-        self.parameters.model()
+        GaussianModel { background: self.engine.background, ..self.parameters.model() }
     }
 
     fn snapshot(&self) -> TrainState {

@@ -3,6 +3,8 @@
 //! The inner loops take four splats by two rows of pixels at a time, so that each loaded value is used several times
 //! from registers. The gradient replays the tile front to back with two numbers per pixel (design, section 6):
 //! with s_k = F_k·∂L/∂out, transmittance T and remainder rem = Σ_{j≥k} w_j s_j, ∂L/∂α_k = T s_k − rem_{>k}/(1 − α_k).
+//! The background acts as a last, opaque splat: its share T_final·b is part of the output, hence of the remainder, and
+//! is never taken from it.
 
 use super::lanes::{Chunk, Lanes, by_simd};
 
@@ -200,12 +202,14 @@ fn alphas<L: Lanes>(
     (reached.trailing_zeros() as usize, (u32::BITS - reached.leading_zeros()) as usize)
 }
 
-/// Blends the splats of `list` (indices into `splats`, nearest first) and marks those that reached a pixel.
+/// Blends the splats of `list` (indices into `splats`, nearest first) over the background and marks those that reached
+/// a pixel.
 #[inline(always)]
 fn blend<L: Lanes>(
     splats: &[Splat],
     list: &[u32],
     place: TilePlace,
+    background: [f32; 3],
     image: &mut TileImage,
     reached: &mut [bool],
 ) {
@@ -255,6 +259,11 @@ fn blend<L: Lanes>(
         batch.len += 1;
     }
     *visited = next as u32;
+    for (channel, b) in channels[COLOR_CHANNEL..].iter_mut().zip(background) {
+        for (out, left) in channel.0.iter_mut().zip(&transmittance.0) {
+            L::load(left).mul_add(L::splat(b), L::load(out)).store(out);
+        }
+    }
 }
 
 /// channels += Σ over the batch of weight · feature.
@@ -476,7 +485,8 @@ fn feature_gradients<L: Lanes>(
 by_simd! {
     /// Blends one tile: see the module.
     fn blend_tile = blend(
-        splats: &[Splat], list: &[u32], place: TilePlace, image: &mut TileImage, reached: &mut [bool],
+        splats: &[Splat], list: &[u32], place: TilePlace, background: [f32; 3], image: &mut TileImage,
+        reached: &mut [bool],
     )
 }
 

@@ -27,6 +27,9 @@ fn spread(mut errors: Vec<f64>) -> (f64, f64) {
     (errors[(errors.len() - 1) * 999 / 1000], errors[errors.len() - 1])
 }
 
+/// A background that differs in every channel.
+const BACKGROUND: [f32; 3] = [0.9, 0.3, 0.6];
+
 #[test]
 fn one_gaussian_is_seen_where_it_is() {
     let camera = camera(64, 40);
@@ -46,7 +49,18 @@ fn one_gaussian_is_seen_where_it_is() {
     assert!((maps.color[i][2] - 0.8).abs() < 1e-3);
     assert!((maps.depth[i] - 1.2).abs() < 1e-4);
     assert!((maps.normal_w[i][2] + 0.8).abs() < 1e-3, "faces the camera: {:?}", maps.normal_w[i]);
-    assert_eq!(maps.alpha[0], 0.0);
+    assert_eq!((maps.alpha[0], maps.color[0]), (0.0, [0.0; 3]));
+    trainer.set_background(BACKGROUND);
+    let before = trainer.render(&camera);
+    assert_eq!((before.alpha[0], before.color[0]), (0.0, BACKGROUND));
+    for c in 0..3 {
+        let expected = 0.8 * [0.5, 0.25, 1.0][c] + 0.2 * BACKGROUND[c];
+        assert!((before.color[i][c] - expected).abs() < 1e-3, "{:?}", before.color[i]);
+    }
+    assert_eq!((&before.depth, &before.alpha), (&maps.depth, &maps.alpha));
+    assert_eq!(trainer.model().background, BACKGROUND);
+    trainer.set_background([f32::NAN, f32::INFINITY, 7.0]);
+    assert_eq!(trainer.model().background, [0.0, 0.0, 1.0]);
     assert_eq!(maps.label[i], trainer.model().classifier.classify(&[0.1 * maps.alpha[i]; AFFINITY_DIM]).0);
 }
 
@@ -71,11 +85,13 @@ fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
 
 #[test]
 fn image_equals_the_oracle() {
-    for simd in [Simd::portable(), Simd::detect()] {
+    let forms = [Simd::portable(), Simd::detect()];
+    for (simd, background) in forms.into_iter().flat_map(|s| [(s, [0.0; 3]), (s, BACKGROUND)]) {
         let mut trainer = trainer(&TrainConfig::default(), simd);
+        trainer.set_background(background);
         let camera = camera(SIZE.0, SIZE.1);
         trainer.render(&camera);
-        let oracle = Oracle::new(&trainer.parameters, &trainer.config, true).render(&camera);
+        let oracle = oracle(&trainer).render(&camera);
         let differences = pixels(&trainer).into_iter().zip(&oracle.pixels);
         let errors =
             differences.flat_map(|(a, b)| std::array::from_fn::<f64, CHANNELS, _>(|c| (a[c] - b[c]).abs()));
@@ -86,12 +102,18 @@ fn image_equals_the_oracle() {
     }
 }
 
+/// The oracle of a trainer's parameters, settings and background.
+fn oracle(trainer: &CpuTrainer) -> Oracle {
+    let background = trainer.engine.background.map(f64::from);
+    Oracle { background, ..Oracle::new(&trainer.parameters, &trainer.config, true) }
+}
+
 /// Compares gradients group by group; each error is a share of the group's largest derivative.
-fn compare_gradients(config: &TrainConfig, simd: Simd, limit: (f64, f64)) {
+fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd, limit: (f64, f64)) {
     let mut trainer = trainer(config, simd);
+    trainer.set_background(background);
     let terms = trainer.differentiate(0);
-    let oracle = Oracle::new(&trainer.parameters, config, true);
-    let expected = oracle.gradient(&frame(camera(SIZE.0, SIZE.1), Seed(4)));
+    let expected = oracle(&trainer).gradient(&frame(camera(SIZE.0, SIZE.1), Seed(4)));
     assert_eq!(trainer.engine.seen, expected.seen);
     let pairs = [
         (terms.color_l1, expected.terms.color_l1),
@@ -142,7 +164,12 @@ fn gradients_equal_the_oracle() {
     ];
     for config in &configs {
         for simd in [Simd::portable(), Simd::detect()] {
-            compare_gradients(config, simd, (2e-3, 5e-3));
+            compare_gradients(config, [0.0; 3], simd, (2e-3, 5e-3));
+        }
+    }
+    for config in &configs[..2] {
+        for simd in [Simd::portable(), Simd::detect()] {
+            compare_gradients(config, BACKGROUND, simd, (2e-3, 5e-3));
         }
     }
 }

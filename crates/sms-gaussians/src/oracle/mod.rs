@@ -21,6 +21,8 @@ pub struct Oracle {
     pub classes: usize,
     /// The classifier, flat as in [`crate::parameters::ClassifierState`].
     pub classifier: Vec<f64>,
+    /// Colour behind all Gaussians.
+    pub background: [f64; 3],
     /// Settings of the step.
     pub config: TrainConfig,
     /// Whether faint alphas are dropped, strong ones cut off and finished pixels skipped, as the back ends do; without
@@ -72,12 +74,13 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 impl Oracle {
-    /// An exact copy of `parameters`.
+    /// An exact copy of `parameters`, before black.
     pub fn new(parameters: &Parameters, config: &TrainConfig, cutoffs: bool) -> Self {
         Self {
             rows: parameters.rows.iter().map(|r| std::array::from_fn(|k| f64::from(r.0[k]))).collect(),
             classes: parameters.classifier.classes,
             classifier: parameters.classifier.values.iter().map(|v| f64::from(*v)).collect(),
+            background: [0.0; 3],
             config: *config,
             cutoffs,
         }
@@ -137,6 +140,14 @@ impl Oracle {
         hits
     }
 
+    /// What a pixel gets from behind its last splat.
+    fn background_share(&self, hits: &[Hit]) -> [f64; CHANNELS] {
+        let left = hits.last().map_or(1.0, |hit| hit.transmittance * (1.0 - hit.alpha));
+        let mut share = [0.0; CHANNELS];
+        (0..3).for_each(|c| share[loss::COLOR + c] = left * self.background[c]);
+        share
+    }
+
     /// Renders every channel.
     pub fn render(&self, camera: &Camera) -> OracleImage {
         let splats = self.splats(camera);
@@ -145,7 +156,9 @@ impl Oracle {
         let mut image =
             OracleImage { pixels: vec![[0.0; CHANNELS]; width * height], seen: vec![false; splats.len()] };
         for (i, pixel) in image.pixels.iter_mut().enumerate() {
-            for hit in self.hits(&splats, &order, (i % width, i / width)) {
+            let hits = self.hits(&splats, &order, (i % width, i / width));
+            *pixel = self.background_share(&hits);
+            for hit in hits {
                 image.seen[hit.gaussian] = true;
                 if let Some(splat) = &splats[hit.gaussian] {
                     for (out, f) in pixel.iter_mut().zip(&splat.features) {
@@ -183,8 +196,9 @@ impl Oracle {
         let mut d_logit = vec![0.0; splats.len()];
         for (i, g) in loss.d_image.iter().enumerate() {
             // What lies behind each splat, channel by channel, from the last to the first.
-            let mut behind = [0.0; CHANNELS];
-            for hit in self.hits(&splats, &order, (i % width, i / width)).iter().rev() {
+            let hits = self.hits(&splats, &order, (i % width, i / width));
+            let mut behind = self.background_share(&hits);
+            for hit in hits.iter().rev() {
                 let Some(splat) = &splats[hit.gaussian] else {
                     continue;
                 };

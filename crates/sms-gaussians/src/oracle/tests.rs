@@ -18,13 +18,13 @@ const NONE: LossWeights = LossWeights {
 
 /// Largest difference between analytic and central-difference derivative of each parameter group, as a share of the
 /// group's largest derivative.
-fn worst(weights: LossWeights, depth_term: DepthTerm) -> Vec<(&'static str, f64, f64)> {
+fn worst(weights: LossWeights, depth_term: DepthTerm, background: [f64; 3]) -> Vec<(&'static str, f64, f64)> {
     let config = TrainConfig { weights, depth_term, ..TrainConfig::default() };
     let camera = camera(17, 13);
     let frame = frame(camera, Seed(4));
     let mut parameters = Parameters::new(CLASSES, Seed(2));
     parameters.insert(&seedlings(&camera, 10, Seed(3)));
-    let oracle = Oracle::new(&parameters, &config, false);
+    let oracle = Oracle { background, ..Oracle::new(&parameters, &config, false) };
     let gradient = oracle.gradient(&frame);
     // Only the form with the divisor held differs from the plain derivative.
     let divisors = oracle.depth_divisors(&camera);
@@ -70,7 +70,11 @@ fn worst(weights: LossWeights, depth_term: DepthTerm) -> Vec<(&'static str, f64,
 }
 
 fn check(weights: LossWeights, depth_term: DepthTerm, moving: &[&str]) {
-    for (name, error, size) in worst(weights, depth_term) {
+    check_before([0.0; 3], weights, depth_term, moving);
+}
+
+fn check_before(background: [f64; 3], weights: LossWeights, depth_term: DepthTerm, moving: &[&str]) {
+    for (name, error, size) in worst(weights, depth_term, background) {
         println!("{name}: error {error:.1e} of {size:.1e}");
         assert!(error <= 1e-6 * size + 1e-9, "{name}: {error:e} of {size:e}");
         assert_eq!(size > 1e-9, moving.contains(&name), "{name} has derivatives up to {size:e}");
@@ -89,6 +93,34 @@ fn absolute_color_error() {
 fn structural_similarity() {
     let moving = [&SHAPE[..], &["color"]].concat();
     check(LossWeights { color: 1.0, ssim: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
+}
+
+#[test]
+fn colors_before_a_background() {
+    let moving = [&SHAPE[..], &["color"]].concat();
+    let background = [0.9, 0.3, 0.6];
+    for ssim in [0.0, 1.0] {
+        let weights = LossWeights { color: 1.0, ssim, ..NONE };
+        check_before(background, weights, DepthTerm::Normalized, &moving);
+    }
+    // Only colours see it.
+    check_before(background, LossWeights { normal: 1.0, ..NONE }, DepthTerm::Normalized, &SHAPE);
+}
+
+#[test]
+fn what_splats_leave_is_the_background() {
+    let camera = camera(17, 13);
+    let mut parameters = Parameters::new(CLASSES, Seed(2));
+    parameters.insert(&seedlings(&camera, 10, Seed(3)));
+    let black = Oracle::new(&parameters, &TrainConfig::default(), true);
+    let background = [0.9, 0.3, 0.6];
+    let (dark, lit) = (black.render(&camera), Oracle { background, ..black.clone() }.render(&camera));
+    for (dark, lit) in dark.pixels.iter().zip(&lit.pixels) {
+        for c in 0..CHANNELS {
+            let share = background.get(c).map_or(0.0, |b| b * (1.0 - dark[loss::OPACITY]));
+            assert!((lit[c] - dark[c] - share).abs() < 1e-12, "channel {c}");
+        }
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //!
 //! Everything here is written against the [`Trainer`](crate::Trainer) trait, once for every back end.
 
+mod background;
 mod checkpoint;
 mod config;
 mod consensus;

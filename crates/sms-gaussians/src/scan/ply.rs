@@ -1,5 +1,5 @@
 //! The model as a standard 3D Gaussian Splatting `.ply`, which viewers open, with what viewers ignore: affinities,
-//! labels and their confidence as further properties, and the classifier in a file beside it.
+//! labels and their confidence as further properties, and the classifier and the background in a file beside it.
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
@@ -26,6 +26,9 @@ struct ClassifierFile {
     b1: Vec<f32>,
     w2: Vec<f32>,
     b2: Vec<f32>,
+    /// Colour behind all Gaussians; not the classifier's, but no property of a vertex either.
+    #[serde(default)]
+    background: [f32; 3],
 }
 
 /// Writes the model. Rotations are w, x, y, z, scales logarithms of metres, opacities logits, `nx ny nz` the disc's
@@ -41,6 +44,7 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
         b1: c.b1.clone(),
         w2: c.w2.clone(),
         b2: c.b2.clone(),
+        background: model.background,
     };
     // The classifier first: a PLY never stands beside an older classifier.
     atomic::write_json(&classifier_path(path), &file)?;
@@ -96,7 +100,8 @@ fn logit(opacity: f32) -> f32 {
     (o / (1.0 - o)).ln()
 }
 
-/// Reads a model. Files of other programs have no affinities, labels or classifier; these are then zero and empty.
+/// Reads a model. Files of other programs have no affinities, labels, classifier or background; these are then zero
+/// and empty.
 ///
 /// # Errors
 /// [`CoreError::Input`] when the file is not a Gaussian PLY, holds a number that is not finite, or its classifier is
@@ -127,7 +132,7 @@ pub fn read_ply(path: &Path) -> Result<GaussianModel, CoreError> {
         model.labels.push(labels.map_or(0, |c| c[i] as u16));
         model.label_confidence.push(confidence.map_or(0.0, |c| c[i] as f32));
     }
-    model.classifier = read_classifier(&classifier_path(path))?;
+    (model.classifier, model.background) = read_classifier(&classifier_path(path))?;
     Ok(model)
 }
 
@@ -153,9 +158,10 @@ fn columns<'a, const N: usize>(
     Ok(found)
 }
 
-fn read_classifier(path: &Path) -> Result<Classifier, CoreError> {
+/// The classifier and the background.
+fn read_classifier(path: &Path) -> Result<(Classifier, [f32; 3]), CoreError> {
     if !path.exists() {
-        return Ok(Classifier::default());
+        return Ok(Default::default());
     }
     let f: ClassifierFile = atomic::read_json(path)?;
     let fits = f.classes == 0
@@ -167,7 +173,7 @@ fn read_classifier(path: &Path) -> Result<Classifier, CoreError> {
         let what = "the sizes in this classifier do not fit each other";
         return Err(InputError::new(what, path, "run `sms scan` again").into());
     }
-    Ok(Classifier { classes: f.classes, w1: f.w1, b1: f.b1, w2: f.w2, b2: f.b2 })
+    Ok((Classifier { classes: f.classes, w1: f.w1, b1: f.b1, w2: f.w2, b2: f.b2 }, f.background))
 }
 
 /// The Gaussians of a model as seedlings.
@@ -201,6 +207,7 @@ mod tests {
                 w2: (0..3 * HIDDEN_DIM).map(|_| draw(-1.0, 1.0)).collect(),
                 b2: (0..3).map(|_| draw(-1.0, 1.0)).collect(),
             },
+            background: [0.25, 0.5, 0.7],
             ..GaussianModel::default()
         };
         for _ in 0..n {
@@ -226,7 +233,7 @@ mod tests {
         let written = model(40);
         write_ply(&written, &path).unwrap();
         let read = read_ply(&path).unwrap();
-        assert_eq!(read.classifier, written.classifier);
+        assert_eq!((&read.classifier, read.background), (&written.classifier, written.background));
         assert_eq!((&read.positions_w, &read.affinities), (&written.positions_w, &written.affinities));
         assert_eq!((&read.labels, &read.label_confidence), (&written.labels, &written.label_confidence));
         for i in 0..written.len() {
@@ -268,7 +275,7 @@ mod tests {
         ply::write(&path, &[], &columns).unwrap();
         let read = read_ply(&path).unwrap();
         assert_eq!((read.len(), read.classifier.classes, read.labels[1]), (2, 0, 0));
-        assert_eq!(read.rotations_wg[0], Quat::IDENTITY);
+        assert_eq!((read.rotations_wg[0], read.background), (Quat::IDENTITY, [0.0; 3]));
 
         columns[12].1 = Column::F32(vec![0.0, f32::NAN]);
         ply::write(&path, &[], &columns).unwrap();

@@ -2,6 +2,7 @@
 //! are replayed, then all frames are refined together.
 
 use super::ScanError;
+use super::background::background_color;
 use super::checkpoint::{self, Found, Place};
 use super::config::ScanConfig;
 use super::consensus::correct_labels;
@@ -58,12 +59,14 @@ pub fn scan(
 ) -> Result<ScanResult, ScanError> {
     check_inputs(sequence, labels, config.holdout)?;
     let trained = trained_frames(sequence, config.holdout);
+    let background = background_color(&trained.iter().map(|&i| &sequence.frames[i]).collect::<Vec<_>>());
+    trainer.set_background(background);
     let mut schedule = Schedule {
         sequence,
         labels,
         config,
         seed,
-        settings: settings_hash(sequence, labels, config, seed),
+        settings: settings_hash(sequence, labels, config, seed, background),
         checkpoint: work_dir.join("checkpoint.bin"),
         codes: AffinityCodes::new(labels.class_count(), seed),
         ids: Vec::with_capacity(trained.len()),
@@ -81,11 +84,17 @@ pub fn scan(
 }
 
 /// Hash of everything that the result depends on.
-fn settings_hash(sequence: &Sequence, labels: &Labels, config: &ScanConfig, seed: Seed) -> Hash {
+fn settings_hash(
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &ScanConfig,
+    seed: Seed,
+    background: [f32; 3],
+) -> Hash {
     // How often checkpoints are written changes nothing.
     let config = ScanConfig { checkpoint_seconds: 0.0, ..config.clone() };
     let mut hasher = Hasher::new();
-    hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count())).0);
+    hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count(), background)).0);
     for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
         hasher.text(&sms_core::hash_serializable(&frame.camera).0);
         hasher.bytes(frame.color.data.as_flattened());

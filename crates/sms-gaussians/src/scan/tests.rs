@@ -80,6 +80,9 @@ impl Trainer for Disturbed {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         self.inner.render(camera)
     }
+    fn set_background(&mut self, rgb: [f32; 3]) {
+        self.inner.set_background(rgb);
+    }
     fn opacities(&self) -> Vec<f32> {
         self.inner.opacities()
     }
@@ -249,6 +252,38 @@ fn the_standard_preset_reconstructs_the_recording() {
     let ball = views[0].label.data.iter().filter(|&&l| l == BALL).count();
     let truth = fixture::record(SMALL).1.maps[2].data.iter().filter(|&&l| l == BALL).count();
     assert!(ball.abs_diff(truth) < truth / 8, "{ball} of {truth}");
+}
+
+#[test]
+fn a_sky_without_depth_is_the_background_and_not_covered() {
+    let (mut sequence, labels) = record(SMALL);
+    let sky = [120, 170, 230];
+    // The floor ends within view.
+    for frame in &mut sequence.frames {
+        for y in 0..SMALL.height {
+            for x in 0..SMALL.width {
+                let p_w = frame.camera.unproject_pixel(x, y, f64::from(frame.depth[(x, y)]));
+                if p_w.truncate().length() > 0.15 {
+                    frame.color[(x, y)] = sky;
+                    frame.depth[(x, y)] = 0.0;
+                    frame.normal_c[(x, y)] = [0.0; 3];
+                }
+            }
+        }
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let result = run(&(sequence.clone(), labels), &quick(), dir.path(), None, &Warnings::new()).unwrap();
+    let expected = sky.map(|v| f32::from(v) / 255.0);
+    assert_eq!(result.model.background, expected);
+    let read = read_ply(&dir.path().join("scene.ply")).unwrap();
+    assert_eq!(read.background, expected);
+    let views = render_views(&read, &sequence, &[4]);
+    let bare: Vec<usize> =
+        (0..views[0].alpha.data.len()).filter(|&i| views[0].alpha.data[i] == 0.0).collect();
+    assert!(bare.len() > 1000 && bare.iter().all(|&i| views[0].color.data[i] == sky), "{}", bare.len());
+    let held_out: Vec<f64> = result.views.iter().filter(|v| v.held_out).map(|v| v.psnr_db).collect();
+    println!("held-out PSNR over all pixels {held_out:.1?} dB, {} bare pixels", bare.len());
+    assert!(held_out.iter().all(|psnr| *psnr > 18.0), "{held_out:?}");
 }
 
 #[test]

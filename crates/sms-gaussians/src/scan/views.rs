@@ -44,7 +44,7 @@ pub fn render_views(model: &GaussianModel, sequence: &Sequence, frames: &[usize]
     render_views_with(&mut trainer, model, sequence, frames).unwrap_or_default()
 }
 
-/// The same through a back end, whose own Gaussians are replaced by the model's.
+/// The same through a back end, whose own Gaussians and background are replaced by the model's.
 ///
 /// # Errors
 /// [`TrainerError::BadState`] when the trainer has another number of classes or the model is not finite.
@@ -55,6 +55,7 @@ pub fn render_views_with(
     frames: &[usize],
 ) -> Result<Vec<ViewRender>, TrainerError> {
     trainer.restore(&state_of_model(model))?;
+    trainer.set_background(model.background);
     let known = frames.iter().filter_map(|&i| sequence.frames.get(i).map(|f| (i, f)));
     Ok(known
         .map(|(frame_index, frame)| {
