@@ -6,7 +6,7 @@ use crate::settings::Settings;
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, NoProgress, PlainProgress, Progress, RunFolder, Warnings};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 
 /// Shared by all commands of one invocation.
 pub(crate) struct Context {
@@ -63,7 +63,8 @@ impl Context {
     /// A line for people; nothing with `--json`.
     pub(crate) fn say(&self, line: impl std::fmt::Display) {
         if !self.json {
-            println!("{line}");
+            // Whoever closed the pipe has read enough.
+            let _ = writeln!(std::io::stdout(), "{line}");
         }
     }
 
@@ -104,7 +105,7 @@ impl Context {
     /// Prints a metrics object as JSON.
     pub(crate) fn print_json(&self, metrics: &Metrics) -> anyhow::Result<()> {
         let map: serde_json::Map<_, _> = metrics.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
-        println!("{}", serde_json::to_string_pretty(&map)?);
+        let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&map)?);
         Ok(())
     }
 }

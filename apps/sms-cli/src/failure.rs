@@ -60,6 +60,7 @@ fn core_error(error: &anyhow::Error) -> Option<&CoreError> {
     use sms_plan::PlanError;
     use sms_report::{EvaluateError, ReportError};
     use sms_scene::SceneError;
+    use sms_target::TargetError;
     use sms_task::TaskError;
     inside!(
         error,
@@ -69,6 +70,8 @@ fn core_error(error: &anyhow::Error) -> Option<&CoreError> {
         SceneError::Core(core) => Some(core),
         TaskError::Core(core) => Some(core),
         PlanError::Core(core) => Some(core),
+        PlanError::Task(TaskError::Core(core)) => Some(core),
+        TargetError::Task(TaskError::Core(core)) => Some(core),
         EvaluateError::Core(core) => Some(core),
         ReportError::Core(core) => Some(core),
     );

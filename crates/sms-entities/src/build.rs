@@ -47,6 +47,7 @@ pub fn build_entities(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<EntitySet, EntitiesError> {
+    config.validate()?;
     check_inputs(sequence, labels)?;
     let views = Views { sequence, labels };
     let spacing = cloud::spacing(config);
@@ -440,7 +441,8 @@ fn mesh_entity(
         ),
     }
     mesh.colors = crate::refine::colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
-    let parts = crate::convex::convex_parts(&mesh, &config.convex);
+    let mut parts = crate::convex::convex_parts(&mesh, &config.convex);
+    crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
     let stride = draft.cloud.points_w.len().div_ceil(1500).max(1);
     let sample: Vec<DVec3> = draft.cloud.points_w.iter().copied().step_by(stride).collect();
     Some(Entity {

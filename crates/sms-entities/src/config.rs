@@ -1,6 +1,7 @@
 //! Settings of the stage.
 
 use serde::{Deserialize, Serialize};
+use sms_core::InputError;
 
 /// Which tetrahedra belong to the solid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,6 +67,40 @@ impl Default for EntitiesConfig {
             convex: ConvexConfig::default(),
             environment: EnvironmentConfig::default(),
         }
+    }
+}
+
+impl EntitiesConfig {
+    /// The first value that cannot be used.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let positive = [
+            ("density_per_m2", self.density_per_m2, 1e8),
+            ("disc_sigmas", self.disc_sigmas, 10.0),
+            ("prune_factor", self.prune_factor, 1e3),
+            ("prune_length", self.prune_length.unwrap_or(1.0), 1e3),
+        ];
+        for (key, value, most) in positive {
+            if !(value > 0.0 && value <= most) {
+                return Err(InputError::new(
+                    format!("`{key}` of the entities cannot be {value}"),
+                    "[entities]",
+                    format!("give a value above 0 and at most {most}"),
+                ));
+            }
+        }
+        for (key, value) in [("min_confidence", self.min_confidence), ("min_opacity", self.min_opacity)] {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(InputError::new(
+                    format!("`{key}` of the entities cannot be {value}"),
+                    "[entities]",
+                    "give a value from 0 to 1",
+                ));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -35,6 +35,7 @@ mod convex;
 mod delaunay;
 mod environment;
 mod error;
+mod foot;
 mod grid;
 mod hilbert;
 mod hull;

@@ -261,6 +261,20 @@ fn results_do_not_depend_on_threads_and_survive_the_disk() {
 }
 
 #[test]
+fn settings_out_of_range_are_refused_by_name() {
+    for (key, config) in [
+        ("density_per_m2", EntitiesConfig { density_per_m2: 0.0, ..Default::default() }),
+        ("disc_sigmas", EntitiesConfig { disc_sigmas: f64::NAN, ..Default::default() }),
+        ("prune_length", EntitiesConfig { prune_length: Some(-1.0), ..Default::default() }),
+        ("min_opacity", EntitiesConfig { min_opacity: 1.5, ..Default::default() }),
+    ] {
+        let message = config.validate().unwrap_err().to_string();
+        assert!(message.contains(key), "{message}");
+    }
+    EntitiesConfig::default().validate().unwrap();
+}
+
+#[test]
 fn what_cannot_be_built_is_said() {
     let objects = [cuboid(DVec3::ZERO, DVec3::splat(0.03), 0.0)];
     let small = Observation { frames: 4, width: 80, height: 60, ..Default::default() };

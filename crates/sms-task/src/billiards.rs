@@ -172,6 +172,9 @@ impl Billiards {
                 return fault(key, format!("it must be above 0 and at most {largest}, and is {value}"));
             }
         }
+        if self.dt < 1e-5 {
+            return fault("dt", format!("it must be at least 0.00001, and is {}", self.dt));
+        }
         let b = &self.bounds;
         for (key, [low, high], [least, most]) in [
             ("bounds.speed", b.speed, [0.01, 5.0]),
@@ -297,6 +300,7 @@ mod tests {
             (format!("{GOOD}\nhorizons = 3.0"), "horizons"),
             (format!("{GOOD}\nhorizon_s = -1.0"), "horizon_s"),
             (format!("{GOOD}\nhorizon_s = nan"), "horizon_s"),
+            (format!("{GOOD}\ndt = 1e-12"), "dt"),
             (format!("{GOOD}\n[bounds]\nspeed = [0.8, 0.2]"), "bounds.speed"),
             (format!("{GOOD}\n[bounds]\nspede = [0.2, 0.8]"), "spede"),
             (format!("{GOOD}\n[striker]\nrestitution = 1.5"), "striker.restitution"),

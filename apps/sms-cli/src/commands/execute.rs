@@ -35,10 +35,24 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let mut read = Hasher::new();
     read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
     let hash = inputs_hash(&[&read.finish()], &options)?;
-    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, _| {
+    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, warnings| {
         let truth = read_truth(Path::new(&recording))?;
         let execution = execute(&task, &plan.action, &scene, &truth, &options)?;
         execution.save(stage.dir())?;
+        let planned = task.resolve(&scene)?.target().name.clone();
+        let struck = execution.matches.iter().find(|m| m.0 == planned).map(|m| m.1.as_str());
+        if struck != Some(truth.target.as_str()) {
+            warnings.add(
+                "target",
+                "other_target",
+                format!(
+                    "the plan's target `{planned}` is {} in the true world, whose target ball is `{}`",
+                    struck.map_or_else(|| "nothing".to_owned(), |name| format!("`{name}`")),
+                    truth.target
+                ),
+                "check the task's `target` selector",
+            );
+        }
         let mut m = Metrics::new();
         m.set("execute.engine", execution.engine.clone());
         m.set("execute.objective", execution.objective);

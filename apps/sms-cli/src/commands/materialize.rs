@@ -1,12 +1,11 @@
 //! `sms materialize`: Gaussians → entities → materials → scene.
 
-use super::scan::RunSettings;
+use super::scan::{RunSettings, SETTINGS};
 use super::{inputs_hash, run_stage, shown, timed};
 use crate::cli::Materialize;
 use crate::context::Context;
-use serde::Deserialize;
 use sms_core::metrics::Metrics;
-use sms_core::{EntityKind, EntityShape, Hash, Hasher, InputError, Labels, RunFolder, Seed, atomic};
+use sms_core::{EntityKind, EntityShape, Hash, Hasher, Labels, RunFolder, Seed, atomic};
 use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
 use sms_frames::Sequence;
 use sms_gaussians::read_ply;
@@ -94,18 +93,10 @@ fn trained_on(sequence: Sequence, labels: Labels, holdout: usize) -> (Sequence, 
     (Sequence { frames, ..sequence }, Labels { maps, ..labels })
 }
 
-/// The `[run]` table of `run.toml`.
+/// The settings that the run's Gaussians were made with.
 pub(crate) fn run_settings(run: &RunFolder) -> anyhow::Result<RunSettings> {
-    #[derive(Deserialize)]
-    struct File {
-        run: RunSettings,
-    }
-    let path = run.root().join("run.toml");
-    let text = std::fs::read_to_string(&path)?;
-    let file: File = toml::from_str(&text).map_err(|e| {
-        InputError::new("run.toml is damaged", &path, "scan again with `sms scan DIR --out RUN`").because(e)
-    })?;
-    Ok(file.run)
+    let dir = run.stage_dir("gaussians", "scan DIR --out")?;
+    Ok(atomic::read_json(&dir.join(SETTINGS))?)
 }
 
 impl RunSettings {

@@ -15,7 +15,7 @@ pub(crate) mod view;
 
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, RunFolder, Stage, StageState, Warnings};
+use sms_core::{CoreError, Hash, Hasher, RunFolder, Stage, StageState, Warnings};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -44,11 +44,46 @@ pub(crate) fn run_stage(
         StageState::Todo(stage) => {
             let warnings = Warnings::new();
             let metrics = work(&stage, &warnings)?;
+            drop_dependents(run, name)?;
             // Metrics before the rename: a kill in between redoes the stage and writes them again.
             context.finish(run, name, prefixes, metrics, &warnings)?;
             Ok(stage.commit()?)
         }
     }
+}
+
+/// The stages in order, with the metrics that each writes.
+const STAGES: [(&str, &[&str]); 7] = [
+    ("frames", &["check."]),
+    ("masks", &["masks."]),
+    ("gaussians", &["scan."]),
+    ("entities", &["entities.", "materialize."]),
+    ("scene", &["scene."]),
+    ("plan", &["plan."]),
+    ("target", &["execute."]),
+];
+
+/// Removes what was made from an earlier result of `stage`: a plan for another scene, or objects of another scan, must
+/// not be taken for this run's.
+fn drop_dependents(run: &RunFolder, stage: &str) -> anyhow::Result<()> {
+    let Some(at) = STAGES.iter().position(|s| s.0 == stage) else { return Ok(()) };
+    let mut metrics = Metrics::load(&run.metrics_path())?;
+    for (name, prefixes) in &STAGES[at + 1..] {
+        let dir = run.root().join(name);
+        if dir.exists() {
+            std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
+        }
+        prefixes.iter().for_each(|p| metrics.remove_prefix(p));
+        Warnings::new().save_as(&run.warnings_path(), name)?;
+    }
+    // These look at a stage and have no folder of their own.
+    for (name, own) in [("evaluate", "entities"), ("simulate", "scene")] {
+        if STAGES[at..].iter().any(|s| s.0 == own) {
+            Warnings::new().save_as(&run.warnings_path(), name)?;
+            metrics.remove_prefix(&format!("{name}."));
+        }
+    }
+    Ok(metrics.save(&run.metrics_path())?)
 }
 
 /// Runs `f` and adds its seconds to the metric.

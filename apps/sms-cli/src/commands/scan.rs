@@ -5,7 +5,7 @@ use crate::cli::{MasksName, PresetName, Scan};
 use crate::context::{Context, peak_bytes};
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings};
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::{CpuTrainer, Preset, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
@@ -27,6 +27,10 @@ pub(crate) struct RunSettings {
     pub holdout: usize,
 }
 
+/// The run's settings as the Gaussians were made with them, in their folder: `run.toml` may already speak of a scan
+/// that was begun later and not finished.
+pub(crate) const SETTINGS: &str = "settings.json";
+
 /// Runs the scan's stages; returns the open run.
 pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let preset = a.preset.unwrap_or(PresetName::Standard);
@@ -46,6 +50,14 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if let Some(holdout) = a.holdout {
         scan_config.holdout = holdout;
     }
+    if scan_config.holdout == 1 {
+        return Err(InputError::new(
+            "holding out every frame leaves none to train on",
+            "--holdout",
+            "give 0 (none) or at least 2, such as 8",
+        )
+        .into());
+    }
     let geometry = context.settings.section("masks", GeometryConfig::default())?;
     let seed = Seed(a.seed.unwrap_or(0));
 
@@ -57,11 +69,6 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         masks: format!("{:?}", a.masks).to_lowercase(),
         holdout: scan_config.holdout,
     };
-    run.record_settings("run", &settings)?;
-    run.record_settings("read", &read)?;
-    run.record_settings("frames", &frames_settings)?;
-    run.record_settings("scan", &scan_config)?;
-
     let fingerprint = recording_fingerprint(&recording)?;
     let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, a.no_check))?;
     let frames_dir = run_stage(context, &run, "frames", &["check."], &frames_hash, |stage, warnings| {
@@ -72,6 +79,11 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         Ok(metrics)
     })?;
     let sequence = Sequence::load(&frames_dir)?;
+    // Not before the recording was accepted: a refused one must leave an earlier run as it was.
+    run.record_settings("run", &settings)?;
+    run.record_settings("read", &read)?;
+    run.record_settings("frames", &frames_settings)?;
+    run.record_settings("scan", &scan_config)?;
 
     let masks_settings = (&settings.masks, (a.masks == MasksName::Geometry).then_some(&geometry));
     let names = mask_names_hash(&recording, a.masks)?;
@@ -114,6 +126,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
             Ok(result.metrics)
         })?;
         metrics.set("scan.device", "cpu");
+        atomic::write_json(&stage.dir().join(SETTINGS), &settings)?;
         if let Some(bytes) = peak_bytes() {
             metrics.set("scan.peak_bytes", bytes);
         }
@@ -165,8 +178,18 @@ fn checked(
 fn recording_fingerprint(recording: &Recording) -> anyhow::Result<Hash> {
     let mut hasher = Hasher::new();
     hasher.text(&std::path::absolute(&recording.root)?.display().to_string());
+    let statements = (
+        recording.depth_unit_m,
+        recording.axes,
+        recording.poses,
+        recording.pixel_center,
+        recording.world_up_r,
+        recording.world_is_aligned,
+    );
+    hasher.text(&format!("{statements:?}"));
     for frame in &recording.frames {
-        hasher.text(&serde_json::to_string(&(&frame.x_rc, &frame.time_s))?);
+        // Pose, time, lenses and paths; `Debug` writes floats exactly.
+        hasher.text(&format!("{frame:?}"));
         let files = [Some(&frame.color_path), Some(&frame.depth_path), frame.mask_path.as_ref()];
         for path in files.into_iter().flatten() {
             hash_file(&mut hasher, path)?;
