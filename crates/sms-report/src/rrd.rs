@@ -111,8 +111,10 @@ fn blueprint() -> Blueprint {
 }
 
 fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
-    for view in &input.views {
+    for (shown, view) in input.views.iter().enumerate() {
         rec.set_time_sequence("frame", view.frame_index as i64);
+        // On the shot's timeline, too, one a second: else the pictures are blank where the viewer starts.
+        rec.set_duration_secs("time", shown as f64);
         let Camera { intrinsics: k, x_wc } = view.camera;
         let (t, q) = (x_wc.translation.as_vec3(), x_wc.rotation.as_quat());
         let pose = rerun::Transform3D::from_translation_rotation(
@@ -144,6 +146,7 @@ fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
             rec.log(format!("{at}/labels"), &rerun::SegmentationImage::new(ids, format))?;
         }
     }
+    rec.reset_time();
     Ok(())
 }
 
