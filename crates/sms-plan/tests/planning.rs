@@ -1,5 +1,7 @@
 //! Planning on a table whose answers are known from geometry.
 
+// One fixture serves the task and its planner.
+#[path = "../../sms-task/tests/common/mod.rs"]
 mod common;
 
 use common::{RADIUS, two_balls};
