@@ -159,11 +159,12 @@ impl RunFolder {
         let path = self.root.join("run.toml");
         let mut table: toml::Table =
             if path.exists() { atomic::read_toml(&path)? } else { toml::Table::new() };
-        let value = toml::Value::try_from(settings).map_err(|e| {
-            InputError::new("these settings cannot be written as TOML", &path, "report this as a bug")
-                .because(e)
+        let value = serde_json::to_value(settings).map_err(|e| {
+            InputError::new("these settings cannot be written", &path, "report this as a bug").because(e)
         })?;
-        table.insert(stage.to_owned(), value);
+        if let Some(value) = toml_value(&value) {
+            table.insert(stage.to_owned(), value);
+        }
         atomic::write_bytes(&path, table.to_string().as_bytes())
     }
 
@@ -224,6 +225,32 @@ impl Stage {
     }
 }
 
+/// A value as TOML for people: without nulls, with floats in their shortest form (0.1, not the 0.10000000149011612
+/// that `f32` makes of it), and with whole numbers beyond TOML's 2⁶³ as text. `None` for null.
+pub fn toml_value(value: &serde_json::Value) -> Option<toml::Value> {
+    use serde_json::Value;
+    Some(match value {
+        Value::Null => return None,
+        Value::Bool(b) => toml::Value::Boolean(*b),
+        Value::String(s) => toml::Value::String(s.clone()),
+        Value::Array(items) => toml::Value::Array(items.iter().filter_map(toml_value).collect()),
+        Value::Object(map) => toml::Value::Table(
+            map.iter().filter_map(|(k, v)| toml_value(v).map(|v| (k.clone(), v))).collect(),
+        ),
+        Value::Number(n) => match (n.as_i64(), n.as_f64()) {
+            (Some(i), _) => toml::Value::Integer(i),
+            (None, Some(x)) if !n.is_u64() => toml::Value::Float(shortest(x)),
+            _ => toml::Value::String(n.to_string()),
+        },
+    })
+}
+
+/// The number with the fewest decimals that is the same `f32`, where `x` is one.
+fn shortest(x: f64) -> f64 {
+    let single = x as f32;
+    if f64::from(single) == x { single.to_string().parse().unwrap_or(x) } else { x }
+}
+
 fn read_record(dir: &Path) -> Option<StageRecord> {
     atomic::read_json(&dir.join(RECORD)).ok()
 }
@@ -265,6 +292,27 @@ mod tests {
         );
         changed.commit().unwrap();
         assert_eq!(run.stage_hash("scan"), Some(b));
+    }
+
+    #[test]
+    fn settings_read_as_people_write_them_and_large_seeds_are_kept() {
+        #[derive(Serialize)]
+        struct Settings {
+            seed: u64,
+            rate: f32,
+            share: f64,
+            none: Option<u8>,
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        run.record_settings("a", &Settings { seed: u64::MAX, rate: 3e-6, share: 0.1, none: None }).unwrap();
+        run.record_settings("b", &Settings { seed: 7, rate: 0.5, share: 1e-9, none: Some(3) }).unwrap();
+        let text = fs::read_to_string(dir.path().join("run.toml")).unwrap();
+        let table: toml::Table = toml::from_str(&text).unwrap();
+        assert_eq!(table["a"]["seed"].as_str(), Some("18446744073709551615"));
+        assert_eq!((table["a"]["rate"].as_float(), table["a"]["share"].as_float()), (Some(3e-6), Some(0.1)));
+        assert!(table["a"].get("none").is_none() && !text.contains("0000149"), "{text}");
+        assert_eq!((table["b"]["seed"].as_integer(), table["b"]["none"].as_integer()), (Some(7), Some(3)));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Settings of the stage.
 
 use serde::{Deserialize, Serialize};
-use sms_core::InputError;
+use sms_core::{InputError, Ranges};
 
 /// Which tetrahedra belong to the solid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,31 +76,41 @@ impl EntitiesConfig {
     /// # Errors
     /// [`InputError`] that names the key and what is allowed.
     pub fn validate(&self) -> Result<(), InputError> {
-        let positive = [
-            ("density_per_m2", self.density_per_m2, 1e8),
-            ("disc_sigmas", self.disc_sigmas, 10.0),
-            ("prune_factor", self.prune_factor, 1e3),
-            ("prune_length", self.prune_length.unwrap_or(1.0), 1e3),
-        ];
-        for (key, value, most) in positive {
-            if !(value > 0.0 && value <= most) {
-                return Err(InputError::new(
-                    format!("`{key}` of the entities cannot be {value}"),
-                    "[entities]",
-                    format!("give a value above 0 and at most {most}"),
-                ));
-            }
+        let r = Ranges::of("entities");
+        let (sphere, convex, environment) = (&self.sphere, &self.convex, &self.environment);
+        for (key, value, low, high) in [
+            ("min_confidence", self.min_confidence, 0.0, 1.0),
+            ("min_opacity", self.min_opacity, 0.0, 1.0),
+            ("density_per_m2", self.density_per_m2, 1.0, 1e8),
+            ("disc_sigmas", self.disc_sigmas, 1e-3, 10.0),
+            ("prune_factor", self.prune_factor, 1e-3, 1e3),
+            ("prune_length", self.prune_length.unwrap_or(1.0), 1e-6, 1e3),
+            ("sphere.inlier_distance", sphere.inlier_distance, 0.0, 1.0),
+            ("sphere.inlier_radius_share", sphere.inlier_radius_share, 0.0, 1.0),
+            ("sphere.min_inlier_share", sphere.min_inlier_share, 0.0, 1.0),
+            ("sphere.min_coverage", sphere.min_coverage, 0.0, 1.0),
+            ("sphere.min_radius", sphere.min_radius, 0.0, 100.0),
+            ("sphere.max_radius", sphere.max_radius, 0.0, 100.0),
+            ("convex.concavity", convex.concavity, 0.0, 1.0),
+            ("convex.concavity_floor", convex.concavity_floor, 0.0, 1.0),
+            ("environment.voxel", environment.voxel, 5e-4, 1.0),
+            ("environment.reach", environment.reach, 0.0, 100.0),
+            ("environment.floor_band", environment.floor_band, 0.0, 1.0),
+        ] {
+            r.within(key, value, low, high)?;
         }
-        for (key, value) in [("min_confidence", self.min_confidence), ("min_opacity", self.min_opacity)] {
-            if !(0.0..=1.0).contains(&value) {
-                return Err(InputError::new(
-                    format!("`{key}` of the entities cannot be {value}"),
-                    "[entities]",
-                    "give a value from 0 to 1",
-                ));
-            }
+        for (key, value, low, high) in [
+            ("prune_neighbors", self.prune_neighbors, 1, 1000),
+            ("smoothing_iterations", self.smoothing_iterations, 0, 1000),
+            ("face_budget", self.face_budget, 12, 10_000_000),
+            ("sphere.samples", sphere.samples, 1, 1_000_000),
+            ("convex.max_parts", convex.max_parts, 1, 1024),
+            ("convex.max_vertices", convex.max_vertices, 4, 4096),
+            ("environment.face_budget", environment.face_budget, 12, 10_000_000),
+        ] {
+            r.count(key, value, low, high)?;
         }
-        Ok(())
+        r.ordered(("sphere.min_radius", sphere.min_radius), ("sphere.max_radius", sphere.max_radius))
     }
 }
 

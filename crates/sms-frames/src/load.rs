@@ -39,6 +39,7 @@ pub fn load(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<Sequence, FramesError> {
+    settings.validate()?;
     for notice in &recording.notices {
         warnings.add("scan", notice.code, notice.message.clone(), notice.cure.clone());
     }

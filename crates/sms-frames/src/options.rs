@@ -1,6 +1,7 @@
 //! Settings of reading and loading.
 
 use serde::{Deserialize, Serialize};
+use sms_core::{InputError, Ranges};
 
 /// Axes of the camera frame that the poses of a recording refer to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,6 +81,34 @@ impl Default for ReadOptions {
     }
 }
 
+impl ReadOptions {
+    /// The first value that cannot be used.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("read");
+        r.within("pixel_center", self.pixel_center.unwrap_or(0.5), 0.0, 1.0)?;
+        r.within("depth_unit_m", self.depth_unit_m.unwrap_or(0.001), 1e-7, 1e3)?;
+        if let Some([fx, fy, cx, cy]) = self.intrinsics {
+            for (key, value) in [("intrinsics[0]", fx), ("intrinsics[1]", fy)] {
+                r.within(key, value, 1.0, 1e6)?;
+            }
+            for (key, value) in [("intrinsics[2]", cx), ("intrinsics[3]", cy)] {
+                r.within(key, value, -1e6, 1e6)?;
+            }
+        }
+        for (i, value) in self.distortion.unwrap_or_default().into_iter().enumerate() {
+            r.within(&format!("distortion[{i}]"), value, -1e3, 1e3)?;
+        }
+        r.within("min_depth_m", self.min_depth_m, 0.0, 1e3)?;
+        r.within("max_depth_m", self.max_depth_m, 1e-3, 1e4)?;
+        r.ordered(("min_depth_m", self.min_depth_m), ("max_depth_m", self.max_depth_m))?;
+        r.within("max_pair_gap_s", self.max_pair_gap_s, 0.0, 3600.0)?;
+        r.within("max_pose_gap_s", self.max_pose_gap_s, 0.0, 3600.0)
+    }
+}
+
 /// How the recording's world becomes the z-up world.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -114,6 +143,18 @@ impl Default for DepthNoise {
 }
 
 impl DepthNoise {
+    /// The first value that cannot be used, as part of `section`, under `prefix` (as in `noise.`).
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self, section: &str, prefix: &str) -> Result<(), InputError> {
+        let r = Ranges::of(section);
+        r.within(&format!("{prefix}a_m"), self.a_m, 0.0, 0.1)?;
+        r.within(&format!("{prefix}b_per_m"), self.b_per_m, 0.0, 0.1)?;
+        // A sensor without any noise would call every difference a surface of its own.
+        r.within(&format!("{prefix}a_m"), self.a_m + self.b_per_m, 1e-6, 0.2)
+    }
+
     /// Standard deviation in metres at depth `z_m` metres.
     pub fn sigma_m(&self, z_m: f64) -> f64 {
         self.a_m + self.b_per_m * z_m * z_m
@@ -154,9 +195,52 @@ impl Default for LoadSettings {
     }
 }
 
+impl LoadSettings {
+    /// The first value that cannot be used.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("frames");
+        // 0 keeps the recording's size; fewer than 16 pixels hold no object, more than 16384 no memory.
+        if self.long_side != 0 {
+            r.count("long_side", self.long_side, 16, 16_384)?;
+        }
+        r.count("first", self.first, 0, 10_000_000)?;
+        r.count("stride", self.stride, 1, 1_000_000)?;
+        r.count("max_frames", self.max_frames, 0, 10_000_000)?;
+        if let Align::Up(up) = self.align {
+            for (axis, value) in up.into_iter().enumerate() {
+                r.within(&format!("align.up[{axis}]"), value, -1e6, 1e6)?;
+            }
+            r.within("align.up", up.iter().map(|v| v * v).sum::<f64>().sqrt(), 1e-6, 1e7)?;
+        }
+        r.count("normal_radius", self.normal_radius, 1, 32)?;
+        self.noise.validate("frames", "noise.")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn values_out_of_range_are_named() {
+        LoadSettings::default().validate().unwrap();
+        ReadOptions::default().validate().unwrap();
+        let message = |e: Result<(), InputError>| e.unwrap_err().to_string();
+        let side = LoadSettings { long_side: 3, ..LoadSettings::default() };
+        assert!(message(side.validate()).contains("`frames.long_side` is 3, and must be from 16"));
+        let up = LoadSettings { align: Align::Up([0.0; 3]), ..LoadSettings::default() };
+        assert!(message(up.validate()).contains("frames.align.up"));
+        let noise = DepthNoise { a_m: -0.001, ..DepthNoise::default() };
+        let settings = LoadSettings { noise, ..LoadSettings::default() };
+        assert!(message(settings.validate()).contains("`frames.noise.a_m` is -0.001"));
+        let near = ReadOptions { min_depth_m: 3.0, max_depth_m: 1.0, ..ReadOptions::default() };
+        assert!(message(near.validate()).contains("max_depth_m"));
+        let lens = ReadOptions { intrinsics: Some([500.0, f64::NAN, 1.0, 1.0]), ..ReadOptions::default() };
+        assert!(message(lens.validate()).contains("intrinsics[1]"));
+    }
 
     #[test]
     fn settings_survive_a_file_and_unknown_keys_are_refused() {

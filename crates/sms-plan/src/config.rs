@@ -2,7 +2,7 @@
 
 use crate::{Disturbances, NelderMead};
 use serde::{Deserialize, Serialize};
-use sms_core::InputError;
+use sms_core::{InputError, Ranges};
 use std::path::Path;
 
 /// How starts are found.
@@ -68,16 +68,18 @@ impl PlanConfig {
     /// [`InputError`] that names the key.
     pub fn validate(&self, path: &Path) -> Result<(), InputError> {
         let d = &self.disturbances;
-        for (key, value) in [
-            ("starts", self.starts),
-            ("evaluations", self.evaluations),
-            ("candidates", self.candidates),
-            ("finalists", self.finalists),
-            ("disturbances.worlds", d.worlds),
+        let r = Ranges::of("plan");
+        let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
+        for (key, value, low, high) in [
+            ("starts", self.starts, 1, 1_000_000),
+            ("evaluations", self.evaluations, 1, 1_000_000),
+            ("candidates", self.candidates, 1, 1_000_000),
+            ("finalists", self.finalists, 1, 1_000_000),
+            ("disturbances.worlds", d.worlds, 1, 1_000_000),
+            ("nelder_mead.max_iterations", self.nelder_mead.max_iterations, 0, 1_000_000),
+            ("nelder_mead.restarts", self.nelder_mead.restarts, 0, 1_000_000),
         ] {
-            if !(1..=1_000_000).contains(&value) {
-                return Err(fault(path, key, "1 to 1000000", value as f64));
-            }
+            r.count(key, value, low, high).map_err(named)?;
         }
         for (key, value, low, high) in [
             ("screening_share", self.screening_share, 0.0, 1.0),
@@ -94,9 +96,7 @@ impl PlanConfig {
             ("nelder_mead.x_tolerance", self.nelder_mead.x_tolerance, 0.0, 1.0),
             ("nelder_mead.f_tolerance", self.nelder_mead.f_tolerance, 0.0, 10.0),
         ] {
-            if !(low..=high).contains(&value) {
-                return Err(fault(path, key, &format!("{low} to {high}"), value));
-            }
+            r.within(key, value, low, high).map_err(named)?;
         }
         Ok(())
     }
@@ -136,14 +136,6 @@ impl PlanConfig {
     }
 }
 
-fn fault(path: &Path, key: &str, allowed: &str, value: f64) -> InputError {
-    InputError::new(
-        format!("the planner's setting `{key}` must be {allowed}, and is {value}"),
-        path,
-        format!("correct `{key}`"),
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,7 +148,7 @@ mod tests {
         }
         let none = PlanConfig { starts: 0, ..PlanConfig::default() };
         let message = none.validate(path).unwrap_err().to_string();
-        assert!(message.contains("`starts`") && message.contains("plan.toml"), "{message}");
+        assert!(message.contains("`plan.starts`") && message.contains("plan.toml"), "{message}");
         let nan = PlanConfig { initial_step: f64::NAN, ..PlanConfig::default() };
         assert!(nan.validate(path).is_err());
     }

@@ -9,7 +9,7 @@ use glamx::{DMat4, DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, Mesh, PointCloud, Seed, atomic};
+use sms_core::{CoreError, InputError, Mesh, PointCloud, Ranges, Seed, atomic};
 use std::path::Path;
 
 /// Errors of evaluation.
@@ -36,6 +36,16 @@ pub struct EvaluateSettings {
 impl Default for EvaluateSettings {
     fn default() -> Self {
         Self { samples: 30_000, seed: 0 }
+    }
+}
+
+impl EvaluateSettings {
+    /// The first value that cannot be used.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        Ranges::of("evaluate").count("samples", self.samples, 100, 100_000_000)
     }
 }
 

@@ -17,6 +17,7 @@ mod ply;
 mod pruning;
 mod schedule;
 mod seeding;
+mod validate;
 mod views;
 
 #[cfg(test)]

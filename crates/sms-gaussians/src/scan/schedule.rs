@@ -57,6 +57,7 @@ pub fn scan(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<ScanResult, ScanError> {
+    config.validate()?;
     check_inputs(sequence, labels, config.holdout)?;
     let trained = trained_frames(sequence, config.holdout);
     let background = background_color(&trained.iter().map(|&i| &sequence.frames[i]).collect::<Vec<_>>());

@@ -14,7 +14,7 @@ mod project;
 
 use crate::{MasksError, STAGE, Segmenter};
 use serde::{Deserialize, Serialize};
-use sms_core::{Cancel, LabelInfo, Labels, MaskSource, Progress, Seed, Warnings};
+use sms_core::{Cancel, InputError, LabelInfo, Labels, MaskSource, Progress, Ranges, Seed, Warnings};
 use sms_frames::Sequence;
 
 /// Settings of [`GeometryMasks`]. Lengths in metres.
@@ -74,6 +74,34 @@ impl Default for GeometryConfig {
     }
 }
 
+impl GeometryConfig {
+    /// The first value that cannot be used.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("masks");
+        for (key, value, low, high) in [
+            ("voxel_m", self.voxel_m, 2e-4, 0.1),
+            ("max_depth_m", self.max_depth_m, 0.01, 1e3),
+            ("depth_spread", self.depth_spread, 1.0, 1e3),
+            ("max_object_m", self.max_object_m, 1e-3, 100.0),
+            ("max_face_m2", self.max_face_m2, 1e-6, 1e4),
+            ("min_object_m", self.min_object_m, 0.0, 100.0),
+            ("min_area_m2", self.min_area_m2, 0.0, 1e4),
+            ("gap_m", self.gap_m, 1e-4, 1.0),
+            ("crease_rad", self.crease_rad, 0.0, std::f64::consts::PI),
+            ("crease_share", self.crease_share, 0.0, 1.0),
+            ("clutter_m", self.clutter_m, 0.0, 1e3),
+            ("min_seen_share", self.min_seen_share, 0.0, 1.0),
+        ] {
+            r.within(key, value, low, high)?;
+        }
+        r.count("max_fused_frames", self.max_fused_frames, 1, 100_000)?;
+        r.ordered(("min_object_m", self.min_object_m), ("max_object_m", self.max_object_m))
+    }
+}
+
 /// The embedded default: objects by geometry, without any network.
 ///
 /// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Things that touch are separated where
@@ -98,6 +126,7 @@ impl Segmenter for GeometryMasks {
         warnings: &Warnings,
     ) -> Result<Labels, MasksError> {
         let config = &self.config;
+        config.validate()?;
         progress.begin("masks from geometry", 4);
         let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
         progress.update(1, &format!("{} surface points", surfels.len()));
