@@ -1,6 +1,7 @@
 //! The command line's shape.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sms_gaussians::Preset;
 use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
@@ -27,6 +28,9 @@ pub(crate) struct Common {
     /// A TOML file with settings of any stage; `run.toml` of a run shows all of them.
     #[arg(long, global = true, value_name = "FILE")]
     pub settings: Option<PathBuf>,
+    /// One setting of any stage, over the file's: --set scan.final_steps=500 (repeatable; `sms settings` lists them).
+    #[arg(long = "set", global = true, value_name = "SECTION.KEY=VALUE")]
+    pub assignments: Vec<String>,
     /// Show no progress.
     #[arg(long, short, global = true)]
     pub quiet: bool,
@@ -58,6 +62,8 @@ pub(crate) enum Command {
     Demo(Demo),
     /// Write a small generated recording to try the commands on.
     Sample(Sample),
+    /// Print every setting that would be in force, as a file for `--settings`.
+    Settings(SettingsArguments),
 }
 
 #[derive(Debug, Args)]
@@ -76,6 +82,26 @@ pub(crate) enum PresetName {
     Fine,
 }
 
+impl PresetName {
+    /// The library's preset.
+    pub(crate) fn preset(self) -> Preset {
+        match self {
+            Self::Draft => Preset::Draft,
+            Self::Standard => Preset::Standard,
+            Self::Fine => Preset::Fine,
+        }
+    }
+
+    /// As it is written on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::Fine => "fine",
+        }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum MasksName {
     /// Clusters of the fused depth; needs nothing else.
@@ -84,6 +110,13 @@ pub(crate) enum MasksName {
     Files,
     /// The truth of a generated recording (ablations only).
     Truth,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SettingsArguments {
+    /// The preset to start from (default: standard).
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
 }
 
 #[derive(Debug, Args, Clone)]

@@ -53,7 +53,7 @@ impl Context {
         Ok(Self {
             progress,
             cancel,
-            settings: Settings::read(common.settings.as_deref())?,
+            settings: Settings::read(common.settings.as_deref(), &common.assignments)?,
             force: common.force,
             part_of_a_flow,
             json: common.json,
@@ -66,6 +66,11 @@ impl Context {
             // Whoever closed the pipe has read enough.
             let _ = writeln!(std::io::stdout(), "{line}");
         }
+    }
+
+    /// What a command was asked to print.
+    pub(crate) fn print(&self, text: impl std::fmt::Display) {
+        let _ = writeln!(std::io::stdout(), "{text}");
     }
 
     /// Merges metrics into the run's (keys that start with one of `prefixes` are replaced as a whole), saves the

@@ -41,5 +41,6 @@ fn run(context: &Context, command: Command) -> anyhow::Result<()> {
         Command::View(a) => commands::view::run(context, &a),
         Command::Demo(a) => commands::demo::run(context, &a),
         Command::Sample(a) => commands::sample::run(context, &a),
+        Command::Settings(a) => commands::settings::run(context, &a),
     }
 }

@@ -1,4 +1,4 @@
-//! The settings file: one TOML table a stage, each overriding single values of the preset's.
+//! Settings of all stages: defaults or a preset's, then `--settings FILE`, then every `--set section.key=value`.
 
 use serde::{Serialize, de::DeserializeOwned};
 use sms_core::{InputError, atomic};
@@ -10,62 +10,229 @@ use sms_plan::PlanConfig;
 use sms_report::EvaluateSettings;
 use std::path::{Path, PathBuf};
 
-/// Overrides from `--settings FILE`; empty without one.
+/// Settings of one stage: what a section of the file may hold.
+pub(crate) trait Section: Default + Serialize + DeserializeOwned {
+    /// The first value out of its range.
+    fn validate(&self) -> Result<(), InputError>;
+}
+
+/// The sections in the order of the data flow, each with its type and what it is about. One list: the check of the
+/// file, of `--set`, and `sms settings` read it.
+macro_rules! sections {
+    ($($name:literal: $kind:ty, $about:literal;)*) => {
+        /// Names of the sections with what each is about.
+        pub(crate) const SECTIONS: &[(&str, &str)] = &[$(($name, $about)),*];
+
+        impl Settings {
+            /// Whether a section's keys exist and hold values of their kind and range.
+            fn check(&self, name: &str) -> anyhow::Result<()> {
+                match name {
+                    $($name => self.section(name, <$kind>::default()).map(drop),)*
+                    _ => Err(self.unknown_section(name).into()),
+                }
+            }
+        }
+    };
+}
+
+sections! {
+    "read": ReadOptions, "how a recording is read";
+    "frames": LoadSettings, "frames: size, choice, alignment";
+    "masks": GeometryConfig, "objects by geometry";
+    "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
+    "entities": EntitiesConfig, "meshes, spheres, convex parts";
+    "plan": PlanConfig, "search of an action";
+    "evaluate": EvaluateSettings, "comparison with known models";
+}
+
+macro_rules! validated {
+    ($($kind:ty),*) => {
+        $(impl Section for $kind {
+            fn validate(&self) -> Result<(), InputError> {
+                <$kind>::validate(self)
+            }
+        })*
+    };
+}
+
+validated!(ReadOptions, LoadSettings, GeometryConfig, ScanConfig, EntitiesConfig, EvaluateSettings);
+
+impl Section for PlanConfig {
+    fn validate(&self) -> Result<(), InputError> {
+        Self::validate(self, Path::new("[plan]"))
+    }
+}
+
+/// One `--set section.key=value`.
+#[derive(Debug)]
+struct Assignment {
+    /// As it was given.
+    text: String,
+    section: String,
+    /// The key's path within the section.
+    key: Vec<String>,
+    value: toml::Value,
+}
+
+/// Overrides; empty without any.
 #[derive(Debug, Default)]
 pub(crate) struct Settings {
     table: toml::Table,
     path: PathBuf,
+    assignments: Vec<Assignment>,
 }
 
-const SECTIONS: &str = "read, frames, masks, scan, entities, plan, evaluate";
-
 impl Settings {
-    /// Reads the file and checks every key of every section, so that a mistake is found before any work.
-    pub(crate) fn read(path: Option<&Path>) -> anyhow::Result<Self> {
-        let Some(path) = path else { return Ok(Self::default()) };
-        let settings = Self { table: atomic::read_toml(path)?, path: path.to_owned() };
-        for name in settings.table.keys() {
-            match name.as_str() {
-                "read" => settings.checked::<ReadOptions>(name)?,
-                "frames" => settings.checked::<LoadSettings>(name)?,
-                "masks" => settings.checked::<GeometryConfig>(name)?,
-                "scan" => settings.checked::<ScanConfig>(name)?,
-                "entities" => settings.checked::<EntitiesConfig>(name)?,
-                "plan" => settings.checked::<PlanConfig>(name)?,
-                "evaluate" => settings.checked::<EvaluateSettings>(name)?,
-                _ => {
-                    return Err(InputError::new(
-                        format!("this settings file has an unknown section `{name}`"),
-                        path,
-                        format!("use one of: {SECTIONS}"),
-                    )
-                    .into());
-                }
+    /// Reads the file and the assignments and checks every key of every section, so that a mistake is found before
+    /// any work.
+    pub(crate) fn read(path: Option<&Path>, assignments: &[String]) -> anyhow::Result<Self> {
+        let mut settings = Self::default();
+        if let Some(path) = path {
+            settings.table = atomic::read_toml(path)?;
+            settings.path = path.to_owned();
+            for name in settings.table.keys() {
+                settings.check(name)?;
             }
+        }
+        for text in assignments {
+            let assignment = Assignment::parse(text)?;
+            let section = assignment.section.clone();
+            settings.assignments.push(assignment);
+            settings.check(&section)?;
         }
         Ok(settings)
     }
 
-    /// Whether every key of a section exists and has a value of its kind.
-    fn checked<T: Default + Serialize + DeserializeOwned>(&self, name: &str) -> anyhow::Result<()> {
-        self.section(name, T::default()).map(|_| ())
+    /// `base` with the file's and the assignments' values of a section in place of its own.
+    pub(crate) fn section<T: Section>(&self, name: &str, base: T) -> anyhow::Result<T> {
+        let assigned: Vec<&Assignment> = self.assignments.iter().filter(|a| a.section == name).collect();
+        let overrides = self.table.get(name);
+        if overrides.is_none() && assigned.is_empty() {
+            return Ok(base);
+        }
+        let mut value = toml::Value::try_from(&base)?;
+        let mut made = base;
+        if let Some(overrides) = overrides {
+            if !overrides.is_table() {
+                return Err(InputError::new(
+                    format!("`{name}` is a section, not a value"),
+                    &self.path,
+                    format!("write `[{name}]` on a line of its own and its keys below"),
+                )
+                .into());
+            }
+            merge(&mut value, overrides);
+            made = value.clone().try_into().map_err(|e| fault(name, &self.path, &e))?;
+        }
+        for assignment in assigned {
+            merge(&mut value, &assignment.as_table());
+            made = value.clone().try_into().map_err(|e| fault(name, assignment.source(), &e))?;
+        }
+        T::validate(&made).map_err(|e| self.blame(name, e))?;
+        Ok(made)
     }
 
-    /// `base` with this file's values of a section in place of its own.
-    pub(crate) fn section<T: Serialize + DeserializeOwned>(&self, name: &str, base: T) -> anyhow::Result<T> {
-        let Some(overrides) = self.table.get(name) else { return Ok(base) };
-        let fault = |why: String| {
-            InputError::new(
-                format!("section [{name}] of this settings file has an error"),
-                &self.path,
-                "correct the key; run.toml of any run lists the keys that exist",
-            )
-            .because(why.trim_end().to_owned())
-        };
-        let mut value = toml::Value::try_from(&base).map_err(|e| fault(e.to_string()))?;
-        merge(&mut value, overrides);
-        value.try_into().map_err(|e| fault(e.to_string()).into())
+    /// A value out of its range, with the place that it was given at.
+    fn blame(&self, section: &str, error: InputError) -> InputError {
+        let named = error.what.split('`').nth(1).unwrap_or_default().to_owned();
+        let key = named.strip_prefix(section).and_then(|k| k.strip_prefix('.')).unwrap_or(&named);
+        let set = self.assignments.iter().rev().find(|a| a.section == section && a.concerns(key));
+        match set {
+            Some(assignment) => InputError { path: assignment.source(), ..error },
+            None if self.table.contains_key(section) => {
+                InputError { path: self.path.display().to_string(), ..error }
+            }
+            None => error,
+        }
     }
+
+    fn unknown_section(&self, name: &str) -> InputError {
+        let names = SECTIONS.iter().map(|s| s.0);
+        let all: Vec<&str> = names.clone().collect();
+        let near = near_matches(name, names);
+        let cure = format!("use one of: {}", all.join(", "));
+        let source = self
+            .assignments
+            .iter()
+            .find(|a| a.section == name)
+            .map_or_else(|| self.path.display().to_string(), Assignment::source);
+        InputError::new(
+            format!("the settings have no section `{name}`"),
+            source,
+            if near.is_empty() { cure } else { format!("did you mean {}? {cure}", near.join(" or ")) },
+        )
+    }
+}
+
+impl Assignment {
+    fn parse(text: &str) -> Result<Self, InputError> {
+        let malformed = || {
+            InputError::new(
+                "this is no assignment",
+                format!("--set {text}"),
+                "write section.key=value, such as --set scan.final_steps=500",
+            )
+        };
+        let (key, value) = text.split_once('=').ok_or_else(malformed)?;
+        let mut parts = key.trim().split('.').map(|p| p.trim().to_owned());
+        let section = parts.next().unwrap_or_default();
+        let key: Vec<String> = parts.collect();
+        if section.is_empty() || key.is_empty() || key.iter().any(String::is_empty) {
+            return Err(malformed());
+        }
+        // What is no TOML value is a word: `--set entities.mesh=prune` needs no quotes.
+        let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
+            .ok()
+            .filter(|table| table.len() == 1)
+            .and_then(|mut table| table.remove("value"))
+            .unwrap_or_else(|| toml::Value::String(value.trim().to_owned()));
+        Ok(Self { text: text.to_owned(), section, key, value })
+    }
+
+    /// The value within tables of its keys.
+    fn as_table(&self) -> toml::Value {
+        self.key.iter().rev().fold(self.value.clone(), |value, key| {
+            toml::Value::Table(std::iter::once((key.clone(), value)).collect())
+        })
+    }
+
+    /// How it was given, for messages.
+    fn source(&self) -> String {
+        format!("--set {}", self.text)
+    }
+
+    /// Whether it gives the dotted `key`, one of its parts or the whole that it is part of.
+    fn concerns(&self, key: &str) -> bool {
+        let own = self.key.join(".");
+        let within = |a: &str, b: &str| {
+            a.strip_prefix(b).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+        };
+        within(key, &own) || within(&own, key)
+    }
+}
+
+/// What serde says about a key or a value, with the names that come near.
+fn fault(section: &str, source: impl AsRef<Path>, error: &toml::de::Error) -> InputError {
+    let text = error.to_string();
+    let quoted: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
+    let is_unknown = text.contains("unknown field") || text.contains("unknown variant");
+    let near = match quoted.split_first() {
+        Some((wrong, known)) if is_unknown => near_matches(wrong, known.iter().copied()),
+        _ => Vec::new(),
+    };
+    let list = format!("`sms settings` lists the keys of [{section}] with their values");
+    let cure = if near.is_empty() { list } else { format!("did you mean {}? {list}", near.join(" or ")) };
+    InputError::new(format!("section [{section}] of the settings has an error"), source, cure)
+        .because(text.trim_end().replace('\n', " "))
+}
+
+/// The names most like `wrong`, best first, at most three; in backticks.
+fn near_matches<'a>(wrong: &str, names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut scored: Vec<(f64, &str)> =
+        names.map(|name| (strsim::normalized_damerau_levenshtein(wrong, name), name)).collect();
+    scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+    scored.dedup();
+    scored.into_iter().filter(|s| s.0 >= 0.6).take(3).map(|s| format!("`{}`", s.1)).collect()
 }
 
 fn merge(base: &mut toml::Value, overrides: &toml::Value) {
@@ -88,16 +255,23 @@ fn merge(base: &mut toml::Value, overrides: &toml::Value) {
 mod tests {
     use super::*;
 
-    fn settings(text: &str) -> anyhow::Result<Settings> {
+    fn settings(text: &str, assignments: &[&str]) -> anyhow::Result<Settings> {
         let dir = tempfile::tempdir()?;
         let path = dir.path().join("mine.toml");
         std::fs::write(&path, text)?;
-        Settings::read(Some(&path))
+        let assignments: Vec<String> = assignments.iter().map(|s| (*s).to_owned()).collect();
+        Settings::read(Some(&path), &assignments)
+    }
+
+    fn refusal(text: &str, assignments: &[&str]) -> String {
+        let error = settings(text, assignments).unwrap_err();
+        assert!(error.downcast_ref::<InputError>().is_some(), "{error:#}");
+        format!("{error:#}")
     }
 
     #[test]
     fn single_values_override_the_base() {
-        let s = settings("[frames]\nlong_side = 123\n[read]\nmax_depth_m = 2\n").unwrap();
+        let s = settings("[frames]\nlong_side = 123\n[read]\nmax_depth_m = 2\n", &[]).unwrap();
         let base = LoadSettings { stride: 3, ..LoadSettings::default() };
         let merged = s.section("frames", base).unwrap();
         assert_eq!((merged.long_side, merged.stride), (123, 3));
@@ -105,10 +279,94 @@ mod tests {
     }
 
     #[test]
-    fn unknown_keys_and_sections_are_named() {
-        let message = format!("{:#}", settings("[frames]\nlong_sid = 1\n").unwrap_err());
-        assert!(message.contains("long_sid") && message.contains("mine.toml"), "{message}");
-        let message = format!("{:#}", settings("[frame]\n").unwrap_err());
-        assert!(message.contains("`frame`") && message.contains("entities"), "{message}");
+    fn assignments_win_over_the_file_the_last_one_over_all() {
+        let given = [
+            "scan.final_steps=500",
+            "scan.seeding.spacing_px = 3",
+            "entities.mesh=prune",
+            "scan.final_steps=600",
+            "read.depth_unit_m=0.0002",
+            "frames.align={ up = [0, 0, 1] }",
+        ];
+        let s = settings("[scan]\nfinal_steps = 400\nsteps_frame = 7\n", &given).unwrap();
+        let scan = s.section("scan", ScanConfig::default()).unwrap();
+        assert_eq!((scan.final_steps, scan.steps_frame, scan.seeding.spacing_px), (600, 7, 3.0));
+        let entities = s.section("entities", EntitiesConfig::default()).unwrap();
+        assert_eq!(entities.mesh, sms_entities::MeshRule::Prune);
+        assert_eq!(s.section("read", ReadOptions::default()).unwrap().depth_unit_m, Some(0.0002));
+        let frames = s.section("frames", LoadSettings::default()).unwrap();
+        assert_eq!(frames.align, sms_frames::Align::Up([0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn unknown_keys_and_sections_are_named_with_what_comes_near() {
+        let message = refusal("[frames]\nlong_sid = 1\n", &[]);
+        assert!(message.contains("did you mean `long_side`") && message.contains("mine.toml"), "{message}");
+        let message = refusal("[frame]\n", &[]);
+        assert!(message.contains("did you mean `frames`") && message.contains("entities"), "{message}");
+        let message = refusal("", &["scan.seeding.spacing=1"]);
+        assert!(
+            message.contains("`spacing_px`") && message.contains("--set scan.seeding.spacing=1"),
+            "{message}"
+        );
+        let message = refusal("", &["scn.final_steps=1"]);
+        assert!(message.contains("did you mean `scan`") && message.contains("--set scn"), "{message}");
+        assert!(refusal("", &["entities.mesh=prunes"]).contains("did you mean `prune`"));
+        for malformed in ["scan.final_steps", "scan=3", ".x=3", "scan..x=3", "=4"] {
+            let message = refusal("", &[malformed]);
+            assert!(message.contains("section.key=value"), "{malformed}: {message}");
+        }
+        assert!(refusal("scan = 3\n", &[]).contains("is a section"));
+    }
+
+    #[test]
+    fn wrong_types_and_ranges_name_where_they_were_given() {
+        for wrong in ["scan.final_steps=abc", "scan.final_steps=1.5", "scan.stop.enabled=3", "scan.seeding=1"]
+        {
+            let message = refusal("", &[wrong]);
+            assert!(message.contains(&format!("--set {wrong}")) && message.contains("type"), "{message}");
+        }
+        let message = refusal("[scan]\nbatch_steps = 0\n", &["plan.starts=5"]);
+        assert!(message.contains("`scan.batch_steps` is 0") && message.contains("mine.toml"), "{message}");
+        let message = refusal("[scan]\nbatch_steps = 5\n", &["scan.noise={a_m = -1.0}"]);
+        assert!(
+            message.contains("`scan.noise.a_m` is -1") && message.contains("--set scan.noise"),
+            "{message}"
+        );
+    }
+
+    /// Every number of every section has a range: none may be absurd.
+    #[test]
+    fn every_number_of_every_section_is_checked() {
+        fn numbers(value: &toml::Value, at: &str, found: &mut Vec<(String, bool)>) {
+            match value {
+                toml::Value::Table(table) => {
+                    table.iter().for_each(|(key, v)| numbers(v, &format!("{at}.{key}"), found))
+                }
+                toml::Value::Float(_) => found.push((at.to_owned(), true)),
+                toml::Value::Integer(_) if !at.ends_with(".seed") => found.push((at.to_owned(), false)),
+                _ => {}
+            }
+        }
+        let defaults: toml::Table = toml::from_str(
+            &crate::commands::settings::text(&Settings::default(), sms_gaussians::Preset::Standard).unwrap(),
+        )
+        .unwrap();
+        let mut found = Vec::new();
+        defaults.iter().for_each(|(name, section)| numbers(section, name, &mut found));
+        assert!(found.len() > 100, "{}", found.len());
+        for (key, is_float) in found {
+            let absurd: &[&str] =
+                if is_float { &["nan", "-1e30", "inf"] } else { &["-1", "4611686018427387904"] };
+            for value in absurd {
+                let given = format!("{key}={value}");
+                let Err(error) = Settings::read(None, std::slice::from_ref(&given)) else {
+                    panic!("{given} is accepted");
+                };
+                let message = format!("{error:#}");
+                assert!(message.contains(&format!("--set {given}")), "{message}");
+                assert!(message.contains(key.rsplit('.').next().unwrap()), "{message}");
+            }
+        }
     }
 }

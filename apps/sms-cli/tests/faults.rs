@@ -161,6 +161,77 @@ fn settings_with_an_unknown_key() {
 }
 
 #[test]
+fn settings_that_cannot_be_leave_a_run_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let scan = |more: &[&str]| {
+        let mut arguments = vec!["scan", sample().to_str().unwrap(), "--out", run.to_str().unwrap()];
+        arguments.extend([
+            "--preset",
+            "draft",
+            "--set",
+            "scan.steps_first=10",
+            "--set",
+            "scan.steps_frame=10",
+        ]);
+        arguments.extend(["--set", "scan.final_steps=10"]);
+        arguments.extend(more);
+        sms(&arguments)
+    };
+    let first = scan(&[]);
+    assert!(first.status.success(), "{}", String::from_utf8_lossy(&first.stderr));
+    let settings = fs::read_to_string(run.join("run.toml")).unwrap();
+    assert!(settings.contains("final_steps = 10"), "{settings}");
+    let before = contents(&run);
+    for (given, words) in [
+        ("scan.final_stps=500", &["did you mean `final_steps`", "--set scan.final_stps=500"][..]),
+        ("scan.final_steps=many", &["final_steps", "type", "--set scan.final_steps=many"]),
+        ("scan.batch_steps=0", &["`scan.batch_steps` is 0, and must be from 1"]),
+        ("scan.seeding.spacing_px=nan", &["`scan.seeding.spacing_px` is NaN"]),
+        ("scan.train.rates.color=-1", &["`scan.train.rates.color` is -1"]),
+        ("frames.long_side=1000000", &["`frames.long_side` is 1000000", "16384"]),
+        ("frames.stride=0", &["`frames.stride` is 0"]),
+        ("masks.voxel_m=0", &["`masks.voxel_m` is 0"]),
+        ("read.max_depth_m=inf", &["`read.max_depth_m` is inf"]),
+        ("entities.sphere.samples=0", &["`entities.sphere.samples` is 0"]),
+        ("scan.holdout=1", &["none to train on"]),
+    ] {
+        expect_refusal(&scan(&["--set", given]), words);
+        expect_refusal(&scan(&["--set", given, "--force"]), words);
+    }
+    expect_refusal(&scan(&["--holdout", "1"]), &["none to train on"]);
+    assert_eq!(contents(&run), before);
+}
+
+/// Every file of a folder with its bytes.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(contents(&path));
+        } else {
+            found.push((path.clone(), fs::read(&path).unwrap()));
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn the_listed_settings_are_a_settings_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("all.toml");
+    let listed = sms(&["settings", "--preset", "fine", "--set", "scan.holdout=8"]);
+    assert!(listed.status.success());
+    fs::write(&path, &listed.stdout).unwrap();
+    let text = String::from_utf8(listed.stdout).unwrap();
+    assert!(text.contains("long_side = 640") && text.contains("holdout = 8"), "{text}");
+    let again = sms(&["settings", "--settings", path.to_str().unwrap()]);
+    assert_eq!(String::from_utf8(again.stdout).unwrap(), text);
+}
+
+#[test]
 fn a_folder_that_holds_something_else_is_left_alone() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("thesis.tex"), "do not touch").unwrap();

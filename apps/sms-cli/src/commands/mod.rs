@@ -10,6 +10,7 @@ pub(crate) mod plan;
 pub(crate) mod report;
 pub(crate) mod sample;
 pub(crate) mod scan;
+pub(crate) mod settings;
 pub(crate) mod simulate;
 pub(crate) mod view;
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
-use sms_gaussians::{CpuTrainer, Preset, ScanConfig};
+use sms_gaussians::{CpuTrainer, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
 use std::path::Path;
 
@@ -36,11 +36,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let preset = a.preset.unwrap_or(PresetName::Standard);
     let read = context.settings.section("read", ReadOptions::default())?;
     let recording = Recording::open(&a.recording, &read)?;
-    let (kind, preset_name) = match preset {
-        PresetName::Draft => (Preset::Draft, "draft"),
-        PresetName::Standard => (Preset::Standard, "standard"),
-        PresetName::Fine => (Preset::Fine, "fine"),
-    };
+    let kind = preset.preset();
     let long_side = LoadSettings { long_side: kind.long_side(), ..LoadSettings::default() };
     let mut frames_settings = context.settings.section("frames", long_side)?;
     if let Some(up) = &a.up {
@@ -50,14 +46,9 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if let Some(holdout) = a.holdout {
         scan_config.holdout = holdout;
     }
-    if scan_config.holdout == 1 {
-        return Err(InputError::new(
-            "holding out every frame leaves none to train on",
-            "--holdout",
-            "give 0 (none) or at least 2, such as 8",
-        )
-        .into());
-    }
+    // Before anything is written: a refused setting must leave an earlier run as it was.
+    frames_settings.validate()?;
+    scan_config.validate()?;
     let geometry = context.settings.section("masks", GeometryConfig::default())?;
     let seed = Seed(a.seed.unwrap_or(0));
 
@@ -65,7 +56,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let settings = RunSettings {
         recording: std::path::absolute(&a.recording)?.display().to_string(),
         seed: seed.0,
-        preset: preset_name.into(),
+        preset: preset.name().into(),
         masks: format!("{:?}", a.masks).to_lowercase(),
         holdout: scan_config.holdout,
     };

@@ -1,0 +1,44 @@
+//! `sms settings`: every setting that would be in force, as a file for `--settings`.
+
+use crate::cli::SettingsArguments;
+use crate::context::Context;
+use crate::settings::{SECTIONS, Settings};
+use sms_core::toml_value;
+use sms_entities::EntitiesConfig;
+use sms_frames::{LoadSettings, ReadOptions};
+use sms_gaussians::{Preset, ScanConfig};
+use sms_masks::GeometryConfig;
+use sms_plan::PlanConfig;
+use sms_report::EvaluateSettings;
+use std::fmt::Write;
+
+pub(crate) fn run(context: &Context, a: &SettingsArguments) -> anyhow::Result<()> {
+    let preset = a.preset.unwrap_or(crate::cli::PresetName::Standard);
+    context.print(text(&context.settings, preset.preset())?.trim_end());
+    Ok(())
+}
+
+/// All sections as TOML, with the overrides applied to the preset's values.
+pub(crate) fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String> {
+    let frames = LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() };
+    let mut out = String::from(
+        "# Settings of all stages. Keep what you change and give the file with --settings FILE, or single values with\n\
+         # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says else.\n",
+    );
+    for (name, about) in SECTIONS {
+        let value = match *name {
+            "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
+            "frames" => serde_json::to_value(settings.section(name, frames.clone())?)?,
+            "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
+            "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
+            "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
+            "plan" => serde_json::to_value(settings.section(name, PlanConfig::default())?)?,
+            "evaluate" => serde_json::to_value(settings.section(name, EvaluateSettings::default())?)?,
+            _ => continue,
+        };
+        let mut table = toml::Table::new();
+        table.extend(toml_value(&value).map(|v| ((*name).to_owned(), v)));
+        write!(out, "\n# {about}\n{table}")?;
+    }
+    Ok(out)
+}
