@@ -1,0 +1,112 @@
+//! Settings.
+
+use serde::{Deserialize, Serialize};
+use sms_core::InputError;
+use sms_frames::DepthNoise;
+
+/// Whether poses are refined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PosesMode {
+    /// The given poses are used as they are.
+    #[default]
+    Off,
+    /// Refined poses are used wherever the refinement could be computed.
+    On,
+    /// Refined poses are used only where they make pairs of frames that were kept out of the refinement agree
+    /// significantly better than the given ones.
+    Auto,
+}
+
+/// How poses are refined. Lengths in metres, angles in radians, colours in 8-bit levels, pixels at loaded size unless
+/// said otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PosesConfig {
+    /// Whether poses are refined.
+    pub mode: PosesMode,
+    /// Depth noise of the sensor: it weighs depth against colour, and both against the given poses.
+    pub noise: DepthNoise,
+    /// Standard deviation of the given camera positions per axis. It pulls the result to the given poses where the
+    /// images say nothing, and fixes the world's place: the mean correction is zero.
+    pub prior_position_m: f64,
+    /// Standard deviation of the given camera rotations per axis.
+    pub prior_rotation_rad: f64,
+    /// Partners of each frame: those that see most of what it sees from a similar side.
+    pub neighbours: usize,
+    /// Partners of each frame that look from farther around, so that small errors do not add up along the path.
+    pub far_neighbours: usize,
+    /// Standard deviation of colour where the image is flat, levels.
+    pub color_sigma: f64,
+    /// Error of colour per gradient: how far the images of one point may slip against each other, pixels of the level.
+    pub color_slip_px: f64,
+    /// Least gradient of a point that is compared by colour, levels per pixel. Below it, noise looks like texture.
+    pub min_gradient: f64,
+    /// Share of the measurements that counts as independent of its neighbours; scales both data terms.
+    pub independent_share: f64,
+    /// Whether depth is compared.
+    pub use_depth: bool,
+    /// Whether colour is compared.
+    pub use_color: bool,
+    /// Longest side of the images that are compared last, pixels; each coarser level has half of it.
+    pub finest_long_side: usize,
+    /// Most iterations of the levels, the finest first; their number is the number of levels.
+    pub iterations: Vec<usize>,
+    /// Distance of the compared points, pixels of the level.
+    pub point_stride: f64,
+}
+
+impl Default for PosesConfig {
+    fn default() -> Self {
+        Self {
+            mode: PosesMode::default(),
+            noise: DepthNoise::default(),
+            prior_position_m: 0.015,
+            prior_rotation_rad: 1f64.to_radians(),
+            neighbours: 8,
+            far_neighbours: 2,
+            color_sigma: 3.0,
+            color_slip_px: 0.25,
+            min_gradient: 2.0,
+            independent_share: 0.1,
+            use_depth: true,
+            use_color: true,
+            finest_long_side: 320,
+            iterations: vec![6, 8, 10, 10],
+            point_stride: 2.0,
+        }
+    }
+}
+
+impl PosesConfig {
+    /// Whether all values are usable.
+    ///
+    /// # Errors
+    /// [`InputError`] naming the setting.
+    pub fn check(&self) -> Result<(), InputError> {
+        let positive = [
+            ("prior_position_m", self.prior_position_m),
+            ("prior_rotation_rad", self.prior_rotation_rad),
+            ("color_sigma", self.color_sigma),
+            ("independent_share", self.independent_share),
+            ("point_stride", self.point_stride),
+        ];
+        for (name, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(InputError::new(
+                    format!("{name} is {value}"),
+                    "settings section [poses]",
+                    "give a number above 0",
+                ));
+            }
+        }
+        if self.iterations.is_empty() || self.iterations.len() > 8 {
+            return Err(InputError::new(
+                format!("there are {} levels of iterations", self.iterations.len()),
+                "settings section [poses]",
+                "give 1 to 8 numbers, the finest level first",
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,115 @@
+//! Which frames are compared with which.
+
+use crate::PosesConfig;
+use crate::views::{Point, View};
+use glamx::DPose3;
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+
+/// Points of a frame that are carried into the others to measure what both see.
+const SAMPLES: usize = 150;
+/// Least share of a frame's points that another must see.
+const LEAST_OVERLAP: f64 = 0.2;
+/// How far in depth a carried point may lie from what the other frame measured there, as a share of the depth: given
+/// poses may be wrong by centimetres.
+const SAME_SURFACE: f64 = 0.06;
+/// Angle between viewing directions up to which frames see the same side of things.
+const NEAR_ANGLE_RAD: f64 = 0.7;
+/// And up to which they are compared at all.
+const FAR_ANGLE_RAD: f64 = 1.4;
+
+/// Pairs of frames (i, j), i < j.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Graph {
+    /// For the refinement.
+    pub(crate) pairs: Vec<(usize, usize)>,
+    /// Kept out of it, to judge it.
+    pub(crate) held_out: Vec<(usize, usize)>,
+}
+
+/// Overlap of two frames.
+#[derive(Debug, Clone, Copy)]
+struct Overlap {
+    other: usize,
+    share: f64,
+    angle: f64,
+}
+
+/// Chooses pairs by what both frames see: for each frame its best partners from a similar side, some from farther
+/// around, and the next best of both kinds to judge by.
+pub(crate) fn choose_pairs(views: &[View], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
+    let samples: Vec<Vec<Point>> = views.iter().map(|v| sampled_points(v, config)).collect();
+    let overlaps: Vec<Vec<Overlap>> = (0..views.len())
+        .into_par_iter()
+        .map(|i| {
+            (0..views.len())
+                .filter(|&j| j != i)
+                .filter_map(|j| overlap(i, j, &samples[i], &samples[j], views, x_wc))
+                .collect()
+        })
+        .collect();
+    let mut pairs = BTreeSet::new();
+    let mut others = BTreeSet::new();
+    for (i, all) in overlaps.iter().enumerate() {
+        let ordered = |near: bool| {
+            let mut list: Vec<Overlap> =
+                all.iter().copied().filter(|o| (o.angle <= NEAR_ANGLE_RAD) == near).collect();
+            let rank = |o: &Overlap| o.share * if near { o.angle.cos() } else { 1.0 };
+            list.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.other.cmp(&b.other)));
+            list
+        };
+        for (list, wanted) in [(ordered(true), config.neighbours), (ordered(false), config.far_neighbours)] {
+            let held = (wanted / 4).max(usize::from(wanted > 0));
+            // Where there are few partners, all but one are needed.
+            let used = wanted.min(list.len().saturating_sub(1).max(1));
+            for (rank, o) in list.iter().take(used + held).enumerate() {
+                let pair = (i.min(o.other), i.max(o.other));
+                if rank < used {
+                    pairs.insert(pair)
+                } else {
+                    others.insert(pair)
+                };
+            }
+        }
+    }
+    let held_out = others.difference(&pairs).copied().collect();
+    Graph { pairs: pairs.into_iter().collect(), held_out }
+}
+
+fn sampled_points(view: &View, config: &PosesConfig) -> Vec<Point> {
+    let k = &view.intrinsics;
+    let stride = ((k.width * k.height) as f64 / (4 * SAMPLES) as f64).sqrt() / view.scale(0);
+    let all = view.points(0, stride.max(1.0), [0.5, 0.5], config);
+    let step = (all.len() / SAMPLES).max(1);
+    all.into_iter().step_by(step).collect()
+}
+
+/// What frames i and j both see: the lesser of the shares of either's points that the other sees.
+fn overlap(
+    i: usize,
+    j: usize,
+    points_i: &[Point],
+    points_j: &[Point],
+    views: &[View],
+    x_wc: &[DPose3],
+) -> Option<Overlap> {
+    let axis = |k: usize| x_wc[k].rotation * glamx::DVec3::Z;
+    let angle = axis(i).dot(axis(j)).clamp(-1.0, 1.0).acos();
+    if angle > FAR_ANGLE_RAD {
+        return None;
+    }
+    let seen = |points: &[Point], from: usize, to: usize| {
+        let x = x_wc[to].inverse() * x_wc[from];
+        let k = &views[to].intrinsics;
+        let met = points.iter().filter(|p| {
+            let q = x.transform_point(p.p_c);
+            q.z > 1e-3
+                && views[to]
+                    .surface_at(k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy)
+                    .is_some_and(|(_, _, s)| (f64::from(s.z) - q.z).abs() < SAME_SURFACE * q.z)
+        });
+        met.count() as f64 / points.len().max(1) as f64
+    };
+    let share = seen(points_i, i, j).min(seen(points_j, j, i));
+    (share >= LEAST_OVERLAP).then_some(Overlap { other: j, share, angle })
+}

@@ -1,0 +1,174 @@
+//! Whether refined poses are better than the given ones, by pairs of frames and points that had no part in them.
+
+use crate::refine::{Problem, arcs};
+use crate::residual::{PairSums, Seen, Weighing};
+use crate::views::Point;
+use glamx::DPose3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Residuals of the held-out pairs under one set of poses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Consistency {
+    /// Median distance of a frame's points to the surface that another frame measured, metres; `None` of no pairs.
+    pub depth_median_m: Option<f64>,
+    /// Median difference of brightness, 8-bit levels.
+    pub color_median: Option<f64>,
+    /// Points that were compared by depth.
+    pub depth_points: u64,
+    /// And by colour.
+    pub color_points: u64,
+}
+
+/// By how much one kind of residual shrank.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Gain {
+    /// Reduction of the mean residual, as a share of it.
+    pub share: f64,
+    /// Mean over standard error of the reduction, over pairs of frames.
+    pub t: f64,
+}
+
+impl Gain {
+    /// Beyond chance and worth acting on.
+    const LEAST_T: f64 = 4.0;
+    const LEAST_SHARE: f64 = 0.03;
+
+    fn better(&self) -> bool {
+        self.t > Self::LEAST_T && self.share > Self::LEAST_SHARE
+    }
+
+    fn worse(&self) -> bool {
+        self.t < -Self::LEAST_T && self.share < -Self::LEAST_SHARE
+    }
+}
+
+/// The given and the refined poses side by side.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Judgement {
+    /// Residuals with the given poses.
+    pub before: Consistency,
+    /// Residuals with the refined poses.
+    pub after: Consistency,
+    /// Change of depth residuals.
+    pub depth: Gain,
+    /// Change of colour residuals.
+    pub color: Gain,
+    /// Pairs of frames that were judged.
+    pub pairs: usize,
+}
+
+impl Judgement {
+    /// Whether the refined poses are significantly better by depth or by colour and worse by neither.
+    pub fn improved(&self) -> bool {
+        (self.depth.better() || self.color.better()) && !self.depth.worse() && !self.color.worse()
+    }
+}
+
+/// Residuals beyond this many σ count as this many: they met another surface.
+const MOST_SIGMA: f64 = 6.0;
+/// Fewest points of a pair that count.
+const LEAST_POINTS: u32 = 100;
+/// Fewest pairs that make a judgement.
+const LEAST_PAIRS: usize = 4;
+
+/// Compares both sets of poses on the held-out pairs (the used ones, with other points, where none could be spared).
+pub(crate) fn judge(problem: &Problem<'_>, refined: &[DPose3]) -> Judgement {
+    let pairs = &problem.graph.held_out;
+    let pairs = if pairs.len() < LEAST_PAIRS { &problem.graph.pairs } else { pairs };
+    // The refinement used the grid that begins at half a step.
+    let points: Vec<Vec<Point>> = problem
+        .views
+        .par_iter()
+        .map(|v| v.points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], problem.config))
+        .collect();
+    let before = residuals(problem, pairs, &points, problem.given);
+    let after = residuals(problem, pairs, &points, refined);
+    let gain = |kind: fn(&Seen) -> &crate::residual::Histogram| {
+        let differences: Vec<(f64, f64)> = before
+            .iter()
+            .zip(&after)
+            .filter(|(b, a)| kind(b).total() >= LEAST_POINTS && kind(a).total() >= LEAST_POINTS)
+            .filter_map(|(b, a)| Some((kind(b).mean_up_to(MOST_SIGMA)?, kind(a).mean_up_to(MOST_SIGMA)?)))
+            .collect();
+        paired_gain(&differences)
+    };
+    Judgement {
+        depth: gain(|s| &s.depth),
+        color: gain(|s| &s.color),
+        before: consistency(&before),
+        after: consistency(&after),
+        pairs: pairs.len(),
+    }
+}
+
+fn paired_gain(differences: &[(f64, f64)]) -> Gain {
+    let n = differences.len() as f64;
+    if differences.len() < LEAST_PAIRS {
+        return Gain::default();
+    }
+    let base = differences.iter().map(|d| d.0).sum::<f64>() / n;
+    let mean = differences.iter().map(|d| d.0 - d.1).sum::<f64>() / n;
+    let variance = differences.iter().map(|d| (d.0 - d.1 - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    Gain { share: mean / base.max(1e-12), t: mean / (variance / n).sqrt().max(1e-12) }
+}
+
+/// Residuals of each pair, both ways together, with the brightness fitted.
+fn residuals(
+    problem: &Problem<'_>,
+    pairs: &[(usize, usize)],
+    points: &[Vec<Point>],
+    poses: &[DPose3],
+) -> Vec<Seen> {
+    let mut arcs = arcs(pairs);
+    let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
+    let mut sums: Vec<PairSums> = Vec::new();
+    for _ in 0..3 {
+        sums = problem.linearise_all(&arcs, points, 0, poses, &weighing);
+        for (arc, pair) in arcs.iter_mut().zip(&sums) {
+            arc.brightness = pair.brightness_after(&[0.0; 6], arc.brightness);
+        }
+    }
+    sums.chunks_exact(2)
+        .map(|both| {
+            let mut seen = both[0].seen.clone();
+            seen.merge(&both[1].seen);
+            seen
+        })
+        .collect()
+}
+
+fn consistency(pairs: &[Seen]) -> Consistency {
+    let mut all = Seen::default();
+    pairs.iter().for_each(|s| all.merge(s));
+    Consistency {
+        depth_median_m: all.depth_mm.median().map(|mm| 1e-3 * mm),
+        color_median: all.color_levels.median(),
+        depth_points: all.depth_mm.total().into(),
+        color_points: all.color_levels.total().into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gain_must_be_sure_and_worth_it() {
+        let sure = Gain { share: 0.1, t: 9.0 };
+        let small = Gain { share: 0.001, t: 9.0 };
+        let chance = Gain { share: 0.1, t: 1.0 };
+        let worse = Gain { share: -0.1, t: -9.0 };
+        let judged = |depth, color| Judgement { depth, color, ..Judgement::default() }.improved();
+        assert!(judged(sure, chance) && judged(small, sure));
+        assert!(!judged(small, chance) && !judged(sure, worse) && !judged(worse, sure));
+    }
+
+    #[test]
+    fn a_steady_reduction_is_significant_and_noise_is_not() {
+        let steady: Vec<(f64, f64)> = (0..10).map(|i| (1.0 + 0.01 * f64::from(i), 0.8)).collect();
+        assert!(paired_gain(&steady).better());
+        let noisy: Vec<(f64, f64)> = (0..10).map(|i| (1.0, if i % 2 == 0 { 0.7 } else { 1.2 })).collect();
+        assert!(!paired_gain(&noisy).better());
+    }
+}

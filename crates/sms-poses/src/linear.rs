@@ -1,0 +1,225 @@
+//! The linear system of all corrections: 6 × 6 blocks, solved by conjugate gradients.
+
+/// A symmetric 6 × 6 block.
+pub(crate) type Block = [[f64; 6]; 6];
+/// A correction (turn, shift) or its gradient.
+pub(crate) type Six = [f64; 6];
+
+/// Σ over pairs of ½ (δᵢ − δⱼ)ᵀ H (δᵢ − δⱼ) + gᵀ (δᵢ − δⱼ), and over frames of ½ δᵢᵀ P δᵢ + qᵀ δᵢ.
+#[derive(Debug)]
+pub(crate) struct System {
+    pub(crate) pairs: Vec<(usize, usize, Block)>,
+    pub(crate) own: Vec<Block>,
+    pub(crate) gradient: Vec<Six>,
+}
+
+impl System {
+    pub(crate) fn new(frames: usize) -> Self {
+        Self { pairs: Vec::new(), own: vec![[[0.0; 6]; 6]; frames], gradient: vec![[0.0; 6]; frames] }
+    }
+
+    /// Adds what a pair says about δᵢ − δⱼ.
+    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six) {
+        for a in 0..6 {
+            self.gradient[i][a] += g[a];
+            self.gradient[j][a] -= g[a];
+        }
+        self.pairs.push((i, j, *h));
+    }
+
+    /// Adds what is known of one frame alone.
+    pub(crate) fn add_own(&mut self, i: usize, h: &Block, g: &Six) {
+        for a in 0..6 {
+            self.gradient[i][a] += g[a];
+            for b in 0..6 {
+                self.own[i][a][b] += h[a][b];
+            }
+        }
+    }
+
+    fn times(&self, x: &[Six]) -> Vec<Six> {
+        let mut y: Vec<Six> = self.own.iter().zip(x).map(|(p, x)| product(p, x)).collect();
+        for (i, j, h) in &self.pairs {
+            let difference: Six = std::array::from_fn(|a| x[*i][a] - x[*j][a]);
+            let hx = product(h, &difference);
+            for a in 0..6 {
+                y[*i][a] += hx[a];
+                y[*j][a] -= hx[a];
+            }
+        }
+        y
+    }
+
+    /// The minimiser, by conjugate gradients preconditioned with the diagonal blocks; `None` where a diagonal block
+    /// is not positive definite. Its memory and time grow with the number of pairs, not with the square of the frames.
+    pub(crate) fn solve(&self) -> Option<Vec<Six>> {
+        const RELATIVE: f64 = 1e-9;
+        let n = self.own.len();
+        let mut diagonal = self.own.clone();
+        for (i, j, h) in &self.pairs {
+            for k in [*i, *j] {
+                for a in 0..6 {
+                    for b in 0..6 {
+                        diagonal[k][a][b] += h[a][b];
+                    }
+                }
+            }
+        }
+        let factors: Vec<Block> = diagonal.iter().map(cholesky).collect::<Option<_>>()?;
+        let precondition =
+            |r: &[Six]| -> Vec<Six> { factors.iter().zip(r).map(|(l, r)| cholesky_solve(l, r)).collect() };
+        let dot = |a: &[Six], b: &[Six]| -> f64 {
+            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
+        };
+        let mut x = vec![[0.0; 6]; n];
+        let mut r: Vec<Six> = self.gradient.iter().map(|g| g.map(|v| -v)).collect();
+        let mut z = precondition(&r);
+        let mut p = z.clone();
+        let mut rz = dot(&r, &z);
+        let enough = RELATIVE * RELATIVE * rz;
+        for _ in 0..20 * 6 * n.max(1) {
+            if !(rz > enough && rz > 0.0) {
+                break;
+            }
+            let ap = self.times(&p);
+            let alpha = rz / dot(&p, &ap);
+            for k in 0..n {
+                for a in 0..6 {
+                    x[k][a] += alpha * p[k][a];
+                    r[k][a] -= alpha * ap[k][a];
+                }
+            }
+            z = precondition(&r);
+            let next = dot(&r, &z);
+            let beta = next / rz;
+            rz = next;
+            for k in 0..n {
+                for a in 0..6 {
+                    p[k][a] = z[k][a] + beta * p[k][a];
+                }
+            }
+        }
+        x.as_flattened().iter().all(|v| v.is_finite()).then_some(x)
+    }
+}
+
+fn product(h: &Block, x: &Six) -> Six {
+    std::array::from_fn(|a| (0..6).map(|b| h[a][b] * x[b]).sum())
+}
+
+/// Lower Cholesky factor; `None` unless positive definite.
+pub(crate) fn cholesky(h: &Block) -> Option<Block> {
+    let mut l = [[0.0; 6]; 6];
+    for i in 0..6 {
+        for j in 0..=i {
+            let sum: f64 = h[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
+            if i == j {
+                if !(sum > 0.0 && sum.is_finite()) {
+                    return None;
+                }
+                l[i][i] = sum.sqrt();
+            } else {
+                l[i][j] = sum / l[j][j];
+            }
+        }
+    }
+    Some(l)
+}
+
+/// Solves L Lᵀ x = b.
+pub(crate) fn cholesky_solve(l: &Block, b: &Six) -> Six {
+    let mut y = *b;
+    for i in 0..6 {
+        y[i] = (y[i] - (0..i).map(|k| l[i][k] * y[k]).sum::<f64>()) / l[i][i];
+    }
+    for i in (0..6).rev() {
+        y[i] = (y[i] - (i + 1..6).map(|k| l[k][i] * y[k]).sum::<f64>()) / l[i][i];
+    }
+    y
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+    use sms_core::Seed;
+
+    fn random_block(rng: &mut sms_core::StageRng, rank: usize) -> Block {
+        let mut h = [[0.0; 6]; 6];
+        for _ in 0..rank {
+            let v: Six = std::array::from_fn(|_| rng.random::<f64>() - 0.5);
+            for a in 0..6 {
+                for b in 0..6 {
+                    h[a][b] += v[a] * v[b];
+                }
+            }
+        }
+        h
+    }
+
+    /// Gaussian elimination with pivoting, the oracle.
+    fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
+        let n = b.len();
+        for c in 0..n {
+            let pivot = (c..n).max_by(|&i, &j| a[i][c].abs().total_cmp(&a[j][c].abs())).unwrap();
+            a.swap(c, pivot);
+            b.swap(c, pivot);
+            for r in c + 1..n {
+                let f = a[r][c] / a[c][c];
+                for k in c..n {
+                    a[r][k] -= f * a[c][k];
+                }
+                b[r] -= f * b[c];
+            }
+        }
+        for c in (0..n).rev() {
+            b[c] = (b[c] - (c + 1..n).map(|k| a[c][k] * b[k]).sum::<f64>()) / a[c][c];
+        }
+        b
+    }
+
+    #[test]
+    fn agrees_with_a_dense_solver_although_the_pairs_alone_are_singular() {
+        let mut rng = Seed(3).rng();
+        let n = 9;
+        let mut system = System::new(n);
+        let mut dense = vec![vec![0.0; 6 * n]; 6 * n];
+        let scale = 1e6;
+        for i in 0..n {
+            for j in [i + 1, i + 3] {
+                if j >= n {
+                    continue;
+                }
+                let h = random_block(&mut rng, 4).map(|r| r.map(|v| scale * v));
+                let g: Six = std::array::from_fn(|_| 1e3 * (rng.random::<f64>() - 0.5));
+                system.add_pair(i, j, &h, &g);
+                for a in 0..6 {
+                    for b in 0..6 {
+                        for (r, c, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {
+                            dense[6 * r + a][6 * c + b] += sign * h[a][b];
+                        }
+                    }
+                }
+            }
+            let mut own = random_block(&mut rng, 6);
+            (0..6).for_each(|a| own[a][a] += 1.0);
+            system.add_own(i, &own, &[0.1; 6]);
+            for a in 0..6 {
+                for b in 0..6 {
+                    dense[6 * i + a][6 * i + b] += own[a][b];
+                }
+            }
+        }
+        let right: Vec<f64> = system.gradient.as_flattened().iter().map(|g| -g).collect();
+        let expected = dense_solve(dense, right);
+        let found = system.solve().unwrap();
+        let size = expected.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let off: f64 = found.as_flattened().iter().zip(&expected).map(|(a, b)| (a - b).powi(2)).sum();
+        assert!(off.sqrt() < 1e-6 * size, "{} of {size}", off.sqrt());
+    }
+
+    #[test]
+    fn a_frame_about_which_nothing_is_known_is_refused() {
+        assert!(System::new(1).solve().is_none());
+    }
+}

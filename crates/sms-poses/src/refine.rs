@@ -1,0 +1,216 @@
+//! The refinement: coarse to fine, all poses at once.
+
+use crate::PosesConfig;
+use crate::align::moved_about;
+use crate::graph::{Graph, choose_pairs};
+use crate::linear::{Block, Six, System};
+use crate::residual::{Brightness, Histogram, PairSums, Seen, Weighing, linearise};
+use crate::views::{Point, View};
+use glamx::{DPose3, DVec3};
+use rayon::prelude::*;
+use sms_core::{Cancel, CoreError, Progress};
+use std::collections::BTreeSet;
+
+/// Everything that stays the same during the refinement.
+pub(crate) struct Problem<'a> {
+    pub(crate) views: &'a [View],
+    pub(crate) given: &'a [DPose3],
+    pub(crate) graph: Graph,
+    pub(crate) config: &'a PosesConfig,
+    /// Corrections turn about this point.
+    pub(crate) center_w: DVec3,
+}
+
+/// One direction of a pair: points of `from` are carried into `to`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Arc {
+    pub(crate) from: usize,
+    pub(crate) to: usize,
+    pub(crate) brightness: Brightness,
+}
+
+pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
+    pairs
+        .iter()
+        .flat_map(|&(i, j)| [(i, j), (j, i)])
+        .map(|(from, to)| Arc { from, to, brightness: Brightness::default() })
+        .collect()
+}
+
+impl<'a> Problem<'a> {
+    pub(crate) fn new(views: &'a [View], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
+        let mut sum = DVec3::ZERO;
+        let mut count = 0usize;
+        for (view, x) in views.iter().zip(given) {
+            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], config) {
+                sum += x.transform_point(point.p_c);
+                count += 1;
+            }
+        }
+        let center_w = if count > 0 { sum / count as f64 } else { DVec3::ZERO };
+        Self { views, given, graph: choose_pairs(views, given, config), config, center_w }
+    }
+
+    /// Frames that no pair names; the prior alone speaks of them.
+    pub(crate) fn frames_without_pairs(&self) -> Vec<usize> {
+        let paired: BTreeSet<usize> = self.graph.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
+        (0..self.given.len()).filter(|i| !paired.contains(i)).collect()
+    }
+
+    /// Carried points may be off by this much at first: the given poses' errors at the scene's distance.
+    pub(crate) fn widest_gate_m(&self) -> f64 {
+        let distance =
+            self.given.iter().map(|x| (x.translation - self.center_w).length()).fold(0.0, f64::max).min(10.0);
+        4.0 * (self.config.prior_position_m + self.config.prior_rotation_rad * distance)
+    }
+
+    pub(crate) fn linearise_all(
+        &self,
+        arcs: &[Arc],
+        points: &[Vec<Point>],
+        level: usize,
+        poses: &[DPose3],
+        weighing: &Weighing,
+    ) -> Vec<PairSums> {
+        arcs.par_iter()
+            .map(|arc| {
+                linearise(
+                    &points[arc.from],
+                    &self.views[arc.to],
+                    level,
+                    (&poses[arc.from], &poses[arc.to]),
+                    self.center_w,
+                    arc.brightness,
+                    weighing,
+                    self.config,
+                )
+            })
+            .collect()
+    }
+
+    /// Adds the pull to the given pose: turn and camera position, each with its standard deviation.
+    fn add_prior(&self, system: &mut System, frame: usize, pose: &DPose3) {
+        let given = &self.given[frame];
+        let turned = (pose.rotation * given.rotation.inverse()).to_scaled_axis();
+        let shifted = pose.translation - given.translation;
+        let arm = pose.translation - self.center_w;
+        let (wr, wt) = (self.config.prior_rotation_rad.powi(-2), self.config.prior_position_m.powi(-2));
+        let (mut h, mut g): (Block, Six) = ([[0.0; 6]; 6], [0.0; 6]);
+        for axis in 0..3 {
+            let a = DVec3::AXES[axis];
+            h[axis][axis] += wr;
+            g[axis] += wr * turned[axis];
+            let lever = arm.cross(a);
+            let j = [lever.x, lever.y, lever.z, a.x, a.y, a.z];
+            for r in 0..6 {
+                g[r] += wt * j[r] * shifted[axis];
+                for c in 0..6 {
+                    h[r][c] += wt * j[r] * j[c];
+                }
+            }
+        }
+        system.add_own(frame, &h, &g);
+    }
+
+    /// Gauss-Newton with robust weights at one level. Returns the number of iterations.
+    fn refine_level(
+        &self,
+        level: usize,
+        poses: &mut [DPose3],
+        arcs: &mut [Arc],
+        weighing: &mut Weighing,
+        cancel: &Cancel,
+        mut tick: impl FnMut(&str),
+    ) -> Result<usize, CoreError> {
+        let config = self.config;
+        let points: Vec<Vec<Point>> =
+            self.views.par_iter().map(|v| v.points(level, config.point_stride, [0.5, 0.5], config)).collect();
+        let pixel_m = self.pixel_at_scene_m(level);
+        for iteration in 0..config.iterations[level] {
+            cancel.check()?;
+            let sums = self.linearise_all(arcs, &points, level, poses, weighing);
+            let mut system = System::new(poses.len());
+            let share = config.independent_share;
+            for (arc, pair) in arcs.iter().zip(&sums) {
+                let (h, g) = pair.reduced();
+                system.add_pair(arc.from, arc.to, &h.map(|r| r.map(|v| share * v)), &g.map(|v| share * v));
+            }
+            for (frame, pose) in poses.iter().enumerate() {
+                self.add_prior(&mut system, frame, pose);
+            }
+            let Some(steps) = system.solve() else { return Ok(iteration) };
+            let mut largest = 0.0f64;
+            for (pose, step) in poses.iter_mut().zip(&steps) {
+                let moved = moved_about(self.center_w, step) * *pose;
+                largest = largest.max((moved.translation - pose.translation).length());
+                largest = largest.max(DVec3::new(step[3], step[4], step[5]).length());
+                *pose = DPose3::from_parts(moved.translation, moved.rotation.normalize());
+            }
+            for (arc, pair) in arcs.iter_mut().zip(&sums) {
+                let delta: Six = std::array::from_fn(|a| steps[arc.from][a] - steps[arc.to][a]);
+                arc.brightness = pair.brightness_after(&delta, arc.brightness);
+            }
+            *weighing = self.weighing_after(&sums, weighing);
+            tick(&format!("step {:.2} mm", 1e3 * largest));
+            // A fiftieth of a pixel changes no association.
+            if largest < 0.02 * pixel_m {
+                return Ok(iteration + 1);
+            }
+        }
+        Ok(config.iterations[level])
+    }
+
+    /// Metres across one pixel of a level at the scene.
+    fn pixel_at_scene_m(&self, level: usize) -> f64 {
+        let (mut sum, n) = (0.0, self.views.len().max(1));
+        for (view, x) in self.views.iter().zip(self.given) {
+            let distance = (x.translation - self.center_w).length();
+            sum += view.intrinsics.pixel_footprint(distance) * view.scale(level);
+        }
+        sum / n as f64
+    }
+
+    /// Typical residuals from the last pass; never below what noise explains.
+    pub(crate) fn weighing_after(&self, sums: &[PairSums], before: &Weighing) -> Weighing {
+        let mut seen = Seen::default();
+        sums.iter().for_each(|pair| seen.merge(&pair.seen));
+        let scale = |h: &Histogram| h.median().map_or(1.0, |m| (1.4826 * m).max(1.0));
+        let depth_scale = scale(&seen.depth);
+        // σ of the difference of two measurements at the scene's typical distance.
+        let sigma_m = self
+            .given
+            .iter()
+            .map(|x| self.config.noise.sigma_m((x.translation - self.center_w).length()))
+            .fold(0.0, f64::max)
+            * std::f64::consts::SQRT_2;
+        Weighing {
+            depth_scale,
+            color_scale: scale(&seen.color),
+            gate_m: (8.0 * depth_scale * sigma_m).max(0.01).min(before.gate_m),
+        }
+    }
+
+    /// Refines all poses. Returns them with the number of iterations done.
+    pub(crate) fn run(
+        &self,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<(Vec<DPose3>, usize), CoreError> {
+        let levels = self.views.first().map_or(0, |v| v.luma.len());
+        let planned: usize = self.config.iterations[..levels].iter().sum();
+        progress.begin("poses", planned as u64);
+        let mut poses = self.given.to_vec();
+        let mut arcs = arcs(&self.graph.pairs);
+        let mut weighing = Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() };
+        let (mut done, mut iterations) = (0, 0);
+        for level in (0..levels).rev() {
+            let mut at = done;
+            iterations += self.refine_level(level, &mut poses, &mut arcs, &mut weighing, cancel, |what| {
+                at += 1;
+                progress.update(at as u64, what);
+            })?;
+            done += self.config.iterations[level];
+        }
+        Ok((poses, iterations))
+    }
+}

@@ -1,0 +1,116 @@
+//! What the refinement did.
+
+use crate::Judgement;
+use serde::{Deserialize, Serialize};
+use sms_core::metrics::Metrics;
+
+/// Correction of one frame, relative to the given pose.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PoseCorrection {
+    /// Position in the sequence.
+    pub frame: usize,
+    /// How far the camera was moved, metres.
+    pub shift_m: f64,
+    /// How far it was turned, radians.
+    pub turn_rad: f64,
+}
+
+/// What was decided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Refinement was not asked for.
+    Off,
+    /// The refined poses are used.
+    Refined,
+    /// They were no significant improvement (`auto`), so the given poses are used.
+    GivenAreAsGood,
+    /// Nothing could be refined: too few frames, or none that see the same things.
+    NotPossible,
+}
+
+/// What the refinement did; corrections and judgement are told even where the given poses were kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PoseReport {
+    /// What was decided.
+    pub verdict: Verdict,
+    /// Pairs of frames that were compared.
+    pub pairs: usize,
+    /// Iterations of all levels.
+    pub iterations: usize,
+    /// Correction of each frame.
+    pub corrections: Vec<PoseCorrection>,
+    /// Given against refined on what was kept out.
+    pub judgement: Judgement,
+}
+
+impl PoseReport {
+    pub(crate) fn without_refinement(verdict: Verdict) -> Self {
+        Self { verdict, pairs: 0, iterations: 0, corrections: Vec::new(), judgement: Judgement::default() }
+    }
+
+    /// Median over frames of the corrections' lengths (metres) and angles (radians).
+    pub fn median_correction(&self) -> Option<(f64, f64)> {
+        let median = |mut values: Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied()
+        };
+        let shift = median(self.corrections.iter().map(|c| c.shift_m).collect())?;
+        let turn = median(self.corrections.iter().map(|c| c.turn_rad).collect())?;
+        Some((shift, turn))
+    }
+
+    /// Largest correction: metres and radians.
+    pub fn largest_correction(&self) -> (f64, f64) {
+        self.corrections
+            .iter()
+            .fold((0.0, 0.0), |(s, t), c| (f64::max(s, c.shift_m), f64::max(t, c.turn_rad)))
+    }
+
+    /// The figures for `metrics.json`.
+    pub fn metrics(&self) -> Metrics {
+        let mut m = Metrics::new();
+        if self.verdict == Verdict::Off {
+            return m;
+        }
+        let j = &self.judgement;
+        m.set("poses.refined", self.verdict == Verdict::Refined);
+        m.set("poses.pairs", self.pairs).set("poses.held_out_pairs", j.pairs);
+        m.set("poses.iterations", self.iterations);
+        if let Some((shift, turn)) = self.median_correction() {
+            let (most_shift, most_turn) = self.largest_correction();
+            m.set("poses.shift_median_m", shift).set("poses.shift_max_m", most_shift);
+            m.set("poses.turn_median_rad", turn).set("poses.turn_max_rad", most_turn);
+            m.set("poses.depth_before_m", j.before.depth_median_m)
+                .set("poses.depth_after_m", j.after.depth_median_m);
+            m.set("poses.color_before", j.before.color_median).set("poses.color_after", j.after.color_median);
+            m.set("poses.depth_gain", j.depth.share).set("poses.depth_gain_t", j.depth.t);
+            m.set("poses.color_gain", j.color.share).set("poses.color_gain_t", j.color.t);
+        }
+        m
+    }
+
+    /// One line for people.
+    pub fn summary(&self) -> String {
+        let Some((shift, turn)) = self.median_correction() else {
+            return match self.verdict {
+                Verdict::Off => "poses as given".to_owned(),
+                _ => "poses as given: frames see too little in common to refine them".to_owned(),
+            };
+        };
+        let (j, mm) =
+            (&self.judgement, |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{:.2}", 1e3 * v)));
+        let residuals = format!(
+            "held-out depth residual {} → {} mm, colour {:.1} → {:.1} levels",
+            mm(j.before.depth_median_m),
+            mm(j.after.depth_median_m),
+            j.before.color_median.unwrap_or(0.0),
+            j.after.color_median.unwrap_or(0.0)
+        );
+        let by = format!("{:.1} mm and {:.2}° (median)", 1e3 * shift, turn.to_degrees());
+        match self.verdict {
+            Verdict::Refined => format!("poses refined by {by}: {residuals}"),
+            _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! What one pair of frames says about their relative pose.
+//!
+//! A point of frame i is carried into camera j by `X_ji`. Two residuals compare it with what j measured where it lands:
+//! - depth: its distance to the plane through j's measured point (point to plane, projective association);
+//! - colour: j's brightness there, less i's brightness at the point after the pair's gain and offset.
+//!
+//! Both depend on the pose through the carried point alone, so that with ∂r/∂p = a the derivative by a turn ω and a
+//! shift v of frame i about the centre c is (q × a, a), q = p − c; by those of frame j it is the negative.
+
+use crate::PosesConfig;
+use crate::linear::{Block, Six};
+use crate::luma::sample;
+use crate::views::{Point, View, sigma_along_normal};
+use glamx::{DMat3, DPose3, DVec3};
+use sms_core::Intrinsics;
+
+/// A residual and its gradient by the carried point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Linear {
+    pub(crate) residual: f64,
+    pub(crate) by_point: DVec3,
+}
+
+impl Linear {
+    /// Derivative by (turn, shift) of the carried frame about `center`.
+    pub(crate) fn jacobian(&self, p: DVec3, center: DVec3) -> Six {
+        let turn = (p - center).cross(self.by_point);
+        let a = self.by_point;
+        [turn.x, turn.y, turn.z, a.x, a.y, a.z]
+    }
+}
+
+/// Distance of `p` to the plane through `q` with normal `n`.
+pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> Linear {
+    Linear { residual: n.dot(p - q), by_point: n }
+}
+
+/// Brightness of `view` where `p` lands, at a level, less `expected`; `None` outside.
+pub(crate) fn color_residual(p: DVec3, view: &View, level: usize, expected: f64) -> Option<(Linear, f64)> {
+    let k = &view.intrinsics;
+    let scale = 1.0 / view.scale(level);
+    let (x, y) = (p.x / p.z, p.y / p.z);
+    let (value, du, dv) = sample(&view.luma[level], (k.fx * x + k.cx) * scale, (k.fy * y + k.cy) * scale)?;
+    let (ax, ay) = (du * k.fx * scale / p.z, dv * k.fy * scale / p.z);
+    let by_point = DVec3::new(ax, ay, -(ax * x + ay * y));
+    Some((Linear { residual: value - expected, by_point }, du.hypot(dv)))
+}
+
+/// Gain and offset of a pair's brightness, in levels: i's brightness I counts as I + gain · (I − 128) / 64 + offset.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Brightness {
+    pub(crate) gain: f64,
+    pub(crate) offset: f64,
+}
+
+impl Brightness {
+    /// Standard deviations of gain and offset among the frames of a recording, levels.
+    const PRIOR: [f64; 2] = [20.0, 30.0];
+
+    fn columns(luma: f64) -> [f64; 2] {
+        [-(luma - 128.0) / 64.0, -1.0]
+    }
+
+    fn expected(&self, luma: f64) -> f64 {
+        let [gain, offset] = Self::columns(luma);
+        luma - self.gain * gain - self.offset * offset
+    }
+}
+
+/// Bins of [`Histogram`] and their width.
+const BINS: usize = 160;
+const BIN: f64 = 0.1;
+
+/// Counts of absolute values up to 16: medians of them do not depend on the order in which threads finish.
+#[derive(Debug, Clone)]
+pub(crate) struct Histogram {
+    counts: Vec<u32>,
+    total: u32,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { counts: vec![0; BINS], total: 0 }
+    }
+}
+
+impl Histogram {
+    fn add(&mut self, e: f64) {
+        self.counts[((e / BIN) as usize).min(BINS - 1)] += 1;
+        self.total += 1;
+    }
+
+    pub(crate) fn merge(&mut self, other: &Self) {
+        self.counts.iter_mut().zip(&other.counts).for_each(|(a, b)| *a += b);
+        self.total += other.total;
+    }
+
+    pub(crate) fn total(&self) -> u32 {
+        self.total
+    }
+
+    /// The median, interpolated within its bin; `None` of nothing.
+    pub(crate) fn median(&self) -> Option<f64> {
+        let mut before = 0u32;
+        let half = 0.5 * f64::from(self.total);
+        self.counts.iter().enumerate().find_map(|(i, &c)| {
+            let reached = f64::from(before + c) >= half && c > 0;
+            let at = (i as f64 + (half - f64::from(before)) / f64::from(c.max(1))) * BIN;
+            before += c;
+            reached.then_some(at)
+        })
+    }
+
+    /// Mean of min(value, `most`); `None` of nothing.
+    pub(crate) fn mean_up_to(&self, most: f64) -> Option<f64> {
+        let sum: f64 = self
+            .counts
+            .iter()
+            .enumerate()
+            .map(|(i, &c)| f64::from(c) * ((i as f64 + 0.5) * BIN).min(most))
+            .sum();
+        (self.total > 0).then(|| sum / f64::from(self.total))
+    }
+}
+
+/// Residuals of a pair.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Seen {
+    /// Depth residuals in standard deviations of the noise.
+    pub(crate) depth: Histogram,
+    /// And in millimetres.
+    pub(crate) depth_mm: Histogram,
+    /// Colour residuals in their standard deviations.
+    pub(crate) color: Histogram,
+    /// And in levels.
+    pub(crate) color_levels: Histogram,
+}
+
+impl Seen {
+    pub(crate) fn merge(&mut self, other: &Self) {
+        self.depth.merge(&other.depth);
+        self.depth_mm.merge(&other.depth_mm);
+        self.color.merge(&other.color);
+        self.color_levels.merge(&other.color_levels);
+    }
+}
+
+/// How residuals are weighed in one iteration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Weighing {
+    /// Depth residuals of this many σ are typical.
+    pub(crate) depth_scale: f64,
+    /// Colour residuals of this many σ are typical.
+    pub(crate) color_scale: f64,
+    /// Carried points farther than this from the surface that they meet are taken for hidden, metres.
+    pub(crate) gate_m: f64,
+}
+
+/// What a pair says: ½ δᵀ H δ + gᵀ δ of δ = δᵢ − δⱼ about the world's `center`, in world axes.
+#[derive(Debug, Clone)]
+pub(crate) struct PairSums {
+    pub(crate) h: Block,
+    pub(crate) g: Six,
+    /// Coupling with the brightness, and its own part.
+    by_brightness: [Six; 2],
+    brightness_h: [[f64; 2]; 2],
+    brightness_g: [f64; 2],
+    pub(crate) seen: Seen,
+}
+
+/// Tukey's weight of a residual of `e` σ where `scale` σ are typical.
+fn tukey(e: f64, scale: f64) -> f64 {
+    let t = e / (4.685 * scale);
+    if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
+}
+
+/// Sums in the axes of camera j, upper triangle of H.
+struct Sums {
+    h: [f64; 21],
+    g: Six,
+    b: [Six; 2],
+    bh: [[f64; 2]; 2],
+    bg: [f64; 2],
+}
+
+impl Sums {
+    fn add(&mut self, jacobian: &Six, residual: f64, weight: f64) {
+        let mut at = 0;
+        for a in 0..6 {
+            let wj = weight * jacobian[a];
+            self.g[a] += wj * residual;
+            for b in a..6 {
+                self.h[at] += wj * jacobian[b];
+                at += 1;
+            }
+        }
+    }
+
+    fn add_brightness(&mut self, jacobian: &Six, residual: f64, columns: [f64; 2], weight: f64) {
+        for k in 0..2 {
+            let wc = weight * columns[k];
+            self.bg[k] += wc * residual;
+            for l in 0..2 {
+                self.bh[k][l] += wc * columns[l];
+            }
+            for a in 0..6 {
+                self.b[k][a] += wc * jacobian[a];
+            }
+        }
+    }
+}
+
+/// Carries the points of frame i into frame j.
+pub(crate) fn linearise(
+    points: &[Point],
+    view_j: &View,
+    level: usize,
+    poses: (&DPose3, &DPose3),
+    center_w: DVec3,
+    brightness: Brightness,
+    weighing: &Weighing,
+    config: &PosesConfig,
+) -> PairSums {
+    let x_ji = poses.1.inverse() * *poses.0;
+    let center = poses.1.inverse_transform_point(center_w);
+    let turn = DMat3::from_quat(x_ji.rotation);
+    let k: &Intrinsics = &view_j.intrinsics;
+    let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
+    let mut seen = Seen::default();
+    // Surfaces that face apart by more than 60° are not the same.
+    const LEAST_COSINE: f64 = 0.5;
+    for point in points {
+        let p = turn * point.p_c + x_ji.translation;
+        if p.z <= 1e-3 {
+            continue;
+        }
+        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let Some((x, y, surface)) = view_j.surface_at(u, v) else { continue };
+        let z = f64::from(surface.z);
+        let q = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
+        let n = DVec3::new(f64::from(surface.n[0]), f64::from(surface.n[1]), f64::from(surface.n[2]));
+        let has_plane = n != DVec3::ZERO;
+        let off = if has_plane { n.dot(p - q) } else { p.z - q.z };
+        if off.abs() > weighing.gate_m {
+            continue;
+        }
+        let facing = n.dot(turn * point.n_c);
+        if config.use_depth && has_plane && facing > LEAST_COSINE {
+            let r = depth_residual(p, q, n);
+            let sigma = point.sigma_m.hypot(sigma_along_normal(&config.noise, q, n));
+            let e = r.residual / sigma;
+            seen.depth.add(e.abs());
+            seen.depth_mm.add(1e3 * r.residual.abs());
+            let weight = tukey(e, weighing.depth_scale) / (sigma * weighing.depth_scale).powi(2);
+            if weight > 0.0 {
+                sums.add(&r.jacobian(p, center), r.residual, weight);
+            }
+        }
+        if config.use_color && point.textured {
+            let expected = brightness.expected(point.luma);
+            let Some((r, slope)) = color_residual(p, view_j, level, expected) else { continue };
+            let sigma = config.color_sigma.hypot(config.color_slip_px * slope);
+            let e = r.residual / sigma;
+            seen.color.add(e.abs());
+            seen.color_levels.add(r.residual.abs());
+            let weight = tukey(e, weighing.color_scale) / (sigma * weighing.color_scale).powi(2);
+            if weight > 0.0 {
+                let jacobian = r.jacobian(p, center);
+                sums.add(&jacobian, r.residual, weight);
+                sums.add_brightness(&jacobian, r.residual, Brightness::columns(point.luma), weight);
+            }
+        }
+    }
+    for (k, (value, sigma)) in
+        [brightness.gain, brightness.offset].into_iter().zip(Brightness::PRIOR).enumerate()
+    {
+        sums.bh[k][k] += sigma.powi(-2);
+        sums.bg[k] += value * sigma.powi(-2);
+    }
+    in_world(sums, &DMat3::from_quat(poses.1.rotation), seen)
+}
+
+/// Turns sums from camera axes to world axes.
+fn in_world(sums: Sums, r_wj: &DMat3, seen: Seen) -> PairSums {
+    let rotated = |s: &Six| -> Six {
+        let (a, b) = (*r_wj * DVec3::new(s[0], s[1], s[2]), *r_wj * DVec3::new(s[3], s[4], s[5]));
+        [a.x, a.y, a.z, b.x, b.y, b.z]
+    };
+    let mut camera = [[0.0; 6]; 6];
+    let mut at = 0;
+    for a in 0..6 {
+        for b in a..6 {
+            camera[a][b] = sums.h[at];
+            camera[b][a] = sums.h[at];
+            at += 1;
+        }
+    }
+    // R H Rᵀ: rows first, then columns.
+    let rows: Block = camera.map(|row| rotated(&row));
+    let mut h = [[0.0; 6]; 6];
+    for b in 0..6 {
+        let column = rotated(&std::array::from_fn(|a| rows[a][b]));
+        for a in 0..6 {
+            h[a][b] = column[a];
+        }
+    }
+    PairSums {
+        h,
+        g: rotated(&sums.g),
+        by_brightness: sums.b.map(|b| rotated(&b)),
+        brightness_h: sums.bh,
+        brightness_g: sums.bg,
+        seen,
+    }
+}
+
+impl PairSums {
+    fn brightness_inverse(&self) -> [[f64; 2]; 2] {
+        let [[a, b], [_, d]] = self.brightness_h;
+        let det = (a * d - b * b).max(1e-300);
+        [[d / det, -b / det], [-b / det, a / det]]
+    }
+
+    /// H and g once gain and offset have been eliminated, so that they follow every correction at their best.
+    pub(crate) fn reduced(&self) -> (Block, Six) {
+        let inverse = self.brightness_inverse();
+        let (mut h, mut g) = (self.h, self.g);
+        for a in 0..6 {
+            for k in 0..2 {
+                for l in 0..2 {
+                    let left = self.by_brightness[k][a] * inverse[k][l];
+                    g[a] -= left * self.brightness_g[l];
+                    for b in 0..6 {
+                        h[a][b] -= left * self.by_brightness[l][b];
+                    }
+                }
+            }
+        }
+        (h, g)
+    }
+
+    /// Gain and offset that go with a correction δ = δᵢ − δⱼ.
+    pub(crate) fn brightness_after(&self, delta: &Six, before: Brightness) -> Brightness {
+        let inverse = self.brightness_inverse();
+        let right: [f64; 2] = std::array::from_fn(|k| {
+            self.brightness_g[k] + (0..6).map(|a| self.by_brightness[k][a] * delta[a]).sum::<f64>()
+        });
+        Brightness {
+            gain: before.gain - inverse[0][0] * right[0] - inverse[0][1] * right[1],
+            offset: before.offset - inverse[1][0] * right[0] - inverse[1][1] * right[1],
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What of a frame is compared: points to carry into other frames, and the images that they land in.
+
+use crate::PosesConfig;
+use crate::luma::{Luma, half, luma, sample};
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::Intrinsics;
+use sms_frames::{DepthNoise, Frame, Sequence};
+
+/// Depth and surface direction at one pixel; `z` is 0 where there is no measurement, `n` where there is no direction.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Surface {
+    pub(crate) z: f32,
+    pub(crate) n: [f32; 3],
+}
+
+/// One frame as it is compared.
+#[derive(Debug)]
+pub(crate) struct View {
+    pub(crate) intrinsics: Intrinsics,
+    /// At the loaded size.
+    pub(crate) surface: Vec<Surface>,
+    /// Brightness, the finest level first.
+    pub(crate) luma: Vec<Luma>,
+    /// Pixels of the loaded size per pixel of the finest level.
+    pub(crate) finest_scale: f64,
+}
+
+/// A measured point of a frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Point {
+    /// Position in the frame's camera, metres.
+    pub(crate) p_c: DVec3,
+    /// Surface normal in the frame's camera; zero where unknown.
+    pub(crate) n_c: DVec3,
+    /// Standard deviation of the position along the normal, metres.
+    pub(crate) sigma_m: f64,
+    /// Brightness at the level.
+    pub(crate) luma: f64,
+    /// Whether its surroundings have enough gradient to be compared by colour.
+    pub(crate) textured: bool,
+}
+
+impl View {
+    fn new(frame: &Frame, levels: usize, halvings: usize) -> Self {
+        let surface =
+            frame.depth.data.iter().zip(&frame.normal_c.data).map(|(&z, &n)| Surface { z, n }).collect();
+        let mut finest = luma(&frame.color);
+        for _ in 0..halvings {
+            finest = half(&finest);
+        }
+        let mut luma = vec![finest];
+        while luma.len() < levels {
+            luma.push(half(&luma[luma.len() - 1]));
+        }
+        Self { intrinsics: frame.camera.intrinsics, surface, luma, finest_scale: 2f64.powi(halvings as i32) }
+    }
+
+    /// Pixels of the loaded size per pixel of a level.
+    pub(crate) fn scale(&self, level: usize) -> f64 {
+        self.finest_scale * 2f64.powi(level as i32)
+    }
+
+    /// The surface at the pixel that holds (u, v).
+    pub(crate) fn surface_at(&self, u: f64, v: f64) -> Option<(usize, usize, Surface)> {
+        let (w, h) = (self.intrinsics.width, self.intrinsics.height);
+        if !(u >= 0.0 && v >= 0.0 && u < w as f64 && v < h as f64) {
+            return None;
+        }
+        let (x, y) = (u as usize, v as usize);
+        let surface = self.surface[y * w + x];
+        (surface.z > 0.0).then_some((x, y, surface))
+    }
+
+    /// Points on a grid of `stride` pixels of a level, begun at `offset` of it, that have a depth.
+    pub(crate) fn points(
+        &self,
+        level: usize,
+        stride: f64,
+        offset: [f64; 2],
+        config: &PosesConfig,
+    ) -> Vec<Point> {
+        let k = &self.intrinsics;
+        let scale = self.scale(level);
+        let step = (stride * scale).max(1.0);
+        let at = |n: usize, o: f64| {
+            (0..).map(move |i| ((i as f64 + o) * step) as usize).take_while(move |&x| x < n)
+        };
+        let mut points = Vec::new();
+        for y in at(k.height, offset[1]) {
+            for x in at(k.width, offset[0]) {
+                let s = self.surface[y * k.width + x];
+                if s.z <= 0.0 {
+                    continue;
+                }
+                let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
+                let p_c = DVec3::new((u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z);
+                let n_c = DVec3::new(f64::from(s.n[0]), f64::from(s.n[1]), f64::from(s.n[2]));
+                let sampled = sample(&self.luma[level], u / scale, v / scale);
+                points.push(Point {
+                    p_c,
+                    n_c,
+                    sigma_m: sigma_along_normal(&config.noise, p_c, n_c),
+                    luma: sampled.map_or(0.0, |s| s.0),
+                    textured: sampled.is_some_and(|s| s.1.hypot(s.2) >= config.min_gradient),
+                });
+            }
+        }
+        points
+    }
+}
+
+/// Depth is wrong along the ray; what counts is how far that moves the point along the normal. Surfaces seen at less
+/// than about 12° count as seen at 12°: other errors than noise dominate there.
+pub(crate) fn sigma_along_normal(noise: &DepthNoise, p_c: DVec3, n_c: DVec3) -> f64 {
+    noise.sigma_m(p_c.z) * (n_c.dot(p_c) / p_c.z).abs().max(0.2)
+}
+
+/// All frames as they are compared, with as many levels as their size allows (at most as configured).
+pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<View> {
+    const LEAST_SIDE: usize = 12;
+    let long = sequence.frames.iter().map(|f| f.color.width.max(f.color.height)).max().unwrap_or(1);
+    let short = sequence.frames.iter().map(|f| f.color.width.min(f.color.height)).min().unwrap_or(1);
+    let halvings = (0..8usize).find(|h| long >> h <= config.finest_long_side.max(16)).unwrap_or(8);
+    let fitting =
+        (1..config.iterations.len().max(1)).take_while(|l| short >> (halvings + l) >= LEAST_SIDE).count();
+    sequence.frames.par_iter().map(|f| View::new(f, 1 + fitting, halvings)).collect()
+}
