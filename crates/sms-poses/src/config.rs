@@ -1,7 +1,7 @@
 //! Settings.
 
 use serde::{Deserialize, Serialize};
-use sms_core::InputError;
+use sms_core::{InputError, Ranges};
 use sms_frames::DepthNoise;
 
 /// Whether poses are refined.
@@ -79,34 +79,26 @@ impl Default for PosesConfig {
 }
 
 impl PosesConfig {
-    /// Whether all values are usable.
+    /// The first value that is out of its range.
     ///
     /// # Errors
-    /// [`InputError`] naming the setting.
-    pub fn check(&self) -> Result<(), InputError> {
-        let positive = [
-            ("prior_position_m", self.prior_position_m),
-            ("prior_rotation_rad", self.prior_rotation_rad),
-            ("color_sigma", self.color_sigma),
-            ("independent_share", self.independent_share),
-            ("point_stride", self.point_stride),
-        ];
-        for (name, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(InputError::new(
-                    format!("{name} is {value}"),
-                    "settings section [poses]",
-                    "give a number above 0",
-                ));
-            }
+    /// [`InputError`] that names the key and what is allowed.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("poses");
+        self.noise.validate("poses", "noise.")?;
+        r.within("prior_position_m", self.prior_position_m, 1e-6, 10.0)?;
+        r.within("prior_rotation_rad", self.prior_rotation_rad, 1e-6, 3.0)?;
+        r.count("neighbours", self.neighbours, 1, 1000)?;
+        r.count("far_neighbours", self.far_neighbours, 0, 1000)?;
+        r.within("color_sigma", self.color_sigma, 0.1, 255.0)?;
+        r.within("color_slip_px", self.color_slip_px, 0.0, 10.0)?;
+        r.within("min_gradient", self.min_gradient, 0.0, 255.0)?;
+        r.within("independent_share", self.independent_share, 1e-6, 1.0)?;
+        r.count("finest_long_side", self.finest_long_side, 16, 16_384)?;
+        r.count("iterations.len()", self.iterations.len(), 1, 8)?;
+        for (level, &count) in self.iterations.iter().enumerate() {
+            r.count(&format!("iterations[{level}]"), count, 0, 1000)?;
         }
-        if self.iterations.is_empty() || self.iterations.len() > 8 {
-            return Err(InputError::new(
-                format!("there are {} levels of iterations", self.iterations.len()),
-                "settings section [poses]",
-                "give 1 to 8 numbers, the finest level first",
-            ));
-        }
-        Ok(())
+        r.within("point_stride", self.point_stride, 0.25, 64.0)
     }
 }

@@ -80,7 +80,7 @@ pub fn refine_poses(
     if config.mode == PosesMode::Off {
         return keep(PoseReport::without_refinement(Verdict::Off));
     }
-    config.check()?;
+    config.validate()?;
     let given: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
     let views = views::views(sequence, config);
     let problem = Problem::new(&views, &given, config);
