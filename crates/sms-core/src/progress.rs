@@ -1,5 +1,6 @@
 //! Progress of long work, without knowing where it is shown.
 
+use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -12,6 +13,38 @@ pub trait Progress: Sync {
     fn update(&self, done: u64, message: &str);
     /// The current part is over.
     fn end(&self, message: &str);
+    /// The same as [`Progress::update`] from work that knows its pace and its figures.
+    fn status(&self, status: &Status<'_>) {
+        self.update(status.done, status.message);
+    }
+}
+
+/// Where a part of the work stands.
+#[derive(Debug, Clone, Copy)]
+pub struct Status<'a> {
+    /// Units done. Work that may end early jumps ahead where it does.
+    pub done: u64,
+    /// What is happening, for people.
+    pub message: &'a str,
+    /// Seconds left by the work's own estimate, which knows better than the share of units done.
+    pub seconds_left: Option<f64>,
+    /// The figures in the message, for programs.
+    pub values: &'a [(&'a str, f64)],
+}
+
+/// A duration for people: `41 s`, `2 min 10 s`, `1 h 5 min`.
+pub fn duration_text(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    match whole {
+        0..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// Seconds left when the units to come take as long as those done.
+pub fn linear_seconds_left(elapsed_s: f64, done: u64, units: u64) -> Option<f64> {
+    (done > 0 && units > done).then(|| elapsed_s / done as f64 * (units - done) as f64)
 }
 
 /// Shows nothing.
@@ -24,26 +57,57 @@ impl Progress for NoProgress {
     fn end(&self, _message: &str) {}
 }
 
-/// Plain lines on standard error, at most one every few seconds: for logs and pipes.
-#[derive(Debug)]
-pub struct PlainProgress {
-    state: Mutex<PlainState>,
-    every: Duration,
-}
-
-#[derive(Debug)]
-struct PlainState {
-    part: String,
+/// The part of the work that is under way.
+struct Part {
+    out: Box<dyn Write + Send>,
+    name: String,
     units: u64,
     began: Instant,
+    /// When something was last written about it.
     last: Instant,
 }
 
-impl PlainProgress {
-    /// Lines at most every `every`.
-    pub fn new(every: Duration) -> Self {
+impl Part {
+    fn new(out: Box<dyn Write + Send>) -> Self {
         let now = Instant::now();
-        Self { state: Mutex::new(PlainState { part: String::new(), units: 0, began: now, last: now }), every }
+        Self { out, name: String::new(), units: 0, began: now, last: now }
+    }
+
+    fn begin(&mut self, name: &str, units: u64) {
+        let now = Instant::now();
+        (self.name, self.units, self.began, self.last) = (name.to_owned(), units, now, now);
+    }
+
+    /// Whether the last line is at least `every` ago; counts from now if so.
+    fn is_due(&mut self, every: Duration) -> bool {
+        let due = self.last.elapsed() >= every;
+        if due {
+            self.last = Instant::now();
+        }
+        due
+    }
+
+    fn line(&mut self, line: impl std::fmt::Display) {
+        // Whoever closed the pipe has read enough.
+        let _ = writeln!(self.out, "{line}");
+    }
+}
+
+/// Plain lines, at most one every few seconds: for logs and pipes.
+pub struct PlainProgress {
+    part: Mutex<Part>,
+    every: Duration,
+}
+
+impl PlainProgress {
+    /// Lines on standard error at most every `every`.
+    pub fn new(every: Duration) -> Self {
+        Self::to(Box::new(std::io::stderr()), every)
+    }
+
+    /// Lines to `out`.
+    pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
+        Self { part: Mutex::new(Part::new(out)), every }
     }
 }
 
@@ -53,32 +117,202 @@ impl Default for PlainProgress {
     }
 }
 
+impl std::fmt::Debug for PlainProgress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PlainProgress").field("every", &self.every).finish_non_exhaustive()
+    }
+}
+
 impl Progress for PlainProgress {
     fn begin(&self, part: &str, units: u64) {
-        let Ok(mut state) = self.state.lock() else { return };
-        let now = Instant::now();
-        *state = PlainState { part: part.to_owned(), units, began: now, last: now };
-        let _ = writeln!(std::io::stderr(), "{part} …");
+        let Ok(mut state) = self.part.lock() else { return };
+        state.begin(part, units);
+        state.line(format_args!("{part} …"));
     }
 
     fn update(&self, done: u64, message: &str) {
-        let Ok(mut state) = self.state.lock() else { return };
-        if state.last.elapsed() < self.every {
+        let Ok(mut state) = self.part.lock() else { return };
+        if !state.is_due(self.every) {
             return;
         }
-        state.last = Instant::now();
-        let elapsed = state.began.elapsed().as_secs_f64();
-        let left = if done > 0 && state.units > done {
-            format!(", about {:.0} s left", elapsed / done as f64 * (state.units - done) as f64)
-        } else {
-            String::new()
-        };
-        let _ = writeln!(std::io::stderr(), "{} {}/{}: {}{}", state.part, done, state.units, message, left);
+        let left = linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units);
+        let line = format!("{} {done}/{}: {message}{}", state.name, state.units, left_text(left));
+        state.line(line);
+    }
+
+    fn status(&self, status: &Status<'_>) {
+        let Ok(mut state) = self.part.lock() else { return };
+        if !state.is_due(self.every) {
+            return;
+        }
+        let percent = 100 * status.done.min(state.units) / state.units.max(1);
+        let left = left_text(status.seconds_left);
+        let line = format!("{} {percent} %: {}{left}", state.name, status.message);
+        state.line(line);
     }
 
     fn end(&self, message: &str) {
-        let Ok(state) = self.state.lock() else { return };
+        let Ok(mut state) = self.part.lock() else { return };
         let seconds = state.began.elapsed().as_secs_f64();
-        let _ = writeln!(std::io::stderr(), "{}: {message} ({seconds:.1} s)", state.part);
+        let line = format!("{}: {message} ({seconds:.1} s)", state.name);
+        state.line(line);
+    }
+}
+
+fn left_text(seconds_left: Option<f64>) -> String {
+    seconds_left.map(|s| format!(", about {} left", duration_text(s))).unwrap_or_default()
+}
+
+/// One JSON object a line: for programs that show progress themselves.
+///
+/// Each has `event` (`begin`, `update` or `end`), `part`, `units`, `seconds` since the part began and `message`;
+/// updates also have `done`, `seconds_left` (null where unknown) and the part's own figures.
+pub struct JsonProgress {
+    part: Mutex<Part>,
+    every: Duration,
+}
+
+impl JsonProgress {
+    /// Lines on standard error; updates at most every `every`.
+    pub fn new(every: Duration) -> Self {
+        Self::to(Box::new(std::io::stderr()), every)
+    }
+
+    /// Lines to `out`.
+    pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
+        Self { part: Mutex::new(Part::new(out)), every }
+    }
+}
+
+impl std::fmt::Debug for JsonProgress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("JsonProgress").field("every", &self.every).finish_non_exhaustive()
+    }
+}
+
+impl Part {
+    fn json(&mut self, event: &str, message: &str, more: impl FnOnce(&mut Map<String, Value>)) {
+        let mut object = Map::new();
+        object.insert("event".into(), json!(event));
+        object.insert("part".into(), json!(self.name));
+        object.insert("units".into(), json!(self.units));
+        object.insert("seconds".into(), json!(self.began.elapsed().as_secs_f64()));
+        more(&mut object);
+        object.insert("message".into(), json!(message));
+        self.line(Value::Object(object));
+    }
+}
+
+impl Progress for JsonProgress {
+    fn begin(&self, part: &str, units: u64) {
+        let Ok(mut state) = self.part.lock() else { return };
+        state.begin(part, units);
+        state.json("begin", "", |_| {});
+    }
+
+    fn update(&self, done: u64, message: &str) {
+        let seconds_left = match self.part.lock() {
+            Ok(state) => linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units),
+            Err(_) => return,
+        };
+        self.status(&Status { done, message, seconds_left, values: &[] });
+    }
+
+    fn status(&self, status: &Status<'_>) {
+        let Ok(mut state) = self.part.lock() else { return };
+        if !state.is_due(self.every) {
+            return;
+        }
+        state.json("update", status.message, |object| {
+            object.insert("done".into(), json!(status.done));
+            object.insert("seconds_left".into(), json!(status.seconds_left));
+            for (name, value) in status.values {
+                object.insert((*name).to_owned(), json!(value));
+            }
+        });
+    }
+
+    fn end(&self, message: &str) {
+        let Ok(mut state) = self.part.lock() else { return };
+        state.json("end", message, |_| {});
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    /// A writer whose text can be read afterwards.
+    #[derive(Clone, Default)]
+    struct Written(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Written {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Written {
+        fn lines(&self) -> Vec<String> {
+            String::from_utf8(self.0.lock().unwrap().clone()).unwrap().lines().map(str::to_owned).collect()
+        }
+    }
+
+    const STATUS: Status<'_> = Status {
+        done: 30,
+        message: "frame 2/5, colour 0.021",
+        seconds_left: Some(130.4),
+        values: &[("frame", 2.0), ("color_l1", 0.021)],
+    };
+
+    #[test]
+    fn plain_lines_tell_share_message_and_time_left_and_are_rare() {
+        let out = Written::default();
+        let progress = PlainProgress::to(Box::new(out.clone()), Duration::ZERO);
+        progress.begin("scan", 120);
+        progress.status(&STATUS);
+        progress.end("done");
+        let lines = out.lines();
+        assert_eq!(lines[0], "scan …");
+        assert_eq!(lines[1], "scan 25 %: frame 2/5, colour 0.021, about 2 min 10 s left");
+        assert!(lines[2].starts_with("scan: done ("), "{lines:?}");
+        let out = Written::default();
+        let progress = PlainProgress::to(Box::new(out.clone()), Duration::from_secs(3600));
+        progress.begin("scan", 120);
+        (0..100).for_each(|_| progress.status(&STATUS));
+        assert_eq!(out.lines().len(), 1);
+    }
+
+    #[test]
+    fn json_lines_hold_the_figures() {
+        let out = Written::default();
+        let progress = JsonProgress::to(Box::new(out.clone()), Duration::ZERO);
+        progress.begin("scan", 120);
+        progress.status(&STATUS);
+        progress.update(60, "a \"quoted\" word");
+        progress.end("done");
+        let lines: Vec<Value> = out.lines().iter().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let events: Vec<_> = lines.iter().map(|l| l["event"].as_str().unwrap()).collect();
+        assert_eq!(events, ["begin", "update", "update", "end"]);
+        assert_eq!((&lines[1]["done"], &lines[1]["units"]), (&json!(30), &json!(120)));
+        assert_eq!((&lines[1]["color_l1"], &lines[1]["seconds_left"]), (&json!(0.021), &json!(130.4)));
+        assert_eq!(lines[2]["message"], "a \"quoted\" word");
+        assert!(lines.iter().all(|l| l["part"] == "scan" && l["seconds"].is_f64()));
+    }
+
+    #[test]
+    fn durations_and_linear_estimates() {
+        assert_eq!(duration_text(40.6), "41 s");
+        assert_eq!(duration_text(59.7), "1 min 0 s");
+        assert_eq!(duration_text(3900.0), "1 h 5 min");
+        assert_eq!(duration_text(-1.0), "0 s");
+        assert_eq!(linear_seconds_left(10.0, 2, 6), Some(20.0));
+        assert_eq!((linear_seconds_left(10.0, 0, 6), linear_seconds_left(10.0, 6, 6)), (None, None));
     }
 }

@@ -45,6 +45,19 @@ impl Warnings {
         }
     }
 
+    /// Adds what another collector had, with its counts: an earlier attempt at the same work.
+    pub fn take_over(&self, earlier: Vec<Warning>) {
+        let Ok(mut list) = self.list.lock() else { return };
+        for warning in earlier {
+            match list.iter_mut().find(|w| {
+                (&w.stage, &w.code, &w.message) == (&warning.stage, &warning.code, &warning.message)
+            }) {
+                Some(known) => known.count += warning.count,
+                None => list.push(warning),
+            }
+        }
+    }
+
     /// What was collected so far, ordered by stage, code and message so that it does not depend on threads.
     pub fn snapshot(&self) -> Vec<Warning> {
         let mut list = self.list.lock().map(|l| l.clone()).unwrap_or_default();
@@ -77,6 +90,10 @@ mod tests {
         first.add("reader", "few_frames", "only 3 frames", "");
         first.add("reader", "few_frames", "only 3 frames", "");
         assert_eq!(first.snapshot()[0].count, 2);
+        let later = Warnings::new();
+        later.add("reader", "few_frames", "only 3 frames", "");
+        later.take_over(first.snapshot());
+        assert_eq!((later.snapshot().len(), later.snapshot()[0].count), (1, 3));
         first.save_as(&path, "frames").unwrap();
         let second = Warnings::new();
         second.add("plan", "hard", "no shot found", "");

@@ -53,9 +53,9 @@ pub use cpu::limits;
 pub use cpu::{CpuTrainer, StepTimes};
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM};
 pub use scan::{
-    LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanResult, SeedingConfig, StopConfig,
-    ViewRender, ViewScore, classifier_path, read_ply, render_views, render_views_with, scan, seedlings_of,
-    state_of_model, write_ply,
+    BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
+    SeedingConfig, SlotDone, StopConfig, ViewRender, ViewScore, classifier_path, read_ply, render_views,
+    render_views_with, scan, scan_observed, seedlings_of, state_of_model, write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError,

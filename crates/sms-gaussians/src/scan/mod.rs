@@ -12,11 +12,14 @@ mod evaluate;
 mod frames;
 mod fusion;
 mod losses;
+mod observer;
 mod occupancy;
+mod pace;
 mod ply;
 mod pruning;
 mod schedule;
 mod seeding;
+mod so_far;
 mod validate;
 mod views;
 
@@ -24,11 +27,14 @@ mod views;
 mod fixture;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod watched_tests;
 
 pub use config::{Preset, PruningConfig, ScanConfig, SeedingConfig, StopConfig};
 pub use error::ScanError;
 pub use evaluate::ViewScore;
 pub use losses::LossSample;
+pub use observer::{BatchDone, ScanObserver, SlotDone};
 pub use ply::{classifier_path, read_ply, seedlings_of, write_ply};
-pub use schedule::{ScanResult, scan};
+pub use schedule::{ScanResult, scan, scan_observed};
 pub use views::{ViewRender, render_views, render_views_with, state_of_model};

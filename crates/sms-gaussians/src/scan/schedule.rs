@@ -10,13 +10,16 @@ use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
 use super::frames::{check_inputs, held_out_frames, train_frame, trained_frames};
 use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
+use super::observer::{BatchDone, ScanObserver, SlotDone};
+use super::pace::Pace;
 use super::ply::write_ply;
 use super::pruning::{prune_floaters, prune_transparent};
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
+use super::so_far::SoFar;
 use crate::{FrameId, GaussianModel, Trainer};
 use rand::RngExt;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Warnings, atomic};
+use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Status, Warnings, atomic};
 use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
@@ -29,12 +32,14 @@ const STAGE: &str = "scan";
 pub struct ScanResult {
     /// The Gaussians, as written to `scene.ply`.
     pub model: GaussianModel,
-    /// `scan.*` (see `docs/metrics.md`), without times and device, which the caller knows.
+    /// `scan.*` (see `docs/metrics.md`), without times and device: they are no part of the result.
     pub metrics: Metrics,
     /// The history of the losses, as written to `losses.json`.
     pub losses: Vec<LossSample>,
     /// How every frame is reproduced, in the order of the sequence.
     pub views: Vec<ViewScore>,
+    /// Wall-clock seconds, those of interrupted attempts included.
+    pub seconds: f64,
 }
 
 /// Runs the scan into `work_dir`: `scene.ply` with its classifier, `losses.json`, `views.json`, `checkpoint.bin`.
@@ -57,11 +62,31 @@ pub fn scan(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<ScanResult, ScanError> {
+    scan_observed(sequence, labels, config, seed, work_dir, trainer, &mut (), progress, cancel, warnings)
+}
+
+/// [`scan`] with somebody watching.
+///
+/// # Errors
+/// As [`scan`].
+pub fn scan_observed(
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &ScanConfig,
+    seed: Seed,
+    work_dir: &Path,
+    trainer: &mut dyn Trainer,
+    observer: &mut dyn ScanObserver,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<ScanResult, ScanError> {
     config.validate()?;
     check_inputs(sequence, labels, config.holdout)?;
     let trained = trained_frames(sequence, config.holdout);
     let background = background_color(&trained.iter().map(|&i| &sequence.frames[i]).collect::<Vec<_>>());
     trainer.set_background(background);
+    let limits = (0..=trained.len()).map(|slot| slot_limit(config, slot, trained.len())).collect();
     let mut schedule = Schedule {
         sequence,
         labels,
@@ -74,7 +99,11 @@ pub fn scan(
         trained,
         place: Place::default(),
         saved: Instant::now(),
+        pace: Pace::new(limits, sequence.len()),
+        last_psnr_db: None,
+        so_far: SoFar::new(work_dir),
         trainer,
+        observer,
         progress,
         cancel,
         warnings,
@@ -82,6 +111,15 @@ pub fn scan(
     schedule.resume();
     schedule.run()?;
     schedule.finish(work_dir)
+}
+
+/// Most steps of a slot; the one after the last frame is the refinement.
+fn slot_limit(config: &ScanConfig, slot: usize, frames: usize) -> usize {
+    match slot {
+        _ if slot == frames => config.final_steps,
+        0 => config.steps_first,
+        _ => config.steps_frame,
+    }
 }
 
 /// Hash of everything that the result depends on.
@@ -121,7 +159,13 @@ struct Schedule<'a> {
     ids: Vec<FrameId>,
     place: Place,
     saved: Instant,
+    /// For the time left, not for the result.
+    pace: Pace,
+    /// Of the frame done last.
+    last_psnr_db: Option<f64>,
+    so_far: SoFar,
     trainer: &'a mut dyn Trainer,
+    observer: &'a mut dyn ScanObserver,
     progress: &'a dyn Progress,
     cancel: &'a Cancel,
     warnings: &'a Warnings,
@@ -135,6 +179,8 @@ impl Schedule<'_> {
             Found::Resume(place, state) => match self.trainer.restore(&state) {
                 Ok(()) => {
                     self.place = place;
+                    self.so_far.resume(STAGE, self.warnings);
+                    self.recall_pace();
                     return;
                 }
                 Err(error) => error.to_string(),
@@ -148,14 +194,24 @@ impl Schedule<'_> {
         );
     }
 
+    /// Steps that the finished frames took, from the history.
+    fn recall_pace(&mut self) {
+        for slot in 0..self.place.slot.min(self.trained.len()) {
+            let frame = Some(self.trained[slot]);
+            let batches = self.place.losses.iter().filter(|l| l.frame == frame).count();
+            self.pace.finished(slot, batches * self.batch(), None);
+        }
+    }
+
     fn save(&mut self) -> Result<(), CoreError> {
         self.saved = Instant::now();
+        self.so_far.save(self.warnings)?;
         checkpoint::save(&self.checkpoint, &self.settings, &self.place, &self.trainer.snapshot())
     }
 
     fn run(&mut self) -> Result<(), ScanError> {
         let slots = self.trained.len();
-        self.progress.begin("scan", slots as u64 + 1);
+        self.progress.begin("scan", self.pace.units());
         while self.place.slot <= slots {
             self.add_frames();
             self.slot()?;
@@ -185,11 +241,8 @@ impl Schedule<'_> {
 
     /// One frame, or the refinement over all of them, from wherever the place says.
     fn slot(&mut self) -> Result<(), ScanError> {
-        let limit = match self.place.slot {
-            _ if self.is_refinement() => self.config.final_steps,
-            0 => self.config.steps_first,
-            _ => self.config.steps_frame,
-        };
+        let limit = self.pace.limit(self.place.slot);
+        let (began, mut stepping_s) = (Instant::now(), 0.0);
         self.seed_slot()?;
         let mut stop = self.config.stop;
         if self.is_refinement() {
@@ -204,7 +257,12 @@ impl Schedule<'_> {
             if self.saved.elapsed().as_secs_f64() > self.config.checkpoint_seconds {
                 self.save()?;
             }
+            let before = (Instant::now(), self.place.step);
             self.batch_of_steps();
+            let seconds = before.0.elapsed().as_secs_f64();
+            stepping_s += seconds;
+            self.pace.stepped(self.place.step - before.1, seconds);
+            self.report_batch();
             if !self.place.pruned_midway && 2 * self.place.step >= limit {
                 prune_transparent(self.trainer, self.config);
                 self.place.pruned_midway = true;
@@ -223,7 +281,9 @@ impl Schedule<'_> {
         if self.is_refinement() {
             self.fuse_all()?;
         }
-        self.report();
+        self.report_slot();
+        let beside_s = began.elapsed().as_secs_f64() - stepping_s;
+        self.pace.finished(self.place.slot, self.place.step, Some(beside_s));
         Ok(())
     }
 
@@ -318,22 +378,63 @@ impl Schedule<'_> {
         (vec![self.ids[slot]; own], replayed)
     }
 
-    fn report(&mut self) {
-        let done = self.place.slot as u64 + 1;
-        let (steps, count) = (self.place.step, self.trainer.len());
-        let message = match self.trained.get(self.place.slot).map(|&i| &self.sequence.frames[i]) {
-            Some(frame) => {
-                let score = score_view(frame, &self.trainer.render(&frame.camera), false);
-                format!(
-                    "frame {}, {steps} steps, PSNR {:.1} dB, depth error {:.1} mm, {count} Gaussians",
-                    frame.index,
-                    score.psnr_db,
-                    1e3 * score.depth_median_m
-                )
-            }
-            None => format!("refined all frames, {steps} steps, {count} Gaussians"),
-        };
-        self.progress.update(done, &message);
+    /// Tells progress and observer of the last batch.
+    fn report_batch(&mut self) {
+        let (slot, frames, step) = (self.place.slot, self.trained.len(), self.place.step);
+        let Some(&sample) = self.place.losses.last() else { return };
+        let steps = self.pace.limit(slot);
+        let seconds_left = self.pace.seconds_left(slot, step);
+        self.observer.batch(&BatchDone { sample, slot, frames, step, steps, seconds_left });
+
+        let (loss, count) = (sample.loss, sample.gaussians);
+        let place =
+            if slot < frames { format!("frame {}/{frames}", slot + 1) } else { "all frames".to_owned() };
+        let psnr = self.last_psnr_db.map(|p| format!(", {p:.1} dB")).unwrap_or_default();
+        let message = format!(
+            "{place}, step {step}/{steps}, colour {:.4}, depth {:.2} mm, labels {:.3}, loss {:.4}{psnr}, \
+             {count} Gaussians",
+            loss.color_l1,
+            1e3 * loss.depth,
+            loss.segmentation,
+            loss.total
+        );
+        let number = |v: f32| f64::from(v);
+        let mut values = vec![
+            ("frame", (slot + 1).min(frames) as f64),
+            ("frames", frames as f64),
+            ("refining", f64::from(u8::from(slot == frames))),
+            ("step", step as f64),
+            ("steps", steps as f64),
+            ("color_l1", number(loss.color_l1)),
+            ("depth_m", number(loss.depth)),
+            ("segmentation", number(loss.segmentation)),
+            ("loss", number(loss.total)),
+            ("gaussians", count as f64),
+        ];
+        values.extend(self.last_psnr_db.map(|p| ("psnr_db", p)));
+        let done = self.pace.done(slot, step);
+        self.progress.status(&Status { done, message: &message, seconds_left, values: &values });
+    }
+
+    /// Tells of the slot that is done; after the refinement, by the last frame.
+    fn report_slot(&mut self) {
+        let (slot, frames) = (self.place.slot, self.trained.len());
+        let frame = &self.sequence.frames[self.trained[slot.min(frames - 1)]];
+        let began = Instant::now();
+        let rendered = self.trainer.render(&frame.camera);
+        self.pace.rendered(began.elapsed().as_secs_f64());
+        let score = score_view(frame, &rendered, false);
+        self.last_psnr_db = Some(score.psnr_db);
+        let trainer = &*self.trainer;
+        self.observer.slot(&SlotDone {
+            slot,
+            frames,
+            step: self.place.total_steps,
+            frame,
+            rendered: &rendered,
+            score,
+            model: &|| trainer.model(),
+        });
     }
 
     /// Measures the result and writes it.
@@ -356,8 +457,15 @@ impl Schedule<'_> {
         atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
         atomic::write_json(&work_dir.join("views.json"), &train_views)?;
         write_ply(&model, &work_dir.join("scene.ply"))?;
+        self.so_far.remove();
         self.progress.end(&format!("{} Gaussians, {} steps", model.len(), self.place.total_steps));
-        Ok(ScanResult { model, metrics, losses: std::mem::take(&mut self.place.losses), views: train_views })
+        Ok(ScanResult {
+            model,
+            metrics,
+            losses: std::mem::take(&mut self.place.losses),
+            views: train_views,
+            seconds: self.so_far.seconds(),
+        })
     }
 
     fn measure(

@@ -15,10 +15,10 @@ use sms_frames::Sequence;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-const SEED: Seed = Seed(5);
+pub(super) const SEED: Seed = Seed(5);
 
 /// Few enough steps for many runs; every part of the schedule takes place.
-fn quick() -> ScanConfig {
+pub(super) fn quick() -> ScanConfig {
     let mut config =
         ScanConfig { steps_first: 40, steps_frame: 20, final_steps: 20, ..ScanConfig::default() };
     config.seeding.spacing_px = 4.0;
@@ -104,7 +104,7 @@ impl Trainer for Disturbed {
 }
 
 /// What a scan leaves, byte for byte.
-fn bytes(dir: &Path) -> Vec<Vec<u8>> {
+pub(super) fn bytes(dir: &Path) -> Vec<Vec<u8>> {
     ["scene.ply", "scene.classifier.json", "losses.json", "views.json"]
         .map(|name| std::fs::read(dir.join(name)).unwrap())
         .into()

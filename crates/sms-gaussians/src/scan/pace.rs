@@ -1,0 +1,125 @@
+//! How long the rest of a scan will take: measured seconds a step, times the steps that are left at most, times the
+//! share of its steps that a frame has needed so far.
+
+/// Steps over which the seconds a step are averaged: they grow with the Gaussians.
+const HORIZON: f64 = 100.0;
+
+/// What was measured so far.
+#[derive(Debug, Clone)]
+pub(crate) struct Pace {
+    /// Most steps of each slot.
+    limits: Vec<usize>,
+    /// Steps that finished slots took, and might have taken.
+    used: usize,
+    allowed: usize,
+    seconds_per_step: Option<f64>,
+    /// Seconds beside the steps (seeding, pruning, rendering) of finished frames, and their number.
+    beside: (f64, usize),
+    /// Seconds of one rendering, and how many there are at the end.
+    render: (f64, usize),
+}
+
+impl Pace {
+    /// For slots with these limits; `measured` views are rendered at the end.
+    pub(crate) fn new(limits: Vec<usize>, measured: usize) -> Self {
+        Self {
+            limits,
+            used: 0,
+            allowed: 0,
+            seconds_per_step: None,
+            beside: (0.0, 0),
+            render: (0.0, measured),
+        }
+    }
+
+    /// Units of the whole: the most steps that there can be.
+    pub(crate) fn units(&self) -> u64 {
+        self.limits.iter().sum::<usize>() as u64
+    }
+
+    /// Units done at `step` of `slot`: what a slot did not need counts as done.
+    pub(crate) fn done(&self, slot: usize, step: usize) -> u64 {
+        let before: usize = self.limits.iter().take(slot).sum();
+        (before + step.min(self.limits.get(slot).copied().unwrap_or(0))) as u64
+    }
+
+    /// Most steps of a slot.
+    pub(crate) fn limit(&self, slot: usize) -> usize {
+        self.limits.get(slot).copied().unwrap_or(0)
+    }
+
+    /// So many steps took so many seconds.
+    pub(crate) fn stepped(&mut self, steps: usize, seconds: f64) {
+        if steps == 0 {
+            return;
+        }
+        let latest = seconds / steps as f64;
+        let weight = (steps as f64 / HORIZON).min(1.0);
+        self.seconds_per_step = Some(self.seconds_per_step.map_or(latest, |s| s + weight * (latest - s)));
+    }
+
+    /// A slot is done after `steps` steps; all else in it took `beside` seconds (`None` where that was not measured).
+    pub(crate) fn finished(&mut self, slot: usize, steps: usize, beside: Option<f64>) {
+        self.used += steps.min(self.limit(slot));
+        self.allowed += self.limit(slot);
+        if let Some(seconds) = beside {
+            self.beside = (self.beside.0 + seconds, self.beside.1 + 1);
+        }
+    }
+
+    /// One view took so many seconds to render.
+    pub(crate) fn rendered(&mut self, seconds: f64) {
+        self.render.0 = seconds;
+    }
+
+    /// Seconds left at `step` of `slot`; `None` before anything was measured.
+    pub(crate) fn seconds_left(&self, slot: usize, step: usize) -> Option<f64> {
+        let per_step = self.seconds_per_step?;
+        let share = if self.allowed > 0 { self.used as f64 / self.allowed as f64 } else { 1.0 };
+        let steps = (self.units() - self.done(slot, step)) as f64 * share;
+        let slots = self.limits.len().saturating_sub(slot + 1) as f64;
+        let beside = if self.beside.1 > 0 { self.beside.0 / self.beside.1 as f64 } else { 0.0 };
+        Some(steps * per_step + slots * beside + self.render.0 * self.render.1 as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn before_any_frame_is_done_all_steps_are_expected() {
+        let mut pace = Pace::new(vec![100, 20, 20, 60], 4);
+        assert_eq!((pace.units(), pace.seconds_left(0, 0)), (200, None));
+        pace.stepped(10, 0.5);
+        assert_eq!(pace.done(0, 10), 10);
+        assert!((pace.seconds_left(0, 10).unwrap() - 190.0 * 0.05).abs() < 1e-12);
+    }
+
+    #[test]
+    fn frames_that_stop_early_shorten_what_is_expected_of_the_rest() {
+        let mut pace = Pace::new(vec![100, 20, 20, 60], 4);
+        pace.stepped(60, 0.6);
+        pace.finished(0, 60, Some(2.0));
+        pace.rendered(0.5);
+        assert_eq!(pace.done(1, 0), 100, "what was not needed counts as done");
+        // 100 steps are left at most, of which 60 % are expected; two more slots have 2 s beside their steps.
+        let expected = 100.0 * 0.6 * 0.01 + 2.0 * 2.0 + 4.0 * 0.5;
+        assert!((pace.seconds_left(1, 0).unwrap() - expected).abs() < 1e-12);
+        // Everything is done but the rendering.
+        pace.finished(1, 20, Some(2.0));
+        pace.finished(2, 20, None);
+        assert!((pace.seconds_left(3, 60).unwrap() - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_changing_pace_is_followed() {
+        let mut pace = Pace::new(vec![1000], 0);
+        pace.stepped(10, 0.1);
+        (0..60).for_each(|_| pace.stepped(10, 0.4));
+        let left = pace.seconds_left(0, 500).unwrap();
+        assert!((left - 500.0 * 0.04).abs() < 0.1, "{left}");
+        pace.stepped(0, 1.0);
+        assert_eq!(pace.seconds_left(0, 500), Some(left));
+    }
+}
