@@ -1,7 +1,7 @@
 //! Progress on a terminal: one bar for the current part of the work.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sms_core::Progress;
+use sms_core::{Progress, Status, duration_text, linear_seconds_left};
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -11,12 +11,25 @@ pub(crate) struct Bars {
     current: Mutex<Option<ProgressBar>>,
 }
 
+impl Bars {
+    fn show(&self, done: u64, message: &str, seconds_left: impl FnOnce(&ProgressBar) -> Option<f64>) {
+        let Ok(current) = self.current.lock() else { return };
+        let Some(bar) = current.as_ref() else { return };
+        bar.set_position(done);
+        bar.set_message(match seconds_left(bar) {
+            Some(seconds) => format!("{} left · {message}", duration_text(seconds)),
+            None => message.to_owned(),
+        });
+    }
+}
+
 impl Progress for Bars {
     fn begin(&self, part: &str, units: u64) {
         let bar = if units > 0 { ProgressBar::new(units) } else { ProgressBar::new_spinner() };
         bar.set_draw_target(ProgressDrawTarget::stderr_with_hz(5));
+        // The time left is part of the message: work that may end early knows it better than the bar.
         let shape = if units > 0 {
-            "{prefix:>22} {bar:28.cyan/dim} {pos}/{len} {elapsed} (left {eta}) {wide_msg}"
+            "{prefix:>22} {bar:24.cyan/dim} {percent:>3} % {elapsed} {wide_msg}"
         } else {
             "{prefix:>22} {spinner} {elapsed} {wide_msg}"
         };
@@ -32,11 +45,13 @@ impl Progress for Bars {
     }
 
     fn update(&self, done: u64, message: &str) {
-        let Ok(current) = self.current.lock() else { return };
-        if let Some(bar) = current.as_ref() {
-            bar.set_position(done);
-            bar.set_message(message.to_owned());
-        }
+        self.show(done, message, |bar| {
+            linear_seconds_left(bar.elapsed().as_secs_f64(), done, bar.length().unwrap_or(0))
+        });
+    }
+
+    fn status(&self, status: &Status<'_>) {
+        self.show(status.done, status.message, |_| status.seconds_left);
     }
 
     fn end(&self, message: &str) {

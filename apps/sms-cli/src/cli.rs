@@ -31,9 +31,24 @@ pub(crate) struct Common {
     /// One setting of any stage, over the file's: --set scan.final_steps=500 (repeatable; `sms settings` lists them).
     #[arg(long = "set", global = true, value_name = "SECTION.KEY=VALUE")]
     pub assignments: Vec<String>,
-    /// Show no progress.
+    /// Show no progress (the same as --progress none).
     #[arg(long, short, global = true)]
     pub quiet: bool,
+    /// How progress is shown, on standard error. By default a bar on a terminal, else plain lines; none with --json.
+    #[arg(long, global = true, value_enum, value_name = "HOW", conflicts_with = "quiet")]
+    pub progress: Option<ProgressKind>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ProgressKind {
+    /// A bar with step, losses and time left.
+    Bar,
+    /// A line every few seconds.
+    Plain,
+    /// JSON objects, one a line: event, part, done, units, seconds, seconds_left, and the part's figures.
+    Json,
+    /// Nothing.
+    None,
 }
 
 #[derive(Debug, Subcommand)]
@@ -112,6 +127,16 @@ pub(crate) enum MasksName {
     Truth,
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum RefinePoses {
+    /// Use the poses as they are.
+    Off,
+    /// Use refined poses.
+    On,
+    /// Use refined poses where held-out frames agree significantly better with them.
+    Auto,
+}
+
 #[derive(Debug, Args)]
 pub(crate) struct SettingsArguments {
     /// The preset to start from (default: standard).
@@ -132,6 +157,9 @@ pub(crate) struct Scan {
     /// Where object masks come from.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: MasksName,
+    /// Correct the camera poses before the scan; `auto` keeps them where that is no improvement.
+    #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
+    pub refine_poses: Option<RefinePoses>,
     /// Keep every N-th frame out of training, to measure quality on it (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
@@ -144,6 +172,10 @@ pub(crate) struct Scan {
     /// Scan even when the check finds that the recording is wrong.
     #[arg(long)]
     pub no_check: bool,
+    /// Show the scan in a Rerun viewer while it runs: in the one that listens at ADDR (host:port or rerun+http://…), else
+    /// in one already open on this machine, else in a new one. Needs a build with the feature `rerun`.
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, require_equals = true, default_missing_value = "auto")]
+    pub live: Option<String>,
 }
 
 #[derive(Debug, Args, Clone)]
@@ -247,6 +279,9 @@ pub(crate) struct Demo {
     /// Where object masks come from.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: MasksName,
+    /// Show the scan in a Rerun viewer while it runs (as `sms scan --live`).
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, require_equals = true, default_missing_value = "auto")]
+    pub live: Option<String>,
 }
 
 #[derive(Debug, Args, Clone)]

@@ -1,12 +1,16 @@
 //! What every command has: progress, warnings, interruption, settings.
 
 use crate::bars::Bars;
-use crate::cli::Common;
+use crate::cli::{Common, ProgressKind};
 use crate::settings::Settings;
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, NoProgress, PlainProgress, Progress, RunFolder, Warnings};
+use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress, RunFolder, Warnings};
 use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+/// Least time between two updates of `--progress json`.
+const JSON_EVERY: Duration = Duration::from_millis(100);
 
 /// Shared by all commands of one invocation.
 pub(crate) struct Context {
@@ -43,12 +47,17 @@ impl Context {
             on_signal.cancel();
         })
         .context("cannot listen for Ctrl-C")?;
-        let progress: Box<dyn Progress> = if common.quiet || common.json {
-            Box::new(NoProgress)
-        } else if std::io::stderr().is_terminal() {
-            Box::new(Bars::default())
-        } else {
-            Box::new(PlainProgress::default())
+        let kind = match common.progress {
+            Some(kind) => kind,
+            None if common.quiet || common.json => ProgressKind::None,
+            None if std::io::stderr().is_terminal() => ProgressKind::Bar,
+            None => ProgressKind::Plain,
+        };
+        let progress: Box<dyn Progress> = match kind {
+            ProgressKind::Bar => Box::new(Bars::default()),
+            ProgressKind::Plain => Box::new(PlainProgress::default()),
+            ProgressKind::Json => Box::new(JsonProgress::new(JSON_EVERY)),
+            ProgressKind::None => Box::new(NoProgress),
         };
         Ok(Self {
             progress,

@@ -8,6 +8,7 @@ mod cli;
 mod commands;
 mod context;
 mod failure;
+mod live;
 mod settings;
 
 use clap::Parser;

@@ -7,6 +7,7 @@ use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::ScanConfig;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
+use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
 use std::path::{Path, PathBuf};
 
@@ -38,6 +39,7 @@ macro_rules! sections {
 sections! {
     "read": ReadOptions, "how a recording is read";
     "frames": LoadSettings, "frames: size, choice, alignment";
+    "poses": PosesConfig, "refinement of the camera poses";
     "masks": GeometryConfig, "objects by geometry";
     "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
@@ -55,7 +57,15 @@ macro_rules! validated {
     };
 }
 
-validated!(ReadOptions, LoadSettings, GeometryConfig, ScanConfig, EntitiesConfig, EvaluateSettings);
+validated!(
+    ReadOptions,
+    LoadSettings,
+    PosesConfig,
+    GeometryConfig,
+    ScanConfig,
+    EntitiesConfig,
+    EvaluateSettings
+);
 
 impl Section for PlanConfig {
     fn validate(&self) -> Result<(), InputError> {

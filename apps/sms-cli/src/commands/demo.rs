@@ -43,7 +43,9 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         holdout: Some(HOLDOUT),
         seed: Some(a.seed),
         up: None,
+        refine_poses: None,
         no_check: false,
+        live: a.live.clone(),
     };
     drop(scan::run(context, &scan_arguments)?);
     materialize::run(context, &cli::Materialize { run: root.clone(), materials: None })?;

@@ -55,7 +55,7 @@ pub(crate) fn run_stage(
 
 /// The stages in order, with the metrics that each writes.
 const STAGES: [(&str, &[&str]); 7] = [
-    ("frames", &["check."]),
+    ("frames", &["check.", "poses."]),
     ("masks", &["masks."]),
     ("gaussians", &["scan."]),
     ("entities", &["entities.", "materialize."]),

@@ -1,15 +1,19 @@
 //! `sms scan`: recording → frames → masks → Gaussians.
 
-use super::{inputs_hash, length_text, run_stage, shown, timed};
-use crate::cli::{MasksName, PresetName, Scan};
+use super::settings::poses_defaults;
+use super::{inputs_hash, length_text, run_stage, shown};
+use crate::cli::{MasksName, PresetName, RefinePoses, Scan};
 use crate::context::{Context, peak_bytes};
+use crate::live::Watch;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::{CpuTrainer, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
+use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use std::path::Path;
+use std::time::Instant;
 
 /// What the command line itself chose; kept in `run.toml` for later commands.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -42,6 +46,14 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if let Some(up) = &a.up {
         frames_settings.align = Align::Up(up_direction(up)?);
     }
+    let mut poses_config = context.settings.section("poses", poses_defaults(&frames_settings))?;
+    if let Some(mode) = a.refine_poses {
+        poses_config.mode = match mode {
+            RefinePoses::Off => PosesMode::Off,
+            RefinePoses::On => PosesMode::On,
+            RefinePoses::Auto => PosesMode::Auto,
+        };
+    }
     let mut scan_config = context.settings.section("scan", ScanConfig::preset(kind))?;
     if let Some(holdout) = a.holdout {
         scan_config.holdout = holdout;
@@ -51,6 +63,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     scan_config.validate()?;
     let geometry = context.settings.section("masks", GeometryConfig::default())?;
     let seed = Seed(a.seed.unwrap_or(0));
+    let mut observer = Watch::start(a.live.as_deref(), &a.recording)?;
 
     let run = RunFolder::create(&a.out)?;
     let settings = RunSettings {
@@ -61,19 +74,25 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         holdout: scan_config.holdout,
     };
     let fingerprint = recording_fingerprint(&recording)?;
-    let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, a.no_check))?;
-    let frames_dir = run_stage(context, &run, "frames", &["check."], &frames_hash, |stage, warnings| {
-        let metrics = checked(context, &recording, a.no_check, warnings)?;
-        let sequence =
-            load(&recording, &frames_settings, context.progress.as_ref(), &context.cancel, warnings)?;
-        sequence.save_with_settings(stage.dir(), &frames_settings)?;
-        Ok(metrics)
-    })?;
+    let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, refinement(&poses_config)))?;
+    let frames_dir =
+        run_stage(context, &run, "frames", &["check.", "poses."], &frames_hash, |stage, warnings| {
+            let mut metrics = checked(context, &recording, a.no_check, warnings)?;
+            let sequence =
+                load(&recording, &frames_settings, context.progress.as_ref(), &context.cancel, warnings)?;
+            let sequence = match refinement(&poses_config) {
+                None => sequence,
+                Some(config) => refined(context, &sequence, config, stage.dir(), &mut metrics, warnings)?,
+            };
+            sequence.save_with_settings(stage.dir(), &frames_settings)?;
+            Ok(metrics)
+        })?;
     let sequence = Sequence::load(&frames_dir)?;
     // Not before the recording was accepted: a refused one must leave an earlier run as it was.
     run.record_settings("run", &settings)?;
     run.record_settings("read", &read)?;
     run.record_settings("frames", &frames_settings)?;
+    run.record_settings("poses", &poses_config)?;
     run.record_settings("scan", &scan_config)?;
 
     let masks_settings = (&settings.masks, (a.masks == MasksName::Geometry).then_some(&geometry));
@@ -99,33 +118,60 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     // A user may have edited labels.json; the Gaussians depend on what it says now.
     let mut edited = Hasher::new();
     edited.file(&masks_dir.join("labels.json"))?;
-    let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&scan_config, seed))?;
+    // How often checkpoints are written changes nothing.
+    let hashed = ScanConfig { checkpoint_seconds: 0.0, ..scan_config.clone() };
+    let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&hashed, seed))?;
     run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
-        let mut metrics = timed("scan.seconds", || {
-            let mut trainer = CpuTrainer::new(&scan_config.train, labels.class_count(), seed);
-            let result = sms_gaussians::scan(
-                &sequence,
-                &labels,
-                &scan_config,
-                seed,
-                stage.dir(),
-                &mut trainer,
-                context.progress.as_ref(),
-                &context.cancel,
-                warnings,
-            )?;
-            Ok(result.metrics)
-        })?;
-        metrics.set("scan.device", "cpu");
+        let mut trainer = CpuTrainer::new(&scan_config.train, labels.class_count(), seed);
+        let result = sms_gaussians::scan_observed(
+            &sequence,
+            &labels,
+            &scan_config,
+            seed,
+            stage.dir(),
+            &mut trainer,
+            &mut observer,
+            context.progress.as_ref(),
+            &context.cancel,
+            warnings,
+        )?;
+        let mut metrics = result.metrics;
+        metrics.set("scan.seconds", result.seconds).set("scan.device", "cpu");
         atomic::write_json(&stage.dir().join(SETTINGS), &settings)?;
         if let Some(bytes) = peak_bytes() {
             metrics.set("scan.peak_bytes", bytes);
         }
         Ok(metrics)
     })?;
+    if let Some(problem) = observer.finish() {
+        eprintln!("warning: {problem}");
+    }
     summary(context, &run, labels.objects.len())?;
     context.print_metrics(&run)?;
     Ok(run)
+}
+
+/// The settings of the refinement, where one is wanted: without one they change nothing.
+fn refinement(config: &PosesConfig) -> Option<&PosesConfig> {
+    (config.mode != PosesMode::Off).then_some(config)
+}
+
+/// The sequence with the poses to use; what was done to them goes to `poses.json`, the metrics and the user.
+fn refined(
+    context: &Context,
+    sequence: &Sequence,
+    config: &PosesConfig,
+    dir: &Path,
+    metrics: &mut Metrics,
+    warnings: &Warnings,
+) -> anyhow::Result<Sequence> {
+    let began = Instant::now();
+    let result = refine_poses(sequence, config, context.progress.as_ref(), &context.cancel, warnings)?;
+    metrics.merge(result.report.metrics());
+    metrics.set("poses.seconds", began.elapsed().as_secs_f64());
+    atomic::write_json(&dir.join("poses.json"), &result.report)?;
+    context.say(result.report.summary());
+    Ok(result.sequence)
 }
 
 fn up_direction(values: &[f64]) -> Result<[f64; 3], InputError> {

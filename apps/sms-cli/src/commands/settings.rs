@@ -9,6 +9,7 @@ use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::{Preset, ScanConfig};
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
+use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
 use std::fmt::Write;
 
@@ -16,6 +17,11 @@ pub(crate) fn run(context: &Context, a: &SettingsArguments) -> anyhow::Result<()
     let preset = a.preset.unwrap_or(crate::cli::PresetName::Standard);
     context.print(text(&context.settings, preset.preset())?.trim_end());
     Ok(())
+}
+
+/// Pose refinement weighs depth by the noise that the frames are loaded with.
+pub(crate) fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
+    PosesConfig { noise: frames.noise, ..PosesConfig::default() }
 }
 
 /// All sections as TOML, with the overrides applied to the preset's values.
@@ -29,6 +35,7 @@ pub(crate) fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String
         let value = match *name {
             "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
             "frames" => serde_json::to_value(settings.section(name, frames.clone())?)?,
+            "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,
             "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
             "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
             "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
