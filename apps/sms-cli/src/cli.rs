@@ -77,6 +77,8 @@ pub(crate) enum Command {
     Demo(Demo),
     /// Write a small generated recording to try the commands on.
     Sample(Sample),
+    /// Measure the scan on fixed scenes with exact truth.
+    Bench(crate::commands::bench::Bench),
     /// Print every setting that would be in force, as a file for `--settings`.
     Settings(SettingsArguments),
 }

@@ -1,0 +1,226 @@
+//! `sms bench`: measures the scan on fixed scenes with exact truth, or somebody else's reconstruction of them.
+
+use super::shown;
+use crate::cli::PresetName;
+use crate::context::Context;
+use anyhow::Context as _;
+use clap::{Args, Subcommand, ValueEnum};
+use sms_bench::{
+    BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, add_means, locate, parse_length_m,
+    parse_pose_noise, run_scene, select_scenes, table,
+};
+use sms_core::metrics::Metrics;
+use sms_core::{CoreError, InputError, Warnings};
+use sms_entities::EntitiesConfig;
+use sms_frames::{LoadSettings, ReadOptions};
+use sms_gaussians::ScanConfig;
+use sms_masks::GeometryConfig;
+use sms_poses::PosesMode;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Bench {
+    #[command(subcommand)]
+    pub what: BenchCommand,
+}
+
+#[derive(Debug, Subcommand, Clone)]
+pub(crate) enum BenchCommand {
+    /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
+    Scan(Box<BenchScan>),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PosesName {
+    /// As recorded.
+    Off,
+    /// Refined.
+    On,
+    /// Refined where that helps.
+    Auto,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchScan {
+    /// How much work to spend.
+    #[arg(long, value_enum, default_value = "standard")]
+    pub preset: PresetName,
+    /// `all` (ten seeds and the real recordings), `real`, a number of seeds, or ids such as 1003,seq_tabletop_bin.
+    #[arg(long, value_name = "N|IDS", default_value = "all")]
+    pub scenes: String,
+    /// Other seeds of the billiards family, in place of the fixed ones.
+    #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
+    pub seed_list: Vec<u64>,
+    /// Frames that are recorded of each generated scene.
+    #[arg(long, value_name = "N", default_value_t = FRAMES)]
+    pub frames: usize,
+    /// Disturb every pose: root mean square shift and turn, such as 10mm,0.5deg.
+    #[arg(long, value_name = "LENGTH,ANGLE")]
+    pub pose_noise: Option<String>,
+    /// Add white depth noise of this standard deviation at 1 m, such as 2mm (it grows with the square of depth).
+    #[arg(long, value_name = "LENGTH")]
+    pub depth_noise: Option<String>,
+    /// Share of the depth pixels that are lost at random.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    pub missing: f64,
+    /// Shift colour against depth by so many pixels of the loaded frames.
+    #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
+    pub color_shift_px: i64,
+    /// Refine poses before masks and scan.
+    #[arg(long, value_enum, default_value = "off")]
+    pub poses: PosesName,
+    /// Neither make nor measure meshes.
+    #[arg(long)]
+    pub no_meshes: bool,
+    /// Folder for results.json and, for each scene, scene.ply, metrics.json, objects.json and panel.png.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// results.json (or the output of --json) of an earlier run, to print ratios to.
+    #[arg(long, value_name = "FILE")]
+    pub compare: Option<PathBuf>,
+    /// Where rendered recordings are kept.
+    #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
+    pub cache: PathBuf,
+    /// One scene in this process, results to the folder given with --out.
+    #[arg(long, hide = true, value_name = "ID")]
+    pub child: Option<String>,
+    #[arg(long, hide = true, value_name = "DIR", requires = "child")]
+    pub child_dir: Option<PathBuf>,
+}
+
+pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
+    match &a.what {
+        BenchCommand::Scan(scan) => run_scan(context, scan),
+    }
+}
+
+fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
+    let options = options(context, a)?;
+    if let (Some(id), Some(dir)) = (&a.child, &a.child_dir) {
+        return run_child(context, &id.parse()?, &options, dir);
+    }
+    let baseline = a.compare.as_deref().map(read_baseline).transpose()?;
+    let scenes = if a.seed_list.is_empty() {
+        select_scenes(&a.scenes)?
+    } else {
+        a.seed_list.iter().map(|&seed| BenchScene::Billiards(seed)).collect()
+    };
+    let mut present = Vec::new();
+    for scene in scenes {
+        if matches!(scene, BenchScene::Real(_)) && options.disturbance.disturbs_poses() {
+            eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
+        } else if locate(&scene, &options, context.progress.as_ref(), &context.cancel)?.is_none() {
+            let dir = sms_bench::real_data_dir();
+            eprintln!("skipped {scene}: there is no such recording in {} (SMS_TEST_DATA)", dir.display());
+        } else {
+            present.push(scene);
+        }
+    }
+    let aside = std::env::temp_dir().join(format!("sms-bench-{}", std::process::id()));
+    let out = a.out.as_ref().unwrap_or(&aside);
+    let measured = run_children(context, &present, out);
+    if a.out.is_none() {
+        // Best effort: the results are printed.
+        let _ = std::fs::remove_dir_all(&aside);
+    }
+    let mut metrics = measured?;
+    add_means(&mut metrics, &present);
+    metrics.set("bench.scan.preset", options.preset_name());
+    if let Some(out) = &a.out {
+        metrics.save(&out.join("results.json"))?;
+    }
+    if context.json {
+        context.print_json(&metrics)?;
+    } else {
+        context.say(table(&metrics, &present, options.preset_name(), baseline.as_ref()).trim_end());
+    }
+    Ok(())
+}
+
+fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
+    let base = BenchOptions::new(a.preset.preset(), &a.cache);
+    let mut disturbance =
+        Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
+    if !(0.0..1.0).contains(&a.missing) {
+        return Err(
+            InputError::new("this is no share of the pixels", "--missing", "give 0 to below 1").into()
+        );
+    }
+    if let Some(text) = &a.pose_noise {
+        (disturbance.pose_shift_m, disturbance.pose_turn_rad) = parse_pose_noise(text)?;
+    }
+    if let Some(text) = &a.depth_noise {
+        disturbance.depth_noise_m = parse_length_m(text, "--depth-noise")?;
+    }
+    if a.frames < HOLDOUT {
+        let cure = format!("record at least {HOLDOUT} frames");
+        return Err(InputError::new("no frame would be held out", "--frames", cure).into());
+    }
+    let mut poses = base.poses.clone();
+    poses.mode = match a.poses {
+        PosesName::Off => PosesMode::Off,
+        PosesName::On => PosesMode::On,
+        PosesName::Auto => PosesMode::Auto,
+    };
+    Ok(BenchOptions {
+        read: context.settings.section("read", ReadOptions::default())?,
+        load: context.settings.section::<LoadSettings>("frames", base.load.clone())?,
+        masks: context.settings.section("masks", GeometryConfig::default())?,
+        scan: context.settings.section::<ScanConfig>("scan", base.scan.clone())?,
+        entities: context.settings.section("entities", EntitiesConfig::default())?,
+        poses,
+        frames: a.frames,
+        disturbance,
+        meshes: !a.no_meshes,
+        ..base
+    })
+}
+
+/// Each scene in a process of its own, so that peak memory and CPU time are the scene's.
+fn run_children(context: &Context, scenes: &[BenchScene], out: &Path) -> anyhow::Result<Metrics> {
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let mut metrics = Metrics::new();
+    for (i, scene) in scenes.iter().enumerate() {
+        context.cancel.check()?;
+        if !context.json {
+            eprintln!("{scene} ({} of {})", i + 1, scenes.len());
+        }
+        let dir = out.join(scene.to_string());
+        let status = std::process::Command::new(&program)
+            .args(std::env::args_os().skip(1))
+            .args(["--child", &scene.to_string(), "--child-dir"])
+            .arg(&dir)
+            .stdout(Stdio::null())
+            .status()
+            .with_context(|| format!("cannot run {}", program.display()))?;
+        context.cancel.check()?;
+        if !status.success() {
+            anyhow::bail!("{scene} was not measured ({status})");
+        }
+        metrics.merge(Metrics::load(&dir.join("metrics.json"))?);
+    }
+    Ok(metrics)
+}
+
+fn run_child(
+    context: &Context,
+    scene: &BenchScene,
+    options: &BenchOptions,
+    dir: &Path,
+) -> anyhow::Result<()> {
+    let warnings = Warnings::new();
+    run_scene(scene, options, dir, context.progress.as_ref(), &context.cancel, &warnings)?;
+    for w in warnings.snapshot() {
+        eprintln!("warning: {scene}: {}", w.message);
+    }
+    Ok(())
+}
+
+fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
+    if !path.is_file() {
+        let cure = "give results.json of an earlier `sms bench scan --out DIR`";
+        return Err(CoreError::from(InputError::new("there is no such file", shown(path), cure)).into());
+    }
+    Ok(Metrics::load(path)?)
+}

@@ -1,0 +1,89 @@
+//! The yardstick of the scan: fixed scenes with exact truth, disturbances, and what is measured on them.
+//!
+//! [`run_scene`] takes one of the [`SEEDS`] of the billiards family (or a real recording), makes frames and masks of it as
+//! the pipeline does, scans it, and measures the result against the truth of the generator, which the scan never sees.
+//! `sms bench scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
+//!
+//! # What is measured
+//! - **Colour**: PSNR of held-out views against the observed colour, all pixels, mean over the views.
+//! - **Depth**: see [`DepthErrors`]: against noise-free depth where the camera can measure and something is shown.
+//! - **Labels**: [`mean_iou`] of rendered labels with the true ones. Which mask label stands for which true object is
+//!   decided before, by [`match_labels`], from the masks themselves.
+//! - **Surfaces**: points on the discs of the Gaussians of each object ([`disc_points`]), against the true surface of that
+//!   object ([`score_labelled`]); recall over the [`observed_surface`], what at least three of the cameras trained on see
+//!   of the true surface. The figure of a scene is the mean over its objects.
+//! - **Disturbed poses**: the result is aligned rigidly first ([`align_cameras`], [`refine_on_surfaces`]).
+//!
+//! ```
+//! use sms_bench::{F1_M, SurfacePoint, score_surface};
+//! use sms_core::glamx::DVec3;
+//! // A floor 2 mm too high is precise to 2.5 mm, and 2 mm off.
+//! let observed: Vec<SurfacePoint> = (0..100)
+//!     .map(|i| SurfacePoint { point: DVec3::new(0.001 * f64::from(i), 0.0, 0.0), normal: DVec3::Z })
+//!     .collect();
+//! let found: Vec<DVec3> = observed.iter().map(|s| s.point + DVec3::Z * 0.002).collect();
+//! let scores = score_surface(&found, |p| p.z.abs(), &observed);
+//! assert!((scores.median_m - 0.002).abs() < 1e-12 && scores.f1 == 1.0 && F1_M == 0.0025);
+//! ```
+
+mod align;
+mod disturb;
+mod images;
+mod matching;
+mod panels;
+mod prepare;
+mod process;
+mod real;
+mod run;
+mod scenes;
+mod steps;
+mod surface;
+mod table;
+mod truth;
+
+pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
+pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
+pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
+pub use matching::{Overlaps, match_labels};
+pub use panels::write_panel;
+pub use prepare::{BenchOptions, Prepared, locate, prepare};
+pub use process::{cpu_seconds, peak_bytes};
+pub use run::{Yardstick, run_scene};
+pub use scenes::{
+    BenchScene, FRAMES, HOLDOUT, REAL, SEEDS, real_data_dir, recording, select_scenes, truth_scene,
+};
+pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_metrics};
+pub use surface::{
+    CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,
+    score_cropped, score_labelled, score_surface, stray_share,
+};
+pub use table::{Target, add_means, table, targets};
+pub use truth::{
+    OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
+    sample_true_surface, true_surfaces, true_views,
+};
+
+use sms_core::{CoreError, InputError};
+
+/// Errors of a measurement.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// Bad input by the user.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// Files or interruption.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The masks failed.
+    #[error(transparent)]
+    Masks(#[from] sms_masks::MasksError),
+    /// The scan failed.
+    #[error(transparent)]
+    Scan(#[from] sms_gaussians::ScanError),
+    /// The meshes failed.
+    #[error(transparent)]
+    Entities(#[from] sms_entities::EntitiesError),
+    /// A comparison with a scanned model failed.
+    #[error(transparent)]
+    Evaluate(#[from] sms_report::EvaluateError),
+}

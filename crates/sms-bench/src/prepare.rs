@@ -1,0 +1,208 @@
+//! From a scene to the frames and masks that a reconstruction is given.
+
+use crate::disturb::Disturbance;
+use crate::scenes::{BenchScene, HOLDOUT, real_data_dir, recording, truth_scene};
+use crate::{BenchError, process};
+use glamx::DPose3;
+use sms_core::{Camera, Cancel, Labels, Progress, Seed, Warnings};
+use sms_entities::EntitiesConfig;
+use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
+use sms_gaussians::{Preset, ScanConfig};
+use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter};
+use sms_poses::{PosesConfig, PosesMode, refine_poses};
+use sms_synth::TruthScene;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Everything that a measurement depends on, besides the scene.
+#[derive(Debug, Clone)]
+pub struct BenchOptions {
+    /// Named preset; its settings are in `load` and `scan` and may have been changed there.
+    pub preset: Preset,
+    /// How recordings are read.
+    pub read: ReadOptions,
+    /// How frames are loaded.
+    pub load: LoadSettings,
+    /// Masks from geometry.
+    pub masks: GeometryConfig,
+    /// Pose refinement between loading and masks; off by default.
+    pub poses: PosesConfig,
+    /// The scan.
+    pub scan: ScanConfig,
+    /// Meshes.
+    pub entities: EntitiesConfig,
+    /// Frames that are recorded of a generated scene.
+    pub frames: usize,
+    /// What is done to the frames.
+    pub disturbance: Disturbance,
+    /// Where recordings are kept.
+    pub cache: PathBuf,
+    /// Whether meshes are made and measured.
+    pub meshes: bool,
+    /// Whether steps of a fixed scene are timed.
+    pub steps: bool,
+}
+
+impl BenchOptions {
+    /// A preset with everything else at its default, every eighth frame held out; recordings lie in `cache`.
+    pub fn new(preset: Preset, cache: impl Into<PathBuf>) -> Self {
+        Self {
+            preset,
+            read: ReadOptions::default(),
+            load: LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() },
+            masks: GeometryConfig::default(),
+            poses: PosesConfig::default(),
+            scan: ScanConfig { holdout: HOLDOUT, ..ScanConfig::preset(preset) },
+            entities: EntitiesConfig::default(),
+            frames: crate::scenes::FRAMES,
+            disturbance: Disturbance::default(),
+            cache: cache.into(),
+            meshes: true,
+            steps: true,
+        }
+    }
+
+    /// The preset's name.
+    pub fn preset_name(&self) -> &'static str {
+        match self.preset {
+            Preset::Draft => "draft",
+            Preset::Standard => "standard",
+            Preset::Fine => "fine",
+        }
+    }
+}
+
+/// Frames and masks, ready for a scan.
+#[derive(Debug)]
+pub struct Prepared {
+    /// Frames, disturbed and with refined poses if that was asked for.
+    pub sequence: Sequence,
+    /// Masks made of them.
+    pub labels: Labels,
+    /// The cameras before they were disturbed, in the sequence's world.
+    pub true_cameras: Vec<Camera>,
+    /// The truth of a generated scene.
+    pub truth: Option<TruthScene>,
+    /// The real recording's folder.
+    pub real: Option<PathBuf>,
+    /// Seconds and CPU seconds of loading.
+    pub load_seconds: (f64, f64),
+    /// Seconds and CPU seconds of the pose refinement.
+    pub poses_seconds: (f64, f64),
+    /// Seconds and CPU seconds of the masks.
+    pub masks_seconds: (f64, f64),
+}
+
+impl Prepared {
+    /// `X_TW`: carries the sequence's world to the truth's (undisturbed poses).
+    pub fn x_tw(&self) -> DPose3 {
+        self.sequence.x_world_recording.inverse()
+    }
+
+    /// Indices of the frames kept out of training.
+    pub fn held_out(&self, holdout: usize) -> Vec<usize> {
+        (1..self.sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect()
+    }
+
+    /// The frames trained on with their label maps: objects must not see what was kept out either.
+    pub fn trained_only(&self, holdout: usize) -> (Sequence, Labels) {
+        let trained = self.trained(holdout);
+        let sequence = Sequence {
+            frames: trained.iter().map(|&i| self.sequence.frames[i].clone()).collect(),
+            x_world_recording: self.sequence.x_world_recording,
+            source: self.sequence.source.clone(),
+        };
+        let maps = trained.iter().map(|&i| self.labels.maps[i].clone()).collect();
+        (sequence, Labels { maps, ..self.labels.clone() })
+    }
+
+    /// Indices of the frames trained on.
+    pub fn trained(&self, holdout: usize) -> Vec<usize> {
+        (0..self.sequence.len()).filter(|&i| i == 0 || !Sequence::is_held_out(i, holdout)).collect()
+    }
+}
+
+/// Where the recording of a scene lies, rendering it first if need be; `None` for a real recording that is not there.
+///
+/// # Errors
+/// As [`recording`].
+pub fn locate(
+    scene: &BenchScene,
+    options: &BenchOptions,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Option<PathBuf>, BenchError> {
+    Ok(match scene {
+        BenchScene::Billiards(seed) => {
+            Some(recording(*seed, options.frames, &options.cache, progress, cancel)?)
+        }
+        BenchScene::Real(name) => {
+            Some(real_data_dir().join(name)).filter(|d| d.join("transforms.json").is_file())
+        }
+    })
+}
+
+/// Loads a scene's frames, disturbs them and makes masks: `geometry` for generated scenes, those that came with the
+/// recording for real ones. `None` for a real recording that is not there.
+///
+/// # Errors
+/// [`BenchError`] of the stage that failed.
+pub fn prepare(
+    scene: &BenchScene,
+    options: &BenchOptions,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Option<Prepared>, BenchError> {
+    let Some(dir) = locate(scene, options, progress, cancel)? else { return Ok(None) };
+    let timer = Timer::start();
+    let mut sequence =
+        load(&Recording::open(&dir, &options.read)?, &options.load, progress, cancel, warnings)?;
+    let load_seconds = timer.seconds();
+    let true_cameras = sequence.frames.iter().map(|f| f.camera).collect();
+    let seed = match scene {
+        BenchScene::Billiards(seed) => Seed(*seed),
+        BenchScene::Real(_) => Seed(0),
+    };
+    options.disturbance.apply(&mut sequence, &options.load, seed);
+    let timer = Timer::start();
+    if options.poses.mode != PosesMode::Off {
+        sequence = refine_poses(&sequence, &options.poses, progress, cancel, warnings)?.sequence;
+    }
+    let poses_seconds = timer.seconds();
+    let timer = Timer::start();
+    let (labels, truth) = match scene {
+        BenchScene::Billiards(seed) => {
+            let masks = GeometryMasks { config: options.masks.clone() };
+            (masks.segment(&sequence, progress, cancel, warnings)?, Some(truth_scene(*seed)))
+        }
+        BenchScene::Real(_) => (FileMasks::default().segment(&sequence, progress, cancel, warnings)?, None),
+    };
+    let masks_seconds = timer.seconds();
+    let real = truth.is_none().then_some(dir);
+    Ok(Some(Prepared {
+        sequence,
+        labels,
+        true_cameras,
+        truth,
+        real,
+        load_seconds,
+        poses_seconds,
+        masks_seconds,
+    }))
+}
+
+/// Time on the wall and on the processors since it was started.
+pub(crate) struct Timer(Instant, Option<f64>);
+
+impl Timer {
+    pub(crate) fn start() -> Self {
+        Self(Instant::now(), process::cpu_seconds())
+    }
+
+    /// Seconds and CPU seconds (not a number where the system does not tell).
+    pub(crate) fn seconds(&self) -> (f64, f64) {
+        let cpu = self.1.zip(process::cpu_seconds()).map_or(f64::NAN, |(from, to)| to - from);
+        (self.0.elapsed().as_secs_f64(), cpu)
+    }
+}

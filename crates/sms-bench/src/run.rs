@@ -1,0 +1,345 @@
+//! One scene: prepared, scanned, measured.
+
+use crate::align::{align_cameras, pose_difference, refine_on_surfaces};
+use crate::images::{DepthErrors, ShownView, mean_iou, psnr_db};
+use crate::matching::{Overlaps, match_labels};
+use crate::panels::write_panel;
+use crate::prepare::{BenchOptions, Prepared, Timer, prepare};
+use crate::real::real_metrics;
+use crate::scenes::BenchScene;
+use crate::steps::{fixed_step_cpu_ms, step_metrics};
+use crate::surface::{
+    DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, score_cropped, score_labelled,
+    stray_share,
+};
+use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
+use crate::{BenchError, process};
+use glamx::{DPose3, DVec3};
+use serde::Serialize;
+use sms_core::metrics::Metrics;
+use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, Warnings, atomic};
+use sms_entities::build_entities;
+use sms_gaussians::{CpuTrainer, GaussianModel, Trainer, scan};
+use sms_report::sample_surface;
+use std::path::Path;
+
+/// The scan's seed; `sms scan` has the same default.
+const SCAN_SEED: Seed = Seed(0);
+
+/// Scans a scene and measures it; keys are `bench.scan.{scene}.…` (see `docs/metrics.md`). Into `dir` come the scan's
+/// own files (`scan/scene.ply` …), `panel.png`, `objects.json` and `metrics.json`. `None` for a real recording that is
+/// not there.
+///
+/// Run it in a process of its own where peak memory matters: it is the process's.
+///
+/// # Errors
+/// [`BenchError`] of the stage that failed.
+pub fn run_scene(
+    scene: &BenchScene,
+    options: &BenchOptions,
+    dir: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Option<Metrics>, BenchError> {
+    let Some(prepared) = prepare(scene, options, progress, cancel, warnings)? else { return Ok(None) };
+    let prefix = format!("bench.scan.{scene}.");
+    let work = dir.join("scan");
+    if work.exists() {
+        // A checkpoint there would be continued, and its time would be missing.
+        std::fs::remove_dir_all(&work).map_err(CoreError::write(&work))?;
+    }
+    std::fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
+
+    let timer = Timer::start();
+    let mut trainer = CpuTrainer::new(&options.scan.train, prepared.labels.class_count(), SCAN_SEED);
+    let result = scan(
+        &prepared.sequence,
+        &prepared.labels,
+        &options.scan,
+        SCAN_SEED,
+        &work,
+        &mut trainer,
+        progress,
+        cancel,
+        warnings,
+    )?;
+    let scan_seconds = timer.seconds();
+    // Before anything is measured, which takes memory, too.
+    let peak = process::peak_bytes();
+
+    let mut metrics = Metrics::new();
+    let mut set = |key: &str, value: f64| {
+        metrics.set(format!("{prefix}{key}"), value);
+    };
+    let steps = result.metrics.number("scan.steps").unwrap_or(0.0);
+    let frames = prepared.trained(options.scan.holdout).len() as f64;
+    set("frames", frames);
+    set("gaussians", result.model.len() as f64);
+    set("steps", steps);
+    set("load_seconds", prepared.load_seconds.0);
+    set("masks_seconds", prepared.masks_seconds.0);
+    set("poses_seconds", prepared.poses_seconds.0);
+    set("seconds", scan_seconds.0);
+    set("cpu_seconds", scan_seconds.1);
+    let stages = [prepared.load_seconds, prepared.poses_seconds, prepared.masks_seconds, scan_seconds];
+    set("total_seconds", stages.iter().map(|s| s.0).sum());
+    set("total_cpu_seconds", stages.iter().map(|s| s.1).sum());
+    set("seconds_per_frame", scan_seconds.0 / frames);
+    if let Some(bytes) = peak {
+        set("peak_bytes", bytes as f64);
+    }
+    metrics.merge(step_metrics(&prefix, &trainer.times(), steps));
+    if options.steps {
+        let k = &prepared.sequence.frames[0].camera.intrinsics;
+        if let Some(ms) = fixed_step_cpu_ms(&options.scan.train, k.width, k.height) {
+            metrics.set(format!("{prefix}step_cpu_ms"), ms);
+        }
+    }
+    let measured = if prepared.truth.is_some() {
+        measure(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel, warnings)?
+    } else {
+        real_metrics(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel)?
+    };
+    metrics.merge(measured);
+    metrics.save(&dir.join("metrics.json"))?;
+    Ok(Some(metrics))
+}
+
+/// What is known of a generated scene before a reconstruction is looked at.
+pub struct Yardstick {
+    /// True surfaces in the truth's world.
+    pub surfaces: Vec<TrueSurface>,
+    /// What the cameras trained on see of them.
+    pub observed: Vec<Vec<SurfacePoint>>,
+    /// Indices of the held-out frames, and their true views.
+    pub held_out: Vec<(usize, crate::truth::TrueView)>,
+    /// Which true label each mask label stands for, by best overlap of the masks with the true labels in the held-out
+    /// views.
+    pub truth_of: Vec<u16>,
+}
+
+impl Yardstick {
+    /// Of a prepared scene with truth; `None` without.
+    pub fn new(prepared: &Prepared, holdout: usize) -> Option<Self> {
+        let scene = prepared.truth.as_ref()?;
+        let camera = |i: usize| carried(&prepared.true_cameras[i], &prepared.x_tw());
+        let surfaces = true_surfaces(scene);
+        let trained: Vec<Camera> = prepared.trained(holdout).into_iter().map(camera).collect();
+        let observed = observed_surface(&surfaces, &trained);
+        let held_out = prepared.held_out(holdout);
+        let views = true_views(scene, &held_out.iter().map(|&i| camera(i)).collect::<Vec<_>>());
+        let held_out: Vec<_> = held_out.into_iter().zip(views).collect();
+        let mut overlaps = Overlaps::new(prepared.labels.class_count(), surfaces.len() + 1);
+        for (i, view) in &held_out {
+            overlaps.add_maps(&prepared.labels.maps[*i], &view.label);
+        }
+        Some(Self { surfaces, observed, held_out, truth_of: match_labels(&overlaps) })
+    }
+}
+
+/// One object of `objects.json`.
+#[derive(Serialize)]
+struct ObjectRecord<'a> {
+    name: &'a str,
+    mask_label: Option<usize>,
+    observed_samples: usize,
+    gaussians: crate::surface::SurfaceScores,
+    mesh: Option<crate::surface::SurfaceScores>,
+}
+
+fn measure(
+    prefix: &str,
+    prepared: &Prepared,
+    options: &BenchOptions,
+    model: &GaussianModel,
+    trainer: &mut CpuTrainer,
+    dir: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Metrics, BenchError> {
+    let timer = Timer::start();
+    let Some(truth) = Yardstick::new(prepared, options.scan.holdout) else { return Ok(Metrics::new()) };
+    let mut metrics = Metrics::new();
+    let x_tw = alignment(prepared, options, model, &truth, prefix, &mut metrics);
+    let mut set = |key: &str, value: f64| {
+        metrics.set(format!("{prefix}{key}"), value);
+    };
+
+    // Held-out views from the true cameras, carried into the world that the model was made in.
+    let x_wt = x_tw.inverse() * prepared.x_tw();
+    let shown: Vec<ShownView> = truth
+        .held_out
+        .iter()
+        .map(|(i, _)| ShownView::of_maps(&trainer.render(&carried(&prepared.true_cameras[*i], &x_wt))))
+        .collect();
+    let mut depth = DepthErrors::default();
+    let mut psnr = Vec::new();
+    for ((i, view), shown) in truth.held_out.iter().zip(&shown) {
+        let frame = &prepared.sequence.frames[*i];
+        depth.add(&shown.depth, view, &frame.depth);
+        psnr.push(psnr_db(&shown.color, &frame.color));
+    }
+    set("holdout_psnr_db", psnr.iter().sum::<f64>() / psnr.len() as f64);
+    let depth = depth.scores();
+    set("holdout_depth_mae_m", depth.mae_m);
+    set("holdout_depth_median_m", depth.median_m);
+    set("holdout_depth_inner_mae_m", depth.inner_mae_m);
+    set("holdout_depth_measured_mae_m", depth.measured_mae_m);
+    set("holdout_coverage", depth.coverage);
+    let classes = truth.surfaces.len() + 1;
+    let pairs: Vec<_> = shown
+        .iter()
+        .zip(&truth.held_out)
+        .filter_map(|(s, (_, view))| Some((s.label.as_ref()?, view)))
+        .collect();
+    set("holdout_miou", mean_iou(&pairs, &truth.truth_of, classes));
+    let masks: Vec<_> = truth.held_out.iter().map(|(i, view)| (&prepared.labels.maps[*i], view)).collect();
+    set("masks_miou", mean_iou(&masks, &truth.truth_of, classes));
+    let matched = truth.truth_of.iter().filter(|t| **t != 0 && **t != UNMATCHED).count();
+    set("objects", truth.surfaces.len() as f64);
+    set("objects_matched", matched as f64);
+    set("labels_unmatched", truth.truth_of.iter().filter(|t| **t == UNMATCHED).count() as f64);
+
+    let points = disc_points(model, &x_tw, &DiscSampling::default());
+    let own = score_labelled(&points, &truth.truth_of, &truth.surfaces, &truth.observed);
+    set("surface_median_m", own.mean.median_m);
+    set("surface_p90_m", own.mean.p90_m);
+    set("surface_precision_2p5mm", own.mean.precision);
+    set("surface_recall_2p5mm", own.mean.recall);
+    set("f1_2p5mm", own.mean.f1);
+    set("surface_stray_share", stray_share(&points, &truth.truth_of));
+    for sigmas in [0.5, 1.5, 2.0] {
+        let wider = disc_points(model, &x_tw, &DiscSampling { sigmas, ..DiscSampling::default() });
+        let s = score_labelled(&wider, &truth.truth_of, &truth.surfaces, &truth.observed);
+        let name = format!("{sigmas:.1}").replace('.', "p");
+        set(&format!("surface_{name}sigma_median_m"), s.mean.median_m);
+        set(&format!("surface_{name}sigma_f1_2p5mm"), s.mean.f1);
+    }
+    let bare: Vec<DVec3> = points.iter().map(|p| p.point).collect();
+    let cropped = score_cropped(&bare, &truth.surfaces, &truth.observed);
+    set("cropped_median_m", cropped.mean.median_m);
+    set("cropped_f1_2p5mm", cropped.mean.f1);
+    let rendered = rendered_points(prepared, options, trainer, &x_tw);
+    let from_depth = score_labelled(&rendered, &truth.truth_of, &truth.surfaces, &truth.observed);
+    set("rendered_median_m", from_depth.mean.median_m);
+    set("rendered_p90_m", from_depth.mean.p90_m);
+    set("rendered_f1_2p5mm", from_depth.mean.f1);
+    let mesh = if options.meshes {
+        let (mesh, cloud, seconds) =
+            mesh_scores(prepared, options, model, &x_tw, &truth, progress, cancel, warnings)?;
+        set("mesh_median_m", mesh.mean.median_m);
+        set("mesh_p90_m", mesh.mean.p90_m);
+        set("mesh_f1_2p5mm", mesh.mean.f1);
+        set("cloud_median_m", cloud.mean.median_m);
+        set("cloud_f1_2p5mm", cloud.mean.f1);
+        set("mesh_seconds", seconds);
+        Some(mesh)
+    } else {
+        None
+    };
+    let records: Vec<ObjectRecord<'_>> = own
+        .objects
+        .iter()
+        .enumerate()
+        .map(|(i, (name, scores))| ObjectRecord {
+            name,
+            mask_label: truth.truth_of.iter().position(|t| usize::from(*t) == i + 1),
+            observed_samples: truth.observed[i].len(),
+            gaussians: *scores,
+            mesh: mesh.as_ref().map(|m| m.objects[i].1),
+        })
+        .collect();
+    atomic::write_json(&dir.join("objects.json"), &records)?;
+    if let Some(((i, view), shown)) = truth.held_out.iter().zip(&shown).nth(truth.held_out.len() / 2) {
+        let frame = &prepared.sequence.frames[*i];
+        write_panel(&dir.join("panel.png"), &frame.color, shown, &view.depth)?;
+    }
+    set("measure_seconds", timer.seconds().0);
+    Ok(metrics)
+}
+
+/// `X_TW` of the result: as recorded, or, where poses were disturbed, from true against used cameras, refined on the
+/// surfaces.
+fn alignment(
+    prepared: &Prepared,
+    options: &BenchOptions,
+    model: &GaussianModel,
+    truth: &Yardstick,
+    prefix: &str,
+    metrics: &mut Metrics,
+) -> DPose3 {
+    if !options.disturbance.disturbs_poses() {
+        return prepared.x_tw();
+    }
+    let trained = prepared.trained(options.scan.holdout);
+    let x_tc: Vec<DPose3> =
+        trained.iter().map(|&i| prepared.x_tw() * prepared.true_cameras[i].x_wc).collect();
+    let x_wc: Vec<DPose3> = trained.iter().map(|&i| prepared.sequence.frames[i].camera.x_wc).collect();
+    let first = align_cameras(&x_tc, &x_wc);
+    let points = disc_points(model, &DPose3::identity(), &DiscSampling::default());
+    let on_objects: Vec<(DVec3, usize)> = points
+        .iter()
+        .filter_map(|p| {
+            let truth = *truth.truth_of.get(usize::from(p.label))?;
+            (truth != 0 && truth != UNMATCHED).then(|| (p.point, usize::from(truth) - 1))
+        })
+        .collect();
+    let x_tw = refine_on_surfaces(&on_objects, &truth.surfaces, first);
+    let (turn, shift) = pose_difference(&x_tw, &prepared.x_tw());
+    metrics.set(format!("{prefix}alignment_turn_rad"), turn);
+    metrics.set(format!("{prefix}alignment_shift_m"), shift);
+    x_tw
+}
+
+/// Points of the depth rendered at the frames trained on, with the labels rendered there.
+fn rendered_points(
+    prepared: &Prepared,
+    options: &BenchOptions,
+    trainer: &mut CpuTrainer,
+    x_tw: &DPose3,
+) -> Vec<LabelledPoint> {
+    let mut points = Vec::new();
+    for i in prepared.trained(options.scan.holdout) {
+        let camera = prepared.sequence.frames[i].camera;
+        let view = ShownView::of_maps(&trainer.render(&camera));
+        let Some(label) = view.label else { continue };
+        for (at, (&z, &label)) in view.depth.data.iter().zip(&label.data).enumerate() {
+            if z > 0.0 && label > 0 {
+                let p_w = camera.unproject_pixel(at % view.depth.width, at / view.depth.width, f64::from(z));
+                points.push(LabelledPoint { point: x_tw.transform_point(p_w), label });
+            }
+        }
+    }
+    points
+}
+
+/// Scores of the default meshes and of the clouds that they are made of, and the seconds it took to make them.
+fn mesh_scores(
+    prepared: &Prepared,
+    options: &BenchOptions,
+    model: &GaussianModel,
+    x_tw: &DPose3,
+    truth: &Yardstick,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<(SceneScores, SceneScores, f64), BenchError> {
+    let timer = Timer::start();
+    let (sequence, labels) = prepared.trained_only(options.scan.holdout);
+    let set =
+        build_entities(model, &sequence, &labels, &options.entities, SCAN_SEED, progress, cancel, warnings)?;
+    let seconds = timer.seconds().0;
+    let (mut mesh, mut cloud) = (Vec::new(), Vec::new());
+    for entity in set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic) {
+        let label = entity.label;
+        let labelled = |p: DVec3| LabelledPoint { point: x_tw.transform_point(p), label };
+        let count = (entity.mesh.area() * 1e6).ceil() as usize;
+        mesh.extend(sample_surface(&entity.mesh, count, SCAN_SEED).into_iter().map(labelled));
+        cloud.extend(entity.cloud.points_w.iter().copied().map(labelled));
+    }
+    let score =
+        |points: &[LabelledPoint]| score_labelled(points, &truth.truth_of, &truth.surfaces, &truth.observed);
+    Ok((score(&mesh), score(&cloud), seconds))
+}
