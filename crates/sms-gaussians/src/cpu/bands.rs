@@ -221,7 +221,7 @@ impl Band {
                 }
             }
             if self.hits.len() > before {
-                slots.set(candidate.splat.gaussian as usize, index, self.splats.len());
+                slots.set(candidate.gaussian as usize, index, self.splats.len());
                 self.splats.push(candidate.splat);
             }
         }

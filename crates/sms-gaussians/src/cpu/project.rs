@@ -1,8 +1,7 @@
 //! EWA projection of one Gaussian into one camera (Zwicker et al. 2002; Kerbl et al. 2023), and its gradient.
 
 use super::raster::{
-    AFFINITY_CHANNEL, ALPHA_MIN, COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PADDED,
-    Splat, SplatGradient,
+    AFFINITY_CHANNEL, ALPHA_MIN, CHANNELS, COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, Splat, SplatGradient,
 };
 use crate::AFFINITY_DIM;
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, ROW, Row, sigmoid};
@@ -11,6 +10,13 @@ use sms_core::Camera;
 
 /// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter).
 pub const LOW_PASS: f64 = 0.3;
+/// What takes the place of [`LOW_PASS`] in the slope of a splat's depth, pixels²: small, so that the slope of discs of
+/// few pixels is kept, and large enough to bound that of discs seen edge-on, by 1/(2√ε) standard deviations a pixel.
+///
+/// On a noisy billiards scan the mean error of depth on surfaces at 53° to 66° to the ray was 2.5 mm with the centre's
+/// depth; 1.19 mm with ε = 0.3 (the low-pass filter's), 0.68 with 0.1, 0.50 with 0.05, 0.39 with 0.02, 0.35 with 0.01
+/// and 0.31 with 0.003.
+pub const SLOPE_LOW_PASS: f64 = 0.01;
 /// Gaussians nearer than this are not seen, metres.
 pub const NEAR: f64 = 0.02;
 /// The linearisation uses directions within the image and this share of its size beyond.
@@ -71,6 +77,8 @@ struct Linearized {
     axes_i: [Vec2; 3],
     /// 2-D covariance with the low-pass filter: xx, xy, yy.
     covariance: [f32; 3],
+    /// Change of depth per pixel, see [`depth_slope`].
+    depth_slope: Vec2,
     /// Index of the shortest axis.
     shortest: usize,
     /// −1 where that axis must be flipped to face the camera.
@@ -86,6 +94,25 @@ pub(super) fn smallest(s: [f32; 3]) -> usize {
     } else {
         2
     }
+}
+
+/// Change of depth per pixel within a splat, from its axes in the camera and in the image: given the pixel, depth under
+/// the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹ Cov(pixel, z). For a disc
+/// that is its plane.
+fn depth_slope(axes_c: &[Vec3; 3], axes_i: &[Vec2; 3]) -> Vec2 {
+    let epsilon = SLOPE_LOW_PASS as f32;
+    let [mut xx, mut xy, mut yy] = [epsilon, 0.0, epsilon];
+    let mut with_z = Vec2::ZERO;
+    for (u, v_c) in axes_i.iter().zip(axes_c) {
+        xx += u.x * u.x;
+        xy += u.x * u.y;
+        yy += u.y * u.y;
+        with_z += *u * v_c.z;
+    }
+    // The determinant by Cauchy and Binet, as a sum of squares, keeps the digits that xx·yy − xy² would lose.
+    let crossed = [(0, 1), (0, 2), (1, 2)].map(|(j, k)| axes_i[j].perp_dot(axes_i[k]).powi(2));
+    let determinant = crossed[0] + crossed[1] + crossed[2] + epsilon * (xx + yy - epsilon);
+    times([yy / determinant, -xy / determinant, xx / determinant], with_z)
 }
 
 fn linearize(row: &[f32; ROW], view: &View) -> Option<Linearized> {
@@ -110,16 +137,36 @@ fn linearize(row: &[f32; ROW], view: &View) -> Option<Linearized> {
         covariance[1] += u.x * u.y;
         covariance[2] += u.y * u.y;
     }
+    let depth_slope = depth_slope(&axes_c, &axes_i);
     let shortest = smallest(log_scale.to_array());
     let facing = if axes_c[shortest].dot(p_c) > 0.0 { -1.0 } else { 1.0 };
     let clamped = [slope.x != ratio.x, slope.y != ratio.y];
-    Some(Linearized { p_c, r_wg, scale, slope, clamped, axes_c, axes_i, covariance, shortest, facing })
+    Some(Linearized {
+        p_c,
+        r_wg,
+        scale,
+        slope,
+        clamped,
+        axes_c,
+        axes_i,
+        covariance,
+        depth_slope,
+        shortest,
+        facing,
+    })
+}
+
+/// A symmetric matrix (xx, xy, yy) times a vector.
+fn times([xx, xy, yy]: [f32; 3], v: Vec2) -> Vec2 {
+    Vec2::new(xx * v.x + xy * v.y, xy * v.x + yy * v.y)
 }
 
 /// A splat with what binning needs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Projected {
     pub(super) splat: Splat,
+    /// Index of the Gaussian.
+    pub(super) gaussian: u32,
     /// Depth along the optical axis, metres.
     pub(super) z: f32,
     /// Half width in pixels of the box around the pixels where alpha reaches [`ALPHA_MIN`].
@@ -154,19 +201,20 @@ pub(super) fn project(row: &Row, gaussian: u32, view: &View) -> Option<Projected
         return None;
     }
     let normal_w = m.r_wg.col(m.shortest) * m.facing;
-    let mut features = [0.0; PADDED];
+    let mut features = [0.0; CHANNELS];
     features[COLOR_CHANNEL..COLOR_CHANNEL + 3].copy_from_slice(&row[COLOR..COLOR + 3]);
     features[DEPTH_CHANNEL] = m.p_c.z;
     features[NORMAL_CHANNEL..NORMAL_CHANNEL + 3].copy_from_slice(&normal_w.to_array());
     features[AFFINITY_CHANNEL..AFFINITY_CHANNEL + AFFINITY_DIM]
         .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
-    features[OPACITY_CHANNEL] = 1.0;
     let conic = [yy / determinant, -xy / determinant, xx / determinant];
-    let splat = Splat { mean, conic, opacity, extent_y, gaussian, features };
-    Some(Projected { splat, z: m.p_c.z, extent_x, reach, determinant: 1.0 / determinant })
+    let depth_slope = m.depth_slope.to_array();
+    let splat = Splat { mean, conic, opacity, extent_y, depth_slope, features };
+    Some(Projected { splat, gaussian, z: m.p_c.z, extent_x, reach, determinant: 1.0 / determinant })
 }
 
-/// Carries a splat's gradient to the Gaussian's parameters. `splat` is what [`project`] gave for this row.
+/// Carries a splat's gradient to the Gaussian's parameters. The slope of depth is held: to turn and stretch discs by
+/// noisy depth lowered the held-out PSNR by 0.15 dB and did not lower the depth error. `splat` is what [`project`] gave for this row.
 pub(super) fn unproject(row: &Row, splat: &Splat, gradient: &SplatGradient, view: &View) -> Row {
     let row = &row.0;
     let mut out = [0.0; ROW];
@@ -177,13 +225,14 @@ pub(super) fn unproject(row: &Row, splat: &Splat, gradient: &SplatGradient, view
     out[COLOR..COLOR + 3].copy_from_slice(&g[COLOR_CHANNEL..COLOR_CHANNEL + 3]);
     out[AFFINITY..AFFINITY + AFFINITY_DIM]
         .copy_from_slice(&g[AFFINITY_CHANNEL..AFFINITY_CHANNEL + AFFINITY_DIM]);
-    let [v, vx, vy, vxx, vxy, vyy] = gradient.moments;
+    let [v, vx, vy, vxx, vxy, vyy, ..] = gradient.moments;
     // Σ∂L/∂power = o·∂L/∂o, and ∂o/∂logit = o(1 − o).
     out[LOGIT_OPACITY] = v * (1.0 - splat.opacity);
 
     // power = −½ dᵀQd with d = pixel − mean: ∂L/∂mean = Q Σv·d and ∂L/∂Σ = ½ Q (Σv·ddᵀ) Q.
     let [a, b, c] = splat.conic;
-    let d_mean = Vec2::new(a * vx + b * vy, b * vx + c * vy);
+    // Depth at a pixel is z + slope·d, hence the last part: a disc may slide along its plane.
+    let d_mean = Vec2::new(a * vx + b * vy, b * vx + c * vy) - m.depth_slope * g[DEPTH_CHANNEL];
     let (h00, h01, h10, h11) = (a * vxx + b * vxy, a * vxy + b * vyy, b * vxx + c * vxy, b * vxy + c * vyy);
     let d_cov = [0.5 * (h00 * a + h01 * b), 0.5 * (h00 * b + h01 * c), 0.5 * (h10 * b + h11 * c)];
 
@@ -197,7 +246,7 @@ pub(super) fn unproject(row: &Row, splat: &Splat, gradient: &SplatGradient, view
     let r_wc = view.r_cw.transpose();
     for k in 0..3 {
         let (u, v_c) = (m.axes_i[k], m.axes_c[k]);
-        let d_u = 2.0 * Vec2::new(d_cov[0] * u.x + d_cov[1] * u.y, d_cov[1] * u.x + d_cov[2] * u.y);
+        let d_u = 2.0 * times(d_cov, u);
         let (dx, dy) = (ax * d_u.x, ay * d_u.y);
         let d_v = Vec3::new(dx, dy, -dx * m.slope.x - dy * m.slope.y);
         d_slope -= Vec2::new(dx * v_c.z, dy * v_c.z);

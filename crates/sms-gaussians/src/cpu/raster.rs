@@ -10,19 +10,19 @@ use super::lanes::{Chunk, Lanes, by_simd};
 
 /// Side of a tile in pixels.
 pub(super) const TILE: usize = 8;
-/// Blended channels: colour 3, depth 1, normal 3, affinity 16.
+/// Blended channels: colour 3, normal 3, affinity 16, depth 1.
 pub(super) const CHANNELS: usize = 23;
-/// Channels of a splat and of a gradient: the blended ones, then opacity itself.
+/// Channels of a gradient: the blended ones, then opacity.
 pub(super) const PADDED: usize = 24;
 /// First colour channel.
 pub(super) const COLOR_CHANNEL: usize = 0;
-/// The depth channel.
-pub(super) const DEPTH_CHANNEL: usize = 3;
 /// First normal channel.
-pub(super) const NORMAL_CHANNEL: usize = 4;
+pub(super) const NORMAL_CHANNEL: usize = 3;
 /// First affinity channel.
-pub(super) const AFFINITY_CHANNEL: usize = 7;
-/// The channel whose value is one: blended it gives the accumulated opacity.
+pub(super) const AFFINITY_CHANNEL: usize = 6;
+/// The depth channel, the only one that varies over a splat: those before it are constant.
+pub(super) const DEPTH_CHANNEL: usize = 22;
+/// The gradient of the accumulated opacity.
 pub(super) const OPACITY_CHANNEL: usize = 23;
 
 /// A splat is skipped where its alpha is below this.
@@ -52,25 +52,26 @@ pub(super) struct Splat {
     pub(super) opacity: f32,
     /// Half height in pixels of the box around the pixels where alpha reaches [`ALPHA_MIN`].
     pub(super) extent_y: f32,
-    /// Index of the Gaussian.
-    pub(super) gaussian: u32,
-    /// What is blended; the last is one.
-    pub(super) features: [f32; PADDED],
+    /// Change of depth per pixel to the right and down, metres.
+    pub(super) depth_slope: [f32; 2],
+    /// What is blended; depth is that at the centre.
+    pub(super) features: [f32; CHANNELS],
 }
+
+const _: () = assert!(size_of::<Splat>() == 128, "two cache lines");
 
 /// Gradient of the loss with respect to a [`Splat`], before it is carried to the Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct SplatGradient {
-    /// Moments Σv, Σv·dx, Σv·dy, Σv·dx², Σv·dx·dy, Σv·dy² of v = ∂L/∂power over the pixels.
-    pub(super) moments: [f32; 6],
-    _padding: [f32; 2],
-    /// ∂L/∂features.
+    /// Moments Σv, Σv·dx, Σv·dy, Σv·dx², Σv·dx·dy, Σv·dy² of v = ∂L/∂power over the pixels, then two zeros.
+    pub(super) moments: [f32; 8],
+    /// ∂L/∂features, and one more place for whole vectors.
     pub(super) features: [f32; PADDED],
 }
 
 impl SplatGradient {
-    pub(super) const ZERO: Self = Self { moments: [0.0; 6], _padding: [0.0; 2], features: [0.0; PADDED] };
+    pub(super) const ZERO: Self = Self { moments: [0.0; 8], features: [0.0; PADDED] };
 
     /// Adds another.
     pub(super) fn add(&mut self, other: &Self) {
@@ -248,11 +249,16 @@ fn blend<L: Lanes>(
         reached[index as usize] = true;
         let weight = &mut batch.weight[batch.len];
         *weight = Plane::ZERO;
+        let (first, down) = depth_rows::<L>(splat, place);
+        let mut depth = down.mul_add(L::splat(rows.0 as f32), first);
         for y in rows.0..rows.1 {
             let t = L::load(&transmittance.0[y]);
             let w = L::load(&alpha.0[y]) * t;
             w.store(&mut weight.0[y]);
             (t - w).store(&mut transmittance.0[y]);
+            let out = &mut channels[DEPTH_CHANNEL].0[y];
+            depth.mul_add(w, L::load(out)).store(out);
+            depth = depth + down;
         }
         batch.index[batch.len] = index as usize;
         batch.rows = (batch.rows.0.min(rows.0), batch.rows.1.max(rows.1));
@@ -266,7 +272,17 @@ fn blend<L: Lanes>(
     }
 }
 
-/// channels += Σ over the batch of weight · feature.
+/// Depths of a splat at the pixel centres of the tile's first row, from the plane through its centre, and their change
+/// from row to row.
+#[inline(always)]
+pub(super) fn depth_rows<L: Lanes>(splat: &Splat, place: TilePlace) -> (L, L) {
+    let [right, down] = splat.depth_slope;
+    let first = right * (place.x - splat.mean[0]) + down * (place.y + 0.5 - splat.mean[1]);
+    let first = L::splat(splat.features[DEPTH_CHANNEL] + first);
+    (L::load(&CENTERS).mul_add(L::splat(right), first), L::splat(down))
+}
+
+/// channels += Σ over the batch of weight · feature, but for depth.
 #[inline(always)]
 fn add_weighted<L: Lanes>(splats: &[Splat], batch: &Batch, channels: &mut [Plane; CHANNELS]) {
     let [f0, f1, f2, f3] = batch.index.map(|i| &splats[i].features);
@@ -277,7 +293,7 @@ fn add_weighted<L: Lanes>(splats: &[Splat], batch: &Batch, channels: &mut [Plane
         let z = y + 1;
         let (a0, a1, a2, a3) = (L::load(&w0.0[y]), L::load(&w1.0[y]), L::load(&w2.0[y]), L::load(&w3.0[y]));
         let (b0, b1, b2, b3) = (L::load(&w0.0[z]), L::load(&w1.0[z]), L::load(&w2.0[z]), L::load(&w3.0[z]));
-        for c in 0..CHANNELS {
+        for c in 0..DEPTH_CHANNEL {
             let out = &mut channels[c].0;
             let (mut p, mut q) = (L::load(&out[y]), L::load(&out[z]));
             let f = L::splat(f0[c]);
@@ -327,6 +343,7 @@ fn unblend<L: Lanes>(
                     place,
                     ranges[j],
                     (&batch.weight[j], &alpha[j], &before[j], &score[j]),
+                    &gradient.channels[DEPTH_CHANNEL],
                     &mut gradient.remainder,
                     &mut gradients[batch.index[j]].moments,
                 );
@@ -384,7 +401,7 @@ fn prepare<L: Lanes>(image: &TileImage, gradient: &mut TileGradient) {
     }
 }
 
-/// s_k = F_k·∂L/∂out at every pixel of the batch's rows.
+/// s_k = F_k·∂L/∂out at every pixel of the batch's rows, but for depth's part.
 #[inline(always)]
 fn scores<L: Lanes>(splats: &[Splat], batch: &Batch, channels: &[Plane; PADDED], score: &mut [Plane; 4]) {
     let [f0, f1, f2, f3] = batch.index.map(|i| &splats[i].features);
@@ -392,10 +409,11 @@ fn scores<L: Lanes>(splats: &[Splat], batch: &Batch, channels: &[Plane; PADDED],
     let mut y = first;
     while y < end {
         let z = y + 1;
-        let zero = L::splat(0.0);
-        let (mut p0, mut p1, mut p2, mut p3) = (zero, zero, zero, zero);
-        let (mut q0, mut q1, mut q2, mut q3) = (zero, zero, zero, zero);
-        for c in 0..PADDED {
+        // Every splat blends the constant one into opacity.
+        let (g, h) = (L::load(&channels[OPACITY_CHANNEL].0[y]), L::load(&channels[OPACITY_CHANNEL].0[z]));
+        let (mut p0, mut p1, mut p2, mut p3) = (g, g, g, g);
+        let (mut q0, mut q1, mut q2, mut q3) = (h, h, h, h);
+        for c in 0..DEPTH_CHANNEL {
             let (g, h) = (L::load(&channels[c].0[y]), L::load(&channels[c].0[z]));
             let f = L::splat(f0[c]);
             (p0, q0) = (f.mul_add(g, p0), f.mul_add(h, q0));
@@ -419,21 +437,26 @@ fn scores<L: Lanes>(splats: &[Splat], batch: &Batch, channels: &[Plane; PADDED],
     }
 }
 
-/// Advances the remainder past one splat and adds its moments of v = ∂L/∂power.
+/// Adds depth's part to the score, advances the remainder past one splat and adds its moments of v = ∂L/∂power.
 #[inline(always)]
 fn moments<L: Lanes>(
     splat: &Splat,
     place: TilePlace,
     rows: (usize, usize),
     (weight, alpha, before, score): (&Plane, &Plane, &Plane, &Plane),
+    depth_gradient: &Plane,
     remainder: &mut Plane,
-    out: &mut [f32; 6],
+    out: &mut Chunk,
 ) {
     let (zero, one, largest) = (L::splat(0.0), L::splat(1.0), L::splat(ALPHA_MAX));
     let (mut v0, mut v1, mut v2) = (zero, zero, zero);
+    let (first, down) = depth_rows::<L>(splat, place);
+    let mut depth = down.mul_add(L::splat(rows.0 as f32), first);
     for y in rows.0..rows.1 {
         let dy = L::splat(place.y + y as f32 + 0.5 - splat.mean[1]);
         let (s, a, t) = (L::load(&score.0[y]), L::load(&alpha.0[y]), L::load(&before.0[y]));
+        let s = depth.mul_add(L::load(&depth_gradient.0[y]), s);
+        depth = depth + down;
         let left = L::load(&remainder.0[y]) - L::load(&weight.0[y]) * s;
         left.store(&mut remainder.0[y]);
         let d_alpha = t * s - left / (one - a);
@@ -446,12 +469,9 @@ fn moments<L: Lanes>(
     }
     let dx = L::load(&CENTERS) + L::splat(place.x - splat.mean[0]);
     let vx = v0 * dx;
-    out[0] += v0.sum();
-    out[1] += vx.sum();
-    out[2] += v1.sum();
-    out[3] += (vx * dx).sum();
-    out[4] += (v1 * dx).sum();
-    out[5] += v2.sum();
+    // All sums over lanes at once.
+    let [a, b, c, d, e, f, g, h] = L::transpose([v0, vx, v1, vx * dx, v1 * dx, v2, zero, zero]);
+    (L::load(out) + (((a + b) + (c + d)) + ((e + f) + (g + h)))).store(out);
 }
 
 /// ∂L/∂features += Σ over pixels of weight · ∂L/∂out.

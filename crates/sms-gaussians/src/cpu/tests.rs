@@ -64,6 +64,34 @@ fn one_gaussian_is_seen_where_it_is() {
     assert_eq!(maps.label[i], trainer.model().classifier.classify(&[0.1 * maps.alpha[i]; AFFINITY_DIM]).0);
 }
 
+#[test]
+fn a_slanted_disc_shows_the_depth_of_its_plane() {
+    let camera = Camera::new(Intrinsics::from_fov(64, 40, 1.0), DPose3::identity());
+    let (center, tilt) =
+        (Vec3::new(0.05, -0.02, 1.0), Quat::from_rotation_y(0.9) * Quat::from_rotation_x(0.3));
+    let mut trainer = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(1));
+    trainer.insert(&[Seedling {
+        position_w: center,
+        rotation_wg: tilt,
+        scale: Vec3::new(0.05, 0.06, 0.0001),
+        opacity: 0.9,
+        color: [0.5; 3],
+        affinity: [0.0; AFFINITY_DIM],
+    }]);
+    let maps = trainer.render(&camera);
+    let (normal, mut farthest, mut checked) = (tilt * Vec3::Z, 0.0f32, 0);
+    for i in (0..64 * 40).filter(|&i| maps.alpha[i] > 0.3) {
+        let ray = camera.unproject_pixel(i % 64, i / 64, 1.0).as_vec3();
+        let depth = normal.dot(center) / normal.dot(ray);
+        // The plane is straight in depth, where the true one is straight in inverse depth.
+        let offset = depth - center.z;
+        assert!((maps.depth[i] - depth).abs() < 0.0005 + 1.2 * offset * offset, "{} {depth}", maps.depth[i]);
+        farthest = farthest.max(offset.abs());
+        checked += 1;
+    }
+    assert!(checked > 10 && farthest > 0.05, "{checked} pixels, {farthest} m");
+}
+
 /// Every channel of the last blended image, as the oracle orders them.
 fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
     let grid = trainer.engine.grid;

@@ -3,12 +3,12 @@
 use crate::cpu::limits::{DEPTH_OPACITY_MIN, SSIM_C1, SSIM_C2, SSIM_RADIUS};
 use crate::{AFFINITY_DIM, DepthTerm, HIDDEN_DIM, LossWeights, TrainConfig, TrainFrame};
 
-/// Values per pixel: colour 3, depth 1, normal 3, affinity 16, accumulated opacity.
+/// Values per pixel: colour 3, normal 3, affinity 16, depth 1, accumulated opacity.
 pub const CHANNELS: usize = 24;
 pub(super) const COLOR: usize = 0;
-pub(super) const DEPTH: usize = 3;
-pub(super) const NORMAL: usize = 4;
-pub(super) const AFFINITY: usize = 7;
+pub(super) const NORMAL: usize = 3;
+pub(super) const AFFINITY: usize = 6;
+pub(super) const DEPTH: usize = 22;
 pub(super) const OPACITY: usize = 23;
 
 /// The terms of [`crate::LossTerms`] in double precision.

@@ -28,12 +28,15 @@ pub struct Oracle {
     /// Whether faint alphas are dropped, strong ones cut off and finished pixels skipped, as the back ends do; without
     /// it the loss has no jumps.
     pub cutoffs: bool,
+    /// Changes of depth per pixel that take the place of the Gaussians' own: for finite differences, because the
+    /// gradient holds them.
+    pub depth_slopes: Option<Vec<[f64; 2]>>,
 }
 
 /// A rendered image.
 #[derive(Debug, Clone)]
 pub struct OracleImage {
-    /// Colour 3, depth (not normalised), normal 3, affinity 16, accumulated opacity; row by row.
+    /// Colour 3, normal 3, affinity 16, depth (not normalised), accumulated opacity; row by row.
     pub pixels: Vec<[f64; CHANNELS]>,
     /// Gaussians that reached a pixel.
     pub seen: Vec<bool>,
@@ -66,7 +69,18 @@ struct Hit {
 struct Splat {
     projection: Projection,
     opacity: f64,
+    depth_slope: [f64; 2],
+    /// At the centre.
     features: [f64; CHANNELS],
+}
+
+impl Splat {
+    /// What is blended at a pixel this far from the centre.
+    fn features_at(&self, [dx, dy]: [f64; 2]) -> [f64; CHANNELS] {
+        let mut features = self.features;
+        features[loss::DEPTH] += self.depth_slope[0] * dx + self.depth_slope[1] * dy;
+        features
+    }
 }
 
 fn sigmoid(x: f64) -> f64 {
@@ -83,11 +97,12 @@ impl Oracle {
             background: [0.0; 3],
             config: *config,
             cutoffs,
+            depth_slopes: None,
         }
     }
 
     fn splats(&self, camera: &Camera) -> Vec<Option<Splat>> {
-        let splat = |row: &[f64; PARAMETERS]| {
+        let splat = |(i, row): (usize, &[f64; PARAMETERS])| {
             let projection = project(row, camera)?;
             let mut features = [0.0; CHANNELS];
             features[loss::COLOR..loss::COLOR + 3].copy_from_slice(&row[COLOR..COLOR + 3]);
@@ -96,9 +111,10 @@ impl Oracle {
             features[loss::AFFINITY..loss::AFFINITY + AFFINITY_DIM]
                 .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
             features[loss::OPACITY] = 1.0;
-            Some(Splat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), features })
+            let depth_slope = self.depth_slopes.as_ref().map_or(projection.depth_slope, |held| held[i]);
+            Some(Splat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), depth_slope, features })
         };
-        self.rows.iter().map(splat).collect()
+        self.rows.iter().enumerate().map(splat).collect()
     }
 
     /// Indices of visible splats, nearest first.
@@ -161,7 +177,7 @@ impl Oracle {
             for hit in hits {
                 image.seen[hit.gaussian] = true;
                 if let Some(splat) = &splats[hit.gaussian] {
-                    for (out, f) in pixel.iter_mut().zip(&splat.features) {
+                    for (out, f) in pixel.iter_mut().zip(&splat.features_at(hit.offset)) {
                         *out += hit.alpha * hit.transmittance * f;
                     }
                 }
@@ -173,6 +189,12 @@ impl Oracle {
     /// What depth is divided by at each pixel, to be held by [`Oracle::terms`] in finite differences.
     pub fn depth_divisors(&self, camera: &Camera) -> Vec<f64> {
         loss::depth_divisors(&self.render(camera).pixels, self.config.depth_term)
+    }
+
+    /// The change of depth per pixel of every Gaussian, to be held in finite differences; zero where not in view.
+    pub fn own_depth_slopes(&self, camera: &Camera) -> Vec<[f64; 2]> {
+        let slope = |splat: &Option<Splat>| splat.as_ref().map_or([0.0; 2], |s| s.projection.depth_slope);
+        self.splats(camera).iter().map(slope).collect()
     }
 
     /// The terms of the loss; `held` replaces the divisor of depth.
@@ -203,21 +225,24 @@ impl Oracle {
                     continue;
                 };
                 let weight = hit.alpha * hit.transmittance;
+                let features = splat.features_at(hit.offset);
                 let mut d_alpha = 0.0;
                 for c in 0..CHANNELS {
-                    let ahead = hit.transmittance * splat.features[c];
+                    let ahead = hit.transmittance * features[c];
                     d_alpha += g[c] * (ahead - behind[c] / (1.0 - hit.alpha));
                     d_features[hit.gaussian][c] += g[c] * weight;
-                    behind[c] += weight * splat.features[c];
+                    behind[c] += weight * features[c];
                 }
+                let [dx, dy] = hit.offset;
+                let d = &mut d_outputs[hit.gaussian];
+                let d_depth = g[loss::DEPTH] * weight;
+                (0..2).for_each(|k| d[MEAN + k] -= d_depth * splat.depth_slope[k]);
                 if !hit.free {
                     continue;
                 }
                 d_logit[hit.gaussian] += d_alpha * hit.alpha * (1.0 - splat.opacity);
                 let d_power = d_alpha * hit.alpha;
-                let [dx, dy] = hit.offset;
                 let conic = |k: usize| splat.projection.value(CONIC + k);
-                let d = &mut d_outputs[hit.gaussian];
                 d[MEAN] += d_power * (conic(0) * dx + conic(1) * dy);
                 d[MEAN + 1] += d_power * (conic(1) * dx + conic(2) * dy);
                 d[CONIC] -= 0.5 * d_power * dx * dx;

@@ -1,13 +1,15 @@
 //! EWA projection with its derivatives by forward mode.
 
 use super::dual::{Dual, INPUTS};
-use crate::cpu::limits::{LOW_PASS, MARGIN, NEAR};
+use crate::cpu::limits::{LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
 use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 use sms_core::Camera;
 
 /// What projection yields, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal.
 pub(super) struct Projection {
     pub(super) outputs: [Dual; OUTPUTS],
+    /// Change of depth per pixel in x and y; without derivatives, since training holds it.
+    pub(super) depth_slope: [f64; 2],
 }
 
 pub(super) const OUTPUTS: usize = 9;
@@ -56,13 +58,19 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let zero = Dual::constant(0.0);
     let jacobian = [[fx / p[2], zero, -(fx / p[2] * sx)], [zero, fy / p[2], -(fy / p[2] * sy)]];
     // Σ_2D = J R_cw R_wg S S R_wgᵀ R_cwᵀ Jᵀ.
+    let mut camera_axes = [[zero; 3]; 3];
+    for (c, row) in camera_axes.iter_mut().enumerate() {
+        for (axis, value) in row.iter_mut().enumerate() {
+            for w in 0..3 {
+                *value = *value + r_cw(c, w) * r_wg[w][axis] * scale[axis];
+            }
+        }
+    }
     let mut image_axes = [[zero; 3]; 2];
     for (i, row) in image_axes.iter_mut().enumerate() {
         for (axis, value) in row.iter_mut().enumerate() {
             for c in 0..3 {
-                for w in 0..3 {
-                    *value = *value + jacobian[i][c] * r_cw(c, w) * r_wg[w][axis] * scale[axis];
-                }
+                *value = *value + jacobian[i][c] * camera_axes[c][axis];
             }
         }
     }
@@ -72,24 +80,29 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let xy = dot(image_axes[0], image_axes[1]);
     let yy = dot(image_axes[1], image_axes[1]) + low_pass;
     let determinant = xx * yy - xy * xy;
-
     let shortest = (0..3).min_by(|&a, &b| scale[a].value.total_cmp(&scale[b].value)).unwrap_or(0);
     let normal: [Dual; 3] = std::array::from_fn(|i| r_wg[i][shortest]);
     let eye = camera.center_w();
     let away = (0..3).map(|i| normal[i].value * (position[i].value - eye[i])).sum::<f64>() > 0.0;
     let normal = normal.map(|n| if away { -n } else { n });
+    // Depth given the pixel: Cov(pixel)⁻¹ Cov(pixel, z), with a low-pass filter of its own.
+    let [sxx, syy] = [xx, yy].map(|v| v.value - LOW_PASS + SLOPE_LOW_PASS);
+    let [kx, ky] = [0, 1].map(|i| dot(image_axes[i], camera_axes[2]).value);
+    let covariance = xy;
+    let (xy, determinant_of_slope) = (xy.value, sxx * syy - xy.value * xy.value);
     Some(Projection {
         outputs: [
             fx * p[0] / p[2] + Dual::constant(k.cx),
             fy * p[1] / p[2] + Dual::constant(k.cy),
             yy / determinant,
-            -(xy / determinant),
+            -(covariance / determinant),
             xx / determinant,
             p[2],
             normal[0],
             normal[1],
             normal[2],
         ],
+        depth_slope: [syy * kx - xy * ky, sxx * ky - xy * kx].map(|v| v / determinant_of_slope),
     })
 }
 

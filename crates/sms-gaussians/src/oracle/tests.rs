@@ -26,6 +26,7 @@ fn worst(weights: LossWeights, depth_term: DepthTerm, background: [f64; 3]) -> V
     parameters.insert(&seedlings(&camera, 10, Seed(3)));
     let oracle = Oracle { background, ..Oracle::new(&parameters, &config, false) };
     let gradient = oracle.gradient(&frame);
+    let oracle = Oracle { depth_slopes: Some(oracle.own_depth_slopes(&camera)), ..oracle };
     // Only the form with the divisor held differs from the plain derivative.
     let divisors = oracle.depth_divisors(&camera);
     let held = (depth_term == DepthTerm::Detached).then_some(&divisors[..]);
