@@ -12,6 +12,8 @@
 //! - **Surfaces**: points on the discs of the Gaussians of each object ([`disc_points`]), against the true surface of that
 //!   object ([`score_labelled`]); recall over the [`observed_surface`], what at least three of the cameras trained on see
 //!   of the true surface. The figure of a scene is the mean over its objects.
+//! - **Others**: [`export_scene`] writes what the scan is given and the truth beside it, and [`score_files`] measures what
+//!   another program made of it by the same functions; the format is in `export.rs`.
 //! - **Disturbed poses**: the result is aligned rigidly first ([`align_cameras`], [`refine_on_surfaces`]).
 //!
 //! ```
@@ -28,6 +30,7 @@
 
 mod align;
 mod disturb;
+mod export;
 mod images;
 mod matching;
 mod panels;
@@ -36,6 +39,7 @@ mod process;
 mod real;
 mod run;
 mod scenes;
+mod score;
 mod steps;
 mod surface;
 mod table;
@@ -43,6 +47,7 @@ mod truth;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
+pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use matching::{Overlaps, match_labels};
 pub use panels::write_panel;
@@ -52,7 +57,8 @@ pub use run::{Yardstick, run_scene};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, REAL, SEEDS, real_data_dir, recording, select_scenes, truth_scene,
 };
-pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_metrics};
+pub use score::{score_files, write_view};
+pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,
     score_cropped, score_labelled, score_surface, stray_share,

@@ -48,11 +48,10 @@ pub fn fixed_step_cpu_ms(train: &TrainConfig, width: usize, height: usize) -> Op
     Some(batches[BATCHES / 2])
 }
 
-/// The mean step of a scan by part, milliseconds summed over threads, under `prefix` (`…scan_step_blend_cpu_ms`, and
-/// their sum `…scan_step_cpu_ms`).
-pub fn step_metrics(prefix: &str, times: &StepTimes, steps: f64) -> Metrics {
+/// The share of each part in all steps of a scan, under `prefix` (`…scan_step_blend_share`).
+pub fn step_shares(prefix: &str, times: &StepTimes) -> Metrics {
     let mut metrics = Metrics::new();
-    let per_step = |seconds: f64| seconds / steps.max(1.0) * 1e3;
+    let total = times.total().max(f64::MIN_POSITIVE);
     for (part, seconds) in [
         ("project", times.project),
         ("bin", times.bin),
@@ -64,9 +63,8 @@ pub fn step_metrics(prefix: &str, times: &StepTimes, steps: f64) -> Metrics {
         ("unproject", times.unproject),
         ("adam", times.adam),
     ] {
-        metrics.set(format!("{prefix}scan_step_{part}_cpu_ms"), per_step(seconds));
+        metrics.set(format!("{prefix}scan_step_{part}_share"), seconds / total);
     }
-    metrics.set(format!("{prefix}scan_step_cpu_ms"), per_step(times.total()));
     metrics
 }
 

@@ -6,8 +6,8 @@ use crate::context::Context;
 use anyhow::Context as _;
 use clap::{Args, Subcommand, ValueEnum};
 use sms_bench::{
-    BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, add_means, locate, parse_length_m,
-    parse_pose_noise, run_scene, select_scenes, table,
+    BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, add_means, export_scene, locate, parse_length_m,
+    parse_pose_noise, prepare, run_scene, score_files, select_scenes, table,
 };
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, Warnings};
@@ -29,6 +29,8 @@ pub(crate) struct Bench {
 pub(crate) enum BenchCommand {
     /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
     Scan(Box<BenchScan>),
+    /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
+    Score(BenchScore),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -82,6 +84,9 @@ pub(crate) struct BenchScan {
     /// Where rendered recordings are kept.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
     pub cache: PathBuf,
+    /// Scan nothing; write for each scene what other programs need (frames, masks, poses, and the truth apart) to DIR.
+    #[arg(long, value_name = "DIR")]
+    pub export: Option<PathBuf>,
     /// One scene in this process, results to the folder given with --out.
     #[arg(long, hide = true, value_name = "ID")]
     pub child: Option<String>,
@@ -89,9 +94,23 @@ pub(crate) struct BenchScan {
     pub child_dir: Option<PathBuf>,
 }
 
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchScore {
+    /// Folder of the exported scene.
+    #[arg(long, value_name = "DIR")]
+    pub truth: PathBuf,
+    /// The reconstructed surface: points with labels (PLY with a column `label`), points alone, or a mesh (OBJ).
+    #[arg(long, value_name = "FILE", required_unless_present = "views")]
+    pub surface: Option<PathBuf>,
+    /// Rendered held-out views: color/NNNNNN.png, depth/NNNNNN.png (0.1 mm), label/NNNNNN.png.
+    #[arg(long, value_name = "DIR")]
+    pub views: Option<PathBuf>,
+}
+
 pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
     match &a.what {
         BenchCommand::Scan(scan) => run_scan(context, scan),
+        BenchCommand::Score(score) => run_score(context, score),
     }
 }
 
@@ -117,6 +136,9 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
             present.push(scene);
         }
     }
+    if let Some(dir) = &a.export {
+        return export(context, &present, &options, dir);
+    }
     let aside = std::env::temp_dir().join(format!("sms-bench-{}", std::process::id()));
     let out = a.out.as_ref().unwrap_or(&aside);
     let measured = run_children(context, &present, out);
@@ -134,6 +156,35 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         context.print_json(&metrics)?;
     } else {
         context.say(table(&metrics, &present, options.preset_name(), baseline.as_ref()).trim_end());
+    }
+    Ok(())
+}
+
+fn export(
+    context: &Context,
+    scenes: &[BenchScene],
+    options: &BenchOptions,
+    dir: &Path,
+) -> anyhow::Result<()> {
+    for scene in scenes.iter().filter(|s| matches!(s, BenchScene::Billiards(_))) {
+        let warnings = Warnings::new();
+        let prepared = prepare(scene, options, context.progress.as_ref(), &context.cancel, &warnings)?;
+        if let Some(prepared) = prepared {
+            let to = dir.join(scene.to_string());
+            export_scene(scene, &prepared, options, &to)?;
+            context.say(format!("{scene} is in {}", shown(&to)));
+        }
+    }
+    Ok(())
+}
+
+fn run_score(context: &Context, a: &BenchScore) -> anyhow::Result<()> {
+    let metrics = score_files(&a.truth, a.surface.as_deref(), a.views.as_deref())?;
+    if context.json {
+        return context.print_json(&metrics);
+    }
+    for (key, value) in metrics.iter() {
+        context.say(format!("{:<32} {value}", key.trim_start_matches("bench.score.")));
     }
     Ok(())
 }
