@@ -57,7 +57,7 @@ pub use run::{Yardstick, run_scene};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, REAL, SEEDS, real_data_dir, recording, select_scenes, truth_scene,
 };
-pub use score::{score_files, write_view};
+pub use score::{score_files, write_points, write_view};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

@@ -7,6 +7,7 @@ use crate::panels::write_panel;
 use crate::prepare::{BenchOptions, Prepared, Timer, prepare};
 use crate::real::real_metrics;
 use crate::scenes::BenchScene;
+use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
 use crate::surface::{
     DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, score_cropped, score_labelled,
@@ -253,6 +254,14 @@ fn measure(
         })
         .collect();
     atomic::write_json(&dir.join("objects.json"), &records)?;
+    // What `score_files` reads, so that anybody can check that it agrees.
+    for ((i, _), shown) in truth.held_out.iter().zip(&shown) {
+        write_view(&dir.join("views"), *i, shown)?;
+    }
+    write_points(
+        &dir.join("surface.ply"),
+        &disc_points(model, &DPose3::identity(), &DiscSampling::default()),
+    )?;
     if let Some(((i, view), shown)) = truth.held_out.iter().zip(&shown).nth(truth.held_out.len() / 2) {
         let frame = &prepared.sequence.frames[*i];
         write_panel(&dir.join("panel.png"), &frame.color, shown, &view.depth)?;

@@ -7,7 +7,8 @@ use crate::images::{DepthErrors, ShownView, mean_iou, psnr_db};
 use crate::surface::{LabelledPoint, SceneScores, UNMATCHED, score_cropped, score_labelled, stray_share};
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Mesh, Seed, ply, read_png_color, read_png_gray16};
+use sms_core::ply::{self, Column};
+use sms_core::{InputError, Mesh, Seed, read_png_color, read_png_gray16};
 use sms_report::sample_surface;
 use std::path::Path;
 
@@ -202,4 +203,15 @@ pub fn write_view(views: &Path, index: usize, shown: &ShownView) -> Result<(), B
         sms_core::write_png_gray16(&path("label"), label)?;
     }
     Ok(())
+}
+
+/// Writes points with labels as [`score_files`] reads them.
+///
+/// # Errors
+/// [`CoreError::Write`](sms_core::CoreError).
+pub fn write_points(path: &Path, points: &[LabelledPoint]) -> Result<(), BenchError> {
+    let column = |axis: usize| Column::F32(points.iter().map(|p| p.point[axis] as f32).collect());
+    let label = Column::I32(points.iter().map(|p| i32::from(p.label)).collect());
+    let columns = [("x", column(0)), ("y", column(1)), ("z", column(2)), ("label", label)];
+    Ok(ply::write(path, &["reconstructed surface, world, metres"], &columns)?)
 }

@@ -1,10 +1,11 @@
 //! `sms bench`: measures the scan on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
+use super::settings::poses_defaults;
 use super::shown;
-use crate::cli::PresetName;
+use crate::cli::{PresetName, RefinePoses};
 use crate::context::Context;
 use anyhow::Context as _;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use sms_bench::{
     BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, add_means, export_scene, locate, parse_length_m,
     parse_pose_noise, prepare, run_scene, score_files, select_scenes, table,
@@ -12,8 +13,7 @@ use sms_bench::{
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, Warnings};
 use sms_entities::EntitiesConfig;
-use sms_frames::{LoadSettings, ReadOptions};
-use sms_gaussians::ScanConfig;
+use sms_frames::ReadOptions;
 use sms_masks::GeometryConfig;
 use sms_poses::PosesMode;
 use std::path::{Path, PathBuf};
@@ -31,16 +31,6 @@ pub(crate) enum BenchCommand {
     Scan(Box<BenchScan>),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
     Score(BenchScore),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PosesName {
-    /// As recorded.
-    Off,
-    /// Refined.
-    On,
-    /// Refined where that helps.
-    Auto,
 }
 
 #[derive(Debug, Args, Clone)]
@@ -70,8 +60,8 @@ pub(crate) struct BenchScan {
     #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
     pub color_shift_px: i64,
     /// Refine poses before masks and scan.
-    #[arg(long, value_enum, default_value = "off")]
-    pub poses: PosesName,
+    #[arg(long, value_enum, value_name = "WHEN")]
+    pub refine_poses: Option<RefinePoses>,
     /// Neither make nor measure meshes.
     #[arg(long)]
     pub no_meshes: bool,
@@ -129,7 +119,7 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
     for scene in scenes {
         if matches!(scene, BenchScene::Real(_)) && options.disturbance.disturbs_poses() {
             eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
-        } else if locate(&scene, &options, context.progress.as_ref(), &context.cancel)?.is_none() {
+        } else if is_absent(&scene) {
             let dir = sms_bench::real_data_dir();
             eprintln!("skipped {scene}: there is no such recording in {} (SMS_TEST_DATA)", dir.display());
         } else {
@@ -141,7 +131,7 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
     }
     let aside = std::env::temp_dir().join(format!("sms-bench-{}", std::process::id()));
     let out = a.out.as_ref().unwrap_or(&aside);
-    let measured = run_children(context, &present, out);
+    let measured = run_children(context, &present, &options, out);
     if a.out.is_none() {
         // Best effort: the results are printed.
         let _ = std::fs::remove_dir_all(&aside);
@@ -158,6 +148,14 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         context.say(table(&metrics, &present, options.preset_name(), baseline.as_ref()).trim_end());
     }
     Ok(())
+}
+
+/// Whether it is a real recording that is not here.
+fn is_absent(scene: &BenchScene) -> bool {
+    match scene {
+        BenchScene::Billiards(_) => false,
+        BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
+    }
 }
 
 fn export(
@@ -208,17 +206,20 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
     }
-    let mut poses = base.poses.clone();
-    poses.mode = match a.poses {
-        PosesName::Off => PosesMode::Off,
-        PosesName::On => PosesMode::On,
-        PosesName::Auto => PosesMode::Auto,
-    };
+    let load = context.settings.section("frames", base.load.clone())?;
+    let mut poses = context.settings.section("poses", poses_defaults(&load))?;
+    if let Some(mode) = a.refine_poses {
+        poses.mode = match mode {
+            RefinePoses::Off => PosesMode::Off,
+            RefinePoses::On => PosesMode::On,
+            RefinePoses::Auto => PosesMode::Auto,
+        };
+    }
     Ok(BenchOptions {
+        load,
         read: context.settings.section("read", ReadOptions::default())?,
-        load: context.settings.section::<LoadSettings>("frames", base.load.clone())?,
         masks: context.settings.section("masks", GeometryConfig::default())?,
-        scan: context.settings.section::<ScanConfig>("scan", base.scan.clone())?,
+        scan: context.settings.section("scan", base.scan.clone())?,
         entities: context.settings.section("entities", EntitiesConfig::default())?,
         poses,
         frames: a.frames,
@@ -229,7 +230,12 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
 }
 
 /// Each scene in a process of its own, so that peak memory and CPU time are the scene's.
-fn run_children(context: &Context, scenes: &[BenchScene], out: &Path) -> anyhow::Result<Metrics> {
+fn run_children(
+    context: &Context,
+    scenes: &[BenchScene],
+    options: &BenchOptions,
+    out: &Path,
+) -> anyhow::Result<Metrics> {
     let program = std::env::current_exe().context("cannot find this program")?;
     let mut metrics = Metrics::new();
     for (i, scene) in scenes.iter().enumerate() {
@@ -237,6 +243,8 @@ fn run_children(context: &Context, scenes: &[BenchScene], out: &Path) -> anyhow:
         if !context.json {
             eprintln!("{scene} ({} of {})", i + 1, scenes.len());
         }
+        // Here, so that rendering is no part of what the scan's process uses.
+        locate(scene, options, context.progress.as_ref(), &context.cancel)?;
         let dir = out.join(scene.to_string());
         let status = std::process::Command::new(&program)
             .args(std::env::args_os().skip(1))
