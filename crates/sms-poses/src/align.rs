@@ -16,14 +16,18 @@ pub struct PoseErrors {
     pub x_true_given: DPose3,
 }
 
-/// Compares camera poses `X_WC` with the true ones of the same frames. The two worlds are aligned rigidly by points at
-/// the distance `at_m` in front of the cameras (0.1 of it apart from the axis), which is where their errors matter.
+/// Compares camera poses `X_WC` with the true ones of the same frames. The two worlds are aligned rigidly by points
+/// that the cameras see at 0.6 to 1.4 of the distance `at_m`, up to 20° beside the axis: there errors matter.
 ///
 /// # Panics
 /// If the numbers of poses differ.
 pub fn compare_poses(given: &[DPose3], truth: &[DPose3], at_m: f64) -> PoseErrors {
     assert_eq!(given.len(), truth.len(), "one pose a frame");
-    let probes = [DVec3::new(0.1, 0.0, 1.0), DVec3::new(-0.05, 0.087, 1.0), DVec3::new(-0.05, -0.087, 1.0)];
+    let probes: [DVec3; 8] = std::array::from_fn(|i| {
+        let side = |bit: usize| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+        let z = 1.0 + 0.4 * side(2);
+        DVec3::new(0.3 * side(0) * z, 0.2 * side(1) * z, z)
+    });
     let points = |poses: &[DPose3]| -> Vec<DVec3> {
         poses.iter().flat_map(|x| probes.map(|p| x.transform_point(p * at_m))).collect()
     };

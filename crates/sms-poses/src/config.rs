@@ -28,7 +28,7 @@ pub struct PosesConfig {
     /// Depth noise of the sensor: it weighs depth against colour, and both against the given poses.
     pub noise: DepthNoise,
     /// Standard deviation of the given camera positions per axis. It pulls the result to the given poses where the
-    /// images say nothing, and fixes the world's place: the mean correction is zero.
+    /// images say nothing.
     pub prior_position_m: f64,
     /// Standard deviation of the given camera rotations per axis.
     pub prior_rotation_rad: f64,

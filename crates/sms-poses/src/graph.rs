@@ -13,6 +13,8 @@ const LEAST_OVERLAP: f64 = 0.2;
 /// How far in depth a carried point may lie from what the other frame measured there, as a share of the depth: given
 /// poses may be wrong by centimetres.
 const SAME_SURFACE: f64 = 0.06;
+/// Fewest carried points that meet a measured pixel.
+const LEAST_MEASURED: usize = 8;
 /// Angle between viewing directions up to which frames see the same side of things.
 const NEAR_ANGLE_RAD: f64 = 0.7;
 /// And up to which they are compared at all.
@@ -101,14 +103,22 @@ fn overlap(
     let seen = |points: &[Point], from: usize, to: usize| {
         let x = x_wc[to].inverse() * x_wc[from];
         let k = &views[to].intrinsics;
-        let met = points.iter().filter(|p| {
+        // Landed in the image, on a measured pixel of it, and there on the same surface.
+        let (mut landed, mut measured, mut met) = (0usize, 0usize, 0usize);
+        for p in points {
             let q = x.transform_point(p.p_c);
-            q.z > 1e-3
-                && views[to]
-                    .surface_at(k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy)
-                    .is_some_and(|(_, _, s)| (f64::from(s.z) - q.z).abs() < SAME_SURFACE * q.z)
-        });
-        met.count() as f64 / points.len().max(1) as f64
+            let (u, v) = (k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy);
+            if q.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64 {
+                landed += 1;
+                if let Some((_, _, s)) = views[to].surface_at(u, v) {
+                    measured += 1;
+                    met += usize::from((f64::from(s.z) - q.z).abs() < SAME_SURFACE * q.z);
+                }
+            }
+        }
+        // Holes in the depth take away measurements, not overlap; but a handful tells nothing.
+        let share = |n: usize, of: usize| n as f64 / of.max(1) as f64;
+        if measured < LEAST_MEASURED { 0.0 } else { share(landed, points.len()) * share(met, measured) }
     };
     let share = seen(points_i, i, j).min(seen(points_j, j, i));
     (share >= LEAST_OVERLAP).then_some(Overlap { other: j, share, angle })

@@ -8,8 +8,8 @@
 //!   their difference in brightness are residuals, each weighed by its noise; a plane such as a table top fixes three
 //!   directions by depth and the others by its texture;
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients over
-//!   6 × 6 blocks), with a weak pull to the given poses. That pull also keeps the world where it was: to first order
-//!   the mean correction, weighed as the pull weighs it, is zero, and no single frame is held fixed;
+//!   6 × 6 blocks), with a weak pull to the given poses. No single frame is held fixed: at the end all cameras together
+//!   are moved so that the measured points lie, in the least-squares sense, where the given poses put them;
 //! - gain and offset of the brightness are fitted to each pair.
 //!
 //! [`PosesMode::Auto`] then judges: pairs of frames and points that had no part in the refinement must agree

@@ -1,7 +1,7 @@
 //! The refinement: coarse to fine, all poses at once.
 
 use crate::PosesConfig;
-use crate::align::moved_about;
+use crate::align::{align_rigidly, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
 use crate::residual::{Brightness, Histogram, PairSums, Seen, Weighing, linearise};
@@ -211,6 +211,20 @@ impl<'a> Problem<'a> {
             })?;
             done += self.config.iterations[level];
         }
-        Ok((poses, iterations))
+        Ok((self.in_place(&poses), iterations))
+    }
+
+    /// The same poses after the common rigid motion that moves the measured points least from where the given poses
+    /// put them: masks, models and directions that are known in the given world stay valid.
+    fn in_place(&self, poses: &[DPose3]) -> Vec<DPose3> {
+        let (mut from, mut to) = (Vec::new(), Vec::new());
+        for ((view, given), refined) in self.views.iter().zip(self.given).zip(poses) {
+            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], self.config) {
+                from.push(refined.transform_point(point.p_c));
+                to.push(given.transform_point(point.p_c));
+            }
+        }
+        let back = align_rigidly(&from, &to);
+        poses.iter().map(|x| back * *x).collect()
     }
 }

@@ -351,3 +351,157 @@ impl PairSums {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::moved_about;
+    use crate::views::Surface;
+    use proptest::prelude::*;
+    use sms_core::Image;
+
+    const CENTER_W: DVec3 = DVec3::new(0.3, -0.1, 0.2);
+
+    fn view() -> View {
+        let intrinsics = Intrinsics { width: 48, height: 32, fx: 41.0, fy: 43.0, cx: 23.4, cy: 16.7 };
+        let wave = |i: usize| {
+            let (x, y) = ((i % 48) as f32, (i / 48) as f32);
+            120.0 + 60.0 * (0.21 * x + 0.1 * y).sin() * (0.3 * y - 0.05 * x).cos()
+        };
+        let luma = vec![Image::from_vec(48, 32, (0..48 * 32).map(wave).collect())];
+        View { intrinsics, surface: vec![Surface::default(); 48 * 32], luma, finest_scale: 1.0 }
+    }
+
+    fn pose(v: [f64; 6]) -> DPose3 {
+        moved_about(DVec3::ZERO, &v)
+    }
+
+    /// Derivative of `f` of frame i's and of frame j's pose by the corrections' components, by central differences.
+    fn by_differences(x_wi: DPose3, x_wj: DPose3, f: impl Fn(DPose3, DPose3) -> f64) -> (Six, Six) {
+        let e = 1e-6;
+        let along = |a: usize, s: f64| {
+            let mut step = [0.0; 6];
+            step[a] = s;
+            moved_about(CENTER_W, &step)
+        };
+        let of_i =
+            std::array::from_fn(|a| (f(along(a, e) * x_wi, x_wj) - f(along(a, -e) * x_wi, x_wj)) / (2.0 * e));
+        let of_j =
+            std::array::from_fn(|a| (f(x_wi, along(a, e) * x_wj) - f(x_wi, along(a, -e) * x_wj)) / (2.0 * e));
+        (of_i, of_j)
+    }
+
+    fn in_world_axes(r_wj: DMat3, j: Six) -> Six {
+        let (a, b) = (r_wj * DVec3::new(j[0], j[1], j[2]), r_wj * DVec3::new(j[3], j[4], j[5]));
+        [a.x, a.y, a.z, b.x, b.y, b.z]
+    }
+
+    fn agree(found: Six, expected: Six, sign: f64) -> Result<(), TestCaseError> {
+        let size = expected.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-3);
+        for a in 0..6 {
+            let off = (sign * found[a] - expected[a]).abs();
+            prop_assert!(off <= 1e-6 * size, "{found:?} {expected:?}");
+        }
+        Ok(())
+    }
+
+    proptest! {
+        #[test]
+        fn jacobians_are_those_of_finite_differences(
+            a in prop::array::uniform6(-0.08..0.08f64), b in prop::array::uniform6(-0.08..0.08f64),
+            u in -0.3..0.3f64, v in -0.2..0.2f64, z in 0.5..1.5f64, tilt in prop::array::uniform3(-0.5..0.5f64),
+        ) {
+            let view = view();
+            let (x_wi, x_wj) = (pose(a), pose(b));
+            let p_i = DVec3::new(u, v, 1.0) * z;
+            let carried = |x_wi: DPose3, x_wj: DPose3| (x_wj.inverse() * x_wi).transform_point(p_i);
+            let p = carried(x_wi, x_wj);
+            let center = x_wj.inverse_transform_point(CENTER_W);
+            let r_wj = DMat3::from_quat(x_wj.rotation);
+
+            let (q, n) = (p + DVec3::new(0.01, -0.02, 0.005), (DVec3::from_array(tilt) - DVec3::Z).normalize());
+            let found = in_world_axes(r_wj, depth_residual(p, q, n).jacobian(p, center));
+            let (of_i, of_j) = by_differences(x_wi, x_wj, |i, j| depth_residual(carried(i, j), q, n).residual);
+            agree(found, of_i, 1.0)?;
+            agree(found, of_j, -1.0)?;
+
+            // Bilinear interpolation is smooth within a cell only.
+            let k = view.intrinsics;
+            let inside = |x: f64| (x - 0.5).rem_euclid(1.0) > 1e-3 && (x - 0.5).rem_euclid(1.0) < 1.0 - 1e-3;
+            prop_assume!(inside(k.fx * p.x / p.z + k.cx) && inside(k.fy * p.y / p.z + k.cy));
+            let color = |p| color_residual(p, &view, 0, 100.0);
+            prop_assume!(color(p).is_some());
+            let found = in_world_axes(r_wj, color(p).unwrap().0.jacobian(p, center));
+            let (of_i, of_j) =
+                by_differences(x_wi, x_wj, |i, j| color(carried(i, j)).map_or(f64::NAN, |r| r.0.residual));
+            agree(found, of_i, 1.0)?;
+            agree(found, of_j, -1.0)?;
+        }
+
+        #[test]
+        fn sums_in_world_axes_are_those_of_world_jacobians(
+            turn in prop::array::uniform3(-2.0..2.0f64), rows in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 3)
+        ) {
+            let r_wj = DMat3::from_quat(glamx::DQuat::from_scaled_axis(DVec3::from_array(turn)));
+            let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
+            let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
+            for (k, row) in rows.iter().enumerate() {
+                let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
+                sums.add(row, r, w);
+                let world = in_world_axes(r_wj, *row);
+                for a in 0..6 {
+                    g[a] += w * r * world[a];
+                    for b in 0..6 {
+                        h[a][b] += w * world[a] * world[b];
+                    }
+                }
+            }
+            let found = in_world(sums, &r_wj, Seen::default());
+            for a in 0..6 {
+                prop_assert!((found.g[a] - g[a]).abs() < 1e-9);
+                for b in 0..6 {
+                    prop_assert!((found.h[a][b] - h[a][b]).abs() < 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn brightness_is_eliminated_exactly() {
+        // Residuals r + J δ + c β of three measurements; the best β for a δ, and the δ at the joint minimum.
+        let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
+        let rows: [(Six, f64, [f64; 2]); 9] = std::array::from_fn(|k| {
+            let j = std::array::from_fn(|a| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin());
+            (j, 0.1 * k as f64 - 0.3, [(k as f64).cos(), -1.0])
+        });
+        for (j, r, c) in &rows {
+            sums.add(j, *r, 1.0);
+            sums.add_brightness(j, *r, *c, 1.0);
+        }
+        let pair = in_world(sums, &DMat3::IDENTITY, Seen::default());
+        let (h, g) = pair.reduced();
+        let l = crate::linear::cholesky(&h).unwrap();
+        let delta = crate::linear::cholesky_solve(&l, &g).map(|v| -v);
+        let after = pair.brightness_after(&delta, Brightness::default());
+        // At the joint minimum the residual is orthogonal to every column.
+        let residual = |(j, r, c): &(Six, f64, [f64; 2])| {
+            r + (0..6).map(|a| j[a] * delta[a]).sum::<f64>() + c[0] * after.gain + c[1] * after.offset
+        };
+        for a in 0..6 {
+            assert!(rows.iter().map(|row| row.0[a] * residual(row)).sum::<f64>().abs() < 1e-9);
+        }
+        for k in 0..2 {
+            assert!(rows.iter().map(|row| row.2[k] * residual(row)).sum::<f64>().abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn medians_of_histograms() {
+        let mut h = Histogram::default();
+        assert_eq!(h.median(), None);
+        (0..1000).for_each(|i| h.add(f64::from(i) * 0.004));
+        assert!((h.median().unwrap() - 2.0).abs() < 0.02);
+        assert!((h.mean_up_to(100.0).unwrap() - 2.0).abs() < 0.02);
+        assert!(h.mean_up_to(1.0).unwrap() < 1.0);
+    }
+}

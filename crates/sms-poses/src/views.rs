@@ -43,8 +43,12 @@ pub(crate) struct Point {
 
 impl View {
     fn new(frame: &Frame, levels: usize, halvings: usize) -> Self {
-        let surface =
-            frame.depth.data.iter().zip(&frame.normal_c.data).map(|(&z, &n)| Surface { z, n }).collect();
+        // What is not finite is not measured.
+        let surface = |(&z, &n): (&f32, &[f32; 3])| Surface {
+            z: if z.is_finite() { z.max(0.0) } else { 0.0 },
+            n: if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] },
+        };
+        let surface = frame.depth.data.iter().zip(&frame.normal_c.data).map(surface).collect();
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);

@@ -1,0 +1,96 @@
+//! Known disturbances are found again, and good poses are left alone.
+
+mod common;
+
+use common::{billiards, disturbed, poses};
+use sms_core::{Cancel, NoProgress, Warnings};
+use sms_frames::Sequence;
+use sms_poses::{
+    PoseRefinement, PosesConfig, PosesMode, Verdict, align_rigidly, compare_poses, refine_poses,
+};
+
+fn refine(sequence: &Sequence, mode: PosesMode) -> PoseRefinement {
+    let config = PosesConfig { mode, ..PosesConfig::default() };
+    refine_poses(sequence, &config, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap()
+}
+
+/// Distance of the scene from the cameras.
+const AT_M: f64 = 0.8;
+
+#[test]
+fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
+    for seed in [1, 2] {
+        let truth = billiards(seed, 20);
+        let given = disturbed(&truth, 0.010, 0.5);
+        let result = refine(&given, PosesMode::Auto);
+        assert_eq!(result.report.verdict, Verdict::Refined);
+        let before = compare_poses(&poses(&given), &poses(&truth), AT_M);
+        let after = compare_poses(&poses(&result.sequence), &poses(&truth), AT_M);
+        assert!(before.point_rms_m > 0.015, "{before:?}");
+        eprintln!(
+            "seed {seed}: {:.3} mm at {AT_M} m, {:.3} mm, {:.4}°",
+            1e3 * after.point_rms_m,
+            1e3 * after.position_rms_m,
+            after.rotation_rms_rad.to_degrees()
+        );
+        assert!(after.point_rms_m < 0.0015, "{after:?}");
+        assert!(after.position_rms_m < 0.0025 && after.rotation_rms_rad < 0.2f64.to_radians(), "{after:?}");
+        // With the true poses given, `before` is what noise alone leaves on held-out pairs.
+        let floor = refine(&truth, PosesMode::On).report.judgement.before.depth_median_m.unwrap();
+        let reached = result.report.judgement.after.depth_median_m.unwrap();
+        assert!(reached < 1.15 * floor, "{reached} against {floor}");
+    }
+}
+
+#[test]
+fn exact_poses_with_noise_are_hardly_moved_and_auto_keeps_them() {
+    for seed in [1, 3] {
+        let truth = billiards(seed, 20);
+        let on = refine(&truth, PosesMode::On);
+        let errors = compare_poses(&poses(&on.sequence), &poses(&truth), AT_M);
+        eprintln!("seed {seed}: {:.3} mm at {AT_M} m", 1e3 * errors.point_rms_m);
+        assert!(errors.point_rms_m < 0.0015, "{errors:?}");
+        let auto = refine(&truth, PosesMode::Auto);
+        assert_eq!(auto.report.verdict, Verdict::GivenAreAsGood, "{}", auto.report.summary());
+        assert_eq!(poses(&auto.sequence), poses(&truth));
+    }
+}
+
+#[test]
+fn the_scene_stays_where_it_was_given() {
+    let given = disturbed(&billiards(1, 20), 0.010, 0.5);
+    let result = refine(&given, PosesMode::On);
+    // No common motion brings the measured points nearer to where the given poses put them.
+    let points = |s: &Sequence| -> Vec<glamx::DVec3> {
+        let all = s.frames.iter().flat_map(|f| {
+            (0..f.depth.data.len()).step_by(37).filter(|&i| f.depth.data[i] > 0.0).map(|i| {
+                let (x, y) = (i % f.depth.width, i / f.depth.width);
+                f.camera.unproject_pixel(x, y, f64::from(f.depth.data[i]))
+            })
+        });
+        all.collect()
+    };
+    let moved = align_rigidly(&points(&result.sequence), &points(&given));
+    assert!(
+        moved.transform_point(glamx::DVec3::new(0.5, 0.0, 0.0)).distance(glamx::DVec3::new(0.5, 0.0, 0.0))
+            < 5e-4,
+        "{moved:?}"
+    );
+    assert!(moved.rotation.to_scaled_axis().length() < 1e-3, "{moved:?}");
+    // Only poses are touched.
+    for (a, b) in result.sequence.frames.iter().zip(&given.frames) {
+        assert!(a.depth == b.depth && a.color == b.color && a.camera.intrinsics == b.camera.intrinsics);
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let given = disturbed(&billiards(2, 10), 0.010, 0.5);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| refine(&given, PosesMode::Auto))
+    };
+    let (one, three) = (with(1), with(3));
+    assert_eq!(poses(&one.sequence), poses(&three.sequence));
+    assert_eq!(one.report, three.report);
+}
