@@ -1,11 +1,14 @@
-//! Milliseconds of one full training step on the CPU, split by part, in both compiled forms.
+//! Milliseconds of one full training step on the CPU, split by part, in every compiled form that this CPU can run.
 //!
-//! `cargo bench -p sms-gaussians [-- THREADS] [detected]`; with `detected` the portable form is left out. The scene is a wall of discs about as dense as a scan leaves them.
+//! `cargo bench -p sms-gaussians --bench step [-- THREADS] [portable|avx2|avx512|detected]… [share=SHARE]`. The scene is a
+//! wall of discs about as dense as a scan leaves them.
 
 use rand::RngExt;
 use sms_core::glamx::{DVec3, Quat, Vec3};
 use sms_core::{Camera, Intrinsics, Seed};
-use sms_gaussians::{AFFINITY_DIM, CpuTrainer, Seedling, StepTimes, TrainConfig, TrainFrame, Trainer};
+use sms_gaussians::{
+    AFFINITY_DIM, CpuTrainer, Seedling, SimdForm, StepTimes, TrainConfig, TrainFrame, Trainer,
+};
 
 const CLASSES: usize = 8;
 
@@ -57,7 +60,11 @@ fn cpu_seconds() -> Option<f64> {
     Some(nanoseconds * 1e-9)
 }
 
-/// The shortest step by the clock with its parts, and the mean CPU seconds of a step.
+/// Steps whose CPU time is measured together.
+const GROUP: usize = 10;
+
+/// The shortest step by the clock, the shortest of each part, and the CPU seconds of a step in the best
+/// group.
 fn measure(
     mut trainer: CpuTrainer,
     (width, height): (usize, usize),
@@ -79,60 +86,59 @@ fn measure(
     });
     trainer.steps(&[0; 3]);
     // The best of several short runs: other work on the machine only ever adds time.
-    let mut best = (f64::INFINITY, StepTimes::default());
-    let cpu = cpu_seconds();
-    for _ in 0..steps {
+    let mut best = (f64::INFINITY, StepTimes::from_parts([f64::INFINITY; StepTimes::PARTS]));
+    let (mut least, mut cpu) = (f64::INFINITY, cpu_seconds());
+    for step in 0..steps {
         let before = trainer.times();
         let start = std::time::Instant::now();
         trainer.steps(&[0]);
         let seconds = start.elapsed().as_secs_f64();
-        if seconds < best.0 {
-            best = (seconds, trainer.times().since(&before));
+        best = (best.0.min(seconds), best.1.shorter(&trainer.times().since(&before)));
+        // The system counts CPU time in ticks of some milliseconds: whole groups of steps are measured.
+        if step % GROUP == GROUP - 1 {
+            let now = cpu_seconds();
+            least = least.min(cpu.zip(now).map_or(f64::NAN, |(from, to)| (to - from) / GROUP as f64));
+            cpu = now;
         }
     }
-    let cpu = cpu.zip(cpu_seconds()).map_or(f64::NAN, |(from, to)| (to - from) / steps as f64);
-    (best.0, best.1, cpu)
+    (best.0, best.1, least)
 }
 
 fn main() {
-    let threads = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(1);
-    let detected = std::env::args().any(|a| a == "detected");
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let threads = arguments.iter().find_map(|a| a.parse().ok()).unwrap_or(1);
+    let named = |form: &SimdForm| arguments.contains(&format!("{form:?}").to_lowercase());
+    let mut forms = SimdForm::available().to_vec();
+    if arguments.iter().any(|a| a == "detected") {
+        forms.drain(..forms.len() - 1);
+    } else if forms.iter().any(named) {
+        forms.retain(named);
+    }
+    let share = arguments.iter().find_map(|a| a.strip_prefix("share=")?.parse().ok());
+    let config = TrainConfig { segmentation_share: share.unwrap_or(1.0), ..TrainConfig::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
-    println!("milliseconds of one step, best of several, {threads} thread(s); parts are summed over threads");
-    let parts = "project     bin   blend    ssim  pixels segment unblend unproj.    adam";
-    println!("{:>9} {:>6} {:>9} {:>8} {:>8}  {parts}", "size", "count", "form", "wall", "cpu");
-    let config = TrainConfig::default();
+    println!(
+        "milliseconds of one step, shortest of several, {threads} thread(s); parts are summed over threads"
+    );
+    let names = StepTimes::NAMES.map(|name| format!("{:>7}", &name[..name.len().min(7)])).join(" ");
+    println!("{:>9} {:>6} {:>9} {:>8} {:>8} {:>8}  {names}", "size", "count", "form", "wall", "cpu", "parts");
     for size in [(320, 200), (640, 400)] {
         for count in [10_000, 20_000] {
-            let mut steps = [0.0; 2];
-            for (form, name) in ["portable", "detected"].into_iter().enumerate().skip(usize::from(detected)) {
-                let (seconds, t, cpu) = pool.install(|| {
-                    let new = if form == 0 { CpuTrainer::portable } else { CpuTrainer::new };
-                    measure(new(&config, CLASSES, Seed(3)), size, count, if form == 0 { 6 } else { 20 })
-                });
-                steps[form] = seconds;
-                let parts = [
-                    t.project,
-                    t.bin,
-                    t.blend,
-                    t.ssim,
-                    t.pixels,
-                    t.segmentation,
-                    t.unblend,
-                    t.unproject,
-                    t.adam,
-                ];
-                let parts: Vec<String> = parts.iter().map(|s| format!("{:7.2}", s * 1e3)).collect();
+            for &form in &forms {
+                let steps = if form == SimdForm::Portable { 10 } else { 100 };
+                let Some(trainer) = CpuTrainer::with_form(&config, CLASSES, Seed(3), form) else {
+                    continue;
+                };
+                let (seconds, times, cpu) = pool.install(|| measure(trainer, size, count, steps));
+                let parts = times.parts().map(|s| format!("{:7.2}", s * 1e3)).join(" ");
                 let size = format!("{}x{}", size.0, size.1);
                 println!(
-                    "{size:>9} {count:>6} {name:>9} {:>8.2} {:>8.2}  {}",
+                    "{size:>9} {count:>6} {:>9} {:>8.2} {:>8.2} {:>8.2}  {parts}",
+                    format!("{form:?}").to_lowercase(),
                     seconds * 1e3,
                     cpu * 1e3,
-                    parts.join(" ")
+                    times.total() * 1e3,
                 );
-            }
-            if !detected {
-                println!("{:>26} {:>8.2}", "ratio", steps[0] / steps[1]);
             }
         }
     }

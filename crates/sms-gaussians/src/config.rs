@@ -81,7 +81,7 @@ pub enum DepthTerm {
 }
 
 /// Settings of a training step.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
     /// Weights of the losses.
@@ -90,4 +90,18 @@ pub struct TrainConfig {
     pub rates: LearningRates,
     /// Form of the depth term.
     pub depth_term: DepthTerm,
+    /// Share of the pixels, 0.01 to 1, that a step's segmentation term takes, others in every step. The estimate of
+    /// the term and its gradients is unbiased, and a step is shorter.
+    pub segmentation_share: f32,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            weights: LossWeights::default(),
+            rates: LearningRates::default(),
+            depth_term: DepthTerm::default(),
+            segmentation_share: 1.0,
+        }
+    }
 }

@@ -50,7 +50,7 @@ mod trainer;
 
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
 pub use cpu::limits;
-pub use cpu::{CpuTrainer, StepTimes};
+pub use cpu::{CpuTrainer, SimdForm, StepTimes};
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM};
 pub use scan::{
     BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,

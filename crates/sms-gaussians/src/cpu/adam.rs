@@ -41,8 +41,8 @@ fn update<L: Lanes>(
     let g = L::load(gradient).min(limit).max(L::splat(-GRADIENT_MAX));
     let m = L::splat(1.0 - BETA1).mul_add(g, L::splat(BETA1) * L::load(first));
     let v = L::splat(1.0 - BETA2).mul_add(g * g, L::splat(BETA2) * L::load(second));
-    let m = m.and(m.abs().gt(L::splat(FIRST_MIN)));
-    let v = v.and(v.gt(L::splat(SECOND_MIN)));
+    let m = m.keep(m.abs().gt(L::splat(FIRST_MIN)));
+    let v = v.keep(v.gt(L::splat(SECOND_MIN)));
     m.store(first);
     v.store(second);
     let denominator = (v * L::splat(correction2)).sqrt() + L::splat(EPSILON);

@@ -1,17 +1,25 @@
-//! Bands of tile rows: each has its own splats in order of depth, lists per tile, and gradient buffer, so that bands
-//! run in parallel without sharing and are added up in a fixed order whatever the number of threads.
+//! Bands of tile rows: each has its own splats, lists per patch, and gradient buffer, so that bands run in parallel
+//! without sharing and are added up in a fixed order whatever the number of threads.
+//!
+//! A band's splats stand in the order of their Gaussians, so that reading Gaussians and adding up gradients runs through
+//! memory in order; only the lists are in order of depth.
 
+use super::lanes::{Lanes, NONE, WIDTH, array, by_simd};
 use super::perceptron;
-use super::project::Projected;
-use super::raster::{Splat, SplatGradient, TILE};
+use super::planes::Aligned;
+use super::project::{Outline, Projected};
 use super::ssim::SsimScratch;
 use super::target::Grid;
-use std::sync::atomic::{AtomicU32, Ordering};
+use super::tile::{PATCH_ROWS, PATCHES, PatchGradient, Splat, SplatGradient, TILE};
+use super::times::StepTimes;
+use crate::parameters::Row;
 
 /// Rows of tiles in a band. A constant, because it shapes the order of sums.
 pub(super) const BAND_TILES: usize = 2;
 /// Rows of pixels in a band.
 pub(super) const BAND_ROWS: usize = BAND_TILES * TILE;
+/// Rows of patches in a band.
+pub(super) const BAND_PATCHES: usize = BAND_TILES * PATCHES;
 
 /// Bands that a Gaussian may touch, `first..end`; empty where it is not seen.
 #[derive(Debug, Clone, Copy, Default)]
@@ -21,16 +29,13 @@ pub(super) struct Span {
 }
 
 impl Span {
-    /// The bands between the top and bottom of a splat's box.
-    pub(super) fn of(projected: &Projected, bands: usize) -> Self {
-        let (y, half) = (projected.splat.mean[1], projected.splat.extent_y);
-        // Conversion to an integer rounds towards zero, which after the clamp is down.
-        let band = |y: f32| (y / BAND_ROWS as f32).clamp(0.0, bands as f32) as u16;
-        Self { first: band(y - half), end: band(y + half + BAND_ROWS as f32) }
+    /// `first + 2¹⁶·end`.
+    pub(super) fn unpack(packed: u32) -> Self {
+        Self { first: packed as u16, end: (packed >> 16) as u16 }
     }
 
-    pub(super) fn len(self) -> usize {
-        usize::from(self.end.saturating_sub(self.first))
+    fn bands(self) -> std::ops::Range<usize> {
+        usize::from(self.first)..usize::from(self.end)
     }
 }
 
@@ -38,95 +43,42 @@ impl Span {
 #[derive(Default)]
 pub(super) struct Slots {
     pub(super) spans: Vec<Span>,
+    /// First of each Gaussian's entries in `positions`, and the number of all.
     first: Vec<u32>,
-    /// Position in the band plus one, 0 for none. Each entry is written by one band only.
-    slots: Vec<AtomicU32>,
+    /// Position in the band.
+    positions: Vec<u32>,
+    /// Gaussians of each band in order.
+    members: Vec<Vec<u32>>,
 }
 
 impl Slots {
-    /// Makes room for what `spans` asks.
-    pub(super) fn prepare(&mut self) {
+    /// Gives every Gaussian its places in the bands of its span.
+    pub(super) fn assign(&mut self, bands: usize) {
+        self.members.resize_with(bands, Vec::new);
+        self.members.iter_mut().for_each(Vec::clear);
         self.first.clear();
-        let mut total = 0;
-        for span in &self.spans {
-            self.first.push(total);
-            total += span.len() as u32;
+        self.positions.clear();
+        for (gaussian, span) in self.spans.iter().enumerate() {
+            self.first.push(self.positions.len() as u32);
+            for band in span.bands() {
+                let members = &mut self.members[band];
+                self.positions.push(members.len() as u32);
+                members.push(gaussian as u32);
+            }
         }
-        self.slots.resize_with(total as usize, AtomicU32::default);
-        self.slots.iter_mut().for_each(|s| *s.get_mut() = 0);
     }
 
-    fn set(&self, gaussian: usize, band: usize, position: usize) {
-        let entry = self.first[gaussian] as usize + band - usize::from(self.spans[gaussian].first);
-        self.slots[entry].store(position as u32 + 1, Ordering::Relaxed);
+    /// Gaussians that may touch a band, in order.
+    pub(super) fn members(&self, band: usize) -> &[u32] {
+        &self.members[band]
     }
 
     /// `(band, position)` of each splat of a Gaussian, in the order of bands.
+    #[inline(always)]
     pub(super) fn of(&self, gaussian: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
-        let (span, first) = (self.spans[gaussian], self.first[gaussian] as usize);
-        (0..span.len()).filter_map(move |k| {
-            let slot = self.slots[first + k].load(Ordering::Relaxed);
-            (slot > 0).then(|| (usize::from(span.first) + k, slot as usize - 1))
-        })
-    }
-}
-
-/// CPU seconds spent in each part of a step, over all threads.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct StepTimes {
-    /// Projection of all Gaussians.
-    pub project: f64,
-    /// Sorting and tile lists.
-    pub bin: f64,
-    /// Blending.
-    pub blend: f64,
-    /// SSIM and its gradient.
-    pub ssim: f64,
-    /// Colour, depth and normal terms.
-    pub pixels: f64,
-    /// Classifier and cross-entropy.
-    pub segmentation: f64,
-    /// Gradient of blending.
-    pub unblend: f64,
-    /// Sums over bands, gradient of projection, regularisers.
-    pub unproject: f64,
-    /// Optimiser.
-    pub adam: f64,
-}
-
-impl StepTimes {
-    /// Adds another.
-    pub fn add(&mut self, other: &Self) {
-        self.project += other.project;
-        self.bin += other.bin;
-        self.blend += other.blend;
-        self.ssim += other.ssim;
-        self.pixels += other.pixels;
-        self.segmentation += other.segmentation;
-        self.unblend += other.unblend;
-        self.unproject += other.unproject;
-        self.adam += other.adam;
-    }
-
-    /// What has been added since `earlier`.
-    pub fn since(&self, earlier: &Self) -> Self {
-        Self {
-            project: self.project - earlier.project,
-            bin: self.bin - earlier.bin,
-            blend: self.blend - earlier.blend,
-            ssim: self.ssim - earlier.ssim,
-            pixels: self.pixels - earlier.pixels,
-            segmentation: self.segmentation - earlier.segmentation,
-            unblend: self.unblend - earlier.unblend,
-            unproject: self.unproject - earlier.unproject,
-            adam: self.adam - earlier.adam,
-        }
-    }
-
-    /// All parts.
-    pub fn total(&self) -> f64 {
-        let forward = self.project + self.bin + self.blend;
-        forward + self.ssim + self.pixels + self.segmentation + self.unblend + self.unproject + self.adam
+        let bands = self.spans[gaussian].bands();
+        let positions = &self.positions[self.first[gaussian] as usize..];
+        bands.zip(positions).map(|(band, position)| (band, *position as usize))
     }
 }
 
@@ -142,22 +94,47 @@ pub(super) struct BandSums {
 
 /// One band.
 pub(super) struct Band {
-    /// Splats that touch the band, nearest first.
+    /// Splats that may touch the band, in the order of their Gaussians.
     pub(super) splats: Vec<Splat>,
     /// Whether each reached a pixel.
     pub(super) reached: Vec<bool>,
     pub(super) gradients: Vec<SplatGradient>,
     pub(super) perceptron: perceptron::Scratch,
     pub(super) ssim: SsimScratch,
-    pub(super) color_gradient: Vec<f32>,
+    pub(super) color_gradient: Aligned,
+    pub(super) tile_gradient: [PatchGradient; PATCHES],
     pub(super) sums: BandSums,
     pub(super) times: StepTimes,
-    /// Start of each tile's list, and the end of the last.
+    /// Splats of each patch, nearest first.
+    pub(super) lists: Lists,
+    order: Vec<Key>,
+    spare: Vec<Key>,
+    /// Columns of tiles in which each splat may reach each row of patches, `first + 2¹⁶·end`.
+    columns: Vec<[u32; BAND_PATCHES]>,
+}
+
+/// Lists of splats of the patches of a band, row of patches by row.
+#[derive(Default)]
+pub(super) struct Lists {
+    /// Start of each list, and the end of the last.
     starts: Vec<u32>,
-    lists: Vec<u32>,
-    order: Vec<u64>,
-    candidates: Vec<Projected>,
-    hits: Vec<(u32, u32)>,
+    /// Splats in each that reach a pixel, once blended; they stand first.
+    used: Vec<u32>,
+    splats: Vec<u32>,
+}
+
+impl Lists {
+    /// The candidates of a patch, and where to note how many of them are used.
+    pub(super) fn candidates(&mut self, patch: usize) -> (&mut [u32], &mut u32) {
+        let (first, end) = (self.starts[patch] as usize, self.starts[patch + 1] as usize);
+        (&mut self.splats[first..end], &mut self.used[patch])
+    }
+
+    /// The splats that reach a pixel of a blended patch.
+    pub(super) fn used(&self, patch: usize) -> &[u32] {
+        let first = self.starts[patch] as usize;
+        &self.splats[first..first + self.used[patch] as usize]
+    }
 }
 
 impl Band {
@@ -168,106 +145,198 @@ impl Band {
             gradients: Vec::new(),
             perceptron: perceptron::Scratch::new(classes),
             ssim: SsimScratch::default(),
-            color_gradient: Vec::new(),
+            color_gradient: Aligned::default(),
+            tile_gradient: [PatchGradient::ZERO; PATCHES],
             sums: BandSums::default(),
             times: StepTimes::default(),
-            starts: Vec::new(),
-            lists: Vec::new(),
+            lists: Lists::default(),
             order: Vec::new(),
-            candidates: Vec::new(),
-            hits: Vec::new(),
+            spare: Vec::new(),
+            columns: Vec::new(),
         }
-    }
-
-    /// The splats of the band's `tile`-th tile, nearest first.
-    pub(super) fn list(&self, tile: usize) -> &[u32] {
-        &self.lists[self.starts[tile] as usize..self.starts[tile + 1] as usize]
-    }
-
-    /// Collects the band's splats in order of depth and lists them by tile.
-    pub(super) fn bin(&mut self, index: usize, grid: &Grid, projected: &[Projected], slots: &Slots) {
-        self.order.clear();
-        self.candidates.clear();
-        for (i, span) in slots.spans.iter().enumerate() {
-            if usize::from(span.first) <= index && index < usize::from(span.end) {
-                // Depths are positive, so their bits sort like the numbers; ties by index. The copies are few enough
-                // for the cache, where reading all of `projected` in order of depth would miss it every time.
-                let candidate = self.candidates.len() as u64;
-                self.order.push(u64::from(projected[i].z.to_bits()) << 32 | candidate);
-                self.candidates.push(projected[i]);
-            }
-        }
-        self.order.sort_unstable();
-
-        let first_row = index * BAND_TILES;
-        let rows = BAND_TILES.min(grid.rows - first_row);
-        self.splats.clear();
-        self.hits.clear();
-        self.starts.clear();
-        self.starts.resize(rows * grid.columns + 1, 0);
-        for &key in &self.order {
-            let candidate = &self.candidates[key as u32 as usize];
-            let position = self.splats.len() as u32;
-            let before = self.hits.len();
-            for row in 0..rows {
-                let y = ((first_row + row) * TILE) as f32;
-                let Some((first, end)) = tile_columns(candidate, y, grid.columns) else {
-                    continue;
-                };
-                for column in first..end {
-                    let tile = row * grid.columns + column;
-                    self.starts[tile + 1] += 1;
-                    self.hits.push((tile as u32, position));
-                }
-            }
-            if self.hits.len() > before {
-                slots.set(candidate.gaussian as usize, index, self.splats.len());
-                self.splats.push(candidate.splat);
-            }
-        }
-        for tile in 1..self.starts.len() {
-            self.starts[tile] += self.starts[tile - 1];
-        }
-        self.lists.clear();
-        self.lists.resize(self.hits.len(), 0);
-        // Filling from the back leaves `starts` as it was and keeps the order of depth.
-        for &(tile, position) in self.hits.iter().rev() {
-            let end = &mut self.starts[tile as usize + 1];
-            *end -= 1;
-            self.lists[*end as usize] = position;
-        }
-        // Each end has moved to its tile's start: shift back by one tile.
-        self.starts.remove(0);
-        self.starts.push(self.lists.len() as u32);
-        self.reached.clear();
-        self.reached.resize(self.splats.len(), false);
     }
 }
 
-/// Tile columns in which a splat's ellipse of alpha ≥ 1/255 meets the pixel centres of the tile row that starts at
-/// pixel row `y`; slightly generous.
-fn tile_columns(candidate: &Projected, y: f32, columns: usize) -> Option<(usize, usize)> {
-    let splat = &candidate.splat;
-    let ([a, b, c], half_x, half_y) = (splat.conic, candidate.extent_x, splat.extent_y);
-    let (low, high) = (y + 0.5 - splat.mean[1], y + TILE as f32 - 0.5 - splat.mean[1]);
-    if low > half_y || high < -half_y {
-        return None;
+/// Collects the splats of the band whose first row of pixels is `y` and lists them by patch in order of depth.
+#[inline(always)]
+fn bin<L: Lanes>(
+    band: &mut Band,
+    members: &[u32],
+    projected: &[Projected],
+    rows: &[Row],
+    grid: &Grid,
+    y: usize,
+) {
+    band.order.clear();
+    band.splats.clear();
+    band.columns.clear();
+    band.reached.clear();
+    band.reached.resize(members.len(), false);
+    for (position, &gaussian) in members.iter().enumerate() {
+        let projected = &projected[gaussian as usize];
+        band.splats.push(projected.splat(&rows[gaussian as usize]));
+        band.order.push(Key { depth: projected.depth_bits(), position: position as u32 });
     }
-    // Over the rows [low, high], x = (−b·dy ± √(a·r − (ac − b²)·dy²))/a with r the reach is extreme at the
-    // ellipse's own extreme row −b/c·(±half_x), or at the end of the interval nearest to it.
-    let (low, high) = (low.max(-half_y), high.min(half_y));
-    let edge = |dy: f32, sign: f32| {
-        let root = (a * candidate.reach - candidate.determinant * dy * dy).max(0.0).sqrt();
-        (-b * dy + sign * root) / a
-    };
-    let row_of_right = -b / c * half_x;
-    let right = edge(row_of_right.clamp(low, high), 1.0).min(half_x);
-    let left = edge((-row_of_right).clamp(low, high), -1.0).max(-half_x);
-    let slack = 0.01 + 1e-4 * half_x;
-    // Column k holds the pixel centres from 8k + ½ to 8k + 7½; conversion rounds down what the clamp leaves.
-    let column = |x: f32| (x * (1.0 / TILE as f32) + 1.0).max(0.0) as usize;
-    let first = column(splat.mean[0] + left - slack - (TILE as f32 - 0.5));
-    let end = column(splat.mean[0] + right + slack - 0.5);
-    let end = end.min(columns);
-    (first < end).then_some((first, end))
+    for two in members.chunks(2) {
+        let pair = [projected[two[0] as usize].outline(), projected[two[two.len() - 1] as usize].outline()];
+        let columns = patch_columns::<L>(pair, y as f32, grid.columns as f32);
+        let (columns, _) = columns.as_chunks::<BAND_PATCHES>();
+        band.columns.extend_from_slice(&columns[..two.len()]);
+    }
+    sort(&mut band.order, &mut band.spare);
+
+    // Count: +1 where a splat's columns start, −1 where they end, summed up along each row of patches.
+    let patch_rows = (grid.rows * TILE).saturating_sub(y).min(BAND_ROWS) / PATCH_ROWS;
+    let Lists { starts, used, splats } = &mut band.lists;
+    let stride = grid.columns + 1;
+    starts.clear();
+    starts.resize(BAND_PATCHES * stride + 1, 0);
+    for columns in &band.columns {
+        for (row, packed) in columns.iter().enumerate() {
+            let (first, end) = (*packed as u16, packed >> 16);
+            let starts = &mut starts[row * stride..(row + 1) * stride];
+            starts[usize::from(first)] = starts[usize::from(first)].wrapping_add(1);
+            starts[end as usize] = starts[end as usize].wrapping_sub(1);
+        }
+    }
+    let mut total = 0;
+    for row in 0..patch_rows {
+        let mut here = 0u32;
+        for column in 0..grid.columns {
+            here = here.wrapping_add(starts[row * stride + column]);
+            // Closes the gaps of the longer rows on the way: what is written has been read.
+            starts[row * grid.columns + column] = total;
+            total += here;
+        }
+    }
+    let patches = patch_rows * grid.columns;
+    starts.truncate(patches);
+    starts.push(total);
+    // Ends run from the starts while the lists are filled; afterwards each is the start of the next list.
+    used.clear();
+    used.extend_from_slice(&starts[..patches]);
+    splats.clear();
+    splats.resize(total as usize, 0);
+    for key in &band.order {
+        let columns = &band.columns[key.position as usize];
+        for (row, packed) in columns[..patch_rows].iter().enumerate() {
+            let (first, end) = ((packed & 0xFFFF) as usize, (packed >> 16) as usize);
+            for end in &mut used[row * grid.columns..(row + 1) * grid.columns][first..end] {
+                splats[*end as usize] = key.position;
+                *end += 1;
+            }
+        }
+    }
+}
+
+/// Tile columns in which the ellipses of two splats meet the pixel centres of each row of patches of the band that
+/// starts at pixel row `y`, `first + 2¹⁶·end`, for the first splat and then for the second; slightly generous.
+#[inline(always)]
+fn patch_columns<L: Lanes>(two: [Outline; 2], y: f32, columns: f32) -> [u32; WIDTH] {
+    let [a, b] = two;
+    let [mean_x, mean_y] = array!(2, |i| L::halves(a.mean[i], b.mean[i]));
+    let [half_x, half_y] = array!(2, |i| L::halves(a.half[i], b.half[i]));
+    let (slant, half_row) = (L::halves(a.slant, b.slant), L::halves(a.half_row, b.half_row));
+    let by_half_y = L::splat(1.0) / half_y;
+    // Vertical offset of the rightmost point.
+    let row_of_right = slant * half_y * half_y / half_x;
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    // First and last row of pixel centres of each patch relative to the splat's centre.
+    let low = L::load(&FIRST_ROWS) + L::splat(y) - mean_y;
+    let high = low + L::splat(PATCH_ROWS as f32 - 1.0);
+    let touched = L::both(half_y.ge(low), high.ge(half_y.negated()));
+    // x = slant·dy ± half_row·√(1 − (dy/half_y)²) over the rows [low, high] is extreme at the ellipse's own extreme row,
+    // or at the end of the interval nearest to it.
+    let (low, high) = (low.max(half_y.negated()), high.min(half_y));
+    let rows = [row_of_right.negated().max(low).min(high), row_of_right.max(low).min(high)];
+    let widths = array!(2, |i| {
+        let part = rows[i] * by_half_y;
+        half_row * part.neg_mul_add(part, one).max(zero).sqrt()
+    });
+    let left = (slant * rows[0] - widths[0]).max(half_x.negated());
+    let right = slant.mul_add(rows[1], widths[1]).min(half_x);
+    let slack = half_x.mul_add(L::splat(1e-4), L::splat(0.01));
+    // Column k holds the pixel centres from 8k + ½ to 8k + 7½.
+    let ends = [mean_x + left - slack - L::splat(TILE as f32 - 0.5), mean_x + right + slack - L::splat(0.5)];
+    let [first, end] = array!(2, |i| {
+        let column = ends[i].mul_add(L::splat(1.0 / TILE as f32), one);
+        column.max(zero).min(L::splat(columns)).truncate()
+    });
+    let some = L::both(touched, end.gt(first));
+    L::pack(first.keep(some), end.keep(some))
+}
+
+/// First row of pixel centres of the patches of a band, for two splats.
+const FIRST_ROWS: [f32; WIDTH] = {
+    let mut rows = NONE;
+    let mut i = 0;
+    while i < WIDTH {
+        rows[i] = (i % BAND_PATCHES * PATCH_ROWS) as f32 + 0.5;
+        i += 1;
+    }
+    rows
+};
+
+const _: () = assert!(WIDTH == 2 * BAND_PATCHES);
+
+by_simd! {
+    /// Collects a band's splats and lists them by patch.
+    fn bin_band = bin(
+        band: &mut Band, members: &[u32], projected: &[Projected], rows: &[Row], grid: &Grid, y: usize,
+    )
+}
+
+/// A splat to be sorted.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Key {
+    depth: u32,
+    position: u32,
+}
+
+/// Sorts by depth, ties in the order given: counting sort byte by byte.
+fn sort(keys: &mut Vec<Key>, spare: &mut Vec<Key>) {
+    let mut counts = [[0u32; 256]; 4];
+    for key in &*keys {
+        for (byte, counts) in key.depth.to_le_bytes().into_iter().zip(&mut counts) {
+            counts[usize::from(byte)] += 1;
+        }
+    }
+    spare.resize(keys.len(), Key::default());
+    for (digit, counts) in counts.iter_mut().enumerate() {
+        let byte = |key: &Key| usize::from(key.depth.to_le_bytes()[digit]);
+        // All of one kind: nothing to do. Mostly so for the highest byte.
+        if keys.first().is_none_or(|key| counts[byte(key)] as usize == keys.len()) {
+            continue;
+        }
+        let mut start = 0;
+        for count in counts.iter_mut() {
+            start += *count;
+            *count = start - *count;
+        }
+        for key in &*keys {
+            let place = &mut counts[byte(key)];
+            spare[*place as usize] = *key;
+            *place += 1;
+        }
+        std::mem::swap(keys, spare);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn sorting_is_that_of_the_standard_library(depths in prop::collection::vec(0.02f32..50.0, 0..500)) {
+            let mut keys: Vec<Key> = depths.iter().enumerate()
+                .map(|(i, z)| Key { depth: (z * 8.0).round().to_bits(), position: i as u32 })
+                .collect();
+            let mut expected = keys.clone();
+            expected.sort_by_key(|key| key.depth);
+            sort(&mut keys, &mut Vec::new());
+            prop_assert_eq!(keys, expected);
+        }
+    }
 }

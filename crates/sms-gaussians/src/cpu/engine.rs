@@ -1,14 +1,19 @@
 //! The passes of a step over all bands: project, bin, blend, SSIM, losses, gradients.
 
-use super::bands::{BAND_ROWS, BAND_TILES, Band, BandSums, Slots, Span, StepTimes};
+use super::bands::{BAND_ROWS, BAND_TILES, Band, BandSums, Slots, Span, bin_band};
+use super::blend::blend_patch;
 use super::lanes::Simd;
-use super::losses::{PixelWeights, tile_losses, tile_moments};
-use super::perceptron::{Weights, tile_cross_entropy};
-use super::project::{Projected, View, project, smallest, unproject};
-use super::raster::{Splat, SplatGradient, TILE, TileGradient, TileImage, blend_tile, unblend_tile};
-use super::ssim::{DERIVATIVES, Planes, STATISTICS, gradient_layout, ssim_band, ssim_gradient_band};
+use super::losses::{BandGradient, PixelWeights, tile_losses, tile_rows};
+use super::perceptron::{Sample, Weights, tile_cross_entropy};
+use super::planes::{Planes, RowLayout};
+use super::project::{Projected, View, project_rows};
+use super::ssim::{DERIVATIVES, ssim_band, ssim_gradient_band};
 use super::target::{Grid, Target};
-use crate::parameters::{LOG_SCALE, Parameters, Row};
+use super::tile::{PATCHES, PatchImage, SplatGradient, TILE, TileImage};
+use super::times::StepTimes;
+use super::unblend::unblend_patch;
+use super::unproject::{RegularizerSums, Shared, unproject_rows};
+use crate::parameters::{Parameters, Row};
 use crate::{LossTerms, LossWeights, TrainConfig};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -30,30 +35,24 @@ pub(super) struct Engine {
     pub(super) seen: Vec<bool>,
     /// ∂L/∂classifier of the last step, flat.
     pub(super) classifier_gradient: Vec<f32>,
+    pub(super) classifier: Weights,
     pub(super) times: StepTimes,
     classes: usize,
     projected: Vec<Projected>,
     slots: Slots,
-    statistics: Planes,
+    /// Rendered colours row by row.
+    rendered: Planes,
     derivatives: Planes,
-    regularizers: Vec<[f64; 2]>,
+    regularizers: Vec<RegularizerSums>,
 }
 
-const UNSEEN: Projected = Projected {
-    splat: Splat {
-        mean: [0.0; 2],
-        conic: [0.0; 3],
-        opacity: 0.0,
-        extent_y: 0.0,
-        depth_slope: [0.0; 2],
-        features: [0.0; super::raster::CHANNELS],
-    },
-    gaussian: 0,
-    z: 0.0,
-    extent_x: 0.0,
-    reach: 0.0,
-    determinant: 0.0,
-};
+/// What blending fills beside the image.
+#[derive(Clone, Copy)]
+pub(super) struct Observed<'a> {
+    target: &'a Target,
+    /// Patches whose affinities are blended.
+    sample: Option<Sample>,
+}
 
 impl Engine {
     pub(super) fn new(simd: Simd, classes: usize) -> Self {
@@ -66,11 +65,12 @@ impl Engine {
             gradients: Vec::new(),
             seen: Vec::new(),
             classifier_gradient: Vec::new(),
+            classifier: Weights::default(),
             times: StepTimes::default(),
             classes,
             projected: Vec::new(),
             slots: Slots::default(),
-            statistics: Planes::default(),
+            rendered: Planes::default(),
             derivatives: Planes::default(),
             regularizers: Vec::new(),
         }
@@ -78,64 +78,83 @@ impl Engine {
 
     fn resize(&mut self, grid: Grid) {
         self.grid = grid;
-        self.tiles.resize(grid.len(), TileImage::EMPTY);
+        self.tiles.resize(grid.len(), [PatchImage::EMPTY; PATCHES]);
         let classes = self.classes;
         self.bands.resize_with(grid.rows.div_ceil(BAND_TILES), || Band::new(classes));
         let (columns, rows) = (grid.columns * TILE, grid.rows * TILE);
-        self.statistics.resize(3 * STATISTICS, columns, rows);
+        self.rendered.resize(3, columns, rows);
         self.derivatives.resize(3 * DERIVATIVES, columns, rows);
     }
 
     /// Blends all tiles of a view; with a target also fills what SSIM reads.
-    pub(super) fn blend(&mut self, parameters: &Parameters, view: &View, target: Option<&Target>) {
+    pub(super) fn blend(&mut self, parameters: &Parameters, view: &View, observed: Option<Observed<'_>>) {
         self.resize(Grid::new(view.width, view.height));
         let start = Instant::now();
-        let bands = self.bands.len();
-        self.projected.resize(parameters.rows.len(), UNSEEN);
+        let (simd, bands) = (self.simd, self.bands.len());
+        self.projected.resize(parameters.rows.len(), Projected::UNSEEN);
         self.slots.spans.resize(parameters.rows.len(), Span::default());
-        let chunks = self.projected.par_chunks_mut(GAUSSIANS).zip(self.slots.spans.par_chunks_mut(GAUSSIANS));
+        let projected = self.projected.par_chunks_mut(GAUSSIANS);
         let rows = parameters.rows.par_chunks(GAUSSIANS);
-        chunks.zip(rows).enumerate().for_each(|(chunk, ((projected, spans), rows))| {
-            for (i, row) in rows.iter().enumerate() {
-                spans[i] = Span::default();
-                if let Some(p) = project(row, (chunk * GAUSSIANS + i) as u32, view) {
-                    projected[i] = p;
-                    spans[i] = Span::of(&p, bands);
-                }
-            }
-        });
-        self.slots.prepare();
+        rows.zip(projected)
+            .zip(self.slots.spans.par_chunks_mut(GAUSSIANS))
+            .for_each(|((rows, projected), spans)| project_rows(simd, rows, view, bands, projected, spans));
+        self.slots.assign(bands);
         self.times.project += start.elapsed().as_secs_f64();
 
-        let Self { simd, grid, background, projected, slots, statistics, .. } = self;
-        let (simd, grid, background) = (*simd, *grid, *background);
-        let (layout, inside, length) = statistics.inside_mut(BAND_ROWS);
+        let Self { grid, background, projected, slots, rendered, .. } = self;
+        let (grid, background) = (*grid, *background);
+        let (layout, inside, length) = rendered.inside_mut(BAND_ROWS);
         self.bands
             .par_iter_mut()
             .zip(self.tiles.par_chunks_mut(BAND_TILES * grid.columns))
             .zip(inside.par_chunks_mut(length))
             .enumerate()
-            .for_each(|(index, ((band, tiles), statistics))| {
+            .for_each(|(index, ((band, tiles), rendered))| {
                 let start = Instant::now();
                 band.times = StepTimes::default();
                 band.sums = BandSums::default();
-                band.bin(index, &grid, projected, slots);
+                bin_band(
+                    simd,
+                    band,
+                    slots.members(index),
+                    projected,
+                    &parameters.rows,
+                    &grid,
+                    index * BAND_ROWS,
+                );
                 let binned = Instant::now();
                 band.times.bin = (binned - start).as_secs_f64();
                 let first = index * BAND_TILES * grid.columns;
                 for (i, image) in tiles.iter_mut().enumerate() {
-                    let place = grid.place(first + i);
-                    let mut reached = std::mem::take(&mut band.reached);
-                    blend_tile(simd, &band.splats, band.list(i), place, background, image, &mut reached);
-                    band.reached = reached;
+                    let affinity = match observed {
+                        Some(Observed { sample, .. }) => sample.map_or(0, |s| s.patches(first + i)),
+                        None => Sample::ALL.patches(first + i),
+                    };
+                    let corner = grid.corner(first + i);
+                    for (p, image) in image.iter_mut().enumerate() {
+                        let place = grid.place(corner, p);
+                        let (list, used) = band.lists.candidates(grid.patch(i, p));
+                        let affinity = affinity >> p & 1 != 0;
+                        let reached = &mut band.reached;
+                        *used = blend_patch(
+                            simd,
+                            &band.splats,
+                            list,
+                            place,
+                            background,
+                            affinity,
+                            image,
+                            reached,
+                        ) as u32;
+                    }
                 }
                 let blended = Instant::now();
                 band.times.blend = (blended - binned).as_secs_f64();
-                if let Some(target) = target {
+                if let Some(Observed { target, .. }) = observed {
                     let observed = &target.tiles[first..first + tiles.len()];
                     let rows = tiles.chunks(grid.columns).zip(observed.chunks(grid.columns));
                     for (row, (images, observed)) in rows.enumerate() {
-                        tile_moments(simd, images, observed, (layout, &mut *statistics, row * TILE));
+                        tile_rows(simd, images, observed, (layout, &mut *rendered, row * TILE));
                     }
                     band.times.ssim = blended.elapsed().as_secs_f64();
                 }
@@ -150,41 +169,59 @@ impl Engine {
         config: &TrainConfig,
     ) -> LossTerms {
         self.times = StepTimes::default();
-        self.blend(parameters, &target.view, Some(target));
+        let segmented = config.weights.segmentation > 0.0 && target.labelled > 0;
+        let sample = segmented.then(|| Sample::new(config.segmentation_share, parameters.classifier.steps));
+        self.blend(parameters, &target.view, Some(Observed { target, sample }));
         self.similarities(target, &config.weights);
-        self.pixels(parameters, target, config);
+        self.pixels(parameters, target, config, sample);
         let flats = self.gaussians(parameters, &target.view, &config.weights);
         for band in &self.bands {
             self.times.add(&band.times);
         }
-        self.terms(target, &config.weights, flats)
+        self.terms(target, &config.weights, sample, flats)
     }
 
     /// SSIM and its derivatives with respect to the window's moments.
     fn similarities(&mut self, target: &Target, weights: &LossWeights) {
-        let Self { simd, statistics, derivatives, .. } = self;
-        let simd = *simd;
+        let Self { simd, rendered, derivatives, .. } = self;
+        let (simd, rendered) = (*simd, &*rendered);
         let size = (target.grid.width, target.grid.height);
         // 1 − SSIM falls as SSIM rises.
         let scale = -weights.color * weights.ssim / (3 * size.0 * size.1).max(1) as f32;
         let (layout, inside, length) = derivatives.inside_mut(BAND_ROWS);
-        let statistics = &*statistics;
         self.bands.par_iter_mut().zip(inside.par_chunks_mut(length)).enumerate().for_each(
             |(index, (band, rows))| {
                 let start = Instant::now();
-                let first = index * BAND_ROWS;
-                band.sums.ssim =
-                    ssim_band(simd, statistics, first, BAND_ROWS, size, scale, layout, rows, &mut band.ssim);
+                let (first, scratch) = (index * BAND_ROWS, &mut band.ssim);
+                band.sums.ssim = ssim_band(
+                    simd,
+                    rendered,
+                    &target.color,
+                    first,
+                    BAND_ROWS,
+                    size,
+                    scale,
+                    layout,
+                    rows,
+                    scratch,
+                );
                 band.times.ssim += start.elapsed().as_secs_f64();
             },
         );
     }
 
     /// The losses of all pixels and the gradients of all splats.
-    fn pixels(&mut self, parameters: &Parameters, target: &Target, config: &TrainConfig) {
-        let Self { simd, grid, statistics, derivatives, tiles, .. } = self;
-        let (simd, grid, statistics, derivatives) = (*simd, *grid, &*statistics, &*derivatives);
-        let classifier = Weights::new(self.classes, &parameters.classifier.values);
+    fn pixels(
+        &mut self,
+        parameters: &Parameters,
+        target: &Target,
+        config: &TrainConfig,
+        sample: Option<Sample>,
+    ) {
+        let Self { simd, grid, rendered, derivatives, tiles, classifier, .. } = self;
+        let (simd, grid, rendered, derivatives) = (*simd, *grid, &*rendered, &*derivatives);
+        classifier.set(self.classes, &parameters.classifier.values);
+        let classifier = &*classifier;
         let share = |weight: f32, pixels: usize| weight / pixels.max(1) as f32;
         let weights = &config.weights;
         let pixel_weights = PixelWeights {
@@ -193,9 +230,9 @@ impl Engine {
             normal: share(weights.normal, target.oriented),
             depth_term: config.depth_term,
         };
-        let label_weight = share(weights.segmentation, target.labelled);
+        let label_weight = share(weights.segmentation, target.labelled) / sample.map_or(1.0, Sample::share);
         let size = (grid.width, grid.height);
-        let (layout, row_length) = gradient_layout(grid.columns * TILE);
+        let layout = RowLayout::new(3, grid.columns * TILE);
         self.bands.par_iter_mut().zip(tiles.par_chunks(BAND_TILES * grid.columns)).enumerate().for_each(
             |(index, (band, tiles))| {
                 let mut last = Instant::now();
@@ -205,51 +242,73 @@ impl Engine {
                     last = now;
                     seconds
                 };
-                band.color_gradient.resize(row_length * BAND_ROWS, 0.0);
+                let Band { color_gradient, tile_gradient, gradients, perceptron, ssim, sums, times, .. } =
+                    band;
+                let first_row = index * BAND_ROWS;
+                color_gradient.resize(layout.row_len() * BAND_ROWS);
                 ssim_gradient_band(
                     simd,
-                    statistics,
+                    rendered,
+                    &target.color,
                     derivatives,
-                    index * BAND_ROWS,
+                    first_row,
                     BAND_ROWS,
                     size,
                     layout,
-                    &mut band.color_gradient,
-                    &mut band.ssim,
+                    color_gradient.get_mut(),
+                    ssim,
                 );
-                band.times.ssim += lap();
-                band.gradients.clear();
-                band.gradients.resize(band.splats.len(), SplatGradient::ZERO);
-                band.perceptron.clear();
-                let mut gradient = TileGradient::ZERO;
+                times.ssim += lap();
+                gradients.clear();
+                gradients.resize(band.splats.len(), SplatGradient::ZERO);
+                perceptron.clear();
                 let first = index * BAND_TILES * grid.columns;
                 for (i, image) in tiles.iter().enumerate() {
                     let observed = &target.tiles[first + i];
-                    let (row, column) = (i / grid.columns * TILE, i % grid.columns * TILE);
-                    let ssim = (layout, &mut band.color_gradient[..], row, column);
-                    let sums = tile_losses(simd, image, observed, pixel_weights, ssim, &mut gradient);
-                    band.sums.color += sums.color;
-                    band.sums.depth += sums.depth;
-                    band.sums.normal += sums.normal;
-                    band.times.pixels += lap();
-                    if label_weight > 0.0 {
-                        band.sums.segmentation += tile_cross_entropy(
+                    let corner = grid.corner(first + i);
+                    let ssim = BandGradient { layout, rows: color_gradient.get(), first: first_row };
+                    let tile = tile_losses(
+                        simd,
+                        image,
+                        observed,
+                        &target.color,
+                        corner,
+                        pixel_weights,
+                        ssim,
+                        tile_gradient,
+                    );
+                    sums.color += tile.color;
+                    sums.depth += tile.depth;
+                    sums.normal += tile.normal;
+                    times.pixels += lap();
+                    let affinity = sample.map_or(0, |sample| sample.patches(first + i));
+                    if affinity != 0 {
+                        sums.segmentation += tile_cross_entropy(
                             simd,
-                            &classifier,
+                            classifier,
                             image,
                             &observed.label,
+                            affinity,
                             label_weight,
-                            &mut band.perceptron,
-                            &mut gradient,
+                            perceptron,
+                            tile_gradient,
                         );
-                        band.times.segmentation += lap();
+                        times.segmentation += lap();
                     }
-                    let mut gradients = std::mem::take(&mut band.gradients);
-                    let place = grid.place(first + i);
-                    let list = band.list(i);
-                    unblend_tile(simd, &band.splats, list, place, image, &mut gradient, &mut gradients);
-                    band.gradients = gradients;
-                    band.times.unblend += lap();
+                    for p in 0..PATCHES {
+                        let list = band.lists.used(grid.patch(i, p));
+                        unblend_patch(
+                            simd,
+                            &band.splats,
+                            list,
+                            grid.place(corner, p),
+                            affinity >> p & 1 != 0,
+                            &image[p],
+                            &tile_gradient[p],
+                            gradients,
+                        );
+                    }
+                    times.unblend += lap();
                 }
             },
         );
@@ -267,8 +326,7 @@ impl Engine {
         self.gradients.resize(count, Row::ZERO);
         self.seen.resize(count, false);
         self.regularizers.resize(count.div_ceil(GAUSSIANS), [0.0; 2]);
-        let Self { bands, slots, projected, .. } = self;
-        let (bands, slots, projected) = (&*bands, &*slots, &*projected);
+        let (simd, bands, slots) = (self.simd, &self.bands[..], &self.slots);
         let in_view: usize = self
             .seen
             .par_chunks_mut(GAUSSIANS)
@@ -281,33 +339,15 @@ impl Engine {
                 seen.iter().filter(|s| **s).count()
             })
             .sum();
-        let per_gaussian = 1.0 / in_view.max(1) as f32;
+        let shared = Shared { bands, slots, view, weights, share: 1.0 / in_view.max(1) as f32 };
         self.gradients
             .par_chunks_mut(GAUSSIANS)
-            .zip(self.regularizers.par_iter_mut())
+            .zip(parameters.rows.par_chunks(GAUSSIANS))
             .zip(self.seen.par_chunks(GAUSSIANS))
+            .zip(self.regularizers.par_iter_mut())
             .enumerate()
-            .for_each(|(chunk, ((gradients, sums), seen))| {
-                *sums = [0.0; 2];
-                // First collect, then compute: the short first loop lets its scattered reads overlap.
-                let mut collected = [SplatGradient::ZERO; GAUSSIANS];
-                for (i, sum) in collected[..seen.len()].iter_mut().enumerate() {
-                    for (band, position) in slots.of(chunk * GAUSSIANS + i) {
-                        sum.add(&bands[band].gradients[position]);
-                    }
-                }
-                for (i, gradient) in gradients.iter_mut().enumerate() {
-                    if !seen[i] {
-                        *gradient = Row::ZERO;
-                        continue;
-                    }
-                    let gaussian = chunk * GAUSSIANS + i;
-                    let row = &parameters.rows[gaussian];
-                    *gradient = unproject(row, &projected[gaussian].splat, &collected[i], view);
-                    let [isotropic, flat] = regularize(row, weights, per_gaussian, gradient);
-                    sums[0] += f64::from(isotropic);
-                    sums[1] += f64::from(flat);
-                }
+            .for_each(|(chunk, (((gradients, rows), seen), sums))| {
+                *sums = unproject_rows(simd, shared, chunk * GAUSSIANS, rows, seen, gradients);
             });
         let [mut isotropic, mut flat] = [0.0; 2];
         for sums in &self.regularizers {
@@ -318,7 +358,13 @@ impl Engine {
         [isotropic, flat].map(|sum| sum / in_view.max(1) as f64)
     }
 
-    fn terms(&self, target: &Target, weights: &LossWeights, [isotropic, flat]: [f64; 2]) -> LossTerms {
+    fn terms(
+        &self,
+        target: &Target,
+        weights: &LossWeights,
+        sample: Option<Sample>,
+        [isotropic, flat]: [f64; 2],
+    ) -> LossTerms {
         let mut sums = BandSums::default();
         for band in &self.bands {
             sums.color += band.sums.color;
@@ -336,7 +382,7 @@ impl Engine {
             depth: mean(sums.depth, target.deep),
             normal: mean(sums.normal, target.oriented),
             flat: flat as f32,
-            segmentation: mean(sums.segmentation, target.labelled),
+            segmentation: mean(sums.segmentation, target.labelled) / sample.map_or(1.0, Sample::share),
             total: 0.0,
         };
         terms.total = total(&terms, weights);
@@ -352,35 +398,4 @@ pub(super) fn total(terms: &LossTerms, weights: &LossWeights) -> f32 {
         + weights.normal * terms.normal
         + weights.flat * terms.flat
         + weights.segmentation * terms.segmentation
-}
-
-/// Adds the gradient of the isotropic and flatness terms of one Gaussian, and returns their values in metres.
-///
-/// With the flatness term on, the isotropic term acts on the two larger scales only: the two would fight otherwise.
-fn regularize(row: &Row, weights: &LossWeights, share: f32, gradient: &mut Row) -> [f32; 2] {
-    let log_scale = [row.0[LOG_SCALE], row.0[LOG_SCALE + 1], row.0[LOG_SCALE + 2]];
-    let scale = log_scale.map(f32::exp);
-    let shortest = smallest(log_scale);
-    let flattening = weights.flat > 0.0;
-    let taken = |k: usize| !flattening || k != shortest;
-    let number = if flattening { 2.0 } else { 3.0 };
-    let mean = (0..3).filter(|&k| taken(k)).map(|k| scale[k]).sum::<f32>() / number;
-    let sign = |k: usize| {
-        let d = scale[k] - mean;
-        if d > 0.0 {
-            1.0
-        } else if d < 0.0 {
-            -1.0
-        } else {
-            0.0
-        }
-    };
-    let mean_sign = (0..3).filter(|&k| taken(k)).map(sign).sum::<f32>() / number;
-    let mut isotropic = 0.0;
-    for k in (0..3).filter(|&k| taken(k)) {
-        isotropic += (scale[k] - mean).abs();
-        gradient.0[LOG_SCALE + k] += weights.isotropic * share * (sign(k) - mean_sign) * scale[k];
-    }
-    gradient.0[LOG_SCALE + shortest] += weights.flat * share * scale[shortest];
-    [isotropic, scale[shortest]]
 }

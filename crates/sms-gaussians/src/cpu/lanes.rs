@@ -1,267 +1,260 @@
-//! Eight `f32` at a time. The kernels are written once against [`Lanes`] and compiled twice: for the portable
-//! [`Portable`], and inside functions that enable AVX2 and FMA for the type in `avx2.rs`.
+//! Sixteen `f32` at a time. The kernels are written once against [`Lanes`] and compiled three times: for the plain
+//! arrays of `portable`, and inside functions that enable AVX2 with FMA or AVX-512 for the types in `avx2` and
+//! `avx512`.
 
 use std::ops::{Add, Div, Mul, Sub};
 
 /// Number of lanes.
-pub(super) const WIDTH: usize = 8;
+pub(super) const WIDTH: usize = 16;
 
 /// One vector's worth of memory.
 pub(super) type Chunk = [f32; WIDTH];
 
-/// Eight numbers with the operations that the kernels need. Masks are lanes with all bits set or none.
+/// All zeros.
+pub(super) const NONE: Chunk = [0.0; WIDTH];
+
+/// Lanes of [`Lanes::joined`] that hold its first number.
+pub(super) const JOINED_FIRST: usize = 10;
+
+/// Sixteen numbers with the operations that the kernels need.
 pub(super) trait Lanes:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
+    /// One truth value per lane.
+    type Mask: Copy;
+    /// Whether a kernel may keep more than twenty values in registers, rather than six.
+    const MANY_REGISTERS: bool;
+
     /// The same number in every lane.
     fn splat(x: f32) -> Self;
-    /// Reads eight numbers.
+    /// Reads sixteen numbers.
     fn load(from: &Chunk) -> Self;
-    /// Writes eight numbers.
+    /// Writes sixteen numbers.
     fn store(self, to: &mut Chunk);
+    /// `first` in the first [`JOINED_FIRST`] lanes, `second` in the others.
+    fn joined(first: f32, second: f32) -> Self;
+    /// `first` in the first eight lanes, `second` in the others.
+    fn halves(first: f32, second: f32) -> Self;
     /// `self · b + c`, rounded once where the hardware can.
     fn mul_add(self, b: Self, c: Self) -> Self;
-    /// Smaller of both.
+    /// `c − self · b`, rounded once where the hardware can.
+    fn neg_mul_add(self, b: Self, c: Self) -> Self;
+    /// Smaller of both; `b` where either is NaN.
     fn min(self, b: Self) -> Self;
-    /// Larger of both.
+    /// Larger of both; `b` where either is NaN.
     fn max(self, b: Self) -> Self;
     /// Square root.
     fn sqrt(self) -> Self;
-    /// Mask of `self ≥ b`; false where either is NaN.
-    fn ge(self, b: Self) -> Self;
-    /// Mask of `self > b`; false where either is NaN.
-    fn gt(self, b: Self) -> Self;
-    /// Bitwise and: keeps the lanes that a mask selects and zeroes the others.
-    fn and(self, mask: Self) -> Self;
-    /// Bitwise `self & !mask`.
-    fn and_not(self, mask: Self) -> Self;
-    /// Number of lanes whose sign bit is set: the selected ones of a mask.
-    fn count(self) -> u32;
-    /// Whether any lane of a mask is selected.
-    fn any(self) -> bool;
+    /// Absolute value.
+    fn abs(self) -> Self;
+    /// 1/x for normal x, relative error below 3e-7.
+    fn reciprocal(self) -> Self;
+    /// Where `self ≥ b`; not where either is NaN.
+    fn ge(self, b: Self) -> Self::Mask;
+    /// Where `self > b`; not where either is NaN.
+    fn gt(self, b: Self) -> Self::Mask;
+    /// Where both masks are set.
+    fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// The mask whose lanes are the lowest sixteen bits, lane 0 lowest.
+    fn mask(bits: u16) -> Self::Mask;
+    /// Keeps the lanes of a mask and zeroes the others.
+    fn keep(self, mask: Self::Mask) -> Self;
+    /// The lanes of `self` where the mask is set, those of `b` elsewhere.
+    fn or_where_not(self, mask: Self::Mask, b: Self) -> Self;
+    /// A mask as bits, lane 0 lowest.
+    fn bits(mask: Self::Mask) -> u32;
     /// Sum of the lanes, always in the same order.
     fn sum(self) -> f32;
-    /// `2^t` for `t` rounded by the magic-number trick; see [`Lanes::exp_nonpositive`].
-    fn scale_by_power_of_two(self, shifted: Self) -> Self;
-    /// Transposes eight vectors.
+    /// 2^x for −126 ≤ x ≤ 126, relative error below 4e-7; smaller x give at most 2^−126.
+    fn exp2(self) -> Self;
+    /// Of positive normal x: ⌊log₂ x⌋, and x divided by two to that power.
+    fn exponent_and_mantissa(self) -> (Self, Self);
+    /// `first + 2¹⁶·end` of numbers that are whole and from 0 to 2¹⁵.
+    fn pack(first: Self, end: Self) -> [u32; WIDTH];
+    /// Rounds towards zero numbers of magnitude below 2³¹.
+    fn truncate(self) -> Self;
+    /// Transposes sixteen vectors.
     fn transpose(rows: [Self; WIDTH]) -> [Self; WIDTH];
 
-    /// `e^x` for `x ≤ 0`, relative error below 4e-7 down to x = −87; below that about 1e-38.
+    /// Whether any lane of a mask is set.
     #[inline(always)]
-    fn exp_nonpositive(self) -> Self {
-        // 2^t = 2^round(t) · 2^f; adding 1.5·2²³ leaves round(t) in the low mantissa bits.
-        let magic = Self::splat(12_582_912.0);
-        let t = (self * Self::splat(std::f32::consts::LOG2_E)).max(Self::splat(-126.0));
-        let shifted = t + magic;
-        let f = t - (shifted - magic);
-        // Minimax polynomial of 2^f on [−½, ½].
-        let p = f.mul_add(Self::splat(EXP2[5]), Self::splat(EXP2[4]));
-        let p = p.mul_add(f, Self::splat(EXP2[3]));
-        let p = p.mul_add(f, Self::splat(EXP2[2]));
-        let p = p.mul_add(f, Self::splat(EXP2[1]));
-        let p = p.mul_add(f, Self::splat(EXP2[0]));
-        p.scale_by_power_of_two(shifted)
+    fn any(mask: Self::Mask) -> bool {
+        Self::bits(mask) != 0
     }
 
     /// Sign of each lane: −1, 0 or 1; 0 for NaN.
     #[inline(always)]
     fn signum(self) -> Self {
         let (zero, one) = (Self::splat(0.0), Self::splat(1.0));
-        one.and(self.gt(zero)) - one.and(zero.gt(self))
+        one.keep(self.gt(zero)) - one.keep(zero.gt(self))
     }
 
-    /// Absolute value.
+    /// −x.
     #[inline(always)]
-    fn abs(self) -> Self {
-        self.and_not(Self::splat(-0.0))
+    fn negated(self) -> Self {
+        Self::splat(0.0) - self
+    }
+
+    /// e^x for x from −87 to 87, relative error below 6e-6 there and 1e-6 near zero.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        (self * Self::splat(std::f32::consts::LOG2_E)).exp2()
+    }
+
+    /// log₂ of positive normal x, absolute error below 1e-6 for x from 1e-3 to 1e3.
+    #[inline(always)]
+    fn log2(self) -> Self {
+        let (exponent, mantissa) = self.exponent_and_mantissa();
+        let one = Self::splat(1.0);
+        let high = mantissa.gt(Self::splat(std::f32::consts::SQRT_2));
+        let exponent = exponent + one.keep(high);
+        let mantissa = (mantissa * Self::splat(0.5)).or_where_not(high, mantissa);
+        // ln m = 2 artanh s with s = (m − 1)/(m + 1), |s| < 0.172.
+        let s = (mantissa - one) / (mantissa + one);
+        let squared = s * s;
+        let series = squared.mul_add(Self::splat(1.0 / 9.0), Self::splat(1.0 / 7.0));
+        let series = series.mul_add(squared, Self::splat(1.0 / 5.0));
+        let series = series.mul_add(squared, Self::splat(1.0 / 3.0));
+        let series = series.mul_add(squared, one);
+        (s * series).mul_add(Self::splat(2.0 * std::f32::consts::LOG2_E), exponent)
     }
 }
 
-/// Coefficients of the polynomial in [`Lanes::exp_nonpositive`], constant term first.
-const EXP2: [f32; 6] = [1.0, 0.693_146_94, 0.240_221_2, 5.550_713e-2, 9.675_542e-3, 1.327_647_2e-3];
+/// Minimax polynomial of 2^f on [−½, ½], constant term first.
+pub(super) const EXP2: [f32; 6] =
+    [1.0, 0.693_146_94, 0.240_221_2, 5.550_713e-2, 9.675_542e-3, 1.327_647_2e-3];
 
-/// Plain arrays; the compiler vectorises them for the baseline instruction set.
-#[derive(Clone, Copy)]
-pub(super) struct Portable(Chunk);
-
-macro_rules! lanewise {
-    ($trait:ident, $method:ident, $op:tt) => {
-        impl $trait for Portable {
-            type Output = Self;
-            #[inline(always)]
-            fn $method(self, b: Self) -> Self {
-                let mut r = self.0;
-                for i in 0..WIDTH {
-                    r[i] = self.0[i] $op b.0[i];
-                }
-                Self(r)
-            }
-        }
-    };
-}
-lanewise!(Add, add, +);
-lanewise!(Sub, sub, -);
-lanewise!(Mul, mul, *);
-lanewise!(Div, div, /);
-
+/// 2^f for f in [−½, ½].
 #[inline(always)]
-fn mask(selected: bool) -> f32 {
-    f32::from_bits(if selected { u32::MAX } else { 0 })
+pub(super) fn exp2_fraction<L: Lanes>(f: L) -> L {
+    let p = f.mul_add(L::splat(EXP2[5]), L::splat(EXP2[4]));
+    let p = p.mul_add(f, L::splat(EXP2[3]));
+    let p = p.mul_add(f, L::splat(EXP2[2]));
+    let p = p.mul_add(f, L::splat(EXP2[1]));
+    p.mul_add(f, L::splat(EXP2[0]))
 }
 
-impl Lanes for Portable {
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        Self([x; WIDTH])
-    }
+/// Adding this and subtracting it again rounds to a whole number, left in the low mantissa bits in between.
+pub(super) const ROUNDING: f32 = 12_582_912.0;
 
-    #[inline(always)]
-    fn load(from: &Chunk) -> Self {
-        Self(*from)
-    }
+/// A compiled form of the CPU kernels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum SimdForm {
+    /// The target's baseline instructions.
+    Portable,
+    /// AVX2 with FMA.
+    Avx2,
+    /// AVX-512 F, BW, DQ and VL.
+    Avx512,
+}
 
-    #[inline(always)]
-    fn store(self, to: &mut Chunk) {
-        *to = self.0;
-    }
-
-    #[inline(always)]
-    fn mul_add(self, b: Self, c: Self) -> Self {
-        // Not `f32::mul_add`: without the instruction that is a library call.
-        self * b + c
-    }
-
-    #[inline(always)]
-    fn min(self, b: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = if self.0[i] < b.0[i] { self.0[i] } else { b.0[i] };
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn max(self, b: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = if self.0[i] > b.0[i] { self.0[i] } else { b.0[i] };
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = self.0[i].sqrt();
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn ge(self, b: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = mask(self.0[i] >= b.0[i]);
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn gt(self, b: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = mask(self.0[i] > b.0[i]);
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn and(self, mask: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = f32::from_bits(self.0[i].to_bits() & mask.0[i].to_bits());
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn and_not(self, mask: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = f32::from_bits(self.0[i].to_bits() & !mask.0[i].to_bits());
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn count(self) -> u32 {
-        let mut n = 0;
-        for i in 0..WIDTH {
-            n += self.0[i].to_bits() >> 31;
-        }
-        n
-    }
-
-    #[inline(always)]
-    fn any(self) -> bool {
-        self.count() > 0
-    }
-
-    #[inline(always)]
-    fn sum(self) -> f32 {
-        let v = self.0;
-        let four = [v[0] + v[4], v[1] + v[5], v[2] + v[6], v[3] + v[7]];
-        (four[0] + four[2]) + (four[1] + four[3])
-    }
-
-    #[inline(always)]
-    fn scale_by_power_of_two(self, shifted: Self) -> Self {
-        let mut r = self.0;
-        for i in 0..WIDTH {
-            r[i] = f32::from_bits(self.0[i].to_bits().wrapping_add(shifted.0[i].to_bits() << 23));
-        }
-        Self(r)
-    }
-
-    #[inline(always)]
-    fn transpose(rows: [Self; WIDTH]) -> [Self; WIDTH] {
-        let mut r = rows;
-        for i in 0..WIDTH {
-            for j in 0..WIDTH {
-                r[j].0[i] = rows[i].0[j];
-            }
-        }
-        r
+impl SimdForm {
+    /// The forms that this CPU can run, slowest first.
+    pub fn available() -> &'static [Self] {
+        const ALL: [SimdForm; 3] = [SimdForm::Portable, SimdForm::Avx2, SimdForm::Avx512];
+        let best = ALL.iter().filter(|form| Simd::of(**form).is_some()).count();
+        &ALL[..best]
     }
 }
 
 /// Which compiled form of the kernels to use. Other than the portable one, a value is proof that the CPU has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Simd {
-    avx2: bool,
+    form: SimdForm,
 }
 
 impl Simd {
+    /// A form, where this CPU can run it.
+    pub(super) fn of(form: SimdForm) -> Option<Self> {
+        #[cfg(target_arch = "x86_64")]
+        let there = {
+            use std::arch::is_x86_feature_detected as detected;
+            let avx2 = detected!("avx2") && detected!("fma");
+            let avx512 = detected!("avx512f") && detected!("avx512bw") && detected!("avx512dq");
+            match form {
+                SimdForm::Portable => true,
+                SimdForm::Avx2 => avx2,
+                SimdForm::Avx512 => avx2 && avx512 && detected!("avx512vl"),
+            }
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let there = form == SimdForm::Portable;
+        there.then_some(Self { form })
+    }
+
     /// The best form that this CPU can run.
     pub(super) fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        let avx2 = std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma");
-        #[cfg(not(target_arch = "x86_64"))]
-        let avx2 = false;
-        Self { avx2 }
+        let best = SimdForm::available().last().copied();
+        best.and_then(Self::of).unwrap_or(Self { form: SimdForm::Portable })
     }
 
-    /// The portable form.
-    pub(super) fn portable() -> Self {
-        Self { avx2: false }
-    }
-
-    /// Whether AVX2 and FMA are there.
-    pub(super) fn avx2(self) -> bool {
-        self.avx2
+    /// The form.
+    pub(super) fn form(self) -> SimdForm {
+        self.form
     }
 }
+
+/// An array of values by index. Written out, because a closure is compiled for the baseline instructions only, and
+/// lanes that pass through one go through memory and calls.
+macro_rules! array {
+    (2, |$i:ident| $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+        ]
+    };
+    (3, |$i:ident| $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+            {
+                let $i = 2;
+                $value
+            },
+        ]
+    };
+    (6, |$i:ident| $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+            {
+                let $i = 2;
+                $value
+            },
+            {
+                let $i = 3;
+                $value
+            },
+            {
+                let $i = 4;
+                $value
+            },
+            {
+                let $i = 5;
+                $value
+            },
+        ]
+    };
+}
+pub(super) use array;
 
 /// Makes a function that runs a kernel, generic over [`Lanes`], in the form that its first argument names.
 macro_rules! by_simd {
@@ -269,16 +262,28 @@ macro_rules! by_simd {
         $(#[$doc])*
         pub(super) fn $name(simd: $crate::cpu::lanes::Simd, $($arg: $type),*) $(-> $result)? {
             #[cfg(target_arch = "x86_64")]
-            if simd.avx2() {
+            {
                 #[target_feature(enable = "avx2,fma")]
                 fn wide($($arg: $type),*) $(-> $result)? {
                     $kernel::<$crate::cpu::avx2::Avx2>($($arg),*)
                 }
-                #[expect(unsafe_code, reason = "a `Simd` with AVX2 exists only where the CPU was found to have it")]
+                #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+                fn widest($($arg: $type),*) $(-> $result)? {
+                    $kernel::<$crate::cpu::avx512::Avx512>($($arg),*)
+                }
+                #[expect(unsafe_code, reason = "a `Simd` of a form exists only where the CPU was found to have it")]
                 // SAFETY: as above.
-                return unsafe { wide($($arg),*) };
+                unsafe {
+                    match simd.form() {
+                        $crate::cpu::lanes::SimdForm::Avx512 => return widest($($arg),*),
+                        $crate::cpu::lanes::SimdForm::Avx2 => return wide($($arg),*),
+                        $crate::cpu::lanes::SimdForm::Portable => {}
+                    }
+                }
             }
-            $kernel::<$crate::cpu::lanes::Portable>($($arg),*)
+            #[cfg(not(target_arch = "x86_64"))]
+            let _ = simd;
+            $kernel::<$crate::cpu::portable::Portable>($($arg),*)
         }
     };
 }
@@ -288,59 +293,87 @@ pub(super) use by_simd;
 mod tests {
     use super::*;
 
-    fn check_exp<L: Lanes>() {
-        let mut worst = 0.0f64;
-        for i in 0..200_000 {
-            let x = -87.0 * (f64::from(i) / 200_000.0);
-            let mut out = [0.0; WIDTH];
-            L::splat(x as f32).exp_nonpositive().store(&mut out);
-            let exact = f64::from(x as f32).exp();
-            worst = worst.max((f64::from(out[3]) / exact - 1.0).abs());
+    fn stored<L: Lanes>(v: L) -> Chunk {
+        let mut out = NONE;
+        v.store(&mut out);
+        out
+    }
+
+    fn check_functions<L: Lanes>() {
+        let mut worst = [0.0f64; 5];
+        let mut note = |k: usize, error: f64| worst[k] = worst[k].max(error.abs());
+        for i in 0..100_000 {
+            let part = f64::from(i) / 100_000.0;
+            let x = (-87.0 * part) as f32;
+            note(0, f64::from(stored(L::splat(x).exp())[3]) / f64::from(x).exp() - 1.0);
+            let x = (-5.6 * part) as f32;
+            note(1, f64::from(stored(L::splat(x).exp())[15]) / f64::from(x).exp() - 1.0);
+            let x = (-126.0 + 252.0 * part) as f32;
+            note(2, f64::from(stored(L::splat(x).exp2())[8]) / f64::from(x).exp2() - 1.0);
+            let x = (10.0f64).powf(-3.0 + 6.0 * part) as f32;
+            note(3, f64::from(stored(L::splat(x).log2())[0]) - f64::from(x).log2());
+            note(4, f64::from(stored(L::splat(x).reciprocal())[9]) * f64::from(x) - 1.0);
         }
+        println!(
+            "exp {:.1e} {:.1e}, exp2 {:.1e}, log2 {:.1e}, reciprocal {:.1e}",
+            worst[0], worst[1], worst[2], worst[3], worst[4]
+        );
         // The argument reduction x·log₂e in f32 costs up to |x|·6e-8 beside the polynomial's 2e-7.
-        assert!(worst < 6e-6, "{worst}");
-        let mut near = 0.0f64;
-        for i in 0..20_000 {
-            let x = -5.6 * (f64::from(i) / 20_000.0);
-            let mut out = [0.0; WIDTH];
-            L::splat(x as f32).exp_nonpositive().store(&mut out);
-            near = near.max((f64::from(out[0]) / f64::from(x as f32).exp() - 1.0).abs());
-        }
-        println!("exp: largest relative error {worst:.2e}, for alpha's range {near:.2e}");
-        assert!(near < 1e-6, "{near}");
+        assert!(worst[0] < 6e-6 && worst[1] < 1e-6 && worst[2] < 4e-7, "{worst:?}");
+        assert!(worst[3] < 1e-6 && worst[4] < 3e-7, "{worst:?}");
+        let least = stored(L::load(&[-1e4; WIDTH]).exp2());
+        assert!(least.iter().all(|v| (0.0..=f32::MIN_POSITIVE).contains(v)), "{least:?}");
     }
 
     fn check_shuffles<L: Lanes>() {
         let mut rows = [L::splat(0.0); WIDTH];
         for (i, row) in rows.iter_mut().enumerate() {
-            let values: Chunk = std::array::from_fn(|j| (10 * i + j) as f32);
+            let values: Chunk = std::array::from_fn(|j| (20 * i + j) as f32);
             *row = L::load(&values);
             assert_eq!(row.sum(), values.iter().sum::<f32>());
         }
         for (j, column) in L::transpose(rows).into_iter().enumerate() {
-            let mut out = [0.0; WIDTH];
-            column.store(&mut out);
-            assert_eq!(out, std::array::from_fn(|i| (10 * i + j) as f32));
+            assert_eq!(stored(column), std::array::from_fn(|i| (20 * i + j) as f32));
         }
-        let v = L::load(&[-2.0, 0.0, 3.0, f32::NAN, 1.0, -0.0, f32::INFINITY, 5.0]);
-        assert_eq!(v.gt(L::splat(0.0)).count(), 4);
-        assert_eq!(v.ge(L::splat(0.0)).count(), 6);
-        assert!(v.gt(L::splat(4.0)).any() && !L::splat(f32::NAN).gt(v).any());
-        let mut sign = [9.0; WIDTH];
-        v.signum().store(&mut sign);
-        assert_eq!(sign, [-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0]);
+        let (nan, inf) = (f32::NAN, f32::INFINITY);
+        let mut numbers = [1.0; WIDTH];
+        numbers[..8].copy_from_slice(&[-2.0, 0.0, 3.0, nan, 1.0, -0.0, inf, 5.0]);
+        let v = L::load(&numbers);
+        let (zero, four) = (L::splat(0.0), L::splat(4.0));
+        assert_eq!(L::bits(v.gt(zero)), 0xFFD4);
+        assert_eq!(L::bits(L::mask(0xA5C3)), 0xA5C3);
+        assert_eq!(L::bits(v.ge(zero)), 0xFFF6);
+        assert_eq!(L::bits(L::both(v.ge(zero), four.gt(v))), 0xFF36);
+        assert!(L::any(v.gt(four)) && !L::any(L::splat(nan).gt(v)));
+        assert_eq!(stored(v.signum())[..8], [-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0]);
+        assert_eq!(stored(v.keep(v.gt(four)))[..8], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inf, 5.0]);
+        assert_eq!(stored(v.or_where_not(v.gt(four), four))[4..8], [4.0, 4.0, inf, 5.0]);
+        assert_eq!(stored(v.min(four))[2..4], [3.0, 4.0]);
+        assert_eq!(stored(v.max(four))[2..4], [4.0, 4.0]);
+        assert_eq!(stored(v.abs())[0], 2.0);
+        assert_eq!(stored(L::splat(-2.75).truncate())[11], -2.0);
+        assert_eq!(L::pack(L::splat(3.0), L::splat(7.0)), [3 + (7 << 16); WIDTH]);
+        let joined = stored(L::joined(1.0, 2.0));
+        assert!(joined.iter().enumerate().all(|(i, v)| *v == if i < JOINED_FIRST { 1.0 } else { 2.0 }));
+        let halves = stored(L::halves(1.0, 2.0));
+        assert!(halves.iter().enumerate().all(|(i, v)| *v == if i < 8 { 1.0 } else { 2.0 }));
+        assert_eq!(stored(four.neg_mul_add(four, L::splat(20.0)))[7], 4.0);
+        assert_eq!(stored(four.mul_add(four, L::splat(20.0)))[7], 36.0);
+        assert_eq!(stored(four.sqrt())[7], 2.0);
     }
 
     fn check<L: Lanes>() {
-        check_exp::<L>();
+        check_functions::<L>();
         check_shuffles::<L>();
     }
 
     by_simd! { fn check_by = check() }
 
     #[test]
-    fn exponential_and_shuffles_are_right_in_every_form() {
-        check_by(Simd::portable());
-        check_by(Simd::detect());
+    fn functions_and_shuffles_are_right_in_every_form() {
+        for form in SimdForm::available() {
+            println!("{form:?}");
+            check_by(Simd::of(*form).expect("it is available"));
+        }
     }
 }

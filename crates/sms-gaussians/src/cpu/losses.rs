@@ -1,11 +1,12 @@
 //! The per-pixel losses of one tile and their gradients: colour, depth, normals (paper, Section "Scan").
 
-use super::lanes::{Lanes, WIDTH, by_simd};
-use super::raster::{
-    COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, TILE, TileGradient, TileImage,
-};
-use super::ssim::{RowLayout, STATISTICS};
+use super::lanes::{Lanes, array, by_simd};
+use super::planes::{Planes, RowLayout};
 use super::target::TargetTile;
+use super::tile::{
+    COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, PATCHES, PatchGradient, TILE,
+    TileImage,
+};
 use crate::DepthTerm;
 
 /// Depth is divided by no less than this opacity: below it a pixel says little about depth.
@@ -29,63 +30,67 @@ pub(super) struct PixelSums {
     pub(super) normal: f64,
 }
 
-/// Mask of usable colours: all lanes but NaN.
-#[inline(always)]
-pub(super) fn usable<L: Lanes>(color: L) -> L {
-    color.ge(color)
+/// The gradient of SSIM by a band's colours, and where the band starts.
+#[derive(Clone, Copy)]
+pub(super) struct BandGradient<'a> {
+    pub(super) layout: RowLayout,
+    pub(super) rows: &'a [f32],
+    /// First row of the band in the image.
+    pub(super) first: usize,
 }
 
-/// Writes the gradient of colour, depth, normal and opacity channels; `ssim` holds the colour gradient of SSIM from
-/// row `row` and column `column` on.
+/// Writes the gradient of the colour, depth, normal and opacity channels of the tile whose first pixel is at `corner`.
 #[inline(always)]
 fn pixel_losses<L: Lanes>(
     image: &TileImage,
     target: &TargetTile,
+    observed: &Planes,
+    corner: (usize, usize),
     weights: PixelWeights,
-    (layout, ssim, row, column): (RowLayout, &mut [f32], usize, usize),
-    gradient: &mut TileGradient,
+    ssim: BandGradient<'_>,
+    gradient: &mut [PatchGradient; PATCHES],
 ) -> PixelSums {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let (mut color_sum, mut depth_sum, mut normal_sum) = (zero, zero, zero);
-    for y in 0..TILE {
+    for p in 0..PATCHES {
+        let (image, gradient) = (&image[p].channels, &mut gradient[p].channels);
+        let (x, y) = (corner.0, corner.1 + p * PATCH_ROWS);
         let color_weight = L::splat(weights.color);
+        let mask = L::mask(target.colored[p]);
         for c in 0..3 {
-            let observed = L::load(&target.color[c].0[y]);
-            let mask = usable(observed);
-            let error = (L::load(&image.channels[COLOR_CHANNEL + c].0[y]) - observed).and(mask);
+            let observed = L::load(&observed.patch((x, y), c));
+            let error = (L::load(&image[COLOR_CHANNEL + c]) - observed).keep(mask);
             color_sum = color_sum + error.abs();
-            let similarity = L::load(layout.chunk_mut(ssim, row + y, c, column)).and(mask);
-            let g = error.signum().mul_add(color_weight, similarity);
-            g.store(&mut gradient.channels[COLOR_CHANNEL + c].0[y]);
+            let similarity = L::load(&ssim.layout.patch(ssim.rows, (x, y - ssim.first), c)).keep(mask);
+            error.signum().mul_add(color_weight, similarity).store(&mut gradient[COLOR_CHANNEL + c]);
         }
 
-        let observed = L::load(&target.depth.0[y]);
+        let observed = L::load(&target.depth.0[p]);
         let mask = observed.gt(zero);
-        let blended = L::load(&image.channels[DEPTH_CHANNEL].0[y]);
-        let opacity = one - L::load(&image.transmittance.0[y]);
+        let blended = L::load(&image[DEPTH_CHANNEL]);
+        let opacity = L::load(&image[OPACITY_CHANNEL]);
         let least = L::splat(DEPTH_OPACITY_MIN as f32);
-        let divisor = match weights.depth_term {
+        let share = match weights.depth_term {
             DepthTerm::Accumulated => one,
-            DepthTerm::Detached | DepthTerm::Normalized => opacity.max(least),
+            DepthTerm::Detached | DepthTerm::Normalized => one / opacity.max(least),
         };
-        let depth = blended / divisor;
-        let error = (depth - observed).and(mask);
+        let depth = blended * share;
+        let error = (depth - observed).keep(mask);
         depth_sum = depth_sum + error.abs();
-        let g = error.signum() * L::splat(weights.depth) / divisor;
-        g.store(&mut gradient.channels[DEPTH_CHANNEL].0[y]);
+        let g = error.signum() * L::splat(weights.depth) * share;
+        g.store(&mut gradient[DEPTH_CHANNEL]);
         let through_opacity = match weights.depth_term {
-            DepthTerm::Normalized => (zero - g * depth).and(opacity.gt(least)),
+            DepthTerm::Normalized => (g * depth).negated().keep(opacity.gt(least)),
             DepthTerm::Accumulated | DepthTerm::Detached => zero,
         };
-        through_opacity.store(&mut gradient.channels[OPACITY_CHANNEL].0[y]);
+        through_opacity.store(&mut gradient[OPACITY_CHANNEL]);
 
-        let normal = [0, 1, 2].map(|c| L::load(&target.normal[c].0[y]));
+        let normal = array!(3, |c| L::load(&target.normal[c].0[p]));
         let mask = (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]).gt(zero);
         for c in 0..3 {
-            let error = (L::load(&image.channels[NORMAL_CHANNEL + c].0[y]) - normal[c]).and(mask);
+            let error = (L::load(&image[NORMAL_CHANNEL + c]) - normal[c]).keep(mask);
             normal_sum = normal_sum + error.abs();
-            let g = error.signum() * L::splat(weights.normal);
-            g.store(&mut gradient.channels[NORMAL_CHANNEL + c].0[y]);
+            (error.signum() * L::splat(weights.normal)).store(&mut gradient[NORMAL_CHANNEL + c]);
         }
     }
     PixelSums {
@@ -98,31 +103,25 @@ fn pixel_losses<L: Lanes>(
 by_simd! {
     /// Colour, depth and normal terms of one tile.
     fn tile_losses = pixel_losses(
-        image: &TileImage, target: &TargetTile, weights: PixelWeights,
-        ssim: (RowLayout, &mut [f32], usize, usize), gradient: &mut TileGradient,
+        image: &TileImage, target: &TargetTile, observed: &Planes, corner: (usize, usize), weights: PixelWeights,
+        ssim: BandGradient<'_>, gradient: &mut [PatchGradient; PATCHES],
     ) -> PixelSums
 }
 
-/// Writes a row of tiles' colours, observed colours, their summed squares and products where SSIM reads them; zero
-/// where the observed colour must not be used. Row by row of pixels, so that memory is written in order.
+/// Writes a row of tiles' colours where SSIM reads them, from row `row` of the band on; zero where the observed colour
+/// must not be used.
 #[inline(always)]
-fn moments_of_colors<L: Lanes>(
+fn rows_of_colors<L: Lanes>(
     images: &[TileImage],
     targets: &[TargetTile],
     (layout, band, row): (RowLayout, &mut [f32], usize),
 ) {
-    for y in 0..TILE {
+    for p in 0..PATCHES {
         for c in 0..3 {
             for (i, (image, target)) in images.iter().zip(targets).enumerate() {
-                let observed = L::load(&target.color[c].0[y]);
-                let mask = usable(observed);
-                let observed = observed.and(mask);
-                let rendered = L::load(&image.channels[COLOR_CHANNEL + c].0[y]).and(mask);
-                let squares = rendered * rendered + observed * observed;
-                let values = [rendered, observed, squares, rendered * observed];
-                for (k, value) in values.into_iter().enumerate() {
-                    value.store(layout.chunk_mut(band, row + y, STATISTICS * c + k, i * TILE));
-                }
+                let mut color = image[p].channels[COLOR_CHANNEL + c];
+                L::load(&color).keep(L::mask(target.colored[p])).store(&mut color);
+                layout.set_patch(band, (i * TILE, row + p * PATCH_ROWS), c, &color);
             }
         }
     }
@@ -130,9 +129,7 @@ fn moments_of_colors<L: Lanes>(
 
 by_simd! {
     /// Fills the planes that SSIM reads, for a row of tiles.
-    fn tile_moments = moments_of_colors(
+    fn tile_rows = rows_of_colors(
         images: &[TileImage], targets: &[TargetTile], to: (RowLayout, &mut [f32], usize),
     )
 }
-
-const _: () = assert!(TILE == WIDTH);

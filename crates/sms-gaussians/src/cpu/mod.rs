@@ -1,22 +1,30 @@
 //! The CPU back end: [`CpuTrainer`].
 //!
-//! A step runs over fixed bands of 8×8 tiles in parallel (`engine`); the kernels are written once against eight lanes
-//! (`lanes`) and compiled for the baseline and for AVX2 with FMA. Sums are taken in a fixed order, so that results do
-//! not depend on the number of threads.
+//! A step runs over fixed bands of 8×8 tiles in parallel (`engine`); the kernels are written once against sixteen lanes
+//! (`lanes`) and compiled for the baseline, for AVX2 with FMA and for AVX-512. Sums are taken in a fixed order, so that
+//! results do not depend on the number of threads; they do differ in rounding from form to form.
 
 mod adam;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod bands;
+mod blend;
 mod engine;
 mod lanes;
 pub mod limits;
 mod losses;
 mod perceptron;
+mod planes;
+mod portable;
 mod project;
-mod raster;
 mod ssim;
 mod target;
+mod tile;
+mod times;
+mod unblend;
+mod unproject;
 
 use crate::parameters::{LOGIT_OPACITY, POSITION, Parameters, sigmoid};
 use crate::{
@@ -24,17 +32,18 @@ use crate::{
     TrainFrame, TrainState, Trainer, TrainerError,
 };
 use bands::BAND_TILES;
-pub use bands::StepTimes;
 use engine::Engine;
 use glamx::Vec3;
 use lanes::Simd;
+pub use lanes::SimdForm;
 use losses::DEPTH_OPACITY_MIN;
 use project::View;
-use raster::{COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, TILE, TileImage};
 use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use std::time::Instant;
 use target::Target;
+use tile::{COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage};
+pub use times::StepTimes;
 
 /// Gaussians handled at once by the optimiser.
 const GAUSSIANS: usize = 256;
@@ -85,9 +94,9 @@ impl CpuTrainer {
         Self::with_simd(config, classes, seed, Simd::detect())
     }
 
-    /// The same without instructions beyond the target's baseline, to compare with.
-    pub fn portable(config: &TrainConfig, classes: usize, seed: Seed) -> Self {
-        Self::with_simd(config, classes, seed, Simd::portable())
+    /// The same with kernels of a given form, to compare with; `None` where this CPU cannot run it.
+    pub fn with_form(config: &TrainConfig, classes: usize, seed: Seed, form: SimdForm) -> Option<Self> {
+        Simd::of(form).map(|simd| Self::with_simd(config, classes, seed, simd))
     }
 
     fn with_simd(config: &TrainConfig, classes: usize, seed: Seed, simd: Simd) -> Self {
@@ -183,10 +192,10 @@ impl Trainer for CpuTrainer {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let view = View::new(camera);
         self.engine.blend(&self.parameters, &view, None);
-        let Engine { simd, grid, tiles, bands, .. } = &mut self.engine;
+        let Engine { simd, grid, tiles, bands, classifier, .. } = &mut self.engine;
         let (simd, grid) = (*simd, *grid);
-        let c = &self.parameters.classifier;
-        let weights = perceptron::Weights::new(c.classes, &c.values);
+        classifier.set(self.parameters.classifier.classes, &self.parameters.classifier.values);
+        let weights = &*classifier;
         let pixels = view.width * view.height;
         let mut maps = RenderedMaps {
             width: view.width,
@@ -204,14 +213,14 @@ impl Trainer for CpuTrainer {
             .zip(labels.par_chunks_mut(BAND_TILES * grid.columns))
             .for_each(|((band, tiles), labels)| {
                 for (image, labels) in tiles.iter().zip(labels) {
-                    perceptron::tile_labels(simd, &weights, image, &mut band.perceptron, labels);
+                    perceptron::tile_labels(simd, weights, image, &mut band.perceptron, labels);
                 }
             });
         for (tile, (image, labels)) in tiles.iter().zip(&labels).enumerate() {
-            let place = grid.place(tile);
-            for y in 0..place.rows {
-                for x in 0..place.columns {
-                    let i = (place.y as usize + y) * view.width + place.x as usize + x;
+            let corner = grid.corner(tile);
+            for y in 0..TILE.min(view.height - corner.1) {
+                for x in 0..TILE.min(view.width - corner.0) {
+                    let i = (corner.1 + y) * view.width + corner.0 + x;
                     read_pixel(image, (x, y), i, &mut maps);
                     maps.label[i] = labels[y * TILE + x];
                 }
@@ -259,8 +268,9 @@ impl Trainer for CpuTrainer {
 
 /// Copies one pixel of a tile into the maps.
 fn read_pixel(image: &TileImage, (x, y): (usize, usize), i: usize, maps: &mut RenderedMaps) {
-    let channel = |c: usize| image.channels[c].0[y][x];
-    let alpha = 1.0 - image.transmittance.0[y][x];
+    let patch = &image[y / PATCH_ROWS];
+    let channel = |c: usize| patch.channels[c][y % PATCH_ROWS * TILE + x];
+    let alpha = channel(OPACITY_CHANNEL);
     maps.color[i] = [0, 1, 2].map(|c| channel(COLOR_CHANNEL + c));
     maps.normal_w[i] = [0, 1, 2].map(|c| channel(NORMAL_CHANNEL + c));
     maps.alpha[i] = alpha;

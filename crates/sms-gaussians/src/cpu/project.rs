@@ -1,12 +1,13 @@
-//! EWA projection of one Gaussian into one camera (Zwicker et al. 2002; Kerbl et al. 2023), and its gradient.
+//! EWA projection of Gaussians into one camera (Zwicker et al. 2002; Kerbl et al. 2023), sixteen at a time.
 
-use super::raster::{
-    AFFINITY_CHANNEL, ALPHA_MIN, CHANNELS, COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, Splat, SplatGradient,
-};
+use super::bands::{BAND_ROWS, Span};
+use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
+use super::tile::{FLAT, LOG2_ALPHA_MIN, NORMAL_CHANNEL, Splat};
 use crate::AFFINITY_DIM;
-use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, ROW, Row, sigmoid};
-use glamx::{Mat3, Quat, Vec2, Vec3};
+use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, Row};
+use glamx::Mat3;
 use sms_core::Camera;
+use std::f32::consts::{LN_2, LOG2_E};
 
 /// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter).
 pub const LOW_PASS: f64 = 0.3;
@@ -25,16 +26,15 @@ pub const MARGIN: f64 = 0.15;
 /// A camera in single precision.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct View {
-    /// Rotation from the world to the camera.
-    r_cw: Mat3,
-    t_cw: Vec3,
-    fx: f32,
-    fy: f32,
-    cx: f32,
-    cy: f32,
+    /// Rotation from the world to the camera, row by row.
+    pub(super) r_cw: [[f32; 3]; 3],
+    pub(super) t_cw: [f32; 3],
+    /// Focal lengths.
+    pub(super) focal: [f32; 2],
+    /// Principal point.
+    center: [f32; 2],
     /// Limits of x/z and y/z in the linearisation.
-    limit_x: (f32, f32),
-    limit_y: (f32, f32),
+    limit: [(f32, f32); 2],
     pub(super) width: usize,
     pub(super) height: usize,
 }
@@ -43,244 +43,313 @@ impl View {
     pub(super) fn new(camera: &Camera) -> Self {
         let k = &camera.intrinsics;
         let x_cw = camera.x_wc.inverse();
-        let (w, h) = (k.width as f64, k.height as f64);
         let limits = |c: f64, f: f64, size: f64| {
             ((-(c + MARGIN * size) / f) as f32, ((size - c + MARGIN * size) / f) as f32)
         };
         Self {
-            r_cw: Mat3::from_quat(x_cw.rotation.as_quat()),
-            t_cw: x_cw.translation.as_vec3(),
-            fx: k.fx as f32,
-            fy: k.fy as f32,
-            cx: k.cx as f32,
-            cy: k.cy as f32,
-            limit_x: limits(k.cx, k.fx, w),
-            limit_y: limits(k.cy, k.fy, h),
+            r_cw: Mat3::from_quat(x_cw.rotation.as_quat()).transpose().to_cols_array_2d(),
+            t_cw: x_cw.translation.as_vec3().to_array(),
+            focal: [k.fx as f32, k.fy as f32],
+            center: [k.cx as f32, k.cy as f32],
+            limit: [limits(k.cx, k.fx, k.width as f64), limits(k.cy, k.fy, k.height as f64)],
             width: k.width,
             height: k.height,
         }
     }
 }
 
-/// What projection and its gradient share.
-struct Linearized {
-    p_c: Vec3,
-    /// Columns: the Gaussian's axes in the world.
-    r_wg: Mat3,
-    scale: Vec3,
-    /// Clamped x/z and y/z, and whether they were clamped.
-    slope: Vec2,
-    clamped: [bool; 2],
-    /// Axes times scale, in the camera.
-    axes_c: [Vec3; 3],
-    /// The same in the image, pixels.
-    axes_i: [Vec2; 3],
-    /// 2-D covariance with the low-pass filter: xx, xy, yy.
-    covariance: [f32; 3],
-    /// Change of depth per pixel, see [`depth_slope`].
-    depth_slope: Vec2,
-    /// Index of the shortest axis.
-    shortest: usize,
-    /// −1 where that axis must be flipped to face the camera.
-    facing: f32,
+/// A vector, or a point, of each of sixteen Gaussians.
+pub(super) type Vectors<L> = [L; 3];
+
+#[inline(always)]
+pub(super) fn dot<L: Lanes>(a: Vectors<L>, b: Vectors<L>) -> L {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
-/// Index of the smallest of three; the first of equals.
-pub(super) fn smallest(s: [f32; 3]) -> usize {
-    if s[0] <= s[1] && s[0] <= s[2] {
-        0
-    } else if s[1] <= s[2] {
-        1
-    } else {
-        2
+/// Matrix times vector.
+#[inline(always)]
+pub(super) fn rotated<L: Lanes>(rows: &[[f32; 3]; 3], v: Vectors<L>) -> Vectors<L> {
+    array!(3, |i| dot(array!(3, |j| L::splat(rows[i][j])), v))
+}
+
+/// What projection and its gradient share.
+pub(super) struct Linearized<L: Lanes> {
+    pub(super) p_c: Vectors<L>,
+    /// 1/z.
+    pub(super) inverse_z: L,
+    pub(super) quaternion: [L; 4],
+    pub(super) scale: [L; 3],
+    pub(super) opacity: L,
+    /// Clamped x/z and y/z, and where they were not clamped.
+    pub(super) slope: [L; 2],
+    pub(super) unclamped: [L::Mask; 2],
+    /// Axes times scale, in the camera.
+    pub(super) axes_c: [Vectors<L>; 3],
+    /// The same in the image, pixels.
+    pub(super) axes_i: [[L; 2]; 3],
+    /// 2-D covariance with the low-pass filter: xx, xy, yy.
+    pub(super) covariance: [L; 3],
+    /// Change of depth per pixel, see [`depth_slope`].
+    pub(super) depth_slope: [L; 2],
+    /// One for the shortest axis, zero for the others; the first of equals.
+    pub(super) shortest: [L; 3],
+    /// −1 where that axis must be flipped to face the camera.
+    pub(super) facing: L,
+    /// The shortest axis in the world, facing the camera.
+    pub(super) normal_w: Vectors<L>,
+    /// Where the Gaussian is in front of the camera and finite.
+    pub(super) valid: L::Mask,
+}
+
+/// The first sixteen parameters of up to sixteen Gaussians.
+#[inline(always)]
+pub(super) fn columns<L: Lanes>(rows: &[Row]) -> [L; WIDTH] {
+    let mut of_rows = [L::splat(0.0); WIDTH];
+    for (to, row) in of_rows.iter_mut().zip(rows) {
+        *to = L::load(row.0.first_chunk().expect("a row is longer"));
+    }
+    L::transpose(of_rows)
+}
+
+#[inline(always)]
+pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Linearized<L> {
+    let one = L::splat(1.0);
+    let p_w = [columns[POSITION], columns[POSITION + 1], columns[POSITION + 2]];
+    let r_p = rotated(&view.r_cw, p_w);
+    let p_c = array!(3, |i| r_p[i] + L::splat(view.t_cw[i]));
+    let largest = L::splat(f32::MAX);
+    let finite = L::both(largest.ge(p_c[0].abs()), largest.ge(p_c[1].abs()));
+    let depth = L::both(p_c[2].ge(L::splat(NEAR as f32)), largest.ge(p_c[2]));
+    let inverse_z = one / p_c[2];
+
+    let quaternion @ [x, y, z, w] =
+        [columns[ROTATION], columns[ROTATION + 1], columns[ROTATION + 2], columns[ROTATION + 3]];
+    let (x2, y2, z2) = (x + x, y + y, z + z);
+    let (xx, yy, zz, xy, xz, yz) = (x * x2, y * y2, z * z2, x * y2, x * z2, y * z2);
+    let (wx, wy, wz) = (w * x2, w * y2, w * z2);
+    let axes_w = [
+        [one - (yy + zz), xy + wz, xz - wy],
+        [xy - wz, one - (xx + zz), yz + wx],
+        [xz + wy, yz - wx, one - (xx + yy)],
+    ];
+    let log_scale = [columns[LOG_SCALE], columns[LOG_SCALE + 1], columns[LOG_SCALE + 2]];
+    let scale = array!(3, |k| log_scale[k].exp());
+
+    let mut slope = [inverse_z; 2];
+    let mut unclamped = [depth; 2];
+    for i in 0..2 {
+        let ratio = p_c[i] * inverse_z;
+        let (low, high) = (L::splat(view.limit[i].0), L::splat(view.limit[i].1));
+        slope[i] = ratio.max(low).min(high);
+        unclamped[i] = L::both(ratio.ge(low), high.ge(ratio));
+    }
+    let focal = array!(2, |i| L::splat(view.focal[i]) * inverse_z);
+    let mut axes_c = axes_w;
+    let mut axes_i = [[one; 2]; 3];
+    let low_pass = L::splat(LOW_PASS as f32);
+    let mut covariance = [low_pass, L::splat(0.0), low_pass];
+    for k in 0..3 {
+        axes_c[k] = rotated(&view.r_cw, array!(3, |i| axes_w[k][i] * scale[k]));
+        let v = axes_c[k];
+        let u = array!(2, |i| focal[i] * slope[i].neg_mul_add(v[2], v[i]));
+        axes_i[k] = u;
+        covariance[0] = u[0].mul_add(u[0], covariance[0]);
+        covariance[1] = u[0].mul_add(u[1], covariance[1]);
+        covariance[2] = u[1].mul_add(u[1], covariance[2]);
+    }
+
+    let [s0, s1, s2] = log_scale;
+    let first = one.keep(L::both(s1.ge(s0), s2.ge(s0)));
+    let second = one.keep(s2.ge(s1)) * (one - first);
+    let shortest = [first, second, one - first - second];
+    let axis_c = array!(3, |i| dot(shortest, array!(3, |k| axes_c[k][i])));
+    let facing = one - L::splat(2.0).keep(dot(axis_c, p_c).gt(L::splat(0.0)));
+    let normal_w = array!(3, |i| dot(shortest, array!(3, |k| axes_w[k][i])) * facing);
+    let opacity = one / (one + columns[LOGIT_OPACITY].negated().exp());
+    let valid = L::both(finite, depth);
+    Linearized {
+        p_c,
+        inverse_z,
+        quaternion,
+        scale,
+        opacity,
+        slope,
+        unclamped,
+        axes_c,
+        axes_i,
+        covariance,
+        depth_slope: depth_slope(&axes_c, &axes_i),
+        shortest,
+        facing,
+        normal_w,
+        valid,
     }
 }
 
 /// Change of depth per pixel within a splat, from its axes in the camera and in the image: given the pixel, depth under
 /// the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹ Cov(pixel, z). For a disc
 /// that is its plane.
-fn depth_slope(axes_c: &[Vec3; 3], axes_i: &[Vec2; 3]) -> Vec2 {
-    let epsilon = SLOPE_LOW_PASS as f32;
-    let [mut xx, mut xy, mut yy] = [epsilon, 0.0, epsilon];
-    let mut with_z = Vec2::ZERO;
-    for (u, v_c) in axes_i.iter().zip(axes_c) {
-        xx += u.x * u.x;
-        xy += u.x * u.y;
-        yy += u.y * u.y;
-        with_z += *u * v_c.z;
+#[inline(always)]
+fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3]) -> [L; 2] {
+    let epsilon = L::splat(SLOPE_LOW_PASS as f32);
+    let (mut xx, mut xy, mut yy) = (epsilon, L::splat(0.0), epsilon);
+    let mut with_z = [L::splat(0.0); 2];
+    for k in 0..3 {
+        let ([x, y], z) = (axes_i[k], axes_c[k][2]);
+        xx = x.mul_add(x, xx);
+        xy = x.mul_add(y, xy);
+        yy = y.mul_add(y, yy);
+        with_z = [x.mul_add(z, with_z[0]), y.mul_add(z, with_z[1])];
     }
     // The determinant by Cauchy and Binet, as a sum of squares, keeps the digits that xx·yy − xy² would lose.
-    let crossed = [(0, 1), (0, 2), (1, 2)].map(|(j, k)| axes_i[j].perp_dot(axes_i[k]).powi(2));
-    let determinant = crossed[0] + crossed[1] + crossed[2] + epsilon * (xx + yy - epsilon);
-    times([yy / determinant, -xy / determinant, xx / determinant], with_z)
-}
-
-fn linearize(row: &[f32; ROW], view: &View) -> Option<Linearized> {
-    let p_c = view.r_cw * Vec3::from_slice(&row[POSITION..]) + view.t_cw;
-    if !(p_c.z >= NEAR as f32 && p_c.is_finite()) {
-        return None;
+    let mut determinant = epsilon * (xx + yy - epsilon);
+    for (j, k) in [(0, 1), (0, 2), (1, 2)] {
+        let crossed = axes_i[j][0] * axes_i[k][1] - axes_i[j][1] * axes_i[k][0];
+        determinant = crossed.mul_add(crossed, determinant);
     }
-    let r_wg = Mat3::from_quat(Quat::from_slice(&row[ROTATION..]));
-    let log_scale = Vec3::from_slice(&row[LOG_SCALE..]);
-    let scale = log_scale.exp();
-    let ratio = Vec2::new(p_c.x / p_c.z, p_c.y / p_c.z);
-    let slope = Vec2::new(
-        ratio.x.clamp(view.limit_x.0, view.limit_x.1),
-        ratio.y.clamp(view.limit_y.0, view.limit_y.1),
-    );
-    let axes_c = [0, 1, 2].map(|k| view.r_cw * (r_wg.col(k) * scale[k]));
-    let (ax, ay) = (view.fx / p_c.z, view.fy / p_c.z);
-    let axes_i = axes_c.map(|v| Vec2::new(ax * (v.x - slope.x * v.z), ay * (v.y - slope.y * v.z)));
-    let mut covariance = [LOW_PASS as f32, 0.0, LOW_PASS as f32];
-    for u in axes_i {
-        covariance[0] += u.x * u.x;
-        covariance[1] += u.x * u.y;
-        covariance[2] += u.y * u.y;
-    }
-    let depth_slope = depth_slope(&axes_c, &axes_i);
-    let shortest = smallest(log_scale.to_array());
-    let facing = if axes_c[shortest].dot(p_c) > 0.0 { -1.0 } else { 1.0 };
-    let clamped = [slope.x != ratio.x, slope.y != ratio.y];
-    Some(Linearized {
-        p_c,
-        r_wg,
-        scale,
-        slope,
-        clamped,
-        axes_c,
-        axes_i,
-        covariance,
-        depth_slope,
-        shortest,
-        facing,
-    })
+    let inverse = L::splat(1.0) / determinant;
+    [(yy * with_z[0] - xy * with_z[1]) * inverse, (xx * with_z[1] - xy * with_z[0]) * inverse]
 }
 
-/// A symmetric matrix (xx, xy, yy) times a vector.
-fn times([xx, xy, yy]: [f32; 3], v: Vec2) -> Vec2 {
-    Vec2::new(xx * v.x + xy * v.y, xy * v.x + yy * v.y)
+/// Inverse of the 2-D covariance: xx, xy, yy.
+#[inline(always)]
+pub(super) fn conic<L: Lanes>([xx, xy, yy]: [L; 3]) -> [L; 3] {
+    let inverse = L::splat(1.0) / (xx * yy - xy * xy);
+    [yy * inverse, (xy * inverse).negated(), xx * inverse]
 }
 
-/// A splat with what binning needs.
+/// A Gaussian as a camera sees it: what its [`Splat`] needs beside its own parameters, and its outline.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Projected {
-    pub(super) splat: Splat,
-    /// Index of the Gaussian.
-    pub(super) gaussian: u32,
-    /// Depth along the optical axis, metres.
-    pub(super) z: f32,
-    /// Half width in pixels of the box around the pixels where alpha reaches [`ALPHA_MIN`].
-    pub(super) extent_x: f32,
-    /// Squared Mahalanobis distance at which alpha reaches [`ALPHA_MIN`].
-    pub(super) reach: f32,
-    /// Determinant of the conic.
-    pub(super) determinant: f32,
+#[repr(C, align(64))]
+pub(super) struct Projected(Chunk);
+
+/// The ellipse in which alpha reaches [`super::tile::ALPHA_MIN`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outline {
+    /// Centre, pixels.
+    pub(super) mean: [f32; 2],
+    /// Half width and half height, pixels.
+    pub(super) half: [f32; 2],
+    /// Half width of the row through the centre.
+    pub(super) half_row: f32,
+    /// How far the middle of a row moves right per row.
+    pub(super) slant: f32,
 }
 
-/// The splat of a Gaussian; `None` where it cannot be seen (behind or at the camera, outside the image, too faint,
-/// or degenerate).
-pub(super) fn project(row: &Row, gaussian: u32, view: &View) -> Option<Projected> {
-    let row = &row.0;
-    let opacity = sigmoid(row[LOGIT_OPACITY]);
-    if opacity < ALPHA_MIN {
-        return None;
+const MEAN: usize = 0;
+const POWER: usize = 2;
+const LOG2_OPACITY: usize = 5;
+const DEPTH: usize = 6;
+const NORMAL: usize = 7;
+const HALF: usize = 10;
+const HALF_ROW: usize = 12;
+const SLANT: usize = 13;
+const DEPTH_SLOPE: usize = 14;
+
+impl Projected {
+    pub(super) const UNSEEN: Self = Self(NONE);
+
+    /// The splat of the Gaussian, whose parameters are `row`.
+    #[inline(always)]
+    pub(super) fn splat(&self, Row(row): &Row) -> Splat {
+        let p = &self.0;
+        let mut splat = Splat {
+            mean: [p[MEAN], p[MEAN + 1]],
+            power: [p[POWER], p[POWER + 1], p[POWER + 2]],
+            log2_opacity: p[LOG2_OPACITY],
+            depth: p[DEPTH],
+            depth_slope: [p[DEPTH_SLOPE], p[DEPTH_SLOPE + 1]],
+            ..Splat::ZERO
+        };
+        splat.features[..3].copy_from_slice(&row[COLOR..COLOR + 3]);
+        splat.features[NORMAL_CHANNEL..NORMAL_CHANNEL + 3].copy_from_slice(&p[NORMAL..NORMAL + 3]);
+        splat.features[FLAT - AFFINITY_DIM..].copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
+        splat
     }
-    let m = linearize(row, view)?;
-    let [xx, xy, yy] = m.covariance;
-    let determinant = xx * yy - xy * xy;
-    let mean = [view.fx * m.p_c.x / m.p_c.z + view.cx, view.fy * m.p_c.y / m.p_c.z + view.cy];
-    let reach = 2.0 * (opacity / ALPHA_MIN).ln();
-    let (extent_x, extent_y) = ((reach * xx).sqrt(), (reach * yy).sqrt());
-    let seen = mean[0] + extent_x > 0.0
-        && mean[0] - extent_x < view.width as f32
-        && mean[1] + extent_y > 0.0
-        && mean[1] - extent_y < view.height as f32;
-    // In single precision a splat thousands of pixels across loses its determinant; nothing useful is lost with it.
-    let sound = determinant > 1e-6 * xx * yy && (xx * yy).is_finite();
-    if !(seen && sound) {
-        return None;
+
+    #[inline(always)]
+    pub(super) fn outline(&self) -> Outline {
+        let p = &self.0;
+        Outline {
+            mean: [p[MEAN], p[MEAN + 1]],
+            half: [p[HALF], p[HALF + 1]],
+            half_row: p[HALF_ROW],
+            slant: p[SLANT],
+        }
     }
-    let normal_w = m.r_wg.col(m.shortest) * m.facing;
-    let mut features = [0.0; CHANNELS];
-    features[COLOR_CHANNEL..COLOR_CHANNEL + 3].copy_from_slice(&row[COLOR..COLOR + 3]);
-    features[DEPTH_CHANNEL] = m.p_c.z;
-    features[NORMAL_CHANNEL..NORMAL_CHANNEL + 3].copy_from_slice(&normal_w.to_array());
-    features[AFFINITY_CHANNEL..AFFINITY_CHANNEL + AFFINITY_DIM]
-        .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
-    let conic = [yy / determinant, -xy / determinant, xx / determinant];
-    let depth_slope = m.depth_slope.to_array();
-    let splat = Splat { mean, conic, opacity, extent_y, depth_slope, features };
-    Some(Projected { splat, gaussian, z: m.p_c.z, extent_x, reach, determinant: 1.0 / determinant })
+
+    /// Bits of the depth; depths are positive, so they sort like the numbers.
+    #[inline(always)]
+    pub(super) fn depth_bits(&self) -> u32 {
+        self.0[DEPTH].to_bits()
+    }
 }
 
-/// Carries a splat's gradient to the Gaussian's parameters. The slope of depth is held: to turn and stretch discs by
-/// noisy depth lowered the held-out PSNR by 0.15 dB and did not lower the depth error. `splat` is what [`project`] gave for this row.
-pub(super) fn unproject(row: &Row, splat: &Splat, gradient: &SplatGradient, view: &View) -> Row {
-    let row = &row.0;
-    let mut out = [0.0; ROW];
-    let Some(m) = linearize(row, view) else {
-        return Row::ZERO;
-    };
-    let g = &gradient.features;
-    out[COLOR..COLOR + 3].copy_from_slice(&g[COLOR_CHANNEL..COLOR_CHANNEL + 3]);
-    out[AFFINITY..AFFINITY + AFFINITY_DIM]
-        .copy_from_slice(&g[AFFINITY_CHANNEL..AFFINITY_CHANNEL + AFFINITY_DIM]);
-    let [v, vx, vy, vxx, vxy, vyy, ..] = gradient.moments;
-    // Σ∂L/∂power = o·∂L/∂o, and ∂o/∂logit = o(1 − o).
-    out[LOGIT_OPACITY] = v * (1.0 - splat.opacity);
+/// Projects `rows` and tells which of `bands` bands each touches: none where it cannot be seen
+/// (behind or at the camera, outside the image, too faint, or degenerate).
+#[inline(always)]
+fn project<L: Lanes>(
+    rows: &[Row],
+    view: &View,
+    bands: usize,
+    projected: &mut [Projected],
+    spans: &mut [Span],
+) {
+    let of_rows = rows.chunks(WIDTH).zip(spans.chunks_mut(WIDTH));
+    for ((rows, spans), projected) in of_rows.zip(projected.chunks_mut(WIDTH)) {
+        let columns = columns::<L>(rows);
+        let m = linearize(&columns, view);
+        let (zero, half) = (L::splat(0.0), L::splat(-0.5 * LOG2_E));
+        let [xx, xy, yy] = m.covariance;
+        let conic = conic(m.covariance);
+        let determinant = xx * yy - xy * xy;
+        let mean = array!(2, |i| {
+            (L::splat(view.focal[i]) * m.p_c[i]).mul_add(m.inverse_z, L::splat(view.center[i]))
+        });
+        let log2_opacity = m.opacity.log2();
+        // Squared Mahalanobis distance at which alpha reaches its minimum.
+        let reach = (log2_opacity - L::splat(LOG2_ALPHA_MIN)) * L::splat(2.0 * LN_2);
+        let (half_x, half_y) = ((reach * xx).sqrt(), (reach * yy).sqrt());
+        let size = [L::splat(view.width as f32), L::splat(view.height as f32)];
+        let right = L::both((mean[0] + half_x).gt(zero), size[0].gt(mean[0] - half_x));
+        let below = L::both((mean[1] + half_y).gt(zero), size[1].gt(mean[1] - half_y));
+        // In single precision a splat thousands of pixels across loses its determinant; nothing useful is lost with it.
+        let product = xx * yy;
+        let sound = L::both(determinant.gt(product * L::splat(1e-6)), L::splat(f32::MAX).ge(product));
+        let seen = L::both(L::both(right, below), L::both(sound, L::both(m.valid, reach.gt(zero))));
 
-    // power = −½ dᵀQd with d = pixel − mean: ∂L/∂mean = Q Σv·d and ∂L/∂Σ = ½ Q (Σv·ddᵀ) Q.
-    let [a, b, c] = splat.conic;
-    // Depth at a pixel is z + slope·d, hence the last part: a disc may slide along its plane.
-    let d_mean = Vec2::new(a * vx + b * vy, b * vx + c * vy) - m.depth_slope * g[DEPTH_CHANNEL];
-    let (h00, h01, h10, h11) = (a * vxx + b * vxy, a * vxy + b * vyy, b * vxx + c * vxy, b * vxy + c * vyy);
-    let d_cov = [0.5 * (h00 * a + h01 * b), 0.5 * (h00 * b + h01 * c), 0.5 * (h10 * b + h11 * c)];
-
-    // Σ = Σ_k u_k u_kᵀ with u_k = J v_k, J = [fx/z (1, 0, −slope_x); fy/z (0, 1, −slope_y)].
-    let z = m.p_c.z;
-    let (ax, ay) = (view.fx / z, view.fy / z);
-    let mut d_p_c = Vec3::new(ax * d_mean.x, ay * d_mean.y, 0.0);
-    d_p_c.z = g[DEPTH_CHANNEL] - (d_mean.x * ax * m.p_c.x + d_mean.y * ay * m.p_c.y) / z;
-    let mut d_slope = Vec2::ZERO;
-    let mut d_r_wg = Mat3::ZERO;
-    let r_wc = view.r_cw.transpose();
-    for k in 0..3 {
-        let (u, v_c) = (m.axes_i[k], m.axes_c[k]);
-        let d_u = 2.0 * times(d_cov, u);
-        let (dx, dy) = (ax * d_u.x, ay * d_u.y);
-        let d_v = Vec3::new(dx, dy, -dx * m.slope.x - dy * m.slope.y);
-        d_slope -= Vec2::new(dx * v_c.z, dy * v_c.z);
-        d_p_c.z -= d_u.dot(u) / z;
-        *d_r_wg.col_mut(k) = r_wc * d_v * m.scale[k];
-        out[LOG_SCALE + k] = d_v.dot(v_c);
+        let mut out = [zero; WIDTH];
+        out[MEAN..MEAN + 2].copy_from_slice(&mean);
+        out[POWER] = conic[0] * half;
+        out[POWER + 1] = conic[1] * L::splat(-LOG2_E);
+        out[POWER + 2] = conic[2] * half;
+        out[LOG2_OPACITY] = log2_opacity;
+        out[DEPTH] = m.p_c[2];
+        out[NORMAL..NORMAL + 3].copy_from_slice(&m.normal_w);
+        out[HALF] = half_x;
+        out[HALF + 1] = half_y;
+        out[HALF_ROW] = (reach * determinant / yy).sqrt();
+        out[SLANT] = xy / yy;
+        out[DEPTH_SLOPE..DEPTH_SLOPE + 2].copy_from_slice(&m.depth_slope);
+        let out = L::transpose(out);
+        for (i, to) in projected.iter_mut().enumerate() {
+            out[i].store(&mut to.0);
+        }
+        let ends = [mean[1] - half_y, mean[1] + half_y + L::splat(BAND_ROWS as f32)];
+        let [first, end] = array!(2, |i| {
+            let band = ends[i] * L::splat(1.0 / BAND_ROWS as f32);
+            band.max(zero).min(L::splat(bands as f32)).keep(seen)
+        });
+        let packed = L::pack(first, end);
+        for (span, packed) in spans.iter_mut().zip(packed) {
+            *span = Span::unpack(packed);
+        }
     }
-    if !m.clamped[0] {
-        d_p_c.x += d_slope.x / z;
-        d_p_c.z -= d_slope.x * m.slope.x / z;
-    }
-    if !m.clamped[1] {
-        d_p_c.y += d_slope.y / z;
-        d_p_c.z -= d_slope.y * m.slope.y / z;
-    }
-    *d_r_wg.col_mut(m.shortest) += Vec3::from_slice(&g[NORMAL_CHANNEL..]) * m.facing;
-    out[POSITION..POSITION + 3].copy_from_slice(&(r_wc * d_p_c).to_array());
-    let d_rotation = rotation_gradient(Quat::from_slice(&row[ROTATION..]), &d_r_wg);
-    out[ROTATION..ROTATION + 4].copy_from_slice(&d_rotation);
-    Row(out)
 }
 
-/// ∂L/∂(x, y, z, w) of a unit quaternion from ∂L/∂R, without the part along the quaternion itself.
-fn rotation_gradient(q: Quat, d: &Mat3) -> [f32; 4] {
-    let [x, y, z, w] = q.to_array();
-    let e = |i: usize, k: usize| d.col(k)[i];
-    let (s01, s02, s12) = (e(0, 1) + e(1, 0), e(0, 2) + e(2, 0), e(1, 2) + e(2, 1));
-    let (a01, a02, a12) = (e(1, 0) - e(0, 1), e(0, 2) - e(2, 0), e(2, 1) - e(1, 2));
-    let raw = [
-        2.0 * (y * s01 + z * s02 + w * a12 - 2.0 * x * (e(1, 1) + e(2, 2))),
-        2.0 * (x * s01 + z * s12 + w * a02 - 2.0 * y * (e(0, 0) + e(2, 2))),
-        2.0 * (x * s02 + y * s12 + w * a01 - 2.0 * z * (e(0, 0) + e(1, 1))),
-        2.0 * (z * a01 + y * a02 + x * a12),
-    ];
-    let along = raw[0] * x + raw[1] * y + raw[2] * z + raw[3] * w;
-    [raw[0] - along * x, raw[1] - along * y, raw[2] - along * z, raw[3] - along * w]
+by_simd! {
+    /// Projects Gaussians.
+    fn project_rows = project(
+        rows: &[Row], view: &View, bands: usize, projected: &mut [Projected], spans: &mut [Span],
+    )
 }

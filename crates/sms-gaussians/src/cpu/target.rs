@@ -1,7 +1,8 @@
 //! An observed view in the order the tile kernels read it, with unusable pixels marked.
 
+use super::planes::Planes;
 use super::project::View;
-use super::raster::{Plane, TILE, TilePlace};
+use super::tile::{PATCH_ROWS, PATCHES, PatchPlace, Plane, TILE};
 use crate::TrainFrame;
 
 /// Tiles of an image.
@@ -22,13 +23,24 @@ impl Grid {
         self.columns * self.rows
     }
 
-    pub(super) fn place(&self, tile: usize) -> TilePlace {
-        let (x, y) = (tile % self.columns * TILE, tile / self.columns * TILE);
-        TilePlace {
+    /// First pixel of a tile.
+    pub(super) fn corner(&self, tile: usize) -> (usize, usize) {
+        (tile % self.columns * TILE, tile / self.columns * TILE)
+    }
+
+    /// Index among the lists of a band of a patch of its `tile`-th tile.
+    pub(super) fn patch(&self, tile: usize, patch: usize) -> usize {
+        (tile / self.columns * PATCHES + patch) * self.columns + tile % self.columns
+    }
+
+    /// The patch `patch` rows of patches below the first pixel of a tile.
+    pub(super) fn place(&self, (x, y): (usize, usize), patch: usize) -> PatchPlace {
+        let y = y + patch * PATCH_ROWS;
+        PatchPlace {
             x: x as f32,
             y: y as f32,
-            columns: (self.width - x).min(TILE),
-            rows: (self.height - y).min(TILE),
+            columns: self.width.saturating_sub(x).min(TILE),
+            rows: self.height.saturating_sub(y).min(PATCH_ROWS),
         }
     }
 }
@@ -36,8 +48,8 @@ impl Grid {
 /// What was observed in one tile.
 #[derive(Clone)]
 pub(super) struct TargetTile {
-    /// Colour; NaN where it must not be used.
-    pub(super) color: [Plane; 3],
+    /// Pixels whose colour may be used, one bit per pixel of each patch.
+    pub(super) colored: [u16; PATCHES],
     /// Depth in metres, 0 where it must not be used.
     pub(super) depth: Plane,
     /// Normals in the world, zero where they must not be used.
@@ -51,6 +63,8 @@ pub(super) struct Target {
     pub(super) view: View,
     pub(super) grid: Grid,
     pub(super) tiles: Vec<TargetTile>,
+    /// Colour row by row, zero where it must not be used.
+    pub(super) color: Planes,
     /// Pixels with colour.
     pub(super) colored: usize,
     /// Pixels with depth.
@@ -77,12 +91,14 @@ impl Target {
         assert_eq!(sizes, [pixels; 4], "every buffer has one entry per pixel of the camera");
         let grid = Grid::new(width, height);
         let unusable = TargetTile {
-            color: [Plane([[f32::NAN; TILE]; TILE]); 3],
+            colored: [0; PATCHES],
             depth: Plane::ZERO,
             normal: [Plane::ZERO; 3],
             label: [u16::MAX; TILE * TILE],
         };
         let mut tiles = vec![unusable; grid.len()];
+        let mut colors = Planes::default();
+        colors.resize(3, grid.columns * TILE, grid.rows * TILE);
         let (mut colored, mut deep, mut oriented, mut labelled) = (0, 0, 0, 0);
         for y in 0..height {
             for x in 0..width {
@@ -93,16 +109,17 @@ impl Target {
                 // Colours far outside 0..1 can only be damage; they would overflow the sums.
                 if color.iter().all(|c| c.abs() <= 1e3) {
                     colored += 1;
-                    (0..3).for_each(|c| tile.color[c].0[row][column] = color[c]);
+                    tile.colored[row / PATCH_ROWS] |= 1 << (row % PATCH_ROWS * TILE + column);
+                    (0..3).for_each(|c| colors.row_mut(y, c)[x] = color[c]);
                 }
                 if depth > 0.0 && depth <= DEPTH_MAX {
                     deep += 1;
-                    tile.depth.0[row][column] = depth;
+                    *tile.depth.at_mut(column, row) = depth;
                 }
                 let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
                 if (length - 1.0).abs() < 0.5 {
                     oriented += 1;
-                    (0..3).for_each(|c| tile.normal[c].0[row][column] = normal[c]);
+                    (0..3).for_each(|c| *tile.normal[c].at_mut(column, row) = normal[c]);
                 }
                 if usize::from(frame.label[i]) < classes {
                     labelled += 1;
@@ -111,6 +128,6 @@ impl Target {
             }
         }
         let view = View::new(&frame.camera);
-        Self { view, grid, tiles, colored, deep, oriented, labelled }
+        Self { view, grid, tiles, color: colors, colored, deep, oriented, labelled }
     }
 }

@@ -20,6 +20,10 @@ fn trainer(config: &TrainConfig, simd: Simd) -> CpuTrainer {
     trainer
 }
 
+fn forms() -> impl Iterator<Item = Simd> {
+    SimdForm::available().iter().filter_map(|form| Simd::of(*form))
+}
+
 /// 99.9th percentile and maximum.
 fn spread(mut errors: Vec<f64>) -> (f64, f64) {
     assert!(errors.iter().all(|e| e.is_finite()));
@@ -97,14 +101,12 @@ fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
     let grid = trainer.engine.grid;
     let mut out = vec![[0.0; CHANNELS]; grid.width * grid.height];
     for (tile, image) in trainer.engine.tiles.iter().enumerate() {
-        let place = grid.place(tile);
-        for y in 0..place.rows {
-            for x in 0..place.columns {
-                let pixel = &mut out[(place.y as usize + y) * grid.width + place.x as usize + x];
-                for (c, plane) in image.channels.iter().enumerate() {
-                    pixel[c] = f64::from(plane.0[y][x]);
-                }
-                pixel[CHANNELS - 1] = 1.0 - f64::from(image.transmittance.0[y][x]);
+        let corner = grid.corner(tile);
+        for y in 0..TILE.min(grid.height - corner.1) {
+            for x in 0..TILE.min(grid.width - corner.0) {
+                let pixel = &mut out[(corner.1 + y) * grid.width + corner.0 + x];
+                let patch = &image[y / PATCH_ROWS].channels;
+                *pixel = std::array::from_fn(|c| f64::from(patch[c][y % PATCH_ROWS * TILE + x]));
             }
         }
     }
@@ -113,8 +115,7 @@ fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
 
 #[test]
 fn image_equals_the_oracle() {
-    let forms = [Simd::portable(), Simd::detect()];
-    for (simd, background) in forms.into_iter().flat_map(|s| [(s, [0.0; 3]), (s, BACKGROUND)]) {
+    for (simd, background) in forms().flat_map(|s| [(s, [0.0; 3]), (s, BACKGROUND)]) {
         let mut trainer = trainer(&TrainConfig::default(), simd);
         trainer.set_background(background);
         let camera = camera(SIZE.0, SIZE.1);
@@ -191,12 +192,12 @@ fn gradients_equal_the_oracle() {
         TrainConfig { depth_term: DepthTerm::Accumulated, ..TrainConfig::default() },
     ];
     for config in &configs {
-        for simd in [Simd::portable(), Simd::detect()] {
+        for simd in forms() {
             compare_gradients(config, [0.0; 3], simd, (2e-3, 5e-3));
         }
     }
     for config in &configs[..2] {
-        for simd in [Simd::portable(), Simd::detect()] {
+        for simd in forms() {
             compare_gradients(config, BACKGROUND, simd, (2e-3, 5e-3));
         }
     }
@@ -251,7 +252,7 @@ fn after_steps(threads: usize, simd: Simd, steps: usize) -> (StepStats, TrainSta
 
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
-    for simd in [Simd::portable(), Simd::detect()] {
+    for simd in forms() {
         let one = after_steps(1, simd, 6);
         assert_eq!(one, after_steps(2, simd, 6));
         assert_eq!(one, after_steps(3, simd, 6));
@@ -259,23 +260,28 @@ fn any_number_of_threads_gives_the_same_bytes() {
 }
 
 #[test]
-fn portable_and_wide_forms_agree() {
+fn all_forms_agree() {
     let camera = camera(SIZE.0, SIZE.1);
-    let [a, b] = [Simd::portable(), Simd::detect()].map(|simd| {
-        let mut trainer = trainer(&TrainConfig::default(), simd);
-        let terms = trainer.differentiate(0);
-        let maps = trainer.render(&camera);
-        (terms, trainer.engine.gradients.clone(), maps)
-    });
-    assert!((a.0.total - b.0.total).abs() < 1e-5 * a.0.total, "{} {}", a.0.total, b.0.total);
-    let image = a.2.color.iter().flatten().zip(b.2.color.iter().flatten());
-    let (p999, max) = spread(image.map(|(a, b)| f64::from((a - b).abs())).collect());
-    assert!(p999 < 2e-6 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
-    let largest = a.1.iter().flat_map(|r| r.0).fold(0.0f32, |m, v| m.max(v.abs()));
-    let gradients = a.1.iter().zip(&b.1).flat_map(|(a, b)| a.0.into_iter().zip(b.0));
-    let (p999, max) = spread(gradients.map(|(a, b)| f64::from((a - b).abs() / largest)).collect());
-    println!("portable and wide gradients: p99.9 {p999:.1e}, largest {max:.1e}");
-    assert!(p999 < 1e-4 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+    let results: Vec<_> = forms()
+        .map(|simd| {
+            let mut trainer = trainer(&TrainConfig::default(), simd);
+            let terms = trainer.differentiate(0);
+            let maps = trainer.render(&camera);
+            (terms, trainer.engine.gradients.clone(), maps)
+        })
+        .collect();
+    for pair in results.windows(2) {
+        let (a, b) = (&pair[0], &pair[1]);
+        assert!((a.0.total - b.0.total).abs() < 1e-5 * a.0.total, "{} {}", a.0.total, b.0.total);
+        let image = a.2.color.iter().flatten().zip(b.2.color.iter().flatten());
+        let (p999, max) = spread(image.map(|(a, b)| f64::from((a - b).abs())).collect());
+        assert!(p999 < 2e-6 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+        let largest = a.1.iter().flat_map(|r| r.0).fold(0.0f32, |m, v| m.max(v.abs()));
+        let gradients = a.1.iter().zip(&b.1).flat_map(|(a, b)| a.0.into_iter().zip(b.0));
+        let (p999, max) = spread(gradients.map(|(a, b)| f64::from((a - b).abs() / largest)).collect());
+        println!("gradients of one form and the next: p99.9 {p999:.1e}, largest {max:.1e}");
+        assert!(p999 < 1e-4 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
+    }
 }
 
 #[test]
@@ -438,4 +444,68 @@ fn fifty_steps_lower_every_observed_term() {
     assert!(last.total < 0.75 * first.total);
     assert!(last.color_l1 < first.color_l1 && last.dssim < first.dssim && last.depth < first.depth);
     assert!(last.segmentation < 0.5 * first.segmentation);
+}
+
+#[test]
+fn a_share_of_the_segmentation_estimates_the_whole() {
+    let steps = 400;
+    for simd in forms() {
+        let whole_config = TrainConfig::default();
+        let mut whole = trainer(&whole_config, simd);
+        let expected = whole.differentiate(0);
+        let mut part = trainer(&TrainConfig { segmentation_share: 0.5, ..whole_config }, simd);
+        let mut terms = 0.0;
+        let mut rows = vec![[0.0f64; PARAMETERS]; COUNT];
+        let mut classifier = vec![0.0f64; part.engine.classifier_gradient.len().max(1000)];
+        for step in 0..steps {
+            // The classifier's step count chooses the patches.
+            part.parameters.classifier.steps = step;
+            let found = part.differentiate(0);
+            assert_eq!((found.color_l1, found.depth), (expected.color_l1, expected.depth));
+            terms += f64::from(found.segmentation) / f64::from(steps);
+            for (sum, row) in rows.iter_mut().zip(&part.engine.gradients) {
+                (0..PARAMETERS).for_each(|k| sum[k] += f64::from(row.0[k]) / f64::from(steps));
+            }
+            for (sum, value) in classifier.iter_mut().zip(&part.engine.classifier_gradient) {
+                *sum += f64::from(*value) / f64::from(steps);
+            }
+        }
+        assert!((terms / f64::from(expected.segmentation) - 1.0).abs() < 0.01, "{terms}");
+        let close = |found: &[f64], expected: &[f64], name: &str| {
+            let largest = expected.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            let squares: f64 = found.iter().zip(expected).map(|(a, b)| (a - b).powi(2)).sum();
+            let error = (squares / found.len() as f64).sqrt() / largest;
+            println!("{name}: mean over {steps} steps off by {error:.1e} of the largest");
+            assert!(error < 0.01, "{name}: {error}");
+        };
+        let flat =
+            |rows: &[[f64; PARAMETERS]]| rows.iter().flat_map(|r| r[AFFINITY..].to_vec()).collect::<Vec<_>>();
+        let exact: Vec<[f64; PARAMETERS]> =
+            whole.engine.gradients.iter().map(|r| std::array::from_fn(|k| f64::from(r.0[k]))).collect();
+        close(&flat(&rows), &flat(&exact), "affinities");
+        let exact: Vec<f64> = whole.engine.classifier_gradient.iter().map(|v| f64::from(*v)).collect();
+        close(&classifier[..exact.len()], &exact, "classifier");
+    }
+}
+
+#[test]
+fn a_share_of_the_segmentation_resumes_bit_by_bit_on_any_number_of_threads() {
+    let config = TrainConfig { segmentation_share: 0.4, ..TrainConfig::default() };
+    let run = |threads: usize, interrupted: bool| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut whole = trainer(&config, Simd::detect());
+            whole.steps(&[0, 1, 0]);
+            if interrupted {
+                let state = whole.snapshot();
+                whole = trainer(&config, Simd::detect());
+                whole.restore(&state).unwrap();
+            }
+            whole.steps(&[1, 0, 1]);
+            whole.snapshot()
+        })
+    };
+    let once = run(1, false);
+    assert_eq!(once, run(3, true));
+    assert_eq!(once, run(2, false));
 }

@@ -89,6 +89,7 @@ impl TrainConfig {
         ] {
             r.within(&format!("{prefix}rates.{key}"), value, 0.0, 1.0)?;
         }
+        r.within(&format!("{prefix}segmentation_share"), self.segmentation_share, 0.01, 1.0)?;
         Ok(())
     }
 }

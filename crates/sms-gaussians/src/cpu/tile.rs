@@ -1,0 +1,207 @@
+//! What the raster kernels work on. The unit is a patch: two rows of eight pixels, one lane each, four patches to a
+//! tile of 8×8 pixels.
+
+use super::lanes::{Chunk, Lanes, NONE, WIDTH, array};
+use crate::AFFINITY_DIM;
+
+/// Side of a tile in pixels.
+pub(super) const TILE: usize = 8;
+/// Rows of pixels in a patch.
+pub(super) const PATCH_ROWS: usize = WIDTH / TILE;
+/// Patches of a tile, from the top.
+pub(super) const PATCHES: usize = TILE / PATCH_ROWS;
+
+/// First colour channel.
+pub(super) const COLOR_CHANNEL: usize = 0;
+/// First normal channel.
+pub(super) const NORMAL_CHANNEL: usize = 3;
+/// First affinity channel.
+pub(super) const AFFINITY_CHANNEL: usize = 6;
+/// The depth channel.
+pub(super) const DEPTH_CHANNEL: usize = AFFINITY_CHANNEL + AFFINITY_DIM;
+/// The channel of accumulated opacity.
+pub(super) const OPACITY_CHANNEL: usize = DEPTH_CHANNEL + 1;
+/// Channels of a blended pixel: colour 3, normal 3, affinity 16, depth, opacity.
+pub(super) const CHANNELS: usize = OPACITY_CHANNEL + 1;
+/// Channels whose feature is the same in all pixels of a splat: all but depth and opacity, which come last. Depth is
+/// that of a plane, opacity's feature is one.
+pub(super) const FLAT: usize = DEPTH_CHANNEL;
+
+/// A splat is skipped where its alpha is below this.
+pub const ALPHA_MIN: f32 = 1.0 / 255.0;
+/// Alpha is cut off here, so that the division by 1 − α stays bounded.
+pub const ALPHA_MAX: f32 = 0.99;
+/// A pixel is finished when its transmittance is no more than this.
+pub const TRANSMITTANCE_MIN: f32 = 1e-4;
+
+/// One value per pixel of a tile, patch by patch.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct Plane(pub(super) [Chunk; PATCHES]);
+
+impl Plane {
+    pub(super) const ZERO: Self = Self([NONE; PATCHES]);
+
+    /// The value at a pixel of the tile.
+    pub(super) fn at_mut(&mut self, x: usize, y: usize) -> &mut f32 {
+        &mut self.0[y / PATCH_ROWS][y % PATCH_ROWS * TILE + x]
+    }
+}
+
+/// A Gaussian as one camera sees it. Alpha is 2^t, t = log₂ o + p₀·dx² + p₁·dx·dy + p₂·dy² ≤ log₂ o.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub(super) struct Splat {
+    /// Centre in the image, pixels.
+    pub(super) mean: [f32; 2],
+    /// Quadratic form of the exponent, log₂ per pixel²: −½·log₂e times the inverse of the 2-D covariance, its xx, 2·xy
+    /// and yy.
+    pub(super) power: [f32; 3],
+    /// log₂ of the opacity.
+    pub(super) log2_opacity: f32,
+    /// Depth at the centre, metres.
+    pub(super) depth: f32,
+    /// Change of depth per pixel to the right and down, metres.
+    pub(super) depth_slope: [f32; 2],
+    pub(super) _padding: f32,
+    /// What is blended, in the order of the channels.
+    pub(super) features: [f32; FLAT],
+}
+
+impl Splat {
+    pub(super) const ZERO: Self = Self {
+        mean: [0.0; 2],
+        power: [0.0; 3],
+        log2_opacity: 0.0,
+        depth: 0.0,
+        depth_slope: [0.0; 2],
+        _padding: 0.0,
+        features: [0.0; FLAT],
+    };
+}
+
+/// First of the columns of [`SplatGradient::geometry`] that hold the moments.
+pub(super) const MOMENTS: usize = 10;
+/// Column of [`SplatGradient::geometry`] that holds ∂L/∂depth.
+pub(super) const DEPTH_COLUMN: usize = 6;
+
+/// Gradient of the loss with respect to a [`Splat`], before it is carried to the Gaussian.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub(super) struct SplatGradient {
+    /// ∂L/∂(colour 3, normal 3, depth), three unused columns, then from [`MOMENTS`] the moments Σv, Σv·dx, Σv·dy,
+    /// Σv·dx², Σv·dx·dy, Σv·dy² of v = ∂L/∂(ln α) over the pixels.
+    pub(super) geometry: Chunk,
+    /// ∂L/∂affinity.
+    pub(super) affinity: [f32; AFFINITY_DIM],
+}
+
+impl SplatGradient {
+    pub(super) const ZERO: Self = Self { geometry: NONE, affinity: [0.0; AFFINITY_DIM] };
+
+    /// Adds another.
+    #[inline(always)]
+    pub(super) fn add<L: Lanes>(&mut self, other: &Self) {
+        (L::load(&self.geometry) + L::load(&other.geometry)).store(&mut self.geometry);
+        (L::load(&self.affinity) + L::load(&other.affinity)).store(&mut self.affinity);
+    }
+}
+
+/// A blended patch.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct PatchImage {
+    pub(super) channels: [Chunk; CHANNELS],
+}
+
+/// A blended tile.
+pub(super) type TileImage = [PatchImage; PATCHES];
+
+impl PatchImage {
+    pub(super) const EMPTY: Self = Self { channels: [NONE; CHANNELS] };
+}
+
+/// ∂L/∂(blended channels) of a patch.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct PatchGradient {
+    pub(super) channels: [Chunk; CHANNELS],
+}
+
+impl PatchGradient {
+    pub(super) const ZERO: Self = Self { channels: [NONE; CHANNELS] };
+}
+
+/// Where a patch lies: its first pixel, and how many of its columns and rows are inside the image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PatchPlace {
+    pub(super) x: f32,
+    pub(super) y: f32,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+/// Horizontal pixel centres relative to the patch's first pixel.
+pub(super) const CENTERS_X: Chunk =
+    [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5];
+
+impl PatchPlace {
+    /// Pixel centres.
+    #[inline(always)]
+    pub(super) fn centers<L: Lanes>(&self) -> (L, L) {
+        (L::load(&CENTERS_X) + L::splat(self.x), L::halves(self.y + 0.5, self.y + 1.5))
+    }
+
+    /// One inside the image, zero outside.
+    #[inline(always)]
+    pub(super) fn inside<L: Lanes>(&self) -> L {
+        let column = L::splat(self.columns as f32).gt(L::load(&CENTERS_X));
+        L::splat(1.0).keep(L::both(column, L::splat(self.rows as f32).gt(L::halves(0.5, 1.5))))
+    }
+}
+
+/// What one splat does to the pixels of a patch before it is known how much light reaches it.
+pub(super) struct Alpha<L: Lanes> {
+    /// Alpha, not yet zeroed where it is below [`ALPHA_MIN`].
+    pub(super) value: L,
+    /// Where alpha is at least [`ALPHA_MIN`].
+    pub(super) enough: L::Mask,
+    /// Where alpha is below [`ALPHA_MAX`], so that it depends on the exponent.
+    pub(super) free: L::Mask,
+    /// Depth of the plane through the splat's centre, metres.
+    pub(super) depth: L,
+}
+
+/// Alpha of a splat at the given pixel centres.
+#[inline(always)]
+pub(super) fn alpha<L: Lanes>(splat: &Splat, (x, y): (L, L)) -> Alpha<L> {
+    let (dx, dy) = (x - L::splat(splat.mean[0]), y - L::splat(splat.mean[1]));
+    let [p0, p1, p2] = array!(3, |i| L::splat(splat.power[i]));
+    let opacity = L::splat(splat.log2_opacity);
+    let slant = p1.mul_add(dy, p0 * dx);
+    let t = dx.mul_add(slant, (p2 * dy).mul_add(dy, opacity));
+    // Rounding can lift the exponent of a very eccentric splat above its maximum.
+    let t = t.min(opacity);
+    let most = L::splat(LOG2_ALPHA_MAX);
+    let [right, down] = array!(2, |i| L::splat(splat.depth_slope[i]));
+    let depth = right.mul_add(dx, down.mul_add(dy, L::splat(splat.depth)));
+    Alpha { value: t.min(most).exp2(), enough: t.ge(L::splat(LOG2_ALPHA_MIN)), free: most.gt(t), depth }
+}
+
+/// log₂ of [`ALPHA_MIN`].
+pub(super) const LOG2_ALPHA_MIN: f32 = -7.994_353_4;
+/// log₂ of [`ALPHA_MAX`].
+const LOG2_ALPHA_MAX: f32 = -0.014_499_555;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn constants_are_the_logarithms_of_the_limits() {
+        assert_eq!(LOG2_ALPHA_MIN, f64::from(ALPHA_MIN).log2() as f32);
+        assert_eq!(LOG2_ALPHA_MAX, f64::from(ALPHA_MAX).log2() as f32);
+        assert_eq!(std::mem::size_of::<Splat>(), 128);
+        assert_eq!(std::mem::size_of::<SplatGradient>(), 128);
+    }
+}
