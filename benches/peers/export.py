@@ -67,8 +67,8 @@ class Export:
 
 
 def edge_mask(depth: np.ndarray, pixels: int, relative: float = 0.02) -> np.ndarray:
-    """Pixels within `pixels` of a depth edge or of a missing measurement beside one. Inverse depth is linear over the image of a plane, so
-    its second difference tells an edge from a slant."""
+    """Pixels within `pixels` of a depth edge. Inverse depth is linear over the image of a plane, so that its second
+    difference tells an edge from a slant."""
     inverse = np.where(depth > 0, 1.0 / np.maximum(depth, 1e-6), np.nan)
     edge = np.zeros(depth.shape, bool)
     with np.errstate(invalid="ignore"):

@@ -149,8 +149,8 @@ def rasterise_cuda(means, quats, scales, opacities, features, viewmat, K, width,
     from gsplat import rasterization
 
     image, alpha, _ = rasterization(
-        means, quats, scales, opacities, features, viewmat[None], K[None], width, height, render_mode="RGB+D",
-        packed=False,
+        means, quats, scales, opacities, features, viewmat[None], K[None], width, height, packed=False,
+        render_mode="RGB+D",
     )
     return image[0, ..., :-1], image[0, ..., -1], alpha[0, ..., 0]
 

@@ -7,12 +7,12 @@ rendered at every fourth training view, with labels) and DIR/views/ (rendered he
 memory and the schedule that it got as JSON. The rasteriser is gsplat's own: on CUDA where there
 is a GPU, else its PyTorch functions (see gsplat_cpu.py).
 
-The recipe is that of gsplat's `simple_trainer.py`: (1 - 0.2) L1 + 0.2 (1 - SSIM) on colour, its learning rates, plus
-L1 on depth normalised by opacity, since the peers are given depth. Centres start on measured surfaces, so that their
-learning rate is lower than there (1.6e-4 of the scene's extent would carry them off by millimetres). Gaussians start from the depth images: points of
+The recipe is that of gsplat's `simple_trainer.py`: (1 - 0.2) L1 + 0.2 (1 - SSIM) on colour and its learning rates, plus
+L1 on depth normalised by opacity, since the peers are given depth. Gaussians start from the depth images: points of
 all training frames, averaged in cells, as discs along the normal of their neighbourhood. Their number is fixed;
-densification is for scans without depth. Labels are not learnt: each Gaussian keeps the label that most of its
-cell's points have, and labels of views are composited from those.
+densification is for scans without depth. Centres thus start on measured surfaces, so that their learning rate is lower
+than there (1.6e-4 of the scene's extent would carry them off by millimetres). Labels are not learnt: each Gaussian
+keeps the label that most of its cell's points have, and labels of views are composited from those.
 """
 
 import argparse

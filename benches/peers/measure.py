@@ -1,5 +1,7 @@
 """Time and memory of work, inside a process and of a whole one. Standard library only."""
 
+from __future__ import annotations
+
 import json
 import os
 import resource

@@ -7,6 +7,8 @@ the environment that --python names (see README.md). A peer that cannot run gets
 OUT/table.md and OUT/results.json and prints the table.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import math
@@ -89,12 +91,14 @@ def pick(metrics: dict, prefix: str, names: dict | None = None) -> dict:
 def ours(args, scenes: list[str]) -> list[Row]:
     """Our rows: the Gaussians, and the meshes made of them."""
     folder = args.ours or args.out / "sms"
-    results = folder / "results.json"
     if not args.ours:
         command = [args.sms, "bench", "scan", "--json", "--scenes", ",".join(scenes), "--preset", args.preset]
         metrics, _, why = run_json([*command, "--out", folder, "--cache", args.cache], 3600 * len(scenes))
     else:
-        metrics, why = (json.loads(results.read_text()), "") if results.is_file() else (None, f"no {results}")
+        # Each scene's own file is there before that of all.
+        metrics, why = {}, f"nothing in {folder}"
+        for file in [*folder.glob("*/metrics.json"), folder / "results.json"]:
+            metrics |= json.loads(file.read_text()) if file.is_file() else {}
     rows = []
     costs = {"seconds": "seconds", "cpu_seconds": "cpu_seconds", "peak_bytes": "peak_bytes"}
     for scene in scenes:
@@ -103,17 +107,14 @@ def ours(args, scenes: list[str]) -> list[Row]:
             rows.append(Row("sms", scene, {}, f"did not run: {why or 'not among the results'}"))
             continue
         got = {**pick(metrics, prefix, costs), **pick(metrics, prefix)}
-        mean_of = lambda key: metrics.get(f"bench.scan.{scene}.{key}", float("nan"))
         details = {k.removeprefix(prefix): v for k, v in metrics.items() if k.startswith(prefix)}
-        note = f"{mean_of('steps'):.0f} steps, {mean_of('gaussians'):.0f} Gaussians"
+        note = f"{details.get('steps', 0):.0f} steps, {details.get('gaussians', 0):.0f} Gaussians"
         rows.append(Row("sms", scene, got, note, details))
         names = {"median": "mesh_median_m", "p90": "mesh_p90_m", "f1": "mesh_f1_2p5mm"}
         mesh = pick(metrics, prefix, names)
         if mesh:
-            cost = {**pick(metrics, prefix, costs)}
-            extra = metrics.get(f"{prefix}mesh_seconds", 0.0)
-            cost = {"seconds": cost["seconds"] + extra} if "seconds" in cost else {}
-            rows.append(Row("sms, closed meshes", scene, {**cost, **mesh}, "scan and entities"))
+            seconds = got["seconds"] + details.get("mesh_seconds", 0.0)
+            rows.append(Row("sms, closed meshes", scene, {"seconds": seconds, **mesh}, "scan and entities"))
     return rows
 
 
@@ -197,7 +198,8 @@ def table(rows: list[Row]) -> str:
 
 def steps_text(steps: dict, rows: list[Row]) -> str:
     """Markdown of the training steps."""
-    text = "\n| one step on our scan's Gaussians | Gaussians | sms CPU ms | gsplat CPU ms | gsplat MiB |\n|---|--:|--:|--:|--:|\n"
+    text = "\n| one step on our scan's Gaussians | Gaussians | sms CPU ms | gsplat CPU ms | gsplat MiB |\n"
+    text += "|---|--:|--:|--:|--:|\n"
     for scene, found in steps.items():
         if isinstance(found, str):
             text += f"| {scene} | | | {found} | |\n"
@@ -205,7 +207,8 @@ def steps_text(steps: dict, rows: list[Row]) -> str:
         own = next((r.details.get("scan_step_cpu_ms") for r in rows if r.method == "sms" and r.scene == scene), None)
         own = f"{own:.0f}" if own else "–"
         size = f"{found['width']}×{found['height']}"
-        text += f"| {scene}, {size} | {found['gaussians']} | {own} | {found['step_cpu_ms']:.0f} | {found['peak_bytes'] / 2**20:.0f} |\n"
+        cells = [f"{scene}, {size}", found["gaussians"], own, f"{found['step_cpu_ms']:.0f}"]
+        text += "| " + " | ".join(map(str, [*cells, f"{found['peak_bytes'] / 2**20:.0f}"])) + " |\n"
     return text
 
 
@@ -236,25 +239,29 @@ def main() -> int:
     if args.export is None:
         args.export = args.out / "export"
         command = [args.sms, "bench", "scan", "--scenes", args.scenes, "--preset", args.preset, "--quiet"]
-        done = measure.run([str(c) for c in [*command, "--export", args.export, "--cache", args.cache]], 3600, None, ROOT)
+        command += ["--export", args.export, "--cache", args.cache]
+        done = measure.run([str(c) for c in command], 3600, None, ROOT)
         if done.code != 0:
             print(f"the scenes could not be exported: {done.why()}", file=sys.stderr)
             return 1
     written = sorted(p.parent.name for p in args.export.glob("*/transforms.json"))
     named = [s for s in written if s in args.scenes or s.removeprefix("billiards_") in args.scenes.split(",")]
     scenes = written[: int(args.scenes)] if args.scenes.isdigit() and int(args.scenes) <= 10 else named or written
+    if not scenes:
+        print(f"no exported scene lies in {args.export}", file=sys.stderr)
+        return 1
     args.out.mkdir(parents=True, exist_ok=True)
     args.python = args.python if args.python.is_file() else Path(shutil.which("python3") or sys.executable)
 
-    rows = ours(args, scenes)
-    steps = {}
+    own, peers, steps = ours(args, scenes), [], {}
     for scene in scenes:
         if "tsdf" not in args.skip:
-            rows += [tsdf(args, scene, name, options) for name, options in TSDF.items()]
+            peers += [tsdf(args, scene, name, options) for name, options in TSDF.items()]
         if "gsplat" not in args.skip:
-            rows.append(gsplat(args, scene, "gsplat 1.5.3"))
+            peers.append(gsplat(args, scene, "gsplat 1.5.3"))
         if "step" not in args.skip:
             steps[scene] = step(args, scene, args.ours or args.out / "sms")
+        rows = (ours(args, scenes) if args.ours else own) + peers
         text = table(rows) + (steps_text(steps, rows) if steps else "")
         # After every scene: a run that is cut short leaves what it has.
         (args.out / "table.md").write_text(text)
