@@ -39,6 +39,7 @@ mod progress;
 mod ranges;
 mod run_folder;
 mod seed;
+mod text;
 mod topology;
 mod warnings;
 
@@ -54,10 +55,9 @@ pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};
 pub use mesh::{Aabb, Mesh};
 pub use png_io::{read_png_color, read_png_gray16, write_png_color, write_png_gray16};
-pub use progress::{
-    JsonProgress, NoProgress, PlainProgress, Progress, Status, duration_text, linear_seconds_left,
-};
+pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, linear_seconds_left};
 pub use ranges::Ranges;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng};
+pub use text::{duration_text, length_text};
 pub use warnings::{Warning, Warnings};

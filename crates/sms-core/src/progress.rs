@@ -1,5 +1,6 @@
 //! Progress of long work, without knowing where it is shown.
 
+use crate::duration_text;
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::sync::Mutex;
@@ -30,16 +31,6 @@ pub struct Status<'a> {
     pub seconds_left: Option<f64>,
     /// The figures in the message, for programs.
     pub values: &'a [(&'a str, f64)],
-}
-
-/// A duration for people: `41 s`, `2 min 10 s`, `1 h 5 min`.
-pub fn duration_text(seconds: f64) -> String {
-    let whole = seconds.max(0.0).round() as u64;
-    match whole {
-        0..60 => format!("{whole} s"),
-        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
-        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
-    }
 }
 
 /// Seconds left when the units to come take as long as those done.
@@ -307,11 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn durations_and_linear_estimates() {
-        assert_eq!(duration_text(40.6), "41 s");
-        assert_eq!(duration_text(59.7), "1 min 0 s");
-        assert_eq!(duration_text(3900.0), "1 h 5 min");
-        assert_eq!(duration_text(-1.0), "0 s");
+    fn linear_estimates() {
         assert_eq!(linear_seconds_left(10.0, 2, 6), Some(20.0));
         assert_eq!((linear_seconds_left(10.0, 0, 6), linear_seconds_left(10.0, 6, 6)), (None, None));
     }

@@ -60,17 +60,20 @@ impl RunFolder {
     /// Opens an existing run for writing.
     ///
     /// # Errors
-    /// [`CoreError::Input`] when there is no such run.
+    /// [`CoreError::Input`] when there is no such run, or another process is writing to it.
     pub fn open(root: &Path) -> Result<Self, CoreError> {
-        if !root.join("run.toml").is_file() {
-            return Err(InputError::new(
-                "there is no run here",
-                root,
-                "give the folder that `sms scan … --out RUN` wrote (it holds run.toml)",
-            )
-            .into());
-        }
+        must_be_run(root)?;
         Self::open_locked(root)
+    }
+
+    /// Opens an existing run to look at its complete stages, also while another process writes to it, and where the
+    /// folder may not be written to. Nothing may be begun or recorded in it.
+    ///
+    /// # Errors
+    /// [`CoreError::Input`] when there is no such run.
+    pub fn open_to_read(root: &Path) -> Result<Self, CoreError> {
+        must_be_run(root)?;
+        Ok(Self { root: root.to_owned(), lock: None })
     }
 
     fn open_locked(root: &Path) -> Result<Self, CoreError> {
@@ -120,6 +123,7 @@ impl RunFolder {
     /// # Errors
     /// [`CoreError::Write`] when the folder cannot be prepared.
     pub fn begin(&self, name: &str, inputs: &Hash, force: bool) -> Result<StageState, CoreError> {
+        debug_assert!(self.lock.is_some(), "a run that was opened to read");
         let done = self.root.join(name);
         let work = self.root.join(format!(".{name}.partial"));
         let old = self.root.join(format!(".{name}.old"));
@@ -251,6 +255,17 @@ fn shortest(x: f64) -> f64 {
     if f64::from(single) == x { single.to_string().parse().unwrap_or(x) } else { x }
 }
 
+fn must_be_run(root: &Path) -> Result<(), InputError> {
+    if root.join("run.toml").is_file() {
+        return Ok(());
+    }
+    Err(InputError::new(
+        "there is no run here",
+        root,
+        "give the folder that `sms scan … --out RUN` wrote (it holds run.toml)",
+    ))
+}
+
 fn read_record(dir: &Path) -> Option<StageRecord> {
     atomic::read_json(&dir.join(RECORD)).ok()
 }
@@ -330,6 +345,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let _run = RunFolder::create(dir.path()).unwrap();
         assert!(RunFolder::create(dir.path()).unwrap_err().to_string().contains("another sms process"));
+        std::fs::write(dir.path().join("run.toml"), "").unwrap();
+        assert!(RunFolder::open(dir.path()).unwrap_err().to_string().contains("another sms process"));
+        assert_eq!(RunFolder::open_to_read(dir.path()).unwrap().root(), dir.path());
+        assert!(RunFolder::open_to_read(&dir.path().join("no")).is_err());
         assert!(RunFolder::open(&dir.path().join("no")).unwrap_err().to_string().contains("no run here"));
     }
 }

@@ -15,7 +15,11 @@
 mod colormap;
 mod evaluate;
 mod figures;
+#[cfg(feature = "rerun")]
+mod live;
 mod page;
+#[cfg(feature = "rerun")]
+mod rerun_parts;
 #[cfg(feature = "rerun")]
 mod rrd;
 mod shot;
@@ -28,6 +32,8 @@ pub use evaluate::{
     evaluate_object, read_known_objects,
 };
 pub use figures::ViewPair;
+#[cfg(feature = "rerun")]
+pub use live::{LiveError, LiveScan, Viewer};
 pub use page::{LossPoint, ReportError, ReportInput, write_report};
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};

@@ -6,7 +6,7 @@ use crate::view3d::view_data;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, Warning, atomic};
+use sms_core::{CoreError, Warning, atomic, length_text};
 use sms_gaussians::GaussianModel;
 use sms_plan::Plan;
 use sms_scene::{BodyKind, BodyShape, Scene};
@@ -129,10 +129,6 @@ fn fill(template: &str, parts: &[(&str, String)]) -> String {
 
 pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn length_text(metres: f64) -> String {
-    if metres.abs() < 0.01 { format!("{:.2} mm", metres * 1e3) } else { format!("{:.1} cm", metres * 1e2) }
 }
 
 fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {

@@ -1,16 +1,19 @@
 //! `run.rrd`: the run as a Rerun recording (feature `rerun`).
 //!
-//! Timelines: `frame` for the recording's frames, `step` for training curves, `time` (seconds) for the shot. Entities:
-//! `world/camera` (images, depth, labels, as observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as
-//! predicted), `world/realised/*`, `world/paths/*`, `losses/*`.
+//! Timelines: `step` (training steps; what the viewer opens on, so that curves, pictures and scene are all there),
+//! `time` (seconds of the shot) and `frame` (of the recording). Entities: `world/camera` (images, depth, labels, as
+//! observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as predicted), `world/realised/*`,
+//! `world/paths/*`, `losses/*`.
 
 use crate::page::ReportInput;
+use crate::rerun_parts::{APPLICATION, Logged, Points, color_image, depth_image, pinhole, transform};
 use rerun::blueprint::{
-    Blueprint, BlueprintActivation, Horizontal, Spatial2DView, Spatial3DView, TimeSeriesView, Vertical,
+    Blueprint, BlueprintActivation, Horizontal, Spatial2DView, Spatial3DView, TimePanel, TimeSeriesView,
+    Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
-use sms_core::glamx::{DPose3, DVec3};
-use sms_core::{Camera, Mesh};
+use sms_core::Mesh;
+use sms_core::glamx::DVec3;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_task::Trajectory;
 use std::path::{Path, PathBuf};
@@ -46,7 +49,7 @@ pub enum RrdError {
 pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
     let temporary = path.with_extension("rrd.tmp");
     let sdk = |source| RrdError::Sdk { path: path.to_owned(), source };
-    let rec = RecordingStreamBuilder::new("sms")
+    let rec = RecordingStreamBuilder::new(APPLICATION)
         .recording_name(input.title.clone())
         .save(&temporary)
         .map_err(sdk)?;
@@ -56,8 +59,6 @@ pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
     std::fs::rename(&temporary, path).map_err(sms_core::CoreError::write(path))?;
     Ok(())
 }
-
-type Logged = Result<(), rerun::RecordingStreamError>;
 
 fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     blueprint().send(rec, BlueprintActivation { make_active: true, make_default: true })?;
@@ -108,39 +109,29 @@ fn blueprint() -> Blueprint {
         ])
         .into(),
     ]))
+    // The shot is on `time`, which has no curves.
+    .with_time_panel(TimePanel::new().with_timeline("step"))
 }
 
 fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
+    let last_step = input.losses.last().map_or(0, |l| l.step);
     for (shown, view) in input.views.iter().enumerate() {
         rec.set_time_sequence("frame", view.frame_index as i64);
-        // On the shot's timeline, too, one a second: else the pictures are blank where the viewer starts.
+        // On the other timelines, too, spread over them from the start: else the pictures are blank there.
         rec.set_duration_secs("time", shown as f64);
-        let Camera { intrinsics: k, x_wc } = view.camera;
-        let (t, q) = (x_wc.translation.as_vec3(), x_wc.rotation.as_quat());
-        let pose = rerun::Transform3D::from_translation_rotation(
-            t.to_array(),
-            rerun::Quaternion::from_xyzw(q.to_array()),
-        );
-        rec.log("world/camera", &pose)?;
-        let pinhole = rerun::Pinhole::from_focal_length_and_resolution(
-            [k.fx as f32, k.fy as f32],
-            [k.width as f32, k.height as f32],
-        )
-        .with_principal_point([k.cx as f32, k.cy as f32])
-        .with_camera_xyz(rerun::components::ViewCoordinates::RDF)
-        .with_image_plane_distance(0.1);
+        rec.set_time_sequence("step", (last_step * shown as u64 / input.views.len() as u64) as i64);
+        rec.log("world/camera", &transform(&view.camera.x_wc))?;
+        let k = view.camera.intrinsics;
         let size = [k.width as u32, k.height as u32];
         for (name, color, depth, label) in [
             ("observed", &view.observed_color, &view.observed_depth, &view.observed_label),
             ("rendered", &view.rendered_color, &view.rendered_depth, &view.rendered_label),
         ] {
             let at = format!("world/camera/{name}");
-            rec.log(at.clone(), &pinhole)?;
+            rec.log(at.clone(), &pinhole(&view.camera))?;
             let pixels = color.data.as_flattened().to_vec();
-            rec.log(format!("{at}/color"), &rerun::Image::from_rgb24(pixels, size))?;
-            let metres: Vec<u8> = depth.data.iter().flat_map(|z| z.to_le_bytes()).collect();
-            let format = rerun::components::ImageFormat::depth(size, rerun::ChannelDatatype::F32);
-            rec.log(format!("{at}/depth"), &rerun::DepthImage::new(metres, format).with_meter(1.0))?;
+            rec.log(format!("{at}/color"), &color_image(pixels, size))?;
+            rec.log(format!("{at}/depth"), &depth_image(&depth.data, size))?;
             let ids: Vec<u8> = label.data.iter().flat_map(|l| l.to_le_bytes()).collect();
             let format = rerun::components::ImageFormat::segmentation(size, rerun::ChannelDatatype::U16);
             rec.log(format!("{at}/labels"), &rerun::SegmentationImage::new(ids, format))?;
@@ -152,19 +143,7 @@ fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
 
 fn log_gaussians(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     let Some(g) = input.gaussians else { return Ok(()) };
-    let radii = (0..g.len()).map(|i| {
-        let [(_, a), (_, b)] = g.disc(i).1;
-        (a * b).sqrt()
-    });
-    let colors = g.colors.iter().map(|c| {
-        let [r, g, b] = c.map(|v| (v.clamp(0.0, 1.0) * 255.0) as u8);
-        rerun::Color::from_rgb(r, g, b)
-    });
-    let points = rerun::Points3D::new(g.positions_w.iter().map(|p| p.to_array()))
-        .with_radii(radii)
-        .with_colors(colors)
-        .with_class_ids(g.labels.iter().copied());
-    rec.log_static("world/gaussians", &points)
+    rec.log_static("world/gaussians", &Points::of(g, usize::MAX).archetype())
 }
 
 fn mesh_of(mesh: &Mesh, color: [u8; 4]) -> rerun::Mesh3D {
@@ -184,7 +163,12 @@ fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8
             continue;
         }
         let at = format!("{root}/{}", body.name);
-        rec.log_static(at.clone(), &transform(&body.x_wb))?;
+        // Not static: static poses would hide the motion. Bodies stand there from the start of every timeline.
+        rec.set_time_sequence("step", 0);
+        rec.set_time_sequence("frame", 0);
+        rec.set_duration_secs("time", 0.0);
+        rec.log(at.clone(), &transform(&body.x_wb))?;
+        rec.reset_time();
         let [r, g, b] = body.color;
         if !body.visual.triangles.is_empty() {
             rec.log_static(format!("{at}/mesh"), &mesh_of(&body.visual, tint.unwrap_or([r, g, b, 255])))?;
@@ -196,11 +180,6 @@ fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8
         }
     }
     Ok(())
-}
-
-fn transform(x: &DPose3) -> rerun::Transform3D {
-    let (t, q) = (x.translation.as_vec3(), x.rotation.as_quat());
-    rerun::Transform3D::from_translation_rotation(t.to_array(), rerun::Quaternion::from_xyzw(q.to_array()))
 }
 
 /// Moves the scene's bodies as a trajectory says, relative to each body's first state.

@@ -1,0 +1,37 @@
+//! Quantities as people read them.
+
+/// A length: millimetres below a centimetre, centimetres below a metre, metres above.
+pub fn length_text(metres: f64) -> String {
+    match metres.abs() {
+        m if m < 0.01 => format!("{:.2} mm", metres * 1e3),
+        m if m < 1.0 => format!("{:.2} cm", metres * 1e2),
+        _ => format!("{metres:.2} m"),
+    }
+}
+
+/// A duration: `41 s`, `2 min 10 s`, `1 h 5 min`.
+pub fn duration_text(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    match whole {
+        0..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_and_durations() {
+        assert_eq!(length_text(0.00123), "1.23 mm");
+        assert_eq!(length_text(-0.0512), "-5.12 cm");
+        assert_eq!(length_text(2.5), "2.50 m");
+        assert_eq!(length_text(f64::NAN), "NaN m");
+        assert_eq!(duration_text(40.6), "41 s");
+        assert_eq!(duration_text(59.7), "1 min 0 s");
+        assert_eq!(duration_text(3900.0), "1 h 5 min");
+        assert_eq!(duration_text(-1.0), "0 s");
+    }
+}
