@@ -91,11 +91,11 @@ pub(crate) struct Check {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PresetName {
-    /// A look in under a minute.
+    /// 200 px, at most 100 + 10 a frame + 150 steps: whether a recording is any good.
     Draft,
-    /// The default.
+    /// 320 px, at most 200 + 30 a frame + 300 steps: objects and planning. The default.
     Standard,
-    /// The paper's half resolution.
+    /// 640 px, at most 400 + 60 a frame + 1000 steps: thin parts, views to look at; nine times standard's steps × pixels.
     Fine,
 }
 

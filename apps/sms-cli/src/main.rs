@@ -1,7 +1,7 @@
 //! The command `sms`: from a posed RGB-D recording to a simulated scene, a plan, an execution and a report.
 //!
 //! One file per command; each only wires stages together. Exit codes: 0 done, 2 bad input, 130
-//! interrupted (run the same command again to resume), 1 any other failure.
+//! interrupted (run the same command again to resume), 1 any other failure, and `sms check` found a fault.
 
 mod bars;
 mod cli;
@@ -23,14 +23,14 @@ fn main() -> ExitCode {
         Err(error) => return failure::report(&error),
     };
     match run(&context, arguments.command) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => failure::report(&error),
     }
 }
 
-fn run(context: &Context, command: Command) -> anyhow::Result<()> {
+fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Check(a) => commands::check::run(context, &a),
+        Command::Check(a) => return commands::check::run(context, &a),
         Command::Scan(a) => commands::scan::run(context, &a).map(drop),
         Command::Materialize(a) => commands::materialize::run(context, &a),
         Command::Simulate(a) => commands::simulate::run(context, &a),
@@ -45,4 +45,5 @@ fn run(context: &Context, command: Command) -> anyhow::Result<()> {
         Command::Bench(a) => commands::bench::run(context, &a),
         Command::Settings(a) => commands::settings::run(context, &a),
     }
+    .map(|()| ExitCode::SUCCESS)
 }

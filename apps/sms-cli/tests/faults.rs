@@ -164,20 +164,7 @@ fn settings_with_an_unknown_key() {
 fn settings_that_cannot_be_leave_a_run_as_it_was() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
-    let scan = |more: &[&str]| {
-        let mut arguments = vec!["scan", sample().to_str().unwrap(), "--out", run.to_str().unwrap()];
-        arguments.extend([
-            "--preset",
-            "draft",
-            "--set",
-            "scan.steps_first=10",
-            "--set",
-            "scan.steps_frame=10",
-        ]);
-        arguments.extend(["--set", "scan.final_steps=10"]);
-        arguments.extend(more);
-        sms(&arguments)
-    };
+    let scan = |more: &[&str]| quick_scan(sample(), &run, more);
     let first = scan(&[]);
     assert!(first.status.success(), "{}", String::from_utf8_lossy(&first.stderr));
     let settings = fs::read_to_string(run.join("run.toml")).unwrap();
@@ -238,4 +225,119 @@ fn a_folder_that_holds_something_else_is_left_alone() {
     expect_refusal(&sms(&["sample", dir.path().to_str().unwrap()]), &["not empty"]);
     expect_refusal(&sms(&["demo", "billiards", "--out", dir.path().to_str().unwrap()]), &["something else"]);
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_fault_that_the_check_finds_is_an_exit_code_and_in_the_json() {
+    let good = sms(&["check", sample().to_str().unwrap(), "--json"]);
+    assert_eq!(good.status.code(), Some(0), "{}", String::from_utf8_lossy(&good.stderr));
+    let report: Value = serde_json::from_slice(&good.stdout).unwrap();
+    assert_eq!(report["check.approved"], Value::Bool(true));
+
+    let b = Broken::new();
+    b.edit(|t| {
+        t["depth_unit_scale_factor"] = Value::from(t["depth_unit_scale_factor"].as_f64().unwrap() * 10.0)
+    });
+    let recording = b.dir.path().join("recording");
+    let bad = sms(&["check", recording.to_str().unwrap(), "--json"]);
+    assert_eq!(bad.status.code(), Some(1), "{}", String::from_utf8_lossy(&bad.stderr));
+    let report: Value = serde_json::from_slice(&bad.stdout).unwrap();
+    assert_eq!(report["check.approved"], Value::Bool(false));
+    let findings = report["check.findings"].as_array().unwrap();
+    let fault = findings.iter().find(|f| f["severity"] == "fault").unwrap();
+    assert!(fault["cure"].as_str().unwrap().contains("depth_unit_scale_factor"), "{fault}");
+    assert_eq!(sms(&["check", recording.to_str().unwrap()]).status.code(), Some(1));
+}
+
+/// A scan of few steps.
+fn quick_scan(recording: &Path, run: &Path, more: &[&str]) -> Output {
+    let mut arguments = vec!["scan", recording.to_str().unwrap(), "--out", run.to_str().unwrap()];
+    arguments.extend(["--preset", "draft", "--set", "scan.steps_first=10", "--set", "scan.steps_frame=10"]);
+    arguments.extend(["--set", "scan.final_steps=10"]);
+    arguments.extend(more);
+    sms(&arguments)
+}
+
+#[test]
+fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let seed = u64::MAX.to_string();
+    let scanned = quick_scan(sample(), &run, &["--seed", &seed]);
+    assert!(scanned.status.success(), "{}", String::from_utf8_lossy(&scanned.stderr));
+    assert!(fs::read_to_string(run.join("run.toml")).unwrap().contains(&seed));
+
+    // How often a checkpoint is written, and whether the check was skipped, change nothing: the stages stay as they are.
+    let stamp = |name: &str| fs::metadata(run.join(name).join("stage.json")).unwrap().modified().unwrap();
+    let before = (stamp("frames"), stamp("gaussians"));
+    let more = ["--seed", &seed, "--no-check", "--set", "scan.checkpoint_seconds=60"];
+    assert!(quick_scan(sample(), &run, &more).status.success());
+    assert_eq!((stamp("frames"), stamp("gaussians")), before);
+
+    // While somebody writes to the run, a report can be made of what is there.
+    let path = run.to_str().unwrap();
+    let writer = sms_core::RunFolder::open(&run).unwrap();
+    let report = sms(&["report", path]);
+    assert!(report.status.success(), "{}", String::from_utf8_lossy(&report.stderr));
+    expect_refusal(&sms(&["materialize", path]), &["another sms process"]);
+    drop(writer);
+
+    for name in ["warnings.json", "gaussians/losses.json"] {
+        let file = run.join(name);
+        let whole = fs::read(&file).unwrap();
+        fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+        expect_refusal(&sms(&["report", path]), &[name.rsplit('/').next().unwrap(), "delete it"]);
+        fs::remove_file(&file).unwrap();
+        assert!(sms(&["report", path]).status.success());
+        fs::write(&file, whole).unwrap();
+    }
+}
+
+#[cfg(not(feature = "rerun"))]
+#[test]
+fn a_live_view_without_the_feature_says_which_build_has_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    expect_refusal(&quick_scan(sample(), &run, &["--live"]), &["--features rerun"]);
+    expect_refusal(&quick_scan(sample(), &run, &["--live=127.0.0.1:9876"]), &["--features rerun"]);
+    assert!(!run.exists());
+}
+
+#[test]
+fn progress_as_json_lines_tells_frame_step_losses_and_time_left() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let output = Command::new(env!("CARGO_BIN_EXE_sms"))
+        .args(["scan", sample().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"])
+        .args(["--progress", "json", "--set", "scan.steps_first=20", "--set", "scan.final_steps=10"])
+        .output()
+        .unwrap();
+    assert!(output.status.success());
+    let text = String::from_utf8(output.stderr).unwrap();
+    let lines: Vec<Value> = text
+        .lines()
+        .filter(|l| !l.starts_with("warning"))
+        .map(|l| serde_json::from_str(l).unwrap())
+        .collect();
+    let parts = |event: &str| -> Vec<&str> {
+        lines.iter().filter(|l| l["event"] == event).map(|l| l["part"].as_str().unwrap()).collect()
+    };
+    assert_eq!(parts("begin"), ["check", "load", "masks from geometry", "scan"]);
+    assert_eq!(parts("end"), parts("begin"));
+    let update = lines.iter().rfind(|l| l["event"] == "update" && l["part"] == "scan").unwrap();
+    for key in [
+        "done",
+        "frame",
+        "frames",
+        "step",
+        "steps",
+        "color_l1",
+        "depth_m",
+        "segmentation",
+        "loss",
+        "gaussians",
+    ] {
+        assert!(update[key].is_number(), "{key}: {update}");
+    }
+    assert!(update["seconds_left"].as_f64().unwrap() >= 0.0);
 }

@@ -7,7 +7,7 @@ use sms_core::RunFolder;
 use sms_scene::{load_scene, write_mjcf};
 
 pub(crate) fn run(context: &Context, a: &Export) -> anyhow::Result<()> {
-    let run = RunFolder::open(&a.run)?;
+    let run = RunFolder::open_to_read(&a.run)?;
     let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
     match a.format {
         FormatName::Mjcf => {

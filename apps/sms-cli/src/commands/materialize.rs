@@ -5,7 +5,9 @@ use super::{inputs_hash, run_stage, shown, timed};
 use crate::cli::Materialize;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{EntityKind, EntityShape, Hash, Hasher, Labels, RunFolder, Seed, atomic};
+use sms_core::{
+    CoreError, EntityKind, EntityShape, Hash, Hasher, InputError, Labels, RunFolder, Seed, atomic,
+};
 use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
 use sms_frames::Sequence;
 use sms_gaussians::read_ply;
@@ -128,7 +130,18 @@ fn summary(context: &Context, set: &EntitySet) {
     }
 }
 
-/// Reads JSON of a stage that may be absent.
-pub(crate) fn read_optional<T: serde::de::DeserializeOwned>(path: &std::path::Path) -> Option<T> {
-    path.exists().then(|| atomic::read_json(path).ok()).flatten()
+/// Reads JSON that may be absent; what is there and damaged is not passed over.
+pub(crate) fn read_optional<T: serde::de::DeserializeOwned>(
+    path: &std::path::Path,
+) -> anyhow::Result<Option<T>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    atomic::read_json(path).map(Some).map_err(|e| match e {
+        CoreError::Input(e) => {
+            InputError { cure: "restore it; or delete it, and the report is written without it".into(), ..e }
+                .into()
+        }
+        other => other.into(),
+    })
 }

@@ -16,6 +16,7 @@ pub(crate) mod simulate;
 pub(crate) mod view;
 
 use crate::context::Context;
+pub(crate) use sms_core::length_text;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, Hash, Hasher, RunFolder, Stage, StageState, Warnings};
 use std::path::{Path, PathBuf};
@@ -94,11 +95,6 @@ pub(crate) fn timed(key: &str, f: impl FnOnce() -> anyhow::Result<Metrics>) -> a
     let mut metrics = f()?;
     metrics.set(key, began.elapsed().as_secs_f64());
     Ok(metrics)
-}
-
-/// Millimetres below a centimetre, centimetres above.
-pub(crate) fn length_text(metres: f64) -> String {
-    if metres.abs() < 0.01 { format!("{:.2} mm", metres * 1e3) } else { format!("{:.2} cm", metres * 1e2) }
 }
 
 /// A path for people.

@@ -21,7 +21,7 @@ const VIEWS: usize = 3;
 
 /// Writes the report; returns the page's path.
 pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
-    let run = RunFolder::open(&a.run)?;
+    let run = RunFolder::open_to_read(&a.run)?;
     let settings = run_settings(&run)?;
     let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
     let model = read_ply(&gaussians_dir.join("scene.ply"))?;
@@ -34,7 +34,7 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
         _ => None,
     };
     let metrics = Metrics::load(&run.metrics_path())?;
-    let warnings: Vec<Warning> = read_optional(&run.warnings_path()).unwrap_or_default();
+    let warnings: Vec<Warning> = read_optional(&run.warnings_path())?.unwrap_or_default();
     let views = views(&run, &model, settings.holdout)?;
     let mut subtitle =
         format!("{} · masks from {} · preset {}", settings.recording_name(), settings.masks, settings.preset);
@@ -52,7 +52,7 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
         goal_w: resolved.as_ref().map(|t| t.goal_w().to_array()),
         striker_half_m: Some(FINGER_HALF.to_array()),
         roles: resolved.as_ref().map(roles).unwrap_or_default(),
-        losses: losses(&gaussians_dir),
+        losses: losses(&gaussians_dir)?,
         metrics,
         warnings,
         settings_toml: std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default(),
@@ -86,9 +86,9 @@ fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
     vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
 }
 
-fn losses(gaussians_dir: &Path) -> Vec<LossPoint> {
-    let samples: Vec<LossSample> = read_optional(&gaussians_dir.join("losses.json")).unwrap_or_default();
-    samples
+fn losses(gaussians_dir: &Path) -> anyhow::Result<Vec<LossPoint>> {
+    let samples: Vec<LossSample> = read_optional(&gaussians_dir.join("losses.json"))?.unwrap_or_default();
+    Ok(samples
         .iter()
         .map(|s| LossPoint {
             step: s.step,
@@ -96,7 +96,7 @@ fn losses(gaussians_dir: &Path) -> Vec<LossPoint> {
             depth_m: f64::from(s.loss.depth),
             total: f64::from(s.loss.total),
         })
-        .collect()
+        .collect())
 }
 
 fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> anyhow::Result<Vec<ViewPair>> {
