@@ -15,6 +15,7 @@ mod engine;
 mod lanes;
 pub mod limits;
 mod losses;
+mod median;
 mod perceptron;
 mod planes;
 mod portable;
@@ -36,13 +37,12 @@ use engine::Engine;
 use glamx::Vec3;
 use lanes::Simd;
 pub use lanes::SimdForm;
-use losses::DEPTH_OPACITY_MIN;
 use project::View;
 use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use std::time::Instant;
 use target::Target;
-use tile::{COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage};
+use tile::{COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, Plane, TILE, TileImage};
 pub use times::StepTimes;
 
 /// Gaussians handled at once by the optimiser.
@@ -121,6 +121,9 @@ impl CpuTrainer {
     }
 
     fn step(&mut self, frame: FrameId) -> LossTerms {
+        if self.targets[frame].tiles.is_empty() {
+            return LossTerms::default();
+        }
         let terms = self.differentiate(frame);
         let start = Instant::now();
         let Parameters { rows, first, second, steps, classifier } = &mut self.parameters;
@@ -191,6 +194,9 @@ impl Trainer for CpuTrainer {
 
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let view = View::new(camera);
+        if view.width * view.height == 0 {
+            return RenderedMaps { width: view.width, height: view.height, ..RenderedMaps::default() };
+        }
         self.engine.blend(&self.parameters, &view, None);
         let Engine { simd, grid, tiles, bands, classifier, .. } = &mut self.engine;
         let (simd, grid) = (*simd, *grid);
@@ -206,23 +212,31 @@ impl Trainer for CpuTrainer {
             normal_w: vec![[0.0; 3]; pixels],
             label: vec![0; pixels],
         };
-        let mut labels = vec![[0u16; TILE * TILE]; tiles.len()];
+        let mut found = vec![([0u16; TILE * TILE], Plane::ZERO); tiles.len()];
         bands
             .par_iter_mut()
             .zip(tiles.par_chunks(BAND_TILES * grid.columns))
-            .zip(labels.par_chunks_mut(BAND_TILES * grid.columns))
-            .for_each(|((band, tiles), labels)| {
-                for (image, labels) in tiles.iter().zip(labels) {
+            .zip(found.par_chunks_mut(BAND_TILES * grid.columns))
+            .enumerate()
+            .for_each(|(index, ((band, tiles), found))| {
+                let first = index * BAND_TILES * grid.columns;
+                for (i, (image, (labels, depths))) in tiles.iter().zip(found).enumerate() {
+                    let corner = grid.corner(first + i);
+                    for (p, depths) in depths.0.iter_mut().enumerate() {
+                        let (list, place) = (band.lists.used(grid.patch(i, p)), grid.place(corner, p));
+                        median::median_patch(simd, &band.splats, list, place, &image[p], depths);
+                    }
                     perceptron::tile_labels(simd, weights, image, &mut band.perceptron, labels);
                 }
             });
-        for (tile, (image, labels)) in tiles.iter().zip(&labels).enumerate() {
+        for (tile, (image, (labels, depths))) in tiles.iter().zip(&mut found).enumerate() {
             let corner = grid.corner(tile);
             for y in 0..TILE.min(view.height - corner.1) {
                 for x in 0..TILE.min(view.width - corner.0) {
                     let i = (corner.1 + y) * view.width + corner.0 + x;
                     read_pixel(image, (x, y), i, &mut maps);
                     maps.label[i] = labels[y * TILE + x];
+                    maps.depth[i] = *depths.at_mut(x, y);
                 }
             }
         }
@@ -270,12 +284,12 @@ impl Trainer for CpuTrainer {
 fn read_pixel(image: &TileImage, (x, y): (usize, usize), i: usize, maps: &mut RenderedMaps) {
     let patch = &image[y / PATCH_ROWS];
     let channel = |c: usize| patch.channels[c][y % PATCH_ROWS * TILE + x];
-    let alpha = channel(OPACITY_CHANNEL);
     maps.color[i] = [0, 1, 2].map(|c| channel(COLOR_CHANNEL + c));
     maps.normal_w[i] = [0, 1, 2].map(|c| channel(NORMAL_CHANNEL + c));
-    maps.alpha[i] = alpha;
-    maps.depth[i] = if alpha > DEPTH_OPACITY_MIN as f32 { channel(DEPTH_CHANNEL) / alpha } else { 0.0 };
+    maps.alpha[i] = channel(OPACITY_CHANNEL);
 }
 
+#[cfg(test)]
+mod poisoned_tests;
 #[cfg(test)]
 mod tests;

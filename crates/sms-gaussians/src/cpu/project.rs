@@ -20,6 +20,8 @@ pub const LOW_PASS: f64 = 0.3;
 pub const SLOPE_LOW_PASS: f64 = 0.01;
 /// Gaussians nearer than this are not seen, metres.
 pub const NEAR: f64 = 0.02;
+/// Gaussians farther than this are not seen, metres: only damage puts one there, and its depth would overflow sums.
+pub const FAR: f64 = 1e6;
 /// The linearisation uses directions within the image and this share of its size beyond.
 pub const MARGIN: f64 = 0.15;
 
@@ -119,7 +121,7 @@ pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Lineariz
     let p_c = array!(3, |i| r_p[i] + L::splat(view.t_cw[i]));
     let largest = L::splat(f32::MAX);
     let finite = L::both(largest.ge(p_c[0].abs()), largest.ge(p_c[1].abs()));
-    let depth = L::both(p_c[2].ge(L::splat(NEAR as f32)), largest.ge(p_c[2]));
+    let depth = L::both(p_c[2].ge(L::splat(NEAR as f32)), L::splat(FAR as f32).ge(p_c[2]));
     let inverse_z = one / p_c[2];
 
     let quaternion @ [x, y, z, w] =

@@ -137,8 +137,12 @@ fn oracle(trainer: &CpuTrainer) -> Oracle {
     Oracle { background, ..Oracle::new(&trainer.parameters, &trainer.config, true) }
 }
 
-/// Compares gradients group by group; each error is a share of the group's largest derivative.
-fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd, limit: (f64, f64)) {
+/// Largest share of a group's largest derivative by which one of its derivatives may differ from the oracle's.
+const GRADIENT_TOLERANCE: f64 = 1e-4;
+
+/// Compares gradients group by group; each error is a share of the group's largest derivative. Returns the largest.
+fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> f64 {
+    let mut worst = 0.0f64;
     let mut trainer = trainer(config, simd);
     trainer.set_background(background);
     let terms = trainer.differentiate(0);
@@ -146,7 +150,12 @@ fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd, lim
     assert_eq!(trainer.engine.seen, expected.seen);
     let pairs = [
         (terms.color_l1, expected.terms.color_l1),
-        (terms.dssim, expected.terms.dssim),
+        // The oracle leaves it out where it has no weight.
+        if config.weights.color * config.weights.ssim > 0.0 {
+            (terms.dssim, expected.terms.dssim)
+        } else {
+            (0.0, 0.0)
+        },
         (terms.isotropic, expected.terms.isotropic),
         (terms.depth, expected.terms.depth),
         (terms.normal, expected.terms.normal),
@@ -171,35 +180,54 @@ fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd, lim
             .flat_map(|(a, b)| (first..end).map(|k| (f64::from(a.0[k]) - b[k]).abs() / largest.max(1e-12)));
         let (p999, max) = spread(errors.collect());
         println!("{name}: p99.9 {p999:.1e}, largest {max:.1e} of {largest:.1e}");
-        assert!(p999 < limit.0 && max < limit.1, "{name}: p99.9 {p999:e}, max {max:e}");
+        assert!(max < GRADIENT_TOLERANCE, "{name}: p99.9 {p999:e}, max {max:e}");
+        worst = worst.max(max);
     }
     let largest = expected.classifier.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let both = trainer.engine.classifier_gradient.iter().zip(&expected.classifier);
     let (p999, max) = spread(both.map(|(a, b)| (f64::from(*a) - b).abs() / largest.max(1e-12)).collect());
     println!("classifier: p99.9 {p999:.1e}, largest {max:.1e} of {largest:.1e}");
-    assert!(p999 < limit.0 && max < limit.1, "classifier: p99.9 {p999:e}, max {max:e}");
+    assert!(max < GRADIENT_TOLERANCE, "classifier: p99.9 {p999:e}, max {max:e}");
+    worst.max(max)
 }
 
 #[test]
 fn gradients_equal_the_oracle() {
-    let ssim_only =
-        LossWeights { ssim: 1.0, depth: 0.0, normal: 0.0, segmentation: 0.0, ..LossWeights::default() };
-    let round = LossWeights { flat: 0.0, isotropic: 10.0, ..LossWeights::default() };
+    let none = LossWeights {
+        color: 0.0,
+        ssim: 0.0,
+        isotropic: 0.0,
+        depth: 0.0,
+        normal: 0.0,
+        flat: 0.0,
+        segmentation: 0.0,
+    };
+    let only = |weights: LossWeights| TrainConfig { weights, ..TrainConfig::default() };
+    let depth_in = |depth_term| TrainConfig { depth_term, ..only(LossWeights { depth: 1.0, ..none }) };
     let configs = [
         TrainConfig::default(),
-        TrainConfig { weights: ssim_only, ..TrainConfig::default() },
-        TrainConfig { weights: round, depth_term: DepthTerm::Normalized, ..TrainConfig::default() },
         TrainConfig { depth_term: DepthTerm::Accumulated, ..TrainConfig::default() },
+        TrainConfig { depth_term: DepthTerm::Detached, ..TrainConfig::default() },
+        only(LossWeights { flat: 0.0, isotropic: 10.0, ..LossWeights::default() }),
+        only(LossWeights { color: 1.0, ..none }),
+        only(LossWeights { color: 1.0, ssim: 1.0, ..none }),
+        depth_in(DepthTerm::Normalized),
+        depth_in(DepthTerm::Accumulated),
+        depth_in(DepthTerm::Detached),
+        only(LossWeights { normal: 1.0, ..none }),
+        only(LossWeights { isotropic: 1.0, ..none }),
+        only(LossWeights { flat: 1.0, ..none }),
+        only(LossWeights { segmentation: 1.0, ..none }),
     ];
-    for config in &configs {
-        for simd in forms() {
-            compare_gradients(config, [0.0; 3], simd, (2e-3, 5e-3));
+    for simd in forms() {
+        let mut worst = 0.0f64;
+        for (i, config) in configs.iter().enumerate() {
+            worst = worst.max(compare_gradients(config, [0.0; 3], simd));
+            if i < 6 {
+                worst = worst.max(compare_gradients(config, BACKGROUND, simd));
+            }
         }
-    }
-    for config in &configs[..2] {
-        for simd in forms() {
-            compare_gradients(config, BACKGROUND, simd, (2e-3, 5e-3));
-        }
+        println!("{simd:?}: largest relative error of any gradient {worst:.1e}");
     }
 }
 

@@ -1,7 +1,7 @@
 //! EWA projection with its derivatives by forward mode.
 
 use super::dual::{Dual, INPUTS};
-use crate::cpu::limits::{LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
+use crate::cpu::limits::{FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
 use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 use sms_core::Camera;
 
@@ -32,7 +32,7 @@ fn rotation(q: [Dual; 4]) -> Matrix {
     ]
 }
 
-/// Projects one Gaussian; `None` where it is nearer than the near plane.
+/// Projects one Gaussian; `None` where it is nearer than the near plane or farther than the far one.
 pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projection> {
     let input = |i: usize| Dual::input(row[i], i);
     let k = &camera.intrinsics;
@@ -43,7 +43,7 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let p: [Dual; 3] = std::array::from_fn(|i| {
         (0..3).fold(Dual::constant(x_cw.translation[i]), |sum, j| sum + r_cw(i, j) * position[j])
     });
-    if p[2].value < NEAR {
+    if p[2].value < NEAR || p[2].value > FAR {
         return None;
     }
     let r_wg = rotation(std::array::from_fn(|i| input(ROTATION + i)));
