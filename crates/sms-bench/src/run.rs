@@ -10,7 +10,7 @@ use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
 use crate::surface::{
-    DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, score_cropped, score_labelled,
+    DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
     stray_share,
 };
 use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
@@ -258,10 +258,14 @@ fn measure(
     for ((i, _), shown) in truth.held_out.iter().zip(&shown) {
         write_view(&dir.join("views"), *i, shown)?;
     }
-    write_points(
-        &dir.join("surface.ply"),
-        &disc_points(model, &DPose3::identity(), &DiscSampling::default()),
-    )?;
+    // Of the background only what could be taken for an object: the rest would be most of the file.
+    let x_wt = x_tw.inverse();
+    let kept: Vec<LabelledPoint> = points
+        .iter()
+        .filter(|p| p.label != 0 || truth.surfaces.iter().any(|s| is_near(s, p.point)))
+        .map(|p| LabelledPoint { point: x_wt.transform_point(p.point), ..*p })
+        .collect();
+    write_points(&dir.join("surface.ply"), &kept)?;
     if let Some(((i, view), shown)) = truth.held_out.iter().zip(&shown).nth(truth.held_out.len() / 2) {
         let frame = &prepared.sequence.frames[*i];
         write_panel(&dir.join("panel.png"), &frame.color, shown, &view.depth)?;

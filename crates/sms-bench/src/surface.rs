@@ -187,7 +187,7 @@ pub fn score_cropped(
     let nearest: Vec<Option<usize>> = points
         .par_iter()
         .map(|&p| {
-            let near = surfaces.iter().enumerate().filter(|(_, s)| near_box(&s.mesh_box(), p));
+            let near = surfaces.iter().enumerate().filter(|(_, s)| is_near(s, p));
             let best = near
                 .map(|(i, s)| (s.distance(p), i))
                 .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
@@ -210,7 +210,9 @@ pub fn score_cropped(
     )
 }
 
-fn near_box(bounds: &sms_core::Aabb, p: DVec3) -> bool {
+/// Whether a point could be nearer than [`CROP_M`] to a surface, by its box.
+pub(crate) fn is_near(surface: &TrueSurface, p: DVec3) -> bool {
+    let bounds = surface.mesh_box();
     let room = DVec3::splat(CROP_M);
     p.cmpge(bounds.min - room).all() && p.cmple(bounds.max + room).all()
 }

@@ -93,7 +93,9 @@ pub fn table(metrics: &Metrics, scenes: &[BenchScene], preset: &str, baseline: O
         }
     };
     scenes.iter().for_each(|s| row(&s.to_string(), &format!("bench.scan.{s}.")));
-    row("mean", "bench.scan.mean.");
+    if scenes.iter().any(|s| matches!(s, BenchScene::Billiards(_))) {
+        row("mean", "bench.scan.mean.");
+    }
     text.push('\n');
     for target in targets(preset) {
         let shown = COLUMNS.iter().find(|c| c.0 == target.key);
