@@ -19,7 +19,12 @@ impl Watch {
             given => sms_report::Viewer::At(given.to_owned()),
         };
         let name = recording.file_name().map_or_else(|| "scan".into(), |n| n.to_string_lossy().into_owned());
-        Ok(Self { viewer: Some(sms_report::LiveScan::start(&viewer, &name)?) })
+        match sms_report::LiveScan::start(&viewer, &name) {
+            Ok(scan) => Ok(Self { viewer: Some(scan) }),
+            // As such, so that the exit code is that of bad input.
+            Err(sms_report::LiveError::Input(e)) => Err(e.into()),
+            Err(other) => Err(other.into()),
+        }
     }
 
     /// Waits until the viewer has everything; what went wrong, if anything did.
