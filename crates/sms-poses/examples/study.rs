@@ -102,8 +102,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let j = refined.report.judgement;
         println!(
-            "{path}: {seconds:.1} s, {} iterations, {} pairs",
-            refined.report.iterations, refined.report.pairs
+            "{path}: {seconds:.1} s, {} iterations, {} pairs, colour shift {:.2?}",
+            refined.report.iterations, refined.report.pairs, refined.report.color_shift_px
         );
         println!("  before {}\n  after  {}", show(&sequence), show(&refined.sequence));
         println!(

@@ -42,6 +42,9 @@ pub struct PosesConfig {
     pub color_slip_px: f64,
     /// Least gradient of a point that is compared by colour, levels per pixel. Below it, noise looks like texture.
     pub min_gradient: f64,
+    /// Standard deviation of the shift of colour against depth that is estimated along with the poses, pixels at loaded
+    /// size; 0 takes both for registered exactly.
+    pub prior_color_shift_px: f64,
     /// Share of the measurements that counts as independent of its neighbours; scales both data terms.
     pub independent_share: f64,
     /// Whether depth is compared.
@@ -63,11 +66,12 @@ impl Default for PosesConfig {
             noise: DepthNoise::default(),
             prior_position_m: 0.015,
             prior_rotation_rad: 1f64.to_radians(),
-            neighbours: 8,
+            neighbours: 4,
             far_neighbours: 2,
             color_sigma: 3.0,
             color_slip_px: 0.25,
             min_gradient: 2.0,
+            prior_color_shift_px: 2.0,
             independent_share: 0.1,
             use_depth: true,
             use_color: true,
@@ -93,6 +97,7 @@ impl PosesConfig {
         r.within("color_sigma", self.color_sigma, 0.1, 255.0)?;
         r.within("color_slip_px", self.color_slip_px, 0.0, 10.0)?;
         r.within("min_gradient", self.min_gradient, 0.0, 255.0)?;
+        r.within("prior_color_shift_px", self.prior_color_shift_px, 0.0, 100.0)?;
         r.within("independent_share", self.independent_share, 1e-6, 1.0)?;
         r.count("finest_long_side", self.finest_long_side, 16, 16_384)?;
         r.count("iterations.len()", self.iterations.len(), 1, 8)?;

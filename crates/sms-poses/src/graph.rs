@@ -81,7 +81,7 @@ pub(crate) fn choose_pairs(views: &[View], x_wc: &[DPose3], config: &PosesConfig
 fn sampled_points(view: &View, config: &PosesConfig) -> Vec<Point> {
     let k = &view.intrinsics;
     let stride = ((k.width * k.height) as f64 / (4 * SAMPLES) as f64).sqrt() / view.scale(0);
-    let all = view.points(0, stride.max(1.0), [0.5, 0.5], config);
+    let all = view.points(0, stride.max(1.0), [0.5, 0.5], [0.0; 2], config);
     let step = (all.len() / SAMPLES).max(1);
     all.into_iter().step_by(step).collect()
 }

@@ -73,17 +73,20 @@ const LEAST_POINTS: u32 = 100;
 const LEAST_PAIRS: usize = 4;
 
 /// Compares both sets of poses on the held-out pairs (the used ones, with other points, where none could be spared).
-pub(crate) fn judge(problem: &Problem<'_>, refined: &[DPose3]) -> Judgement {
+pub(crate) fn judge(problem: &Problem<'_>, refined: &[DPose3], color_shift: [f64; 2]) -> Judgement {
     let pairs = &problem.graph.held_out;
     let pairs = if pairs.len() < LEAST_PAIRS { &problem.graph.pairs } else { pairs };
     // The refinement used the grid that begins at half a step.
     let points: Vec<Vec<Point>> = problem
         .views
         .par_iter()
-        .map(|v| v.points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], problem.config))
+        .map(|v| {
+            let stride = problem.config.point_stride.max(2.0);
+            v.points(0, stride, [0.0, 0.0], color_shift, problem.config)
+        })
         .collect();
-    let before = residuals(problem, pairs, &points, problem.given);
-    let after = residuals(problem, pairs, &points, refined);
+    let before = residuals(problem, pairs, &points, problem.given, color_shift);
+    let after = residuals(problem, pairs, &points, refined, color_shift);
     let gain = |kind: fn(&Seen) -> &crate::residual::Histogram| {
         let differences: Vec<(f64, f64)> = before
             .iter()
@@ -119,14 +122,15 @@ fn residuals(
     pairs: &[(usize, usize)],
     points: &[Vec<Point>],
     poses: &[DPose3],
+    color_shift: [f64; 2],
 ) -> Vec<Seen> {
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(&arcs, points, 0, poses, &weighing);
+        sums = problem.linearise_all(&arcs, points, 0, poses, color_shift, &weighing);
         for (arc, pair) in arcs.iter_mut().zip(&sums) {
-            arc.brightness = pair.brightness_after(&[0.0; 6], arc.brightness);
+            arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
         }
     }
     sums.chunks_exact(2)

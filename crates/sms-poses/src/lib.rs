@@ -10,7 +10,8 @@
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients over
 //!   6 × 6 blocks), with a weak pull to the given poses. No single frame is held fixed: at the end all cameras together
 //!   are moved so that the measured points lie, in the least-squares sense, where the given poses put them;
-//! - gain and offset of the brightness are fitted to each pair.
+//! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
+//!   frames: without it, colour that is off by a few pixels would pull all poses to one side.
 //!
 //! [`PosesMode::Auto`] then judges: pairs of frames and points that had no part in the refinement must agree
 //! significantly better than before, otherwise the given poses stay.
@@ -93,8 +94,8 @@ pub fn refine_poses(
         );
         return keep(PoseReport::without_refinement(Verdict::NotPossible));
     }
-    let (poses, iterations) = problem.run(progress, cancel)?;
-    let judgement = judge::judge(&problem, &poses);
+    let (poses, color_shift_px, iterations) = problem.run(progress, cancel)?;
+    let judgement = judge::judge(&problem, &poses, color_shift_px);
     let corrections: Vec<PoseCorrection> = given
         .iter()
         .zip(&poses)
@@ -110,6 +111,7 @@ pub fn refine_poses(
         verdict: Verdict::Refined,
         pairs: problem.graph.pairs.len(),
         iterations,
+        color_shift_px,
         corrections,
         judgement,
     };
@@ -153,6 +155,15 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
                 -100.0 * judged.color.share
             ),
             "use --refine-poses auto",
+        );
+    }
+    let [du, dv] = report.color_shift_px;
+    if du.hypot(dv) > 0.0 {
+        warnings.add(
+            "poses",
+            "color_shifted",
+            format!("colour lies {du:+.1}, {dv:+.1} pixels (right, down) beside the depth"),
+            "register the depth to the colour camera again; surfaces' colours and mask edges suffer",
         );
     }
     let lonely: Vec<String> =

@@ -1,5 +1,7 @@
 //! The linear system of all corrections: 6 × 6 blocks, solved by conjugate gradients.
 
+use crate::residual::ShiftSums;
+
 /// A symmetric 6 × 6 block.
 pub(crate) type Block = [[f64; 6]; 6];
 /// A correction (turn, shift) or its gradient.
@@ -11,20 +13,49 @@ pub(crate) struct System {
     pub(crate) pairs: Vec<(usize, usize, Block)>,
     pub(crate) own: Vec<Block>,
     pub(crate) gradient: Vec<Six>,
+    /// Coupling of the colour shift with each frame, and its own part.
+    by_shift: [Vec<Six>; 2],
+    shift_h: [[f64; 2]; 2],
+    shift_g: [f64; 2],
 }
 
 impl System {
     pub(crate) fn new(frames: usize) -> Self {
-        Self { pairs: Vec::new(), own: vec![[[0.0; 6]; 6]; frames], gradient: vec![[0.0; 6]; frames] }
+        let zeros = vec![[0.0; 6]; frames];
+        Self {
+            pairs: Vec::new(),
+            own: vec![[[0.0; 6]; 6]; frames],
+            gradient: zeros.clone(),
+            by_shift: [zeros.clone(), zeros],
+            shift_h: [[0.0; 2]; 2],
+            shift_g: [0.0; 2],
+        }
     }
 
-    /// Adds what a pair says about δᵢ − δⱼ.
-    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six) {
+    /// Adds what a pair says about δᵢ − δⱼ and the colour shift.
+    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, shift: &ShiftSums) {
         for a in 0..6 {
             self.gradient[i][a] += g[a];
             self.gradient[j][a] -= g[a];
         }
+        for k in 0..2 {
+            for a in 0..6 {
+                self.by_shift[k][i][a] += shift.by[k][a];
+                self.by_shift[k][j][a] -= shift.by[k][a];
+            }
+        }
+        self.add_shift(&shift.h, &shift.g);
         self.pairs.push((i, j, *h));
+    }
+
+    /// Adds what is known of the colour shift alone.
+    pub(crate) fn add_shift(&mut self, h: &[[f64; 2]; 2], g: &[f64; 2]) {
+        for k in 0..2 {
+            self.shift_g[k] += g[k];
+            for l in 0..2 {
+                self.shift_h[k][l] += h[k][l];
+            }
+        }
     }
 
     /// Adds what is known of one frame alone.
@@ -50,11 +81,40 @@ impl System {
         y
     }
 
-    /// The minimiser, by conjugate gradients preconditioned with the diagonal blocks; `None` where a diagonal block
-    /// is not positive definite. Its memory and time grow with the number of pairs, not with the square of the frames.
-    pub(crate) fn solve(&self) -> Option<Vec<Six>> {
-        const RELATIVE: f64 = 1e-9;
-        let n = self.own.len();
+    /// The minimiser: corrections of the poses and of the colour shift. The latter's two columns are eliminated by
+    /// solutions of their own, and count only where they are determined. `None` where a diagonal block is not positive
+    /// definite.
+    pub(crate) fn solve(&self) -> Option<(Vec<Six>, [f64; 2])> {
+        let factors = self.diagonal_factors()?;
+        let without = self.conjugate_gradients(&factors, &self.gradient);
+        let dot = |a: &[Six], b: &[Six]| -> f64 {
+            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
+        };
+        let columns: [Vec<Six>; 2] =
+            std::array::from_fn(|k| self.conjugate_gradients(&factors, &self.by_shift[k]));
+        let s: [[f64; 2]; 2] = std::array::from_fn(|k| {
+            std::array::from_fn(|l| self.shift_h[k][l] - dot(&self.by_shift[k], &columns[l]))
+        });
+        let r: [f64; 2] = std::array::from_fn(|k| self.shift_g[k] - dot(&self.by_shift[k], &without));
+        let det = s[0][0] * s[1][1] - s[0][1] * s[1][0];
+        let known = det > 1e-12 * (s[0][0] * s[1][1]).abs() && s[0][0] > 0.0;
+        let shift = if known {
+            [(s[0][1] * r[1] - s[1][1] * r[0]) / det, (s[1][0] * r[0] - s[0][0] * r[1]) / det]
+        } else {
+            [0.0; 2]
+        };
+        let steps: Vec<Six> = (0..self.own.len())
+            .map(|i| {
+                std::array::from_fn(|a| {
+                    -(without[i][a] + columns[0][i][a] * shift[0] + columns[1][i][a] * shift[1])
+                })
+            })
+            .collect();
+        let finite = steps.as_flattened().iter().chain(&shift).all(|v| v.is_finite());
+        finite.then_some((steps, shift))
+    }
+
+    fn diagonal_factors(&self) -> Option<Vec<Block>> {
         let mut diagonal = self.own.clone();
         for (i, j, h) in &self.pairs {
             for k in [*i, *j] {
@@ -65,14 +125,21 @@ impl System {
                 }
             }
         }
-        let factors: Vec<Block> = diagonal.iter().map(cholesky).collect::<Option<_>>()?;
+        diagonal.iter().map(cholesky).collect()
+    }
+
+    /// Solves for one right side by conjugate gradients, preconditioned with the diagonal blocks: memory and time grow
+    /// with the number of pairs, not with the square of the frames.
+    fn conjugate_gradients(&self, factors: &[Block], right: &[Six]) -> Vec<Six> {
+        const RELATIVE: f64 = 1e-9;
+        let n = self.own.len();
         let precondition =
             |r: &[Six]| -> Vec<Six> { factors.iter().zip(r).map(|(l, r)| cholesky_solve(l, r)).collect() };
         let dot = |a: &[Six], b: &[Six]| -> f64 {
             a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
         };
         let mut x = vec![[0.0; 6]; n];
-        let mut r: Vec<Six> = self.gradient.iter().map(|g| g.map(|v| -v)).collect();
+        let mut r: Vec<Six> = right.to_vec();
         let mut z = precondition(&r);
         let mut p = z.clone();
         let mut rz = dot(&r, &z);
@@ -99,7 +166,7 @@ impl System {
                 }
             }
         }
-        x.as_flattened().iter().all(|v| v.is_finite()).then_some(x)
+        x
     }
 }
 
@@ -192,7 +259,7 @@ mod tests {
                 }
                 let h = random_block(&mut rng, 4).map(|r| r.map(|v| scale * v));
                 let g: Six = std::array::from_fn(|_| 1e3 * (rng.random::<f64>() - 0.5));
-                system.add_pair(i, j, &h, &g);
+                system.add_pair(i, j, &h, &g, &ShiftSums::default());
                 for a in 0..6 {
                     for b in 0..6 {
                         for (r, c, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {
@@ -212,7 +279,7 @@ mod tests {
         }
         let right: Vec<f64> = system.gradient.as_flattened().iter().map(|g| -g).collect();
         let expected = dense_solve(dense, right);
-        let found = system.solve().unwrap();
+        let (found, _) = system.solve().unwrap();
         let size = expected.iter().map(|v| v * v).sum::<f64>().sqrt();
         let off: f64 = found.as_flattened().iter().zip(&expected).map(|(a, b)| (a - b).powi(2)).sum();
         assert!(off.sqrt() < 1e-6 * size, "{} of {size}", off.sqrt());

@@ -4,7 +4,7 @@ use crate::PosesConfig;
 use crate::align::{align_rigidly, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
-use crate::residual::{Brightness, Histogram, PairSums, Seen, Weighing, linearise};
+use crate::residual::{Brightness, Histogram, PairSums, Seen, ShiftSums, Weighing, linearise};
 use crate::views::{Point, View};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
@@ -42,7 +42,7 @@ impl<'a> Problem<'a> {
         let mut sum = DVec3::ZERO;
         let mut count = 0usize;
         for (view, x) in views.iter().zip(given) {
-            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], config) {
+            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], config) {
                 sum += x.transform_point(point.p_c);
                 count += 1;
             }
@@ -70,6 +70,7 @@ impl<'a> Problem<'a> {
         points: &[Vec<Point>],
         level: usize,
         poses: &[DPose3],
+        color_shift: [f64; 2],
         weighing: &Weighing,
     ) -> Vec<PairSums> {
         arcs.par_iter()
@@ -81,6 +82,7 @@ impl<'a> Problem<'a> {
                     (&poses[arc.from], &poses[arc.to]),
                     self.center_w,
                     arc.brightness,
+                    color_shift,
                     weighing,
                     self.config,
                 )
@@ -117,28 +119,43 @@ impl<'a> Problem<'a> {
         &self,
         level: usize,
         poses: &mut [DPose3],
+        color_shift: &mut [f64; 2],
+        shift_is_free: bool,
         arcs: &mut [Arc],
         weighing: &mut Weighing,
         cancel: &Cancel,
         mut tick: impl FnMut(&str),
     ) -> Result<usize, CoreError> {
         let config = self.config;
-        let points: Vec<Vec<Point>> =
-            self.views.par_iter().map(|v| v.points(level, config.point_stride, [0.5, 0.5], config)).collect();
         let pixel_m = self.pixel_at_scene_m(level);
         for iteration in 0..config.iterations[level] {
             cancel.check()?;
-            let sums = self.linearise_all(arcs, &points, level, poses, weighing);
+            let points: Vec<Vec<Point>> = self
+                .views
+                .par_iter()
+                .map(|v| v.points(level, config.point_stride, [0.5, 0.5], *color_shift, config))
+                .collect();
+            let sums = self.linearise_all(arcs, &points, level, poses, *color_shift, weighing);
             let mut system = System::new(poses.len());
             let share = config.independent_share;
             for (arc, pair) in arcs.iter().zip(&sums) {
-                let (h, g) = pair.reduced();
-                system.add_pair(arc.from, arc.to, &h.map(|r| r.map(|v| share * v)), &g.map(|v| share * v));
+                let (h, g, shift) = pair.reduced();
+                let scaled = |s: Six| s.map(|v| share * v);
+                let shift = ShiftSums {
+                    by: shift.by.map(scaled),
+                    h: shift.h.map(|r| r.map(|v| share * v)),
+                    g: shift.g.map(|v| share * v),
+                };
+                system.add_pair(arc.from, arc.to, &h.map(scaled), &scaled(g), &shift);
             }
+            // Without a shift it is held where it is.
+            let w = if shift_is_free { config.prior_color_shift_px.powi(-2) } else { 1e12 };
+            system.add_shift(&[[w, 0.0], [0.0, w]], &color_shift.map(|d| w * d));
             for (frame, pose) in poses.iter().enumerate() {
                 self.add_prior(&mut system, frame, pose);
             }
-            let Some(steps) = system.solve() else { return Ok(iteration) };
+            let Some((steps, shift_step)) = system.solve() else { return Ok(iteration) };
+            (0..2).for_each(|k| color_shift[k] += shift_step[k]);
             let mut largest = 0.0f64;
             for (pose, step) in poses.iter_mut().zip(&steps) {
                 let moved = moved_about(self.center_w, step) * *pose;
@@ -148,7 +165,7 @@ impl<'a> Problem<'a> {
             }
             for (arc, pair) in arcs.iter_mut().zip(&sums) {
                 let delta: Six = std::array::from_fn(|a| steps[arc.from][a] - steps[arc.to][a]);
-                arc.brightness = pair.brightness_after(&delta, arc.brightness);
+                arc.brightness = pair.brightness_after(&delta, shift_step, arc.brightness);
             }
             *weighing = self.weighing_after(&sums, weighing);
             tick(&format!("step {:.2} mm", 1e3 * largest));
@@ -190,28 +207,61 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Refines all poses. Returns them with the number of iterations done.
+    /// Refines all poses. Returns them with the shift of colour against depth (pixels at loaded size) and the number
+    /// of iterations done.
     pub(crate) fn run(
         &self,
         progress: &dyn Progress,
         cancel: &Cancel,
-    ) -> Result<(Vec<DPose3>, usize), CoreError> {
+    ) -> Result<(Vec<DPose3>, [f64; 2], usize), CoreError> {
         let levels = self.views.first().map_or(0, |v| v.luma.len());
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
         let mut poses = self.given.to_vec();
+        let mut color_shift = [0.0; 2];
         let mut arcs = arcs(&self.graph.pairs);
         let mut weighing = Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() };
         let (mut done, mut iterations) = (0, 0);
+        let free = self.config.prior_color_shift_px > 0.0;
         for level in (0..levels).rev() {
             let mut at = done;
-            iterations += self.refine_level(level, &mut poses, &mut arcs, &mut weighing, cancel, |what| {
+            let tick = |what: &str| {
                 at += 1;
                 progress.update(at as u64, what);
-            })?;
+            };
+            iterations += self.refine_level(
+                level,
+                &mut poses,
+                &mut color_shift,
+                free,
+                &mut arcs,
+                &mut weighing,
+                cancel,
+                tick,
+            )?;
             done += self.config.iterations[level];
         }
-        Ok((self.in_place(&poses), iterations))
+        // Depth and colour of a registered camera give a shift of some tenths of a pixel, too; taking that for true
+        // costs more than it gives.
+        const LEAST_SHIFT_PX: f64 = 0.75;
+        if free && color_shift[0].hypot(color_shift[1]) < LEAST_SHIFT_PX {
+            color_shift = [0.0; 2];
+            for level in (0..levels.min(2)).rev() {
+                let tick = |what: &str| progress.update(done as u64, what);
+                iterations += self.refine_level(
+                    level,
+                    &mut poses,
+                    &mut color_shift,
+                    false,
+                    &mut arcs,
+                    &mut weighing,
+                    cancel,
+                    tick,
+                )?;
+            }
+            color_shift = [0.0; 2];
+        }
+        Ok((self.in_place(&poses), color_shift, iterations))
     }
 
     /// The same poses after the common rigid motion that moves the measured points least from where the given poses
@@ -219,7 +269,7 @@ impl<'a> Problem<'a> {
     fn in_place(&self, poses: &[DPose3]) -> Vec<DPose3> {
         let (mut from, mut to) = (Vec::new(), Vec::new());
         for ((view, given), refined) in self.views.iter().zip(self.given).zip(poses) {
-            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], self.config) {
+            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], self.config) {
                 from.push(refined.transform_point(point.p_c));
                 to.push(given.transform_point(point.p_c));
             }

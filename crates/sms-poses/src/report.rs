@@ -38,6 +38,8 @@ pub struct PoseReport {
     pub pairs: usize,
     /// Iterations of all levels.
     pub iterations: usize,
+    /// How far colour lies beside the depth, pixels at loaded size (right, down), as estimated along with the poses.
+    pub color_shift_px: [f64; 2],
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
     /// Given against refined on what was kept out.
@@ -46,7 +48,14 @@ pub struct PoseReport {
 
 impl PoseReport {
     pub(crate) fn without_refinement(verdict: Verdict) -> Self {
-        Self { verdict, pairs: 0, iterations: 0, corrections: Vec::new(), judgement: Judgement::default() }
+        Self {
+            verdict,
+            pairs: 0,
+            iterations: 0,
+            color_shift_px: [0.0; 2],
+            corrections: Vec::new(),
+            judgement: Judgement::default(),
+        }
     }
 
     /// Median over frames of the corrections' lengths (metres) and angles (radians).
@@ -84,6 +93,8 @@ impl PoseReport {
             m.set("poses.depth_before_m", j.before.depth_median_m)
                 .set("poses.depth_after_m", j.after.depth_median_m);
             m.set("poses.color_before", j.before.color_median).set("poses.color_after", j.after.color_median);
+            m.set("poses.color_shift_x_px", self.color_shift_px[0]);
+            m.set("poses.color_shift_y_px", self.color_shift_px[1]);
             m.set("poses.depth_gain", j.depth.share).set("poses.depth_gain_t", j.depth.t);
             m.set("poses.color_gain", j.color.share).set("poses.color_gain_t", j.color.t);
         }

@@ -36,14 +36,26 @@ pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> Linear {
 }
 
 /// Brightness of `view` where `p` lands, at a level, less `expected`; `None` outside.
-pub(crate) fn color_residual(p: DVec3, view: &View, level: usize, expected: f64) -> Option<(Linear, f64)> {
+///
+/// Colour lies `shift` pixels of the loaded size beside the depth. Also returns its slope along the image.
+pub(crate) fn color_residual(
+    p: DVec3,
+    view: &View,
+    level: usize,
+    shift: [f64; 2],
+    expected: f64,
+) -> Option<(Linear, [f64; 2])> {
     let k = &view.intrinsics;
     let scale = 1.0 / view.scale(level);
     let (x, y) = (p.x / p.z, p.y / p.z);
-    let (value, du, dv) = sample(&view.luma[level], (k.fx * x + k.cx) * scale, (k.fy * y + k.cy) * scale)?;
+    let (value, du, dv) = sample(
+        &view.luma[level],
+        (k.fx * x + k.cx + shift[0]) * scale,
+        (k.fy * y + k.cy + shift[1]) * scale,
+    )?;
     let (ax, ay) = (du * k.fx * scale / p.z, dv * k.fy * scale / p.z);
     let by_point = DVec3::new(ax, ay, -(ax * x + ay * y));
-    Some((Linear { residual: value - expected, by_point }, du.hypot(dv)))
+    Some((Linear { residual: value - expected, by_point }, [du, dv]))
 }
 
 /// Gain and offset of a pair's brightness, in levels: i's brightness I counts as I + gain · (I − 128) / 64 + offset.
@@ -161,10 +173,10 @@ pub(crate) struct Weighing {
 pub(crate) struct PairSums {
     pub(crate) h: Block,
     pub(crate) g: Six,
-    /// Coupling with the brightness, and its own part.
-    by_brightness: [Six; 2],
-    brightness_h: [[f64; 2]; 2],
-    brightness_g: [f64; 2],
+    /// Coupling with gain, offset and colour shift, and their own part.
+    by_extra: [Six; EXTRA],
+    extra_h: [[f64; EXTRA]; EXTRA],
+    extra_g: [f64; EXTRA],
     pub(crate) seen: Seen,
 }
 
@@ -174,13 +186,24 @@ fn tukey(e: f64, scale: f64) -> f64 {
     if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
 }
 
+/// Unknowns besides the poses: the pair's gain and offset, then the colour shift of all frames (x, y).
+const EXTRA: usize = 4;
+
+/// What a pair says about the colour shift, gain and offset eliminated: its coupling with δ, and its own part.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct ShiftSums {
+    pub(crate) by: [Six; 2],
+    pub(crate) h: [[f64; 2]; 2],
+    pub(crate) g: [f64; 2],
+}
+
 /// Sums in the axes of camera j, upper triangle of H.
 struct Sums {
     h: [f64; 21],
     g: Six,
-    b: [Six; 2],
-    bh: [[f64; 2]; 2],
-    bg: [f64; 2],
+    b: [Six; EXTRA],
+    bh: [[f64; EXTRA]; EXTRA],
+    bg: [f64; EXTRA],
 }
 
 impl Sums {
@@ -196,11 +219,11 @@ impl Sums {
         }
     }
 
-    fn add_brightness(&mut self, jacobian: &Six, residual: f64, columns: [f64; 2], weight: f64) {
-        for k in 0..2 {
+    fn add_extra(&mut self, jacobian: &Six, residual: f64, columns: [f64; EXTRA], weight: f64) {
+        for k in 0..EXTRA {
             let wc = weight * columns[k];
             self.bg[k] += wc * residual;
-            for l in 0..2 {
+            for l in 0..EXTRA {
                 self.bh[k][l] += wc * columns[l];
             }
             for a in 0..6 {
@@ -218,6 +241,7 @@ pub(crate) fn linearise(
     poses: (&DPose3, &DPose3),
     center_w: DVec3,
     brightness: Brightness,
+    color_shift: [f64; 2],
     weighing: &Weighing,
     config: &PosesConfig,
 ) -> PairSums {
@@ -225,10 +249,12 @@ pub(crate) fn linearise(
     let center = poses.1.inverse_transform_point(center_w);
     let turn = DMat3::from_quat(x_ji.rotation);
     let k: &Intrinsics = &view_j.intrinsics;
-    let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
+    let mut sums =
+        Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
     let mut seen = Seen::default();
     // Surfaces that face apart by more than 60° are not the same.
     const LEAST_COSINE: f64 = 0.5;
+    let per_pixel = 1.0 / view_j.scale(level);
     for point in points {
         let p = turn * point.p_c + x_ji.translation;
         if p.z <= 1e-3 {
@@ -258,8 +284,8 @@ pub(crate) fn linearise(
         }
         if config.use_color && point.textured {
             let expected = brightness.expected(point.luma);
-            let Some((r, slope)) = color_residual(p, view_j, level, expected) else { continue };
-            let sigma = config.color_sigma.hypot(config.color_slip_px * slope);
+            let Some((r, slope)) = color_residual(p, view_j, level, color_shift, expected) else { continue };
+            let sigma = config.color_sigma.hypot(config.color_slip_px * slope[0].hypot(slope[1]));
             let e = r.residual / sigma;
             seen.color.add(e.abs());
             seen.color_levels.add(r.residual.abs());
@@ -267,7 +293,9 @@ pub(crate) fn linearise(
             if weight > 0.0 {
                 let jacobian = r.jacobian(p, center);
                 sums.add(&jacobian, r.residual, weight);
-                sums.add_brightness(&jacobian, r.residual, Brightness::columns(point.luma), weight);
+                let [gain, offset] = Brightness::columns(point.luma);
+                let by_shift = |k: usize| (slope[k] - point.slope[k]) * per_pixel;
+                sums.add_extra(&jacobian, r.residual, [gain, offset, by_shift(0), by_shift(1)], weight);
             }
         }
     }
@@ -307,43 +335,63 @@ fn in_world(sums: Sums, r_wj: &DMat3, seen: Seen) -> PairSums {
     PairSums {
         h,
         g: rotated(&sums.g),
-        by_brightness: sums.b.map(|b| rotated(&b)),
-        brightness_h: sums.bh,
-        brightness_g: sums.bg,
+        by_extra: sums.b.map(|b| rotated(&b)),
+        extra_h: sums.bh,
+        extra_g: sums.bg,
         seen,
     }
 }
 
 impl PairSums {
+    /// Inverse of the part of gain and offset.
     fn brightness_inverse(&self) -> [[f64; 2]; 2] {
-        let [[a, b], [_, d]] = self.brightness_h;
+        let ([a, b, ..], d) = (self.extra_h[0], self.extra_h[1][1]);
         let det = (a * d - b * b).max(1e-300);
         [[d / det, -b / det], [-b / det, a / det]]
     }
 
-    /// H and g once gain and offset have been eliminated, so that they follow every correction at their best.
-    pub(crate) fn reduced(&self) -> (Block, Six) {
+    /// H, g and what goes with the colour shift, once gain and offset have been eliminated, so that they follow every
+    /// correction at their best.
+    pub(crate) fn reduced(&self) -> (Block, Six, ShiftSums) {
         let inverse = self.brightness_inverse();
         let (mut h, mut g) = (self.h, self.g);
-        for a in 0..6 {
-            for k in 0..2 {
-                for l in 0..2 {
-                    let left = self.by_brightness[k][a] * inverse[k][l];
-                    g[a] -= left * self.brightness_g[l];
+        let mut shift = ShiftSums {
+            by: [self.by_extra[2], self.by_extra[3]],
+            h: std::array::from_fn(|k| std::array::from_fn(|l| self.extra_h[2 + k][2 + l])),
+            g: [self.extra_g[2], self.extra_g[3]],
+        };
+        for k in 0..2 {
+            for l in 0..2 {
+                let w = inverse[k][l];
+                for a in 0..6 {
+                    let left = self.by_extra[k][a] * w;
+                    g[a] -= left * self.extra_g[l];
                     for b in 0..6 {
-                        h[a][b] -= left * self.by_brightness[l][b];
+                        h[a][b] -= left * self.by_extra[l][b];
+                    }
+                }
+                for m in 0..2 {
+                    let left = self.extra_h[2 + m][k] * w;
+                    shift.g[m] -= left * self.extra_g[l];
+                    for n in 0..2 {
+                        shift.h[m][n] -= left * self.extra_h[l][2 + n];
+                    }
+                    for a in 0..6 {
+                        shift.by[m][a] -= left * self.by_extra[l][a];
                     }
                 }
             }
         }
-        (h, g)
+        (h, g, shift)
     }
 
-    /// Gain and offset that go with a correction δ = δᵢ − δⱼ.
-    pub(crate) fn brightness_after(&self, delta: &Six, before: Brightness) -> Brightness {
+    /// Gain and offset that go with a correction δ = δᵢ − δⱼ and a change of the colour shift.
+    pub(crate) fn brightness_after(&self, delta: &Six, shift: [f64; 2], before: Brightness) -> Brightness {
         let inverse = self.brightness_inverse();
         let right: [f64; 2] = std::array::from_fn(|k| {
-            self.brightness_g[k] + (0..6).map(|a| self.by_brightness[k][a] * delta[a]).sum::<f64>()
+            self.extra_g[k]
+                + (0..6).map(|a| self.by_extra[k][a] * delta[a]).sum::<f64>()
+                + (0..2).map(|l| self.extra_h[k][2 + l] * shift[l]).sum::<f64>()
         });
         Brightness {
             gain: before.gain - inverse[0][0] * right[0] - inverse[0][1] * right[1],
@@ -428,8 +476,8 @@ mod tests {
             // Bilinear interpolation is smooth within a cell only.
             let k = view.intrinsics;
             let inside = |x: f64| (x - 0.5).rem_euclid(1.0) > 1e-3 && (x - 0.5).rem_euclid(1.0) < 1.0 - 1e-3;
-            prop_assume!(inside(k.fx * p.x / p.z + k.cx) && inside(k.fy * p.y / p.z + k.cy));
-            let color = |p| color_residual(p, &view, 0, 100.0);
+            prop_assume!(inside(k.fx * p.x / p.z + k.cx + 0.3) && inside(k.fy * p.y / p.z + k.cy - 0.2));
+            let color = |p| color_residual(p, &view, 0, [0.3, -0.2], 100.0);
             prop_assume!(color(p).is_some());
             let found = in_world_axes(r_wj, color(p).unwrap().0.jacobian(p, center));
             let (of_i, of_j) =
@@ -443,7 +491,7 @@ mod tests {
             turn in prop::array::uniform3(-2.0..2.0f64), rows in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 3)
         ) {
             let r_wj = DMat3::from_quat(glamx::DQuat::from_scaled_axis(DVec3::from_array(turn)));
-            let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
+            let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
             let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
             for (k, row) in rows.iter().enumerate() {
                 let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
@@ -468,30 +516,45 @@ mod tests {
 
     #[test]
     fn brightness_is_eliminated_exactly() {
-        // Residuals r + J δ + c β of three measurements; the best β for a δ, and the δ at the joint minimum.
-        let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; 2], bh: [[0.0; 2]; 2], bg: [0.0; 2] };
-        let rows: [(Six, f64, [f64; 2]); 9] = std::array::from_fn(|k| {
-            let j = std::array::from_fn(|a| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin());
-            (j, 0.1 * k as f64 - 0.3, [(k as f64).cos(), -1.0])
+        // Residuals r + J δ + C (gain, offset, shift) of twelve measurements.
+        let mut sums = Sums {
+            h: [0.0; 21],
+            g: [0.0; 6],
+            b: [[0.0; 6]; EXTRA],
+            bh: [[0.0; EXTRA]; EXTRA],
+            bg: [0.0; EXTRA],
+        };
+        let pseudo = |k: usize, a: usize| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin();
+        let rows: [(Six, f64, [f64; EXTRA]); 14] = std::array::from_fn(|k| {
+            let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13)];
+            (std::array::from_fn(|a| pseudo(k, a)), 0.1 * k as f64 - 0.3, extra)
         });
         for (j, r, c) in &rows {
             sums.add(j, *r, 1.0);
-            sums.add_brightness(j, *r, *c, 1.0);
+            sums.add_extra(j, *r, *c, 1.0);
         }
         let pair = in_world(sums, &DMat3::IDENTITY, Seen::default());
-        let (h, g) = pair.reduced();
-        let l = crate::linear::cholesky(&h).unwrap();
-        let delta = crate::linear::cholesky_solve(&l, &g).map(|v| -v);
-        let after = pair.brightness_after(&delta, Brightness::default());
+        let (h, g, shift) = pair.reduced();
+        // Frame 0 against a frame that is held by a very strong prior.
+        let mut system = crate::linear::System::new(2);
+        system.add_pair(0, 1, &h, &g, &shift);
+        let held: Block = std::array::from_fn(|a| std::array::from_fn(|b| if a == b { 1e9 } else { 0.0 }));
+        system.add_own(1, &held, &[0.0; 6]);
+        let (steps, step) = system.solve().unwrap();
+        let delta: Six = std::array::from_fn(|a| steps[0][a] - steps[1][a]);
+        let after = pair.brightness_after(&delta, step, Brightness::default());
         // At the joint minimum the residual is orthogonal to every column.
-        let residual = |(j, r, c): &(Six, f64, [f64; 2])| {
-            r + (0..6).map(|a| j[a] * delta[a]).sum::<f64>() + c[0] * after.gain + c[1] * after.offset
+        let all = [after.gain, after.offset, step[0], step[1]];
+        let residual = |(j, r, c): &(Six, f64, [f64; EXTRA])| {
+            r + (0..6).map(|a| j[a] * delta[a]).sum::<f64>() + (0..EXTRA).map(|k| c[k] * all[k]).sum::<f64>()
         };
         for a in 0..6 {
-            assert!(rows.iter().map(|row| row.0[a] * residual(row)).sum::<f64>().abs() < 1e-9);
+            let off = rows.iter().map(|row| row.0[a] * residual(row)).sum::<f64>();
+            assert!(off.abs() < 1e-6, "{off}");
         }
-        for k in 0..2 {
-            assert!(rows.iter().map(|row| row.2[k] * residual(row)).sum::<f64>().abs() < 1e-9);
+        for k in 0..EXTRA {
+            let off = rows.iter().map(|row| row.2[k] * residual(row)).sum::<f64>();
+            assert!(off.abs() < 1e-6, "{off}");
         }
     }
 

@@ -37,6 +37,8 @@ pub(crate) struct Point {
     pub(crate) sigma_m: f64,
     /// Brightness at the level.
     pub(crate) luma: f64,
+    /// Its derivative along the image, levels per pixel of the level.
+    pub(crate) slope: [f64; 2],
     /// Whether its surroundings have enough gradient to be compared by colour.
     pub(crate) textured: bool,
 }
@@ -76,12 +78,14 @@ impl View {
         (surface.z > 0.0).then_some((x, y, surface))
     }
 
-    /// Points on a grid of `stride` pixels of a level, begun at `offset` of it, that have a depth.
+    /// Points on a grid of `stride` pixels of a level, begun at `offset` of it, that have a depth. Their colour lies
+    /// `color_shift` pixels of the loaded size beside it.
     pub(crate) fn points(
         &self,
         level: usize,
         stride: f64,
         offset: [f64; 2],
+        color_shift: [f64; 2],
         config: &PosesConfig,
     ) -> Vec<Point> {
         let k = &self.intrinsics;
@@ -100,12 +104,14 @@ impl View {
                 let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
                 let p_c = DVec3::new((u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z);
                 let n_c = DVec3::new(f64::from(s.n[0]), f64::from(s.n[1]), f64::from(s.n[2]));
-                let sampled = sample(&self.luma[level], u / scale, v / scale);
+                let sampled =
+                    sample(&self.luma[level], (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
                 points.push(Point {
                     p_c,
                     n_c,
                     sigma_m: sigma_along_normal(&config.noise, p_c, n_c),
                     luma: sampled.map_or(0.0, |s| s.0),
+                    slope: sampled.map_or([0.0; 2], |s| [s.1, s.2]),
                     textured: sampled.is_some_and(|s| s.1.hypot(s.2) >= config.min_gradient),
                 });
             }
