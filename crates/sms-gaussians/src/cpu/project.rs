@@ -10,7 +10,13 @@ use sms_core::Camera;
 use std::f32::consts::{LN_2, LOG2_E};
 
 /// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter).
+///
+/// Its opacity is lowered by √(det Σ / det(Σ + filter)), so that the filter spreads a splat without adding to it (Yu et
+/// al., Mip-Splatting, CVPR 2024): small discs would bleed over silhouettes otherwise. On four noisy billiards scans
+/// held-out mIoU rose from 0.906–0.925 to 0.961–0.968, PSNR by 0.4 to 1.0 dB, and depth errors fell by 0.3 to 0.5 mm.
 pub const LOW_PASS: f64 = 0.3;
+/// Added to det Σ in this ratio, pixels⁴, so that it has a gradient where a disc is seen edge-on.
+pub const AREA_FLOOR: f64 = 1e-6;
 /// What takes the place of [`LOW_PASS`] in the slope of a splat's depth, pixels²: small, so that the slope of discs of
 /// few pixels is kept, and large enough to bound that of discs seen edge-on, by 1/(2√ε) standard deviations a pixel.
 ///
@@ -91,6 +97,8 @@ pub(super) struct Linearized<L: Lanes> {
     pub(super) axes_i: [[L; 2]; 3],
     /// 2-D covariance with the low-pass filter: xx, xy, yy.
     pub(super) covariance: [L; 3],
+    /// Determinants of that without the filter, plus [`AREA_FLOOR`], and with it.
+    pub(super) determinants: [L; 2],
     /// Change of depth per pixel, see [`depth_slope`].
     pub(super) depth_slope: [L; 2],
     /// One for the shortest axis, zero for the others; the first of equals.
@@ -160,6 +168,9 @@ pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Lineariz
         covariance[2] = u[1].mul_add(u[1], covariance[2]);
     }
 
+    let crossed = crossed(&axes_i);
+    let filtered = low_pass.mul_add(covariance[0] + covariance[2] - low_pass, crossed);
+    let determinants = [crossed + L::splat(AREA_FLOOR as f32), filtered];
     let [s0, s1, s2] = log_scale;
     let first = one.keep(L::both(s1.ge(s0), s2.ge(s0)));
     let second = one.keep(s2.ge(s1)) * (one - first);
@@ -180,7 +191,8 @@ pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Lineariz
         axes_c,
         axes_i,
         covariance,
-        depth_slope: depth_slope(&axes_c, &axes_i),
+        determinants,
+        depth_slope: depth_slope(&axes_c, &axes_i, crossed),
         shortest,
         facing,
         normal_w,
@@ -188,11 +200,24 @@ pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Lineariz
     }
 }
 
+/// u × v.
+#[inline(always)]
+pub(super) fn cross<L: Lanes>(u: [L; 2], v: [L; 2]) -> L {
+    u[0] * v[1] - u[1] * v[0]
+}
+
+/// det Σ_k u_k u_kᵀ by Cauchy and Binet: as a sum of squares it keeps the digits that xx·yy − xy² would lose.
+#[inline(always)]
+fn crossed<L: Lanes>(axes: &[[L; 2]; 3]) -> L {
+    let [a, b, c] = [cross(axes[0], axes[1]), cross(axes[0], axes[2]), cross(axes[1], axes[2])];
+    a.mul_add(a, b.mul_add(b, c * c))
+}
+
 /// Change of depth per pixel within a splat, from its axes in the camera and in the image: given the pixel, depth under
 /// the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹ Cov(pixel, z). For a disc
 /// that is its plane.
 #[inline(always)]
-fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3]) -> [L; 2] {
+fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3], crossed: L) -> [L; 2] {
     let epsilon = L::splat(SLOPE_LOW_PASS as f32);
     let (mut xx, mut xy, mut yy) = (epsilon, L::splat(0.0), epsilon);
     let mut with_z = [L::splat(0.0); 2];
@@ -203,12 +228,7 @@ fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3]) -> [L; 
         yy = y.mul_add(y, yy);
         with_z = [x.mul_add(z, with_z[0]), y.mul_add(z, with_z[1])];
     }
-    // The determinant by Cauchy and Binet, as a sum of squares, keeps the digits that xx·yy − xy² would lose.
-    let mut determinant = epsilon * (xx + yy - epsilon);
-    for (j, k) in [(0, 1), (0, 2), (1, 2)] {
-        let crossed = axes_i[j][0] * axes_i[k][1] - axes_i[j][1] * axes_i[k][0];
-        determinant = crossed.mul_add(crossed, determinant);
-    }
+    let determinant = epsilon.mul_add(xx + yy - epsilon, crossed);
     let inverse = L::splat(1.0) / determinant;
     [(yy * with_z[0] - xy * with_z[1]) * inverse, (xx * with_z[1] - xy * with_z[0]) * inverse]
 }
@@ -308,7 +328,8 @@ fn project<L: Lanes>(
         let mean = array!(2, |i| {
             (L::splat(view.focal[i]) * m.p_c[i]).mul_add(m.inverse_z, L::splat(view.center[i]))
         });
-        let log2_opacity = m.opacity.log2();
+        let spread = m.determinants[0] / m.determinants[1];
+        let log2_opacity = spread.log2().mul_add(L::splat(0.5), m.opacity.log2());
         // Squared Mahalanobis distance at which alpha reaches its minimum.
         let reach = (log2_opacity - L::splat(LOG2_ALPHA_MIN)) * L::splat(2.0 * LN_2);
         let (half_x, half_y) = ((reach * xx).sqrt(), (reach * yy).sqrt());

@@ -2,7 +2,7 @@
 
 use super::bands::{Band, Slots};
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
-use super::project::{Linearized, Vectors, View, columns, conic, dot, linearize};
+use super::project::{Linearized, Vectors, View, columns, conic, cross, dot, linearize};
 use super::tile::{COLOR_CHANNEL, DEPTH_COLUMN, MOMENTS, NORMAL_CHANNEL, SplatGradient};
 use crate::LossWeights;
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, Row};
@@ -92,8 +92,13 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH]
     ];
     let (h00, h01) = (a * vxx + b * vxy, a * vxy + b * vyy);
     let (h10, h11) = (b * vxx + c * vxy, b * vxy + c * vyy);
-    // Twice ∂L/∂Σ.
-    let d_cov = [h00 * a + h01 * b, h00 * b + h01 * c, h10 * b + h11 * c];
+    // Twice ∂L/∂Σ; its last parts are those of the determinant that α is divided by the root of.
+    let d_cov = [
+        v.neg_mul_add(a, h00 * a + h01 * b),
+        v.neg_mul_add(b, h00 * b + h01 * c),
+        v.neg_mul_add(c, h10 * b + h11 * c),
+    ];
+    let by_area = v / m.determinants[0];
 
     // Σ = Σ_k u_k u_kᵀ with u_k = J v_k, J = [fx/z (1, 0, −slope_x); fy/z (0, 1, −slope_y)].
     let focal = array!(2, |i| L::splat(view.focal[i]) * m.inverse_z);
@@ -104,7 +109,13 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH]
     let mut d_axes: [Vectors<L>; 3] = [[L::splat(0.0); 3]; 3];
     for k in 0..3 {
         let (u, v_c) = (m.axes_i[k], m.axes_c[k]);
-        let d_u = [d_cov[0] * u[0] + d_cov[1] * u[1], d_cov[1] * u[0] + d_cov[2] * u[1]];
+        let mut d_u = [d_cov[0] * u[0] + d_cov[1] * u[1], d_cov[1] * u[0] + d_cov[2] * u[1]];
+        // ∂(½ ln det Σ_j u_j u_jᵀ)/∂u_k, the filter left out: from the sum of squares (u_k × u_j)².
+        for j in 0..3 {
+            let part = by_area * cross(u, m.axes_i[j]);
+            d_u[0] = part.mul_add(m.axes_i[j][1], d_u[0]);
+            d_u[1] = part.neg_mul_add(m.axes_i[j][0], d_u[1]);
+        }
         let (dx, dy) = (focal[0] * d_u[0], focal[1] * d_u[1]);
         let d_v = [dx, dy, (dx * m.slope[0] + dy * m.slope[1]).negated()];
         d_slope[0] = dx.neg_mul_add(v_c[2], d_slope[0]);

@@ -9,7 +9,7 @@ use crate::cpu::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, Parameters};
 use crate::{AFFINITY_DIM, TrainConfig, TrainFrame};
 pub use loss::{CHANNELS, OracleTerms};
-use project::{CONIC, DEPTH, MEAN, NORMAL, OUTPUTS, Projection, project};
+use project::{CONIC, DEPTH, MEAN, NORMAL, OPACITY_SHARE, OUTPUTS, Projection, project};
 use sms_core::Camera;
 
 /// Parameters and settings in double precision.
@@ -140,7 +140,7 @@ impl Oracle {
             let (dx, dy) = (x as f64 + 0.5 - value(MEAN), y as f64 + 0.5 - value(MEAN + 1));
             let power =
                 -0.5 * (value(CONIC) * dx * dx + value(CONIC + 2) * dy * dy) - value(CONIC + 1) * dx * dy;
-            let mut alpha = splat.opacity * power.exp();
+            let mut alpha = splat.opacity * value(OPACITY_SHARE) * power.exp();
             let mut free = true;
             if self.cutoffs {
                 if alpha < f64::from(ALPHA_MIN) {
@@ -242,6 +242,7 @@ impl Oracle {
                 }
                 d_logit[hit.gaussian] += d_alpha * hit.alpha * (1.0 - splat.opacity);
                 let d_power = d_alpha * hit.alpha;
+                d[OPACITY_SHARE] += d_power / splat.projection.value(OPACITY_SHARE);
                 let conic = |k: usize| splat.projection.value(CONIC + k);
                 d[MEAN] += d_power * (conic(0) * dx + conic(1) * dy);
                 d[MEAN + 1] += d_power * (conic(1) * dx + conic(2) * dy);

@@ -1,22 +1,24 @@
 //! EWA projection with its derivatives by forward mode.
 
 use super::dual::{Dual, INPUTS};
-use crate::cpu::limits::{FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
+use crate::cpu::limits::{AREA_FLOOR, FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
 use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 use sms_core::Camera;
 
-/// What projection yields, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal.
+/// What projection yields, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal;
+/// share of the opacity that is left by the low-pass filter.
 pub(super) struct Projection {
     pub(super) outputs: [Dual; OUTPUTS],
     /// Change of depth per pixel in x and y; without derivatives, since training holds it.
     pub(super) depth_slope: [f64; 2],
 }
 
-pub(super) const OUTPUTS: usize = 9;
+pub(super) const OUTPUTS: usize = 10;
 pub(super) const MEAN: usize = 0;
 pub(super) const CONIC: usize = 2;
 pub(super) const DEPTH: usize = 5;
 pub(super) const NORMAL: usize = 6;
+pub(super) const OPACITY_SHARE: usize = 9;
 
 type Matrix = [[Dual; 3]; 3];
 
@@ -80,6 +82,7 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let xy = dot(image_axes[0], image_axes[1]);
     let yy = dot(image_axes[1], image_axes[1]) + low_pass;
     let determinant = xx * yy - xy * xy;
+    let area = (xx - low_pass) * (yy - low_pass) - xy * xy + Dual::constant(AREA_FLOOR);
     let shortest = (0..3).min_by(|&a, &b| scale[a].value.total_cmp(&scale[b].value)).unwrap_or(0);
     let normal: [Dual; 3] = std::array::from_fn(|i| r_wg[i][shortest]);
     let eye = camera.center_w();
@@ -101,6 +104,7 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
             normal[0],
             normal[1],
             normal[2],
+            (area / determinant).sqrt(),
         ],
         depth_slope: [syy * kx - xy * ky, sxx * ky - xy * kx].map(|v| v / determinant_of_slope),
     })
