@@ -48,6 +48,22 @@ pub struct LearningRates {
     pub classifier: f32,
 }
 
+impl LearningRates {
+    /// All rates times `share`.
+    #[must_use]
+    pub fn scaled(&self, share: f32) -> Self {
+        Self {
+            position: self.position * share,
+            log_scale: self.log_scale * share,
+            rotation: self.rotation * share,
+            opacity: self.opacity * share,
+            color: self.color * share,
+            affinity: self.affinity * share,
+            classifier: self.classifier * share,
+        }
+    }
+}
+
 impl Default for LearningRates {
     fn default() -> Self {
         Self {

@@ -133,6 +133,9 @@ pub trait Trainer: Send {
     /// The constant colour b behind all Gaussians (0 to 1; black until set): a pixel shows Σ c·α·T + T_final·b, in
     /// training and rendering alike. It is not learnt and no part of the state: callers set it before anything else.
     fn set_background(&mut self, rgb: [f32; 3]);
+    /// Replaces the learning rates from the next step on: back ends start with those of their [`crate::TrainConfig`].
+    /// They are no part of the state.
+    fn set_rates(&mut self, rates: &crate::LearningRates);
     /// Renders a view (no gradients).
     fn render(&mut self, camera: &Camera) -> RenderedMaps;
     /// Opacities in order.

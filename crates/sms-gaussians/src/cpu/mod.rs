@@ -29,8 +29,8 @@ mod unproject;
 
 use crate::parameters::{LOGIT_OPACITY, POSITION, Parameters, sigmoid};
 use crate::{
-    Classifier, FrameId, GaussianModel, LossTerms, RenderedMaps, Seedling, StepStats, TrainConfig,
-    TrainFrame, TrainState, Trainer, TrainerError,
+    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
+    TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
 use bands::BAND_TILES;
 use engine::Engine;
@@ -241,6 +241,10 @@ impl Trainer for CpuTrainer {
             }
         }
         maps
+    }
+
+    fn set_rates(&mut self, rates: &LearningRates) {
+        self.config.rates = *rates;
     }
 
     fn set_background(&mut self, rgb: [f32; 3]) {

@@ -131,6 +131,8 @@ pub struct ScanConfig {
     pub steps_frame: usize,
     /// Most steps over all frames together at the end.
     pub final_steps: usize,
+    /// Learning rates fall over these last steps, exponentially, to this share of what they were.
+    pub final_decay: f32,
     /// Steps between looks at the clock, at the losses and at requests to stop.
     pub batch_steps: usize,
     /// Share of a frame's steps taken on the frame itself; the rest replays earlier ones.
@@ -163,6 +165,7 @@ impl Default for ScanConfig {
             steps_first: 1000,
             steps_frame: 100,
             final_steps: 300,
+            final_decay: 0.1,
             batch_steps: 10,
             current_share: 0.4,
             seeding: SeedingConfig::default(),

@@ -16,7 +16,7 @@ use super::ply::write_ply;
 use super::pruning::{prune_floaters, prune_transparent};
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
 use super::so_far::SoFar;
-use crate::{FrameId, GaussianModel, Trainer};
+use crate::{FrameId, GaussianModel, LearningRates, Trainer};
 use rand::RngExt;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Status, Warnings, atomic};
@@ -336,6 +336,7 @@ impl Schedule<'_> {
 
     fn batch_of_steps(&mut self) {
         let (own, replayed) = self.batch_frames();
+        self.trainer.set_rates(&self.rates());
         let stats = self.trainer.steps(&own);
         if !replayed.is_empty() {
             self.trainer.steps(&replayed);
@@ -354,6 +355,17 @@ impl Schedule<'_> {
             loss: stats.loss,
             gaussians: self.trainer.len(),
         });
+    }
+
+    /// Learning rates of the next batch: a function of the place alone. Those of the refinement fall, so that it ends
+    /// near the mean of what the views ask for rather than where the last of them pulled.
+    fn rates(&self) -> LearningRates {
+        let rates = &self.config.train.rates;
+        if !self.is_refinement() {
+            return *rates;
+        }
+        let done = self.place.step as f32 / self.config.final_steps.max(1) as f32;
+        rates.scaled(self.config.final_decay.powf(done.min(1.0)))
     }
 
     /// The frames of the next batch: those whose losses are recorded, and replayed ones. A function of the seed and

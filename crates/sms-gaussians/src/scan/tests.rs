@@ -80,6 +80,9 @@ impl Trainer for Disturbed {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         self.inner.render(camera)
     }
+    fn set_rates(&mut self, rates: &crate::LearningRates) {
+        self.inner.set_rates(rates);
+    }
     fn set_background(&mut self, rgb: [f32; 3]) {
         self.inner.set_background(rgb);
     }

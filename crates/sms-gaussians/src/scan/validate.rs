@@ -51,6 +51,7 @@ impl ScanConfig {
             ("seeding.opacity", seeding.opacity, 0.001, 0.999),
             ("pruning.opacity_below", pruning.opacity_below, 0.0, 1.0),
             ("stop.min_gain", stop.min_gain, -1.0, 1.0),
+            ("final_decay", self.final_decay, 1e-6, 1.0),
         ] {
             r.within(key, value, low, high)?;
         }
