@@ -82,7 +82,7 @@ impl Default for SeedingConfig {
             sigma_of_spacing: 0.6,
             thickness: 0.1,
             opacity: 0.5,
-            min_cosine: 0.2,
+            min_cosine: 0.1,
         }
     }
 }
@@ -186,7 +186,7 @@ impl Default for ScanConfig {
 /// step the colours push centres 2 mm off the surface, and the depth loss alone as far behind it (see `fusion`).
 fn training() -> TrainConfig {
     TrainConfig {
-        weights: LossWeights { depth: 10.0, ..LossWeights::default() },
+        weights: LossWeights { depth: 10.0, normal: 0.03, ..LossWeights::default() },
         rates: LearningRates { position: 3e-6, color: 5e-3, ..LearningRates::default() },
         ..TrainConfig::default()
     }
@@ -205,7 +205,8 @@ impl ScanConfig {
                 steps_first: 400,
                 steps_frame: 60,
                 final_steps: 1000,
-                seeding: SeedingConfig { spacing_px: 3.0, ..standard.seeding },
+                seeding: SeedingConfig { spacing_px: 4.5, ..standard.seeding },
+                max_gaussians: 100_000,
                 ..standard
             },
         }
