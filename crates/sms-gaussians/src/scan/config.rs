@@ -73,7 +73,7 @@ impl Default for SeedingConfig {
     fn default() -> Self {
         Self {
             spacing_px: 2.5,
-            edge_spacing: 0.7,
+            edge_spacing: 0.5,
             edge_threshold: 0.08,
             alpha_below: 0.6,
             min_tolerance_m: 0.005,
@@ -174,7 +174,7 @@ impl Default for ScanConfig {
             correct_labels: true,
             stop: StopConfig::default(),
             noise: DepthNoise::default(),
-            max_gaussians: 50_000,
+            max_gaussians: 60_000,
             holdout: 0,
             checkpoint_seconds: 5.0,
             train: training(),

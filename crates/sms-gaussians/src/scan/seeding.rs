@@ -257,7 +257,7 @@ mod tests {
         let frame = first_frame();
         let seedlings = seeds(&frame, None, &[], usize::MAX);
         assert!(seedlings.len() > 1000, "{}", seedlings.len());
-        let spacing = 0.7 * 2.5 * frame.camera.intrinsics.pixel_footprint(0.4);
+        let spacing = 0.5 * 2.5 * frame.camera.intrinsics.pixel_footprint(0.4);
         let mut sum = 0.0;
         for (i, s) in seedlings.iter().enumerate() {
             let distance = [0, BALL, BOX].map(|l| signed_distance_m(l, s.position_w).abs());
