@@ -7,6 +7,7 @@
 use super::lanes::{Lanes, NONE, WIDTH, array, by_simd};
 use super::perceptron;
 use super::planes::Aligned;
+use super::prefetch::prefetch;
 use super::project::{Outline, Projected};
 use super::ssim::SsimScratch;
 use super::target::Grid;
@@ -173,6 +174,10 @@ fn bin<L: Lanes>(
     band.reached.clear();
     band.reached.resize(members.len(), false);
     for (position, &gaussian) in members.iter().enumerate() {
+        if let Some(&next) = members.get(position + AHEAD) {
+            prefetch(&projected[next as usize]);
+            prefetch(&rows[next as usize]);
+        }
         let projected = &projected[gaussian as usize];
         band.splats.push(projected.splat(&rows[gaussian as usize]));
         band.order.push(Key { depth: projected.depth_bits(), position: position as u32 });
@@ -228,6 +233,9 @@ fn bin<L: Lanes>(
         }
     }
 }
+
+/// How many splats ahead memory is asked for.
+const AHEAD: usize = 8;
 
 /// Tile columns in which the ellipses of two splats meet the pixel centres of each row of patches of the band that
 /// starts at pixel row `y`, `first + 2¹⁶·end`, for the first splat and then for the second; slightly generous.

@@ -4,6 +4,7 @@
 //! transmittance is short, then the channels, which stay in registers over the whole block.
 
 use super::lanes::{Chunk, Lanes, NONE, by_simd};
+use super::prefetch::prefetch;
 use super::tile::{
     AFFINITY_CHANNEL, COLOR_CHANNEL, DEPTH_CHANNEL, FLAT, OPACITY_CHANNEL, PatchImage, PatchPlace, Splat,
     TRANSMITTANCE_MIN, alpha,
@@ -11,6 +12,8 @@ use super::tile::{
 
 /// Splats whose weights are known before channels are added.
 const BLOCK: usize = 32;
+/// How many splats ahead memory is asked for.
+const AHEAD: usize = 8;
 
 /// Weights of some splats of a patch.
 #[repr(C, align(64))]
@@ -46,6 +49,9 @@ fn blend<L: Lanes>(
         }
         let mut n = 0;
         for i in first..list.len().min(first + BLOCK) {
+            if let Some(next) = list.get(i + AHEAD) {
+                prefetch(&splats[*next as usize]);
+            }
             let position = list[i];
             let splat = &splats[position as usize];
             let alpha = alpha::<L>(splat, centers);

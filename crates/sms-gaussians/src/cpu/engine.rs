@@ -6,6 +6,7 @@ use super::lanes::Simd;
 use super::losses::{BandGradient, PixelWeights, tile_losses, tile_rows};
 use super::perceptron::{Sample, Weights, tile_cross_entropy};
 use super::planes::{Planes, RowLayout};
+use super::prefetch::prefetch;
 use super::project::{Projected, View, project_rows};
 use super::ssim::{DERIVATIVES, ssim_band, ssim_gradient_band};
 use super::target::{Grid, Target};
@@ -281,6 +282,9 @@ impl Engine {
                     sums.depth += tile.depth;
                     sums.normal += tile.normal;
                     times.pixels += lap();
+                    if i + 1 < tiles.len() {
+                        prefetch(&target.tiles[first + i + 1]);
+                    }
                     let affinity = sample.map_or(0, |sample| sample.patches(first + i));
                     if affinity != 0 {
                         sums.segmentation += tile_cross_entropy(
@@ -296,6 +300,10 @@ impl Engine {
                         times.segmentation += lap();
                     }
                     for p in 0..PATCHES {
+                        // The next tile's turn comes when this one's splats are done.
+                        if let Some(next) = tiles.get(i + 1) {
+                            prefetch(&next[p]);
+                        }
                         let list = band.lists.used(grid.patch(i, p));
                         unblend_patch(
                             simd,

@@ -19,6 +19,7 @@ mod median;
 mod perceptron;
 mod planes;
 mod portable;
+mod prefetch;
 mod project;
 mod ssim;
 mod target;

@@ -7,6 +7,7 @@
 //! channels, and v = ∂L/∂(ln α) by the powers of its coordinates, whose sums are then moved to the splat's centre.
 
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, by_simd};
+use super::prefetch::prefetch;
 use super::tile::{
     AFFINITY_CHANNEL, CHANNELS, DEPTH_CHANNEL, DEPTH_COLUMN, MOMENTS, OPACITY_CHANNEL, PatchGradient,
     PatchImage, PatchPlace, Splat, SplatGradient, TRANSMITTANCE_MIN, alpha,
@@ -70,8 +71,15 @@ fn unblend<L: Lanes>(
     }
     let mut transmittance = place.inside::<L>();
     let mut block = EMPTY;
-    for list in list.chunks(BLOCK) {
+    for first in (0..list.len()).step_by(BLOCK) {
+        let (list, next) = list[first..].split_at(BLOCK.min(list.len() - first));
+        for position in list {
+            prefetch(&gradients[*position as usize]);
+        }
         weights::<L>(splats, list, centers, gradient, &mut transmittance, &mut block);
+        for position in &next[..BLOCK.min(next.len())] {
+            prefetch(&splats[*position as usize]);
+        }
         match (L::MANY_REGISTERS, affinity) {
             (true, true) => slopes::<L, 8, FULL>(splats, list.len(), gradient, &mut remainder, &mut block),
             (true, false) => slopes::<L, 8, SHORT>(splats, list.len(), gradient, &mut remainder, &mut block),
