@@ -3,51 +3,10 @@
 //! `cargo bench -p sms-gaussians --bench step [-- THREADS] [portable|avx2|avx512|detected]… [share=SHARE]`. The scene is a
 //! wall of discs about as dense as a scan leaves them.
 
-use rand::RngExt;
-use sms_core::glamx::{DVec3, Quat, Vec3};
-use sms_core::{Camera, Intrinsics, Seed};
-use sms_gaussians::{
-    AFFINITY_DIM, CpuTrainer, Seedling, SimdForm, StepTimes, TrainConfig, TrainFrame, Trainer,
-};
+mod scene;
 
-const CLASSES: usize = 8;
-
-fn camera(width: usize, height: usize) -> Camera {
-    Camera::look_at(
-        Intrinsics::from_fov(width, height, 1.1),
-        DVec3::new(0.0, -0.7, 0.6),
-        DVec3::new(0.0, 0.0, 0.05),
-        DVec3::Z,
-    )
-}
-
-/// Discs facing the camera's side of a bumpy surface, one pixel spacing wide and a little tilted.
-fn discs(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedling> {
-    let mut rng = seed.rng();
-    let k = &camera.intrinsics;
-    let spacing = ((k.width * k.height) as f64 / count as f64).sqrt();
-    (0..count)
-        .map(|_| {
-            let mut part = |low: f64, high: f64| rng.random_range(low..high);
-            let (u, v) = (part(0.0, k.width as f64), part(0.0, k.height as f64));
-            let z = 0.8 + 0.1 * (u / 40.0).sin() * (v / 30.0).cos() + part(-0.003, 0.003);
-            let sigma = 0.8 * spacing * z / k.fx;
-            let tilt = Quat::from_xyzw(part(-0.2, 0.2) as f32, part(-0.2, 0.2) as f32, 0.0, 1.0).normalize();
-            Seedling {
-                position_w: camera.unproject(u, v, z).as_vec3(),
-                rotation_wg: camera.x_wc.rotation.as_quat() * tilt,
-                scale: Vec3::new(
-                    (sigma * part(0.7, 1.4)) as f32,
-                    (sigma * part(0.7, 1.4)) as f32,
-                    0.15 * sigma as f32,
-                ),
-                opacity: part(0.3, 0.95) as f32,
-                color: [part(0.0, 1.0) as f32, part(0.0, 1.0) as f32, part(0.0, 1.0) as f32],
-                affinity: std::array::from_fn::<f32, AFFINITY_DIM, _>(|_| part(-0.5, 0.5) as f32),
-            }
-        })
-        .collect()
-}
+use scene::trainer;
+use sms_gaussians::{CpuTrainer, SimdForm, StepTimes, TrainConfig, Trainer};
 
 /// CPU seconds of all threads of this process so far, where the system tells (Linux); less disturbed by other work
 /// than the clock on the wall.
@@ -65,26 +24,7 @@ const GROUP: usize = 10;
 
 /// The shortest step by the clock, the shortest of each part, and the CPU seconds of a step in the best
 /// group.
-fn measure(
-    mut trainer: CpuTrainer,
-    (width, height): (usize, usize),
-    count: usize,
-    steps: usize,
-) -> (f64, StepTimes, f64) {
-    let camera = camera(width, height);
-    trainer.insert(&discs(&camera, count, Seed(2)));
-    let maps = trainer.render(&camera);
-    trainer.retain(&vec![false; count]);
-    trainer.insert(&discs(&camera, count, Seed(1)));
-    let label = (0..width * height).map(|i| ((i % width / 40 + i / width / 40) % CLASSES) as u16).collect();
-    trainer.add_frame(TrainFrame {
-        camera,
-        color: maps.color,
-        depth: maps.depth,
-        normal_w: maps.normal_w,
-        label,
-    });
-    trainer.steps(&[0; 3]);
+fn measure(mut trainer: CpuTrainer, steps: usize) -> (f64, StepTimes, f64) {
     // The best of several short runs: other work on the machine only ever adds time.
     let mut best = (f64::INFINITY, StepTimes::from_parts([f64::INFINITY; StepTimes::PARTS]));
     let (mut least, mut cpu) = (f64::INFINITY, cpu_seconds());
@@ -126,10 +66,10 @@ fn main() {
         for count in [10_000, 20_000] {
             for &form in &forms {
                 let steps = if form == SimdForm::Portable { 10 } else { 100 };
-                let Some(trainer) = CpuTrainer::with_form(&config, CLASSES, Seed(3), form) else {
+                let Some(trainer) = pool.install(|| trainer(&config, form, size, count)) else {
                     continue;
                 };
-                let (seconds, times, cpu) = pool.install(|| measure(trainer, size, count, steps));
+                let (seconds, times, cpu) = pool.install(|| measure(trainer, steps));
                 let parts = times.parts().map(|s| format!("{:7.2}", s * 1e3)).join(" ");
                 let size = format!("{}x{}", size.0, size.1);
                 println!(
