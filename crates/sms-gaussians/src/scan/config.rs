@@ -182,8 +182,8 @@ impl Default for ScanConfig {
     }
 }
 
-/// Losses and rates of the scan. Positions start, and end, on the fused depth, so they hardly move: with 1e-4 m a
-/// step the colours push centres 2 mm off the surface, and the depth loss alone as far behind it (see `fusion`).
+/// Losses and rates of the scan. Positions start, and end, on the fused depth, so they hardly move (see `fusion`); a
+/// normal weight of 0.1 instead of 0.03 costs 0.3 dB.
 fn training() -> TrainConfig {
     TrainConfig {
         weights: LossWeights { depth: 10.0, normal: 0.03, ..LossWeights::default() },
