@@ -4,7 +4,7 @@ use crate::disturb::Disturbance;
 use crate::scenes::{BenchScene, HOLDOUT, real_data_dir, recording, truth_scene};
 use crate::{BenchError, process};
 use glamx::DPose3;
-use sms_core::{Camera, Cancel, Labels, Progress, Seed, Warnings};
+use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, Warnings};
 use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_gaussians::{Preset, ScanConfig};
@@ -159,6 +159,14 @@ pub fn prepare(
     let mut sequence =
         load(&Recording::open(&dir, &options.read)?, &options.load, progress, cancel, warnings)?;
     let load_seconds = timer.seconds();
+    if !(1..sequence.len()).any(|i| Sequence::is_held_out(i, options.scan.holdout)) {
+        return Err(InputError::new(
+            format!("no frame of {} is held out: there is nothing to measure views on", sequence.len()),
+            "[scan] holdout",
+            "give at least 2, such as --set scan.holdout=8, and enough --frames",
+        )
+        .into());
+    }
     let true_cameras = sequence.frames.iter().map(|f| f.camera).collect();
     let seed = match scene {
         BenchScene::Billiards(seed) => Seed(*seed),

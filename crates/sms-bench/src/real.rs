@@ -34,7 +34,7 @@ pub(crate) fn real_metrics(
     let (mut depth, mut psnr, mut labels_right) = (DepthErrors::default(), Vec::new(), (0usize, 0usize));
     for (at, &i) in held_out.iter().enumerate() {
         let frame = &prepared.sequence.frames[i];
-        let shown = ShownView::of_maps(&trainer.render(&prepared.true_cameras[i]));
+        let shown = ShownView::of_maps(&trainer.render(&frame.camera));
         let (w, h) = frame.depth.size();
         let measured = TrueView { depth: frame.depth.clone(), label: Image::filled(w, h, BACKGROUND) };
         depth.add(&shown.depth, &measured, &frame.depth);

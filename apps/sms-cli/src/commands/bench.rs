@@ -60,7 +60,7 @@ pub(crate) struct BenchScan {
     #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
     pub color_shift_px: i64,
     /// Refine poses before masks and scan.
-    #[arg(long, value_enum, value_name = "WHEN")]
+    #[arg(long, value_enum, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
     /// Neither make nor measure meshes.
     #[arg(long)]
@@ -126,6 +126,14 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
             present.push(scene);
         }
     }
+    if present.is_empty() {
+        return Err(InputError::new(
+            "none of these scenes is here",
+            "--scenes",
+            "give seeds, or set SMS_TEST_DATA to the folder of the real recordings",
+        )
+        .into());
+    }
     if let Some(dir) = &a.export {
         return export(context, &present, &options, dir);
     }
@@ -164,6 +172,14 @@ fn export(
     options: &BenchOptions,
     dir: &Path,
 ) -> anyhow::Result<()> {
+    if scenes.iter().all(|s| matches!(s, BenchScene::Real(_))) {
+        return Err(InputError::new(
+            "only generated scenes can be exported",
+            "--scenes",
+            "give seeds: real recordings have no truth to export",
+        )
+        .into());
+    }
     for scene in scenes.iter().filter(|s| matches!(s, BenchScene::Billiards(_))) {
         let warnings = Warnings::new();
         let prepared = prepare(scene, options, context.progress.as_ref(), &context.cancel, &warnings)?;

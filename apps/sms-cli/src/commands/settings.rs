@@ -31,10 +31,11 @@ pub(crate) fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String
         "# Settings of all stages. Keep what you change and give the file with --settings FILE, or single values with\n\
          # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says else.\n",
     );
+    let frames = settings.section("frames", frames)?;
     for (name, about) in SECTIONS {
         let value = match *name {
             "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
-            "frames" => serde_json::to_value(settings.section(name, frames.clone())?)?,
+            "frames" => serde_json::to_value(&frames)?,
             "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,
             "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
             "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
