@@ -5,10 +5,9 @@
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
-use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::{Aabb, Camera, DepthImage, LabelMap, Mesh, Seed};
-use sms_report::SurfaceIndex;
+use sms_report::{SurfaceIndex, sample_triangles};
 use sms_synth::{CameraModel, DepthCamera, Renderer, TruthScene};
 
 /// The true surface of one object.
@@ -77,25 +76,11 @@ pub struct SurfacePoint {
 /// same points).
 pub fn sample_true_surface(surface: &TrueSurface, spacing: f64, seed: Seed) -> Vec<SurfacePoint> {
     let mesh = &surface.mesh;
-    let mut cumulative = Vec::with_capacity(mesh.triangles.len());
-    let mut total = 0.0;
-    for t in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corners(t);
-        total += 0.5 * (b - a).cross(c - a).length();
-        cumulative.push(total);
-    }
-    let count = (total / (spacing * spacing)).round() as usize;
-    let mut rng = seed.derive(&surface.name).rng();
-    (0..count)
-        .map(|i| {
-            let at = (i as f64 + rng.random::<f64>()) / count as f64 * total;
-            let t = cumulative.partition_point(|&c| c < at).min(cumulative.len() - 1);
+    let count = (mesh.area() / (spacing * spacing)).round() as usize;
+    sample_triangles(mesh, count, &mut seed.derive(&surface.name).rng())
+        .into_iter()
+        .map(|(t, point)| {
             let [a, b, c] = mesh.corners(t);
-            let (mut u, mut v) = (rng.random::<f64>(), rng.random::<f64>());
-            if u + v > 1.0 {
-                (u, v) = (1.0 - u, 1.0 - v);
-            }
-            let point = a + (b - a) * u + (c - a) * v;
             match surface.sphere {
                 Some((center, radius)) => {
                     let normal = (point - center).normalize_or(DVec3::Z);

@@ -47,6 +47,7 @@ mod scan;
 #[cfg(test)]
 mod test_scene;
 mod trainer;
+mod wall;
 
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
 pub use cpu::limits;
@@ -60,3 +61,4 @@ pub use scan::{
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError,
 };
+pub use wall::{WALL_CLASSES, fill_wall};

@@ -37,4 +37,4 @@ pub use live::{LiveError, LiveScan, Viewer};
 pub use page::{LossPoint, ReportError, ReportInput, write_report};
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};
-pub use surface::{ClosestPoint, SurfaceIndex, sample_surface};
+pub use surface::{ClosestPoint, SurfaceIndex, sample_surface, sample_triangles};

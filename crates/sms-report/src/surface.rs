@@ -2,7 +2,7 @@
 
 use glamx::DVec3;
 use rand::RngExt;
-use sms_core::{Mesh, Seed};
+use sms_core::{Mesh, Seed, StageRng};
 
 /// A bounding-volume hierarchy over the triangles of a mesh, for closest-point queries.
 #[derive(Debug)]
@@ -148,6 +148,12 @@ fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 /// `count` points uniform per area over the mesh (stratified over the cumulative area, so that the same mesh and
 /// seed always give the same points).
 pub fn sample_surface(mesh: &Mesh, count: usize, seed: Seed) -> Vec<DVec3> {
+    let samples = sample_triangles(mesh, count, &mut seed.derive("sample_surface").rng());
+    samples.into_iter().map(|(_, point)| point).collect()
+}
+
+/// The same with the index of each point's triangle, from a generator of the caller's.
+pub fn sample_triangles(mesh: &Mesh, count: usize, rng: &mut StageRng) -> Vec<(usize, DVec3)> {
     let mut cumulative = Vec::with_capacity(mesh.triangles.len());
     let mut total = 0.0;
     for t in 0..mesh.triangles.len() {
@@ -158,7 +164,6 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: Seed) -> Vec<DVec3> {
     if total <= 0.0 {
         return Vec::new();
     }
-    let mut rng = seed.derive("sample_surface").rng();
     (0..count)
         .map(|i| {
             let at = (i as f64 + rng.random::<f64>()) / count as f64 * total;
@@ -168,7 +173,7 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: Seed) -> Vec<DVec3> {
             if u + v > 1.0 {
                 (u, v) = (1.0 - u, 1.0 - v);
             }
-            a + (b - a) * u + (c - a) * v
+            (t, a + (b - a) * u + (c - a) * v)
         })
         .collect()
 }

@@ -1,71 +1,16 @@
-//! The scene of the benches: a wall of discs about as dense as a scan leaves them, and a view of another such wall.
+//! The trainer that the benches measure.
 
-use rand::RngExt;
-use sms_core::glamx::{DVec3, Quat, Vec3};
-use sms_core::{Camera, Intrinsics, Seed};
-use sms_gaussians::{AFFINITY_DIM, CpuTrainer, Seedling, SimdForm, TrainConfig, TrainFrame, Trainer};
-
-/// Classes of the scene.
-pub(crate) const CLASSES: usize = 8;
-
-fn camera(width: usize, height: usize) -> Camera {
-    Camera::look_at(
-        Intrinsics::from_fov(width, height, 1.1),
-        DVec3::new(0.0, -0.7, 0.6),
-        DVec3::new(0.0, 0.0, 0.05),
-        DVec3::Z,
-    )
-}
-
-/// Discs facing the camera's side of a bumpy surface, one pixel spacing wide and a little tilted.
-fn discs(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedling> {
-    let mut rng = seed.rng();
-    let k = &camera.intrinsics;
-    let spacing = ((k.width * k.height) as f64 / count as f64).sqrt();
-    (0..count)
-        .map(|_| {
-            let mut part = |low: f64, high: f64| rng.random_range(low..high);
-            let (u, v) = (part(0.0, k.width as f64), part(0.0, k.height as f64));
-            let z = 0.8 + 0.1 * (u / 40.0).sin() * (v / 30.0).cos() + part(-0.003, 0.003);
-            let sigma = 0.8 * spacing * z / k.fx;
-            let tilt = Quat::from_xyzw(part(-0.2, 0.2) as f32, part(-0.2, 0.2) as f32, 0.0, 1.0).normalize();
-            Seedling {
-                position_w: camera.unproject(u, v, z).as_vec3(),
-                rotation_wg: camera.x_wc.rotation.as_quat() * tilt,
-                scale: Vec3::new(
-                    (sigma * part(0.7, 1.4)) as f32,
-                    (sigma * part(0.7, 1.4)) as f32,
-                    0.15 * sigma as f32,
-                ),
-                opacity: part(0.3, 0.95) as f32,
-                color: [part(0.0, 1.0) as f32, part(0.0, 1.0) as f32, part(0.0, 1.0) as f32],
-                affinity: std::array::from_fn::<f32, AFFINITY_DIM, _>(|_| part(-0.5, 0.5) as f32),
-            }
-        })
-        .collect()
-}
+use sms_core::Seed;
+use sms_gaussians::{CpuTrainer, SimdForm, TrainConfig, WALL_CLASSES, fill_wall};
 
 /// A trainer of `count` Gaussians with one frame, after three steps; `None` where this CPU cannot run the form.
 pub(crate) fn trainer(
     config: &TrainConfig,
     form: SimdForm,
-    (width, height): (usize, usize),
+    size: (usize, usize),
     count: usize,
 ) -> Option<CpuTrainer> {
-    let mut trainer = CpuTrainer::with_form(config, CLASSES, Seed(3), form)?;
-    let camera = camera(width, height);
-    trainer.insert(&discs(&camera, count, Seed(2)));
-    let maps = trainer.render(&camera);
-    trainer.retain(&vec![false; count]);
-    trainer.insert(&discs(&camera, count, Seed(1)));
-    let label = (0..width * height).map(|i| ((i % width / 40 + i / width / 40) % CLASSES) as u16).collect();
-    trainer.add_frame(TrainFrame {
-        camera,
-        color: maps.color,
-        depth: maps.depth,
-        normal_w: maps.normal_w,
-        label,
-    });
-    trainer.steps(&[0; 3]);
+    let mut trainer = CpuTrainer::with_form(config, WALL_CLASSES, Seed(3), form)?;
+    fill_wall(&mut trainer, size, count);
     Some(trainer)
 }

@@ -197,61 +197,14 @@ impl Simd {
 /// An array of values by index. Written out, because a closure is compiled for the baseline instructions only, and
 /// lanes that pass through one go through memory and calls.
 macro_rules! array {
-    (2, |$i:ident| $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-        ]
-    };
-    (3, |$i:ident| $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-            {
-                let $i = 2;
-                $value
-            },
-        ]
-    };
-    (6, |$i:ident| $value:expr) => {
-        [
-            {
-                let $i = 0;
-                $value
-            },
-            {
-                let $i = 1;
-                $value
-            },
-            {
-                let $i = 2;
-                $value
-            },
-            {
-                let $i = 3;
-                $value
-            },
-            {
-                let $i = 4;
-                $value
-            },
-            {
-                let $i = 5;
-                $value
-            },
-        ]
+    (2, |$i:ident| $value:expr) => { array!(@ $i, $value, 0 1) };
+    (3, |$i:ident| $value:expr) => { array!(@ $i, $value, 0 1 2) };
+    (6, |$i:ident| $value:expr) => { array!(@ $i, $value, 0 1 2 3 4 5) };
+    (@ $i:ident, $value:expr, $($index:literal)*) => {
+        [$({
+            let $i = $index;
+            $value
+        }),*]
     };
 }
 pub(super) use array;
