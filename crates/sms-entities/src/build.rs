@@ -441,7 +441,7 @@ fn mesh_entity(
         ),
     }
     mesh.colors = crate::refine::colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
-    let mut parts = crate::convex::convex_parts(&mesh, &config.convex);
+    let mut parts = sms_convex::convex_parts(&mesh, &config.convex);
     crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
     let stride = draft.cloud.points_w.len().div_ceil(1500).max(1);
     let sample: Vec<DVec3> = draft.cloud.points_w.iter().copied().step_by(stride).collect();

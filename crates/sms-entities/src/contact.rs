@@ -1,10 +1,9 @@
 //! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
 
-use crate::convex::clip;
-use crate::hull::convex_hull;
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Shape};
+use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 
 /// Overlap that physics engines tolerate, metres.

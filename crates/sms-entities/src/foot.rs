@@ -1,8 +1,8 @@
 //! The corners that an object stands on survive the vertex limit of its convex parts.
 
-use crate::hull::convex_hull;
 use crate::support::Plane;
 use glamx::DVec3;
+use sms_convex::convex_hull;
 use sms_core::Mesh;
 
 /// Vertices this near to the lowest belong to the foot, metres.

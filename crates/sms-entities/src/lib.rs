@@ -8,7 +8,7 @@
 //! 2. `support`, `underside`: what it rests on is found, and the contact area that no camera saw is closed.
 //! 3. `sphere`: round objects become spheres, whatever they are called.
 //! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes.
-//! 5. `convex`: meshes are split into convex parts for physics.
+//! 5. crate `sms-convex`: meshes are split into convex parts for physics.
 //! 6. `contact`: parts of different objects that overlap are cut apart.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
 //!
@@ -31,14 +31,12 @@ mod build;
 mod cloud;
 mod config;
 mod contact;
-mod convex;
 mod delaunay;
 mod environment;
 mod error;
 mod foot;
 mod grid;
 mod hilbert;
-mod hull;
 mod inside;
 mod maxflow;
 mod mesher;
@@ -52,15 +50,13 @@ mod surface;
 mod tsdf;
 mod underside;
 mod views;
-mod voxels;
 
 pub use build::build_entities;
-pub use config::{ConvexConfig, EntitiesConfig, EnvironmentConfig, MeshRule, SphereConfig};
-pub use convex::convex_parts;
+pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, SphereConfig};
 pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
 pub use error::EntitiesError;
-pub use hull::convex_hull;
 pub use save::{load_entities, save_entities};
+pub use sms_convex::{ConvexConfig, convex_hull, convex_parts};
 pub use sphere::{SphereFit, fit_sphere};
 
 use sms_core::Entity;

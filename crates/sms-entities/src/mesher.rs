@@ -2,12 +2,12 @@
 
 use crate::config::{EntitiesConfig, MeshRule};
 use crate::delaunay::{NONE, Tetrahedralization, delaunay};
-use crate::hull::convex_hull;
 use crate::support::Plane;
 use crate::views::{Sight, Views};
 use crate::{inside, refine, surface};
 use glamx::DVec3;
 use rayon::prelude::*;
+use sms_convex::convex_hull;
 use sms_core::{Mesh, PointCloud};
 
 /// How the mesh was obtained; later ones are fallbacks.

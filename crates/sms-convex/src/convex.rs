@@ -24,7 +24,7 @@ struct Piece {
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
-/// let parts = sms_entities::convex_parts(&Mesh::cuboid(DVec3::splat(0.05)), &Default::default());
+/// let parts = sms_convex::convex_parts(&Mesh::cuboid(DVec3::splat(0.05)), &Default::default());
 /// assert_eq!(parts.len(), 1);
 /// ```
 pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
@@ -156,7 +156,7 @@ fn apply(triangles: &[[DVec3; 3]], planes: &[(DVec3, f64)]) -> Vec<Vec<[DVec3; 3
 }
 
 /// The triangles below and above a plane, cut where they cross it.
-pub(crate) fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
+pub fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
     let (mut below, mut above) = (Vec::new(), Vec::new());
     for t in triangles {
         let h = t.map(|p| p.dot(n) - d);

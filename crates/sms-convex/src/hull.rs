@@ -1,9 +1,11 @@
 //! Convex hulls on exact predicates, with a limit on their vertices.
 
-use crate::delaunay::FACES;
 use crate::predicates::{collinear, orient};
 use glamx::DVec3;
 use sms_core::Mesh;
+
+/// Corners of the four faces of a positively oriented tetrahedron, counter-clockwise from outside.
+const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 struct Face {
     corners: [u32; 3],
@@ -21,7 +23,7 @@ struct Face {
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
-/// let hull = sms_entities::convex_hull(&Mesh::icosphere(0.1, 3).vertices, 64, 0.0).unwrap();
+/// let hull = sms_convex::convex_hull(&Mesh::icosphere(0.1, 3).vertices, 64, 0.0).unwrap();
 /// assert_eq!(hull.vertices.len(), 64);
 /// assert!(hull.is_closed_oriented());
 /// ```

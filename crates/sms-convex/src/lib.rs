@@ -1,0 +1,18 @@
+//! Approximate convex decomposition: a mesh in, convex parts out (paper, Section "Materialize").
+//!
+//! ```
+//! use sms_convex::{ConvexConfig, convex_parts};
+//! use sms_core::{Mesh, glamx::DVec3};
+//! let cube = Mesh::cuboid(DVec3::splat(0.05));
+//! assert_eq!(convex_parts(&cube, &ConvexConfig::default()).len(), 1);
+//! ```
+
+mod config;
+mod convex;
+mod hull;
+mod predicates;
+mod voxels;
+
+pub use config::ConvexConfig;
+pub use convex::{clip, convex_parts};
+pub use hull::convex_hull;

@@ -1,0 +1,37 @@
+//! Exact orientation tests on [`DVec3`], with the signs this crate uses throughout.
+
+use glamx::DVec3;
+use robust::Coord3D;
+
+fn coord(p: DVec3) -> Coord3D<f64> {
+    Coord3D { x: p.x, y: p.y, z: p.z }
+}
+
+/// Sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side to which the normal
+/// (b − a) × (c − a) points. Zero exactly when the four points are coplanar.
+pub(crate) fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
+}
+
+/// Whether three points lie exactly on a line.
+pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+    let flat = |i: usize, j: usize| {
+        let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
+        robust::orient2d(at(a), at(b), at(c)) == 0.0
+    };
+    flat(0, 1) && flat(1, 2) && flat(2, 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_are_as_documented() {
+        let (a, b, c, d) = (DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z);
+        assert!(orient(a, b, c, d) > 0.0);
+        assert!(orient(a, b, c, -d) < 0.0);
+        assert_eq!(orient(a, b, c, DVec3::new(0.3, 0.9, 0.0)), 0.0);
+        assert!(collinear(a, b, b * 3.0) && !collinear(a, b, c));
+    }
+}
