@@ -1,7 +1,7 @@
 //! Reconstructed objects.
 
-use crate::Mesh;
-use glamx::DVec3;
+use crate::{Mesh, MeshTexture};
+use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Whether physics moves it.
@@ -25,10 +25,33 @@ pub enum EntityShape {
         /// Radius, metres.
         radius: f64,
     },
+    /// A box.
+    Box {
+        /// Pose of the shape's frame `S` (origin at the centre, axes along the edges) in the world.
+        x_ws: DPose3,
+        /// Half of the edge lengths along the axes of `S`, metres.
+        half_extents: DVec3,
+    },
+    /// A cylinder with flat ends.
+    Cylinder {
+        /// Pose of the shape's frame `S` (origin at the centre, z along the axis) in the world.
+        x_ws: DPose3,
+        /// Radius, metres.
+        radius: f64,
+        /// Half of the length along the axis, metres.
+        half_length: f64,
+    },
     /// Convex parts (see [`Entity::parts`]).
     Convex,
     /// The triangle mesh itself; for static entities only.
     TriMesh,
+}
+
+impl EntityShape {
+    /// Whether one exact solid (sphere, box or cylinder) stands for the whole object.
+    pub fn is_primitive(&self) -> bool {
+        matches!(self, Self::Sphere { .. } | Self::Box { .. } | Self::Cylinder { .. })
+    }
 }
 
 /// Oriented, coloured surface points in the world frame.
@@ -59,7 +82,9 @@ pub struct Entity {
     pub cloud: PointCloud,
     /// Closed surface (for dynamic entities) or open surface (for static ones), world frame.
     pub mesh: Mesh,
-    /// Convex parts, world frame; empty for spheres and static triangle meshes.
+    /// Picture on the mesh, baked from the frames; `None` where vertex colours have to do.
+    pub texture: Option<MeshTexture>,
+    /// Convex parts, world frame; empty for spheres, boxes, cylinders and static triangle meshes.
     pub parts: Vec<Mesh>,
     /// Share of the mesh's surface area that cameras observed, 0 to 1.
     pub observed_share: f64,

@@ -141,6 +141,35 @@ pub fn sphere_mass_properties(
     MassProperties::new(mass, center, DMat3::from_diagonal(DVec3::splat(0.4 * mass * radius * radius)))
 }
 
+/// Mass properties of a homogeneous box centred at the origin with its edges along the axes.
+///
+/// # Errors
+/// [`InertiaError::Mass`] when a half extent or the density is not positive.
+pub fn box_mass_properties(half_extents: DVec3, density: f64) -> Result<MassProperties, InertiaError> {
+    let positive = half_extents.cmpgt(DVec3::ZERO).all();
+    let mass = if positive { 8.0 * half_extents.element_product() * density } else { f64::NAN };
+    let sq = half_extents * half_extents;
+    let moments = DVec3::new(sq.y + sq.z, sq.x + sq.z, sq.x + sq.y) * (mass / 3.0);
+    MassProperties::new(mass, DVec3::ZERO, DMat3::from_diagonal(moments))
+}
+
+/// Mass properties of a homogeneous cylinder centred at the origin with its axis along z.
+///
+/// # Errors
+/// [`InertiaError::Mass`] when a length or the density is not positive.
+pub fn cylinder_mass_properties(
+    radius: f64,
+    half_length: f64,
+    density: f64,
+) -> Result<MassProperties, InertiaError> {
+    let positive = radius > 0.0 && half_length > 0.0;
+    let volume = 2.0 * std::f64::consts::PI * radius * radius * half_length;
+    let mass = if positive { volume * density } else { f64::NAN };
+    let across = mass * (radius * radius / 4.0 + half_length * half_length / 3.0);
+    let moments = DVec3::new(across, across, 0.5 * mass * radius * radius);
+    MassProperties::new(mass, DVec3::ZERO, DMat3::from_diagonal(moments))
+}
+
 fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
@@ -166,6 +195,22 @@ mod tests {
         let expected = mass / 3.0 * (half.y * half.y + half.z * half.z);
         assert!((m.inertia().x_axis.x / expected - 1.0).abs() < 1e-9);
         assert!(m.inertia().x_axis.y.abs() < 1e-12);
+    }
+
+    #[test]
+    fn closed_forms_agree_with_the_integral_over_fine_meshes() {
+        let half = DVec3::new(0.05, 0.1, 0.02);
+        let exact = box_mass_properties(half, 800.0).unwrap();
+        let meshed = polyhedron_mass_properties(&Mesh::cuboid(half), 800.0).unwrap();
+        assert!((exact.inertia() - meshed.inertia()).abs_diff_eq(DMat3::ZERO, 1e-12));
+        let exact = cylinder_mass_properties(0.03, 0.08, 800.0).unwrap();
+        let meshed = polyhedron_mass_properties(&Mesh::cylinder(0.03, 0.08, 2000), 800.0).unwrap();
+        assert!((exact.mass() / meshed.mass() - 1.0).abs() < 1e-5);
+        assert!(
+            (exact.inertia() - meshed.inertia()).abs_diff_eq(DMat3::ZERO, 2e-5 * exact.inertia().x_axis.x)
+        );
+        assert!(box_mass_properties(DVec3::new(-1.0, -1.0, 1.0), 800.0).is_err());
+        assert!(cylinder_mass_properties(0.1, 0.0, 800.0).is_err());
     }
 
     #[test]

@@ -32,6 +32,7 @@ mod labels;
 mod material;
 mod mesh;
 mod mesh_io;
+mod mesh_texture;
 pub mod metrics;
 pub mod ply;
 mod png_io;
@@ -50,10 +51,14 @@ pub use error::{CoreError, InputError};
 pub use glamx;
 pub use hash::{Hash, Hasher, hash_serializable};
 pub use image::{ColorImage, DepthImage, Image, NormalImage};
-pub use inertia::{InertiaError, MassProperties, polyhedron_mass_properties, sphere_mass_properties};
+pub use inertia::{
+    InertiaError, MassProperties, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
+    sphere_mass_properties,
+};
 pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};
 pub use mesh::{Aabb, Mesh};
+pub use mesh_texture::{MeshTexture, read_mesh_texture, textured_obj, write_textured_obj};
 pub use png_io::{read_png_color, read_png_gray16, write_png_color, write_png_gray16};
 pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, linear_seconds_left};
 pub use ranges::Ranges;

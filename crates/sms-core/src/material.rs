@@ -68,8 +68,12 @@ impl Property {
 pub struct Material {
     /// Material class ("ceramic", "phenolic resin"), or "unknown".
     pub class: String,
-    /// Effective density in kg/m³ over the closed outer volume.
+    /// Density in kg/m³ of what the object is made of.
     pub density: Property,
+    /// Share of the volume that the mesh encloses which the material fills: 1 for solid things and where the mesh has
+    /// the walls itself, less for closed hollow ones (a bottle, a carton).
+    #[serde(default = "solid")]
+    pub fill_factor: Property,
     /// Coulomb friction coefficient of this surface; a pair uses the mean of both.
     pub friction: Property,
     /// Coefficient of restitution of this surface; a pair uses the mean of both.
@@ -80,4 +84,16 @@ pub struct Material {
     pub youngs_modulus_pa: Property,
     /// Poisson's ratio.
     pub poissons_ratio: Property,
+}
+
+impl Material {
+    /// Best estimate of the mass per volume that the mesh encloses, kg/m³: density times fill factor.
+    pub fn effective_density(&self) -> f64 {
+        self.density.value.best * self.fill_factor.value.best
+    }
+}
+
+/// Solid all through.
+fn solid() -> Property {
+    Property::new(Interval::exact(1.0), PropertySource::Prior)
 }

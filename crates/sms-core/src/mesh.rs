@@ -116,6 +116,22 @@ impl Mesh {
         Self::new(vertices, triangles)
     }
 
+    /// A cylinder centred at the origin with its axis along z: a prism whose side faces `segments` (at least 3) directions,
+    /// corners on the cylinder.
+    pub fn cylinder(radius: f64, half_length: f64, segments: usize) -> Self {
+        let n = segments.max(3) as u32;
+        let mut vertices = vec![DVec3::NEG_Z * half_length, DVec3::Z * half_length];
+        let mut triangles = Vec::with_capacity(4 * n as usize);
+        for k in 0..n {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / f64::from(n)).sin_cos();
+            vertices.push(DVec3::new(radius * cos, radius * sin, -half_length));
+            vertices.push(DVec3::new(radius * cos, radius * sin, half_length));
+            let (a, b) = (2 + 2 * k, 2 + 2 * ((k + 1) % n));
+            triangles.extend([[0, b, a], [1, a + 1, b + 1], [a, b, b + 1], [a, b + 1, a + 1]]);
+        }
+        Self::new(vertices, triangles)
+    }
+
     /// A sphere centred at the origin: an icosahedron subdivided `levels` times, vertices on the sphere.
     pub fn icosphere(radius: f64, levels: usize) -> Self {
         let phi = (1.0 + 5f64.sqrt()) / 2.0;
@@ -192,6 +208,9 @@ mod tests {
         let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.03f64.powi(3);
         assert!((sphere.volume() / exact - 1.0).abs() < 5e-3);
         assert!(sphere.is_closed_oriented());
+        let cylinder = Mesh::cylinder(0.03, 0.05, 96);
+        assert!((cylinder.volume() / (std::f64::consts::PI * 9e-4 * 0.1) - 1.0).abs() < 1e-3);
+        assert!(cylinder.is_closed_oriented());
         assert!(cuboid.is_closed_oriented());
     }
 }

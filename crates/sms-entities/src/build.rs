@@ -394,6 +394,7 @@ fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
         cloud: draft.cloud.clone(),
         mesh,
         parts: Vec::new(),
+        texture: None,
         observed_share: fit.coverage,
         residual_m: crate::grid::median(residuals),
         mean_color,
@@ -457,5 +458,6 @@ fn mesh_entity(
         mean_color: cloud::mean_color(&draft.cloud.colors),
         mesh,
         parts,
+        texture: None,
     })
 }

@@ -1,8 +1,8 @@
 //! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
 
-use glamx::{DPose3, DVec3};
+use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query;
-use parry3d_f64::shape::{Ball, ConvexPolyhedron, Shape};
+use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
 use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 
@@ -20,7 +20,7 @@ pub(crate) struct Overlap {
 }
 
 /// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
-/// meet without overlap and without gap; a sphere keeps its shape and the other side gives way. Returns overlaps deeper
+/// meet without overlap and without gap; an exact solid keeps its shape and the other side gives way. Returns overlaps deeper
 /// than `report` metres that there were.
 pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report: f64) -> Vec<Overlap> {
     let mut found = Vec::new();
@@ -54,15 +54,15 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
                 let Some((normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
                 let depth = (on_a - on_b).dot(normal);
                 deepest = deepest.max(depth);
-                let middle = match (is_sphere(a), is_sphere(b)) {
+                let middle = match (is_exact(a), is_exact(b)) {
                     (true, true) => break,
                     (true, false) => on_a,
                     (false, true) => on_b,
                     (false, false) => 0.5 * (on_a + on_b),
                 };
                 let offset = normal.dot(middle);
-                let cut_a = is_sphere(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
-                let cut_b = is_sphere(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
+                let cut_a = is_exact(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
+                let cut_b = is_exact(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
                 if !cut_a || !cut_b {
                     break;
                 }
@@ -80,7 +80,7 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
 
 /// Of two pieces that no cut can part, the smaller goes, where its object has others.
 fn give_up_smaller(a: &mut Entity, i: usize, b: &mut Entity, j: usize) {
-    let volume = |e: &Entity, k: usize| if is_sphere(e) { f64::INFINITY } else { e.parts[k].volume() };
+    let volume = |e: &Entity, k: usize| if is_exact(e) { f64::INFINITY } else { e.parts[k].volume() };
     let others = |e: &Entity| e.parts.iter().filter(|p| !p.triangles.is_empty()).count() > 1;
     let first_goes = others(a) && (volume(a, i) <= volume(b, j) || !others(b));
     if first_goes {
@@ -90,20 +90,27 @@ fn give_up_smaller(a: &mut Entity, i: usize, b: &mut Entity, j: usize) {
     }
 }
 
-fn is_sphere(entity: &Entity) -> bool {
-    matches!(entity.shape, EntityShape::Sphere { .. })
+/// Exact solids keep their shape; hulls give way to them.
+fn is_exact(entity: &Entity) -> bool {
+    entity.shape.is_primitive()
 }
 
 fn piece_count(entity: &Entity) -> usize {
-    if is_sphere(entity) { 1 } else { entity.parts.len() }
+    if is_exact(entity) { 1 } else { entity.parts.len() }
 }
 
 fn piece(entity: &Entity, i: usize) -> Option<(DPose3, Box<dyn Shape>)> {
-    match entity.shape {
+    match &entity.shape {
         EntityShape::Sphere { center_w, radius } => {
-            Some((DPose3::from_translation(center_w), Box::new(Ball::new(radius))))
+            Some((DPose3::from_translation(*center_w), Box::new(Ball::new(*radius))))
         }
-        _ => {
+        EntityShape::Box { x_ws, half_extents } => Some((*x_ws, Box::new(Cuboid::new(*half_extents)))),
+        EntityShape::Cylinder { x_ws, radius, half_length } => {
+            // Parry's cylinders stand along y.
+            let upright = DPose3::from_rotation(DQuat::from_rotation_arc(DVec3::Y, DVec3::Z));
+            Some((*x_ws * upright, Box::new(Cylinder::new(*half_length, *radius))))
+        }
+        EntityShape::Convex | EntityShape::TriMesh => {
             let part = &entity.parts[i];
             let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
             Some((DPose3::identity(), Box::new(shape)))
@@ -113,7 +120,7 @@ fn piece(entity: &Entity, i: usize) -> Option<(DPose3, Box<dyn Shape>)> {
 
 /// Normal from `a` to `b` and the deepest points of both, where the pieces overlap.
 fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, DVec3)> {
-    let bounds = |e: &Entity, k: usize| if is_sphere(e) { e.mesh.aabb() } else { e.parts[k].aabb() };
+    let bounds = |e: &Entity, k: usize| if is_exact(e) { e.mesh.aabb() } else { e.parts[k].aabb() };
     let (p, q) = (bounds(a, i)?, bounds(b, j)?);
     if p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any() {
         return None;
@@ -158,6 +165,7 @@ mod tests {
             cloud: PointCloud::default(),
             parts: if radius.is_some() { Vec::new() } else { vec![mesh.clone()] },
             mesh,
+            texture: None,
             observed_share: 1.0,
             residual_m: 0.0,
             mean_color: [0; 3],

@@ -103,6 +103,7 @@ pub(crate) fn environment_entity(
         cloud,
         mesh,
         parts: Vec::new(),
+        texture: None,
         residual_m,
     })
 }

@@ -1,9 +1,15 @@
-//! Entities on disk: `<name>/{cloud.ply, mesh.obj, parts/*.obj, entity.json}`, and `entities.json` that lists them.
+//! Entities on disk: `<name>/{cloud.ply, mesh.obj, textured.{obj,mtl,png}, parts/*.obj, entity.json}`, and `entities.json` that lists them.
 
 use crate::{EntitiesError, EntitySet};
 use serde::{Deserialize, Serialize};
-use sms_core::{Entity, EntityKind, EntityShape, InputError, Mesh, PointCloud, atomic};
+use sms_core::{
+    Entity, EntityKind, EntityShape, InputError, Mesh, PointCloud, atomic, read_mesh_texture,
+    write_textured_obj,
+};
 use std::path::Path;
+
+/// File stem of the mesh with its picture.
+const TEXTURED: &str = "textured";
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -35,6 +41,9 @@ pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
         let folder = dir.join(&entity.name);
         entity.cloud.write_ply(&folder.join("cloud.ply"))?;
         entity.mesh.write_obj(&folder.join("mesh.obj"))?;
+        if let Some(texture) = &entity.texture {
+            write_textured_obj(&entity.mesh, texture, &folder, TEXTURED)?;
+        }
         for (i, part) in entity.parts.iter().enumerate() {
             part.write_obj(&folder.join("parts").join(format!("{i:03}.obj")))?;
         }
@@ -86,6 +95,7 @@ pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
             shape: file.shape,
             cloud: PointCloud::read_ply(&folder.join("cloud.ply"))?,
             mesh: Mesh::read_obj(&folder.join("mesh.obj"))?,
+            texture: read_mesh_texture(&folder, TEXTURED)?,
             parts,
             observed_share: file.observed_share,
             residual_m: file.residual_m,

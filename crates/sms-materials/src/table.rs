@@ -16,8 +16,11 @@ pub type Range = [f64; 3];
 pub struct ClassEntry {
     /// Keys of the table's sources.
     pub sources: Vec<String>,
-    /// Density, kg/m³.
+    /// Density of the material itself, kg/m³.
     pub density: Range,
+    /// Share of the outer volume that things of this class fill; 1 where it is not given.
+    #[serde(default = "solid")]
+    pub fill_factor: Range,
     /// Coulomb friction coefficient.
     pub friction: Range,
     /// Coefficient of restitution.
@@ -30,6 +33,10 @@ pub struct ClassEntry {
     pub poissons_ratio: Range,
 }
 
+fn solid() -> Range {
+    [1.0; 3]
+}
+
 /// Words that tell what an object is made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -37,6 +44,29 @@ struct ObjectEntry {
     words: Vec<String>,
     class: String,
     density: Option<Range>,
+    fill_factor: Option<Range>,
+    #[serde(default)]
+    is_open: bool,
+}
+
+/// What the table knows of an object.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Known {
+    /// Its material; the fill factor of open things is over the convex hull.
+    pub material: Material,
+    /// Whether it is a closed hollow thing (a bottle), an open one (a bowl), or neither is known.
+    pub form: Form,
+}
+
+/// How an object can be hollow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// The table says nothing of hollowness.
+    Plain,
+    /// The hollow cannot be seen: concavities of the mesh say nothing about it.
+    Closed,
+    /// The hollow can be seen.
+    Open,
 }
 
 /// Handbook values by class, objects known by name, and priors.
@@ -45,6 +75,9 @@ struct ObjectEntry {
 pub struct MaterialTable {
     source: BTreeMap<String, String>,
     class: BTreeMap<String, ClassEntry>,
+    /// Other words for a class.
+    #[serde(default)]
+    alias: BTreeMap<String, Vec<String>>,
     object: Vec<ObjectEntry>,
     prior: Priors,
 }
@@ -67,6 +100,7 @@ impl ClassEntry {
         Material {
             class: class.to_owned(),
             density: property(self.density),
+            fill_factor: property(self.fill_factor),
             friction: property(self.friction),
             restitution: property(self.restitution),
             rolling_m: property(self.rolling_m),
@@ -75,9 +109,10 @@ impl ClassEntry {
         }
     }
 
-    fn ranges(&self) -> [(&'static str, Range); 6] {
+    fn ranges(&self) -> [(&'static str, Range); 7] {
         [
             ("density", self.density),
+            ("fill_factor", self.fill_factor),
             ("friction", self.friction),
             ("restitution", self.restitution),
             ("rolling_m", self.rolling_m),
@@ -132,27 +167,58 @@ impl MaterialTable {
         keys.iter().filter_map(|k| self.source.get(k)).map(String::as_str).collect()
     }
 
-    /// What the words of a name or description say: the entry with the longest matching word or phrase, else a class
-    /// that is named outright ("ceramic mug" knows both; the object entry knows more).
-    pub fn by_words(&self, text: &str) -> Option<Material> {
+    /// The class that a text names outright, or by another word for it; the longest word wins.
+    pub fn class_of(&self, text: &str) -> Option<&str> {
         let text = normalised(text);
-        let holds = |word: &str| text.contains(&normalised(word));
-        let named_class =
-            self.class.keys().filter(|c| holds(&c.replace('_', " "))).max_by_key(|c| c.len()).cloned();
+        let aliases = self.alias.iter().flat_map(|(c, words)| words.iter().map(move |w| (w.as_str(), c)));
+        let names = self.class.keys().map(|c| (c.as_str(), c));
+        aliases
+            .chain(names)
+            .filter(|(word, _)| text.contains(&normalised(&word.replace('_', " "))))
+            .max_by_key(|(word, _)| word.len())
+            .map(|(_, class)| class.as_str())
+    }
+
+    /// What the words of a name or description say: the entry with the longest matching word or phrase, else a class
+    /// that is named outright ("ceramic mug" knows both; the object entry knows more). The fill factor is over the outer
+    /// volume, whatever the mesh has of the hollow.
+    pub fn by_words(&self, text: &str) -> Option<Material> {
+        self.known(text).map(|k| k.material)
+    }
+
+    pub(crate) fn known(&self, text: &str) -> Option<Known> {
+        let words = normalised(text);
+        let holds = |word: &str| words.contains(&normalised(word));
         let object = self
             .object
             .iter()
             .filter_map(|o| o.words.iter().filter(|w| holds(w)).map(String::len).max().map(|n| (n, o)))
             .max_by_key(|(n, _)| *n)
             .map(|(_, o)| o);
-        let Some(object) = object else { return self.class(&named_class?) };
-        let class = named_class.unwrap_or_else(|| object.class.clone());
-        let mut material = self.class(&class)?;
-        // An effective density belongs to the shape of the thing and the wall it was weighed with.
-        if let Some(density) = object.density.filter(|_| class == object.class) {
+        let named_class = self.class_of(text);
+        let Some(object) = object else {
+            return self.class(named_class?).map(|material| Known { material, form: Form::Plain });
+        };
+        let class = named_class.unwrap_or(&object.class);
+        let mut material = self.class(class)?;
+        let is_usual = class == object.class;
+        // A density of its own belongs to the thing as it is usually made.
+        if let Some(density) = object.density.filter(|_| is_usual) {
             material.density = Property::new(interval(density), PropertySource::Table);
         }
-        Some(material)
+        if let Some(fill) = object.fill_factor {
+            let fill = Property::new(interval(fill), PropertySource::Table);
+            material.fill_factor = match self.class(&object.class) {
+                Some(usual) if !is_usual => fill_of_another(&fill, &usual, &material),
+                _ => fill,
+            };
+        }
+        let form = match (object.fill_factor, object.is_open) {
+            (None, _) => Form::Plain,
+            (Some(_), true) => Form::Open,
+            (Some(_), false) => Form::Closed,
+        };
+        Some(Known { material, form })
     }
 
     /// The stated prior for an object that nobody described.
@@ -179,6 +245,7 @@ impl MaterialTable {
                 let ordered = low <= best && best <= high && low >= 0.0 && high.is_finite();
                 let in_range = match key {
                     "restitution" => high <= 1.0,
+                    "fill_factor" => low > 0.0 && high <= 1.0,
                     "poissons_ratio" => high <= 0.5,
                     "friction" => high <= 5.0,
                     "density" => low > 0.0 && high <= 25_000.0,
@@ -189,9 +256,36 @@ impl MaterialTable {
                 }
             }
         }
-        let missing = self.object.iter().find(|o| !self.class.contains_key(&o.class))?;
-        Some(format!("{:?} has the unknown class `{}`", missing.words, missing.class))
+        for object in &self.object {
+            if !self.class.contains_key(&object.class) {
+                return Some(format!("{:?} has the unknown class `{}`", object.words, object.class));
+            }
+            for (key, range, most) in
+                [("density", object.density, 25_000.0), ("fill_factor", object.fill_factor, 1.0)]
+            {
+                let Some([best, low, high]) = range else { continue };
+                if !(0.0 < low && low <= best && best <= high && high <= most) {
+                    return Some(format!("{key} of {:?} cannot be [{best}, {low}, {high}]", object.words));
+                }
+            }
+        }
+        let missing = self.alias.keys().find(|c| !self.class.contains_key(*c))?;
+        Some(format!("the words {:?} are for the unknown class `{missing}`", self.alias[missing]))
     }
+}
+
+/// The fill factor of a thing that is not made of what it is usually made of: of a lighter material its walls are as
+/// thick (a plastic mug), of a heavier one they are thinner in proportion (a steel bottle). Wider than the usual one's.
+pub(crate) fn fill_of_another(fill: &Property, usual: &Material, other: &Material) -> Property {
+    const WIDER: f64 = 1.5;
+    let ratio = (usual.density.value.best / other.density.value.best).min(1.0);
+    let i = fill.value;
+    let scaled = Interval::new(
+        i.best * ratio,
+        (i.low * ratio / WIDER).min(i.best * ratio),
+        (i.high * ratio * WIDER).min(1.0),
+    );
+    Property::new(scaled, fill.source)
 }
 
 /// Lower-case words with single spaces and a space at both ends, so that "can" is not found in "candle".
@@ -222,14 +316,31 @@ mod tests {
     #[test]
     fn words_find_the_most_specific_entry() {
         let table = MaterialTable::builtin();
-        let class = |text: &str| table.by_words(text).map(|m| (m.class, m.density.value.best));
+        // Class, and mass per outer volume: density × fill factor.
+        let class = |text: &str| {
+            table.by_words(text).map(|m| (m.class.clone(), (m.effective_density() / 10.0).round() * 10.0))
+        };
         assert_eq!(class("white cue_ball"), Some(("phenolic_resin".into(), 1700.0)));
         assert_eq!(class("Soccer Ball"), Some(("rubber".into(), 80.0)));
+        assert_eq!(class("tennis ball"), Some(("rubber".into(), 380.0)));
         assert_eq!(class("elmers_washable_school_glue"), Some(("plastic".into(), 950.0)));
-        assert_eq!(class("steel bottle"), Some(("steel".into(), 7850.0)), "an outright class wins");
         assert_eq!(class("ceramic mug"), Some(("ceramic".into(), 900.0)));
+        assert_eq!(class("cracker box"), Some(("cardboard".into(), 110.0)));
         assert_eq!(class("candle"), None, "`can` is no part of `candle`");
         assert_eq!(class("object_07"), None);
+        let bottle = table.by_words("steel bottle").unwrap();
+        assert_eq!(
+            (bottle.class.as_str(), bottle.density.value.best),
+            ("steel", 7850.0),
+            "an outright class wins"
+        );
+        let effective = bottle.effective_density();
+        assert!((300.0..900.0).contains(&effective), "a steel bottle is hollow all the same: {effective}");
+        let plastic = table.by_words("plastic mug").unwrap();
+        assert_eq!(plastic.fill_factor.value.best, 0.375, "a lighter mug has walls as thick");
+        assert_eq!(class("porcelain plate").unwrap().0, "ceramic");
+        assert_eq!(table.class_of("brushed stainless steel"), Some("steel"));
+        assert_eq!(table.class_of("a petal"), None, "`pet` is no part of `petal`");
     }
 
     #[test]
@@ -240,7 +351,11 @@ mod tests {
         for is_sphere in [false, true] {
             let prior = table.prior(is_sphere);
             assert_eq!(prior.density.source, PropertySource::Prior);
-            assert!(prior.density.value.high > 5.0 * prior.density.value.low);
+            let effective = |density: f64, fill: f64| density * fill;
+            let (d, f) = (prior.density.value, prior.fill_factor.value);
+            assert!(effective(d.high, f.high) > 5.0 * effective(d.low, f.low));
+            let best = prior.effective_density();
+            assert!((best - if is_sphere { 1500.0 } else { 800.0 }).abs() < 1.0, "{best}");
             assert!(prior.friction.value.high > 2.0 * prior.friction.value.low);
         }
     }
@@ -256,6 +371,13 @@ mod tests {
         .unwrap();
         let message = MaterialTable::read(&path).unwrap_err().to_string();
         assert!(message.contains("phenolic_resin") && message.contains("mine.toml"), "{message}");
+        std::fs::write(
+            &path,
+            BUILTIN.replace("fill_factor = [0.57, 0.06, 1]", "fill_factor = [0.57, 0.06, 1.1]"),
+        )
+        .unwrap();
+        let message = MaterialTable::read(&path).unwrap_err().to_string();
+        assert!(message.contains("fill_factor") && message.contains("bottle"), "{message}");
         std::fs::write(&path, BUILTIN.replace("[\"alciatore\", \"ashby\"]", "[\"hearsay\"]")).unwrap();
         let message = MaterialTable::read(&path).unwrap_err().to_string();
         assert!(message.contains("phenolic_resin") && message.contains("hearsay"), "{message}");

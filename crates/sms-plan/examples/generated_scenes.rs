@@ -26,6 +26,7 @@ fn true_scene(truth: &TruthScene) -> Scene {
             None => BodyShape::Hulls { hulls: o.parts.clone() },
         },
         visual: Mesh::default(),
+        texture: None,
         mass: Some(o.mass),
         material: o.material.clone(),
         color: [128; 3],

@@ -45,11 +45,11 @@ impl Disturbances {
         let mut rng = seed.derive_index("world", index as u64).rng();
         let mut disturbed = scene.clone();
         for body in &mut disturbed.bodies {
-            let density = body.material.density.value.best;
+            let density = body.material.effective_density();
             if self.materials {
                 sample_material(&mut body.material, &mut rng);
             }
-            let ratio = body.material.density.value.best / density;
+            let ratio = body.material.effective_density() / density;
             if let Some(mass) = body.mass.filter(|_| ratio.is_finite() && ratio > 0.0) {
                 // A positive multiple of a possible inertia is possible.
                 body.mass = MassProperties::new(mass.mass() * ratio, mass.com(), mass.inertia() * ratio)
@@ -82,8 +82,10 @@ fn sample_material(material: &mut Material, rng: &mut impl Rng) {
     sample(&mut material.density);
     sample(&mut material.friction);
     sample(&mut material.restitution);
+    sample(&mut material.fill_factor);
     sample(&mut material.rolling_m);
     material.restitution.value.best = material.restitution.value.best.clamp(0.0, 1.0);
+    material.fill_factor.value.best = material.fill_factor.value.best.clamp(1e-3, 1.0);
     for p in [&mut material.friction, &mut material.rolling_m] {
         p.value.best = p.value.best.max(0.0);
     }
@@ -124,6 +126,7 @@ mod tests {
             x_wb: DPose3::from_translation(DVec3::new(0.3, 0.1, 0.03)),
             shape: BodyShape::Sphere { radius: 0.03 },
             visual: Mesh::default(),
+            texture: None,
             mass: Some(sphere_mass_properties(DVec3::ZERO, 0.03, density).unwrap()),
             material: material.clone(),
             color: [200, 0, 0],

@@ -226,6 +226,13 @@ fn objects_table(input: &ReportInput<'_>) -> String {
         let m = &body.material;
         let shape = match &body.shape {
             BodyShape::Sphere { radius } => format!("sphere, r = {:.2} mm", radius * 1e3),
+            BodyShape::Box { half_extents } => {
+                let [x, y, z] = (2e3 * *half_extents).to_array();
+                format!("box, {x:.1} × {y:.1} × {z:.1} mm")
+            }
+            BodyShape::Cylinder { radius, half_length } => {
+                format!("cylinder, r = {:.2} mm, {:.1} mm long", radius * 1e3, half_length * 2e3)
+            }
             BodyShape::HalfSpace => "half space".into(),
             BodyShape::Hulls { hulls } => format!("{} convex parts", hulls.len()),
             BodyShape::TriMesh { mesh } => format!("static mesh, {} triangles", mesh.triangles.len()),

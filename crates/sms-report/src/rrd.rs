@@ -173,8 +173,9 @@ fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8
         if !body.visual.triangles.is_empty() {
             rec.log_static(format!("{at}/mesh"), &mesh_of(&body.visual, tint.unwrap_or([r, g, b, 255])))?;
         }
-        if let (BodyShape::Hulls { hulls }, None) = (&body.shape, tint) {
-            for (i, hull) in hulls.iter().enumerate() {
+        let is_solid = !matches!(body.shape, BodyShape::TriMesh { .. } | BodyShape::Sphere { .. });
+        if is_solid && tint.is_none() {
+            for (i, hull) in body.shape.meshes().iter().enumerate() {
                 rec.log_static(format!("{at}/parts/{i:02}"), &mesh_of(hull, [r, g, b, 90]))?;
             }
         }

@@ -33,12 +33,7 @@ fn mesh_value(mesh: &Mesh) -> Value {
 fn body_value(body: &Body) -> Value {
     let t = body.x_wb.translation;
     let q = body.x_wb.rotation;
-    let parts: Vec<Value> = match &body.shape {
-        BodyShape::Hulls { hulls } => hulls.iter().map(mesh_value).collect(),
-        BodyShape::Sphere { radius } => vec![mesh_value(&Mesh::icosphere(*radius, 2))],
-        BodyShape::TriMesh { mesh } => vec![mesh_value(mesh)],
-        BodyShape::HalfSpace => Vec::new(),
-    };
+    let parts: Vec<Value> = body.shape.meshes().iter().map(mesh_value).collect();
     json!({
         "name": body.name,
         "kind": body.kind,

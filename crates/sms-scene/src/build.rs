@@ -4,14 +4,12 @@ use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 use glamx::{DPose3, DVec3};
 use sms_core::{
     Entity, EntityKind, EntityShape, InertiaError, Interval, MassProperties, Material, Mesh, Property,
-    PropertySource, polyhedron_mass_properties, sphere_mass_properties,
+    PropertySource, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
+    sphere_mass_properties,
 };
 
 /// Standard gravity, m/s².
 pub const GRAVITY: f64 = 9.806_65;
-
-/// Subdivision of the icosphere that pictures a fitted sphere: 1280 triangles.
-const SPHERE_PICTURE_LEVELS: usize = 3;
 
 /// Why a scene could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +45,7 @@ pub fn floor_body(z_w: f64, material: Material) -> Body {
         x_wb: DPose3::from_translation(DVec3::new(0.0, 0.0, z_w)),
         shape: BodyShape::HalfSpace,
         visual: Mesh::default(),
+        texture: None,
         mass: None,
         material,
         color: [170, 165, 155],
@@ -57,7 +56,8 @@ pub fn floor_body(z_w: f64, material: Material) -> Body {
 /// Puts reconstructed entities together; `materials` is parallel to `entities`. With a support height the floor
 /// becomes a half space named `floor`.
 ///
-/// A dynamic body's frame `B` has its origin at the centre of mass and its axes parallel to the world's.
+/// A dynamic body's frame `B` has its origin at the centre of mass; its axes are those of the box or cylinder, else
+/// parallel to the world's.
 ///
 /// # Errors
 /// [`BuildError`] when an entity encloses no volume or has nothing to collide with.
@@ -91,41 +91,40 @@ pub fn build_scene(
 }
 
 fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError> {
-    let density = material.density.value.best;
     let mass_error = |source| BuildError::Mass { name: entity.name.clone(), source };
-    let (mass_w, shape, visual_w) = match &entity.shape {
-        EntityShape::Sphere { center_w, radius } => {
-            let mass = sphere_mass_properties(*center_w, *radius, density).map_err(mass_error)?;
-            let mut visual = Mesh::icosphere(*radius, SPHERE_PICTURE_LEVELS)
-                .transformed(&DPose3::from_translation(*center_w));
-            visual.colors = vec![entity.mean_color; visual.vertices.len()];
-            (mass, BodyShape::Sphere { radius: *radius }, visual)
+    let density = material.density.value.best;
+    let (x_ws, solid) = match &entity.shape {
+        EntityShape::Sphere { center_w, radius } => (
+            DPose3::from_translation(*center_w),
+            sphere_mass_properties(DVec3::ZERO, *radius, density).map_err(mass_error)?,
+        ),
+        EntityShape::Box { x_ws, half_extents } => {
+            (*x_ws, box_mass_properties(*half_extents, density).map_err(mass_error)?)
+        }
+        EntityShape::Cylinder { x_ws, radius, half_length } => {
+            (*x_ws, cylinder_mass_properties(*radius, *half_length, density).map_err(mass_error)?)
         }
         EntityShape::Convex | EntityShape::TriMesh => {
             if entity.parts.is_empty() {
                 return Err(BuildError::NoParts(entity.name.clone()));
             }
-            let mass = polyhedron_mass_properties(&entity.mesh, density).map_err(mass_error)?;
-            (mass, BodyShape::Hulls { hulls: entity.parts.clone() }, entity.mesh.clone())
+            (DPose3::identity(), polyhedron_mass_properties(&entity.mesh, density).map_err(mass_error)?)
         }
     };
-    let x_wb = DPose3::from_translation(mass_w.com());
+    let x_wb = x_ws * DPose3::from_translation(solid.com());
     let x_bw = x_wb.inverse();
-    let shape = match shape {
-        BodyShape::Hulls { hulls } => {
-            BodyShape::Hulls { hulls: hulls.iter().map(|h| h.transformed(&x_bw)).collect() }
-        }
-        other => other,
-    };
-    let mass = MassProperties::new(mass_w.mass(), DVec3::ZERO, mass_w.inertia()).map_err(mass_error)?;
+    let mass = hollowed(&solid, material.fill_factor.value.best).map_err(mass_error)?;
     Ok(Body {
         name: entity.name.clone(),
         label: entity.label,
         description: entity.description.clone(),
         kind: BodyKind::Dynamic,
         x_wb,
-        shape,
-        visual: visual_w.transformed(&x_bw),
+        shape: primitive(&entity.shape).unwrap_or_else(|| BodyShape::Hulls {
+            hulls: entity.parts.iter().map(|h| h.transformed(&x_bw)).collect(),
+        }),
+        visual: entity.mesh.transformed(&x_bw),
+        texture: entity.texture.clone(),
         mass: Some(mass),
         material,
         color: entity.mean_color,
@@ -133,15 +132,37 @@ fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError>
     })
 }
 
+/// A homogeneous body with a void of its own shape, scaled by `s` about its centre of mass, such that `1 − s³` is the
+/// share of its volume that is filled: the moments scale with `1 − s⁵`. Filled all through it is the solid itself. The
+/// result is about the centre of mass.
+fn hollowed(solid: &MassProperties, fill_factor: f64) -> Result<MassProperties, InertiaError> {
+    let scale = (1.0 - fill_factor.clamp(0.0, 1.0)).cbrt();
+    MassProperties::new(solid.mass() * fill_factor, DVec3::ZERO, solid.inertia() * (1.0 - scale.powi(5)))
+}
+
+fn primitive(shape: &EntityShape) -> Option<BodyShape> {
+    match shape {
+        EntityShape::Sphere { radius, .. } => Some(BodyShape::Sphere { radius: *radius }),
+        EntityShape::Box { half_extents, .. } => Some(BodyShape::Box { half_extents: *half_extents }),
+        EntityShape::Cylinder { radius, half_length, .. } => {
+            Some(BodyShape::Cylinder { radius: *radius, half_length: *half_length })
+        }
+        EntityShape::Convex | EntityShape::TriMesh => None,
+    }
+}
+
 fn static_body(entity: &Entity, material: Material) -> Body {
-    let (x_wb, shape) = match &entity.shape {
-        EntityShape::Sphere { center_w, radius } => {
-            (DPose3::from_translation(*center_w), BodyShape::Sphere { radius: *radius })
+    let x_wb = match &entity.shape {
+        EntityShape::Sphere { center_w, .. } => DPose3::from_translation(*center_w),
+        EntityShape::Box { x_ws, .. } | EntityShape::Cylinder { x_ws, .. } => *x_ws,
+        EntityShape::Convex | EntityShape::TriMesh => DPose3::identity(),
+    };
+    let shape = match primitive(&entity.shape) {
+        Some(shape) => shape,
+        None if entity.shape == EntityShape::Convex && !entity.parts.is_empty() => {
+            BodyShape::Hulls { hulls: entity.parts.clone() }
         }
-        EntityShape::Convex if !entity.parts.is_empty() => {
-            (DPose3::identity(), BodyShape::Hulls { hulls: entity.parts.clone() })
-        }
-        _ => (DPose3::identity(), BodyShape::TriMesh { mesh: without_colors(&entity.mesh) }),
+        None => BodyShape::TriMesh { mesh: without_colors(&entity.mesh) },
     };
     Body {
         name: entity.name.clone(),
@@ -151,6 +172,7 @@ fn static_body(entity: &Entity, material: Material) -> Body {
         x_wb,
         shape,
         visual: entity.mesh.transformed(&x_wb.inverse()),
+        texture: entity.texture.clone(),
         mass: None,
         material,
         color: entity.mean_color,
@@ -168,6 +190,7 @@ pub fn example_material() -> Material {
     Material {
         class: "example".into(),
         density: prior(700.0),
+        fill_factor: Property::new(Interval::exact(1.0), PropertySource::Prior),
         friction: prior(0.5),
         restitution: prior(0.5),
         rolling_m: prior(1e-4),
@@ -179,6 +202,7 @@ pub fn example_material() -> Material {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glamx::{DQuat, EulerRot};
     use sms_core::PointCloud;
 
     fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
@@ -191,6 +215,7 @@ mod tests {
             cloud: PointCloud::default(),
             parts: vec![mesh.clone()],
             mesh,
+            texture: None,
             observed_share: 0.8,
             residual_m: 0.0,
             mean_color: [10, 20, 30],
@@ -218,6 +243,33 @@ mod tests {
         let BodyShape::Hulls { hulls } = &body.shape else { panic!("a box has hulls") };
         assert!(hulls[0].aabb().unwrap().center().length() < 1e-12);
         assert!(matches!(scene.body("ball").unwrap().shape, BodyShape::Sphere { radius } if radius == 0.03));
+    }
+
+    #[test]
+    fn primitives_are_aligned_with_their_body_and_hollow_ones_weigh_less() {
+        let turned = DQuat::from_euler(EulerRot::ZYX, 0.4, 0.2, -0.3);
+        let x_ws = DPose3::from_parts(DVec3::new(0.1, 0.2, 0.3), turned);
+        let half_extents = DVec3::new(0.02, 0.03, 0.05);
+        let of_box = EntityShape::Box { x_ws, half_extents };
+        let of_tube = EntityShape::Cylinder { x_ws, radius: 0.03, half_length: 0.06 };
+        let entities = [
+            entity("box", Mesh::cuboid(half_extents).transformed(&x_ws), of_box),
+            entity("tube", Mesh::cylinder(0.03, 0.06, 64).transformed(&x_ws), of_tube),
+        ];
+        let mut hollow = example_material();
+        hollow.fill_factor = Property::new(Interval::new(0.271, 0.1, 0.5), PropertySource::Table);
+        let materials = [example_material(), hollow];
+        let scene = build_scene("t", &entities, &materials, None, DPose3::identity()).unwrap();
+        assert_eq!(scene.validate(), Vec::new());
+        let (cuboid, tube) = (&scene.bodies[0], &scene.bodies[1]);
+        assert_eq!((cuboid.x_wb, tube.x_wb), (x_ws, x_ws));
+        assert!((cuboid.visual.aabb().unwrap().max - half_extents).length() < 1e-12);
+        let mass = tube.mass.unwrap();
+        let volume = std::f64::consts::PI * 9e-4 * 0.12;
+        assert!((mass.mass() / (700.0 * 0.271 * volume) - 1.0).abs() < 1e-12);
+        // A void of 0.9 of the size: outer minus inner moment, about the axis.
+        let axial = 0.5 * 700.0 * volume * 9e-4 * (1.0 - 0.9f64.powi(5));
+        assert!((mass.inertia().z_axis.z / axial - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -24,7 +24,9 @@ mod scene;
 mod validate;
 
 pub use build::{BuildError, GRAVITY, build_scene, example_material, floor_body};
-pub use manifest::{SceneError, load_scene, save_scene};
+pub use manifest::{
+    SceneError, hull_file, load_scene, save_scene, trimesh_file, visual_file, write_meshes,
+};
 pub use mjcf::{mjcf_text, write_mjcf};
 pub use scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 pub use validate::Problem;

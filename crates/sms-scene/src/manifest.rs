@@ -5,7 +5,9 @@
 use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, InputError, MassProperties, Material, Mesh, atomic};
+use sms_core::{
+    CoreError, InputError, MassProperties, Material, Mesh, atomic, read_mesh_texture, write_textured_obj,
+};
 use std::path::Path;
 
 /// Errors of reading and writing scenes.
@@ -54,30 +56,45 @@ struct BodyEntry {
 #[serde(tag = "type", rename_all = "snake_case")]
 enum ShapeEntry {
     Sphere { radius: f64 },
+    Box { half_extents: DVec3 },
+    Cylinder { radius: f64, half_length: f64 },
     HalfSpace,
     Hulls { files: Vec<String> },
     TriMesh { file: String },
 }
 
+fn visual_stem(body: &Body) -> String {
+    format!("{}_visual", body.name)
+}
+
 /// File name of a body's visual mesh, below the scene's folder.
-pub(crate) fn visual_file(body: &Body) -> String {
-    format!("meshes/{}_visual.obj", body.name)
+pub fn visual_file(body: &Body) -> String {
+    format!("meshes/{}.obj", visual_stem(body))
 }
 
 /// File name of a body's hull, below the scene's folder.
-pub(crate) fn hull_file(body: &Body, index: usize) -> String {
+pub fn hull_file(body: &Body, index: usize) -> String {
     format!("meshes/{}_hull_{index:02}.obj", body.name)
 }
 
-fn trimesh_file(body: &Body) -> String {
+/// File name of a static body's collision mesh, below the scene's folder.
+pub fn trimesh_file(body: &Body) -> String {
     format!("meshes/{}_collision.obj", body.name)
 }
 
-/// Writes every mesh of the scene as OBJ below `dir/meshes/`, in body frames.
-pub(crate) fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
+/// Writes every mesh of the scene as OBJ below `dir/meshes/`, in body frames, with the pictures that belong to them.
+///
+/// # Errors
+/// [`CoreError::Write`].
+pub fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
     for body in &scene.bodies {
         if !body.visual.triangles.is_empty() {
-            body.visual.write_obj(&dir.join(visual_file(body)))?;
+            match &body.texture {
+                Some(texture) => {
+                    write_textured_obj(&body.visual, texture, &dir.join("meshes"), &visual_stem(body))?;
+                }
+                None => body.visual.write_obj(&dir.join(visual_file(body)))?,
+            }
         }
         match &body.shape {
             BodyShape::Hulls { hulls } => {
@@ -86,7 +103,10 @@ pub(crate) fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
                 }
             }
             BodyShape::TriMesh { mesh } => mesh.write_obj(&dir.join(trimesh_file(body)))?,
-            BodyShape::Sphere { .. } | BodyShape::HalfSpace => {}
+            BodyShape::Sphere { .. }
+            | BodyShape::Box { .. }
+            | BodyShape::Cylinder { .. }
+            | BodyShape::HalfSpace => {}
         }
     }
     Ok(())
@@ -111,6 +131,10 @@ pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
         x_wb: body.x_wb,
         shape: match &body.shape {
             BodyShape::Sphere { radius } => ShapeEntry::Sphere { radius: *radius },
+            BodyShape::Box { half_extents } => ShapeEntry::Box { half_extents: *half_extents },
+            BodyShape::Cylinder { radius, half_length } => {
+                ShapeEntry::Cylinder { radius: *radius, half_length: *half_length }
+            }
             BodyShape::HalfSpace => ShapeEntry::HalfSpace,
             BodyShape::Hulls { hulls } => {
                 ShapeEntry::Hulls { files: (0..hulls.len()).map(|i| hull_file(body, i)).collect() }
@@ -153,6 +177,8 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
     for entry in file.bodies {
         let shape = match entry.shape {
             ShapeEntry::Sphere { radius } => BodyShape::Sphere { radius },
+            ShapeEntry::Box { half_extents } => BodyShape::Box { half_extents },
+            ShapeEntry::Cylinder { radius, half_length } => BodyShape::Cylinder { radius, half_length },
             ShapeEntry::HalfSpace => BodyShape::HalfSpace,
             ShapeEntry::Hulls { files } => BodyShape::Hulls {
                 hulls: files.iter().map(|f| Mesh::read_obj(&dir.join(f))).collect::<Result<_, _>>()?,
@@ -163,7 +189,12 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
             Some(file) => Mesh::read_obj(&dir.join(file))?,
             None => Mesh::default(),
         };
+        let texture = match &entry.visual {
+            Some(_) => read_mesh_texture(&dir.join("meshes"), &format!("{}_visual", entry.name))?,
+            None => None,
+        };
         bodies.push(Body {
+            texture,
             name: entry.name,
             label: entry.label,
             description: entry.description,

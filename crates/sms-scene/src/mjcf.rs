@@ -132,6 +132,21 @@ fn write_body(body: &Body, friction: f64, assets: &mut String, world: &mut Strin
                 rgba(body.color)
             );
         }
+        BodyShape::Box { half_extents } => {
+            let _ = writeln!(
+                world,
+                "      <geom name=\"{name}\" {contact} type=\"box\" size=\"{}\" rgba=\"{}\"/>",
+                numbers(half_extents.to_array()),
+                rgba(body.color)
+            );
+        }
+        BodyShape::Cylinder { radius, half_length } => {
+            let _ = writeln!(
+                world,
+                "      <geom name=\"{name}\" {contact} type=\"cylinder\" size=\"{radius:.9} {half_length:.9}\" rgba=\"{}\"/>",
+                rgba(body.color)
+            );
+        }
         BodyShape::HalfSpace => {
             let _ = writeln!(
                 world,

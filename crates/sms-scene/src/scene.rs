@@ -2,13 +2,13 @@
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_core::{MassProperties, Material, Mesh};
+use sms_core::{MassProperties, Material, Mesh, MeshTexture};
 
 /// Version of the manifest's schema; readers refuse newer ones.
 pub const SCENE_VERSION: u32 = 1;
 
 /// A rigid-body scene in the world `W`: metres, kilograms, z up.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Schema version.
     pub version: u32,
@@ -41,6 +41,18 @@ pub enum BodyShape {
         /// Radius in metres.
         radius: f64,
     },
+    /// A box centred at the body's origin, edges along the axes of `B`.
+    Box {
+        /// Half of the edge lengths, metres.
+        half_extents: DVec3,
+    },
+    /// A cylinder with flat ends, centred at the body's origin, axis along z of `B`.
+    Cylinder {
+        /// Radius in metres.
+        radius: f64,
+        /// Half of the length along the axis, metres.
+        half_length: f64,
+    },
     /// The half space below the plane z = 0 of the body frame (static only).
     HalfSpace,
     /// Convex hulls, each a closed mesh whose vertices are its corners.
@@ -55,16 +67,34 @@ pub enum BodyShape {
     },
 }
 
-/// A rigid body. For dynamic bodies the origin of `B` is the centre of mass, and at scan time the axes of `B` are
-/// parallel to those of `W`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Corners of the polygon that stands for a cylinder's end where only a mesh will do.
+const CYLINDER_SEGMENTS: usize = 48;
+
+impl BodyShape {
+    /// The surface as meshes in `B`; spheres and cylinders are approximated, a half space has none.
+    pub fn meshes(&self) -> Vec<Mesh> {
+        match self {
+            Self::Sphere { radius } => vec![Mesh::icosphere(*radius, 2)],
+            Self::Box { half_extents } => vec![Mesh::cuboid(*half_extents)],
+            Self::Cylinder { radius, half_length } => {
+                vec![Mesh::cylinder(*radius, *half_length, CYLINDER_SEGMENTS)]
+            }
+            Self::HalfSpace => Vec::new(),
+            Self::Hulls { hulls } => hulls.clone(),
+            Self::TriMesh { mesh } => vec![mesh.clone()],
+        }
+    }
+}
+
+/// A rigid body. For dynamic bodies the origin of `B` is the centre of mass. At scan time the axes of `B` are parallel to
+/// those of `W`, but for boxes and cylinders, which are aligned with `B`.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Body {
     /// Unique name, usable as a file name.
     pub name: String,
     /// Label id of the entity this came from; 0 for the environment.
     pub label: u16,
     /// What the labeller called it; may be empty.
-    #[serde(default)]
     pub description: String,
     /// Whether physics moves it.
     pub kind: BodyKind,
@@ -74,6 +104,8 @@ pub struct Body {
     pub shape: BodyShape,
     /// Surface for pictures, in `B`.
     pub visual: Mesh,
+    /// Picture on `visual`; `None` where its vertex colours have to do.
+    pub texture: Option<MeshTexture>,
     /// Mass, centre of mass and inertia in `B`; `None` for static bodies.
     pub mass: Option<MassProperties>,
     /// Material, with intervals.

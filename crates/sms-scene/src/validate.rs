@@ -55,6 +55,9 @@ impl Scene {
 }
 
 fn check_body(body: &Body, add: &mut impl FnMut(String)) {
+    if body.texture.as_ref().is_some_and(|t| t.corner_uv.len() != body.visual.triangles.len()) {
+        add("its texture does not fit its visual mesh".into());
+    }
     if !body.x_wb.is_finite() || (body.x_wb.rotation.length() - 1.0).abs() > 1e-6 {
         add("its pose is not a finite rigid transform".into());
     }
@@ -68,6 +71,7 @@ fn check_body(body: &Body, add: &mut impl FnMut(String)) {
     let m = &body.material;
     for (name, property, low, high) in [
         ("density", &m.density, 1.0, 30_000.0),
+        ("fill factor", &m.fill_factor, 1e-3, 1.0),
         ("friction", &m.friction, 0.0, 5.0),
         ("restitution", &m.restitution, 0.0, 1.0),
         ("rolling", &m.rolling_m, 0.0, 0.1),
@@ -81,6 +85,16 @@ fn check_body(body: &Body, add: &mut impl FnMut(String)) {
     match &body.shape {
         BodyShape::Sphere { radius } if !(*radius > 0.0 && radius.is_finite()) => {
             add(format!("its radius {radius} m is not positive"));
+        }
+        BodyShape::Box { half_extents }
+            if !(half_extents.is_finite() && half_extents.min_element() > 0.0) =>
+        {
+            add(format!("its half extents {half_extents} m are not positive"));
+        }
+        BodyShape::Cylinder { radius, half_length }
+            if !(*radius > 0.0 && *half_length > 0.0 && radius.is_finite() && half_length.is_finite()) =>
+        {
+            add(format!("its radius {radius} m or half length {half_length} m is not positive"));
         }
         BodyShape::HalfSpace | BodyShape::TriMesh { .. } if body.kind == BodyKind::Dynamic => {
             add("its shape can only be static".into());

@@ -15,6 +15,11 @@ pub(crate) enum Part {
     Convex(ConvexPolyhedron),
     Mesh(TriMesh),
     Cuboid(Cuboid),
+    /// Along z.
+    Cylinder {
+        radius: f64,
+        half_length: f64,
+    },
     Capsule(Segment, f64),
 }
 
@@ -31,6 +36,7 @@ impl Part {
             Self::Convex(s) => projected(s.project_local_point(p, true)),
             Self::Mesh(s) => (s.project_local_point(p, false).point, false),
             Self::Cuboid(s) => projected(s.project_local_point(p, true)),
+            Self::Cylinder { radius, half_length } => nearest_on_cylinder(p, *radius, *half_length),
             Self::Capsule(axis, radius) => around(axis.project_local_point(p, true).point, *radius),
         }
     }
@@ -52,9 +58,22 @@ impl Part {
             Self::Convex(s) => around(s.points()),
             Self::Mesh(s) => around(s.vertices()),
             Self::Cuboid(s) => (DVec3::ZERO, s.half_extents.length()),
+            Self::Cylinder { radius, half_length } => (DVec3::ZERO, radius.hypot(*half_length)),
             Self::Capsule(axis, radius) => (DVec3::ZERO, axis.a.length() + radius),
         }
     }
+}
+
+/// The point of a cylinder's surface (centred, axis along z) nearest to `p`, and whether `p` is inside.
+fn nearest_on_cylinder(p: DVec3, radius: f64, half_length: f64) -> (DVec3, bool) {
+    let out = p.with_z(0.0).try_normalize().unwrap_or(DVec3::X);
+    let across = p.dot(out);
+    let (to_side, to_end) = (radius - across, half_length - p.z.abs());
+    if to_side > 0.0 && to_end > 0.0 {
+        let end = half_length.copysign(p.z);
+        return (if to_side < to_end { (out * radius).with_z(p.z) } else { p.with_z(end) }, true);
+    }
+    ((out * across.min(radius)).with_z(p.z.clamp(-half_length, half_length)), false)
 }
 
 fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
@@ -104,6 +123,10 @@ impl BodyGeometry {
         };
         Ok(Self::new(match &body.shape {
             BodyShape::Sphere { radius } => vec![Part::Sphere(*radius)],
+            BodyShape::Box { half_extents } => vec![Part::Cuboid(Cuboid::new(*half_extents))],
+            BodyShape::Cylinder { radius, half_length } => {
+                vec![Part::Cylinder { radius: *radius, half_length: *half_length }]
+            }
             BodyShape::HalfSpace => vec![Part::HalfSpace],
             BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(convex).collect::<Result<_, _>>()?,
             BodyShape::TriMesh { mesh } => {
@@ -182,6 +205,22 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        /// The closed form against the hull of a fine prism.
+        #[test]
+        fn nearest_points_of_a_cylinder_are_those_of_a_fine_prism(
+            x in -0.2..0.2f64, y in -0.2..0.2f64, z in -0.2..0.2f64,
+        ) {
+            let (radius, half_length) = (0.05, 0.08);
+            let p = DVec3::new(x, y, z);
+            let prism = Mesh::cylinder(radius, half_length, 720);
+            let hull = ConvexPolyhedron::from_convex_hull(&prism.vertices).unwrap();
+            let (expected, inside_prism) = projected(hull.project_local_point(p, false));
+            let (q, inside) = nearest_on_cylinder(p, radius, half_length);
+            let gap = q.distance(p) - expected.distance(p);
+            prop_assert!(gap.abs() < 2e-6, "{p}: {q} {expected}");
+            prop_assert!(inside == inside_prism || q.distance(p) < 2e-6);
+        }
+
         /// A box as a hull, as a cuboid and as a mesh are the same box.
         #[test]
         fn nearest_points_do_not_depend_on_how_a_box_is_written(

@@ -16,6 +16,7 @@
 //!     x_wb: DPose3::from_translation(center_w),
 //!     shape: BodyShape::Sphere { radius: 0.03 },
 //!     visual: Mesh::default(),
+//!     texture: None,
 //!     mass: Some(sphere_mass_properties(DVec3::ZERO, 0.03, 1700.0)?),
 //!     material: example_material(),
 //!     color: [250, 250, 240],

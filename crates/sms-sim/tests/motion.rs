@@ -4,8 +4,10 @@ mod common;
 
 use common::*;
 use glamx::{DMat3, DPose3, DQuat, DVec3};
-use sms_core::{MassProperties, Mesh, polyhedron_mass_properties};
-use sms_scene::{BodyKind, BodyShape};
+use sms_core::{
+    MassProperties, Mesh, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
+};
+use sms_scene::{Body, BodyKind, BodyShape, floor_body};
 use sms_sim::{BodyState, StrikerMotion, WorldFactory, WorldOptions, resting_drift};
 
 fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
@@ -325,5 +327,59 @@ fn a_state_that_is_not_finite_is_an_error_and_no_panic() {
         launch(&mut simulation, 1, DVec3::new(f64::NAN, 0.0, 0.0), DVec3::ZERO);
         let error = (0..3).find_map(|_| simulation.advance(DT).err()).expect("it is noticed");
         assert!(error.to_string().contains("`b`"), "{error}");
+    }
+}
+
+/// Exact boxes and cylinders rest where they stand, upright and lying, and weigh on what is under them.
+#[test]
+fn boxes_and_cylinders_rest_where_they_stand() {
+    let material = material(0.5, 0.0, 0.0);
+    let solid = |name: &str, x_wb: DPose3, shape: BodyShape, mass: MassProperties| Body {
+        name: name.into(),
+        kind: BodyKind::Dynamic,
+        x_wb,
+        shape,
+        mass: Some(mass),
+        ..floor_body(0.0, material.clone())
+    };
+    let half = DVec3::new(0.03, 0.05, 0.02);
+    let (radius, half_length) = (0.03, 0.06);
+    let can = || cylinder_mass_properties(radius, half_length, 800.0).unwrap();
+    let cylinder = BodyShape::Cylinder { radius, half_length };
+    let lying = DPose3::from_parts(
+        DVec3::new(0.3, 0.0, radius),
+        DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+    );
+    let bodies = vec![
+        floor(material.clone()),
+        solid(
+            "box",
+            DPose3::from_translation(DVec3::Z * half.z),
+            BodyShape::Box { half_extents: half },
+            box_mass_properties(half, 500.0).unwrap(),
+        ),
+        solid(
+            "on_box",
+            DPose3::from_translation(DVec3::Z * (2.0 * half.z + half_length)),
+            cylinder.clone(),
+            can(),
+        ),
+        solid("lying", lying, cylinder, can()),
+    ];
+    let scene = scene(9.81, bodies);
+    for factory in factories() {
+        let mut simulation = simulate(factory, &scene, &awake());
+        run(&mut simulation, 1.0);
+        for (i, body) in scene.bodies.iter().enumerate().skip(1) {
+            let x_wb = simulation.state(i).x_wb;
+            let drift = x_wb.translation.distance(body.x_wb.translation);
+            let turn = x_wb.rotation.angle_between(body.x_wb.rotation);
+            assert!(
+                drift < 5e-4 && turn < 5e-3,
+                "{} in {}: {drift} m, {turn} rad",
+                body.name,
+                factory.engine()
+            );
+        }
     }
 }

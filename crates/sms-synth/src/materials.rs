@@ -37,6 +37,7 @@ pub(crate) fn draw_material(class: &str, rng: &mut StageRng) -> Material {
     Material {
         class: ranges.name.clone(),
         density: draw(ranges.density_kg_m3),
+        fill_factor: truth(1.0),
         friction: draw(ranges.friction),
         restitution: draw(ranges.restitution),
         rolling_m: draw(ranges.rolling_m),

@@ -45,10 +45,7 @@ fn aabb_w(body: &Body) -> Option<Aabb> {
             Some(Aabb { min: center - *radius, max: center + *radius })
         }
         BodyShape::HalfSpace => None,
-        BodyShape::Hulls { hulls } => {
-            Aabb::of_points(hulls.iter().flat_map(|h| h.vertices.iter().map(in_world)))
-        }
-        BodyShape::TriMesh { mesh } => Aabb::of_points(mesh.vertices.iter().map(in_world)),
+        shape => Aabb::of_points(shape.meshes().iter().flat_map(|m| m.vertices.iter().map(in_world))),
     }
 }
 

@@ -52,6 +52,7 @@ fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
         x_wb: object.x_wb,
         shape,
         visual: object.mesh.clone(),
+        texture: None,
         // The truth's origin is the centre of mass up to rounding.
         mass: Some(MassProperties::new(object.mass.mass(), DVec3::ZERO, object.mass.inertia())?),
         material: object.material.clone(),

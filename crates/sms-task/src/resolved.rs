@@ -95,11 +95,10 @@ fn radius_of(body: &Body) -> f64 {
     match &body.shape {
         BodyShape::Sphere { radius } => *radius,
         BodyShape::HalfSpace => 0.0,
-        BodyShape::Hulls { hulls } => {
-            let corners = hulls.iter().flat_map(|h| h.vertices.iter().copied());
+        shape => {
+            let corners = shape.meshes().into_iter().flat_map(|m| m.vertices);
             sms_core::Aabb::of_points(corners).map_or(0.0, |b| b.extents().element_sum() / 6.0)
         }
-        BodyShape::TriMesh { mesh } => mesh.aabb().map_or(0.0, |b| b.extents().element_sum() / 6.0),
     }
 }
 

@@ -254,8 +254,7 @@ fn arena_of(scene: &Scene) -> (DVec2, f64) {
                     DVec3::new(-r, -r, 0.0),
                 ]
             }
-            BodyShape::Hulls { hulls } => hulls.iter().flat_map(|h| h.vertices.iter().copied()).collect(),
-            BodyShape::TriMesh { mesh } => mesh.vertices.clone(),
+            shape => shape.meshes().into_iter().flat_map(|m| m.vertices).collect(),
         };
         local.into_iter().map(|p| b.x_wb.transform_point(p))
     });

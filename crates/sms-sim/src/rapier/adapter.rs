@@ -365,6 +365,15 @@ fn with_material(collider: ColliderBuilder, friction: f64, restitution: f64) -> 
 fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
     match shape {
         BodyShape::Sphere { radius } => Ok(vec![ColliderBuilder::ball(*radius as Real)]),
+        BodyShape::Box { half_extents: h } => {
+            Ok(vec![ColliderBuilder::cuboid(h.x as Real, h.y as Real, h.z as Real)])
+        }
+        BodyShape::Cylinder { radius, half_length } => {
+            // Rapier's cylinders stand along y.
+            let upright = DQuat::from_rotation_arc(DVec3::Y, DVec3::Z);
+            let pose = Pose::from_parts(Vector::ZERO, rotation_to_engine(&upright));
+            Ok(vec![ColliderBuilder::cylinder(*half_length as Real, *radius as Real).position(pose)])
+        }
         BodyShape::HalfSpace => Ok(vec![ColliderBuilder::new(SharedShape::halfspace(Vector::Z))]),
         BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
         BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(hull).collect(),

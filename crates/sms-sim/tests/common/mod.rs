@@ -32,6 +32,7 @@ pub fn material(friction: f64, restitution: f64, rolling_m: f64) -> Material {
         restitution: exact(restitution),
         rolling_m: exact(rolling_m),
         youngs_modulus_pa: exact(1e9),
+        fill_factor: exact(1.0),
         poissons_ratio: exact(0.3),
     }
 }

@@ -18,6 +18,7 @@ pub(crate) fn material(friction: f64, restitution: f64) -> Material {
         restitution: known(restitution, 0.05),
         rolling_m: known(2e-4, 0.3),
         youngs_modulus_pa: known(5.8e9, 0.1),
+        fill_factor: known(1.0, 0.0),
         poissons_ratio: known(0.34, 0.1),
     }
 }
@@ -31,6 +32,7 @@ pub(crate) fn ball(name: &str, x: f64, y: f64, color: [u8; 3], material: Materia
         x_wb: DPose3::from_translation(DVec3::new(x, y, RADIUS)),
         shape: BodyShape::Sphere { radius: RADIUS },
         visual: Mesh::default(),
+        texture: None,
         mass: Some(sphere_mass_properties(DVec3::ZERO, RADIUS, material.density.value.best).unwrap()),
         material,
         color,
