@@ -1,10 +1,18 @@
 //! Which material each object gets.
 
-use crate::{MaterialTable, Overrides};
-use sms_core::{CoreError, Material, Warnings};
+use crate::table::{Form, Known, fill_of_another};
+use crate::{Estimate, MaterialTable, Overrides};
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, Interval, Material, Property, PropertySource, Warnings};
+
+/// A mesh that fills less than this share of its convex hull is taken to have its hollow already: its walls are what it
+/// encloses. A mug whose inside was seen fills 0.2 to 0.45 of its hull, a plate 0.3 to 0.5; a mug that was closed at the
+/// rim fills 0.85 with its handle, and solid figures 0.6 to 0.9.
+pub const WALLS_VISIBLE_BELOW: f64 = 0.55;
 
 /// What is known of an object.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct ObjectQuery {
     /// Its name in the scene.
     pub name: String,
@@ -14,10 +22,18 @@ pub struct ObjectQuery {
     pub is_sphere: bool,
     /// Mean sRGB colour.
     pub mean_color: [u8; 3],
+    /// Whether it is known that the mesh has the object's walls, so that the material fills all that it encloses.
+    pub walls_visible: bool,
+    /// Volume of the mesh over that of its convex hull; 0 where unknown.
+    pub hull_fill: f64,
+    /// Volume of the mesh (or of the sphere, box or cylinder that stands for it), m³; 0 where unknown or open.
+    pub volume_m3: f64,
+    /// What a vision-language model says of it.
+    pub estimate: Option<Estimate>,
 }
 
-/// One material an object, in order: the user's word, else what the table knows by the description or the name, else
-/// the prior (with a warning, because a prior is a guess).
+/// One material an object, in order: the user's word, else a model's estimate, else what the table knows by the
+/// description or the name, else the prior (with a warning, because a prior is a guess).
 ///
 /// # Errors
 /// [`CoreError::Input`] when the user's file names an object or a class that does not exist.
@@ -28,21 +44,19 @@ pub fn assign(
     warnings: &Warnings,
 ) -> Result<Vec<Material>, CoreError> {
     if let Some(overrides) = overrides {
-        let known: Vec<&str> = objects.iter().map(|o| o.name.as_str()).collect();
-        overrides.check(&known, table)?;
+        overrides.check(objects, table)?;
     }
     let mut guessed = Vec::new();
     let materials = objects
         .iter()
         .map(|object| {
-            let known = table.by_words(&object.description).or_else(|| table.by_words(&object.name));
+            let base = without_override(object, table);
             let said = overrides.is_some_and(|o| o.object.contains_key(&object.name));
-            if known.is_none() && !said {
+            if base.density.source == PropertySource::Prior && !said {
                 guessed.push(object.name.as_str());
             }
-            let base = known.unwrap_or_else(|| table.prior(object.is_sphere));
             match overrides {
-                Some(overrides) => overrides.apply(&object.name, base, table),
+                Some(overrides) => overrides.apply(object, base, table),
                 None => base,
             }
         })
@@ -52,20 +66,85 @@ pub fn assign(
             "scene",
             "material_prior",
             format!("nothing is known of the material of {}: a wide prior is used", guessed.join(", ")),
-            "give names or descriptions in masks/labels.json, or values with --materials FILE",
+            "give names or descriptions in masks/labels.json, or values with `sms materials RUN --set` or --materials FILE, \
+             or name a vision-language model ([vlm])",
         );
     }
     Ok(materials)
 }
 
+/// The material of one object before the user's word.
+pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material {
+    let by_label = || table.known(&object.description).or_else(|| table.known(&object.name));
+    let Some(estimate) = &object.estimate else {
+        let known = by_label();
+        let form = known.as_ref().map_or(Form::Plain, |k| k.form);
+        let mut material = known.map_or_else(|| table.prior(object.is_sphere), |k| k.material);
+        material.fill_factor = fill_of_mesh(material.fill_factor, form, object);
+        return material;
+    };
+    let known = known_of_estimate(estimate, table)
+        .or_else(|| if estimate.label_is_right == Some(false) { None } else { by_label() });
+    let form = known.as_ref().map_or(Form::Plain, |k| k.form);
+    let mut material = known.map_or_else(|| table.prior(object.is_sphere), |k| k.material);
+    if table.class_of(&estimate.material).is_none() {
+        // What the table has no class for keeps the name that it was given.
+        material.class = estimate.class().unwrap_or(material.class);
+    }
+    for (slot, said) in [
+        (&mut material.density, estimate.density),
+        (&mut material.fill_factor, estimate.fill_factor),
+        (&mut material.friction, estimate.friction),
+        (&mut material.restitution, estimate.restitution),
+        (&mut material.youngs_modulus_pa, estimate.youngs_modulus_pa),
+        (&mut material.poissons_ratio, estimate.poissons_ratio),
+    ] {
+        if let Some(value) = said {
+            *slot = Property::new(value, PropertySource::Vlm);
+        }
+    }
+    material.fill_factor = fill_of_mesh(material.fill_factor, form, object);
+    material
+}
+
+/// What the table knows by the model's words. The material that it names comes before the words of its label: a "glass"
+/// of plastic is of plastic.
+fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<Known> {
+    let known = table.known(&estimate.words())?;
+    let Some(class) = table.class_of(&estimate.material) else { return Some(known) };
+    if known.material.class == class {
+        return Some(known);
+    }
+    let mut material = table.class(class)?;
+    material.fill_factor = match known.form {
+        Form::Plain => material.fill_factor,
+        _ => fill_of_another(&known.material.fill_factor, &known.material, &material),
+    };
+    Some(Known { material, ..known })
+}
+
+/// The fill factor over what the mesh encloses, from the one over the outer volume.
+fn fill_of_mesh(fill: Property, form: Form, object: &ObjectQuery) -> Property {
+    let has_hollow = object.hull_fill > 0.0 && object.hull_fill < WALLS_VISIBLE_BELOW && !object.is_sphere;
+    if object.walls_visible || (has_hollow && form != Form::Closed) {
+        return Property::new(Interval::exact(1.0), fill.source);
+    }
+    if form != Form::Open || !(0.0..1.0).contains(&object.hull_fill) || object.hull_fill <= 0.0 {
+        return fill;
+    }
+    // Part of the hollow was seen: the same material in a smaller volume.
+    let over_mesh = |share: f64| (share / object.hull_fill).min(1.0);
+    let i = fill.value;
+    Property::new(Interval::new(over_mesh(i.best), over_mesh(i.low), over_mesh(i.high)), fill.source)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_core::PropertySource;
     use std::path::Path;
 
     fn query(name: &str, description: &str, is_sphere: bool) -> ObjectQuery {
-        ObjectQuery { name: name.into(), description: description.into(), is_sphere, mean_color: [0; 3] }
+        ObjectQuery { name: name.into(), description: description.into(), is_sphere, ..Default::default() }
     }
 
     fn overrides(dir: &Path, text: &str) -> Result<Overrides, CoreError> {
@@ -77,11 +156,25 @@ mod tests {
     #[test]
     fn each_source_in_its_turn() {
         let dir = tempfile::tempdir().unwrap();
-        let objects =
-            [query("object_01", "mug", false), query("object_02", "", true), query("object_03", "", false)];
+        let estimate = Estimate {
+            material: "Glazed stoneware".into(),
+            label: "coffee mug".into(),
+            density: Some(Interval::new(2350.0, 2200.0, 2500.0)),
+            friction: Some(Interval::new(0.5, 0.4, 0.6)),
+            ..Default::default()
+        };
+        let seen = ObjectQuery { estimate: Some(estimate), ..query("object_04", "", false) };
+        let objects = [
+            query("object_01", "mug", false),
+            query("object_02", "", true),
+            query("object_03", "", false),
+            seen.clone(),
+            ObjectQuery { name: "object_05".into(), ..seen },
+        ];
         let mine = overrides(
             dir.path(),
-            "[object.object_03]\nclass = \"brass\"\nfriction = { best = 0.3, low = 0.2, high = 0.4 }\ndensity = 8400\n",
+            "[object.object_03]\nclass = \"brass\"\nfriction = { best = 0.3, low = 0.2, high = 0.4 }\ndensity = 8400\n\
+             [object.object_05]\nfriction = 0.9\n",
         )
         .unwrap();
         let warnings = Warnings::new();
@@ -95,9 +188,59 @@ mod tests {
         assert_eq!((m[2].class.as_str(), m[2].friction.source), ("brass", PropertySource::User));
         assert_eq!((m[2].density.value.low, m[2].density.value.high), (8400.0, 8400.0));
         assert_eq!(m[2].restitution.source, PropertySource::Table);
+        assert_eq!(m[3].class, "ceramic", "stoneware is ceramic");
+        assert_eq!((m[3].density.value.best, m[3].density.source), (2350.0, PropertySource::Vlm));
+        assert_eq!((m[3].friction.value.best, m[3].friction.source), (0.5, PropertySource::Vlm));
+        assert_eq!(m[3].restitution, m[0].restitution, "what the model did not say is the table's");
+        assert_eq!(m[3].fill_factor, m[0].fill_factor, "a mug is hollow by its label");
+        assert_eq!((m[4].friction.source, m[4].density.source), (PropertySource::User, PropertySource::Vlm));
         let said = warnings.snapshot();
         assert_eq!(said.len(), 1);
         assert!(said[0].message.contains("object_02") && !said[0].message.contains("object_03"));
+        assert!(!said[0].message.contains("object_04"));
+    }
+
+    #[test]
+    fn the_models_material_comes_before_its_label_and_before_a_wrong_label_of_ours() {
+        let table = MaterialTable::builtin();
+        let seen = |material: &str, label: &str, ours: &str, right: Option<bool>| {
+            let estimate = Estimate {
+                material: material.into(),
+                label: label.into(),
+                label_is_right: right,
+                ..Default::default()
+            };
+            without_override(&ObjectQuery { estimate: Some(estimate), ..query("o", ours, false) }, &table)
+        };
+        assert_eq!(seen("plastic", "drinking glass", "", None).class, "plastic");
+        assert!(seen("plastic", "drinking glass", "", None).fill_factor.value.best < 0.5, "and hollow");
+        assert_eq!(seen("neoprene", "wetsuit", "", None).class, "neoprene");
+        assert_eq!(seen("neoprene", "wetsuit", "", None).density.source, PropertySource::Prior);
+        assert_eq!(seen("", "", "brass statue", Some(true)).class, "brass");
+        assert_eq!(seen("", "", "brass statue", Some(false)).class, "unknown");
+    }
+
+    #[test]
+    fn hollow_things_are_counted_once_whatever_the_scan_saw_of_the_hollow() {
+        let table = MaterialTable::builtin();
+        let fill = |description: &str, hull_fill: f64, walls_visible: bool| {
+            let q = ObjectQuery { hull_fill, walls_visible, ..query("o", description, false) };
+            without_override(&q, &table).fill_factor.value
+        };
+        let closed = fill("mug", 0.95, false);
+        assert!(closed.high > 2.0 * closed.low, "wide: {closed:?}");
+        for hull_fill in [0.6, 0.75, 0.95] {
+            let over_hull = fill("mug", hull_fill, false).best * hull_fill;
+            assert!((over_hull - 0.375).abs() < 1e-12, "the mass does not depend on how much was seen");
+        }
+        assert_eq!(fill("mug", 0.3, false), Interval::exact(1.0), "the mesh has the walls");
+        assert_eq!(fill("mug", 0.95, true), Interval::exact(1.0), "the caller knows");
+        assert_eq!(fill("plush bear", 0.5, false).best, 0.48, "a concave outside says nothing of the inside");
+        assert_eq!(fill("", 0.3, false), Interval::exact(1.0));
+        assert_eq!(fill("", 0.0, false), table.prior(false).fill_factor.value, "unknown shape");
+        assert_eq!(fill("wooden block", 0.99, false), Interval::exact(1.0));
+        let ball = ObjectQuery { hull_fill: 0.4, ..query("o", "soccer ball", true) };
+        assert_eq!(without_override(&ball, &table).fill_factor.value.best, 0.07);
     }
 
     #[test]
@@ -114,6 +257,8 @@ mod tests {
             ("[object.object_01]\nclass = \"stone\"\n", ["stone", "marble"]),
             ("[object.object_01]\nfrition = 0.2\n", ["frition", "friction"]),
             ("[object.object_01]\nrestitution = 1.5\n", ["restitution", "≤ 1"]),
+            ("[object.object_01]\nfill_factor = 1.5\n", ["fill_factor", "≤ 1"]),
+            ("[object.object_01]\nmass_kg = 0.3\n", ["mass_kg", "volume"]),
             ("[object.object_01]\nfriction = { best = 0.1, low = 0.2, high = 0.3 }\n", ["friction", "low"]),
         ] {
             let message = assigned(text).unwrap_err();

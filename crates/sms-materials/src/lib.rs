@@ -1,8 +1,12 @@
 //! Material properties of objects, with intervals and sources.
 //!
-//! Three sources, strongest first: the user's own file ([`Overrides`]), the handbook table by material class or by words
-//! in the object's name and description ([`MaterialTable`]), and a stated prior. Every value keeps its interval and who
-//! said it, so that planning can sample what is not known.
+//! Four sources, strongest first: the user's own values ([`Overrides`]), what a vision-language model said of the object
+//! ([`Estimate`]), the handbook table by material class or by words in the object's name and description
+//! ([`MaterialTable`]), and a stated prior. Every value keeps its interval and who said it, so that planning can sample what
+//! is not known.
+//!
+//! The mass of an object is density × fill factor × volume of its mesh. The density is the material's own; the fill factor
+//! is 1 for solid things and where the mesh has the walls itself, and less for what is hollow inside.
 //!
 //! ```
 //! use sms_core::{PropertySource, Warnings};
@@ -11,15 +15,18 @@
 //! let materials = assign(&[mug], &MaterialTable::builtin(), None, &Warnings::new())?;
 //! assert_eq!(materials[0].class, "ceramic");
 //! assert_eq!(materials[0].friction.source, PropertySource::Table);
+//! assert!(materials[0].effective_density() < materials[0].density.value.best, "a mug is hollow");
 //! # Ok::<(), sms_core::CoreError>(())
 //! ```
 
 mod assign;
+mod estimate;
 mod overrides;
 mod store;
 mod table;
 
-pub use assign::{ObjectQuery, assign};
-pub use overrides::{ObjectOverride, OverrideValue, Overrides};
-pub use store::{load_materials, save_materials};
+pub use assign::{ObjectQuery, WALLS_VISIBLE_BELOW, assign, without_override};
+pub use estimate::Estimate;
+pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
+pub use store::{load_materials, load_queries, save_materials, save_queries};
 pub use table::{ClassEntry, MaterialTable, Range};

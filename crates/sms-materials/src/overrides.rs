@@ -1,6 +1,7 @@
 //! The user's own values.
 
-use crate::MaterialTable;
+use crate::table::fill_of_another;
+use crate::{MaterialTable, ObjectQuery};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, Interval, Material, Property, PropertySource, atomic};
 use std::collections::BTreeMap;
@@ -29,7 +30,8 @@ pub struct OverrideInterval {
 }
 
 impl OverrideValue {
-    fn interval(self) -> Interval {
+    /// The value as an interval, of no width where it is exact.
+    pub fn interval(self) -> Interval {
         match self {
             Self::Exact(value) => Interval::exact(value),
             Self::Interval(i) => Interval { best: i.best, low: i.low, high: i.high },
@@ -37,14 +39,18 @@ impl OverrideValue {
     }
 }
 
-/// What the user says of one object; what is not said comes from the class or the table.
+/// What the user says of one object; what is not said comes from the class, the model, the table or the prior.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectOverride {
     /// Material class of the table.
     pub class: Option<String>,
-    /// Effective density over the closed outer volume, kg/m³.
+    /// Density of the material itself, kg/m³.
     pub density: Option<OverrideValue>,
+    /// Share of what the mesh encloses that the material fills, 0 to 1.
+    pub fill_factor: Option<OverrideValue>,
+    /// Mass of the whole object, kg: what scales say. Stands over density and fill factor.
+    pub mass_kg: Option<OverrideValue>,
     /// Coulomb friction coefficient.
     pub friction: Option<OverrideValue>,
     /// Coefficient of restitution.
@@ -55,6 +61,39 @@ pub struct ObjectOverride {
     pub youngs_modulus_pa: Option<OverrideValue>,
     /// Poisson's ratio.
     pub poissons_ratio: Option<OverrideValue>,
+}
+
+/// The keys that hold a number, with the largest value that each may have. Zero is possible for all but those that a
+/// mass is made of.
+const NUMBERS: [(&str, f64); 8] = [
+    ("density", 25_000.0),
+    ("fill_factor", 1.0),
+    ("mass_kg", 10_000.0),
+    ("friction", 5.0),
+    ("restitution", 1.0),
+    ("rolling_m", 0.1),
+    ("youngs_modulus_pa", 2e12),
+    ("poissons_ratio", 0.5),
+];
+
+impl ObjectOverride {
+    fn slot(&mut self, key: &str) -> Option<&mut Option<OverrideValue>> {
+        Some(match key {
+            "density" => &mut self.density,
+            "fill_factor" => &mut self.fill_factor,
+            "mass_kg" => &mut self.mass_kg,
+            "friction" => &mut self.friction,
+            "restitution" => &mut self.restitution,
+            "rolling_m" => &mut self.rolling_m,
+            "youngs_modulus_pa" => &mut self.youngs_modulus_pa,
+            "poissons_ratio" => &mut self.poissons_ratio,
+            _ => return None,
+        })
+    }
+
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// A file of overrides: `[object.NAME]` tables.
@@ -69,6 +108,11 @@ pub struct Overrides {
 }
 
 impl Overrides {
+    /// The keys that an object can have.
+    pub fn keys() -> impl Iterator<Item = &'static str> {
+        std::iter::once("class").chain(NUMBERS.iter().map(|n| n.0))
+    }
+
     /// Reads the file and checks its values.
     ///
     /// # Errors
@@ -76,39 +120,132 @@ impl Overrides {
     pub fn read(path: &Path) -> Result<Self, CoreError> {
         let mut overrides: Self = atomic::read_toml(path)?;
         overrides.path = path.to_owned();
-        for (name, o) in &overrides.object {
-            for (key, value, most) in [
-                ("density", o.density, 25_000.0),
-                ("friction", o.friction, 5.0),
-                ("restitution", o.restitution, 1.0),
-                ("rolling_m", o.rolling_m, 0.1),
-                ("youngs_modulus_pa", o.youngs_modulus_pa, 2e12),
-                ("poissons_ratio", o.poissons_ratio, 0.5),
-            ] {
-                let Some(i) = value.map(OverrideValue::interval) else { continue };
-                if !(0.0 <= i.low && i.low <= i.best && i.best <= i.high && i.high <= most) {
-                    return Err(InputError::new(
-                        format!("{key} of `{name}` cannot be {} [{}, {}]", i.best, i.low, i.high),
-                        path,
-                        format!("give 0 ≤ low ≤ best ≤ high ≤ {most}, in SI units"),
-                    )
-                    .into());
+        for (name, o) in &mut overrides.object {
+            for (key, most) in NUMBERS {
+                if let Some(value) = o.slot(key).copied().flatten() {
+                    checked(name, key, value, most)
+                        .map_err(|e| InputError { path: path.display().to_string(), ..e })?;
                 }
             }
         }
         Ok(overrides)
     }
 
-    /// Every named object must be one of `known`, every class one of the table's.
-    pub(crate) fn check(&self, known: &[&str], table: &MaterialTable) -> Result<(), InputError> {
+    /// Reads the file where there is one; without one nothing is said.
+    ///
+    /// # Errors
+    /// As [`Overrides::read`].
+    pub fn read_optional(path: &Path) -> Result<Self, CoreError> {
+        if path.exists() { Self::read(path) } else { Ok(Self { path: path.to_owned(), ..Self::default() }) }
+    }
+
+    /// Writes the file atomically, in the form that [`Overrides::read`] reads.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), CoreError> {
+        let text = toml::to_string(self)
+            .map_err(|e| CoreError::Write { path: path.to_owned(), source: std::io::Error::other(e) })?;
+        atomic::write_bytes(path, text.as_bytes())
+    }
+
+    /// Sets one value from text: `2400`, or `0.4,0.3,0.5` for best, low and high; a word for `class`. Setting the mass
+    /// drops density and fill factor, and the other way round, because the later word counts.
+    ///
+    /// # Errors
+    /// [`InputError`] when there is no such key or the text is no such value. Whether object and class exist is told by
+    /// [`Overrides::check`].
+    pub fn set(&mut self, name: &str, key: &str, text: &str) -> Result<(), InputError> {
+        let given = format!("--set {name}.{key}={text}");
+        if key == "class" {
+            self.object.entry(name.to_owned()).or_default().class = Some(text.trim().to_owned());
+            return Ok(());
+        }
+        let Some((key, most)) = NUMBERS.into_iter().find(|n| n.0 == key) else {
+            return Err(unknown_key(key, given));
+        };
+        let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+        let value = match numbers.as_deref() {
+            Some(&[value]) => OverrideValue::Exact(value),
+            Some(&[best, low, high]) => OverrideValue::Interval(OverrideInterval { best, low, high }),
+            _ => {
+                return Err(InputError::new(
+                    format!("`{text}` is no value for {key}"),
+                    given,
+                    "give a number in SI units, or three: best,low,high",
+                ));
+            }
+        };
+        checked(name, key, value, most).map_err(|e| InputError { path: given, ..e })?;
+        let object = self.object.entry(name.to_owned()).or_default();
+        match key {
+            "mass_kg" => (object.density, object.fill_factor) = (None, None),
+            "density" | "fill_factor" => object.mass_kg = None,
+            _ => {}
+        }
+        if let Some(slot) = object.slot(key) {
+            *slot = Some(value);
+        }
+        Ok(())
+    }
+
+    /// Takes one value back, or with no key all of an object's. Returns whether there was any.
+    ///
+    /// # Errors
+    /// [`InputError`] when there is no such key.
+    pub fn unset(&mut self, name: &str, key: Option<&str>) -> Result<bool, InputError> {
+        let Some(key) = key else { return Ok(self.object.remove(name).is_some()) };
+        if !Self::keys().any(|k| k == key) {
+            return Err(unknown_key(key, format!("--unset {name}.{key}")));
+        }
+        let Some(object) = self.object.get_mut(name) else { return Ok(false) };
+        let had = match object.slot(key) {
+            Some(slot) => slot.take().is_some(),
+            None => object.class.take().is_some(),
+        };
+        if object.is_empty() {
+            self.object.remove(name);
+        }
+        Ok(had)
+    }
+
+    /// These with `stronger` in their place where both speak. Mistakes are then blamed on `stronger`'s file.
+    pub fn under(mut self, stronger: Self) -> Self {
+        for (name, mut over) in stronger.object {
+            let under = self.object.entry(name).or_default();
+            if over.mass_kg.is_some() {
+                (under.density, under.fill_factor) = (None, None);
+            } else if over.density.is_some() || over.fill_factor.is_some() {
+                under.mass_kg = None;
+            }
+            if over.class.is_some() {
+                under.class = over.class.take();
+            }
+            for (key, _) in NUMBERS {
+                if let (Some(slot), Some(Some(value))) = (under.slot(key), over.slot(key).copied()) {
+                    *slot = Some(value);
+                }
+            }
+        }
+        self.path = stronger.path;
+        self
+    }
+
+    /// Every named object must be one of `objects`, every class one of the table's, and a mass can only be given to
+    /// what has a volume.
+    ///
+    /// # Errors
+    /// [`InputError`] naming the file, what is wrong and what there is.
+    pub fn check(&self, objects: &[ObjectQuery], table: &MaterialTable) -> Result<(), InputError> {
         for (name, o) in &self.object {
-            if !known.contains(&name.as_str()) {
+            let Some(object) = objects.iter().find(|q| q.name == *name) else {
+                let known: Vec<&str> = objects.iter().map(|q| q.name.as_str()).collect();
                 return Err(InputError::new(
                     format!("there is no object `{name}` in this scene"),
                     &self.path,
                     format!("name one of: {}", known.join(", ")),
                 ));
-            }
+            };
             if let Some(class) = o.class.as_deref().filter(|c| table.class(c).is_none()) {
                 let classes: Vec<&str> = table.classes().collect();
                 return Err(InputError::new(
@@ -117,23 +254,39 @@ impl Overrides {
                     format!("use one of: {}", classes.join(", ")),
                 ));
             }
+            if o.mass_kg.is_some() && object.volume_m3 <= 0.0 {
+                return Err(InputError::new(
+                    format!("mass_kg cannot be given for `{name}`, which encloses no volume"),
+                    &self.path,
+                    "take it out: fixed bodies have no mass",
+                ));
+            }
         }
         Ok(())
     }
 
     /// `base` with what the user says of an object in place of its own.
-    pub(crate) fn apply(&self, name: &str, base: Material, table: &MaterialTable) -> Material {
-        let Some(o) = self.object.get(name) else { return base };
+    pub(crate) fn apply(&self, object: &ObjectQuery, base: Material, table: &MaterialTable) -> Material {
+        let Some(o) = self.object.get(&object.name) else { return base };
         let mut material = match o.class.as_deref().and_then(|c| table.class(c)) {
             Some(mut of_class) => {
-                // The class is the user's word, its values are the table's.
+                // The class is the user's word, its values are the table's; the form stays what it was.
                 of_class.class = o.class.clone().unwrap_or_default();
+                of_class.fill_factor = if of_class.class == base.class {
+                    base.fill_factor
+                } else {
+                    match base.fill_factor.value {
+                        i if i.low >= 1.0 => base.fill_factor,
+                        _ => fill_of_another(&base.fill_factor, &base, &of_class),
+                    }
+                };
                 of_class
             }
             None => base,
         };
         for (slot, value) in [
             (&mut material.density, o.density),
+            (&mut material.fill_factor, o.fill_factor),
             (&mut material.friction, o.friction),
             (&mut material.restitution, o.restitution),
             (&mut material.rolling_m, o.rolling_m),
@@ -144,6 +297,145 @@ impl Overrides {
                 *slot = Property::new(value.interval(), PropertySource::User);
             }
         }
+        if let Some(mass) = o.mass_kg.filter(|_| object.volume_m3 > 0.0) {
+            let per_volume = |kg: f64| kg / object.volume_m3;
+            let mass = mass.interval();
+            let effective = Interval::new(per_volume(mass.best), per_volume(mass.low), per_volume(mass.high));
+            weigh(&mut material, effective);
+        }
         material
+    }
+}
+
+/// Makes density × fill factor equal to a known mass per volume, kg/m³. Of the two only the product is known: the
+/// density stays where that leaves room for it, and the mass's interval goes to the fill factor.
+fn weigh(material: &mut Material, effective: Interval) {
+    let user = |value| Property::new(value, PropertySource::User);
+    let density = material.density.value.best;
+    if density >= effective.high {
+        let share = |x: f64| x / density;
+        material.fill_factor =
+            user(Interval::new(share(effective.best), share(effective.low), share(effective.high)));
+        material.density.value = Interval::exact(density);
+    } else {
+        material.density = user(effective);
+        material.fill_factor = user(Interval::exact(1.0));
+    }
+}
+
+fn unknown_key(key: &str, given: String) -> InputError {
+    let keys: Vec<&str> = Overrides::keys().collect();
+    InputError::new(
+        format!("there is no property `{key}`"),
+        given,
+        format!("use one of: {}", keys.join(", ")),
+    )
+}
+
+fn checked(name: &str, key: &str, value: OverrideValue, most: f64) -> Result<(), InputError> {
+    let i = value.interval();
+    let is_positive = i.low > 0.0 || !matches!(key, "density" | "fill_factor" | "mass_kg");
+    if 0.0 <= i.low && i.low <= i.best && i.best <= i.high && i.high <= most && is_positive {
+        return Ok(());
+    }
+    let sign = if is_positive { "≤" } else { "<" };
+    Err(InputError::new(
+        format!("{key} of `{name}` cannot be {} [{}, {}]", i.best, i.low, i.high),
+        "",
+        format!("give 0 {sign} low ≤ best ≤ high ≤ {most}, in SI units"),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assign;
+    use sms_core::Warnings;
+
+    #[test]
+    fn edits_are_kept_and_taken_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("materials.toml");
+        let mut o = Overrides::read_optional(&path).unwrap();
+        assert!(o.object.is_empty());
+        o.set("mug", "density", "2400").unwrap();
+        o.set("mug", "class", "ceramic").unwrap();
+        o.set("mug", "friction", " 0.4, 0.3,0.5").unwrap();
+        o.set("ball", "restitution", "0.9").unwrap();
+        o.save(&path).unwrap();
+        let read = Overrides::read(&path).unwrap();
+        assert_eq!(read.object, o.object);
+        assert_eq!(read.object["mug"].friction.unwrap().interval(), Interval::new(0.4, 0.3, 0.5));
+        assert!(o.unset("mug", Some("friction")).unwrap());
+        assert!(!o.unset("mug", Some("friction")).unwrap(), "it is gone");
+        assert!(o.unset("ball", Some("restitution")).unwrap());
+        assert!(!o.object.contains_key("ball"), "an object of which nothing is said is not listed");
+        assert!(o.unset("mug", None).unwrap());
+        assert!(o.object.is_empty());
+    }
+
+    #[test]
+    fn wrong_edits_are_refused_with_what_there_is() {
+        let mut o = Overrides::default();
+        for (key, text, word) in [
+            ("weight", "1", "mass_kg"),
+            ("density", "heavy", "best,low,high"),
+            ("density", "0", "0 < low"),
+            ("density", "1,2", "best,low,high"),
+            ("friction", "0.4,0.5,0.6", "low ≤ best"),
+            ("friction", "nan", "cannot be NaN"),
+            ("restitution", "-0.1", "0 ≤ low"),
+            ("youngs_modulus_pa", "1e400", "cannot be inf"),
+        ] {
+            let message = o.set("mug", key, text).unwrap_err().to_string();
+            assert!(
+                message.contains(word) && message.contains(&format!("--set mug.{key}={text}")),
+                "{message}"
+            );
+        }
+        assert!(o.unset("mug", Some("weight")).unwrap_err().to_string().contains("friction"));
+        assert!(o.object.is_empty(), "nothing is kept of what was refused");
+    }
+
+    #[test]
+    fn a_weighed_object_has_its_mass_whatever_its_density() {
+        let table = MaterialTable::builtin();
+        let mug = |mass: &str| {
+            let query = ObjectQuery {
+                name: "mug".into(),
+                description: "ceramic mug".into(),
+                volume_m3: 4e-4,
+                ..Default::default()
+            };
+            let mut o = Overrides::default();
+            o.set("mug", "density", "2000").unwrap();
+            o.set("mug", "mass_kg", mass).unwrap();
+            assign(&[query], &table, Some(&o), &Warnings::new()).unwrap().remove(0)
+        };
+        let light = mug("0.35,0.34,0.36");
+        assert!((light.effective_density() * 4e-4 - 0.35).abs() < 1e-12);
+        assert_eq!(light.density.value, Interval::exact(2400.0), "the later word counts");
+        let high = light.fill_factor.value.high * light.density.value.high * 4e-4;
+        assert!((high - 0.36).abs() < 1e-12);
+        let heavy = mug("1.6");
+        assert!((heavy.effective_density() * 4e-4 - 1.6).abs() < 1e-12);
+        assert_eq!(heavy.fill_factor.value, Interval::exact(1.0), "no more than full");
+    }
+
+    #[test]
+    fn the_stronger_file_wins_key_by_key() {
+        let mut weaker = Overrides::default();
+        weaker.set("mug", "friction", "0.4").unwrap();
+        weaker.set("mug", "mass_kg", "0.4").unwrap();
+        weaker.set("ball", "friction", "0.1").unwrap();
+        let mut stronger = Overrides::default();
+        stronger.set("mug", "density", "2000").unwrap();
+        stronger.set("mug", "class", "glass").unwrap();
+        let both = weaker.under(stronger);
+        let mug = &both.object["mug"];
+        assert_eq!((mug.mass_kg, mug.class.as_deref()), (None, Some("glass")));
+        assert_eq!(mug.density, Some(OverrideValue::Exact(2000.0)));
+        assert_eq!(mug.friction, Some(OverrideValue::Exact(0.4)));
+        assert_eq!(both.object["ball"].friction, Some(OverrideValue::Exact(0.1)));
     }
 }

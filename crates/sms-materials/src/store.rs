@@ -1,5 +1,6 @@
 //! `materials.json`: what each object was taken to be made of.
 
+use crate::ObjectQuery;
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, Material, atomic};
 use std::path::Path;
@@ -36,6 +37,7 @@ pub fn load_materials(path: &Path) -> Result<Vec<(String, Material)>, CoreError>
         let m = &row.material;
         for (key, property) in [
             ("density", m.density),
+            ("fill_factor", m.fill_factor),
             ("friction", m.friction),
             ("restitution", m.restitution),
             ("rolling_m", m.rolling_m),
@@ -51,10 +53,44 @@ pub fn load_materials(path: &Path) -> Result<Vec<(String, Material)>, CoreError>
     Ok(rows.into_iter().map(|row| (row.name, row.material)).collect())
 }
 
+/// Writes what was known of every object, from which its material followed: so that the effect of an edit can be shown
+/// without materializing again.
+///
+/// # Errors
+/// [`CoreError::Write`].
+pub fn save_queries(path: &Path, objects: &[ObjectQuery]) -> Result<(), CoreError> {
+    atomic::write_json(path, &objects)
+}
+
+/// Reads what [`save_queries`] wrote.
+///
+/// # Errors
+/// [`CoreError::Read`] when there is no such file; [`CoreError::Input`] when it is damaged.
+pub fn load_queries(path: &Path) -> Result<Vec<ObjectQuery>, CoreError> {
+    atomic::read_json(path)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::MaterialTable;
+
+    #[test]
+    fn queries_round_trip() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("objects.json");
+        let estimate = crate::Estimate {
+            material: "glass".into(),
+            density: Some(sms_core::Interval::new(2500.0, 2300.0, 2700.0)),
+            ..Default::default()
+        };
+        let objects = vec![
+            ObjectQuery { name: "a".into(), hull_fill: 0.3, volume_m3: 1e-3, ..Default::default() },
+            ObjectQuery { name: "b".into(), estimate: Some(estimate), ..Default::default() },
+        ];
+        save_queries(&path, &objects).unwrap();
+        assert_eq!(load_queries(&path).unwrap(), objects);
+    }
 
     #[test]
     fn materials_round_trip_and_damage_is_named() {
