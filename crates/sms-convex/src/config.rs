@@ -10,15 +10,15 @@ pub struct ConvexConfig {
     pub max_parts: usize,
     /// Largest number of vertices of a part.
     pub max_vertices: usize,
-    /// A part is convex enough when its hull leaves it by less than this share of the object's size (the concavity
-    /// of CoACD, which the released code sets to 0.075) …
-    pub concavity: f64,
-    /// … or by less than this length, metres.
-    pub concavity_floor: f64,
+    /// A part is convex enough when its concavity, in halves of the object's longest side, is at most this (the
+    /// threshold of CoACD, which it sets to 0.05) …
+    pub threshold: f64,
+    /// … or, in metres, at most this.
+    pub floor: f64,
 }
 
 impl Default for ConvexConfig {
     fn default() -> Self {
-        Self { max_parts: 16, max_vertices: 64, concavity: 0.035, concavity_floor: 0.0035 }
+        Self { max_parts: 16, max_vertices: 64, threshold: 0.05, floor: 0.0 }
     }
 }

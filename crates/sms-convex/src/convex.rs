@@ -1,21 +1,55 @@
-//! Approximate convex decomposition, so that physics can collide concave objects without filling their hollows.
-//!
-//! The surface is cut by planes, always at the part whose hull leaves the object farthest (a collision-aware concavity
-//! as in CoACD, Wei et al. 2022), and hulls are merged again where that stays within the threshold. Cutting needs no
-//! caps: the hull of a cut surface is the hull of the cut solid, because the cut's outline lies on both.
+//! From a closed surface to convex parts: cut, measure, merge.
 
 use crate::config::ConvexConfig;
 use crate::hull::convex_hull;
-use crate::voxels::VoxelSolid;
+use crate::merge::merge;
+use crate::piece::Piece;
+use crate::repair::clean;
+use crate::search::{Breadth, Scratch, best_cut};
+use crate::solid::Solid;
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::Mesh;
 
-struct Piece {
-    triangles: Vec<[DVec3; 3]>,
-    hull: Mesh,
-    concavity: f64,
-    deepest: DVec3,
+/// Surfaces are cut with about so many faces.
+const FACES: usize = 1200;
+
+/// A convex part in unit coordinates.
+#[derive(Clone)]
+pub(crate) struct Part {
+    /// The hull's vertices.
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) min: DVec3,
+    pub(crate) max: DVec3,
+    /// Volume of the solid that the part stands for.
+    pub(crate) volume: f64,
+    pub(crate) hull_volume: f64,
+}
+
+impl Part {
+    pub(crate) fn new(points: Vec<DVec3>, volume: f64, hull_volume: f64) -> Option<Self> {
+        let bounds = sms_core::Aabb::of_points(points.iter().copied())?;
+        (hull_volume > 0.0).then_some(Self { points, min: bounds.min, max: bounds.max, volume, hull_volume })
+    }
+}
+
+/// When a part is convex enough.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Tolerance {
+    /// Concavity in half sizes of the object.
+    pub(crate) threshold: f64,
+    /// Distance of the samples on a hull's surface.
+    pub(crate) spacing: f64,
+}
+
+/// CoACD's measure of a surplus of volume: 0.3 times the radius of a ball of that volume (its `R_v`, k = 0.3).
+pub(crate) fn rv(surplus: f64) -> f64 {
+    0.3 * (surplus.max(0.0) * 3.0 / (4.0 * std::f64::consts::PI)).cbrt()
+}
+
+/// The volume whose [`rv`] is `threshold`.
+fn rv_volume(threshold: f64) -> f64 {
+    4.0 / 3.0 * std::f64::consts::PI * (threshold / 0.3).powi(3)
 }
 
 /// Convex parts whose union approximates the closed `mesh`, in its frame: each a closed hull with at most
@@ -30,12 +64,9 @@ struct Piece {
 pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     let limit = config.max_vertices.max(8);
     let Some(whole) = convex_hull(&mesh.vertices, usize::MAX, 0.0) else { return Vec::new() };
-    let parts = decompose(mesh, config).or_else(|| voxel_parts(mesh, config)).unwrap_or_default();
-    let mut parts: Vec<Mesh> = parts
-        .iter()
-        .filter_map(|p| convex_hull(&p.vertices, limit, 1e-5))
-        .filter(|p| p.volume() > 0.0)
-        .collect();
+    let parts = decompose(mesh, config).unwrap_or_default();
+    let mut parts: Vec<Mesh> =
+        parts.iter().filter_map(|p| convex_hull(p, limit, 1e-5)).filter(|p| p.volume() > 0.0).collect();
     // Slivers left by cuts carry nothing and trouble physics engines.
     parts.retain(|p| p.volume() > 1e-5 * whole.volume());
     if parts.is_empty() {
@@ -44,211 +75,60 @@ pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     parts
 }
 
-fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Mesh>> {
-    let size = mesh.aabb()?.extents().max_element();
-    let solid = VoxelSolid::new(mesh, 80)?;
-    let threshold = (config.concavity * size).max(config.concavity_floor).max(1.2 * solid.cell());
-    let all = (0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect();
-    let mut pieces = vec![piece(all, &solid)?];
-    let most = 2 * config.max_parts.max(1);
-    while pieces.len() < most {
-        let worst = (0..pieces.len())
-            .max_by(|&a, &b| pieces[a].concavity.total_cmp(&pieces[b].concavity).then(b.cmp(&a)))?;
-        if pieces[worst].concavity <= threshold {
-            break;
-        }
-        let Some(cut) = best_cut(&pieces[worst], &solid) else {
-            // It cannot be cut any further; keep it and go on with the others.
-            pieces[worst].concavity = 0.0;
-            continue;
-        };
-        pieces.swap_remove(worst);
-        pieces.extend(cut);
-    }
-    Some(merge(pieces.into_iter().map(|p| p.hull).collect(), &solid, threshold, config.max_parts))
-}
-
-fn piece(triangles: Vec<[DVec3; 3]>, solid: &VoxelSolid) -> Option<Piece> {
-    let hull = convex_hull(&corner_points(&triangles), 96, 1e-5)?;
-    let (concavity, deepest) = solid.concavity(&hull);
-    Some(Piece { triangles, hull, concavity, deepest })
-}
-
-fn corner_points(triangles: &[[DVec3; 3]]) -> Vec<DVec3> {
-    let mut points: Vec<DVec3> = triangles.iter().flatten().copied().collect();
-    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
-    points.dedup();
-    points
-}
-
-/// Directions that planes are tried along: up, and eight level ones.
-fn cut_normals() -> Vec<DVec3> {
-    let level = (0..8).map(|k| {
-        let (sin, cos) = (std::f64::consts::PI / 8.0 * f64::from(k)).sin_cos();
-        DVec3::new(cos, sin, 0.0)
-    });
-    std::iter::once(DVec3::Z).chain(level).collect()
-}
-
-fn hull_volume(side: &[[DVec3; 3]]) -> f64 {
-    convex_hull(&corner_points(side), 32, 1e-4).map_or(0.0, |hull| hull.volume())
-}
-
-/// Cuts by the plane that saves the most hull volume, or by two planes at once through the deepest point where that
-/// saves more for each cut: halves of a tube have the hull of the whole tube, and only its quarters show the gain.
-fn best_cut(piece: &Piece, solid: &VoxelSolid) -> Option<Vec<Piece>> {
-    let normals = cut_normals();
-    let points = corner_points(&piece.triangles);
-    let margin = solid.cell();
-    let range = |n: DVec3| {
-        points.iter().map(|p| p.dot(n)).fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v), b.max(v)))
-    };
-    let mut cuts: Vec<Vec<(DVec3, f64)>> = Vec::new();
-    let mut deep = Vec::new();
-    for &n in &normals {
-        let (low, high) = range(n);
-        let is_inner = |d: f64| d > low + margin && d < high - margin;
-        let deepest = piece.deepest.dot(n);
-        let offsets = (1..8).map(|k| low + (high - low) * f64::from(k) / 8.0).chain([deepest]);
-        cuts.extend(offsets.filter(|&d| is_inner(d)).map(|d| vec![(n, d)]));
-        if is_inner(deepest) {
-            deep.push((n, deepest));
-        }
-    }
-    for (i, &first) in deep.iter().enumerate() {
-        cuts.extend(
-            deep[..i].iter().filter(|second| second.0.dot(first.0).abs() < 0.8).map(|&s| vec![first, s]),
-        );
-    }
-    let whole = piece.hull.volume();
-    // Scores come back in the cuts' order whatever the threads do.
-    let gains: Vec<f64> = cuts
-        .par_iter()
-        .map(|planes| {
-            let sides = apply(&piece.triangles, planes);
-            let left: f64 = sides.iter().map(|side| hull_volume(side)).sum();
-            (whole - left) / (sides.len() as f64 - 1.0).max(1.0)
-        })
-        .collect();
-    let mut order: Vec<usize> = (0..cuts.len()).collect();
-    order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]).then(a.cmp(&b)));
-    order.into_iter().take(4).find_map(|i| {
-        let sides = apply(&piece.triangles, &cuts[i]);
-        let pieces: Vec<Piece> = sides.into_iter().filter_map(|side| self::piece(side, solid)).collect();
-        (pieces.len() >= 2).then_some(pieces)
-    })
-}
-
-/// All sides of all planes that hold any surface.
-fn apply(triangles: &[[DVec3; 3]], planes: &[(DVec3, f64)]) -> Vec<Vec<[DVec3; 3]>> {
-    let mut sides = vec![triangles.to_vec()];
-    for &(n, d) in planes {
-        sides = sides
-            .iter()
-            .flat_map(|side| {
-                let (below, above) = clip(side, n, d);
-                [below, above]
-            })
-            .filter(|side| !side.is_empty())
+fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
+    let bounds = mesh.aabb()?;
+    let half = 0.5 * bounds.extents().max_element();
+    let center = bounds.center();
+    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - center) / half).collect();
+    let surface = clean(&points, &mesh.triangles).decimated(FACES, 0.1 * config.threshold);
+    let solid = Solid::new(surface.points.clone(), surface.triangles.clone())?;
+    let tolerance = Tolerance { threshold: config.threshold.max(config.floor / half), spacing: 0.04 };
+    let breadth = Breadth { first: 15, second: 7, part_cost: 0.05 * rv_volume(tolerance.threshold) };
+    let mut open = vec![Piece { points: surface.points, triangles: surface.triangles, caps: Vec::new() }];
+    let mut parts: Vec<Part> = Vec::new();
+    const MOST_PIECES: usize = 256;
+    while !open.is_empty() {
+        let room = MOST_PIECES.saturating_sub(parts.len() + open.len());
+        let cut: Vec<(Option<Part>, Vec<Piece>)> = open
+            .par_iter()
+            .enumerate()
+            .map(|(i, piece)| examine(piece, &solid, tolerance, breadth, i < room))
             .collect();
-    }
-    sides
-}
-
-/// The triangles below and above a plane, cut where they cross it.
-pub fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
-    let (mut below, mut above) = (Vec::new(), Vec::new());
-    for t in triangles {
-        let h = t.map(|p| p.dot(n) - d);
-        if h.iter().all(|&h| h <= 0.0) {
-            below.push(*t);
-            continue;
-        }
-        if h.iter().all(|&h| h >= 0.0) {
-            above.push(*t);
-            continue;
-        }
-        let (mut low, mut high) = (Vec::with_capacity(4), Vec::with_capacity(4));
-        for i in 0..3 {
-            let j = (i + 1) % 3;
-            if h[i] <= 0.0 {
-                low.push(t[i]);
-            }
-            if h[i] >= 0.0 {
-                high.push(t[i]);
-            }
-            if h[i] * h[j] < 0.0 {
-                // Cut from the lower corner upwards, so that the neighbour across the edge gets the same point.
-                let (a, b, ha, hb) =
-                    if h[i] < 0.0 { (t[i], t[j], h[i], h[j]) } else { (t[j], t[i], h[j], h[i]) };
-                let cut = a + (b - a) * (ha / (ha - hb));
-                low.push(cut);
-                high.push(cut);
-            }
-        }
-        for (polygon, side) in [(low, &mut below), (high, &mut above)] {
-            for k in 1..polygon.len().saturating_sub(1) {
-                side.push([polygon[0], polygon[k], polygon[k + 1]]);
-            }
+        open.clear();
+        for (part, sides) in cut {
+            parts.extend(part);
+            open.extend(sides);
         }
     }
-    (below, above)
+    let parts = merge(parts, &solid, tolerance, config.max_parts.max(1));
+    Some(parts.into_iter().map(|p| p.points.iter().map(|&q| center + q * half).collect()).collect())
 }
 
-/// Joins hulls, the least concave union first: all that stay within the threshold, and more while there are too many.
-fn merge(mut hulls: Vec<Mesh>, solid: &VoxelSolid, threshold: f64, max_parts: usize) -> Vec<Mesh> {
-    let union = |a: &Mesh, b: &Mesh| -> Option<(f64, Mesh)> {
-        let (ba, bb) = (a.aabb()?, b.aabb()?);
-        let gap = (ba.min - bb.max).max(bb.min - ba.max).max_element();
-        if gap > 1e-4 {
-            return None;
-        }
-        let points: Vec<DVec3> = a.vertices.iter().chain(&b.vertices).copied().collect();
-        let hull = convex_hull(&points, 96, 1e-5)?;
-        Some((solid.concavity(&hull).0, hull))
+/// A part where the piece is convex enough, else its two sides.
+fn examine(
+    piece: &Piece,
+    solid: &Solid,
+    tolerance: Tolerance,
+    breadth: Breadth,
+    may_cut: bool,
+) -> (Option<Part>, Vec<Piece>) {
+    let mut scratch = Scratch::default();
+    let hull_volume = piece.hull_volume(&mut scratch.hull);
+    let volume = piece.volume().max(0.0);
+    if hull_volume <= 0.0 {
+        return (None, Vec::new());
+    }
+    let enough = tolerance.threshold;
+    let convex = || {
+        rv(hull_volume - volume) <= enough
+            && solid.reach(scratch.hull.triangles(), tolerance.spacing, enough) <= enough
     };
-    let mut costs: std::collections::BTreeMap<(usize, usize), (f64, Mesh)> = Default::default();
-    let mut ids: Vec<usize> = (0..hulls.len()).collect();
-    let mut next_id = ids.len();
-    let mut fresh = ids.clone();
-    while hulls.len() > 1 {
-        let pairs: Vec<(usize, usize)> = (0..hulls.len())
-            .flat_map(|i| (0..i).map(move |j| (j, i)))
-            .filter(|&(j, i)| fresh.contains(&ids[i]) || fresh.contains(&ids[j]))
-            .collect();
-        let found: Vec<Option<(f64, Mesh)>> =
-            pairs.par_iter().map(|&(j, i)| union(&hulls[j], &hulls[i])).collect();
-        for (&(j, i), cost) in pairs.iter().zip(found) {
-            if let Some(cost) = cost {
-                costs.insert((ids[j], ids[i]), cost);
-            }
-        }
-        let best = costs.iter().min_by(|a, b| a.1.0.total_cmp(&b.1.0).then(a.0.cmp(b.0)));
-        let Some((&(a, b), &(cost, _))) = best else { break };
-        if cost > threshold && hulls.len() <= max_parts {
-            break;
-        }
-        let Some((_, hull)) = costs.remove(&(a, b)) else { break };
-        costs.retain(|k, _| ![k.0, k.1].iter().any(|id| *id == a || *id == b));
-        let mut i = 0;
-        hulls.retain(|_| {
-            i += 1;
-            ids[i - 1] != a && ids[i - 1] != b
-        });
-        ids.retain(|&id| id != a && id != b);
-        hulls.push(hull);
-        ids.push(next_id);
-        fresh = vec![next_id];
-        next_id += 1;
+    if may_cut
+        && !convex()
+        && let Some(plane) = best_cut(piece, breadth)
+    {
+        let sides = piece.split(plane, true);
+        return (None, sides.into_iter().filter(|s| !s.triangles.is_empty()).collect());
     }
-    hulls
-}
-
-fn voxel_parts(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Mesh>> {
-    use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};
-    let parameters = VHACDParameters { max_convex_hulls: config.max_parts as u32, ..Default::default() };
-    let parts = VHACD::decompose(&parameters, &mesh.vertices, &mesh.triangles, true)
-        .compute_exact_convex_hulls(&mesh.vertices, &mesh.triangles);
-    let parts: Vec<Mesh> = parts.into_iter().map(|(v, t)| Mesh::new(v, t)).collect();
-    (!parts.is_empty()).then_some(parts)
+    (Part::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
 }

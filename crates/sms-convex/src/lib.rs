@@ -7,12 +7,19 @@
 //! assert_eq!(convex_parts(&cube, &ConvexConfig::default()).len(), 1);
 //! ```
 
+mod clip;
 mod config;
 mod convex;
 mod hull;
+mod merge;
+mod piece;
 mod predicates;
-mod voxels;
+mod repair;
+mod search;
+mod solid;
+mod sweep;
 
+pub use clip::clip;
 pub use config::ConvexConfig;
-pub use convex::{clip, convex_parts};
+pub use convex::convex_parts;
 pub use hull::convex_hull;

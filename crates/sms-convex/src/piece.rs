@@ -1,0 +1,370 @@
+//! Pieces of a surface, cut by planes without closing the cuts.
+//!
+//! The hull of a cut surface is the hull of the cut solid, because the cut's outline lies on both. Volumes need the
+//! caps; a fan of triangles from any point of the plane to the outline's edges has the cap's signed volume, however
+//! tangled the outline is, and stays right when it is cut again.
+
+use crate::sweep::GrowingHull;
+use glamx::{DMat3, DVec3};
+
+/// Hulls of parts leave out what reaches out of them by less, in half sizes of the object.
+pub(crate) const SLIGHT: f64 = 2e-4;
+
+/// A plane: points `p` with `normal · p = offset`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Plane {
+    pub(crate) normal: DVec3,
+    pub(crate) offset: f64,
+}
+
+impl Plane {
+    pub(crate) fn height(&self, p: DVec3) -> f64 {
+        self.normal.dot(p) - self.offset
+    }
+}
+
+/// A piece of the object's surface, in unit coordinates.
+#[derive(Clone, Default)]
+pub(crate) struct Piece {
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+    /// Fans that close the cuts, for volumes only.
+    pub(crate) caps: Vec<[DVec3; 3]>,
+}
+
+impl Piece {
+    /// Signed volume of the closed piece.
+    pub(crate) fn volume(&self) -> f64 {
+        let surface: f64 = self.triangles.iter().map(|t| six_volume(self.corners(t))).sum();
+        let caps: f64 = self.caps.iter().map(|&t| six_volume(t)).sum();
+        (surface + caps) / 6.0
+    }
+
+    pub(crate) fn corners(&self, t: &[u32; 3]) -> [DVec3; 3] {
+        t.map(|i| self.points[i as usize])
+    }
+
+    /// Volume of the hull of all points, left in `hull`.
+    pub(crate) fn hull_volume(&self, hull: &mut GrowingHull) -> f64 {
+        hull.clear(SLIGHT);
+        for &p in &self.points {
+            hull.push(p);
+        }
+        hull.volume()
+    }
+
+    /// Edges, each once, as pairs of points.
+    pub(crate) fn edges(&self) -> Vec<(u32, u32)> {
+        let mut edges: Vec<(u32, u32)> = self
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))])
+            .collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Axes of the surface's second moments, by ascending variance.
+    pub(crate) fn axes(&self) -> [DVec3; 3] {
+        let (mut weight, mut mean, mut moments) = (0.0, DVec3::ZERO, DMat3::ZERO);
+        for t in &self.triangles {
+            let [a, b, c] = self.corners(t);
+            let area = (b - a).cross(c - a).length();
+            let p = (a + b + c) / 3.0;
+            weight += area;
+            mean += p * area;
+            moments += outer(p) * area + (outer(a - p) + outer(b - p) + outer(c - p)) * (area / 12.0);
+        }
+        let fallback = [DVec3::X, DVec3::Y, DVec3::Z];
+        if weight <= 0.0 {
+            return fallback;
+        }
+        mean /= weight;
+        let eigen = glamx::DSymmetricEigen3::new(moments * (1.0 / weight) - outer(mean));
+        let axes = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
+        if axes.iter().all(|a| a.is_finite() && (a.length() - 1.0).abs() < 1e-3) { axes } else { fallback }
+    }
+
+    /// The sides below and above a plane; points within a hair of it belong to both.
+    pub(crate) fn split(&self, plane: Plane, with_caps: bool) -> [Piece; 2] {
+        const HAIR: f64 = 1e-9;
+        let side: Vec<i8> = self
+            .points
+            .iter()
+            .map(|&p| {
+                let h = plane.height(p);
+                if h > HAIR {
+                    1
+                } else if h < -HAIR {
+                    -1
+                } else {
+                    0
+                }
+            })
+            .collect();
+        let mut out = [Side::new(self), Side::new(self)];
+        let mut cuts = Cuts::default();
+        let mut outline: Vec<[DVec3; 2]> = Vec::new();
+        for t in &self.triangles {
+            let s = t.map(|i| side[i as usize]);
+            let (low, high) = (s.iter().any(|&s| s < 0), s.iter().any(|&s| s > 0));
+            if !high {
+                // A face in the plane lies on its material's far side: below when it faces up.
+                let in_plane = !low;
+                let faces_up = in_plane && {
+                    let [a, b, c] = self.corners(t);
+                    (b - a).cross(c - a).dot(plane.normal) > 0.0
+                };
+                if in_plane && !faces_up {
+                    out[1].triangle(self, *t);
+                } else {
+                    out[0].triangle(self, *t);
+                }
+            } else if !low {
+                out[1].triangle(self, *t);
+            } else {
+                for k in 0..3 {
+                    let (i, j) = (t[k], t[(k + 1) % 3]);
+                    let (si, sj) = (s[k], s[(k + 1) % 3]);
+                    for (which, keep) in [(0usize, si <= 0), (1, si >= 0)] {
+                        if keep {
+                            out[which].corner(self, i);
+                        }
+                    }
+                    if si * sj < 0 {
+                        let p = cuts.point(self, plane, i, j);
+                        out[0].cut_corner(p, &cuts);
+                        out[1].cut_corner(p, &cuts);
+                    }
+                }
+                out[0].close_polygon();
+                out[1].close_polygon();
+            }
+            if with_caps {
+                outline.extend(crossing(self.corners(t), s, plane));
+            }
+        }
+        let mut sides = out.map(|s| s.piece);
+        if with_caps {
+            for cap in &self.caps {
+                let s = cap.map(|p| {
+                    let h = plane.height(p);
+                    if h > HAIR {
+                        1
+                    } else if h < -HAIR {
+                        -1
+                    } else {
+                        0
+                    }
+                });
+                for (which, side) in sides.iter_mut().enumerate() {
+                    clip_cap(*cap, s, plane, which, &mut side.caps);
+                }
+                outline.extend(crossing(*cap, s, plane));
+            }
+            if let Some(&[apex, _]) = outline.first() {
+                for [a, b] in outline {
+                    sides[0].caps.push([apex, b, a]);
+                    sides[1].caps.push([apex, a, b]);
+                }
+            }
+        }
+        sides
+    }
+}
+
+fn six_volume([a, b, c]: [DVec3; 3]) -> f64 {
+    a.dot(b.cross(c))
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+fn between(a: DVec3, b: DVec3, plane: Plane) -> DVec3 {
+    let (ha, hb) = (plane.height(a), plane.height(b));
+    a + (b - a) * (ha / (ha - hb))
+}
+
+/// The boundary that a triangle's lower side gains on the plane, in the triangle's direction of travel.
+fn crossing(t: [DVec3; 3], s: [i8; 3], plane: Plane) -> Option<[DVec3; 2]> {
+    let low = s.iter().any(|&s| s < 0);
+    if !low {
+        return None;
+    }
+    // Walking the corners, the lower side is left at `from` and entered again at `to`.
+    let (mut from, mut to) = (None, None);
+    for k in 0..3 {
+        let (a, b, sa, sb) = (t[k], t[(k + 1) % 3], s[k], s[(k + 1) % 3]);
+        match (sa.signum(), sb.signum()) {
+            (-1, 1) => from = Some(between(a, b, plane)),
+            (1, -1) => to = Some(between(a, b, plane)),
+            (-1, 0) => from = Some(b),
+            (0, -1) => to = Some(a),
+            _ => {}
+        }
+    }
+    match (from, to) {
+        (Some(a), Some(b)) if a != b => Some([a, b]),
+        _ => None,
+    }
+}
+
+fn clip_cap(t: [DVec3; 3], s: [i8; 3], plane: Plane, which: usize, out: &mut Vec<[DVec3; 3]>) {
+    let sign = if which == 0 { -1 } else { 1 };
+    let mut polygon: [DVec3; 4] = [DVec3::ZERO; 4];
+    let mut n = 0;
+    if s == [0; 3] {
+        let faces_up = (t[1] - t[0]).cross(t[2] - t[0]).dot(plane.normal) > 0.0;
+        if faces_up == (which == 0) {
+            out.push(t);
+        }
+        return;
+    }
+    if !s.contains(&sign) {
+        return;
+    }
+    for k in 0..3 {
+        let (a, b, sa, sb) = (t[k], t[(k + 1) % 3], s[k], s[(k + 1) % 3]);
+        if sa * sign >= 0 {
+            polygon[n] = a;
+            n += 1;
+        }
+        if sa * sb < 0 && n < 4 {
+            polygon[n] = between(a, b, plane);
+            n += 1;
+        }
+    }
+    for k in 1..n.saturating_sub(1) {
+        out.push([polygon[0], polygon[k], polygon[k + 1]]);
+    }
+}
+
+/// Points where edges cross the plane, one per edge.
+#[derive(Default)]
+struct Cuts {
+    known: std::collections::BTreeMap<(u32, u32), u32>,
+    points: Vec<DVec3>,
+}
+
+impl Cuts {
+    fn point(&mut self, piece: &Piece, plane: Plane, i: u32, j: u32) -> u32 {
+        let key = (i.min(j), i.max(j));
+        if let Some(&p) = self.known.get(&key) {
+            return p;
+        }
+        let id = self.points.len() as u32;
+        self.points.push(between(piece.points[key.0 as usize], piece.points[key.1 as usize], plane));
+        self.known.insert(key, id);
+        id
+    }
+}
+
+/// One side while it is being filled.
+struct Side {
+    piece: Piece,
+    old: Vec<u32>,
+    new: Vec<u32>,
+    polygon: [u32; 4],
+    corners: usize,
+}
+
+impl Side {
+    fn new(whole: &Piece) -> Self {
+        Self {
+            piece: Piece::default(),
+            old: vec![u32::MAX; whole.points.len()],
+            new: Vec::new(),
+            polygon: [0; 4],
+            corners: 0,
+        }
+    }
+
+    fn point(&mut self, whole: &Piece, i: u32) -> u32 {
+        let slot = &mut self.old[i as usize];
+        if *slot == u32::MAX {
+            *slot = self.piece.points.len() as u32;
+            self.piece.points.push(whole.points[i as usize]);
+        }
+        *slot
+    }
+
+    fn triangle(&mut self, whole: &Piece, t: [u32; 3]) {
+        let t = t.map(|i| self.point(whole, i));
+        self.piece.triangles.push(t);
+    }
+
+    fn corner(&mut self, whole: &Piece, i: u32) {
+        let id = self.point(whole, i);
+        self.add(id);
+    }
+
+    fn cut_corner(&mut self, cut: u32, cuts: &Cuts) {
+        if self.new.len() <= cut as usize {
+            self.new.resize(cut as usize + 1, u32::MAX);
+        }
+        if self.new[cut as usize] == u32::MAX {
+            self.new[cut as usize] = self.piece.points.len() as u32;
+            self.piece.points.push(cuts.points[cut as usize]);
+        }
+        self.add(self.new[cut as usize]);
+    }
+
+    fn add(&mut self, id: u32) {
+        if self.corners < 4 {
+            self.polygon[self.corners] = id;
+            self.corners += 1;
+        }
+    }
+
+    fn close_polygon(&mut self) {
+        for k in 1..self.corners.saturating_sub(1) {
+            self.piece.triangles.push([self.polygon[0], self.polygon[k], self.polygon[k + 1]]);
+        }
+        self.corners = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::RngExt;
+    use sms_core::Mesh;
+
+    fn piece_of(mesh: &Mesh) -> Piece {
+        Piece { points: mesh.vertices.clone(), triangles: mesh.triangles.clone(), caps: Vec::new() }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+        #[test]
+        fn volumes_of_repeated_cuts_add_up(seed in 0u64..10_000, aligned in proptest::bool::ANY) {
+            let mut rng = sms_core::Seed(seed).rng();
+            // A ball inside out in a box: a hollow box, so that outlines are nested.
+            let mut mesh = Mesh::cuboid(DVec3::splat(1.0));
+            let hole = Mesh::icosphere(0.7, 2);
+            let n = mesh.vertices.len() as u32;
+            mesh.vertices.extend(&hole.vertices);
+            mesh.triangles.extend(hole.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
+            let mut pieces = vec![piece_of(&mesh)];
+            for _ in 0..4 {
+                let mut normal =
+                    DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::splat(1.0);
+                if aligned {
+                    normal = [DVec3::X, DVec3::Y, DVec3::Z][rng.random_range(0..3)];
+                }
+                let plane = Plane { normal: normal.normalize_or(DVec3::X), offset: 0.0 };
+                pieces = pieces.iter().flat_map(|p| p.split(plane, true)).collect();
+            }
+            let sum: f64 = pieces.iter().map(Piece::volume).sum();
+            prop_assert!((sum - mesh.volume()).abs() < 1e-7, "{sum} {}", mesh.volume());
+            let mut hull = GrowingHull::default();
+            for p in &pieces {
+                let (v, h) = (p.volume(), p.hull_volume(&mut hull));
+                prop_assert!(v > -1e-7 && v < h + 1e-5, "{v} {h}");
+            }
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! From whatever mesh is given to a closed surface of few faces.
+
+use glamx::DVec3;
+use std::collections::BTreeMap;
+
+/// A surface in unit coordinates: centred, its longest side of length 2.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Surface {
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+}
+
+impl Surface {
+    /// Whether every directed edge occurs as often as its opposite: then the winding number is whole everywhere, even
+    /// where more than two faces share an edge.
+    pub(crate) fn is_closed(&self) -> bool {
+        let mut edges: Vec<(u32, u32, i8)> = self
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+            .map(|(a, b)| (a.min(b), a.max(b), if a < b { 1 } else { -1 }))
+            .collect();
+        edges.sort_unstable();
+        let balanced = edges
+            .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+            .all(|same| same.iter().map(|e| i32::from(e.2)).sum::<i32>() == 0);
+        !self.triangles.is_empty() && balanced
+    }
+
+    pub(crate) fn volume(&self) -> f64 {
+        let corner = |i: u32| self.points[i as usize];
+        self.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c)))).sum::<f64>() / 6.0
+    }
+
+    fn flip(&mut self) {
+        for t in &mut self.triangles {
+            t.swap(1, 2);
+        }
+    }
+
+    /// Fewer faces by quadric collapses (crate `meshopt`) that move the surface by at most `error`; as it was where
+    /// that would open it.
+    pub(crate) fn decimated(self, faces: usize, error: f64) -> Self {
+        if self.triangles.len() <= faces {
+            return self;
+        }
+        let positions: Vec<[f32; 3]> = self.points.iter().map(|p| p.as_vec3().to_array()).collect();
+        let indices: Vec<u32> = self.triangles.iter().flatten().copied().collect();
+        let kept = meshopt::simplify_decoder(
+            &indices,
+            &positions,
+            faces * 3,
+            error as f32,
+            meshopt::SimplifyOptions::ErrorAbsolute,
+            None,
+        );
+        let triangles = kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+        let fewer = Self { points: self.points.clone(), triangles }.compacted();
+        if fewer.is_closed() { fewer } else { self }
+    }
+
+    fn compacted(self) -> Self {
+        let mut new = vec![u32::MAX; self.points.len()];
+        let mut out = Self::default();
+        for t in self.triangles {
+            out.triangles.push(t.map(|i| {
+                if new[i as usize] == u32::MAX {
+                    new[i as usize] = out.points.len() as u32;
+                    out.points.push(self.points[i as usize]);
+                }
+                new[i as usize]
+            }));
+        }
+        out
+    }
+}
+
+/// The surface without what is not a number, with equal vertices merged and degenerate triangles dropped, turned
+/// outside out.
+pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
+    let mut ids: BTreeMap<[u64; 3], u32> = BTreeMap::new();
+    let mut out = Surface::default();
+    let mut id_of = vec![u32::MAX; points.len()];
+    for (i, &p) in points.iter().enumerate() {
+        if !p.is_finite() {
+            continue;
+        }
+        // Adding zero turns −0 into 0.
+        let key = (p + DVec3::ZERO).to_array().map(f64::to_bits);
+        id_of[i] = *ids.entry(key).or_insert_with(|| {
+            out.points.push(p);
+            out.points.len() as u32 - 1
+        });
+    }
+    for t in triangles {
+        let t = t.map(|i| id_of.get(i as usize).copied().unwrap_or(u32::MAX));
+        if !t.contains(&u32::MAX) && t[0] != t[1] && t[1] != t[2] && t[2] != t[0] {
+            out.triangles.push(t);
+        }
+    }
+    let mut out = out.compacted();
+    if out.is_closed() && out.volume() < 0.0 {
+        out.flip();
+    }
+    out
+}

@@ -1,0 +1,353 @@
+//! Volumes of the convex hulls on either side of many parallel planes, in one pass each way.
+//!
+//! The hull of what lies below a plane only grows as the plane rises, so one incremental hull that takes the points in
+//! the order of their heights knows the volume below every plane on its way. The outline that a plane cuts out of the
+//! surface lies inside the hull of every higher plane, so that it may stay in as well.
+
+use crate::predicates::orient;
+use glamx::{DVec2, DVec3};
+
+#[derive(Clone, Copy)]
+struct Face {
+    corners: [u32; 3],
+    /// The face across the edge from corner `k` to corner `k + 1`.
+    across: [u32; 3],
+    /// A corner, and the unit normal.
+    foot: DVec3,
+    normal: DVec3,
+    /// Heights of points of unit size above the plane are known this well.
+    error: f64,
+    /// Twice the area.
+    area2: f64,
+    alive: bool,
+}
+
+/// A convex hull that takes points one by one and keeps count of its volume. Which faces a point sees is decided
+/// exactly: with a tolerance instead, slivers as wide as the tolerance would tilt anywhere.
+#[derive(Default)]
+pub(crate) struct GrowingHull {
+    points: Vec<DVec3>,
+    faces: Vec<Face>,
+    free: Vec<u32>,
+    waiting: Vec<DVec3>,
+    newest: Vec<u32>,
+    visible: Vec<u32>,
+    stamp: Vec<u32>,
+    round: u32,
+    horizon: Vec<(u32, u32, u32, u8)>,
+    /// New face that starts at a vertex of the horizon.
+    starting: Vec<u32>,
+    volume: f64,
+    slight: f64,
+}
+
+const NONE: u32 = u32::MAX;
+
+impl GrowingHull {
+    /// Empties the hull. Points that reach out of it by less than `slight` will be left out.
+    pub(crate) fn clear(&mut self, slight: f64) {
+        self.slight = slight;
+        self.points.clear();
+        self.faces.clear();
+        self.free.clear();
+        self.waiting.clear();
+        self.newest.clear();
+        self.stamp.clear();
+        self.starting.clear();
+        self.round = 0;
+        self.volume = 0.0;
+    }
+
+    pub(crate) fn push(&mut self, p: DVec3) {
+        if self.faces.is_empty() {
+            self.waiting.push(p);
+        } else {
+            self.insert(p);
+        }
+    }
+
+    /// Volume of the hull of all points pushed so far; 0 while they are flat.
+    pub(crate) fn volume(&mut self) -> f64 {
+        if self.faces.is_empty() {
+            self.start();
+        }
+        self.volume
+    }
+
+    fn start(&mut self) {
+        let Some(simplex) = extreme_simplex(&self.waiting) else { return };
+        self.points.extend(simplex);
+        self.starting.resize(4, NONE);
+        for corners in [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]] {
+            self.add_face(corners, [NONE; 3]);
+        }
+        for f in 0..4 {
+            for k in 0..3 {
+                let (a, b) = (self.faces[f].corners[k], self.faces[f].corners[(k + 1) % 3]);
+                let twin = (0..4u32).find(|&g| {
+                    let c = self.faces[g as usize].corners;
+                    (0..3).any(|m| c[m] == b && c[(m + 1) % 3] == a)
+                });
+                self.faces[f].across[k] = twin.unwrap_or(NONE);
+            }
+        }
+        let [a, b, c, d] = simplex;
+        self.volume = (b - a).cross(c - a).dot(d - a) / 6.0;
+        let waiting = std::mem::take(&mut self.waiting);
+        for &p in &waiting {
+            self.insert(p);
+        }
+        self.waiting = waiting;
+    }
+
+    fn add_face(&mut self, corners: [u32; 3], across: [u32; 3]) -> u32 {
+        let [a, b, c] = corners.map(|i| self.points[i as usize]);
+        let cross = (b - a).cross(c - a);
+        let area2 = cross.length();
+        let normal = if area2 > 1e-300 { cross / area2 } else { DVec3::ZERO };
+        let longest2 = (b - a).length_squared().max((c - a).length_squared());
+        let error = 1e-14 + 1e-14 * longest2 / area2.max(1e-300);
+        let face = Face { corners, across, foot: a, normal, error, area2, alive: true };
+        match self.free.pop() {
+            Some(id) => {
+                self.faces[id as usize] = face;
+                id
+            }
+            None => {
+                self.faces.push(face);
+                self.stamp.push(0);
+                self.faces.len() as u32 - 1
+            }
+        }
+    }
+
+    /// Height of a point above a face, positive exactly when the point sees the face.
+    fn height(&self, f: u32, p: DVec3) -> f64 {
+        let face = &self.faces[f as usize];
+        let height = face.normal.dot(p - face.foot);
+        if height.abs() > face.error {
+            return height;
+        }
+        let [a, b, c] = face.corners.map(|i| self.points[i as usize]);
+        orient(a, b, c, p) / face.area2.max(1e-300)
+    }
+
+    fn insert(&mut self, p: DVec3) {
+        let sees = |f: &u32| self.faces[*f as usize].alive && self.height(*f, p) > 0.0;
+        let first = self
+            .newest
+            .iter()
+            .copied()
+            .find(|f| sees(f))
+            .or_else(|| (0..self.faces.len() as u32).find(|f| sees(f)));
+        let Some(first) = first else { return };
+        self.round += 1;
+        let round = self.round;
+        self.visible.clear();
+        self.horizon.clear();
+        self.visible.push(first);
+        self.stamp[first as usize] = round;
+        let (mut gained, mut highest) = (0.0, 0.0f64);
+        let mut at = 0;
+        while at < self.visible.len() {
+            let f = self.visible[at];
+            at += 1;
+            let height = self.height(f, p);
+            gained += self.faces[f as usize].area2 * height;
+            highest = highest.max(height);
+            for k in 0..3 {
+                let g = self.faces[f as usize].across[k];
+                if self.stamp[g as usize] == round {
+                    continue;
+                }
+                if self.height(g, p) > 0.0 {
+                    self.stamp[g as usize] = round;
+                    self.visible.push(g);
+                } else {
+                    let c = self.faces[f as usize].corners;
+                    let twin = self.faces[g as usize].corners;
+                    let m = (0..3u8).find(|&m| twin[m as usize] == c[(k + 1) % 3]).unwrap_or(0);
+                    self.horizon.push((c[k], c[(k + 1) % 3], g, m));
+                }
+            }
+        }
+        if highest < self.slight {
+            return;
+        }
+        // The horizon must be one simple loop, or rounding has torn the visible region.
+        for (n, &(a, ..)) in self.horizon.iter().enumerate() {
+            self.starting[a as usize] = n as u32;
+        }
+        let (mut n, mut steps) = (0usize, 0usize);
+        loop {
+            let end = self.horizon[n].1;
+            let next = self.starting[end as usize];
+            steps += 1;
+            if next == NONE || self.horizon[next as usize].0 != end || steps > self.horizon.len() {
+                self.forget_starts();
+                return;
+            }
+            if next == 0 {
+                break;
+            }
+            n = next as usize;
+        }
+        if steps != self.horizon.len() {
+            self.forget_starts();
+            return;
+        }
+        let apex = self.points.len() as u32;
+        self.points.push(p);
+        self.starting.push(NONE);
+        for i in 0..self.visible.len() {
+            let f = self.visible[i];
+            self.faces[f as usize].alive = false;
+            self.free.push(f);
+        }
+        self.newest.clear();
+        for i in 0..self.horizon.len() {
+            let (a, b, g, m) = self.horizon[i];
+            let id = self.add_face([a, b, apex], [g, NONE, NONE]);
+            self.stamp[id as usize] = 0;
+            self.faces[g as usize].across[m as usize] = id;
+            self.newest.push(id);
+        }
+        for i in 0..self.horizon.len() {
+            let next = self.newest[self.starting[self.horizon[i].1 as usize] as usize];
+            let id = self.newest[i];
+            self.faces[id as usize].across[1] = next;
+            self.faces[next as usize].across[2] = id;
+        }
+        self.forget_starts();
+        self.volume += gained / 6.0;
+    }
+
+    fn forget_starts(&mut self) {
+        for &(a, ..) in &self.horizon {
+            self.starting[a as usize] = NONE;
+        }
+    }
+
+    /// Corner points of the hull's faces.
+    pub(crate) fn triangles(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
+        self.faces.iter().filter(|f| f.alive).map(|f| f.corners.map(|i| self.points[i as usize]))
+    }
+
+    /// The hull's vertices, in the order in which they were pushed.
+    pub(crate) fn vertices(&self) -> Vec<DVec3> {
+        let mut used = vec![false; self.points.len()];
+        for f in self.faces.iter().filter(|f| f.alive) {
+            for &c in &f.corners {
+                used[c as usize] = true;
+            }
+        }
+        self.points.iter().zip(used).filter(|(_, used)| *used).map(|(p, _)| *p).collect()
+    }
+}
+
+/// A positively oriented tetrahedron of far-apart points, in unit coordinates.
+fn extreme_simplex(points: &[DVec3]) -> Option<[DVec3; 4]> {
+    let farthest = |measure: &dyn Fn(DVec3) -> f64| {
+        let mut best: Option<(f64, DVec3)> = None;
+        for &p in points {
+            let m = measure(p);
+            if best.is_none_or(|b| m > b.0) {
+                best = Some((m, p));
+            }
+        }
+        best
+    };
+    let a = *points.first()?;
+    let (far, b) = farthest(&|p| p.distance_squared(a))?;
+    if far < 1e-10 {
+        return None;
+    }
+    let along = (b - a).normalize();
+    let (wide, c) = farthest(&|p| (p - a).cross(along).length_squared())?;
+    if wide < 1e-10 {
+        return None;
+    }
+    let normal = (b - a).cross(c - a).normalize();
+    let (high, d) = farthest(&|p| (p - a).dot(normal).abs())?;
+    if high < 1e-5 {
+        return None;
+    }
+    // The apex sits on the side away from which the base is seen counter-clockwise.
+    Some(if (d - a).dot(normal) > 0.0 { [a, b, c, d] } else { [b, a, c, d] })
+}
+
+/// The convex outline of coplanar points.
+pub(crate) fn outline(points: &mut Vec<(DVec2, DVec3)>) {
+    if points.len() < 4 {
+        return;
+    }
+    points.sort_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.0.y.total_cmp(&b.0.y)));
+    let turn = |a: DVec2, b: DVec2, c: DVec2| (b - a).perp_dot(c - a);
+    let mut chain: Vec<(DVec2, DVec3)> = Vec::with_capacity(points.len());
+    for pass in 0..2 {
+        let base = chain.len();
+        let n = points.len();
+        for i in 0..n {
+            let p = points[if pass == 0 { i } else { n - 1 - i }];
+            while chain.len() >= base + 2
+                && turn(chain[chain.len() - 2].0, chain[chain.len() - 1].0, p.0) <= 1e-14
+            {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+    }
+    std::mem::swap(points, &mut chain);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::RngExt;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(60))]
+        #[test]
+        fn volume_equals_the_exact_hull_s(seed in 0u64..10_000, grid in proptest::bool::ANY, sorted in proptest::bool::ANY) {
+            let mut rng = sms_core::Seed(seed).rng();
+            let mut points: Vec<DVec3> = (0..120)
+                .map(|_| {
+                    let p = DVec3::new(rng.random(), rng.random(), rng.random());
+                    if grid { (p * 4.0).round() / 4.0 } else { p }
+                })
+                .collect();
+            if sorted {
+                points.sort_by(|a, b| a.z.total_cmp(&b.z));
+            }
+            let mut hull = GrowingHull::default();
+            for round in 0..2 {
+                hull.clear(1e-6);
+                for (i, &p) in points.iter().enumerate() {
+                    hull.push(p);
+                    if i % 40 == 20 + round {
+                        let _ = hull.volume();
+                    }
+                }
+                let exact = crate::convex_hull(&points, usize::MAX, 0.0).unwrap().volume();
+                prop_assert!((hull.volume() / exact - 1.0).abs() < 1e-5, "{} {exact}", hull.volume());
+                let faces: f64 =
+                    hull.triangles().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum();
+                prop_assert!((faces / exact - 1.0).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn outline_of_a_grid_is_its_corners() {
+        let mut points: Vec<(DVec2, DVec3)> = (0..25)
+            .map(|i| {
+                let p = DVec2::new(f64::from(i % 5), f64::from(i / 5));
+                (p, p.extend(0.0))
+            })
+            .collect();
+        outline(&mut points);
+        assert_eq!(points.len(), 4);
+    }
+}
