@@ -1,34 +1,32 @@
 //! The stage: from a Gaussian model with its frames and labels to entities.
 
+use crate::body;
 use crate::cloud::{self, Disc};
 use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::environment;
 use crate::grid::{PointGrid, quantile};
-use crate::mesher::{self, MeshInput, MeshPath};
-use crate::sphere::{self, RaySample, SphereFit};
+use crate::recognise::recognise_sphere;
+use crate::sphere::SphereFit;
 use crate::support::{self, Carrier, Rest, Surroundings};
-use crate::underside::{contact_points, is_over, outline_on_plane};
-use crate::views::{Views, depth_sigma, depth_tolerance};
+use crate::underside::{is_over, outline_on_plane};
+use crate::views::Views;
 use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
-use sms_core::{
-    Cancel, Entity, EntityKind, EntityShape, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Progress, Seed,
-    Warnings,
-};
+use sms_core::{Cancel, LabelInfo, Labels, MaskSource, PointCloud, Progress, Seed, Warnings};
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
 
-const STAGE: &str = "materialize";
+pub(crate) const STAGE: &str = "materialize";
 
 /// What is known of an object before it is meshed.
-struct Draft {
-    info: LabelInfo,
-    cloud: PointCloud,
-    rest: Rest,
-    sphere: Option<SphereFit>,
+pub(crate) struct Draft {
+    pub(crate) info: LabelInfo,
+    pub(crate) cloud: PointCloud,
+    pub(crate) rest: Rest,
+    pub(crate) sphere: Option<SphereFit>,
     /// Whether it stays where it is: physics would drop what only seems to float.
-    fixed: bool,
+    pub(crate) fixed: bool,
 }
 
 /// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of
@@ -71,8 +69,11 @@ pub fn build_entities(
         cancel.check()?;
         progress.update(count + i as u64, &draft.info.name);
         entities.extend(match draft.sphere {
-            Some(fit) => Some(sphere_entity(draft, &fit)),
-            None => mesh_entity(draft, &views, config, spacing, warnings),
+            Some(fit) => Some(body::sphere_entity(draft, &fit)),
+            None => {
+                let object_seed = seed.derive_index("solid", u64::from(draft.info.id));
+                body::mesh_entity(draft, &views, config, spacing, object_seed, warnings)
+            }
         });
     }
     for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
@@ -240,10 +241,6 @@ fn fix_floating(drafts: &mut [Draft], warnings: &Warnings) {
     }
 }
 
-fn kind(draft: &Draft) -> EntityKind {
-    if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic }
-}
-
 /// Whether an object would stay where it was seen: it stands on the floor or the environment, or it lies flat on
 /// another object with its middle over the contact.
 fn can_stay(draft: &Draft) -> bool {
@@ -282,182 +279,4 @@ fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) {
     if keep.iter().filter(|&&k| k).count() >= 20 {
         cloud::retain(cloud, &keep);
     }
-}
-
-/// Labelled depth pixels away from edges of depth and mask, as rays.
-fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
-    let mut rays = Vec::new();
-    for (f, frame) in views.sequence.frames.iter().enumerate() {
-        let map = &views.labels.maps[f];
-        for y in 1..map.height.saturating_sub(1) {
-            for x in 1..map.width.saturating_sub(1) {
-                let depth = f64::from(frame.depth[(x, y)]);
-                if map[(x, y)] != label || depth <= 0.0 {
-                    continue;
-                }
-                let inner = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].iter().all(|&at| {
-                    let next = f64::from(frame.depth[at]);
-                    map[at] == label && (next <= 0.0 || (next - depth).abs() < 4.0 * depth_tolerance(depth))
-                });
-                if !inner {
-                    continue;
-                }
-                let origin = frame.camera.center_w();
-                let p = frame.camera.unproject_pixel(x, y, depth);
-                let distance = p.distance(origin);
-                rays.push(RaySample {
-                    origin,
-                    direction: (p - origin) / distance,
-                    distance,
-                    sigma: depth_sigma(depth) * distance / depth,
-                });
-            }
-        }
-    }
-    let stride = rays.len().div_ceil(40_000).max(1);
-    rays.into_iter().step_by(stride).collect()
-}
-
-fn recognise_sphere(
-    cloud: &PointCloud,
-    views: &Views,
-    label: u16,
-    rest: &Rest,
-    config: &EntitiesConfig,
-    seed: Seed,
-) -> Option<SphereFit> {
-    let points = &cloud.points_w;
-    let first = sphere::fit_sphere(points, &config.sphere, seed)?;
-    if !sphere::is_sphere(&first, points, &config.sphere) {
-        return None;
-    }
-    // A ball that stands on the level floor touches it: that fixes what the hidden lower half leaves open.
-    let gap = first.center.z - first.radius - rest.plane.offset;
-    let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
-    let rays = object_rays(views, label);
-    let best = match sphere::refine_on_rays(&rays, first.center, first.radius, floor) {
-        Some((center, radius)) => {
-            let refined = sphere::describe(points, center, radius, first.sigma, &config.sphere);
-            // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
-            if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
-        }
-        None => first,
-    };
-    (!is_contradicted(&best, views, label, rest)).then_some(best)
-}
-
-/// Share of a sphere's seen directions through which cameras may look before it is no ball. Borders of masks and of
-/// depth cost a few percent; a bowl, the cap of a sphere, is seen through over half of it.
-const SEEN_THROUGH: f64 = 0.12;
-/// How far a ball may reach below what it rests on, metres.
-const SUNK_M: f64 = 0.003;
-
-/// Whether the cameras or the floor contradict that a whole sphere is there. A round bowl's wall lies on a sphere, too.
-fn is_contradicted(fit: &SphereFit, views: &Views, label: u16, rest: &Rest) -> bool {
-    if rest.plane.height_over(fit.center) - fit.radius < -SUNK_M {
-        return true;
-    }
-    let (mut seen, mut through) = (0, 0);
-    for direction in sphere::directions(400) {
-        // Slightly inside, so that noise of a true surface is not taken for emptiness.
-        let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
-        if count.own + count.free >= 2 {
-            seen += 1;
-            through += usize::from(count.free > count.own);
-        }
-    }
-    through as f64 > SEEN_THROUGH * f64::from(seen.max(1))
-}
-
-fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
-    let mut center_w = fit.center;
-    if draft.rest.carrier != Carrier::Unseen {
-        // No overlap and no gap with what carries it, where they are within what the scan can tell.
-        let gap = draft.rest.plane.height_over(center_w) - fit.radius;
-        if gap.abs() < 0.003 {
-            center_w -= draft.rest.plane.normal * gap;
-        }
-    }
-    let mut mesh = Mesh::icosphere(fit.radius, 3);
-    for v in &mut mesh.vertices {
-        *v += center_w;
-    }
-    let mean_color = cloud::mean_color(&draft.cloud.colors);
-    mesh.colors = vec![mean_color; mesh.vertices.len()];
-    let residuals = draft.cloud.points_w.iter().map(|p| (p.distance(center_w) - fit.radius).abs()).collect();
-    Entity {
-        label: draft.info.id,
-        name: draft.info.name.clone(),
-        description: draft.info.description.clone(),
-        kind: kind(draft),
-        shape: EntityShape::Sphere { center_w, radius: fit.radius },
-        cloud: draft.cloud.clone(),
-        mesh,
-        parts: Vec::new(),
-        texture: None,
-        observed_share: fit.coverage,
-        residual_m: crate::grid::median(residuals),
-        mean_color,
-    }
-}
-
-fn mesh_entity(
-    draft: &Draft,
-    views: &Views,
-    config: &EntitiesConfig,
-    spacing: f64,
-    warnings: &Warnings,
-) -> Option<Entity> {
-    let name = &draft.info.name;
-    let contact = contact_points(&draft.cloud, &draft.rest, views, draft.info.id, spacing);
-    let input = MeshInput {
-        cloud: &draft.cloud,
-        contact: &contact,
-        rest: draft.rest.plane,
-        views: Some(views),
-        spacing,
-    };
-    let Some((mut mesh, path)) = mesher::mesh_object(&input, config) else {
-        warnings.add(
-            STAGE,
-            "object_flat",
-            format!("the surface seen of `{name}` is flat: no solid can be made of it, and it is left out"),
-            "scan it from more sides",
-        );
-        return None;
-    };
-    match path {
-        MeshPath::Asked => {}
-        MeshPath::Prune => warnings.add(
-            STAGE,
-            "mesh_rule_changed",
-            format!("the chosen mesh rule left no solid of `{name}`; the other rule was used"),
-            "scan it from more sides",
-        ),
-        MeshPath::Hull => warnings.add(
-            STAGE,
-            "mesh_is_hull",
-            format!("`{name}` is represented by the convex hull of its points: its hollows are lost"),
-            "scan it from more sides",
-        ),
-    }
-    mesh.colors = crate::refine::colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
-    let mut parts = sms_convex::convex_parts(&mesh, &config.convex);
-    crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
-    let stride = draft.cloud.points_w.len().div_ceil(1500).max(1);
-    let sample: Vec<DVec3> = draft.cloud.points_w.iter().copied().step_by(stride).collect();
-    Some(Entity {
-        label: draft.info.id,
-        name: name.clone(),
-        description: draft.info.description.clone(),
-        kind: kind(draft),
-        shape: EntityShape::Convex,
-        cloud: draft.cloud.clone(),
-        observed_share: mesher::observed_share(&mesh, &draft.cloud, 1.5 * spacing),
-        residual_m: crate::grid::median(mesher::distances(&sample, &mesh)),
-        mean_color: cloud::mean_color(&draft.cloud.colors),
-        mesh,
-        parts,
-        texture: None,
-    })
 }

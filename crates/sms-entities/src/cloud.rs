@@ -26,6 +26,25 @@ pub(crate) fn spacing(config: &EntitiesConfig) -> f64 {
     1.0 / config.density_per_m2.max(100.0).sqrt()
 }
 
+/// Median distance to the nearest neighbour that is somewhere else, metres, scaled to the pitch of an even cover (random
+/// points lie half as far from their nearest as even ones); `None` where all points are one.
+pub(crate) fn measured_spacing(points: &[DVec3]) -> Option<f64> {
+    let extents = sms_core::Aabb::of_points(points.iter().copied())?.extents();
+    // A surface of n points: its box has about this pitch.
+    let guess = (extents.length_squared() / points.len() as f64).sqrt();
+    if !(guess > 0.0 && guess.is_finite()) {
+        return None;
+    }
+    let grid = PointGrid::new(points, guess);
+    let stride = points.len().div_ceil(2000).max(1);
+    let gaps = points
+        .iter()
+        .step_by(stride)
+        .filter_map(|&p| grid.nearest_k(p, 4).into_iter().map(|n| n.0.sqrt()).find(|&d| d > 0.0));
+    let gaps: Vec<f64> = gaps.collect();
+    (!gaps.is_empty()).then(|| 2.0 * median(gaps))
+}
+
 /// The discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the frames:
 /// what cameras look through, or label otherwise where they see it, is dropped.
 pub(crate) fn label_discs(

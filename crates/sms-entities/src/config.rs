@@ -44,6 +44,8 @@ pub struct EntitiesConfig {
     pub face_budget: usize,
     /// Sphere recognition.
     pub sphere: SphereConfig,
+    /// Recognition of boxes and cylinders.
+    pub primitive: PrimitiveConfig,
     /// Convex parts.
     pub convex: ConvexConfig,
     /// The static environment.
@@ -65,6 +67,7 @@ impl Default for EntitiesConfig {
             smoothing_iterations: 10,
             face_budget: 2000,
             sphere: SphereConfig::default(),
+            primitive: PrimitiveConfig::default(),
             convex: ConvexConfig::default(),
             environment: EnvironmentConfig::default(),
         }
@@ -92,6 +95,9 @@ impl EntitiesConfig {
             ("sphere.min_coverage", sphere.min_coverage, 0.0, 1.0),
             ("sphere.min_radius", sphere.min_radius, 0.0, 100.0),
             ("sphere.max_radius", sphere.max_radius, 0.0, 100.0),
+            ("primitive.inlier_distance", self.primitive.inlier_distance, 1e-5, 1.0),
+            ("primitive.min_inlier_share", self.primitive.min_inlier_share, 0.0, 1.0),
+            ("primitive.max_volume_error", self.primitive.max_volume_error, 0.0, 1.0),
             ("convex.threshold", convex.threshold, 1e-3, 1.0),
             ("convex.floor", convex.floor, 0.0, 1.0),
             ("environment.voxel", environment.voxel, 5e-4, 1.0),
@@ -112,6 +118,26 @@ impl EntitiesConfig {
             r.count(key, value, low, high)?;
         }
         r.ordered(("sphere.min_radius", sphere.min_radius), ("sphere.max_radius", sphere.max_radius))
+    }
+}
+
+/// When a cloud counts as a box or a cylinder: exact solids collide better and faster than hulls.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PrimitiveConfig {
+    /// Whether boxes and cylinders are recognised at all.
+    pub enabled: bool,
+    /// A point belongs to the solid when nearer than this to its surface, metres, and its normal agrees.
+    pub inlier_distance: f64,
+    /// Share of the surface points that must belong to it.
+    pub min_inlier_share: f64,
+    /// Largest difference of its volume from that of the mesh of the same points, as a share: hollow things are no solids.
+    pub max_volume_error: f64,
+}
+
+impl Default for PrimitiveConfig {
+    fn default() -> Self {
+        Self { enabled: true, inlier_distance: 0.0015, min_inlier_share: 0.92, max_volume_error: 0.06 }
     }
 }
 

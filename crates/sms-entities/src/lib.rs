@@ -7,7 +7,8 @@
 //!    an even, oriented surface cloud.
 //! 2. `support`, `underside`: what it rests on is found, and the contact area that no camera saw is closed.
 //! 3. `sphere`: round objects become spheres, whatever they are called.
-//! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes.
+//! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes; `primitive`: boxes and
+//!    cylinders that explain what was seen take the place of theirs.
 //! 5. crate `sms-convex`: meshes are split into convex parts for physics.
 //! 6. `contact`: parts of different objects that overlap are cut apart.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
@@ -27,10 +28,12 @@
 //! assert!((volume - 1e-3).abs() < 1e-12);
 //! ```
 
+mod body;
 mod build;
 mod cloud;
 mod config;
 mod contact;
+mod decimate;
 mod delaunay;
 mod environment;
 mod error;
@@ -42,6 +45,8 @@ mod maxflow;
 mod mesher;
 mod pca;
 mod predicates;
+mod primitive;
+mod recognise;
 mod refine;
 mod save;
 mod sphere;
@@ -52,9 +57,11 @@ mod underside;
 mod views;
 
 pub use build::build_entities;
-pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, SphereConfig};
+pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, PrimitiveConfig, SphereConfig};
 pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
 pub use error::EntitiesError;
+pub use mesher::mesh_cloud;
+pub use primitive::{PrimitiveFit, fit_primitive};
 pub use save::{load_entities, save_entities};
 pub use sms_convex::{ConvexConfig, convex_hull, convex_parts};
 pub use sphere::{SphereFit, fit_sphere};

@@ -1,4 +1,4 @@
-//! Smoothing and decimation that keep a mesh closed.
+//! Smoothing, decimation of open meshes, colours.
 
 use glamx::DVec3;
 use sms_core::Mesh;
@@ -32,26 +32,7 @@ pub(crate) fn taubin(mesh: &mut Mesh, fixed: &[bool], iterations: usize, limit: 
     }
 }
 
-/// Fewer faces, at most about `budget`, by quadric collapses (crate `meshopt`). A closed mesh comes back closed: when
-/// the collapse opened it, larger budgets are tried, and at last the mesh is returned as it was.
-pub(crate) fn decimate(mesh: &Mesh, budget: usize) -> Mesh {
-    if mesh.triangles.len() <= budget {
-        return mesh.clone();
-    }
-    let was_closed = mesh.is_closed_oriented();
-    let mut target = budget.max(8);
-    let max_error = 0.05 * mesh.aabb().map_or(0.0, |b| b.extents().max_element());
-    while target < mesh.triangles.len() {
-        let simpler = simplify(mesh, target, max_error);
-        if !simpler.triangles.is_empty() && (!was_closed || simpler.is_closed_oriented()) {
-            return simpler;
-        }
-        target = target * 3 / 2;
-    }
-    mesh.clone()
-}
-
-/// Quadric collapses down to `target` faces as long as the surface moves by at most `max_error` metres.
+/// For open meshes (crate `meshopt`): quadric collapses down to `target` faces as long as the surface moves by at most `max_error` metres.
 pub(crate) fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     let Some(bounds) = mesh.aabb() else { return mesh.clone() };
     // Single precision is ample once the mesh is near the origin.
@@ -107,14 +88,5 @@ mod tests {
         let smooth: f64 = mesh.vertices.iter().map(|v| (v.length() - 0.05).abs()).sum();
         assert!(smooth < 0.5 * rough);
         assert!((mesh.volume() / exact - 1.0).abs() < 0.01);
-    }
-
-    #[test]
-    fn decimation_keeps_meshes_closed() {
-        let mesh = Mesh::icosphere(0.05, 5);
-        let small = decimate(&mesh, 500);
-        assert!(small.triangles.len() <= 500 && small.is_closed_oriented());
-        // 500 faces inscribed in a sphere miss about 2.5 % of its volume.
-        assert!((small.volume() / mesh.volume() - 1.0).abs() < 0.04);
     }
 }

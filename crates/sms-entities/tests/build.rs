@@ -42,8 +42,8 @@ fn analytic_shapes_come_back_with_their_volume() {
     let z = DVec3::ZERO;
     // Volume error, mean surface error (mm): about 1.5 times what was measured.
     let shapes = [
-        (cuboid(z, DVec3::new(0.05, 0.035, 0.04), 0.3), 0.02, 0.45),
-        (cylinder(z, 0.033, 0.1), 0.02, 0.4),
+        (cuboid(z, DVec3::new(0.05, 0.035, 0.04), 0.3), 0.005, 0.1),
+        (cylinder(z, 0.033, 0.1), 0.005, 0.1),
         (cup(z, 0.05, 0.09, 0.006), 0.04, 0.45),
         (bracket(z, 0.14, 0.06, 0.03, 0.1), 0.02, 0.55),
         (torus(z, 0.06, 0.02), 0.035, 0.5),
@@ -73,7 +73,23 @@ fn analytic_shapes_come_back_with_their_volume() {
             1e3 * entity.residual_m,
         );
         assert_eq!(entity.kind, EntityKind::Dynamic);
-        assert_eq!(entity.shape, EntityShape::Convex, "{name} is not a ball");
+        let exact = match &entity.shape {
+            EntityShape::Box { half_extents, .. } => {
+                let mut edges = half_extents.to_array();
+                edges.sort_by(f64::total_cmp);
+                assert!(
+                    (DVec3::from_array(edges) - DVec3::new(0.035, 0.04, 0.05)).abs().max_element() < 3e-4
+                );
+                "box"
+            }
+            EntityShape::Cylinder { radius, half_length, .. } => {
+                assert!((radius - 0.033).abs() < 2e-4 && (half_length - 0.05).abs() < 2e-4);
+                "cylinder"
+            }
+            EntityShape::Convex => "",
+            other => panic!("{name} is {other:?}"),
+        };
+        assert_eq!(exact == name, ["box", "cylinder"].contains(&name), "{name}: {:?}", entity.shape);
         assert!(entity.mesh.is_closed_oriented(), "{name}");
         assert!(ratio.abs() < volume_bound, "{name}: {ratio}");
         assert!(1e3 * mean < error_bound, "{name}: {mean}");

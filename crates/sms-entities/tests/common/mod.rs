@@ -3,7 +3,7 @@
 
 use rand::RngExt;
 use sms_core::glamx::{DQuat, DVec3, Quat, Vec3};
-use sms_core::{Camera, Image, Intrinsics, LabelInfo, Labels, MaskSource, Mesh, Seed};
+use sms_core::{Camera, Image, Intrinsics, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed};
 use sms_frames::{Frame, Sequence};
 use sms_gaussians::{AFFINITY_DIM, GaussianModel};
 
@@ -276,4 +276,39 @@ pub fn surface_error(mesh: &Mesh, shape: &Shape) -> (f64, f64) {
         }
     }
     (sum / weight, worst)
+}
+
+/// `n` points spread evenly over a shape that lies within ±`half` of the origin, moved by `noise_m` along their normals,
+/// with normals turned by about `normal_noise_rad` about each tangent axis.
+pub fn sample_surface_of(
+    shape: &Shape,
+    half: f64,
+    n: usize,
+    noise_m: f64,
+    normal_noise_rad: f64,
+    seed: u64,
+) -> PointCloud {
+    const SHELL_M: f64 = 0.0008;
+    let mut rng = Seed(seed).rng();
+    let mut cloud = PointCloud::default();
+    while cloud.points_w.len() < n {
+        let mut p = DVec3::from_array(std::array::from_fn(|_| half * (2.0 * rng.random::<f64>() - 1.0)));
+        // Even in a thin shell is even on the surface.
+        if (shape.sdf)(p).abs() > SHELL_M {
+            continue;
+        }
+        for _ in 0..3 {
+            p -= gradient(&shape.sdf, p) * (shape.sdf)(p);
+        }
+        let normal = gradient(&shape.sdf, p);
+        if normal == DVec3::ZERO || (shape.sdf)(p).abs() > 1e-5 {
+            continue;
+        }
+        let (u, v) = (normal.any_orthonormal_vector(), normal.cross(normal.any_orthonormal_vector()));
+        let turned = normal + (u * gauss(&mut rng) + v * gauss(&mut rng)) * normal_noise_rad;
+        cloud.points_w.push(p + normal * (noise_m * gauss(&mut rng)));
+        cloud.normals_w.push(turned.normalize());
+        cloud.colors.push([128; 3]);
+    }
+    cloud
 }

@@ -1,0 +1,217 @@
+//! Which exact solid an object is, if it is one.
+
+use crate::build::Draft;
+use crate::config::EntitiesConfig;
+use crate::primitive::{self, primitive_mesh};
+use crate::sphere::{self, RaySample, SphereFit};
+use crate::support::{Carrier, Plane, Rest};
+use crate::views::{Views, depth_sigma, depth_tolerance};
+use glamx::{DPose3, DQuat, DVec3};
+use sms_core::{EntityShape, Mesh, PointCloud, Seed};
+
+/// Labelled depth pixels away from edges of depth and mask, as rays.
+fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
+    let mut rays = Vec::new();
+    for (f, frame) in views.sequence.frames.iter().enumerate() {
+        let map = &views.labels.maps[f];
+        for y in 1..map.height.saturating_sub(1) {
+            for x in 1..map.width.saturating_sub(1) {
+                let depth = f64::from(frame.depth[(x, y)]);
+                if map[(x, y)] != label || depth <= 0.0 {
+                    continue;
+                }
+                let inner = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].iter().all(|&at| {
+                    let next = f64::from(frame.depth[at]);
+                    map[at] == label && (next <= 0.0 || (next - depth).abs() < 4.0 * depth_tolerance(depth))
+                });
+                if !inner {
+                    continue;
+                }
+                let origin = frame.camera.center_w();
+                let p = frame.camera.unproject_pixel(x, y, depth);
+                let distance = p.distance(origin);
+                rays.push(RaySample {
+                    origin,
+                    direction: (p - origin) / distance,
+                    distance,
+                    sigma: depth_sigma(depth) * distance / depth,
+                });
+            }
+        }
+    }
+    let stride = rays.len().div_ceil(40_000).max(1);
+    rays.into_iter().step_by(stride).collect()
+}
+
+pub(crate) fn recognise_sphere(
+    cloud: &PointCloud,
+    views: &Views,
+    label: u16,
+    rest: &Rest,
+    config: &EntitiesConfig,
+    seed: Seed,
+) -> Option<SphereFit> {
+    let points = &cloud.points_w;
+    let first = sphere::fit_sphere(points, &config.sphere, seed)?;
+    if !sphere::is_sphere(&first, points, &config.sphere) {
+        return None;
+    }
+    // A ball that stands on the level floor touches it: that fixes what the hidden lower half leaves open.
+    let gap = first.center.z - first.radius - rest.plane.offset;
+    let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
+    let rays = object_rays(views, label);
+    let best = match sphere::refine_on_rays(&rays, first.center, first.radius, floor) {
+        Some((center, radius)) => {
+            let refined = sphere::describe(points, center, radius, first.sigma, &config.sphere);
+            // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
+            if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
+        }
+        None => first,
+    };
+    (!is_contradicted(&best, views, label, rest)).then_some(best)
+}
+
+/// Share of a sphere's seen directions through which cameras may look before it is no ball. Borders of masks and of
+/// depth cost a few percent; a bowl, the cap of a sphere, is seen through over half of it.
+const SEEN_THROUGH: f64 = 0.12;
+/// How far a ball may reach below what it rests on, metres.
+const SUNK_M: f64 = 0.003;
+
+/// Whether the cameras or the floor contradict that a whole sphere is there. A round bowl's wall lies on a sphere, too.
+fn is_contradicted(fit: &SphereFit, views: &Views, label: u16, rest: &Rest) -> bool {
+    if rest.plane.height_over(fit.center) - fit.radius < -SUNK_M {
+        return true;
+    }
+    let (mut seen, mut through) = (0, 0);
+    for direction in sphere::directions(400) {
+        // Slightly inside, so that noise of a true surface is not taken for emptiness.
+        let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
+        if count.own + count.free >= 2 {
+            seen += 1;
+            through += usize::from(count.free > count.own);
+        }
+    }
+    through as f64 > SEEN_THROUGH * f64::from(seen.max(1))
+}
+
+/// Least agreement between a solid's axis and the upright for it to be set upright exactly: 3°.
+const UPRIGHT: f64 = 0.9986;
+/// Gap or overlap with the carrier that is taken for an error of the scan, metres.
+const GAP_M: f64 = 0.004;
+
+/// The box or cylinder that explains the object's points and its contact points, set onto what it rests on; `None` where
+/// neither does, where `mesh` of the same points has another volume, or where cameras look through it.
+pub(crate) fn recognise_primitive(
+    draft: &Draft,
+    contact: &[DVec3],
+    mesh: &Mesh,
+    views: &Views,
+    config: &EntitiesConfig,
+    seed: Seed,
+) -> Option<EntityShape> {
+    let settings = &config.primitive;
+    if !settings.enabled {
+        return None;
+    }
+    let plane = &draft.rest.plane;
+    let mut cloud = draft.cloud.clone();
+    // What is hidden below says where the solid ends, but does not vote for it.
+    cloud.points_w.extend_from_slice(contact);
+    cloud.normals_w.extend(std::iter::repeat_n(-plane.normal, contact.len()));
+    let fit = primitive::fit_primitive(&cloud, Some(plane.normal), settings, seed)?;
+    if fit.inlier_share < settings.min_inlier_share || fit.residual_median_m > 0.5 * settings.inlier_distance
+    {
+        return None;
+    }
+    let shape = if draft.rest.carrier == Carrier::Unseen { fit.shape } else { stood_on(fit.shape, plane) };
+    let surface = primitive_mesh(&shape, 0.01)?;
+    let same_volume = (surface.volume() / mesh.volume() - 1.0).abs() <= settings.max_volume_error;
+    (same_volume && !is_looked_through(&surface, views, draft.info.id)).then_some(shape)
+}
+
+/// The solid turned the little that sets it upright (or lays a cylinder flat) on the plane, and moved onto it.
+fn stood_on(shape: EntityShape, plane: &Plane) -> EntityShape {
+    let n = plane.normal;
+    let turned = |x_ws: DPose3, axis: DVec3, onto: DVec3| -> DPose3 {
+        DPose3::from_parts(x_ws.translation, DQuat::from_rotation_arc(axis, onto) * x_ws.rotation)
+    };
+    let upright = |x_ws: DPose3, axes: &[DVec3]| -> Option<DPose3> {
+        let world = axes.iter().map(|&a| x_ws.rotation * a).map(|a| a * a.dot(n).signum());
+        let best = world.max_by(|a, b| a.dot(n).total_cmp(&b.dot(n)))?;
+        (best.dot(n) > UPRIGHT).then(|| turned(x_ws, best, n))
+    };
+    let lowered = |x_ws: DPose3, reach: f64| -> DPose3 {
+        let gap = plane.height_over(x_ws.translation) - reach;
+        let shift = if gap.abs() < GAP_M { -n * gap } else { DVec3::ZERO };
+        DPose3::from_parts(x_ws.translation + shift, x_ws.rotation)
+    };
+    match shape {
+        EntityShape::Box { x_ws, half_extents } => {
+            let x_ws = upright(x_ws, &DVec3::AXES).unwrap_or(x_ws);
+            let reach = (0..3).map(|k| half_extents[k] * (x_ws.rotation * DVec3::AXES[k]).dot(n).abs()).sum();
+            EntityShape::Box { x_ws: lowered(x_ws, reach), half_extents }
+        }
+        EntityShape::Cylinder { x_ws, radius, half_length } => {
+            let axis = x_ws.rotation * DVec3::Z;
+            let x_ws = upright(x_ws, &[DVec3::Z]).unwrap_or_else(|| {
+                let level = (axis - n * axis.dot(n)).normalize_or(axis);
+                if level.dot(axis) > UPRIGHT { turned(x_ws, axis, level) } else { x_ws }
+            });
+            let along = (x_ws.rotation * DVec3::Z).dot(n).abs();
+            let reach = half_length * along + radius * (1.0 - along * along).max(0.0).sqrt();
+            EntityShape::Cylinder { x_ws: lowered(x_ws, reach), radius, half_length }
+        }
+        other => other,
+    }
+}
+
+/// Whether cameras look through the solid just under its surface, in more than borders of masks and depth account for.
+fn is_looked_through(surface: &Mesh, views: &Views, label: u16) -> bool {
+    /// Under the surface by this much, metres, so that noise of a true one is not taken for emptiness.
+    const UNDER_M: f64 = 0.002;
+    let (mut seen, mut through) = (0.0, 0.0);
+    for t in 0..surface.triangles.len() {
+        let [a, b, c] = surface.corners(t);
+        let cross = (b - a).cross(c - a);
+        let middle = (a + b + c) / 3.0 - cross.normalize_or_zero() * UNDER_M;
+        let count = views.count(middle, label);
+        if count.own + count.free >= 2 {
+            seen += cross.length();
+            through += if count.free > count.own { cross.length() } else { 0.0 };
+        }
+    }
+    through > SEEN_THROUGH * seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solids_that_nearly_stand_are_set_upright_on_the_plane() {
+        let plane = Plane { normal: DVec3::new(0.1, 0.0, 1.0).normalize(), offset: 0.02 };
+        let tilt = DQuat::from_rotation_arc(DVec3::Z, plane.normal) * DQuat::from_rotation_x(0.03);
+        let at = |height: f64| DPose3::from_parts(plane.normal * (plane.offset + height), tilt);
+        let size = DVec3::new(0.02, 0.03, 0.05);
+        let EntityShape::Box { x_ws, .. } =
+            stood_on(EntityShape::Box { x_ws: at(0.052), half_extents: size }, &plane)
+        else {
+            panic!()
+        };
+        assert!((x_ws.rotation * DVec3::Z).dot(plane.normal) > 1.0 - 1e-12);
+        assert!((plane.height_over(x_ws.translation) - 0.05).abs() < 1e-12);
+        // A lying cylinder touches along its whole length.
+        let lying = DPose3::from_parts(
+            plane.normal * (plane.offset + 0.031),
+            tilt * DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+        );
+        let can = EntityShape::Cylinder { x_ws: lying, radius: 0.03, half_length: 0.06 };
+        let EntityShape::Cylinder { x_ws, .. } = stood_on(can, &plane) else { panic!() };
+        assert!((x_ws.rotation * DVec3::Z).dot(plane.normal).abs() < 1e-12);
+        assert!((plane.height_over(x_ws.translation) - 0.03).abs() < 1e-12);
+        // What leans by 10° leans; what hangs 2 cm higher hangs.
+        let leaning = DPose3::from_parts(DVec3::Z, DQuat::from_rotation_x(0.17));
+        let shape = EntityShape::Box { x_ws: leaning, half_extents: size };
+        assert_eq!(stood_on(shape.clone(), &Plane::horizontal(0.9)), shape);
+    }
+}
