@@ -235,16 +235,29 @@ pub(crate) struct Report {
 pub(crate) enum FormatName {
     /// MuJoCo.
     Mjcf,
+    /// One URDF per body, with a loader for PyBullet.
+    Urdf,
+    /// SDFormat world for Gazebo.
+    Sdf,
+    /// OpenUSD with physics schemas, for Isaac Sim and Omniverse.
+    Usd,
+    /// glTF 2.0 binary: the scene and each object.
+    Glb,
+    /// Wavefront OBJ: the scene, each object and its convex parts.
+    Obj,
+    /// Every format.
+    All,
 }
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct Export {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Format.
-    #[arg(long, value_enum)]
-    pub format: FormatName,
-    /// Folder to write to (default: RUN/export/FORMAT).
+    /// Formats, separated by commas or given again.
+    #[arg(long, value_enum, required = true, value_delimiter = ',')]
+    pub format: Vec<FormatName>,
+    /// Folder to write to, with one below it for each of several formats (default: RUN/export/FORMAT). It is replaced
+    /// when it holds an earlier export.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }

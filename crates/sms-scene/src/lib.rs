@@ -1,8 +1,8 @@
-//! The simulation-ready scene: manifest, validation, export.
+//! The simulation-ready scene: manifest and validation.
 //!
 //! [`build_scene`] puts reconstructed entities and their materials together; [`Scene::validate`] says whether a
-//! physics engine can take the result; [`save_scene`] writes `scene.json` with its meshes, and [`write_mjcf`] the
-//! same bodies for MuJoCo.
+//! physics engine can take the result; [`save_scene`] writes `scene.json` with its meshes. Other simulators get it from
+//! `sms-export`.
 //!
 //! ```
 //! use sms_core::{Interval, glamx::{DPose3, DVec3}};
@@ -19,14 +19,10 @@
 
 mod build;
 mod manifest;
-mod mjcf;
 mod scene;
 mod validate;
 
 pub use build::{BuildError, GRAVITY, build_scene, example_material, floor_body};
-pub use manifest::{
-    SceneError, hull_file, load_scene, save_scene, trimesh_file, visual_file, write_meshes,
-};
-pub use mjcf::{mjcf_text, write_mjcf};
+pub use manifest::{SceneError, hull_file, load_scene, save_scene, trimesh_file, visual_file, write_meshes};
 pub use scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 pub use validate::Problem;

@@ -9,11 +9,12 @@ use sms_core::{
     CoreError, EntityKind, EntityShape, Hash, Hasher, InputError, Labels, RunFolder, Seed, atomic,
 };
 use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
+use sms_export::mjcf_text;
 use sms_frames::Sequence;
 use sms_gaussians::read_ply;
 use sms_masks::load_labels;
 use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
-use sms_scene::{build_scene, save_scene, write_mjcf};
+use sms_scene::{build_scene, save_scene};
 
 pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
@@ -65,6 +66,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                 description: e.description.clone(),
                 is_sphere: matches!(e.shape, EntityShape::Sphere { .. }),
                 mean_color: e.mean_color,
+                ..ObjectQuery::default()
             })
             .collect();
         queries.push(ObjectQuery {
@@ -72,6 +74,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
             description: "floor".into(),
             is_sphere: false,
             mean_color: [128; 3],
+            ..ObjectQuery::default()
         });
         let mut materials = assign(&queries, &MaterialTable::builtin(), overrides.as_ref(), warnings)?;
         let floor = materials.pop();
@@ -79,7 +82,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         let scene =
             build_scene(&settings.recording_name(), &set.entities, &materials, support, x_world_recording)?;
         save_scene(stage.dir(), &scene)?;
-        write_mjcf(stage.dir(), &scene)?;
+        atomic::write_bytes(&stage.dir().join("scene.xml"), mjcf_text(&scene).as_bytes())?;
         Ok(Metrics::new())
     })?;
     summary(context, &set);

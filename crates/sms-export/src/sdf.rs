@@ -1,0 +1,161 @@
+//! SDFormat 1.9: a world with one model per body, and each model as a folder of its own that other worlds can include.
+
+use crate::contact::{factors, with_ground};
+use crate::text::{escape, number, numbers, pose_rpy, principal, rgba, small};
+use glamx::DPose3;
+use sms_core::{CoreError, atomic};
+use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visual_file, write_meshes};
+use std::fmt::Write;
+use std::path::Path;
+
+const HEAD: &str = "<?xml version=\"1.0\"?>\n<sdf version=\"1.9\">\n";
+
+/// Writes `world.sdf`, the meshes, and `models/<name>/{model.config,model.sdf,meshes/}` for each body.
+pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
+    let mut world = String::from(HEAD);
+    let _ = write!(
+        world,
+        "  <!-- Written by sms. Metres, kilograms, seconds, radians; world z up. -->\n  <world name=\"{}\">\n    \
+         <gravity>{}</gravity>\n    <physics name=\"default\" type=\"ignored\">\n      \
+         <max_step_size>0.001</max_step_size>\n      <real_time_factor>1</real_time_factor>\n    </physics>\n    \
+         <light type=\"directional\" name=\"sun\">\n      <pose>0 0 10 0 0 0</pose>\n      \
+         <diffuse>0.9 0.9 0.9 1</diffuse>\n      <direction>-0.3 0.2 -1</direction>\n      \
+         <cast_shadows>true</cast_shadows>\n    </light>\n",
+        escape(&scene.name),
+        numbers(scene.gravity_w.to_array()),
+    );
+    for body in &scene.bodies {
+        let folder = dir.join("models").join(&body.name);
+        let alone = Scene { bodies: vec![body.clone()], ..scene.clone() };
+        write_meshes(&alone, &folder)?;
+        let at_origin = format!("{HEAD}{}</sdf>\n", model(scene, body, None, ""));
+        atomic::write_bytes(&folder.join("model.sdf"), at_origin.as_bytes())?;
+        atomic::write_bytes(&folder.join("model.config"), config(body).as_bytes())?;
+        world.push_str(&model(scene, body, Some(&body.x_wb), &format!("models/{}/", body.name)));
+    }
+    world.push_str("  </world>\n</sdf>\n");
+    atomic::write_bytes(&dir.join("world.sdf"), world.as_bytes())
+}
+
+fn config(body: &Body) -> String {
+    format!(
+        "<?xml version=\"1.0\"?>\n<model>\n  <name>{}</name>\n  <version>1.0</version>\n  \
+         <sdf version=\"1.9\">model.sdf</sdf>\n  <author>\n    <name>sms</name>\n    <email>none</email>\n  </author>\n  \
+         <description>{} (reconstructed from an RGB-D scan)</description>\n</model>\n",
+        escape(&body.name),
+        escape(if body.description.is_empty() { &body.name } else { &body.description }),
+    )
+}
+
+/// Geometries of the collision elements; mesh files below `prefix`.
+fn geometries(body: &Body, prefix: &str) -> Vec<String> {
+    let mesh = |file: String| format!("<mesh><uri>{prefix}{file}</uri></mesh>");
+    match &body.shape {
+        BodyShape::Sphere { radius } => {
+            vec![format!("<sphere><radius>{}</radius></sphere>", number(*radius))]
+        }
+        BodyShape::Box { half_extents } => {
+            vec![format!("<box><size>{}</size></box>", numbers((2.0 * *half_extents).to_array()))]
+        }
+        BodyShape::Cylinder { radius, half_length } => vec![format!(
+            "<cylinder><radius>{}</radius><length>{}</length></cylinder>",
+            number(*radius),
+            number(2.0 * half_length)
+        )],
+        BodyShape::HalfSpace => {
+            vec!["<plane><normal>0 0 1</normal><size>20 20</size></plane>".into()]
+        }
+        BodyShape::Hulls { hulls } => (0..hulls.len()).map(|i| mesh(hull_file(body, i))).collect(),
+        BodyShape::TriMesh { .. } => vec![mesh(trimesh_file(body))],
+    }
+}
+
+/// Friction: Gazebo's engines take the smaller coefficient of a pair, so a moving body has its mean with the ground and
+/// static ones the largest of these. Restitution is multiplied.
+fn surface(scene: &Scene, body: &Body) -> String {
+    let mean = |b: &Body| with_ground(scene, b, |b| b.material.friction);
+    let friction = match body.kind {
+        BodyKind::Dynamic => mean(body),
+        BodyKind::Static => scene.bodies.iter().map(mean).fold(0.0, f64::max),
+    };
+    format!(
+        "        <surface>\n          <friction><ode><mu>{friction:.6}</mu><mu2>{friction:.6}</mu2></ode></friction>\n          \
+         <bounce><restitution_coefficient>{:.6}</restitution_coefficient><threshold>0.05</threshold></bounce>\n        \
+         </surface>\n",
+        factors(scene, body).restitution
+    )
+}
+
+fn model(scene: &Scene, body: &Body, pose: Option<&DPose3>, prefix: &str) -> String {
+    let name = escape(&body.name);
+    let mut t = format!("    <model name=\"{name}\">\n");
+    if let Some(pose) = pose {
+        let _ = writeln!(t, "      <pose>{}</pose>", pose_rpy(pose));
+    }
+    let _ = writeln!(t, "      <static>{}</static>", body.kind == BodyKind::Static);
+    t.push_str("      <link name=\"link\">\n");
+    if let Some(mass) = body.mass.as_ref().filter(|_| body.kind == BodyKind::Dynamic) {
+        let (moments, axes) = principal(mass);
+        let [xx, yy, zz] = moments.to_array().map(small);
+        let _ = writeln!(
+            t,
+            "        <inertial>\n          <pose>{}</pose>\n          <mass>{:.9}</mass>\n          <inertia>\
+             <ixx>{xx}</ixx><ixy>0</ixy><ixz>0</ixz><iyy>{yy}</iyy><iyz>0</iyz><izz>{zz}</izz></inertia>\n        \
+             </inertial>",
+            pose_rpy(&DPose3::from_parts(mass.com(), axes)),
+            mass.mass()
+        );
+    }
+    let shapes = geometries(body, prefix);
+    let visuals = if body.visual.triangles.is_empty() {
+        shapes.clone()
+    } else {
+        vec![format!("<mesh><uri>{prefix}{}</uri></mesh>", visual_file(body))]
+    };
+    let color = rgba(body.color);
+    // Without an element of its own a mesh keeps the material of its MTL file.
+    let material = if body.texture.is_some() {
+        String::new()
+    } else {
+        format!("<material><ambient>{color}</ambient><diffuse>{color}</diffuse></material>")
+    };
+    for (i, geometry) in visuals.iter().enumerate() {
+        let _ = writeln!(
+            t,
+            "        <visual name=\"visual_{i:02}\"><geometry>{geometry}</geometry>{material}</visual>"
+        );
+    }
+    let surface = surface(scene, body);
+    for (i, geometry) in shapes.iter().enumerate() {
+        let _ = write!(
+            t,
+            "        <collision name=\"collision_{i:02}\">\n        <geometry>{geometry}</geometry>\n{surface}        \
+             </collision>\n"
+        );
+    }
+    t.push_str("      </link>\n    </model>\n");
+    t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::example::scene;
+
+    #[test]
+    fn the_world_names_only_files_below_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = scene();
+        write(dir.path(), &scene).unwrap();
+        let world = std::fs::read_to_string(dir.path().join("world.sdf")).unwrap();
+        assert_eq!(world.matches("<model name=").count(), scene.bodies.len());
+        assert_eq!(world.matches("<inertial>").count(), 5);
+        assert!(world.contains("every &lt;shape&gt;") && world.contains("<plane>"));
+        let uris: Vec<&str> =
+            world.split("<uri>").skip(1).filter_map(|rest| rest.split("</uri>").next()).collect();
+        assert!(!uris.is_empty() && uris.iter().all(|uri| dir.path().join(uri).is_file()), "{uris:?}");
+        let model = dir.path().join("models/wedge.1-a/model.sdf");
+        let text = std::fs::read_to_string(model).unwrap();
+        assert!(text.contains("<uri>meshes/wedge.1-a_visual.obj</uri>") && !text.contains("<material>"));
+    }
+}
