@@ -15,6 +15,8 @@ import common
 def main():
     arguments = common.arguments(__doc__)
     common.need("pybullet")
+    import importlib.metadata
+
     import pybullet as p
 
     scene, moving = common.bodies(arguments.dir)
@@ -31,12 +33,8 @@ def main():
     def poses():
         found = {}
         for body in moving:
-            position, (x, y, z, w) = p.getBasePositionAndOrientation(ids[body["name"]])
-            # PyBullet's base pose is that of the principal axes; the link's own is what bodies.json has.
-            info = p.getDynamicsInfo(ids[body["name"]], -1)
-            back = p.invertTransform(info[3], info[4])
-            at, (x, y, z, w) = p.multiplyTransforms(position, (x, y, z, w), *back)
-            found[body["name"]] = (at, (w, x, y, z))
+            position, (x, y, z, w) = load_pybullet.pose(p, ids[body["name"]], body, client)
+            found[body["name"]] = (position, (w, x, y, z))
         return found
 
     began = poses()
@@ -44,7 +42,7 @@ def main():
     steps = round(1.0 / p.getPhysicsEngineParameters()["fixedTimeStep"])
     for _ in range(steps):
         p.stepSimulation()
-    common.finish(arguments, "pybullet", "3.2.7", moving, began, poses(), errors, start)
+    common.finish(arguments, "pybullet", importlib.metadata.version("pybullet"), moving, began, poses(), errors, start)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 //! `bodies.json`: what every export says about its bodies, for programs.
 
 use crate::Format;
+use crate::text::principal;
 use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::{MassProperties, Material, Property};
@@ -24,6 +25,12 @@ struct PoseEntry {
 }
 
 #[derive(Serialize)]
+struct PrincipalEntry {
+    moments_kg_m2: [f64; 3],
+    axes_wxyz: [f64; 4],
+}
+
+#[derive(Serialize)]
 struct BodyEntry<'a> {
     name: &'a str,
     description: &'a str,
@@ -33,7 +40,11 @@ struct BodyEntry<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     visual: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    picture: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     mass: Option<MassProperties>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    principal: Option<PrincipalEntry>,
     material: &'a Material,
     color_srgb: [u8; 3],
     observed_share: f64,
@@ -71,6 +82,11 @@ fn pose(pose: &DPose3) -> PoseEntry {
     PoseEntry { position_m: pose.translation.to_array(), quaternion_wxyz: [q.w, q.x, q.y, q.z] }
 }
 
+fn principal_entry(mass: &MassProperties) -> PrincipalEntry {
+    let (moments, q) = principal(mass);
+    PrincipalEntry { moments_kg_m2: moments.to_array(), axes_wxyz: [q.w, q.x, q.y, q.z] }
+}
+
 fn shape(body: &Body, format: Format) -> ShapeEntry {
     let at = format.mesh_folder(body);
     match &body.shape {
@@ -100,15 +116,21 @@ pub(crate) fn bodies_json<'a>(
 ) -> impl Serialize + use<'a> {
     let entry = |body: &'a Body| {
         let Body { name, description, kind, x_wb, visual, mass, material, color, observed_share, .. } = body;
+        let visual_path = (format.mesh_folder(body).filter(|_| !visual.triangles.is_empty()))
+            .map(|at| format!("{at}{}", visual_file(body)));
         BodyEntry {
             name,
             description,
             kind: *kind,
             pose_world: pose(x_wb),
             shape: shape(body, format),
-            visual: (format.mesh_folder(body).filter(|_| !visual.triangles.is_empty()))
-                .map(|at| format!("{at}{}", visual_file(body))),
+            picture: visual_path
+                .as_ref()
+                .filter(|_| body.texture.is_some())
+                .map(|p| p.replace(".obj", ".png")),
+            visual: visual_path,
             mass: *mass,
+            principal: mass.as_ref().map(principal_entry),
             material,
             color_srgb: *color,
             observed_share: *observed_share,
