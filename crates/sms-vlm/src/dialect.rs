@@ -1,0 +1,293 @@
+//! How servers differ: what they enforce, what they refuse, and where they put the reply.
+
+use crate::prompt::{flat_schema, nested_schema};
+use crate::quantity::shortened;
+use serde_json::{Map, Value, json};
+
+/// How the form of the reply is asked for, from the strictest down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Rung {
+    /// `json_schema` with objects in objects.
+    NestedSchema,
+    /// `json_schema` with plain keys only.
+    FlatSchema,
+    /// `json_object`: any JSON object.
+    JsonObject,
+    /// By the prompt alone.
+    Prompt,
+}
+
+/// What a server has been found to take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Dialect {
+    pub rung: Rung,
+    /// The key for the length of the reply; newer models refuse the older one.
+    pub tokens_key: Option<&'static str>,
+    pub sends_temperature: bool,
+}
+
+impl Default for Dialect {
+    fn default() -> Self {
+        Self { rung: Rung::NestedSchema, tokens_key: Some("max_tokens"), sends_temperature: true }
+    }
+}
+
+impl Dialect {
+    /// The body of a request.
+    pub(crate) fn body(&self, model: &str, max_tokens: usize, temperature: f64, messages: &[Value]) -> Value {
+        let mut body = Map::new();
+        body.insert("model".to_owned(), json!(model));
+        body.insert("messages".to_owned(), json!(messages));
+        if let Some(key) = self.tokens_key {
+            body.insert(key.to_owned(), json!(max_tokens));
+        }
+        if self.sends_temperature {
+            body.insert("temperature".to_owned(), json!(temperature));
+        }
+        let schema = |schema: Value| json!({"type": "json_schema", "json_schema": {"name": "object_properties", "strict": true, "schema": schema}});
+        let format = match self.rung {
+            Rung::NestedSchema => Some(schema(nested_schema())),
+            Rung::FlatSchema => Some(schema(flat_schema())),
+            Rung::JsonObject => Some(json!({"type": "json_object"})),
+            Rung::Prompt => None,
+        };
+        body.extend(format.map(|f| ("response_format".to_owned(), f)));
+        Value::Object(body)
+    }
+
+    /// What to try after a request was refused as malformed, by the words of the refusal; `None` when it is about
+    /// something else or nothing is left to try.
+    pub(crate) fn after_refusal(&self, words: &str) -> Option<Self> {
+        let words = words.to_lowercase();
+        let says = |list: &[&str]| list.iter().any(|w| words.contains(w));
+        if says(&["max_tokens", "max_completion_tokens"]) && self.tokens_key.is_some() {
+            let tokens_key = match self.tokens_key {
+                Some("max_tokens") if words.contains("max_completion_tokens") => {
+                    Some("max_completion_tokens")
+                }
+                _ => None,
+            };
+            return Some(Self { tokens_key, ..*self });
+        }
+        if words.contains("temperature") && self.sends_temperature {
+            return Some(Self { sends_temperature: false, ..*self });
+        }
+        let about_image = says(&["image", "multimodal", "vision"]);
+        let about_form =
+            says(&["response_format", "json_schema", "schema", "json_object", "grammar", "structured"]);
+        // A bare "bad request" may be about anything: the form of the reply is the likeliest to be unknown to a server.
+        let says_nothing = words.split_whitespace().count() < 4;
+        if !about_form && (about_image || !says_nothing) {
+            return None;
+        }
+        let rung = match self.rung {
+            Rung::NestedSchema => Rung::FlatSchema,
+            Rung::FlatSchema => Rung::JsonObject,
+            Rung::JsonObject => Rung::Prompt,
+            Rung::Prompt => return None,
+        };
+        Some(Self { rung, ..*self })
+    }
+}
+
+/// What a server answered.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Completion {
+    pub text: String,
+    pub prompt_tokens: u64,
+    pub completion_tokens: u64,
+    /// Whether the reply ended because it was as long as allowed.
+    pub is_cut: bool,
+}
+
+/// Why a body with a good status holds no reply.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum NoReply {
+    /// It is no JSON, or JSON without a reply: the server, or something before it, is out of order.
+    Malformed(String),
+    /// An error in place of the reply, with its status where it has one.
+    Error { status: Option<u16>, words: String },
+    /// The model declined.
+    Refused { words: String, prompt_tokens: u64, completion_tokens: u64 },
+}
+
+/// Finds the reply in a body: as text, as a list of parts, as the arguments of a tool call, as a parsed object, or in the
+/// form of the responses interface.
+pub(crate) fn completion(body: &[u8]) -> Result<Completion, NoReply> {
+    let text = String::from_utf8_lossy(body);
+    let value: Value = serde_json::from_str(text.trim())
+        .map_err(|e| NoReply::Malformed(format!("the body is no JSON ({e}): {}", excerpt(&text))))?;
+    if let Some(error) = value.get("error").filter(|e| !e.is_null() && value.get("choices").is_none()) {
+        let status = error.get("code").or(error.get("status")).and_then(Value::as_u64);
+        return Err(NoReply::Error {
+            status: status.and_then(|s| u16::try_from(s).ok()),
+            words: words_of_error(body),
+        });
+    }
+    let usage = &value["usage"];
+    let tokens = |keys: [&str; 2]| keys.iter().find_map(|k| usage[*k].as_u64()).unwrap_or(0);
+    let prompt_tokens = tokens(["prompt_tokens", "input_tokens"]);
+    let completion_tokens = tokens(["completion_tokens", "output_tokens"]);
+    let choice = &value["choices"][0];
+    let message = &choice["message"];
+    let found = [
+        text_of(&message["content"]),
+        message["parsed"].is_object().then(|| message["parsed"].to_string()),
+        arguments(&message["tool_calls"][0]["function"]),
+        arguments(&message["function_call"]),
+        text_of(&choice["text"]),
+        text_of(&value["output_text"]),
+        value["output"].as_array().map(|items| items.iter().filter_map(|i| text_of(&i["content"])).collect()),
+    ];
+    let text = found.into_iter().flatten().find(|t: &String| !t.trim().is_empty());
+    let is_cut = matches!(choice["finish_reason"].as_str(), Some("length" | "max_tokens"));
+    if let Some(text) = text {
+        return Ok(Completion { text, prompt_tokens, completion_tokens, is_cut });
+    }
+    if let Some(words) = message["refusal"].as_str() {
+        return Err(NoReply::Refused { words: excerpt(words), prompt_tokens, completion_tokens });
+    }
+    if choice["finish_reason"].as_str() == Some("content_filter") {
+        let words = "the server's content filter held it back".to_owned();
+        return Err(NoReply::Refused { words, prompt_tokens, completion_tokens });
+    }
+    if choice.is_object() {
+        // An empty reply is the model's, not the server's: it can be told so.
+        return Ok(Completion { text: String::new(), prompt_tokens, completion_tokens, is_cut });
+    }
+    Err(NoReply::Malformed(format!("the body has no choices: {}", excerpt(&value.to_string()))))
+}
+
+fn text_of(content: &Value) -> Option<String> {
+    match content {
+        Value::String(text) => Some(text.clone()),
+        Value::Object(_) if content["text"].is_string() => content["text"].as_str().map(str::to_owned),
+        // An object in place of its text.
+        Value::Object(_) => Some(content.to_string()),
+        Value::Array(parts) => {
+            let texts: Vec<&str> = parts
+                .iter()
+                .filter_map(|part| {
+                    part.as_str().or_else(|| part["text"].as_str()).or_else(|| part["content"].as_str())
+                })
+                .collect();
+            let objects = parts.iter().find_map(|part| {
+                ["json", "input", "parsed"].iter().map(|k| &part[*k]).find(|v| v.is_object())
+            });
+            match (texts.is_empty(), objects) {
+                (false, _) => Some(texts.concat()),
+                (true, Some(object)) => Some(object.to_string()),
+                _ => None,
+            }
+        }
+        _ => None,
+    }
+}
+
+fn arguments(function: &Value) -> Option<String> {
+    match &function["arguments"] {
+        Value::String(text) => Some(text.clone()),
+        object @ Value::Object(_) => Some(object.to_string()),
+        _ => None,
+    }
+}
+
+/// The words of an error's body: its message where it has one, else its beginning.
+pub(crate) fn words_of_error(body: &[u8]) -> String {
+    let text = String::from_utf8_lossy(body);
+    let Ok(value) = serde_json::from_str::<Value>(text.trim()) else { return excerpt(&text) };
+    let error = &value["error"];
+    let message = [&error["message"], error, &value["message"], &value["detail"]]
+        .into_iter()
+        .find_map(Value::as_str)
+        .map(str::to_owned);
+    let code = error["code"].as_str().or(error["type"].as_str()).unwrap_or_default();
+    let param = error["param"].as_str().unwrap_or_default();
+    let words = message.unwrap_or_else(|| value.to_string());
+    let more: Vec<&str> = [code, param].into_iter().filter(|w| !w.is_empty() && !words.contains(w)).collect();
+    excerpt(&if more.is_empty() { words } else { format!("{words} [{}]", more.join(", ")) })
+}
+
+/// The beginning of a text on one line, for messages.
+pub(crate) fn excerpt(text: &str) -> String {
+    let line: String = text.chars().take(2000).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    shortened(&line.split_whitespace().collect::<Vec<_>>().join(" "), 240)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(body: &str) -> String {
+        completion(body.as_bytes()).unwrap().text
+    }
+
+    #[test]
+    fn the_reply_is_found_wherever_it_is() {
+        for body in [
+            r#"{"choices":[{"message":{"content":"{\"a\":1}"}}]}"#,
+            r#"{"choices":[{"message":{"content":[{"type":"text","text":"{\"a\":"},{"type":"text","text":"1}"}]}}]}"#,
+            r#"{"choices":[{"message":{"content":["{\"a\":1}"]}}]}"#,
+            r#"{"choices":[{"message":{"content":{"a":1}}}]}"#,
+            r#"{"choices":[{"message":{"content":null,"tool_calls":[{"function":{"arguments":"{\"a\":1}"}}]}}]}"#,
+            r#"{"choices":[{"message":{"content":"","tool_calls":[{"function":{"arguments":{"a":1}}}]}}]}"#,
+            r#"{"choices":[{"message":{"content":null,"function_call":{"arguments":"{\"a\":1}"}}}]}"#,
+            r#"{"choices":[{"message":{"parsed":{"a":1}}}]}"#,
+            r#"{"choices":[{"text":"{\"a\":1}"}]}"#,
+            r#"{"output":[{"type":"reasoning"},{"content":[{"type":"output_text","text":"{\"a\":1}"}]}]}"#,
+            r#"{"choices":[{"message":{"content":[{"type":"tool_use","input":{"a":1}}]}}]}"#,
+        ] {
+            assert_eq!(text(body).replace(' ', ""), "{\"a\":1}", "{body}");
+        }
+        let cut = completion(br#"{"choices":[{"message":{"content":"{"},"finish_reason":"length"}],"usage":{"prompt_tokens":7,"completion_tokens":9}}"#).unwrap();
+        assert_eq!((cut.is_cut, cut.prompt_tokens, cut.completion_tokens), (true, 7, 9));
+    }
+
+    #[test]
+    fn bodies_without_a_reply_say_why() {
+        for body in ["", "<html>502</html>", "[]", "{}", "null", "{\"choices\":[]}", "\u{0}"] {
+            assert!(matches!(completion(body.as_bytes()), Err(NoReply::Malformed(_))), "{body}");
+        }
+        assert!(matches!(completion(b"\xff\xfe{"), Err(NoReply::Malformed(_))));
+        let error = completion(br#"{"error":{"message":"slow down","code":429}}"#);
+        assert_eq!(error, Err(NoReply::Error { status: Some(429), words: "slow down".into() }));
+        let refused = completion(br#"{"choices":[{"message":{"content":null,"refusal":"I cannot"}}]}"#);
+        assert!(matches!(refused, Err(NoReply::Refused { words, .. }) if words == "I cannot"));
+        assert_eq!(text(r#"{"choices":[{"message":{"content":null}}]}"#), "");
+    }
+
+    #[test]
+    fn refusals_step_down_only_for_what_they_are_about() {
+        let first = Dialect::default();
+        let after = |d: Dialect, words: &str| d.after_refusal(words);
+        let mut d = first;
+        for rung in [Rung::FlatSchema, Rung::JsonObject, Rung::Prompt] {
+            d = after(d, "Invalid parameter: 'response_format' of type 'json_schema' is not supported")
+                .unwrap();
+            assert_eq!(d.rung, rung);
+        }
+        assert_eq!(
+            after(d, "response_format is not supported with this model at all"),
+            None,
+            "nothing is left"
+        );
+        assert_eq!(after(first, "").unwrap().rung, Rung::FlatSchema);
+        assert_eq!(after(first, "Bad Request").unwrap().rung, Rung::FlatSchema);
+        assert_eq!(after(first, "This model does not support image input, use another model: error"), None);
+        assert_eq!(
+            after(first, "error: the messages are longer than the context length of this model"),
+            None
+        );
+        let other =
+            after(first, "Unsupported parameter: 'max_tokens', use 'max_completion_tokens' instead").unwrap();
+        assert_eq!((other.rung, other.tokens_key), (Rung::NestedSchema, Some("max_completion_tokens")));
+        let none = after(other, "max_completion_tokens is unknown").unwrap();
+        assert_eq!(none.tokens_key, None);
+        assert!(
+            !after(first, "'temperature' does not support 0.0 with this model").unwrap().sends_temperature
+        );
+        let body = none.body("m", 10, 0.0, &[]);
+        assert!(body.get("max_tokens").is_none() && body.get("temperature").is_some());
+        assert_eq!(body["response_format"]["json_schema"]["strict"], true);
+    }
+}

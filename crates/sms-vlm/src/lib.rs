@@ -1,0 +1,41 @@
+//! What a vision-language model says of the objects in a scene, validated.
+//!
+//! The paper (section Materialize) shows a model each object in a picture with its box, and asks for its material,
+//! density, friction, restitution, Young's modulus and Poisson's ratio. This crate asks any server that speaks OpenAI's chat
+//! completions: it picks the view in which most of the object is seen ([`score_view`], [`best_view`]), draws the box
+//! ([`annotated`]), asks for JSON as strictly as the server can enforce it (a nested schema, a flat one, any object, the
+//! prompt alone), and checks whatever comes back ([`read_reply`]): units, ranges, order of intervals. What is wrong is told to
+//! the model at most twice. Every question ends as an [`Outcome`]: values that were checked, or a fallback that is named in
+//! the warnings. Replies are kept on disk by image, prompt and model ([`Cache`]).
+//!
+//! ```
+//! use sms_vlm::read_reply;
+//! let reading = read_reply("Sure: {\"material\": \"glass\", \"density\": \"2.5 g/cm3\", \"friction\": 40}").unwrap();
+//! assert_eq!(reading.estimate.density.unwrap().best, 2500.0);
+//! assert_eq!(reading.estimate.friction, None, "a friction of 40 is not possible");
+//! assert!(reading.faults.iter().any(|f| f.field == "friction"));
+//! ```
+
+mod answer;
+mod ask;
+mod cache;
+mod client;
+mod config;
+mod dialect;
+mod node;
+mod pause;
+mod prompt;
+mod property;
+mod quantity;
+mod transport;
+mod view;
+
+pub use answer::{Fault, Reading, read_reply};
+pub use ask::{Asked, GivenUp, Outcome, Question, ask};
+pub use cache::Cache;
+pub use client::{Client, Usage};
+pub use config::VlmConfig;
+pub use dialect::Rung;
+pub use pause::{Pause, Sleep};
+pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
+pub use view::{PixelBox, ViewScore, annotated, best_view, jpeg, score_view};

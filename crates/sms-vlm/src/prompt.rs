@@ -1,0 +1,147 @@
+//! What is asked, in words and as a schema.
+
+use crate::answer::Fault;
+use crate::property::Property;
+use serde_json::{Map, Value, json};
+use std::fmt::Write;
+
+/// How the answers are used; the same for every object.
+pub(crate) const SYSTEM: &str = "You look at photographs for a robot that is going to simulate the scene in them before it \
+acts. You judge what single objects are made of and how they behave when they touch, slide and collide. You answer with \
+one JSON object and nothing else. You give honest ranges: where a picture cannot tell, the range is wide.";
+
+/// The question about one object. `annotation` is what it is called so far; empty where nobody named it.
+pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
+    let thing = if is_surface { "surface or fixed part of the room" } else { "object" };
+    let mut text = format!(
+        "The photograph shows a workspace. The red box marks one {thing}; where others are in the box too, the one meant \
+         fills most of it. "
+    );
+    if annotation.trim().is_empty() {
+        text.push_str("Nobody has named it yet: set label_is_right to false and name it.\n\n");
+    } else {
+        let _ = write!(
+            text,
+            "So far it is called \"{}\", which may be wrong: say in label_is_right whether that is what it is, and give in \
+             label what it should be called.\n\n",
+            annotation.trim().replace(['"', '\n', '\r'], " ")
+        );
+    }
+    text.push_str(
+        "Say in description what it is, what it looks like and what it is for. Then name in material what it is made of, as \
+         specific as can be seen; of several materials, the one that makes up most of it. Estimate, for this object:\n\
+         - density_kg_m3: density of that material itself, in kg/m³, not of the object with the air inside;\n\
+         - fill_factor: mass of the object with its contents, over the mass of a block of that material that fills its \
+         outline (with openings and cavities closed). 1 for what is solid through and through, about 0.3 for a mug, 0.05 to \
+         0.2 for an empty box or ball, more for a container that is full;\n\
+         - friction: Coulomb friction coefficient of its surface on a common dry surface;\n\
+         - restitution: coefficient of restitution in a collision with something hard, 0 to 1;\n\
+         - youngs_modulus_pa: Young's modulus of the material, in Pa;\n\
+         - poissons_ratio: Poisson's ratio of the material.\n\n\
+         Give for each the best single estimate and the low and high end of a range that holds the true value nine times out \
+         of ten. Numbers are plain JSON numbers in the units named. Answer with one JSON object of this form:\n",
+    );
+    text.push_str(&example());
+    text
+}
+
+/// The form of the answer; the numbers are those of none in particular.
+fn example() -> String {
+    let range = |text: &str| {
+        let ends: Vec<&str> = text.split(' ').collect();
+        format!("{{\"best\": {}, \"low\": {}, \"high\": {}}}", ends[0], ends[1], ends[2])
+    };
+    let mut out = String::from(
+        "{\"label_is_right\": true or false, \"label\": \"…\", \"description\": \"…\", \"material\": \"…\",\n \"properties\": {",
+    );
+    for (i, p) in Property::ALL.into_iter().enumerate() {
+        let _ = write!(out, "{}\"{}\": {}", if i == 0 { "" } else { ",\n  " }, p.key(), range("… … …"));
+    }
+    out.push_str("}}");
+    out
+}
+
+/// What the model is told when its reply could not be used as it was.
+pub(crate) fn repair(faults: &[Fault]) -> String {
+    let mut text = String::from("Your answer cannot be used as it is:\n");
+    for fault in faults.iter().take(12) {
+        let _ = writeln!(text, "- {fault}");
+    }
+    text.push_str(
+        "Give the whole answer again with this put right, as one JSON object of the same form and nothing else. Numbers are \
+         plain JSON numbers in SI units (kg/m³, Pa), and low ≤ best ≤ high.",
+    );
+    text
+}
+
+/// The schema of the answer, with the properties as objects in an object.
+pub(crate) fn nested_schema() -> Value {
+    let range = object([
+        ("best", json!({"type": "number"})),
+        ("low", json!({"type": "number"})),
+        ("high", json!({"type": "number"})),
+    ]);
+    let properties = object(Property::ALL.map(|p| (p.key(), range.clone())));
+    let mut fields = words();
+    fields.push(("properties", properties));
+    object(fields)
+}
+
+/// The same without nesting, for servers that cannot enforce that: the ends have keys of their own.
+pub(crate) fn flat_schema() -> Value {
+    let number = || json!({"type": "number"});
+    let names: Vec<String> = Property::ALL
+        .iter()
+        .flat_map(|p| ["", "_low", "_high"].map(|end| format!("{}{end}", p.key())))
+        .collect();
+    let mut fields = words();
+    fields.extend(names.iter().map(|n| (n.as_str(), number())));
+    object(fields)
+}
+
+fn words() -> Vec<(&'static str, Value)> {
+    vec![
+        ("label_is_right", json!({"type": "boolean"})),
+        ("label", json!({"type": "string"})),
+        ("description", json!({"type": "string"})),
+        ("material", json!({"type": "string"})),
+    ]
+}
+
+/// An object schema as strict modes want it: all keys required, no others.
+fn object<'a>(fields: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
+    let properties: Map<String, Value> = fields.into_iter().map(|(k, v)| (k.to_owned(), v)).collect();
+    let required: Vec<String> = properties.keys().cloned().collect();
+    json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_question_names_every_key_of_the_schema() {
+        let text = question("blue mug", false);
+        assert!(text.contains("\"blue mug\""));
+        for schema in [nested_schema(), flat_schema()] {
+            assert!(schema["required"].as_array().is_some_and(|r| r.len() >= 5));
+            for key in schema["properties"].as_object().unwrap().keys() {
+                let key = key.trim_end_matches("_low").trim_end_matches("_high");
+                assert!(text.contains(&format!("\"{key}\"")), "{key}");
+            }
+        }
+        for p in Property::ALL {
+            assert!(
+                text.contains(&format!("- {}:", p.key())) && text.contains(&format!("\"{}\": {{", p.key()))
+            );
+        }
+        assert!(question("", false).contains("Nobody has named it"));
+        assert!(!question("a \"b\"\nc", false).contains("\"b\""));
+    }
+
+    #[test]
+    fn a_repair_lists_what_is_wrong() {
+        let faults = [Fault { field: "density".into(), what: "it is missing".into() }];
+        assert!(repair(&faults).contains("- density: it is missing"));
+    }
+}

@@ -1,0 +1,196 @@
+//! One HTTP request.
+
+use crate::VlmConfig;
+use sms_core::InputError;
+use std::io::Read;
+use std::time::Duration;
+
+/// A request to a chat-completions server.
+#[derive(Clone)]
+pub struct Request {
+    /// The whole address.
+    pub url: String,
+    /// The key, where the server wants one.
+    pub key: Option<ApiKey>,
+    /// The body, JSON.
+    pub body: Vec<u8>,
+}
+
+/// The key of a server. It is never shown, neither by [`Debug`] nor in messages.
+#[derive(Clone, PartialEq, Eq)]
+pub struct ApiKey(String);
+
+impl ApiKey {
+    /// The key as it stands in the environment; blanks around it are dropped, an empty one is none.
+    ///
+    /// # Errors
+    /// [`InputError`] when it has characters that no key has.
+    pub fn new(text: &str) -> Result<Option<Self>, InputError> {
+        let key = text.trim();
+        if !key.chars().all(|c| c.is_ascii_graphic()) {
+            return Err(InputError::new(
+                "the key has characters that no key has (blanks or letters beyond ASCII)",
+                "OPENAI_API_KEY",
+                "copy the key again",
+            ));
+        }
+        Ok((!key.is_empty()).then(|| Self(key.to_owned())))
+    }
+}
+
+impl std::fmt::Debug for ApiKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("ApiKey(…)")
+    }
+}
+
+impl std::fmt::Debug for Request {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Request")
+            .field("url", &self.url)
+            .field("bytes", &self.body.len())
+            .finish_non_exhaustive()
+    }
+}
+
+/// What came back, whatever its status.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reply {
+    /// HTTP status.
+    pub status: u16,
+    /// The header `Retry-After`.
+    pub retry_after: Option<String>,
+    /// The body.
+    pub body: Vec<u8>,
+}
+
+/// Why nothing came back.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TransportError {
+    /// No connection: wrong address, nothing listens there, or the certificate is not trusted.
+    #[error("cannot be reached ({0})")]
+    Unreachable(String),
+    /// Nothing, or not all of it, came in time.
+    #[error("did not answer in time ({0})")]
+    Timeout(String),
+    /// The connection broke, or what came is no HTTP.
+    #[error("broke off ({0})")]
+    Broken(String),
+    /// The reply is larger than `max_reply_bytes`.
+    #[error("sent more than {0} bytes")]
+    TooLarge(usize),
+}
+
+/// Carries requests. Tests bring their own.
+pub trait Transport: Send + Sync {
+    /// Posts one request and waits for the whole reply.
+    ///
+    /// # Errors
+    /// [`TransportError`] when there is none.
+    fn post(&self, request: &Request) -> Result<Reply, TransportError>;
+}
+
+/// HTTP and HTTPS, with time limits on every step.
+#[derive(Debug)]
+pub struct HttpTransport {
+    agent: ureq::Agent,
+    max_bytes: usize,
+}
+
+impl HttpTransport {
+    /// A transport with the limits of `config`. Proxies are those of the environment, except for this machine itself.
+    pub fn new(config: &VlmConfig) -> Self {
+        let seconds = Duration::from_secs_f64;
+        let builder = ureq::Agent::config_builder()
+            .http_status_as_error(false)
+            .max_redirects(0)
+            .max_redirects_will_error(false)
+            .timeout_connect(Some(seconds(config.connect_timeout_s.min(config.timeout_s))))
+            .timeout_global(Some(seconds(config.timeout_s)))
+            .user_agent(concat!("sms/", env!("CARGO_PKG_VERSION")));
+        let is_local = ["://localhost", "://127.", "://[::1]"].iter().any(|host| config.url.contains(host));
+        let builder = if is_local { builder.proxy(None) } else { builder };
+        Self { agent: builder.build().into(), max_bytes: config.max_reply_bytes }
+    }
+}
+
+impl Transport for HttpTransport {
+    fn post(&self, request: &Request) -> Result<Reply, TransportError> {
+        let mut builder = self.agent.post(&request.url).header("Content-Type", "application/json");
+        if let Some(ApiKey(key)) = &request.key {
+            builder = builder.header("Authorization", format!("Bearer {key}"));
+        }
+        let mut response = builder.send(&request.body[..]).map_err(|e| explained(&e))?;
+        let retry_after =
+            response.headers().get("retry-after").and_then(|v| v.to_str().ok()).map(str::to_owned);
+        let mut body = Vec::new();
+        // One byte more than allowed tells a body that is too large from one that just fits.
+        let mut reader = response.body_mut().as_reader().take(self.max_bytes as u64 + 1);
+        reader.read_to_end(&mut body).map_err(|e| explained_io(&e))?;
+        if body.len() > self.max_bytes {
+            return Err(TransportError::TooLarge(self.max_bytes));
+        }
+        Ok(Reply { status: response.status().as_u16(), retry_after, body })
+    }
+}
+
+fn explained(error: &ureq::Error) -> TransportError {
+    use ureq::Error;
+    match error {
+        Error::Timeout(ureq::Timeout::Connect | ureq::Timeout::Resolve) => {
+            TransportError::Unreachable(error.to_string())
+        }
+        Error::Timeout(_) => TransportError::Timeout(error.to_string()),
+        Error::HostNotFound | Error::ConnectionFailed | Error::BadUri(_) | Error::Tls(_) => {
+            TransportError::Unreachable(error.to_string())
+        }
+        Error::Io(e) => explained_io(e),
+        Error::Rustls(_) => TransportError::Unreachable(error.to_string()),
+        _ => TransportError::Broken(error.to_string()),
+    }
+}
+
+fn explained_io(error: &std::io::Error) -> TransportError {
+    use std::io::ErrorKind;
+    // Errors of the body come as an I/O error around the transport's own.
+    if let Some(inner) = error.get_ref().and_then(|e| e.downcast_ref::<ureq::Error>()) {
+        return match inner {
+            ureq::Error::Io(e) if e.get_ref().is_none() => of_kind(e),
+            ureq::Error::Io(_) => TransportError::Broken(inner.to_string()),
+            other => explained(other),
+        };
+    }
+    match error.kind() {
+        ErrorKind::TimedOut | ErrorKind::WouldBlock => TransportError::Timeout(error.to_string()),
+        _ => of_kind(error),
+    }
+}
+
+fn of_kind(error: &std::io::Error) -> TransportError {
+    use std::io::ErrorKind;
+    match error.kind() {
+        ErrorKind::ConnectionRefused
+        | ErrorKind::AddrNotAvailable
+        | ErrorKind::HostUnreachable
+        | ErrorKind::NetworkUnreachable
+        | ErrorKind::NotFound => TransportError::Unreachable(error.to_string()),
+        ErrorKind::TimedOut | ErrorKind::WouldBlock => TransportError::Timeout(error.to_string()),
+        _ => TransportError::Broken(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_checked_and_never_shown() {
+        let key = ApiKey::new(" sk-secret \n").unwrap().unwrap();
+        assert_eq!(format!("{key:?}"), "ApiKey(…)");
+        let request = Request { url: "http://h".into(), key: Some(key), body: vec![1] };
+        assert!(!format!("{request:?}").contains("secret"));
+        assert_eq!(ApiKey::new("  ").unwrap(), None);
+        let message = ApiKey::new("sk secret").unwrap_err().to_string();
+        assert!(message.contains("OPENAI_API_KEY") && !message.contains("secret"), "{message}");
+    }
+}
