@@ -12,7 +12,10 @@ use rayon::prelude::*;
 use sms_core::Mesh;
 
 /// Surfaces are cut with about so many faces.
-const FACES: usize = 1200;
+const FACES: usize = 2000;
+
+/// … and the best cuts sought with so many.
+const COARSE_FACES: usize = 600;
 
 /// A convex part in unit coordinates.
 #[derive(Clone)]
@@ -80,16 +83,22 @@ fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
     let half = 0.5 * bounds.extents().max_element();
     let center = bounds.center();
     let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - center) / half).collect();
-    let surface = clean(&points, &mesh.triangles).decimated(FACES, 0.1 * config.threshold);
+    let surface = clean(&points, &mesh.triangles).decimated(FACES, 0.06 * config.threshold);
+    let coarse = surface.clone().decimated(COARSE_FACES, 0.4 * config.threshold);
     let solid = Solid::new(surface.points.clone(), surface.triangles.clone())?;
     let tolerance = Tolerance { threshold: config.threshold.max(config.floor / half), spacing: 0.04 };
-    let breadth = Breadth { first: 15, second: 7, part_cost: 0.05 * rv_volume(tolerance.threshold) };
-    let mut open = vec![Piece { points: surface.points, triangles: surface.triangles, caps: Vec::new() }];
+    let breadth =
+        Breadth { first: 15, second: 7, candidates: 16, part_cost: 0.05 * rv_volume(tolerance.threshold) };
+    let mut open = vec![[surface, coarse].map(|s| Piece {
+        points: s.points,
+        triangles: s.triangles,
+        ..Piece::default()
+    })];
     let mut parts: Vec<Part> = Vec::new();
     const MOST_PIECES: usize = 256;
     while !open.is_empty() {
         let room = MOST_PIECES.saturating_sub(parts.len() + open.len());
-        let cut: Vec<(Option<Part>, Vec<Piece>)> = open
+        let cut: Vec<(Option<Part>, Vec<[Piece; 2]>)> = open
             .par_iter()
             .enumerate()
             .map(|(i, piece)| examine(piece, &solid, tolerance, breadth, i < room))
@@ -106,12 +115,12 @@ fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
 
 /// A part where the piece is convex enough, else its two sides.
 fn examine(
-    piece: &Piece,
+    [piece, coarse]: &[Piece; 2],
     solid: &Solid,
     tolerance: Tolerance,
     breadth: Breadth,
     may_cut: bool,
-) -> (Option<Part>, Vec<Piece>) {
+) -> (Option<Part>, Vec<[Piece; 2]>) {
     let mut scratch = Scratch::default();
     let hull_volume = piece.hull_volume(&mut scratch.hull);
     let volume = piece.volume().max(0.0);
@@ -125,10 +134,12 @@ fn examine(
     };
     if may_cut
         && !convex()
-        && let Some(plane) = best_cut(piece, breadth)
+        && let Some(plane) = best_cut(coarse, hull_volume - volume, solid, breadth)
     {
-        let sides = piece.split(plane, true);
-        return (None, sides.into_iter().filter(|s| !s.triangles.is_empty()).collect());
+        let inside = |p| solid.contains(p);
+        let sides = piece.split(plane, true, &inside).into_iter().zip(coarse.split(plane, false, &inside));
+        let sides = sides.map(|(fine, coarse)| [fine, coarse]);
+        return (None, sides.filter(|s| !s[0].triangles.is_empty()).collect());
     }
     (Part::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
 }

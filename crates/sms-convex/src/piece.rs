@@ -1,8 +1,10 @@
 //! Pieces of a surface, cut by planes without closing the cuts.
 //!
-//! The hull of a cut surface is the hull of the cut solid, because the cut's outline lies on both. Volumes need the
-//! caps; a fan of triangles from any point of the plane to the outline's edges has the cap's signed volume, however
-//! tangled the outline is, and stays right when it is cut again.
+//! The hull of a cut surface is nearly the hull of the cut solid, because a cut's outline lies on both; what it lacks
+//! are the corners where cuts meet inside the solid. Pieces therefore keep, besides their surface, the *spines*: the
+//! lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps; a fan of triangles from
+//! any point of the plane to the outline's edges has the cap's signed volume, however tangled the outline is, and stays
+//! right when it is cut again.
 
 use crate::sweep::GrowingHull;
 use glamx::{DMat3, DVec3};
@@ -30,6 +32,10 @@ pub(crate) struct Piece {
     pub(crate) triangles: Vec<[u32; 3]>,
     /// Fans that close the cuts, for volumes only.
     pub(crate) caps: Vec<[DVec3; 3]>,
+    /// Lines inside the solid along which two cuts meet.
+    pub(crate) spines: Vec<[u32; 2]>,
+    /// The half-spaces that the piece was cut to.
+    pub(crate) cell: Vec<Plane>,
 }
 
 impl Piece {
@@ -59,6 +65,7 @@ impl Piece {
             .triangles
             .iter()
             .flat_map(|&[a, b, c]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))])
+            .chain(self.spines.iter().map(|&[a, b]| (a.min(b), a.max(b))))
             .collect();
         edges.sort_unstable();
         edges.dedup();
@@ -87,7 +94,7 @@ impl Piece {
     }
 
     /// The sides below and above a plane; points within a hair of it belong to both.
-    pub(crate) fn split(&self, plane: Plane, with_caps: bool) -> [Piece; 2] {
+    pub(crate) fn split(&self, plane: Plane, with_caps: bool, inside: &impl Fn(DVec3) -> bool) -> [Piece; 2] {
         const HAIR: f64 = 1e-9;
         let side: Vec<i8> = self
             .points
@@ -145,7 +152,33 @@ impl Piece {
                 outline.extend(crossing(self.corners(t), s, plane));
             }
         }
+        for &[i, j] in &self.spines {
+            let s = side[i as usize] * side[j as usize];
+            for (which, sign) in [(0usize, -1i8), (1, 1)] {
+                for k in [i, j] {
+                    if side[k as usize] * sign >= 0 {
+                        out[which].corner(self, k);
+                    }
+                }
+                if s < 0 {
+                    let p = cuts.point(self, plane, i, j);
+                    out[which].cut_corner(p, &cuts);
+                }
+                out[which].close_spine();
+            }
+        }
         let mut sides = out.map(|s| s.piece);
+        for [a, b] in self.new_spines(plane, inside) {
+            for s in &mut sides {
+                let n = s.points.len() as u32;
+                s.points.extend([a, b]);
+                s.spines.push([n, n + 1]);
+            }
+        }
+        for (s, sign) in sides.iter_mut().zip([1.0, -1.0]) {
+            s.cell.clone_from(&self.cell);
+            s.cell.push(Plane { normal: plane.normal * sign, offset: plane.offset * sign });
+        }
         if with_caps {
             for cap in &self.caps {
                 let s = cap.map(|p| {
@@ -171,6 +204,58 @@ impl Piece {
             }
         }
         sides
+    }
+}
+
+impl Piece {
+    /// Where the plane meets earlier cuts inside the cell and the solid.
+    fn new_spines(&self, plane: Plane, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
+        const SAMPLES: usize = 12;
+        let mut out = Vec::new();
+        for (k, other) in self.cell.iter().enumerate() {
+            let along = plane.normal.cross(other.normal);
+            let sin2 = along.length_squared();
+            if sin2 < 1e-4 {
+                continue;
+            }
+            let foot =
+                (other.normal.cross(along) * plane.offset + along.cross(plane.normal) * other.offset) / sin2;
+            let along = along / sin2.sqrt();
+            // The object lies within 2 of the origin.
+            let (mut from, mut to) = (-2.0f64 - foot.dot(along), 2.0 - foot.dot(along));
+            for (m, bound) in self.cell.iter().enumerate() {
+                if m == k {
+                    continue;
+                }
+                let (rise, rest) = (bound.normal.dot(along), -bound.height(foot));
+                if rise.abs() < 1e-9 {
+                    if rest < 0.0 {
+                        to = from - 1.0;
+                    }
+                } else if rise > 0.0 {
+                    to = to.min(rest / rise);
+                } else {
+                    from = from.max(rest / rise);
+                }
+            }
+            if to - from < 1e-3 {
+                continue;
+            }
+            let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (SAMPLES - 1) as f64);
+            let mut start: Option<DVec3> = None;
+            let mut last = DVec3::ZERO;
+            for i in 0..SAMPLES {
+                let p = at(i);
+                if inside(p) {
+                    start.get_or_insert(p);
+                    last = p;
+                } else if let Some(s) = start.take() {
+                    out.push([s, last]);
+                }
+            }
+            out.extend(start.map(|s| [s, last]));
+        }
+        out
     }
 }
 
@@ -318,6 +403,13 @@ impl Side {
         }
     }
 
+    fn close_spine(&mut self) {
+        if self.corners == 2 && self.polygon[0] != self.polygon[1] {
+            self.piece.spines.push([self.polygon[0], self.polygon[1]]);
+        }
+        self.corners = 0;
+    }
+
     fn close_polygon(&mut self) {
         for k in 1..self.corners.saturating_sub(1) {
             self.piece.triangles.push([self.polygon[0], self.polygon[k], self.polygon[k + 1]]);
@@ -334,7 +426,7 @@ mod tests {
     use sms_core::Mesh;
 
     fn piece_of(mesh: &Mesh) -> Piece {
-        Piece { points: mesh.vertices.clone(), triangles: mesh.triangles.clone(), caps: Vec::new() }
+        Piece { points: mesh.vertices.clone(), triangles: mesh.triangles.clone(), ..Piece::default() }
     }
 
     proptest! {
@@ -349,6 +441,7 @@ mod tests {
             mesh.vertices.extend(&hole.vertices);
             mesh.triangles.extend(hole.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
             let mut pieces = vec![piece_of(&mesh)];
+            let inside = |p: DVec3| p.abs().max_element() <= 1.0 && p.length() >= 0.7;
             for _ in 0..4 {
                 let mut normal =
                     DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::splat(1.0);
@@ -356,7 +449,7 @@ mod tests {
                     normal = [DVec3::X, DVec3::Y, DVec3::Z][rng.random_range(0..3)];
                 }
                 let plane = Plane { normal: normal.normalize_or(DVec3::X), offset: 0.0 };
-                pieces = pieces.iter().flat_map(|p| p.split(plane, true)).collect();
+                pieces = pieces.iter().flat_map(|p| p.split(plane, true, &inside)).collect();
             }
             let sum: f64 = pieces.iter().map(Piece::volume).sum();
             prop_assert!((sum - mesh.volume()).abs() < 1e-7, "{sum} {}", mesh.volume());

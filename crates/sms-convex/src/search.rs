@@ -5,12 +5,16 @@
 //! little about rings, tubes and bowls: half a ring has the hull of the whole.
 
 use crate::piece::{Piece, Plane};
+use crate::solid::Solid;
 use crate::sweep::{GrowingHull, outline};
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Hulls are scored without what reaches out of them by less, in half sizes of the object.
 const SLIGHT: f64 = 2e-3;
+
+/// Share of a piece's surplus that a good cut takes away.
+const PLENTY: f64 = 0.6;
 
 /// How widely the search looks.
 #[derive(Debug, Clone, Copy)]
@@ -19,6 +23,8 @@ pub(crate) struct Breadth {
     pub(crate) first: usize,
     /// … and of the second.
     pub(crate) second: usize,
+    /// First cuts tried with their second cuts.
+    pub(crate) candidates: usize,
     /// Volume of hulls that one more part must save.
     pub(crate) part_cost: f64,
 }
@@ -172,7 +178,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
     }
     let edges = side.edges();
     let mut best = whole;
-    for normal in directions(side, false) {
+    for normal in side.axes() {
         let offsets = even_offsets(side, normal, breadth.second);
         for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
             best = best.min(below + above + breadth.part_cost);
@@ -183,7 +189,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
 
 /// The plane that leaves the least volume of hulls after it and one more cut on each side; `None` when the piece is
 /// too thin everywhere.
-pub(crate) fn best_cut(piece: &Piece, breadth: Breadth) -> Option<Plane> {
+pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Breadth) -> Option<Plane> {
     let edges = piece.edges();
     let directions = directions(piece, true);
     let per_direction: Vec<Vec<(Plane, f64, f64)>> = directions
@@ -217,11 +223,20 @@ pub(crate) fn best_cut(piece: &Piece, breadth: Breadth) -> Option<Plane> {
                 .collect()
         })
         .collect();
-    let candidates: Vec<(Plane, f64, f64)> = per_direction.into_iter().flatten().collect();
+    let mut candidates: Vec<(Plane, f64, f64)> = per_direction.into_iter().flatten().collect();
+    let sum = |c: &(Plane, f64, f64)| c.1 + c.2;
+    let best = candidates.iter().min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
+    let whole = piece.hull_volume(&mut GrowingHull::default());
+    // Where one cut already takes most of the surplus away, there is no need to look farther.
+    if whole - sum(best) > PLENTY * surplus {
+        return Some(best.0);
+    }
+    candidates.sort_by(|a, b| sum(a).total_cmp(&sum(b)));
+    candidates.truncate(breadth.candidates);
     let scores: Vec<f64> = candidates
         .par_iter()
         .map_init(Scratch::default, |scratch, &(plane, below, above)| {
-            let sides = piece.split(plane, false);
+            let sides = piece.split(plane, false, &|p| solid.contains(p));
             if sides.iter().any(|s| s.triangles.is_empty()) {
                 return f64::INFINITY;
             }

@@ -21,6 +21,11 @@ impl Solid {
         if projection.is_inside { 0.0 } else { projection.point.distance(p) }
     }
 
+    /// Whether a point lies inside, or outside by a hair.
+    pub(crate) fn contains(&self, p: DVec3) -> bool {
+        self.distance(p) < 1e-4
+    }
+
     /// Farthest that the surface of a hull lies outside the solid (the boundary's share of CoACD's concavity), or the
     /// first distance above `enough`. Samples lie about `spacing` apart.
     pub(crate) fn reach(&self, hull: impl Iterator<Item = [DVec3; 3]>, spacing: f64, enough: f64) -> f64 {
