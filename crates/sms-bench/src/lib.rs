@@ -33,6 +33,7 @@ mod disturb;
 mod export;
 mod images;
 mod matching;
+mod materialize;
 mod panels;
 mod prepare;
 mod process;
@@ -50,12 +51,17 @@ pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use matching::{Overlaps, match_labels};
+pub use materialize::{
+    Inputs, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means, materialize_markdown,
+    materialize_table, materialize_targets, parts_overlap, run_materialize, train,
+};
 pub use panels::write_panel;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use process::{cpu_seconds, peak_bytes};
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
-    BenchScene, FRAMES, HOLDOUT, REAL, SEEDS, real_data_dir, recording, select_scenes, truth_scene,
+    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,
+    select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
@@ -66,7 +72,7 @@ pub use surface::{
 pub use table::{Target, add_means, table, targets};
 pub use truth::{
     OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
-    sample_true_surface, true_surfaces, true_views,
+    observed_surface_at_most, sample_true_surface, true_surfaces, true_views,
 };
 
 use sms_core::{CoreError, InputError};

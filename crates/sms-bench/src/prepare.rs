@@ -1,14 +1,14 @@
 //! From a scene to the frames and masks that a reconstruction is given.
 
 use crate::disturb::Disturbance;
-use crate::scenes::{BenchScene, HOLDOUT, real_data_dir, recording, truth_scene};
+use crate::scenes::{BenchScene, HOLDOUT, generated, real_data_dir, recording};
 use crate::{BenchError, process};
 use glamx::DPose3;
 use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, Warnings};
 use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_gaussians::{Preset, ScanConfig};
-use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter};
+use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks};
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use sms_synth::TruthScene;
 use std::path::PathBuf;
@@ -25,6 +25,8 @@ pub struct BenchOptions {
     pub load: LoadSettings,
     /// Masks from geometry.
     pub masks: GeometryConfig,
+    /// Whether generated scenes get the true masks instead; for ablations.
+    pub true_masks: bool,
     /// Pose refinement between loading and masks; off by default.
     pub poses: PosesConfig,
     /// The scan.
@@ -51,6 +53,7 @@ impl BenchOptions {
             read: ReadOptions::default(),
             load: LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() },
             masks: GeometryConfig::default(),
+            true_masks: false,
             poses: PosesConfig::default(),
             scan: ScanConfig { holdout: HOLDOUT, ..ScanConfig::preset(preset) },
             entities: EntitiesConfig::default(),
@@ -122,10 +125,11 @@ impl Prepared {
     }
 }
 
-/// Where the recording of a scene lies, rendering it first if need be; `None` for a real recording that is not there.
+/// Where the recording of a scene lies, rendering it first if need be; `None` for a real recording
+/// or a model that is not there.
 ///
 /// # Errors
-/// As [`recording`].
+/// As [`generated`] and [`recording`].
 pub fn locate(
     scene: &BenchScene,
     options: &BenchOptions,
@@ -133,12 +137,13 @@ pub fn locate(
     cancel: &Cancel,
 ) -> Result<Option<PathBuf>, BenchError> {
     Ok(match scene {
-        BenchScene::Billiards(seed) => {
-            Some(recording(*seed, options.frames, &options.cache, progress, cancel)?)
-        }
         BenchScene::Real(name) => {
             Some(real_data_dir().join(name)).filter(|d| d.join("transforms.json").is_file())
         }
+        _ => match generated(scene)? {
+            Some(made) => Some(recording(scene, &made, options.frames, &options.cache, progress, cancel)?),
+            None => None,
+        },
     })
 }
 
@@ -169,8 +174,8 @@ pub fn prepare(
     }
     let true_cameras = sequence.frames.iter().map(|f| f.camera).collect();
     let seed = match scene {
-        BenchScene::Billiards(seed) => Seed(*seed),
-        BenchScene::Real(_) => Seed(0),
+        BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
+        BenchScene::Real(_) | BenchScene::Model(_) => Seed(0),
     };
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();
@@ -179,13 +184,14 @@ pub fn prepare(
     }
     let poses_seconds = timer.seconds();
     let timer = Timer::start();
-    let (labels, truth) = match scene {
-        BenchScene::Billiards(seed) => {
-            let masks = GeometryMasks { config: options.masks.clone() };
-            (masks.segment(&sequence, progress, cancel, warnings)?, Some(truth_scene(*seed)))
-        }
-        BenchScene::Real(_) => (FileMasks::default().segment(&sequence, progress, cancel, warnings)?, None),
+    let truth = generated(scene)?.map(|made| made.scene);
+    let geometry = GeometryMasks { config: options.masks.clone() };
+    let masks: &dyn Segmenter = match &truth {
+        None => &FileMasks::default(),
+        Some(_) if options.true_masks => &TruthMasks,
+        Some(_) => &geometry,
     };
+    let labels = masks.segment(&sequence, progress, cancel, warnings)?;
     let masks_seconds = timer.seconds();
     let real = truth.is_none().then_some(dir);
     Ok(Some(Prepared {

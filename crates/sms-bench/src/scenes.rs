@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
-use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billiards, write_recording};
+use sms_synth::{
+    BilliardsSettings, ModelScene, RecordingSettings, Skin, TruthScene, generate_billiards, model_scene,
+    orbit_poses, read_model, record_views, write_recording,
+};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -20,6 +23,28 @@ pub const HOLDOUT: usize = 8;
 /// The real recordings, by folder name.
 pub const REAL: [&str; 2] = ["seq_tabletop_bin", "seq_shelf_tissue"];
 
+/// The scanned models of `sms bench materialize`, by folder name.
+pub const MODELS: [&str; 18] = [
+    "ycb_025_mug",
+    "ycb_024_bowl",
+    "ycb_005_tomato_soup_can",
+    "ycb_003_cracker_box",
+    "ycb_006_mustard_bottle",
+    "ycb_010_potted_meat_can",
+    "ycb_011_banana",
+    "ycb_019_pitcher_base",
+    "ycb_036_wood_block",
+    "gso_porcelain_ramekin",
+    "osim_piggybank",
+    "osim_duck",
+    "gz_coke_can",
+    "gz_soccer_ball_small",
+    "gz_cardboard_box",
+    "gz_grey_tote",
+    "aws_waste_bin",
+    "aws_low_table",
+];
+
 /// One scene of the benchmark; its text is the `{scene}` of the metrics' keys.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BenchScene {
@@ -27,13 +52,18 @@ pub enum BenchScene {
     Billiards(u64),
     /// A real recording's folder name (`seq_tabletop_bin`).
     Real(String),
+    /// Two balls and eight obstacles of this seed (`scene_1001`): ten objects, where the billiards scenes have seven.
+    Ten(u64),
+    /// A scanned model alone on a floor, seen from an orbit; its folder name (`ycb_025_mug`).
+    Model(String),
 }
 
 impl fmt::Display for BenchScene {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Billiards(seed) => write!(f, "billiards_{seed}"),
-            Self::Real(name) => f.write_str(name),
+            Self::Ten(seed) => write!(f, "scene_{seed}"),
+            Self::Real(name) | Self::Model(name) => f.write_str(name),
         }
     }
 }
@@ -79,29 +109,72 @@ pub fn truth_scene(seed: u64) -> TruthScene {
     generate_billiards(Seed(seed), &BilliardsSettings::default())
 }
 
-/// Records a scene as `sms demo` does (1280×800, depth noise, the default camera path) into `cache`, or finds the
-/// recording that is there. Folders are named by what they were made from, so that a changed renderer version or
-/// setting is another recording; several processes may ask for the same one.
+/// What a scene is generated from: its truth and the pictures of its objects. `None` for what is not generated, and for a
+/// model that is not there.
+///
+/// # Errors
+/// [`CoreError`] of a model that cannot be read.
+pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
+    let plain = |scene| Ok(Some(ModelScene { scene, skins: Vec::new() }));
+    match scene {
+        BenchScene::Billiards(seed) => plain(truth_scene(*seed)),
+        BenchScene::Ten(seed) => {
+            let settings = BilliardsSettings { objects: 8, ..BilliardsSettings::default() };
+            plain(generate_billiards(Seed(*seed), &settings))
+        }
+        BenchScene::Model(name) => {
+            let path = model_path(name);
+            if !path.is_file() {
+                return Ok(None);
+            }
+            Ok(Some(model_scene(name, &read_model(&path)?, Seed(0))))
+        }
+        BenchScene::Real(_) => Ok(None),
+    }
+}
+
+/// Records a generated scene as `sms demo` does (1280×800, depth noise, the default camera path; models from an orbit
+/// scaled to their size) into `cache`, or finds the recording that is there. Folders are named by what they were made
+/// from, so that a changed renderer version or setting is another recording; several processes may ask for the same one.
 ///
 /// # Errors
 /// [`CoreError::Write`], [`CoreError::Interrupted`].
 pub fn recording(
-    seed: u64,
+    scene: &BenchScene,
+    made: &ModelScene,
     frames: usize,
     cache: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<PathBuf, CoreError> {
-    let scene = truth_scene(seed);
-    let settings = RecordingSettings { frames, seed: Seed(seed), ..RecordingSettings::default() };
-    let key = hash_serializable(&(hash_serializable(&scene).0, &settings, env!("CARGO_PKG_VERSION"))).0;
-    let dir = cache.join(format!("billiards_{seed}-{frames}-{}", &key[..12]));
+    let truth = &made.scene;
+    let noise = match scene {
+        BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
+        _ => truth.seed,
+    };
+    let settings = RecordingSettings { frames, seed: noise, ..RecordingSettings::default() };
+    let orbit = match (scene, truth.objects.first()) {
+        (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
+        _ => None,
+    };
+    let (hash, version) = (hash_serializable(truth).0, env!("CARGO_PKG_VERSION"));
+    let pictures = skins_hash(&made.skins);
+    let key = match &orbit {
+        None => hash_serializable(&(hash, &settings, version)).0,
+        Some(poses) => hash_serializable(&(hash, &settings, version, poses, &pictures)).0,
+    };
+    let dir = cache.join(format!("{scene}-{frames}-{}", &key[..12]));
     if dir.join("transforms.json").is_file() {
         return Ok(dir);
     }
     // Rendered aside and renamed: whoever looks finds a whole recording or none.
     let aside = dir.with_extension(format!("partial-{}", std::process::id()));
-    write_recording(&scene, &settings, &aside, progress, cancel)?;
+    match &orbit {
+        None => write_recording(truth, &settings, &aside, progress, cancel)?,
+        Some(poses) => {
+            record_views(truth, &made.skins, poses, &pictures, &settings, &aside, progress, cancel)?
+        }
+    };
     match std::fs::rename(&aside, &dir) {
         Ok(()) => Ok(dir),
         Err(_) if dir.join("transforms.json").is_file() => {
@@ -111,6 +184,35 @@ pub fn recording(
         }
         Err(error) => Err(CoreError::write(&dir)(error)),
     }
+}
+
+/// Names the pictures of a scene.
+fn skins_hash(skins: &[Option<Skin>]) -> String {
+    let mut hasher = sms_core::Hasher::new();
+    for image in skins.iter().flatten().map(Skin::image) {
+        hasher.bytes(image.data.as_flattened());
+    }
+    hasher.finish().0
+}
+
+/// Where a scanned model lies.
+pub fn model_path(name: &str) -> PathBuf {
+    real_data_dir().join("meshes").join(name).join("model.obj")
+}
+
+/// The models whose names contain one of these words (`mug`, `ycb_025_mug`).
+///
+/// # Errors
+/// [`InputError`] naming the word that no name contains.
+pub fn select_models(words: &[String]) -> Result<Vec<BenchScene>, InputError> {
+    for word in words {
+        if !MODELS.iter().any(|m| m.contains(word.as_str())) {
+            let cure = format!("the objects are {}", MODELS.join(", "));
+            return Err(InputError::new(format!("no object is called `{word}`"), "--objects", cure));
+        }
+    }
+    let chosen = MODELS.iter().filter(|m| words.iter().any(|w| m.contains(w.as_str())));
+    Ok(chosen.map(|m| BenchScene::Model((*m).to_owned())).collect())
 }
 
 /// The folder of the real recordings: `SMS_TEST_DATA`, else `../shared/data`.
@@ -123,12 +225,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn ten_objects_are_ten() {
+        for seed in SEEDS {
+            let made = generated(&BenchScene::Ten(seed)).unwrap().unwrap();
+            assert_eq!(made.scene.objects.len(), 10, "seed {seed}");
+        }
+    }
+
+    #[test]
     fn lists_name_scenes() {
         assert_eq!(select_scenes("2").unwrap(), [BenchScene::Billiards(1001), BenchScene::Billiards(1002)]);
         assert_eq!(select_scenes("all").unwrap().len(), 12);
         let mixed = select_scenes("1003, billiards_7,seq_shelf_tissue").unwrap();
         let text: Vec<String> = mixed.iter().map(ToString::to_string).collect();
         assert_eq!(text, ["billiards_1003", "billiards_7", "seq_shelf_tissue"]);
+        let models = select_models(&["box".into(), "ycb_025_mug".into()]).unwrap();
+        let text: Vec<String> = models.iter().map(ToString::to_string).collect();
+        assert_eq!(text, ["ycb_025_mug", "ycb_003_cracker_box", "gz_cardboard_box"]);
+        assert!(select_models(&["spoon".into()]).unwrap_err().to_string().contains("spoon"));
         assert!(select_scenes("snooker").unwrap_err().to_string().contains("snooker"));
     }
 }

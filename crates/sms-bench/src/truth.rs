@@ -102,12 +102,22 @@ pub const OBSERVED_BY: usize = 3;
 /// normal and line of sight, however small), and no object hides it (a ray is cast against all true surfaces). `cameras`
 /// are the true ones of the frames that were trained on.
 pub fn observed_surface(surfaces: &[TrueSurface], cameras: &[Camera]) -> Vec<Vec<SurfacePoint>> {
+    observed_surface_at_most(surfaces, cameras, usize::MAX)
+}
+
+/// The same with at most about so many samples before the unseen ones are left out: on large surfaces they are farther
+/// apart.
+pub fn observed_surface_at_most(
+    surfaces: &[TrueSurface],
+    cameras: &[Camera],
+    samples: usize,
+) -> Vec<Vec<SurfacePoint>> {
     let blockers = Blockers::new(surfaces);
     surfaces
         .iter()
         .map(|surface| {
-            let samples =
-                sample_true_surface(surface, OBSERVED_SPACING_M, Seed(0).derive("observed surface"));
+            let spacing = OBSERVED_SPACING_M.max((surface.mesh.area() / samples as f64).sqrt());
+            let samples = sample_true_surface(surface, spacing, Seed(0).derive("observed surface"));
             let seen: Vec<bool> = samples
                 .par_iter()
                 .map(|s| {

@@ -227,7 +227,7 @@ fn name_uniquely(objects: &mut [TruthObject]) {
 }
 
 /// Kinds of floor take turns with the seed's number, so that a few seeds show them all.
-fn draw_floor(scene_seed: Seed, seed: Seed) -> TruthFloor {
+pub(crate) fn draw_floor(scene_seed: Seed, seed: Seed) -> TruthFloor {
     let mut rng = seed.derive("floor").rng();
     let (class, pattern, color, accent, scale_m, gloss) = match scene_seed.0 % 3 {
         1 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.25),

@@ -4,6 +4,8 @@
 //!   surface, convex pieces, true material and mass properties.
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
 //!   the depth as imperfect as that of a real stereo camera.
+//! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
+//!   around it; [`record_views`] scans it.
 //! - [`write_recording`]: the scan on disk, in nerfstudio's layout, with the truth beside it in `truth/`. The planner's
 //!   stages read the recording only; `execute`, `evaluate` and benchmarks call [`read_truth`].
 //!
@@ -26,19 +28,23 @@ mod bvh;
 mod depth_camera;
 mod floor_light;
 mod materials;
+mod model;
 mod path;
 mod recording;
 mod render;
 mod scene;
 mod shading;
 mod shapes;
+mod skin;
 mod texture;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use depth_camera::DepthCamera;
+pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};
-pub use recording::{RecordingSettings, RecordingSummary, write_recording};
+pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};
 pub use scene::{Hollow, TRUTH_VERSION, TruthFloor, TruthObject, TruthScene, read_truth};
+pub use skin::Skin;
 pub use texture::{Pattern, Spot, Texture};

@@ -4,6 +4,7 @@ use crate::depth_camera::DepthCamera;
 use crate::path::CameraPath;
 use crate::render::{CameraModel, Renderer};
 use crate::scene::TruthScene;
+use crate::skin::Skin;
 use glamx::{DMat4, DPose3, DQuat, DVec3};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -186,16 +187,50 @@ pub fn write_recording(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
+    let poses = settings.path.poses(scene, settings.frames);
+    let key = hash_serializable(scene).0;
+    record(scene, &[], &poses, key, settings, dir, progress, cancel)
+}
+
+/// Records a scene, some of whose objects may have pictures (see [`Renderer::with_skins`]), from given camera poses `X_WC`
+/// (OpenCV axes), whatever `settings` say of frames and path. `source` names what the pictures were made from.
+///
+/// # Errors
+/// As [`write_recording`].
+pub fn record_views(
+    scene: &TruthScene,
+    skins: &[Option<Skin>],
+    poses: &[DPose3],
+    source: &str,
+    settings: &RecordingSettings,
+    dir: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<RecordingSummary, CoreError> {
+    let key = hash_serializable(&(scene, poses, source)).0;
+    let settings = RecordingSettings { frames: poses.len(), ..settings.clone() };
+    record(scene, skins, poses, key, &settings, dir, progress, cancel)
+}
+
+fn record(
+    scene: &TruthScene,
+    skins: &[Option<Skin>],
+    poses: &[DPose3],
+    key: String,
+    settings: &RecordingSettings,
+    dir: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<RecordingSummary, CoreError> {
     settings.check(dir)?;
-    claim_folder(scene, settings, dir)?;
+    claim_folder(key, settings, dir)?;
     write_truth(scene, dir)?;
     let objects = objects_file(scene);
     atomic::write_json(&dir.join("truth/objects.json"), &objects)?;
     if settings.expose_masks {
         atomic::write_json(&dir.join("objects.json"), &objects)?;
     }
-    let poses = settings.path.poses(scene, settings.frames);
-    let renderer = Renderer::new(scene);
+    let renderer = Renderer::with_skins(scene, skins);
     let (done, rendered) = (AtomicU64::new(0), AtomicU64::new(0));
     progress.begin("record", settings.frames as u64);
     let written: Vec<Result<(), CoreError>> = poses
@@ -212,7 +247,7 @@ pub fn write_recording(
         })
         .collect();
     written.into_iter().collect::<Result<(), _>>()?;
-    atomic::write_json(&dir.join("transforms.json"), &transforms(settings, &poses))?;
+    atomic::write_json(&dir.join("transforms.json"), &transforms(settings, poses))?;
     let rendered = rendered.into_inner() as usize;
     progress.end(&format!("{} frames recorded", settings.frames));
     Ok(RecordingSummary { dir: dir.to_owned(), frames: settings.frames, rendered })
@@ -227,12 +262,9 @@ fn write_truth(scene: &TruthScene, dir: &Path) -> Result<(), CoreError> {
 }
 
 /// Makes sure that the frames already in `dir`, if any, come from the same scene and settings.
-fn claim_folder(scene: &TruthScene, settings: &RecordingSettings, dir: &Path) -> Result<(), CoreError> {
-    let key = RecordingKey {
-        scene: hash_serializable(scene).0,
-        settings: settings.clone(),
-        program: env!("CARGO_PKG_VERSION").to_owned(),
-    };
+fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Result<(), CoreError> {
+    let key =
+        RecordingKey { scene, settings: settings.clone(), program: env!("CARGO_PKG_VERSION").to_owned() };
     let path = dir.join("truth/recording.json");
     if path.exists() {
         let found: RecordingKey = atomic::read_json(&path)?;

@@ -5,6 +5,7 @@ use crate::depth_camera::{DepthCamera, irwin_hall};
 use crate::floor_light::FloorLight;
 use crate::scene::TruthScene;
 use crate::shading::{Lamp, SurfacePoint, backdrop, lamps, shade, tone_map};
+use crate::skin::Skin;
 use crate::texture::{hash, linear_from_srgb, srgb_channels};
 use glamx::{DPose3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -54,6 +55,8 @@ pub fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> Rende
 #[derive(Debug)]
 pub struct Renderer<'a> {
     scene: &'a TruthScene,
+    /// Pictures of the objects that have one; may be shorter than the objects.
+    skins: &'a [Option<Skin>],
     bvh: Bvh,
     facets: Vec<Facet>,
     bodies: Vec<Body>,
@@ -67,6 +70,8 @@ pub struct Renderer<'a> {
 #[derive(Debug, Clone, Copy)]
 struct Facet {
     object: usize,
+    /// Index in the object's mesh.
+    triangle: usize,
     corners: [Vec3; 3],
     normals: [Vec3; 3],
 }
@@ -88,6 +93,8 @@ struct Body {
 /// The nearest surface along a ray.
 struct Hit {
     t: f32,
+    /// Triangle of the object's mesh and weights of its corners; `None` for the floor and spheres.
+    facet: Option<(usize, [f32; 3])>,
     /// `None` for the floor.
     object: Option<usize>,
     point: Vec3,
@@ -113,6 +120,12 @@ const CREASE_COS: f64 = 0.79;
 impl<'a> Renderer<'a> {
     /// Prepares a scene.
     pub fn new(scene: &'a TruthScene) -> Self {
+        Self::with_skins(scene, &[])
+    }
+
+    /// Prepares a scene some of whose objects have pictures: `skins[i]` is that of `scene.objects[i]`, in place of the
+    /// object's texture.
+    pub fn with_skins(scene: &'a TruthScene, skins: &'a [Option<Skin>]) -> Self {
         let mut facets = Vec::new();
         for (index, object) in scene.objects.iter().enumerate() {
             if object.sphere_radius.is_none() {
@@ -120,6 +133,7 @@ impl<'a> Renderer<'a> {
                 let normals = smooth_normals(&mesh);
                 facets.extend((0..mesh.triangles.len()).map(|t| Facet {
                     object: index,
+                    triangle: t,
                     corners: mesh.corners(t).map(|p| p.as_vec3()),
                     normals: normals[t],
                 }));
@@ -157,7 +171,7 @@ impl<'a> Renderer<'a> {
         let empty = FloorLight::compute([0.0; 2], [0.0; 2], |_| [1.0; 3]);
         let bvh = Bvh::build(&corners);
         let mut renderer =
-            Self { scene, bvh, facets, bodies, lamps: lamps(), floor_color, floor_light: empty };
+            Self { scene, skins, bvh, facets, bodies, lamps: lamps(), floor_color, floor_light: empty };
         renderer.floor_light = renderer.light_floor();
         renderer
     }
@@ -257,8 +271,15 @@ impl<'a> Renderer<'a> {
             Some(index) => {
                 let body = &self.bodies[index];
                 let texture = &self.scene.objects[index].texture;
-                let p_a = body.rotation_aw * hit.point + body.translation_aw;
-                (texture, texture.albedo(p_a, body.rotation_aw * hit.normal, footprint))
+                let skin = self.skins.get(index).and_then(Option::as_ref).zip(hit.facet);
+                let albedo = match skin {
+                    Some((skin, (triangle, weights))) => skin.albedo(triangle, weights, footprint),
+                    None => {
+                        let p_a = body.rotation_aw * hit.point + body.translation_aw;
+                        texture.albedo(p_a, body.rotation_aw * hit.normal, footprint)
+                    }
+                };
+                (texture, albedo)
             }
         };
         let to_lamp = self.lamps.map(|lamp| (lamp.center - hit.point).normalize());
@@ -299,6 +320,7 @@ impl<'a> Renderer<'a> {
                 let shadow_origin = point + Vec3::Z * 1e-4;
                 hit = Some(Hit {
                     t,
+                    facet: None,
                     object: None,
                     point,
                     normal: Vec3::Z,
@@ -315,7 +337,8 @@ impl<'a> Renderer<'a> {
                 let normal = (origin + direction * t - center).normalize();
                 let point = center + normal * radius;
                 let shadow_origin = point + normal * 1e-4;
-                hit = Some(Hit { t, object: Some(index), point, normal, flat_normal: normal, shadow_origin });
+                let object = Some(index);
+                hit = Some(Hit { t, facet: None, object, point, normal, flat_normal: normal, shadow_origin });
             }
         }
         let ray = Ray::new(origin, direction, START);
@@ -334,7 +357,9 @@ impl<'a> Renderer<'a> {
             });
             let shadow_origin = blend(lifted) + flat_normal * 1e-4;
             let object = Some(facet.object);
-            hit = Some(Hit { t: found.t, object, point, normal, flat_normal, shadow_origin });
+            let weighted = Some((facet.triangle, weights));
+            hit =
+                Some(Hit { t: found.t, facet: weighted, object, point, normal, flat_normal, shadow_origin });
         }
         hit
     }

@@ -1,5 +1,6 @@
-//! `sms bench`: measures the scan on fixed scenes with exact truth, or somebody else's reconstruction of them.
+//! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
+use super::bench_materialize::{self, BenchMaterialize};
 use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
@@ -29,6 +30,8 @@ pub(crate) struct Bench {
 pub(crate) enum BenchCommand {
     /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
     Scan(Box<BenchScan>),
+    /// Scan models whose shape is known (../shared/data/meshes) once, and measure the meshes made of the scans.
+    Materialize(Box<BenchMaterialize>),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
     Score(BenchScore),
 }
@@ -100,6 +103,7 @@ pub(crate) struct BenchScore {
 pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
     match &a.what {
         BenchCommand::Scan(scan) => run_scan(context, scan),
+        BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
         BenchCommand::Score(score) => run_score(context, score),
     }
 }
@@ -161,7 +165,8 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
 /// Whether it is a real recording that is not here.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
-        BenchScene::Billiards(_) => false,
+        BenchScene::Billiards(_) | BenchScene::Ten(_) => false,
+        BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
         BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
     }
 }
@@ -292,9 +297,9 @@ fn run_child(
     Ok(())
 }
 
-fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
+pub(crate) fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
     if !path.is_file() {
-        let cure = "give results.json of an earlier `sms bench scan --out DIR`";
+        let cure = "give the results of an earlier run, as --out writes them";
         return Err(CoreError::from(InputError::new("there is no such file", shown(path), cure)).into());
     }
     Ok(Metrics::load(path)?)

@@ -1,0 +1,153 @@
+//! `sms bench materialize`: meshes of scanned models against the models.
+
+use super::bench::read_baseline;
+use crate::cli::PresetName;
+use crate::context::Context;
+use clap::{Args, ValueEnum};
+use sms_bench::{
+    BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaterializeOptions, add_materialize_means,
+    materialize_markdown, materialize_table, model_path, run_materialize,
+};
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, Warnings};
+use sms_entities::EntitiesConfig;
+use sms_frames::ReadOptions;
+use sms_masks::GeometryConfig;
+use std::path::PathBuf;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchMaterialize {
+    /// Models whose names contain one of these words (default: all eighteen, unless --seeds are given).
+    #[arg(long, value_name = "WORDS", value_delimiter = ',')]
+    pub objects: Vec<String>,
+    /// Generated scenes of ten objects with these seeds.
+    #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
+    pub seeds: Vec<u64>,
+    /// How much work the scans are given.
+    #[arg(long, value_enum, default_value = "standard")]
+    pub preset: PresetName,
+    /// Masks that the scans are given.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: BenchMasks,
+    /// Frames that are recorded of each object.
+    #[arg(long, value_name = "N", default_value_t = FRAMES)]
+    pub frames: usize,
+    /// Where scans (and in recordings/, what they are made from) are kept and meshes are written.
+    #[arg(long, value_name = "DIR", default_value = "runs/bench-meshes")]
+    pub keep: PathBuf,
+    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    #[arg(long)]
+    pub rescan: bool,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Earlier results (--out, or the output of --json), to print differences to.
+    #[arg(long, value_name = "FILE")]
+    pub compare: Option<PathBuf>,
+    /// Print a Markdown table.
+    #[arg(long)]
+    pub markdown: bool,
+    /// Measure nothing: print the table of earlier results (--out, or the output of --json).
+    #[arg(long, value_name = "FILE")]
+    pub table: Option<PathBuf>,
+}
+
+/// Masks of generated scenes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum BenchMasks {
+    /// By geometry, as `sms scan` makes them.
+    Geometry,
+    /// The true ones.
+    Truth,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()> {
+    let mut scenes = match (&a.objects[..], &a.seeds[..]) {
+        ([], [_, ..]) => Vec::new(),
+        ([], []) => MODELS.iter().map(|m| BenchScene::Model((*m).to_owned())).collect(),
+        (words, _) => sms_bench::select_models(words)?,
+    };
+    scenes.extend(a.seeds.iter().map(|&seed| BenchScene::Ten(seed)));
+    let baseline = a.compare.as_deref().map(read_baseline).transpose()?;
+    if let Some(path) = &a.table {
+        let metrics = read_baseline(path)?;
+        scenes.retain(|s| metrics.number(&format!("bench.materialize.{s}.seconds")).is_some());
+        return show(context, a, &metrics, &scenes, baseline.as_ref());
+    }
+    let options = options(context, a)?;
+    let mut metrics = Metrics::new();
+    let mut measured = Vec::new();
+    for scene in scenes {
+        if let BenchScene::Model(name) = &scene
+            && !model_path(name).is_file()
+        {
+            eprintln!("skipped {scene}: there is no {} (SMS_TEST_DATA)", model_path(name).display());
+            continue;
+        }
+        let warnings = Warnings::new();
+        let progress = context.progress.as_ref();
+        if let Some(figures) = run_materialize(&scene, &options, progress, &context.cancel, &warnings)? {
+            metrics.merge(figures);
+            measured.push(scene.clone());
+        }
+        for w in warnings.snapshot() {
+            eprintln!("warning: {scene}: {}", w.message);
+        }
+    }
+    if measured.is_empty() {
+        return Err(InputError::new(
+            "none of these objects is here",
+            "--objects",
+            "set SMS_TEST_DATA to the folder that holds meshes/, or give --seeds",
+        )
+        .into());
+    }
+    add_materialize_means(&mut metrics, &measured);
+    metrics.set("bench.materialize.preset", options.bench.preset_name());
+    metrics.set("bench.materialize.masks", if options.bench.true_masks { "truth" } else { "geometry" });
+    if let Some(path) = &a.out {
+        metrics.save(path)?;
+    }
+    show(context, a, &metrics, &measured, baseline.as_ref())
+}
+
+fn show(
+    context: &Context,
+    a: &BenchMaterialize,
+    metrics: &Metrics,
+    scenes: &[BenchScene],
+    baseline: Option<&Metrics>,
+) -> anyhow::Result<()> {
+    if context.json {
+        return context.print_json(metrics);
+    }
+    let text = if a.markdown {
+        materialize_markdown(metrics, scenes)
+    } else {
+        materialize_table(metrics, scenes, baseline)
+    };
+    context.print(text.trim_end());
+    Ok(())
+}
+
+fn options(context: &Context, a: &BenchMaterialize) -> anyhow::Result<MaterializeOptions> {
+    if a.frames < HOLDOUT {
+        let cure = format!("record at least {HOLDOUT} frames");
+        return Err(InputError::new("no frame would be held out", "--frames", cure).into());
+    }
+    let base = BenchOptions::new(a.preset.preset(), a.keep.join("recordings"));
+    Ok(MaterializeOptions {
+        bench: BenchOptions {
+            load: context.settings.section("frames", base.load.clone())?,
+            read: context.settings.section("read", ReadOptions::default())?,
+            masks: context.settings.section("masks", GeometryConfig::default())?,
+            scan: context.settings.section("scan", base.scan.clone())?,
+            entities: context.settings.section("entities", EntitiesConfig::default())?,
+            true_masks: a.masks == BenchMasks::Truth,
+            frames: a.frames,
+            ..base
+        },
+        keep: a.keep.clone(),
+        rescan: a.rescan,
+    })
+}

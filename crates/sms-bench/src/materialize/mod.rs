@@ -1,0 +1,30 @@
+//! Meshes of scanned models against the models: how good is what materialize makes, and how long does it take?
+//!
+//! A model is rendered from an orbit and scanned once ([`train`]; the result is kept on disk); each [`run_materialize`]
+//! then makes the entities anew and measures them, so that work on the entities stage is judged in seconds.
+
+mod measure;
+mod overlap;
+mod table;
+mod trained;
+
+pub use measure::run_materialize;
+pub use overlap::parts_overlap;
+pub use table::{
+    MaterializeTarget, add_materialize_means, materialize_markdown, materialize_table, materialize_targets,
+};
+pub use trained::{Inputs, Trained, train};
+
+use crate::prepare::BenchOptions;
+use std::path::PathBuf;
+
+/// What a measurement of materialize depends on, besides the scene.
+#[derive(Debug, Clone)]
+pub struct MaterializeOptions {
+    /// Preset, frames, masks, scan and entities. Disturbances and pose refinement are not used.
+    pub bench: BenchOptions,
+    /// Where scans and resulting meshes are kept.
+    pub keep: PathBuf,
+    /// Whether scans are made again even if they are there.
+    pub rescan: bool,
+}

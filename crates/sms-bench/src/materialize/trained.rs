@@ -1,0 +1,237 @@
+//! Scans kept on disk, so that the entities stage can be measured again and again.
+
+use super::MaterializeOptions;
+use crate::BenchError;
+use crate::matching::{Overlaps, match_labels};
+use crate::prepare::prepare;
+use crate::scenes::{BenchScene, generated, model_path};
+use crate::surface::{DiscSampling, disc_points, score_labelled};
+use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface_at_most, true_surfaces, true_views};
+use glamx::DVec3;
+use serde::{Deserialize, Serialize};
+use sms_core::{
+    Camera, Cancel, CoreError, Hasher, InputError, Labels, Progress, Seed, Warnings, atomic,
+    hash_serializable,
+};
+use sms_frames::Sequence;
+use sms_gaussians::{CpuTrainer, GaussianModel, read_ply, scan, write_ply};
+use sms_masks::{load_labels, save_labels};
+use std::path::{Path, PathBuf};
+
+/// The scan's seed; `sms scan` has the same default.
+const SCAN_SEED: Seed = Seed(0);
+/// Samples of a true surface, before those are left out that no camera sees.
+pub(super) const SAMPLES: usize = 100_000;
+/// Counts up when the layout of what is kept changes.
+const LAYOUT: u32 = 2;
+
+/// A scene that was scanned, and what is true of it.
+#[derive(Debug)]
+pub struct Trained {
+    /// The frames trained on.
+    pub sequence: Sequence,
+    /// Their masks.
+    pub labels: Labels,
+    /// The result of the scan.
+    pub model: GaussianModel,
+    /// True surfaces in the truth's world `T`; that of the sequence is carried to it by `x_world_recording.inverse()`.
+    pub surfaces: Vec<TrueSurface>,
+    /// What the cameras see of them.
+    pub observed: Vec<Vec<SurfacePoint>>,
+    /// The true label that each mask label stands for (as in [`match_labels`]).
+    pub truth_of: Vec<u16>,
+    /// Cameras in `T`.
+    pub cameras_t: Vec<Camera>,
+    /// What entities are made from, measured: masks and Gaussians.
+    pub inputs: Inputs,
+}
+
+/// How good masks and Gaussians are that entities are made from, as means over the objects: what the entities stage cannot
+/// be blamed for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Inputs {
+    /// Seconds of the scan.
+    pub scan_seconds: f64,
+    /// Intersection over union of the masks with the true ones.
+    pub masks_iou: f64,
+    /// Median distance of points on the Gaussians' discs to the true surface, metres (`surface_median_m` of `bench.scan`);
+    /// `None` where no object has any.
+    pub gaussians_median_m: Option<f64>,
+    /// Their F1 at 2.5 mm (`f1_2p5mm` of `bench.scan`).
+    pub gaussians_f1_2p5mm: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Record {
+    truth_of: Vec<u16>,
+    observed: Vec<usize>,
+    inputs: Inputs,
+}
+
+/// Scans a generated scene, or finds the scan that is there. `None` for a model that is not there, whose scan was not kept
+/// either, and for real recordings, which have no truth.
+///
+/// # Errors
+/// [`BenchError`] of the stage that failed.
+pub fn train(
+    scene: &BenchScene,
+    options: &MaterializeOptions,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Option<Trained>, BenchError> {
+    let Some(made) = generated(scene)? else { return Ok(None) };
+    let dir = options.keep.join("scans").join(format!("{scene}-{}", &key(scene, options)?[..12]));
+    let record_path = dir.join("scan.json");
+    if options.rescan || !record_path.is_file() {
+        if dir.exists() {
+            std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
+        }
+        make(scene, options, &dir, progress, cancel, warnings)?;
+    }
+    let record: Record = atomic::read_json(&record_path)?;
+    let sequence = Sequence::load(&dir.join("frames"))?;
+    let x_tw = sequence.x_world_recording.inverse();
+    Ok(Some(Trained {
+        labels: load_labels(&dir.join("masks"))?,
+        model: read_ply(&dir.join("scene.ply"))?,
+        surfaces: true_surfaces(&made.scene),
+        observed: read_observed(&dir.join("observed.f64"), &record.observed)?,
+        truth_of: record.truth_of,
+        inputs: record.inputs,
+        cameras_t: sequence.frames.iter().map(|f| carried(&f.camera, &x_tw)).collect(),
+        sequence,
+    }))
+}
+
+/// Names a scan by everything that it was made from but the code: the model's files or the scene's seed, and all settings
+/// up to the scan.
+fn key(scene: &BenchScene, options: &MaterializeOptions) -> Result<String, CoreError> {
+    let bench = &options.bench;
+    let mut hasher = Hasher::new();
+    if let BenchScene::Model(name) = scene {
+        let folder = model_path(name);
+        let mut files: Vec<PathBuf> = std::fs::read_dir(folder.parent().unwrap_or(Path::new(".")))
+            .map_err(CoreError::read(&folder))?
+            .filter_map(|entry| Some(entry.ok()?.path()))
+            .collect();
+        files.sort();
+        for file in files {
+            hasher.file(&file)?;
+        }
+    }
+    let settings =
+        (&bench.read, &bench.load, &bench.masks, bench.true_masks, &bench.scan, bench.frames, SCAN_SEED);
+    hasher.text(&hash_serializable(&settings).0);
+    hasher.text(&format!("{scene} {} {LAYOUT}", env!("CARGO_PKG_VERSION")));
+    Ok(hasher.finish().0)
+}
+
+fn make(
+    scene: &BenchScene,
+    options: &MaterializeOptions,
+    dir: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<(), BenchError> {
+    let bench = &options.bench;
+    let Some(prepared) = prepare(scene, bench, progress, cancel, warnings)? else { return Ok(()) };
+    let Some(truth) = &prepared.truth else { return Ok(()) };
+    let aside = dir.with_extension(format!("partial-{}", std::process::id()));
+    let work = aside.join("work");
+    std::fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
+    let mut trainer = CpuTrainer::new(&bench.scan.train, prepared.labels.class_count(), SCAN_SEED);
+    let timer = std::time::Instant::now();
+    let result = scan(
+        &prepared.sequence,
+        &prepared.labels,
+        &bench.scan,
+        SCAN_SEED,
+        &work,
+        &mut trainer,
+        progress,
+        cancel,
+        warnings,
+    )?;
+    let scan_seconds = timer.elapsed().as_secs_f64();
+    std::fs::remove_dir_all(&work).map_err(CoreError::write(&work))?;
+
+    let (sequence, labels) = prepared.trained_only(bench.scan.holdout);
+    let x_tw = prepared.x_tw();
+    let cameras: Vec<Camera> = sequence.frames.iter().map(|f| carried(&f.camera, &x_tw)).collect();
+    let surfaces = true_surfaces(truth);
+    let observed = observed_surface_at_most(&surfaces, &cameras, SAMPLES);
+    // Some frames are enough to tell which mask is which object.
+    let every = 6;
+    let views = true_views(truth, &cameras.iter().step_by(every).copied().collect::<Vec<_>>());
+    let mut overlaps = Overlaps::new(labels.class_count(), surfaces.len() + 1);
+    for (map, view) in labels.maps.iter().step_by(every).zip(&views) {
+        overlaps.add_maps(map, &view.label);
+    }
+
+    write_ply(&result.model, &aside.join("scene.ply"))?;
+    sequence.save(&aside.join("frames"))?;
+    save_labels(&aside.join("masks"), &labels)?;
+    write_observed(&aside.join("observed.f64"), &observed)?;
+    let truth_of = match_labels(&overlaps);
+    let points = disc_points(&result.model, &x_tw, &DiscSampling::default());
+    let gaussians = score_labelled(&points, &truth_of, &surfaces, &observed).mean;
+    let iou = |t: usize| {
+        let label = truth_of.iter().position(|of| usize::from(*of) == t);
+        label.map_or(0.0, |label| overlaps.iou(label, t))
+    };
+    let inputs = Inputs {
+        scan_seconds,
+        masks_iou: (1..=surfaces.len()).map(iou).sum::<f64>() / surfaces.len() as f64,
+        gaussians_median_m: Some(gaussians.median_m).filter(|m| m.is_finite()),
+        gaussians_f1_2p5mm: gaussians.f1,
+    };
+    let record = Record { truth_of, observed: observed.iter().map(Vec::len).collect(), inputs };
+    atomic::write_json(&aside.join("scan.json"), &record)?;
+    match std::fs::rename(&aside, dir) {
+        Err(error) if !dir.join("scan.json").is_file() => Err(CoreError::write(dir)(error).into()),
+        Err(_) => {
+            // Another process was faster.
+            let _ = std::fs::remove_dir_all(&aside);
+            Ok(())
+        }
+        Ok(()) => Ok(()),
+    }
+}
+
+/// Points and normals of all objects, one after another, as little-endian doubles.
+fn write_observed(path: &Path, observed: &[Vec<SurfacePoint>]) -> Result<(), CoreError> {
+    let numbers = |s: &SurfacePoint| s.point.to_array().into_iter().chain(s.normal.to_array());
+    let bytes: Vec<u8> = observed.iter().flatten().flat_map(numbers).flat_map(f64::to_le_bytes).collect();
+    atomic::write_bytes(path, &bytes)
+}
+
+fn read_observed(path: &Path, counts: &[usize]) -> Result<Vec<Vec<SurfacePoint>>, CoreError> {
+    let bytes = std::fs::read(path).map_err(CoreError::read(path))?;
+    if bytes.len() != 48 * counts.iter().sum::<usize>() {
+        return Err(InputError::new("this file is damaged", path, "measure with --rescan").into());
+    }
+    let number = |b: &[u8]| f64::from_le_bytes(std::array::from_fn(|i| b[i]));
+    let mut points = bytes.chunks_exact(48).map(|b| SurfacePoint {
+        point: DVec3::from_array([0, 8, 16].map(|i| number(&b[i..]))),
+        normal: DVec3::from_array([24, 32, 40].map(|i| number(&b[i..]))),
+    });
+    Ok(counts.iter().map(|&count| points.by_ref().take(count).collect()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn observed_points_come_back_bit_by_bit() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("observed.f64");
+        let point = |x: f64| SurfacePoint { point: DVec3::new(x, 0.1, -x), normal: DVec3::Y * x };
+        let observed = vec![vec![point(0.1), point(1e-9)], vec![], vec![point(-3.0)]];
+        write_observed(&path, &observed).unwrap();
+        assert_eq!(read_observed(&path, &[2, 0, 1]).unwrap(), observed);
+        assert!(read_observed(&path, &[2, 0, 2]).is_err());
+    }
+}

@@ -1,0 +1,366 @@
+//! Scanned models as scenes: a mesh from files, standing on a floor, and an orbit of cameras scaled to its size.
+
+use crate::billiards::draw_floor;
+use crate::materials::draw_material;
+use crate::scene::{Hollow, TRUTH_VERSION, TruthObject, TruthScene};
+use crate::skin::Skin;
+use crate::texture::{Pattern, Texture};
+use glamx::{DPose3, DQuat, DVec3};
+use image::ImageReader;
+use rand::RngExt;
+use sms_core::{
+    Aabb, Camera, ColorImage, CoreError, InputError, Intrinsics, MassProperties, Material, Mesh, MeshTexture,
+    Seed, box_mass_properties, polyhedron_mass_properties,
+};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A model as its files have it: metres, z up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// The surface, equal vertices joined and triangles without extent left out.
+    pub mesh: Mesh,
+    /// The picture on it, where the material names one.
+    pub texture: Option<MeshTexture>,
+    /// The material's diffuse colour, sRGB.
+    pub color: [u8; 3],
+}
+
+/// Reads a Wavefront OBJ with one material: positions, texture coordinates, polygons (fanned), and of the material library
+/// the diffuse colour and picture (JPEG or PNG).
+///
+/// # Errors
+/// [`CoreError::Read`] when a file cannot be read, [`CoreError::Input`] naming the line that is wrong.
+pub fn read_model(path: &Path) -> Result<Model, CoreError> {
+    let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
+    let mut obj = Obj::default();
+    for (number, line) in text.lines().enumerate() {
+        obj.line(line).ok_or_else(|| {
+            let what = format!("line {} of this OBJ is wrong", number + 1);
+            InputError::new(what, path, "export the mesh again, as triangles or convex polygons")
+        })?;
+    }
+    if obj.mesh.triangles.is_empty() {
+        return Err(InputError::new("this OBJ has no faces", path, "export the mesh again").into());
+    }
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut look = Look { color: [204; 3], image: None };
+    if let Some(library) = &obj.library {
+        look = read_library(&folder.join(library))?;
+    }
+    let texture = match look.image {
+        Some(image) if obj.corner_uv.iter().all(|uv| uv[0][0].is_finite()) => {
+            Some(MeshTexture { corner_uv: obj.corner_uv, image })
+        }
+        _ => None,
+    };
+    Ok(Model { mesh: obj.mesh, texture, color: look.color })
+}
+
+#[derive(Default)]
+struct Obj {
+    mesh: Mesh,
+    /// Not a number where a corner has no texture coordinates.
+    corner_uv: Vec<[[f32; 2]; 3]>,
+    library: Option<String>,
+    /// The joined vertex of each vertex of the file.
+    joined: Vec<u32>,
+    index_of: BTreeMap<[u64; 3], u32>,
+    uv: Vec<[f32; 2]>,
+}
+
+impl Obj {
+    fn line(&mut self, line: &str) -> Option<()> {
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v") => {
+                let mut next = || words.next()?.parse::<f64>().ok().filter(|v| v.is_finite());
+                let p = DVec3::new(next()?, next()?, next()?);
+                // + 0.0 turns −0.0 into 0.0.
+                let key = (p + DVec3::ZERO).to_array().map(f64::to_bits);
+                let vertices = &mut self.mesh.vertices;
+                let index = *self.index_of.entry(key).or_insert_with(|| {
+                    vertices.push(p);
+                    vertices.len() as u32 - 1
+                });
+                self.joined.push(index);
+            }
+            Some("vt") => {
+                let mut next = || words.next()?.parse::<f32>().ok().filter(|v| v.is_finite());
+                self.uv.push([next()?, next()?]);
+            }
+            Some("mtllib") => self.library = Some(line.trim_start()["mtllib".len()..].trim().to_owned()),
+            Some("f") => {
+                let corners: Vec<(u32, [f32; 2])> =
+                    words.map(|word| self.corner(word)).collect::<Option<_>>()?;
+                if corners.len() < 3 {
+                    return None;
+                }
+                for k in 1..corners.len() - 1 {
+                    let [a, b, c] = [corners[0], corners[k], corners[k + 1]];
+                    if a.0 != b.0 && b.0 != c.0 && c.0 != a.0 {
+                        self.mesh.triangles.push([a.0, b.0, c.0]);
+                        self.corner_uv.push([a.1, b.1, c.1]);
+                    }
+                }
+            }
+            _ => {}
+        }
+        Some(())
+    }
+
+    /// `7`, `7/3`, `7/3/1` or `7//1`, counted from 1, or from the end where negative.
+    fn corner(&self, word: &str) -> Option<(u32, [f32; 2])> {
+        let resolve = |text: &str, count: usize| {
+            let index: i64 = text.parse().ok()?;
+            let index = if index < 0 { count as i64 + index } else { index - 1 };
+            usize::try_from(index).ok().filter(|&i| i < count)
+        };
+        let mut fields = word.split('/');
+        let vertex = self.joined[resolve(fields.next()?, self.joined.len())?];
+        let uv = match fields.next().filter(|f| !f.is_empty()) {
+            Some(text) => self.uv[resolve(text, self.uv.len())?],
+            None => [f32::NAN; 2],
+        };
+        Some((vertex, uv))
+    }
+}
+
+struct Look {
+    color: [u8; 3],
+    image: Option<ColorImage>,
+}
+
+fn read_library(path: &Path) -> Result<Look, CoreError> {
+    let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
+    let mut look = Look { color: [204; 3], image: None };
+    for line in text.lines() {
+        let line = line.trim();
+        if let Some(rest) = line.strip_prefix("Kd ") {
+            let values: Vec<f64> = rest.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+            if let [r, g, b] = values[..] {
+                look.color = [r, g, b].map(|c| (c * 255.0).round().clamp(0.0, 255.0) as u8);
+            }
+        } else if let Some(name) = line.strip_prefix("map_Kd ") {
+            look.image = Some(read_picture(&path.with_file_name(name.trim()))?);
+        }
+    }
+    Ok(look)
+}
+
+fn read_picture(path: &Path) -> Result<ColorImage, CoreError> {
+    let damaged = |e: String| InputError::new(e, path, "store the picture as JPEG or PNG again");
+    let reader = ImageReader::open(path).map_err(CoreError::read(path))?;
+    let reader = reader.with_guessed_format().map_err(CoreError::read(path))?;
+    let image = reader.decode().map_err(|e| damaged(format!("cannot decode this picture: {e}")))?.to_rgb8();
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let data = image.into_raw().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+    Ok(ColorImage::from_vec(width, height, data))
+}
+
+/// A scene with one model, and the pictures of its objects (parallel to `scene.objects`).
+#[derive(Debug, Clone)]
+pub struct ModelScene {
+    /// The scene; the model is its only object.
+    pub scene: TruthScene,
+    /// For [`crate::Renderer::with_skins`].
+    pub skins: Vec<Option<Skin>>,
+}
+
+/// Stands a model on a floor: resting as its file has it, its lowest point at z = 0, its middle above the origin, turned
+/// about z by an angle that follows from the seed (nothing in the world shall be aligned with the axes by chance).
+///
+/// Of what it is made nobody knows: its material is called `unknown`, and values are those of wood. Its mass properties
+/// are those of the volume that it encloses; of a box around it where it encloses none.
+pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
+    let seed = seed.derive("model scene v1").derive(name);
+    let mut rng = seed.derive("object").rng();
+    let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
+    let turned = model.mesh.transformed(&DPose3::from_parts(DVec3::ZERO, turn));
+    let bounds = turned.aabb().unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
+    // W is the model's frame turned, and moved by this.
+    let lift = -bounds.center().with_z(bounds.min.z);
+    let material = Material { class: "unknown".into(), ..draw_material("wood", &mut rng) };
+    let mass = mass_of(&turned, &bounds, material.density.value.best);
+    let com = mass.com();
+    let texture = Texture {
+        pattern: Pattern::Plain,
+        color: model.color,
+        accent: model.color,
+        scale_m: 0.02,
+        seed: rng.random::<u32>(),
+        gloss: 0.1,
+        spots: Vec::new(),
+    };
+    let mesh = turned.transformed(&DPose3::from_translation(-com));
+    let skin = model.texture.as_ref().and_then(|t| Skin::new(&mesh, t));
+    let object = TruthObject {
+        name: name.to_owned(),
+        class: name.replace('_', " "),
+        material,
+        sphere_radius: None,
+        mesh,
+        parts: Vec::new(),
+        x_wb: DPose3::from_translation(lift + com),
+        texture,
+        x_ab: DPose3::from_translation(lift + com),
+        hollow: Hollow::Solid,
+        mass: MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap_or(mass),
+    };
+    let scene = TruthScene {
+        version: TRUTH_VERSION,
+        name: name.to_owned(),
+        seed,
+        cue: String::new(),
+        target: String::new(),
+        workspace_center_w: lift + bounds.center(),
+        objects: vec![object],
+        floor: draw_floor(seed, seed),
+        goal_w: [0.0; 2],
+        robot_base_w: DVec3::ZERO,
+    };
+    ModelScene { scene, skins: vec![skin] }
+}
+
+fn mass_of(mesh: &Mesh, bounds: &Aabb, density: f64) -> MassProperties {
+    polyhedron_mass_properties(mesh, density)
+        .or_else(|_| {
+            let solid = box_mass_properties((0.5 * bounds.extents()).max(DVec3::splat(1e-3)), density)?;
+            MassProperties::new(solid.mass(), bounds.center(), solid.inertia())
+        })
+        .expect("a box of positive size has mass")
+}
+
+/// Rings of the orbit: elevation in degrees, and the share of the frames. The highest looks into hollows.
+const RINGS: [(f64, f64); 3] = [(15.0, 0.40), (40.0, 0.33), (68.0, 0.27)];
+/// Distance of the cameras from the middle of the object, in radii of the sphere around it: it fills most of the height of
+/// an image with the default field of view.
+const ORBIT_RADII: f64 = 2.8;
+/// No camera is nearer to the middle than this, metres: below it, the near side of a small object would be nearer than a
+/// depth camera measures.
+const NEAREST_M: f64 = 0.25;
+
+/// Camera poses `X_WC` (OpenCV axes) on three rings around the box of an object, all aimed at its middle. Distances grow
+/// with the object, so that every object is seen at about the same size; the camera's errors are those of that distance.
+pub fn orbit_poses(bounds: &Aabb, frames: usize) -> Vec<DPose3> {
+    let center = bounds.center();
+    let distance = (ORBIT_RADII * 0.5 * bounds.extents().length()).max(NEAREST_M);
+    // Only the pose is used.
+    let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
+    let mut ends = [0; 3];
+    let mut share = 0.0;
+    for (end, (_, s)) in ends.iter_mut().zip(RINGS) {
+        share += s;
+        *end = (share * frames as f64).round() as usize;
+    }
+    (0..frames)
+        .map(|i| {
+            let ring = ends.iter().position(|&end| i < end).unwrap_or(RINGS.len() - 1);
+            let start = if ring == 0 { 0 } else { ends[ring - 1] };
+            let count = (ends[ring] - start).max(1) as f64;
+            // Rings are turned against each other, so that they do not repeat each other's directions.
+            let azimuth = std::f64::consts::TAU * ((i - start) as f64 + ring as f64 / 3.0) / count;
+            let (up, flat) = RINGS[ring].0.to_radians().sin_cos();
+            let eye = center + distance * DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), up);
+            Camera::look_at(intrinsics, eye, center, DVec3::Z).x_wc
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CameraModel, DepthCamera, Renderer};
+
+    fn write(dir: &Path, name: &str, text: &str) {
+        std::fs::write(dir.join(name), text).unwrap();
+    }
+
+    #[test]
+    fn an_obj_with_a_picture_is_joined_and_rendered_with_it() {
+        let dir = tempfile::tempdir().unwrap();
+        // A cube of 0.1 m, every face with corners of its own; all faces show the whole picture but the top, which shows
+        // its upper left quarter only.
+        let mut text = String::from("mtllib cube.mtl\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n");
+        text += "vt 0 0.5\nvt 0.5 0.5\nvt 0.5 1\nvt 0 1\n";
+        let cube = Mesh::cuboid(DVec3::splat(0.05));
+        let mut count = 0;
+        for quad in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] {
+            for v in quad.map(|i: usize| cube.vertices[i]) {
+                text += &format!("v {:.3} {:.3} {:.3}\n", v.x, v.y, v.z + 0.3);
+            }
+            let uv = if quad == [4, 5, 7, 6] { 4 } else { 0 };
+            let corner = |k: usize| format!("{}/{}", count + k, uv + k);
+            text += &format!("f {} {} {} {}\n", corner(1), corner(2), corner(3), corner(4));
+            count += 4;
+        }
+        write(dir.path(), "cube.obj", &text);
+        write(dir.path(), "cube.mtl", "newmtl a\nKd 0.5 0.5 1\nmap_Kd p.png\n");
+        let pixel = |i: usize| if i % 8 < 4 && i / 8 < 4 { [230, 20, 20] } else { [20, 20, 230] };
+        let picture = ColorImage::from_vec(8, 8, (0..64).map(pixel).collect());
+        sms_core::write_png_color(&dir.path().join("p.png"), &picture).unwrap();
+
+        let model = read_model(&dir.path().join("cube.obj")).unwrap();
+        assert_eq!((model.mesh.vertices.len(), model.mesh.triangles.len()), (8, 12));
+        assert!(model.mesh.is_closed_oriented() && (model.mesh.volume() - 1e-3).abs() < 1e-12);
+        assert_eq!(model.color, [128, 128, 255]);
+
+        let placed = model_scene("cube", &model, Seed(1));
+        let object = &placed.scene.objects[0];
+        let bounds = object.aabb_w();
+        assert!(bounds.min.z.abs() < 1e-12 && bounds.center().truncate().length() < 1e-12);
+        assert!((object.mass.com()).length() < 1e-12);
+        let poses = orbit_poses(&bounds, 60);
+        assert_eq!(poses.len(), 60);
+        for x_wc in &poses {
+            assert!((x_wc.translation - bounds.center()).length() >= 0.25 - 1e-12);
+            assert!(x_wc.translation.z > 0.1);
+        }
+        let camera = Camera::new(Intrinsics::from_fov(160, 100, 1.2), poses[59]);
+        let sensor =
+            CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, antialias: true, seed: Seed(0) };
+        let frame = Renderer::with_skins(&placed.scene, &placed.skins).render(&camera, &sensor);
+        // Seen from above: on the top the picture is red, on the sides mostly blue.
+        let mut red = [0usize; 2];
+        for (at, (color, label)) in frame.color.data.iter().zip(&frame.label.data).enumerate() {
+            if *label == 1 {
+                let p = camera.unproject_pixel(at % 160, at / 160, f64::from(frame.depth.data[at]));
+                let top = p.z > 0.0999;
+                let is_red = color[0] > color[2];
+                if top && p.xy_inside(&bounds, 0.004) {
+                    assert!(is_red, "{p} {color:?}");
+                    red[0] += 1;
+                }
+                red[1] += usize::from(!top && !is_red);
+            }
+        }
+        assert!(red[0] > 500 && red[1] > 50, "{red:?}");
+    }
+
+    trait Inside {
+        fn xy_inside(&self, bounds: &Aabb, margin: f64) -> bool;
+    }
+
+    impl Inside for DVec3 {
+        /// Whether a point of the cube's turned top is so far from its edges.
+        fn xy_inside(&self, bounds: &Aabb, margin: f64) -> bool {
+            (*self - bounds.center()).truncate().length() < 0.05 - margin
+        }
+    }
+
+    #[test]
+    fn damaged_files_are_refused_with_their_line() {
+        let dir = tempfile::tempdir().unwrap();
+        for (text, word) in
+            [("v 0 0\n", "line 1"), ("v 0 0 0\nf 1 2 3\n", "line 2"), ("v 0 0 0\n", "no faces")]
+        {
+            write(dir.path(), "a.obj", text);
+            let error = read_model(&dir.path().join("a.obj")).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        }
+        write(dir.path(), "a.obj", "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+        write(dir.path(), "a.mtl", "map_Kd a.png\n");
+        write(dir.path(), "a.png", "no picture");
+        assert!(read_model(&dir.path().join("a.obj")).is_err());
+    }
+}
