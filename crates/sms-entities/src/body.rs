@@ -55,11 +55,11 @@ pub(crate) fn mesh_entity(
     draft: &Draft,
     views: &Views,
     config: &EntitiesConfig,
-    spacing: f64,
     seed: Seed,
     warnings: &Warnings,
 ) -> Option<Entity> {
     let name = &draft.info.name;
+    let spacing = draft.spacing;
     let contact = contact_points(&draft.cloud, &draft.rest, views, draft.info.id, spacing);
     let input = MeshInput {
         cloud: &draft.cloud,
@@ -93,7 +93,7 @@ pub(crate) fn mesh_entity(
         ),
     }
     let exact = recognise_primitive(draft, &contact, &mesh, views, config, seed);
-    if let Some(solid) = exact.as_ref().and_then(|shape| primitive_mesh(shape, spacing)) {
+    if let Some(solid) = exact.as_ref().and_then(|shape| primitive_mesh(shape, spacing.max(0.004))) {
         mesh = solid;
     }
     mesh.colors = crate::refine::colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);

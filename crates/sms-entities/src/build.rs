@@ -23,6 +23,8 @@ pub(crate) const STAGE: &str = "materialize";
 pub(crate) struct Draft {
     pub(crate) info: LabelInfo,
     pub(crate) cloud: PointCloud,
+    /// Distance between neighbouring points of the cloud, metres.
+    pub(crate) spacing: f64,
     pub(crate) rest: Rest,
     pub(crate) sphere: Option<SphereFit>,
     /// Whether it stays where it is: physics would drop what only seems to float.
@@ -48,7 +50,6 @@ pub fn build_entities(
     config.validate()?;
     check_inputs(sequence, labels)?;
     let views = Views { sequence, labels };
-    let spacing = cloud::spacing(config);
     let count = labels.objects.len() as u64;
     progress.begin("objects", 2 * count + 1);
     let around = support::surroundings(&views, 0.005);
@@ -72,7 +73,7 @@ pub fn build_entities(
             Some(fit) => Some(body::sphere_entity(draft, &fit)),
             None => {
                 let object_seed = seed.derive_index("solid", u64::from(draft.info.id));
-                body::mesh_entity(draft, &views, config, spacing, object_seed, warnings)
+                body::mesh_entity(draft, &views, config, object_seed, warnings)
             }
         });
     }
@@ -136,11 +137,11 @@ fn draft(
     seed: Seed,
     warnings: &Warnings,
 ) -> Option<Draft> {
-    let spacing = cloud::spacing(config);
+    let coarse = cloud::coarse_spacing(config);
     let mut discs: Vec<Disc> = cloud::label_discs(model, views, info.id, config);
     if discs.len() < FEW_DISCS {
         let from_model = discs.len();
-        discs = cloud::pixel_discs(views, info.id, spacing);
+        discs = cloud::pixel_discs(views, info.id, coarse);
         if discs.len() >= FEW_DISCS {
             warnings.add(
                 STAGE,
@@ -153,8 +154,9 @@ fn draft(
             );
         }
     }
-    let discs = cloud::drop_islands(discs, spacing);
-    let mut cloud = cloud::densify(&discs, views, info.id, config, seed);
+    let discs = cloud::drop_islands(discs, coarse);
+    let spacing = cloud::spacing(&discs, config);
+    let mut cloud = cloud::densify(&discs, views, info.id, spacing, config, seed);
     if cloud.points_w.len() < 20 {
         warnings.add(
             STAGE,
@@ -168,7 +170,11 @@ fn draft(
         );
         return None;
     }
-    let rest = support::find_rest(&cloud.points_w, info.id, around, support_height, seed);
+    let sparse: Vec<DVec3> = cloud::thin(&cloud.points_w, &cloud.normals_w, 0.8 * coarse)
+        .into_iter()
+        .map(|i| cloud.points_w[i])
+        .collect();
+    let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
     if rest.carrier == Carrier::Unseen {
         warnings.add(
             STAGE,
@@ -182,7 +188,7 @@ fn draft(
     }
     drop_carrier_points(&mut cloud, &rest);
     let sphere = recognise_sphere(&cloud, views, info.id, &rest, config, seed);
-    Some(Draft { info: info.clone(), cloud, rest, sphere, fixed: false })
+    Some(Draft { info: info.clone(), cloud, spacing, rest, sphere, fixed: false })
 }
 
 /// What touches another object but could not stay where it is by itself is a piece of that object that its mask
@@ -195,7 +201,7 @@ fn join_pieces(
     seed: Seed,
     warnings: &Warnings,
 ) {
-    let reach = 2.0 * cloud::spacing(config);
+    let reach = 2.0 * cloud::coarse_spacing(config);
     let mut i = 0;
     while i < drafts.len() {
         let points = &drafts[i].cloud.points_w;
@@ -218,6 +224,7 @@ fn join_pieces(
         host.cloud.points_w.extend(piece.cloud.points_w);
         host.cloud.normals_w.extend(piece.cloud.normals_w);
         host.cloud.colors.extend(piece.cloud.colors);
+        host.spacing = host.spacing.max(piece.spacing);
         host.sphere = recognise_sphere(&host.cloud, views, host.info.id, &host.rest, config, seed);
         let message = format!(
             "`{}` cannot stand by itself and touches `{}`: they were joined",

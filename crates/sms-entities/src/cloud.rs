@@ -21,9 +21,19 @@ pub(crate) struct Disc {
     pub(crate) color: [u8; 3],
 }
 
-/// Distance between neighbouring points of a cloud of this density.
-pub(crate) fn spacing(config: &EntitiesConfig) -> f64 {
+/// Largest distance between neighbouring points of a cloud.
+pub(crate) fn coarse_spacing(config: &EntitiesConfig) -> f64 {
     1.0 / config.density_per_m2.max(100.0).sqrt()
+}
+
+/// Distance between neighbouring points that spends the point budget on the surface that the discs cover.
+pub(crate) fn spacing(discs: &[Disc], config: &EntitiesConfig) -> f64 {
+    let coarse = coarse_spacing(config);
+    let points: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
+    let normals: Vec<DVec3> = discs.iter().map(|d| d.normal).collect();
+    // Random points thinned to a distance cover about 0.7 of its square each (random sequential packing).
+    let area = 0.7_f64.recip() * thin(&points, &normals, coarse).len() as f64 * coarse * coarse;
+    (area / config.point_budget.max(1) as f64).sqrt().clamp(config.min_spacing.min(coarse), coarse)
 }
 
 /// Median distance to the nearest neighbour that is somewhere else, metres, scaled to the pitch of an even cover (random
@@ -214,16 +224,19 @@ pub(crate) fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<us
     kept
 }
 
+/// Normals are smoothed over at least this, metres: the noise of depth reaches over a few pixels.
+const NORMAL_RADIUS_M: f64 = 0.005;
+
 /// Uniform surface points: each disc is sampled uniformly by area, samples that the frames contradict are dropped, and
 /// the rest is thinned to the wanted density, moved onto the measured depth and given smoothed normals.
 pub(crate) fn densify(
     discs: &[Disc],
     views: &Views,
     label: u16,
+    spacing: f64,
     config: &EntitiesConfig,
     seed: Seed,
 ) -> PointCloud {
-    let spacing = spacing(config);
     let mut rng = seed.rng();
     let mut order: Vec<usize> = (0..discs.len()).collect();
     order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
@@ -238,7 +251,7 @@ pub(crate) fn densify(
         let area =
             std::f64::consts::PI * config.disc_sigmas.powi(2) * disc.axes[0].length() * disc.axes[1].length();
         // Thinning follows, so a surplus only makes the result more even.
-        let wanted = 2.0 * area * config.density_per_m2 + rng.random::<f64>();
+        let wanted = 2.0 * area / (spacing * spacing) + rng.random::<f64>();
         for _ in 0..(wanted as usize).min(400) {
             // The square root makes the samples uniform by area instead of by radius.
             let radius = config.disc_sigmas * rng.random::<f64>().sqrt();
@@ -267,7 +280,7 @@ pub(crate) fn densify(
                     cloud.points_w[i] = p + n * offset;
                 }
             }
-            smooth_normals(&mut cloud, 2.0 * spacing);
+            smooth_normals(&mut cloud, (2.0 * spacing).max(NORMAL_RADIUS_M));
         }
     }
     drop_strays(&mut cloud, spacing);

@@ -26,8 +26,12 @@ pub struct EntitiesConfig {
     pub min_confidence: f64,
     /// Gaussians more transparent than this are left out.
     pub min_opacity: f64,
-    /// Surface points per square metre (released code: 25 000, 6.3 mm apart).
+    /// Least surface points per square metre (released code: 25 000, 6.3 mm apart).
     pub density_per_m2: f64,
+    /// Small objects are sampled more finely, so that each has about so many surface points …
+    pub point_budget: usize,
+    /// … but not closer than this, metres: finer than the scan resolves, points only repeat its noise.
+    pub min_spacing: f64,
     /// Discs are sampled out to so many standard deviations.
     pub disc_sigmas: f64,
     /// Whether points are moved along their normals to the median of the measured depth.
@@ -59,6 +63,8 @@ impl Default for EntitiesConfig {
             min_confidence: 0.5,
             min_opacity: 0.1,
             density_per_m2: 25_000.0,
+            point_budget: 12_000,
+            min_spacing: 0.0015,
             disc_sigmas: 2.0,
             refine_to_depth: true,
             prune_factor: 2.25,
@@ -86,6 +92,7 @@ impl EntitiesConfig {
             ("min_confidence", self.min_confidence, 0.0, 1.0),
             ("min_opacity", self.min_opacity, 0.0, 1.0),
             ("density_per_m2", self.density_per_m2, 1.0, 1e8),
+            ("min_spacing", self.min_spacing, 1e-5, 1.0),
             ("disc_sigmas", self.disc_sigmas, 1e-3, 10.0),
             ("prune_factor", self.prune_factor, 1e-3, 1e3),
             ("prune_length", self.prune_length.unwrap_or(1.0), 1e-6, 1e3),
@@ -107,6 +114,7 @@ impl EntitiesConfig {
             r.within(key, value, low, high)?;
         }
         for (key, value, low, high) in [
+            ("point_budget", self.point_budget, 50, 10_000_000),
             ("prune_neighbors", self.prune_neighbors, 1, 1000),
             ("smoothing_iterations", self.smoothing_iterations, 0, 1000),
             ("face_budget", self.face_budget, 12, 10_000_000),

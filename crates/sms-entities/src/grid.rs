@@ -84,14 +84,37 @@ impl<'a> PointGrid<'a> {
         found
     }
 
-    /// The `k` nearest points, nearest first; fewer only when there are fewer.
-    pub(crate) fn nearest_k(&self, p: DVec3, k: usize) -> Vec<(f64, usize)> {
-        let reach = (0..3)
+    /// Whether any point is within `radius`.
+    pub(crate) fn is_near(&self, p: DVec3, radius: f64) -> bool {
+        if self.points.is_empty() {
+            return false;
+        }
+        let low = self.coordinates(p - DVec3::splat(radius));
+        let high = self.coordinates(p + DVec3::splat(radius));
+        (low[2]..=high[2]).any(|z| {
+            (low[1]..=high[1]).any(|y| {
+                let row = self.index([0, y, z]);
+                let range = self.starts[row + low[0]] as usize..self.starts[row + high[0] + 1] as usize;
+                self.order[range]
+                    .iter()
+                    .any(|&i| self.points[i as usize].distance_squared(p) <= radius * radius)
+            })
+        })
+    }
+
+    /// Beyond this there is no point.
+    fn reach(&self, p: DVec3) -> f64 {
+        (0..3)
             .map(|a| {
                 (p[a] - self.min[a]).abs().max((p[a] - self.min[a] - self.size[a] as f64 * self.cell).abs())
             })
             .fold(0.0, f64::max)
-            * 2.0;
+            * 2.0
+    }
+
+    /// The `k` nearest points, nearest first; fewer only when there are fewer.
+    pub(crate) fn nearest_k(&self, p: DVec3, k: usize) -> Vec<(f64, usize)> {
+        let reach = self.reach(p);
         let mut radius = self.cell;
         loop {
             let mut found = self.within(p, radius);
@@ -105,7 +128,20 @@ impl<'a> PointGrid<'a> {
 
     /// The nearest point as `(distance, index)`.
     pub(crate) fn nearest(&self, p: DVec3) -> Option<(f64, usize)> {
-        self.nearest_k(p, 1).first().map(|&(d, i)| (d.sqrt(), i))
+        let reach = self.reach(p);
+        let mut radius = self.cell;
+        loop {
+            let mut best: Option<(f64, usize)> = None;
+            self.for_each_within(p, radius, |i, d| {
+                if best.is_none_or(|b| d < b.0 || (d == b.0 && i < b.1)) {
+                    best = Some((d, i));
+                }
+            });
+            if best.is_some() || radius > reach {
+                return best.map(|(d, i)| (d.sqrt(), i));
+            }
+            radius *= 2.0;
+        }
     }
 }
 

@@ -159,7 +159,7 @@ pub(crate) fn find_rest(
                 && around.normals[i].z > 0.75
                 && p.z > lowest - 0.04
                 && p.z < lowest + (0.25 * height).clamp(0.008, 0.02)
-                && flat.nearest(p.with_z(0.0)).is_some_and(|n| n.0 < 0.04)
+                && flat.is_near(p.with_z(0.0), 0.04)
         })
         .collect();
     let floor = |height: f64| Rest { plane: Plane::horizontal(height), carrier: Carrier::Floor };
