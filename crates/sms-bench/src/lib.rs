@@ -52,8 +52,8 @@ pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use matching::{Overlaps, match_labels};
 pub use materialize::{
-    Inputs, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means, materialize_markdown,
-    materialize_table, materialize_targets, parts_overlap, run_materialize, train,
+    Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
+    materialize_markdown, materialize_table, materialize_targets, parts_overlap, run_materialize, train,
 };
 pub use panels::write_panel;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};

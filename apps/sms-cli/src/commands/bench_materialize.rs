@@ -5,7 +5,7 @@ use crate::cli::PresetName;
 use crate::context::Context;
 use clap::{Args, ValueEnum};
 use sms_bench::{
-    BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaterializeOptions, add_materialize_means,
+    BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, add_materialize_means,
     materialize_markdown, materialize_table, model_path, run_materialize,
 };
 use sms_core::metrics::Metrics;
@@ -27,7 +27,7 @@ pub(crate) struct BenchMaterialize {
     #[arg(long, value_enum, default_value = "standard")]
     pub preset: PresetName,
     /// Masks that the scans are given.
-    #[arg(long, value_enum, default_value = "geometry")]
+    #[arg(long, value_enum, default_value = "auto")]
     pub masks: BenchMasks,
     /// Frames that are recorded of each object.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
@@ -55,6 +55,8 @@ pub(crate) struct BenchMaterialize {
 /// Masks of generated scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum BenchMasks {
+    /// By geometry; the true ones for objects longer than its settings allow (`masks.max_object_m`).
+    Auto,
     /// By geometry, as `sms scan` makes them.
     Geometry,
     /// The true ones.
@@ -104,7 +106,6 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
     }
     add_materialize_means(&mut metrics, &measured);
     metrics.set("bench.materialize.preset", options.bench.preset_name());
-    metrics.set("bench.materialize.masks", if options.bench.true_masks { "truth" } else { "geometry" });
     if let Some(path) = &a.out {
         metrics.save(path)?;
     }
@@ -143,9 +144,13 @@ fn options(context: &Context, a: &BenchMaterialize) -> anyhow::Result<Materializ
             masks: context.settings.section("masks", GeometryConfig::default())?,
             scan: context.settings.section("scan", base.scan.clone())?,
             entities: context.settings.section("entities", EntitiesConfig::default())?,
-            true_masks: a.masks == BenchMasks::Truth,
             frames: a.frames,
             ..base
+        },
+        masks: match a.masks {
+            BenchMasks::Auto => MaskChoice::Auto,
+            BenchMasks::Geometry => MaskChoice::Geometry,
+            BenchMasks::Truth => MaskChoice::Truth,
         },
         keep: a.keep.clone(),
         rescan: a.rescan,

@@ -51,6 +51,7 @@ pub fn run_materialize(
     let mut metrics = Metrics::new();
     metrics.set(format!("{prefix}seconds"), seconds);
     let dynamic = set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic).count();
+    metrics.set(format!("{prefix}masks"), if trained.true_masks { "truth" } else { "geometry" });
     let found = measured.iter().filter(|m| m.entity.is_some()).count();
     metrics.set(format!("{prefix}objects"), measured.len());
     metrics.set(format!("{prefix}found"), found);

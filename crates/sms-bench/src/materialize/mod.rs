@@ -18,11 +18,26 @@ pub use trained::{Inputs, Trained, train};
 use crate::prepare::BenchOptions;
 use std::path::PathBuf;
 
+/// Which masks a scan is given.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum MaskChoice {
+    /// By geometry; the true ones for models longer than what the masks by geometry take for an object at all
+    /// (`max_object_m`), as a user would label them.
+    #[default]
+    Auto,
+    /// By geometry.
+    Geometry,
+    /// The true ones.
+    Truth,
+}
+
 /// What a measurement of materialize depends on, besides the scene.
 #[derive(Debug, Clone)]
 pub struct MaterializeOptions {
     /// Preset, frames, masks, scan and entities. Disturbances and pose refinement are not used.
     pub bench: BenchOptions,
+    /// Masks; decides instead of `bench.true_masks`.
+    pub masks: MaskChoice,
     /// Where scans and resulting meshes are kept.
     pub keep: PathBuf,
     /// Whether scans are made again even if they are there.

@@ -1,9 +1,9 @@
 //! Scans kept on disk, so that the entities stage can be measured again and again.
 
-use super::MaterializeOptions;
+use super::{MaskChoice, MaterializeOptions};
 use crate::BenchError;
 use crate::matching::{Overlaps, match_labels};
-use crate::prepare::prepare;
+use crate::prepare::{BenchOptions, prepare};
 use crate::scenes::{BenchScene, generated, model_path};
 use crate::surface::{DiscSampling, disc_points, score_labelled};
 use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface_at_most, true_surfaces, true_views};
@@ -16,6 +16,7 @@ use sms_core::{
 use sms_frames::Sequence;
 use sms_gaussians::{CpuTrainer, GaussianModel, read_ply, scan, write_ply};
 use sms_masks::{load_labels, save_labels};
+use sms_synth::TruthObject;
 use std::path::{Path, PathBuf};
 
 /// The scan's seed; `sms scan` has the same default.
@@ -42,6 +43,8 @@ pub struct Trained {
     pub truth_of: Vec<u16>,
     /// Cameras in `T`.
     pub cameras_t: Vec<Camera>,
+    /// Whether the masks are the true ones.
+    pub true_masks: bool,
     /// What entities are made from, measured: masks and Gaussians.
     pub inputs: Inputs,
 }
@@ -81,13 +84,23 @@ pub fn train(
     warnings: &Warnings,
 ) -> Result<Option<Trained>, BenchError> {
     let Some(made) = generated(scene)? else { return Ok(None) };
-    let dir = options.keep.join("scans").join(format!("{scene}-{}", &key(scene, options)?[..12]));
+    let true_masks = match options.masks {
+        MaskChoice::Geometry => false,
+        MaskChoice::Truth => true,
+        MaskChoice::Auto => {
+            let longest = |o: &TruthObject| o.aabb_w().extents().max_element();
+            let length = made.scene.objects.iter().map(longest).fold(0.0, f64::max);
+            length > options.bench.masks.max_object_m
+        }
+    };
+    let bench = BenchOptions { true_masks, ..options.bench.clone() };
+    let dir = options.keep.join("scans").join(format!("{scene}-{}", &key(scene, &bench)?[..12]));
     let record_path = dir.join("scan.json");
     if options.rescan || !record_path.is_file() {
         if dir.exists() {
             std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
         }
-        make(scene, options, &dir, progress, cancel, warnings)?;
+        make(scene, &bench, &dir, progress, cancel, warnings)?;
     }
     let record: Record = atomic::read_json(&record_path)?;
     let sequence = Sequence::load(&dir.join("frames"))?;
@@ -98,6 +111,7 @@ pub fn train(
         surfaces: true_surfaces(&made.scene),
         observed: read_observed(&dir.join("observed.f64"), &record.observed)?,
         truth_of: record.truth_of,
+        true_masks,
         inputs: record.inputs,
         cameras_t: sequence.frames.iter().map(|f| carried(&f.camera, &x_tw)).collect(),
         sequence,
@@ -106,8 +120,7 @@ pub fn train(
 
 /// Names a scan by everything that it was made from but the code: the model's files or the scene's seed, and all settings
 /// up to the scan.
-fn key(scene: &BenchScene, options: &MaterializeOptions) -> Result<String, CoreError> {
-    let bench = &options.bench;
+fn key(scene: &BenchScene, bench: &BenchOptions) -> Result<String, CoreError> {
     let mut hasher = Hasher::new();
     if let BenchScene::Model(name) = scene {
         let folder = model_path(name);
@@ -129,13 +142,12 @@ fn key(scene: &BenchScene, options: &MaterializeOptions) -> Result<String, CoreE
 
 fn make(
     scene: &BenchScene,
-    options: &MaterializeOptions,
+    bench: &BenchOptions,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<(), BenchError> {
-    let bench = &options.bench;
     let Some(prepared) = prepare(scene, bench, progress, cancel, warnings)? else { return Ok(()) };
     let Some(truth) = &prepared.truth else { return Ok(()) };
     let aside = dir.with_extension(format!("partial-{}", std::process::id()));
