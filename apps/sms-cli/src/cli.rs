@@ -59,6 +59,8 @@ pub(crate) enum Command {
     Scan(Scan),
     /// Turn a scan into closed meshes, spheres, convex parts and materials: a simulation-ready scene.
     Materialize(Materialize),
+    /// List what the objects are made of, with intervals and sources, and change it.
+    Materials(Materials),
     /// Put the scene into the physics engine and see whether it rests.
     Simulate(Simulate),
     /// Search the best action for a task.
@@ -187,6 +189,34 @@ pub(crate) struct Materialize {
     /// A TOML file with your own material values (`[object.NAME] class = "ceramic"`).
     #[arg(long, value_name = "FILE")]
     pub materials: Option<PathBuf>,
+    /// Whether a vision-language model is asked about the objects (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
+    #[arg(long, value_enum, value_name = "MODE", default_value = "auto")]
+    pub vlm: VlmMode,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum VlmMode {
+    /// Ask no model.
+    Off,
+    /// Ask where a server is named; go on without where it does not answer.
+    #[default]
+    Auto,
+    /// Ask, and stop where the server cannot be used.
+    On,
+    /// Use the replies of earlier runs of this command and make no requests.
+    CacheOnly,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Materials {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Values to set, OBJECT.KEY=VALUE or OBJECT.KEY=BEST,LOW,HIGH: here `--set` means these.
+    #[arg(skip)]
+    pub set: Vec<String>,
+    /// Take back one value that was set, or all of an object's (repeatable).
+    #[arg(long, value_name = "OBJECT[.KEY]")]
+    pub unset: Vec<String>,
 }
 
 #[derive(Debug, Args, Clone)]

@@ -17,7 +17,11 @@ use context::Context;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let mut arguments = Arguments::parse();
+    if let Command::Materials(a) = &mut arguments.command {
+        // This command's `--set` is about objects, not about settings.
+        a.set = std::mem::take(&mut arguments.common.assignments);
+    }
     let context = match Context::new(&arguments.common, matches!(arguments.command, Command::Demo(_))) {
         Ok(context) => context,
         Err(error) => return failure::report(&error),
@@ -33,6 +37,7 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::Check(a) => return commands::check::run(context, &a),
         Command::Scan(a) => commands::scan::run(context, &a).map(drop),
         Command::Materialize(a) => commands::materialize::run(context, &a),
+        Command::Materials(a) => commands::materials::run(context, &a),
         Command::Simulate(a) => commands::simulate::run(context, &a),
         Command::Plan(a) => commands::plan::run(context, &a),
         Command::Execute(a) => commands::execute::run(context, &a),

@@ -9,6 +9,7 @@ use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
+use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 
 /// Settings of one stage: what a section of the file may hold.
@@ -43,6 +44,7 @@ sections! {
     "masks": GeometryConfig, "objects by geometry";
     "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
+    "vlm": VlmConfig, "vision-language model that is asked for materials";
     "plan": PlanConfig, "search of an action";
     "evaluate": EvaluateSettings, "comparison with known models";
 }
@@ -64,6 +66,7 @@ validated!(
     GeometryConfig,
     ScanConfig,
     EntitiesConfig,
+    VlmConfig,
     EvaluateSettings
 );
 

@@ -38,4 +38,4 @@ pub use config::VlmConfig;
 pub use dialect::Rung;
 pub use pause::{Pause, Sleep};
 pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
-pub use view::{PixelBox, ViewScore, annotated, best_view, jpeg, score_view};
+pub use view::{PixelBox, ViewScore, annotated, best_view, jpeg, picture, score_view};

@@ -4,6 +4,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
 use image::{ExtendedColorType, RgbImage};
 use sms_core::{ColorImage, DepthImage, Image};
+use std::path::Path;
 
 /// Fewer pixels than this tell nothing of an object.
 const MIN_AREA_PX: usize = 30;
@@ -101,6 +102,19 @@ pub fn best_view(views: impl IntoIterator<Item = Option<ViewScore>>) -> Option<(
         }
     }
     best
+}
+
+/// The picture in a file, where it can be read and has the proportions of `like` (within 2 %): the recording's own image
+/// shows more than the frame that was made of it for the scan. A lens that was corrected in between moves things by a few
+/// pixels, which the box has room for.
+pub fn picture(path: &Path, like: (usize, usize)) -> Option<ColorImage> {
+    let read = image::ImageReader::open(path).ok()?.with_guessed_format().ok()?.decode().ok()?.into_rgb8();
+    let (width, height) = (read.width() as usize, read.height() as usize);
+    let (ours, other) = (width as f64 / height.max(1) as f64, like.0 as f64 / like.1.max(1) as f64);
+    if (ours / other - 1.0).abs() > 0.02 || width < like.0 {
+        return None;
+    }
+    Some(ColorImage::from_vec(width, height, read.pixels().map(|p| p.0).collect()))
 }
 
 /// The object with `context` sizes of its box around it, at most `max_side` pixels long, its box in red. `bounds` may be of
@@ -254,6 +268,19 @@ mod tests {
             assert!(red.iter().any(|p| p.0 < cx) && red.iter().any(|p| p.0 > cx));
             assert!(red.iter().any(|p| p.1 < cy) && red.iter().any(|p| p.1 > cy));
         }
+    }
+
+    #[test]
+    fn the_recordings_own_picture_is_used_where_it_is_the_same_view() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("000.png");
+        sms_core::write_png_color(&path, &ColorImage::filled(640, 400, [1, 2, 3])).unwrap();
+        assert_eq!(picture(&path, (320, 200)).unwrap().size(), (640, 400));
+        assert_eq!(picture(&path, (320, 240)), None, "another shape is another view");
+        assert_eq!(picture(&path, (1280, 800)), None, "it shows less");
+        assert_eq!(picture(&dir.path().join("gone.png"), (320, 200)), None);
+        std::fs::write(&path, b"no picture").unwrap();
+        assert_eq!(picture(&path, (320, 200)), None);
     }
 
     #[test]

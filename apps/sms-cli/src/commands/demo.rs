@@ -48,7 +48,10 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         live: a.live.clone(),
     };
     drop(scan::run(context, &scan_arguments)?);
-    materialize::run(context, &cli::Materialize { run: root.clone(), materials: None })?;
+    materialize::run(
+        context,
+        &cli::Materialize { run: root.clone(), materials: None, vlm: cli::VlmMode::default() },
+    )?;
     simulate::run(context, &cli::Simulate { run: root.clone(), seconds: 1.0 })?;
     let task = sample::task_of(&truth);
     let plan_arguments = cli::Plan { run: root.clone(), task: recording.join("task.toml"), seed: None };

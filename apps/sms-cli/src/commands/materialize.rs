@@ -1,19 +1,17 @@
 //! `sms materialize`: Gaussians → entities → materials → scene.
 
 use super::scan::{RunSettings, SETTINGS};
-use super::{inputs_hash, run_stage, shown, timed};
+use super::{inputs_hash, materials, run_stage, shown, timed, vlm};
 use crate::cli::Materialize;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{
-    CoreError, EntityKind, EntityShape, Hash, Hasher, InputError, Labels, RunFolder, Seed, atomic,
-};
+use sms_core::{CoreError, EntityKind, EntityShape, Hash, InputError, Labels, RunFolder, Seed, atomic};
 use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
 use sms_export::mjcf_text;
 use sms_frames::Sequence;
 use sms_gaussians::read_ply;
 use sms_masks::load_labels;
-use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
+use sms_materials::{MaterialTable, Overrides, assign, save_queries};
 use sms_scene::{build_scene, save_scene};
 
 pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
@@ -50,33 +48,24 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         })?;
     let set = load_entities(&entities_dir)?;
 
-    let overrides = a.materials.as_deref().map(Overrides::read).transpose()?;
-    let mut given = Hasher::new();
-    if let Some(path) = &a.materials {
-        given.file(path)?;
+    let (sequence, labels) =
+        trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
+    let x_world_recording = sequence.x_world_recording;
+    let mut queries = materials::queries(&set);
+    let estimates = vlm::estimates(context, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;
+    for (query, estimate) in queries.iter_mut().zip(estimates) {
+        query.estimate = estimate;
     }
-    let scene_hash = inputs_hash(&[&hash, &given.finish()], &"scene 1")?;
-    let x_world_recording = Sequence::load(&frames_dir)?.x_world_recording;
+    let edits = Overrides::read_optional(&run.root().join(materials::EDITS))?;
+    let overrides = match a.materials.as_deref() {
+        Some(path) => edits.under(Overrides::read(path)?),
+        None => edits,
+    };
+    let table = MaterialTable::builtin();
+    let scene_hash = inputs_hash(&[&hash], &("scene 2", &queries, &overrides, &table))?;
     let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
-        let mut queries: Vec<ObjectQuery> = set
-            .entities
-            .iter()
-            .map(|e| ObjectQuery {
-                name: e.name.clone(),
-                description: e.description.clone(),
-                is_sphere: matches!(e.shape, EntityShape::Sphere { .. }),
-                mean_color: e.mean_color,
-                ..ObjectQuery::default()
-            })
-            .collect();
-        queries.push(ObjectQuery {
-            name: "floor".into(),
-            description: "floor".into(),
-            is_sphere: false,
-            mean_color: [128; 3],
-            ..ObjectQuery::default()
-        });
-        let mut materials = assign(&queries, &MaterialTable::builtin(), overrides.as_ref(), warnings)?;
+        save_queries(&stage.dir().join(materials::QUERIES), &queries)?;
+        let mut materials = assign(&queries, &table, Some(&overrides), warnings)?;
         let floor = materials.pop();
         let support = set.support_height.zip(floor);
         let scene =

@@ -8,6 +8,7 @@ pub(crate) mod evaluate;
 pub(crate) mod execute;
 pub(crate) mod export;
 pub(crate) mod materialize;
+pub(crate) mod materials;
 pub(crate) mod plan;
 pub(crate) mod report;
 pub(crate) mod sample;
@@ -15,6 +16,7 @@ pub(crate) mod scan;
 pub(crate) mod settings;
 pub(crate) mod simulate;
 pub(crate) mod view;
+pub(crate) mod vlm;
 
 use crate::context::Context;
 pub(crate) use sms_core::length_text;

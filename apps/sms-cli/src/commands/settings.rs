@@ -40,6 +40,7 @@ pub(crate) fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String
             "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
             "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
             "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
+            "vlm" => serde_json::to_value(settings.section(name, super::vlm::defaults())?)?,
             "plan" => serde_json::to_value(settings.section(name, PlanConfig::default())?)?,
             "evaluate" => serde_json::to_value(settings.section(name, EvaluateSettings::default())?)?,
             _ => continue,
