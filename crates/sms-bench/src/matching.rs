@@ -2,6 +2,7 @@
 
 use crate::surface::UNMATCHED;
 use sms_core::LabelMap;
+use sms_report::least_cost_assignment;
 
 /// Pixel counts of two label maps of the same views.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -53,64 +54,13 @@ pub fn match_labels(overlaps: &Overlaps) -> Vec<u16> {
                 .collect()
         })
         .collect();
-    let assigned = assignment(&cost);
+    let assigned = least_cost_assignment(&cost);
     let mut truth_of = vec![0];
     truth_of.extend((0..masks).map(|m| {
         let t = assigned[m];
         if t < truths && cost[m][t] < 0.0 { t as u16 + 1 } else { UNMATCHED }
     }));
     truth_of
-}
-
-/// The column of each row of a square cost matrix in an assignment of least cost (Kuhn's "Hungarian method", with
-/// shortest augmenting paths).
-fn assignment(cost: &[Vec<f64>]) -> Vec<usize> {
-    let n = cost.len();
-    let (mut u, mut v) = (vec![0.0; n + 1], vec![0.0; n + 1]);
-    // Row of each column, counted from 1; column 0 is the start of the path.
-    let mut row_of = vec![0; n + 1];
-    for i in 1..=n {
-        row_of[0] = i;
-        let mut at = 0;
-        let (mut least, mut from, mut done) =
-            (vec![f64::INFINITY; n + 1], vec![0; n + 1], vec![false; n + 1]);
-        loop {
-            done[at] = true;
-            let row = row_of[at];
-            let (mut step, mut next) = (f64::INFINITY, 0);
-            for j in 1..=n {
-                if done[j] {
-                    continue;
-                }
-                let reduced = cost[row - 1][j - 1] - u[row] - v[j];
-                if reduced < least[j] {
-                    (least[j], from[j]) = (reduced, at);
-                }
-                if least[j] < step {
-                    (step, next) = (least[j], j);
-                }
-            }
-            for j in 0..=n {
-                if done[j] {
-                    u[row_of[j]] += step;
-                    v[j] -= step;
-                } else {
-                    least[j] -= step;
-                }
-            }
-            at = next;
-            if row_of[at] == 0 {
-                break;
-            }
-        }
-        while at != 0 {
-            row_of[at] = row_of[from[at]];
-            at = from[at];
-        }
-    }
-    let mut column_of = vec![0; n];
-    (1..=n).for_each(|j| column_of[row_of[j] - 1] = j - 1);
-    column_of
 }
 
 #[cfg(test)]
@@ -134,24 +84,5 @@ mod tests {
         // A label that touches no object stands for none.
         let o = overlaps(&[&[100, 30], &[10, 0]]);
         assert_eq!(match_labels(&o), [0, UNMATCHED]);
-    }
-
-    #[test]
-    fn the_assignment_is_the_best_of_all() {
-        let value =
-            |seed: usize, i: usize, j: usize| ((i * 7 + j * 13 + seed * 29) * 7919 % 101) as f64 / 101.0;
-        for seed in 0..20 {
-            let cost: Vec<Vec<f64>> = (0..4).map(|i| (0..4).map(|j| value(seed, i, j)).collect()).collect();
-            let found = assignment(&cost);
-            let total: f64 = found.iter().enumerate().map(|(i, &j)| cost[i][j]).sum();
-            let mut best = f64::INFINITY;
-            for code in 0..256usize {
-                let p = [code & 3, code >> 2 & 3, code >> 4 & 3, code >> 6 & 3];
-                if (0..4).all(|k| p.contains(&k)) {
-                    best = best.min((0..4).map(|i| cost[i][p[i]]).sum());
-                }
-            }
-            assert!((total - best).abs() < 1e-12);
-        }
     }
 }

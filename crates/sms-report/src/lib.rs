@@ -12,6 +12,7 @@
 //! assert!((scores.chamfer_m - 1e-4).abs() < 1e-5 && scores.f1_2p5mm == 1.0);
 //! ```
 
+mod assignment;
 mod colormap;
 mod evaluate;
 mod figures;
@@ -23,9 +24,11 @@ mod rerun_parts;
 #[cfg(feature = "rerun")]
 mod rrd;
 mod shot;
+mod solids;
 mod surface;
 mod view3d;
 
+pub use assignment::{MatchSurface, least_cost_assignment, match_objects};
 pub use colormap::{depth_picture, error_picture, label_picture, turbo};
 pub use evaluate::{
     EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,
@@ -37,4 +40,5 @@ pub use live::{LiveError, LiveScan, Viewer};
 pub use page::{LossPoint, ReportError, ReportInput, write_report};
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};
+pub use solids::{SolidScores, entity_solid, known_solid};
 pub use surface::{ClosestPoint, SurfaceIndex, sample_surface, sample_triangles};

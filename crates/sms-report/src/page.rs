@@ -277,6 +277,9 @@ fn truth_text(metrics: &Metrics, name: &str) -> String {
     if let Some(v) = get("volume_ratio") {
         parts.push(format!("volume × {v:.2}"));
     }
+    if let Some(c) = get("mass_center_error_m") {
+        parts.push(format!("mass centre {:.2} mm", c * 1e3));
+    }
     parts.join("; ")
 }
 
