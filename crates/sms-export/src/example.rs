@@ -60,7 +60,8 @@ pub(crate) fn scene() -> Scene {
         image: Image::from_vec(2, 2, vec![[255, 0, 0], [0, 255, 0], [0, 0, 255], [9, 9, 9]]),
     });
     let half = DVec3::new(0.03, 0.05, 0.02);
-    let lying = DPose3::from_parts(DVec3::new(0.0, 0.1, 0.02), DQuat::from_rotation_y(1.5707963267948966));
+    let lying =
+        DPose3::from_parts(DVec3::new(0.0, 0.1, 0.02), DQuat::from_rotation_y(std::f64::consts::FRAC_PI_2));
     let shelf = Mesh::cuboid(DVec3::new(0.1, 0.1, 0.02));
     Scene {
         version: SCENE_VERSION,

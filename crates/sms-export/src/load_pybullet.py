@@ -30,8 +30,9 @@ def load(p, client=0):
     p.setPhysicsEngineParameter(
         fixedTimeStep=TIME_STEP_S,
         numSolverIterations=200,
-        # Approach speeds below this do not bounce: a body at rest stays at rest.
-        restitutionVelocityThreshold=0.02,
+        # Approach speeds below this do not bounce. It must be well above what gravity adds in a step (2 cm/s), or bodies
+        # at rest hop, and creep.
+        restitutionVelocityThreshold=0.05,
         # Overlap is pushed apart without giving speed, down to 10 µm.
         useSplitImpulse=1,
         contactSlop=0.00001,

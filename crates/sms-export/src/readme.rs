@@ -102,7 +102,7 @@ fn mapping(format: Format) -> &'static str {
              back this share of the approach speed; measured bounces are within 0.05 of it from 0.5 to 2 m/s, and lower below. Of \
              two moving bodies the more damped one counts.\n\
              - Rolling resistance: third friction coefficient of spheres and cylinders.\n\
-             - A static mesh is one thin prism per triangle (MuJoCo would take its convex hull).\n\
+             - A static mesh is one thin prism per triangle (MuJoCo would take its convex hull); the floor is a slab of 6 m.\n\
              - Vertex colours: MuJoCo has none; a body without a picture has its mean colour.\n\
              - Lost: elastic constants, intervals (see `bodies.json`).\n"
         }

@@ -17,7 +17,8 @@ pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
         world,
         "  <!-- Written by sms. Metres, kilograms, seconds, radians; world z up. -->\n  <world name=\"{}\">\n    \
          <gravity>{}</gravity>\n    <physics name=\"default\" type=\"ignored\">\n      \
-         <max_step_size>0.001</max_step_size>\n      <real_time_factor>1</real_time_factor>\n    </physics>\n    \
+         <max_step_size>0.001</max_step_size>\n      <real_time_factor>1</real_time_factor>\n      \
+         <real_time_update_rate>1000</real_time_update_rate>\n    </physics>\n    \
          <light type=\"directional\" name=\"sun\">\n      <pose>0 0 10 0 0 0</pose>\n      \
          <diffuse>0.9 0.9 0.9 1</diffuse>\n      <direction>-0.3 0.2 -1</direction>\n      \
          <cast_shadows>true</cast_shadows>\n    </light>\n",

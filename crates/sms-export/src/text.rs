@@ -59,18 +59,31 @@ pub(crate) fn pose_rpy(pose: &DPose3) -> String {
 /// Principal moments of inertia in kg·m² and the rotation `R_BP` that carries their axes into the body frame `B`. Every
 /// format takes moments this way, and none has to diagonalise a matrix whose rounding could make it impossible.
 pub(crate) fn principal(mass: &MassProperties) -> (DVec3, DQuat) {
-    let inertia = mass.inertia();
-    let scale = inertia.x_axis.x + inertia.y_axis.y + inertia.z_axis.z;
-    let off = inertia.x_axis.y.abs().max(inertia.x_axis.z.abs()).max(inertia.y_axis.z.abs());
-    if off <= 1e-12 * scale {
-        return (DVec3::new(inertia.x_axis.x, inertia.y_axis.y, inertia.z_axis.z), DQuat::IDENTITY);
+    // Jacobi's rotations: exact to rounding also where two moments are nearly equal (a can, a bottle), and at every size,
+    // both of which closed forms are not.
+    let mut a = mass.inertia().to_cols_array_2d();
+    let mut axes = DMat3::IDENTITY.to_cols_array_2d();
+    for _ in 0..16 {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            if a[p][q].abs() <= 1e-15 * (a[0][0] + a[1][1] + a[2][2]) {
+                continue;
+            }
+            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+            let tan = theta.signum() / (theta.abs() + theta.hypot(1.0));
+            let cos = 1.0 / tan.hypot(1.0);
+            let sin = tan * cos;
+            let mix = |x: f64, y: f64| (cos * x - sin * y, sin * x + cos * y);
+            for k in 0..3 {
+                (a[k][p], a[k][q]) = mix(a[k][p], a[k][q]);
+                (axes[p][k], axes[q][k]) = mix(axes[p][k], axes[q][k]);
+            }
+            for k in 0..3 {
+                (a[p][k], a[q][k]) = mix(a[p][k], a[q][k]);
+            }
+        }
     }
-    let eigen = glamx::DSymmetricEigen3::new(inertia);
-    let mut axes = eigen.eigenvectors;
-    if axes.determinant() < 0.0 {
-        axes.z_axis = -axes.z_axis;
-    }
-    (eigen.eigenvalues, DQuat::from_mat3(&axes).normalize())
+    let moments = DVec3::new(a[0][0], a[1][1], a[2][2]);
+    (moments, DQuat::from_mat3(&DMat3::from_cols_array_2d(&axes)).normalize())
 }
 
 #[cfg(test)]
@@ -98,12 +111,18 @@ mod tests {
     #[test]
     fn principal_axes_give_the_inertia_back() {
         let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.5, -0.2, 0.9)));
-        let inertia = turn * DMat3::from_diagonal(DVec3::new(1e-4, 2e-4, 2.5e-4)) * turn.transpose();
-        let mass = MassProperties::new(0.3, DVec3::ZERO, inertia).unwrap();
-        let (moments, q) = principal(&mass);
-        let r = DMat3::from_quat(q);
-        let back = r * DMat3::from_diagonal(moments) * r.transpose();
-        assert!(back.abs_diff_eq(mass.inertia(), 1e-16));
+        // From a crate to a crumb; with different, nearly equal and equal moments.
+        for scale in [1.0, 1e-4, 1e-8, 1e-12] {
+            for moments in [[1.0, 2.0, 2.5], [1.0, 1.0 + 1e-9, 1.5], [1.0, 1.0, 1.0], [0.1, 1.14, 1.2]] {
+                let moments = scale * DVec3::from_array(moments);
+                let inertia = turn * DMat3::from_diagonal(moments) * turn.transpose();
+                let mass = MassProperties::new(0.3, DVec3::ZERO, inertia).unwrap();
+                let (found, q) = principal(&mass);
+                let r = DMat3::from_quat(q);
+                let back = r * DMat3::from_diagonal(found) * r.transpose();
+                assert!(back.abs_diff_eq(mass.inertia(), 1e-14 * scale), "{moments}: {found}");
+            }
+        }
     }
 
     #[test]
