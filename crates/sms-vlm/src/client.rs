@@ -79,10 +79,16 @@ impl Client {
         pause: Arc<dyn Pause>,
     ) -> Result<Self, InputError> {
         config.validate()?;
-        let endpoint = if config.cache_only && config.url.trim().is_empty() {
-            String::new()
-        } else {
-            config.endpoint()?
+        let endpoint = match config.url.trim() {
+            "" if config.cache_only => String::new(),
+            "" => {
+                return Err(InputError::new(
+                    "no server is named to ask about the objects",
+                    "`vlm.url` (SMS_VLM_URL)",
+                    "give the server's base address, such as https://api.openai.com/v1 or http://localhost:8000/v1",
+                ));
+            }
+            _ => config.endpoint()?,
         };
         if config.model.trim().is_empty() {
             return Err(InputError::new(

@@ -12,11 +12,13 @@ one JSON object and nothing else. You give honest ranges: where a picture cannot
 
 /// The question about one object. `annotation` is what it is called so far; empty where nobody named it.
 pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
-    let thing = if is_surface { "surface or fixed part of the room" } else { "object" };
-    let mut text = format!(
-        "The photograph shows a workspace. The red box marks one {thing}; where others are in the box too, the one meant \
-         fills most of it. "
-    );
+    let mut text = String::from("The photograph shows a workspace. ");
+    text.push_str(if is_surface {
+        "The red box marks a surface or a fixed part of the room. Things that stand on it or before it are in the box too \
+         and are not meant. "
+    } else {
+        "The red box marks one object; where others are in the box too, the one meant fills most of it. "
+    });
     if annotation.trim().is_empty() {
         text.push_str("Nobody has named it yet: set label_is_right to false and name it.\n\n");
     } else {
@@ -136,6 +138,7 @@ mod tests {
             );
         }
         assert!(question("", false).contains("Nobody has named it"));
+        assert!(question("floor", true).contains("are not meant") && !text.contains("are not meant"));
         assert!(!question("a \"b\"\nc", false).contains("\"b\""));
     }
 

@@ -2,9 +2,13 @@
 //! said. What the whole answer has and the mangled one still says must come out the same; all else must be named.
 
 use rand::RngExt;
-use sms_core::{Interval, Seed};
+use sms_core::{Cancel, Interval, NoProgress, Seed, Warnings};
 use sms_materials::Estimate;
-use sms_vlm::{Reading, read_reply};
+use sms_vlm::{
+    Cache, Client, Question, Reading, Reply, Request, Sleep, Transport, TransportError, VlmConfig, ask,
+    read_reply,
+};
+use std::sync::Arc;
 
 const WHOLE: &str = r#"{"label_is_right": true, "label": "coffee mug", "description": "a blue mug for coffee",
  "material": "glazed ceramic", "properties": {
@@ -103,39 +107,92 @@ fn every_truncation_is_found_out() {
 }
 
 /// Deletions, insertions, swaps and repeats of single characters and pieces, from a seed.
-#[test]
-fn five_hundred_mangled_replies_end_as_checked_values_or_faults() {
+fn mangled(case: u64) -> String {
     let noise: Vec<char> = "{}[]\",:'\\-+.eE0159 \n\tuµ³%/*NaInf…“”\u{0}\u{feff}".chars().collect();
-    let (mut none, mut partial, mut full) = (0, 0, 0);
-    for case in 0..500u64 {
-        let mut rng = Seed(0).derive_index("mangled", case).rng();
-        let mut text: Vec<char> = WHOLE.chars().collect();
-        for _ in 0..rng.random_range(1..=4) {
-            let at = rng.random_range(0..text.len());
-            let length = rng.random_range(1..=8usize).min(text.len() - at);
-            match rng.random_range(0..6) {
-                0 => drop(text.remove(at)),
-                1 => drop(text.drain(at..at + length)),
-                2 => text.insert(at, noise[rng.random_range(0..noise.len())]),
-                3 => text[at] = noise[rng.random_range(0..noise.len())],
-                4 => {
-                    let piece: Vec<char> = text[at..at + length].to_vec();
-                    let to = rng.random_range(0..text.len());
-                    text.splice(to..to, piece);
-                }
-                _ => {
-                    let other = rng.random_range(0..text.len());
-                    text.swap(at, other);
-                }
+    let mut rng = Seed(0).derive_index("mangled", case).rng();
+    let mut text: Vec<char> = WHOLE.chars().collect();
+    for _ in 0..rng.random_range(1..=4) {
+        let at = rng.random_range(0..text.len());
+        let length = rng.random_range(1..=8usize).min(text.len() - at);
+        match rng.random_range(0..6) {
+            0 => drop(text.remove(at)),
+            1 => drop(text.drain(at..at + length)),
+            2 => text.insert(at, noise[rng.random_range(0..noise.len())]),
+            3 => text[at] = noise[rng.random_range(0..noise.len())],
+            4 => {
+                let piece: Vec<char> = text[at..at + length].to_vec();
+                let to = rng.random_range(0..text.len());
+                text.splice(to..to, piece);
+            }
+            _ => {
+                let other = rng.random_range(0..text.len());
+                text.swap(at, other);
             }
         }
-        match check(&text.iter().collect::<String>()) {
+    }
+    text.iter().collect()
+}
+
+#[test]
+fn five_hundred_mangled_replies_end_as_checked_values_or_faults() {
+    let (mut none, mut partial, mut full) = (0, 0, 0);
+    for case in 0..500 {
+        match check(&mangled(case)) {
             None => none += 1,
             Some(reading) if reading.faults.is_empty() => full += 1,
             Some(_) => partial += 1,
         }
     }
     assert!(none > 20 && partial > 20 && full > 20, "{none} none, {partial} partial, {full} full");
+}
+
+/// Answers object `n` with mangled reply `n`, again and again.
+struct Mangler;
+
+impl Transport for Mangler {
+    fn post(&self, request: &Request) -> Result<Reply, TransportError> {
+        let body: serde_json::Value = serde_json::from_slice(&request.body).unwrap();
+        let asked = body["messages"][1]["content"][0]["text"].as_str().unwrap();
+        let case = asked.split("thing ").nth(1).and_then(|t| t.split('"').next()).unwrap();
+        let text = mangled(case.parse().unwrap());
+        let body = serde_json::json!({"choices": [{"message": {"content": text}}]});
+        Ok(Reply { status: 200, retry_after: None, body: body.to_string().into_bytes() })
+    }
+}
+
+/// The same through the whole conversation: whatever is not the model's whole answer is a warning that names the object.
+#[test]
+fn three_hundred_mangled_objects_are_answered_or_flagged_by_name() {
+    let questions: Vec<Question> = (0..300)
+        .map(|n| Question {
+            name: format!("object_{n:03}"),
+            annotation: format!("thing {n}"),
+            is_surface: false,
+            jpeg: vec![0xFF],
+        })
+        .collect();
+    let config = VlmConfig { url: "http://nowhere/v1".into(), model: "m".into(), ..Default::default() };
+    let client = Client::with(&config, None, Seed(0), Arc::new(Mangler), Arc::new(Sleep)).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let warnings = Warnings::new();
+    let cache = Cache::new(dir.path());
+    let asked = ask(&questions, &client, &cache, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    assert_eq!(asked.given_up, None, "the server is well");
+    let warnings = warnings.snapshot();
+    let mut requests = 0;
+    for (n, (question, outcome)) in questions.iter().zip(&asked.outcomes).enumerate() {
+        let named: Vec<&str> =
+            warnings.iter().filter(|w| w.message.contains(&question.name)).map(|w| w.code.as_str()).collect();
+        let (expected, rounds): (&[&str], u64) = match check(&mangled(n as u64)) {
+            Some(reading) if reading.faults.is_empty() => (&[], 1),
+            Some(reading) if reading.is_usable() => (&["vlm_partial"], 3),
+            _ => (&["vlm_fallback"], 3),
+        };
+        assert_eq!(named, expected, "{n}: {outcome:?}");
+        assert_eq!(outcome.estimate().is_none(), expected == ["vlm_fallback"], "{n}");
+        requests += rounds;
+    }
+    assert_eq!(asked.usage.requests, requests, "two repairs at most");
 }
 
 /// Every value of the answer in turn replaced by every wrong one: that field is a fault, and no other.
