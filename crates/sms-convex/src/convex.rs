@@ -4,7 +4,7 @@ use crate::config::ConvexConfig;
 use crate::hull::convex_hull;
 use crate::merge::merge;
 use crate::piece::Piece;
-use crate::repair::clean;
+use crate::repair::{Surface, closed_surface};
 use crate::search::{Breadth, Scratch, best_cut};
 use crate::solid::Solid;
 use glamx::DVec3;
@@ -16,6 +16,12 @@ const FACES: usize = 2000;
 
 /// … and the best cuts sought with so many.
 const COARSE_FACES: usize = 600;
+
+/// Volume, in those whose [`rv`] is the threshold, that a result may have more for one part less.
+const PART_COST: f64 = 0.25;
+
+/// Pieces are not cut any further once there are so many.
+const MOST_PIECES: usize = 256;
 
 /// A convex part in unit coordinates.
 #[derive(Clone)]
@@ -83,25 +89,49 @@ fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
     let half = 0.5 * bounds.extents().max_element();
     let center = bounds.center();
     let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - center) / half).collect();
-    let surface = clean(&points, &mesh.triangles).decimated(FACES, 0.06 * config.threshold);
+    let surface = closed_surface(&points, &mesh.triangles)?.decimated(FACES, 0.06 * config.threshold);
     let coarse = surface.clone().decimated(COARSE_FACES, 0.4 * config.threshold);
-    let solid = Solid::new(surface.points.clone(), surface.triangles.clone())?;
-    let tolerance = Tolerance { threshold: config.threshold.max(config.floor / half), spacing: 0.04 };
-    let breadth =
-        Breadth { first: 15, second: 7, candidates: 16, part_cost: 0.05 * rv_volume(tolerance.threshold) };
-    let mut open = vec![[surface, coarse].map(|s| Piece {
-        points: s.points,
-        triangles: s.triangles,
-        ..Piece::default()
-    })];
+    let solid = Solid::new(&surface)?;
+    let threshold = config.threshold.max(config.floor / half);
+    let tolerance = Tolerance { threshold, spacing: 0.04 };
+    let breadth = Breadth {
+        first: 15,
+        second: 7,
+        candidates: 16,
+        diagonals: true,
+        part_cost: 0.05 * rv_volume(tolerance.threshold),
+    };
+    let run = |diagonals: bool| {
+        let breadth = Breadth { diagonals, ..breadth };
+        let parts = cut(&surface, &coarse, &solid, tolerance, breadth);
+        let parts = merge(parts, &solid, tolerance, config.max_parts.max(1));
+        let hulls: f64 = parts.iter().map(|p| p.hull_volume).sum();
+        (hulls + PART_COST * rv_volume(threshold) * parts.len() as f64, parts)
+    };
+    // Cuts along the frame's axes suit what is built square, and all directions the rest: the cheaper result is taken.
+    let (all, square) = rayon::join(|| run(true), || run(false));
+    let parts = if square.0 < all.0 { square.1 } else { all.1 };
+    Some(parts.into_iter().map(|p| p.points.iter().map(|&q| center + q * half).collect()).collect())
+}
+
+/// The leaves of the tree of cuts.
+fn cut(
+    surface: &Surface,
+    coarse: &Surface,
+    solid: &Solid,
+    tolerance: Tolerance,
+    breadth: Breadth,
+) -> Vec<Part> {
+    let whole =
+        |s: &Surface| Piece { points: s.points.clone(), triangles: s.triangles.clone(), ..Piece::default() };
+    let mut open = vec![[whole(surface), whole(coarse)]];
     let mut parts: Vec<Part> = Vec::new();
-    const MOST_PIECES: usize = 256;
     while !open.is_empty() {
         let room = MOST_PIECES.saturating_sub(parts.len() + open.len());
         let cut: Vec<(Option<Part>, Vec<[Piece; 2]>)> = open
             .par_iter()
             .enumerate()
-            .map(|(i, piece)| examine(piece, &solid, tolerance, breadth, i < room))
+            .map(|(i, piece)| examine(piece, solid, tolerance, breadth, i < room))
             .collect();
         open.clear();
         for (part, sides) in cut {
@@ -109,8 +139,7 @@ fn decompose(mesh: &Mesh, config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
             open.extend(sides);
         }
     }
-    let parts = merge(parts, &solid, tolerance, config.max_parts.max(1));
-    Some(parts.into_iter().map(|p| p.points.iter().map(|&q| center + q * half).collect()).collect())
+    parts
 }
 
 /// A part where the piece is convex enough, else its two sides.
@@ -139,7 +168,8 @@ fn examine(
         let inside = |p| solid.contains(p);
         let sides = piece.split(plane, true, &inside).into_iter().zip(coarse.split(plane, false, &inside));
         let sides = sides.map(|(fine, coarse)| [fine, coarse]);
-        return (None, sides.filter(|s| !s[0].triangles.is_empty()).collect());
+        // A block from deep inside has no surface, but spines.
+        return (None, sides.filter(|s| s[0].points.len() > 3).collect());
     }
     (Part::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
 }

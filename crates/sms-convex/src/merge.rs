@@ -7,6 +7,11 @@ use crate::solid::Solid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
+/// Unions may be more concave than pieces by these factors: CoACD measures them against the hulls that they join, which
+/// already are as concave as the threshold allows; here they are measured against the solid.
+const SURPLUS_SLACK: f64 = 1.5;
+const REACH_SLACK: f64 = 1.15;
+
 /// A possible union of two parts.
 struct Union {
     part: Part,
@@ -98,13 +103,13 @@ fn best(
         }
         let allowed = *union.allowed.get_or_insert_with(|| {
             let part = &union.part;
-            rv(part.hull_volume - part.volume) <= tolerance.threshold && {
+            rv(part.hull_volume - part.volume) <= SURPLUS_SLACK * tolerance.threshold && {
                 scratch.hull.clear(SLIGHT);
                 for &p in &part.points {
                     scratch.hull.push(p);
                 }
                 scratch.hull.volume();
-                let enough = tolerance.threshold;
+                let enough = REACH_SLACK * tolerance.threshold;
                 solid.reach(scratch.hull.triangles(), tolerance.spacing, enough) <= enough
             }
         });

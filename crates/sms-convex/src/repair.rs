@@ -1,7 +1,11 @@
 //! From whatever mesh is given to a closed surface of few faces.
 
+use crate::occupancy::Occupancy;
 use glamx::DVec3;
 use std::collections::BTreeMap;
+
+/// Openings up to this wide, in half sizes of the object, are holes of a scan and not mouths of vessels.
+const WIDEST_HOLE: f64 = 0.2;
 
 /// A surface in unit coordinates: centred, its longest side of length 2.
 #[derive(Debug, Clone, Default)]
@@ -59,6 +63,52 @@ impl Surface {
         if fewer.is_closed() { fewer } else { self }
     }
 
+    /// Closes openings no wider than `width` by fans around their centres.
+    fn fill_holes(&mut self, width: f64) {
+        let mut edges: Vec<(u32, u32)> =
+            self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
+        edges.sort_unstable_by_key(|&(a, b)| (a.min(b), a.max(b), a));
+        // What remains when opposite edges cancel.
+        let mut open: Vec<(u32, u32)> = Vec::new();
+        for same in edges.chunk_by(|x, y| (x.0.min(x.1), x.0.max(x.1)) == (y.0.min(y.1), y.0.max(y.1))) {
+            let forward = same.iter().filter(|e| e.0 < e.1).count();
+            let (more, surplus) = if 2 * forward >= same.len() {
+                (same.iter().find(|e| e.0 < e.1), 2 * forward - same.len())
+            } else {
+                (same.iter().find(|e| e.0 > e.1), same.len() - 2 * forward)
+            };
+            open.extend(more.into_iter().flat_map(|&e| std::iter::repeat_n(e, surplus)));
+        }
+        let mut parent: BTreeMap<u32, u32> = open.iter().flat_map(|&(a, b)| [(a, a), (b, b)]).collect();
+        fn root(parent: &mut BTreeMap<u32, u32>, mut i: u32) -> u32 {
+            while parent[&i] != i {
+                let up = parent[&parent[&i]];
+                parent.insert(i, up);
+                i = up;
+            }
+            i
+        }
+        for &(a, b) in &open {
+            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+            parent.insert(a.max(b), a.min(b));
+        }
+        let mut holes: BTreeMap<u32, Vec<(u32, u32)>> = BTreeMap::new();
+        for &(a, b) in &open {
+            holes.entry(root(&mut parent, a)).or_default().push((a, b));
+        }
+        for hole in holes.values() {
+            let rim = || hole.iter().map(|e| self.points[e.0 as usize]);
+            let Some(bounds) = sms_core::Aabb::of_points(rim()) else { continue };
+            if bounds.extents().max_element() > width {
+                continue;
+            }
+            let center = rim().sum::<DVec3>() / hole.len() as f64;
+            let apex = self.points.len() as u32;
+            self.points.push(center);
+            self.triangles.extend(hole.iter().map(|&(a, b)| [b, a, apex]));
+        }
+    }
+
     fn compacted(self) -> Self {
         let mut new = vec![u32::MAX; self.points.len()];
         let mut out = Self::default();
@@ -99,8 +149,29 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
         }
     }
     let mut out = out.compacted();
+    if !out.is_closed() {
+        out.fill_holes(WIDEST_HOLE);
+    }
     if out.is_closed() && out.volume() < 0.0 {
         out.flip();
     }
     out
+}
+
+/// A closed surface of the solid that triangles stand for: as they are where they are closed and enclose what their
+/// winding says, else made anew on a grid. `None` when they enclose nothing.
+pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]]) -> Option<Surface> {
+    let surface = clean(points, triangles);
+    if surface.triangles.is_empty() {
+        return None;
+    }
+    if surface.is_closed() {
+        let volume = surface.volume();
+        let seen = Occupancy::new(&surface, 64).volume();
+        // Walls thinner than a voxel are missed by the grid, tangled and doubled surfaces by the sum.
+        if volume > 1e-9 && (volume - seen).abs() < 0.15 * volume.max(seen) + 0.02 {
+            return Some(surface);
+        }
+    }
+    crate::remesh::remesh(&surface)
 }

@@ -16,6 +16,8 @@ const SLIGHT: f64 = 2e-3;
 /// Share of a piece's surplus that a good cut takes away.
 const PLENTY: f64 = 0.6;
 
+const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
+
 /// How widely the search looks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Breadth {
@@ -25,6 +27,8 @@ pub(crate) struct Breadth {
     pub(crate) second: usize,
     /// First cuts tried with their second cuts.
     pub(crate) candidates: usize,
+    /// Whether planes other than the frame's are tried.
+    pub(crate) diagonals: bool,
     /// Volume of hulls that one more part must save.
     pub(crate) part_cost: f64,
 }
@@ -125,21 +129,19 @@ fn add_direction(directions: &mut Vec<DVec3>, d: DVec3) {
 }
 
 /// The frame's axes, the piece's own, and the diagonals between the latter.
-fn directions(piece: &Piece, diagonals: bool) -> Vec<DVec3> {
-    let mut out = vec![DVec3::X, DVec3::Y, DVec3::Z];
+fn directions(piece: &Piece) -> Vec<DVec3> {
+    let mut out = AXES.to_vec();
     let axes = piece.axes();
     for a in axes {
         add_direction(&mut out, a);
     }
-    if diagonals {
-        for k in 0..3 {
-            let (a, b) = (axes[k], axes[(k + 1) % 3]);
-            add_direction(&mut out, (a + b).normalize());
-            add_direction(&mut out, (a - b).normalize());
-        }
-        for (a, b) in [(DVec3::X, DVec3::Y), (DVec3::X, DVec3::NEG_Y)] {
-            add_direction(&mut out, (a + b).normalize());
-        }
+    for k in 0..3 {
+        let (a, b) = (axes[k], axes[(k + 1) % 3]);
+        add_direction(&mut out, (a + b).normalize());
+        add_direction(&mut out, (a - b).normalize());
+    }
+    for (a, b) in [(DVec3::X, DVec3::Y), (DVec3::X, DVec3::NEG_Y)] {
+        add_direction(&mut out, (a + b).normalize());
     }
     out
 }
@@ -178,7 +180,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
     }
     let edges = side.edges();
     let mut best = whole;
-    for normal in side.axes() {
+    for normal in if breadth.diagonals { side.axes() } else { AXES } {
         let offsets = even_offsets(side, normal, breadth.second);
         for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
             best = best.min(below + above + breadth.part_cost);
@@ -191,7 +193,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
 /// too thin everywhere.
 pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Breadth) -> Option<Plane> {
     let edges = piece.edges();
-    let directions = directions(piece, true);
+    let directions = if breadth.diagonals { directions(piece) } else { AXES.to_vec() };
     let per_direction: Vec<Vec<(Plane, f64, f64)>> = directions
         .par_iter()
         .map_init(Scratch::default, |scratch, &normal| {
@@ -237,7 +239,7 @@ pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Brea
         .par_iter()
         .map_init(Scratch::default, |scratch, &(plane, below, above)| {
             let sides = piece.split(plane, false, &|p| solid.contains(p));
-            if sides.iter().any(|s| s.triangles.is_empty()) {
+            if sides.iter().any(|s| s.points.len() < 4) {
                 return f64::INFINITY;
             }
             after_next_cut(&sides[0], below, breadth, scratch)

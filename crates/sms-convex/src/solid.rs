@@ -1,29 +1,35 @@
 //! The solid that parts are measured against.
 
+use crate::occupancy::Occupancy;
+use crate::repair::Surface;
 use glamx::DVec3;
 use parry3d_f64::query::PointQuery;
-use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use parry3d_f64::shape::TriMesh;
 
 /// A closed surface with distance queries, in unit coordinates.
 pub(crate) struct Solid {
     surface: TriMesh,
+    inside: Occupancy,
 }
 
 impl Solid {
-    pub(crate) fn new(points: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Option<Self> {
-        let surface = TriMesh::with_flags(points, triangles, TriMeshFlags::ORIENTED).ok()?;
-        Some(Self { surface })
+    pub(crate) fn new(surface: &Surface) -> Option<Self> {
+        let inside = Occupancy::new(surface, 96);
+        let surface = TriMesh::new(surface.points.clone(), surface.triangles.clone()).ok()?;
+        Some(Self { surface, inside })
     }
 
-    /// How far a point lies outside.
+    /// How far a point lies outside, 0 for points less than a voxel (0.02) away that share it with the inside.
     pub(crate) fn distance(&self, p: DVec3) -> f64 {
-        let projection = self.surface.project_local_point(p, false);
-        if projection.is_inside { 0.0 } else { projection.point.distance(p) }
+        if self.inside.contains(p) {
+            return 0.0;
+        }
+        self.surface.project_local_point(p, false).point.distance(p)
     }
 
-    /// Whether a point lies inside, or outside by a hair.
+    /// Whether a point lies inside, up to a voxel.
     pub(crate) fn contains(&self, p: DVec3) -> bool {
-        self.distance(p) < 1e-4
+        self.inside.contains(p)
     }
 
     /// Farthest that the surface of a hull lies outside the solid (the boundary's share of CoACD's concavity), or the
