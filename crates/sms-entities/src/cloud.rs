@@ -6,7 +6,7 @@ use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::DVec3;
 use rand::RngExt;
-use sms_core::{PointCloud, Seed};
+use sms_core::{Entity, PointCloud, Seed};
 use sms_gaussians::GaussianModel;
 
 /// One Gaussian as a flat disc.
@@ -97,6 +97,25 @@ pub(crate) fn label_discs(
     }
     limit_size(&mut discs);
     discs
+}
+
+/// The Gaussians of an entity: those classified as its label that lie at its surface, in the world. They picture the
+/// object on their own, and move with its body.
+pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &EntitiesConfig) -> GaussianModel {
+    /// Gaussians farther outside of the object's box are not its own, metres.
+    const MARGIN_M: f64 = 0.005;
+    let Some(bounds) = entity.mesh.aabb() else { return GaussianModel::default() };
+    let (low, high) = (bounds.min - MARGIN_M, bounds.max + MARGIN_M);
+    let indices: Vec<usize> = (0..model.len())
+        .filter(|&i| {
+            let p = model.positions_w[i].as_dvec3();
+            model.labels[i] == entity.label
+                && f64::from(model.label_confidence[i]) >= config.min_confidence
+                && p.cmpge(low).all()
+                && p.cmple(high).all()
+        })
+        .collect();
+    model.subset(&indices)
 }
 
 /// Discs straight from the labelled depth pixels, for objects that the model hardly holds.

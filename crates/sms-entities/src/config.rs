@@ -52,6 +52,8 @@ pub struct EntitiesConfig {
     pub primitive: PrimitiveConfig,
     /// Convex parts.
     pub convex: ConvexConfig,
+    /// Pictures on meshes.
+    pub texture: TextureConfig,
     /// The static environment.
     pub environment: EnvironmentConfig,
 }
@@ -75,6 +77,7 @@ impl Default for EntitiesConfig {
             sphere: SphereConfig::default(),
             primitive: PrimitiveConfig::default(),
             convex: ConvexConfig::default(),
+            texture: TextureConfig::default(),
             environment: EnvironmentConfig::default(),
         }
     }
@@ -107,6 +110,7 @@ impl EntitiesConfig {
             ("primitive.max_volume_error", self.primitive.max_volume_error, 0.0, 1.0),
             ("convex.threshold", convex.threshold, 1e-3, 1.0),
             ("convex.floor", convex.floor, 0.0, 1.0),
+            ("texture.texel_m", self.texture.texel_m, 1e-5, 1.0),
             ("environment.voxel", environment.voxel, 5e-4, 1.0),
             ("environment.reach", environment.reach, 0.0, 100.0),
             ("environment.floor_band", environment.floor_band, 0.0, 1.0),
@@ -121,6 +125,9 @@ impl EntitiesConfig {
             ("sphere.samples", sphere.samples, 1, 1_000_000),
             ("convex.max_parts", convex.max_parts, 1, 1024),
             ("convex.max_vertices", convex.max_vertices, 4, 4096),
+            ("texture.max_side", self.texture.max_side, 64, 16_384),
+            ("texture.views", self.texture.views, 1, 8),
+            ("texture.image_side", self.texture.image_side, 16, 16_384),
             ("environment.face_budget", environment.face_budget, 12, 10_000_000),
         ] {
             r.count(key, value, low, high)?;
@@ -146,6 +153,28 @@ pub struct PrimitiveConfig {
 impl Default for PrimitiveConfig {
     fn default() -> Self {
         Self { enabled: true, inlier_distance: 0.0015, min_inlier_share: 0.92, max_volume_error: 0.06 }
+    }
+}
+
+/// Pictures on meshes, baked from the frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TextureConfig {
+    /// Whether meshes get pictures; without, they have vertex colours only.
+    pub enabled: bool,
+    /// Size of a texel on the surface, metres; more where the picture would not fit into `max_side`.
+    pub texel_m: f64,
+    /// Longest side of a picture, pixels.
+    pub max_side: usize,
+    /// Views that a texel is the mean of (at most 8).
+    pub views: usize,
+    /// Long side at which recorded colour images are read for this, pixels.
+    pub image_side: usize,
+}
+
+impl Default for TextureConfig {
+    fn default() -> Self {
+        Self { enabled: true, texel_m: 0.001, max_side: 2048, views: 3, image_side: 1280 }
     }
 }
 

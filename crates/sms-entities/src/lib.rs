@@ -12,6 +12,7 @@
 //! 5. crate `sms-convex`: meshes are split into convex parts for physics.
 //! 6. `contact`: parts of different objects that overlap are cut apart.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
+//! 8. `texture` ([`bake_textures`]): meshes get pictures from the frames.
 //!
 //! ```
 //! use sms_core::{Mesh, Seed, glamx::DVec3};
@@ -52,12 +53,14 @@ mod save;
 mod sphere;
 mod support;
 mod surface;
+mod texture;
 mod tsdf;
 mod underside;
 mod views;
 
 pub use build::build_entities;
-pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, PrimitiveConfig, SphereConfig};
+pub use cloud::object_gaussians;
+pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, PrimitiveConfig, SphereConfig, TextureConfig};
 pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
 pub use error::EntitiesError;
 pub use mesher::mesh_cloud;
@@ -65,6 +68,7 @@ pub use primitive::{PrimitiveFit, fit_primitive};
 pub use save::{load_entities, save_entities};
 pub use sms_convex::{ConvexConfig, convex_hull, convex_parts};
 pub use sphere::{SphereFit, fit_sphere};
+pub use texture::bake_textures;
 
 use sms_core::Entity;
 

@@ -21,6 +21,7 @@
 mod align;
 mod cache;
 mod check;
+mod colors;
 mod formats;
 mod images;
 mod lens;
@@ -34,6 +35,7 @@ mod rigid;
 mod sequence;
 
 pub use check::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit, check};
+pub use colors::recorded_colors;
 pub use lens::{Distortion, Lens};
 pub use load::{load, selected_frames};
 pub use normals::normals_from_depth;

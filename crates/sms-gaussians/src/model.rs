@@ -1,6 +1,6 @@
 //! The stage's result: Gaussians with what they belong to.
 
-use glamx::{Quat, Vec3};
+use glamx::{DPose3, Quat, Vec3};
 
 /// Width of the affinity feature (paper: d; released code: 16).
 pub const AFFINITY_DIM: usize = 16;
@@ -56,6 +56,43 @@ impl GaussianModel {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.positions_w.is_empty()
+    }
+
+    /// The Gaussians with these indices, in their order.
+    ///
+    /// # Panics
+    /// When an index is out of range.
+    pub fn subset(&self, indices: &[usize]) -> Self {
+        fn pick<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
+            indices.iter().map(|&i| values[i]).collect()
+        }
+        Self {
+            positions_w: pick(&self.positions_w, indices),
+            rotations_wg: pick(&self.rotations_wg, indices),
+            scales: pick(&self.scales, indices),
+            opacities: pick(&self.opacities, indices),
+            colors: pick(&self.colors, indices),
+            affinities: pick(&self.affinities, indices),
+            labels: pick(&self.labels, indices),
+            label_confidence: pick(&self.label_confidence, indices),
+            classifier: self.classifier.clone(),
+            background: self.background,
+        }
+    }
+
+    /// The model carried into another frame by `x_aw`: what was in the world is then in `A`. Colours do not depend on the
+    /// direction of view, so nothing else changes.
+    pub fn transformed(&self, x_aw: &DPose3) -> Self {
+        let rotation = x_aw.rotation.as_quat();
+        Self {
+            positions_w: self
+                .positions_w
+                .iter()
+                .map(|p| x_aw.transform_point(p.as_dvec3()).as_vec3())
+                .collect(),
+            rotations_wg: self.rotations_wg.iter().map(|&q| (rotation * q).normalize()).collect(),
+            ..self.clone()
+        }
     }
 
     /// The shortest principal axis of Gaussian `i` in the world (unit, sign arbitrary), and the two larger standard

@@ -5,14 +5,21 @@ use super::{inputs_hash, materials, run_stage, shown, timed, vlm};
 use crate::cli::Materialize;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, EntityKind, EntityShape, Hash, InputError, Labels, RunFolder, Seed, atomic};
-use sms_entities::{EntitiesConfig, EntitySet, build_entities, load_entities, save_entities};
+use sms_core::{
+    BACKGROUND, CoreError, EntityKind, EntityShape, Hash, InputError, Labels, RunFolder, Seed, atomic,
+};
+use sms_entities::{
+    EntitiesConfig, EntitySet, bake_textures, build_entities, load_entities, object_gaussians, save_entities,
+};
 use sms_export::mjcf_text;
-use sms_frames::Sequence;
-use sms_gaussians::read_ply;
+use sms_frames::{ReadOptions, Sequence, recorded_colors};
+use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{MaterialTable, Overrides, assign, save_queries};
 use sms_scene::{build_scene, save_scene};
+
+/// An entity's own Gaussians, in its folder.
+const GAUSSIANS: &str = "gaussians.ply";
 
 pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
@@ -32,7 +39,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                 let model = read_ply(&gaussians_dir.join("scene.ply"))?;
                 let (sequence, labels) =
                     trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
-                let set = build_entities(
+                let mut set = build_entities(
                     &model,
                     &sequence,
                     &labels,
@@ -42,7 +49,14 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                     &context.cancel,
                     warnings,
                 )?;
+                let read = context.settings.section("read", ReadOptions::default())?;
+                let colors = recorded_colors(&sequence, &read, config.texture.image_side, &context.cancel)?;
+                bake_textures(&mut set, &sequence, &labels, &colors, &config.texture);
                 save_entities(stage.dir(), &set)?;
+                for entity in set.entities.iter().filter(|e| e.label != BACKGROUND) {
+                    let gaussians = object_gaussians(&model, entity, &config);
+                    write_ply(&gaussians, &stage.dir().join(&entity.name).join(GAUSSIANS))?;
+                }
                 Ok(entity_metrics(&set))
             })
         })?;
@@ -62,7 +76,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         None => edits,
     };
     let table = MaterialTable::builtin();
-    let scene_hash = inputs_hash(&[&hash], &("scene 2", &queries, &overrides, &table))?;
+    let scene_hash = inputs_hash(&[&hash], &("scene 3", &queries, &overrides, &table))?;
     let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
         save_queries(&stage.dir().join(materials::QUERIES), &queries)?;
         let mut materials = assign(&queries, &table, Some(&overrides), warnings)?;
@@ -71,6 +85,14 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         let scene =
             build_scene(&settings.recording_name(), &set.entities, &materials, support, x_world_recording)?;
         save_scene(stage.dir(), &scene)?;
+        for body in &scene.bodies {
+            let of_entity = entities_dir.join(&body.name).join(GAUSSIANS);
+            if of_entity.exists() {
+                let in_body = read_ply(&of_entity)?.transformed(&body.x_wb.inverse());
+                let file = stage.dir().join("gaussians").join(format!("{}.ply", body.name));
+                write_ply(&in_body, &file)?;
+            }
+        }
         atomic::write_bytes(&stage.dir().join("scene.xml"), mjcf_text(&scene).as_bytes())?;
         Ok(Metrics::new())
     })?;
@@ -104,9 +126,12 @@ impl RunSettings {
 fn entity_metrics(set: &EntitySet) -> Metrics {
     let dynamic: Vec<_> = set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic).collect();
     let spheres = dynamic.iter().filter(|e| matches!(e.shape, EntityShape::Sphere { .. })).count();
+    let boxes = dynamic.iter().filter(|e| matches!(e.shape, EntityShape::Box { .. })).count();
+    let cylinders = dynamic.iter().filter(|e| matches!(e.shape, EntityShape::Cylinder { .. })).count();
     let closed = dynamic.iter().filter(|e| e.mesh.is_closed_oriented()).count();
     let mut m = Metrics::new();
     m.set("entities.count", dynamic.len()).set("entities.spheres", spheres).set("entities.closed", closed);
+    m.set("entities.boxes", boxes).set("entities.cylinders", cylinders);
     m.set("entities.static", set.entities.len() - dynamic.len());
     m
 }
@@ -116,6 +141,13 @@ fn summary(context: &Context, set: &EntitySet) {
         let what = match (&e.kind, &e.shape) {
             (EntityKind::Static, _) => format!("static, {} triangles", e.mesh.triangles.len()),
             (_, EntityShape::Sphere { radius, .. }) => format!("sphere, radius {:.2} mm", radius * 1e3),
+            (_, EntityShape::Box { half_extents, .. }) => {
+                let [x, y, z] = (2e3 * *half_extents).to_array();
+                format!("box, {x:.1} × {y:.1} × {z:.1} mm")
+            }
+            (_, EntityShape::Cylinder { radius, half_length, .. }) => {
+                format!("cylinder, radius {:.2} mm, {:.1} mm long", radius * 1e3, half_length * 2e3)
+            }
             _ => format!("{} convex parts, {:.0} cm³", e.parts.len(), e.mesh.volume() * 1e6),
         };
         context.say(format!("{:>16}: {what}, {:.0} % observed", e.name, 100.0 * e.observed_share));

@@ -1,0 +1,352 @@
+//! Pictures on meshes, baked from the frames.
+//!
+//! Every triangle gets its own corner of an atlas, two to a square, as large as it is on the surface: no seam can open and
+//! any mesh can be unwrapped. A texel is the mean of the few views that see its place best.
+
+use crate::EntitySet;
+use crate::config::TextureConfig;
+use crate::views::{Sight, Views};
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{ColorImage, Entity, EntityKind, Image, Labels, Mesh, MeshTexture};
+use sms_frames::Sequence;
+
+/// Empty texels around each triangle, so that filtering does not mix neighbours.
+const PAD: usize = 1;
+/// Least cosine between a surface and the direction to a camera that colours it.
+const LEAST_FACING: f64 = 0.2;
+/// Smallest square, texels.
+const LEAST_SIDE: usize = 6;
+
+/// Gives the mesh of every object a picture from the frames that saw it: `colors` are the frames' colour images at any
+/// size, parallel to the sequence's frames; where there is none, the frame's own is used. What no frame saw keeps its
+/// vertex colours.
+pub fn bake_textures(
+    set: &mut EntitySet,
+    sequence: &Sequence,
+    labels: &Labels,
+    colors: &[Option<ColorImage>],
+    config: &TextureConfig,
+) {
+    if !config.enabled {
+        return;
+    }
+    let views = Views { sequence, labels };
+    let images: Vec<&ColorImage> = sequence
+        .frames
+        .iter()
+        .enumerate()
+        .map(|(f, frame)| colors.get(f).and_then(Option::as_ref).unwrap_or(&frame.color))
+        .collect();
+    for entity in &mut set.entities {
+        // The environment is no object; its vertex colours are as fine as its voxels.
+        let is_object = entity.kind == EntityKind::Dynamic || entity.label != sms_core::BACKGROUND;
+        if is_object && !entity.mesh.triangles.is_empty() {
+            entity.texture = Some(bake(entity, &views, &images, config));
+        }
+    }
+}
+
+/// Where two triangles lie in the atlas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Square {
+    x: usize,
+    y: usize,
+    side: usize,
+    /// In the lower left half, and in the upper right half.
+    triangles: [Option<usize>; 2],
+}
+
+impl Square {
+    /// Corners of the triangle of `half` in atlas pixels.
+    fn corners(&self, half: usize) -> [[f64; 2]; 3] {
+        let (x, y, s) = (self.x as f64, self.y as f64, self.side as f64);
+        let (near, leg) = (PAD as f64, s - 4.0 * PAD as f64);
+        if half == 0 {
+            [[x + near, y + near], [x + near + leg, y + near], [x + near, y + near + leg]]
+        } else {
+            let (right, bottom) = (x + s - near, y + s - near);
+            [[right, bottom], [right - leg, bottom], [right, bottom - leg]]
+        }
+    }
+}
+
+fn longest_edge(mesh: &Mesh, t: usize) -> f64 {
+    let [a, b, c] = mesh.corners(t);
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
+}
+
+/// Squares for all triangles and the atlas's size.
+fn pack(mesh: &Mesh, config: &TextureConfig) -> (Vec<Square>, usize, usize) {
+    let mut texel = config.texel_m;
+    loop {
+        let side = |t: usize| {
+            let texels = (longest_edge(mesh, t) / texel).ceil().clamp(0.0, 1e6) as usize;
+            (texels + 4 * PAD).max(LEAST_SIDE).next_multiple_of(2)
+        };
+        let mut order: Vec<(usize, usize)> = (0..mesh.triangles.len()).map(|t| (side(t), t)).collect();
+        order.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        let total: usize = order.chunks(2).map(|pair| pair[0].0 * pair[0].0).sum();
+        let widest = order.first().map_or(LEAST_SIDE, |o| o.0);
+        let width = ((total as f64).sqrt().ceil() as usize).max(widest).next_power_of_two();
+        let mut squares = Vec::with_capacity(order.len().div_ceil(2));
+        let (mut x, mut y, mut row) = (0, 0, 0);
+        for pair in order.chunks(2) {
+            let side = pair[0].0;
+            if x + side > width {
+                (x, y) = (0, y + row);
+                row = 0;
+            }
+            row = row.max(side);
+            squares.push(Square { x, y, side, triangles: [Some(pair[0].1), pair.get(1).map(|p| p.1)] });
+            x += side;
+        }
+        let height = (y + row).next_multiple_of(4).max(4);
+        if width.max(height) <= config.max_side.max(widest.min(64)) || widest <= LEAST_SIDE {
+            return (squares, width, height);
+        }
+        texel *= 1.25;
+    }
+}
+
+fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &TextureConfig) -> MeshTexture {
+    let mesh = &entity.mesh;
+    let (squares, width, height) = pack(mesh, config);
+    let mut corner_uv = vec![[[0.0f32; 2]; 3]; mesh.triangles.len()];
+    for square in &squares {
+        for (half, triangle) in square.triangles.iter().enumerate() {
+            if let Some(t) = *triangle {
+                corner_uv[t] = square
+                    .corners(half)
+                    .map(|[x, y]| [(x / width as f64) as f32, (1.0 - y / height as f64) as f32]);
+            }
+        }
+    }
+    let normals = vertex_normals(mesh);
+    let pixels: Vec<Vec<[u8; 3]>> = squares
+        .par_iter()
+        .map(|square| {
+            let texel = |i: usize| {
+                let (x, y) = (i % square.side, i / square.side);
+                let half = usize::from(x + y + 1 > square.side);
+                let triangle = square.triangles[half].or(square.triangles[0]);
+                let Some(t) = triangle else { return entity.mean_color };
+                let at = [square.x as f64 + x as f64 + 0.5, square.y as f64 + y as f64 + 0.5];
+                let weights =
+                    barycentric(at, square.corners(if square.triangles[half].is_some() { half } else { 0 }));
+                color_at(entity, &normals, t, weights, views, images, config)
+            };
+            (0..square.side * square.side).map(texel).collect()
+        })
+        .collect();
+    let mut image: ColorImage = Image::filled(width, height, entity.mean_color);
+    for (square, pixels) in squares.iter().zip(pixels) {
+        for (row, line) in pixels.chunks_exact(square.side).enumerate() {
+            let start = (square.y + row) * width + square.x;
+            image.data[start..start + square.side].copy_from_slice(line);
+        }
+    }
+    MeshTexture { corner_uv, image }
+}
+
+/// Weights of a triangle's corners at a point; outside of the triangle those of the nearest point on its rim, roughly.
+fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
+    let (ab, ac, ap) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]], [x - a[0], y - a[1]]);
+    let area = ab[0] * ac[1] - ab[1] * ac[0];
+    let v = (ap[0] * ac[1] - ap[1] * ac[0]) / area;
+    let w = (ab[0] * ap[1] - ab[1] * ap[0]) / area;
+    let weights = [1.0 - v - w, v, w].map(|k| k.max(0.0));
+    let sum: f64 = weights.iter().sum();
+    weights.map(|k| k / sum)
+}
+
+fn vertex_normals(mesh: &Mesh) -> Vec<DVec3> {
+    let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
+    for t in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(t);
+        for v in mesh.triangles[t] {
+            normals[v as usize] += (b - a).cross(c - a);
+        }
+    }
+    normals.iter().map(|n| n.normalize_or_zero()).collect()
+}
+
+/// Colour of a place on triangle `t`: the mean of the views that see it most squarely and from nearest.
+fn color_at(
+    entity: &Entity,
+    normals: &[DVec3],
+    t: usize,
+    weights: [f64; 3],
+    views: &Views,
+    images: &[&ColorImage],
+    config: &TextureConfig,
+) -> [u8; 3] {
+    let triangle = entity.mesh.triangles[t];
+    let corners = entity.mesh.corners(t);
+    let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
+    let n = (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
+    // The few best: quality and colour, best first.
+    const MOST: usize = 8;
+    let keep = config.views.clamp(1, MOST);
+    let mut best = [(0.0f64, [0.0f64; 3]); MOST];
+    for (f, frame) in views.sequence.frames.iter().enumerate() {
+        let towards = frame.camera.center_w() - p;
+        let distance = towards.length();
+        let facing = n.dot(towards) / distance;
+        if facing < LEAST_FACING {
+            continue;
+        }
+        let quality = facing * facing / (distance * distance);
+        if quality <= best[keep - 1].0 || views.sight(f, p, 0.0) != Sight::Surface(entity.label) {
+            continue;
+        }
+        let Some((u, v, _)) = frame.camera.project(p) else { continue };
+        let k = &frame.camera.intrinsics;
+        let image = images[f];
+        let scale = [image.width as f64 / k.width as f64, image.height as f64 / k.height as f64];
+        let color = sample(image, u * scale[0], v * scale[1]);
+        let at = (0..keep).find(|&i| quality > best[i].0).unwrap_or(keep - 1);
+        best[at..keep].rotate_right(1);
+        best[at] = (quality, color);
+    }
+    let total: f64 = best[..keep].iter().map(|b| b.0).sum();
+    if total > 0.0 {
+        return std::array::from_fn(|c| {
+            (best[..keep].iter().map(|b| b.0 * b.1[c]).sum::<f64>() / total).round().clamp(0.0, 255.0) as u8
+        });
+    }
+    if entity.mesh.colors.len() != entity.mesh.vertices.len() {
+        return entity.mean_color;
+    }
+    std::array::from_fn(|c| {
+        let of = |k: usize| f64::from(entity.mesh.colors[triangle[k] as usize][c]) * weights[k];
+        (0..3).map(of).sum::<f64>().round() as u8
+    })
+}
+
+/// Bilinear sample at pixel coordinates (centres at half integers).
+fn sample(image: &ColorImage, u: f64, v: f64) -> [f64; 3] {
+    let (x, y) = (u - 0.5, v - 0.5);
+    let (i, j) = (x.floor(), y.floor());
+    let (fx, fy) = (x - i, y - j);
+    let at = |dx: f64, dy: f64| {
+        let x = (i + dx).clamp(0.0, image.width as f64 - 1.0) as usize;
+        let y = (j + dy).clamp(0.0, image.height as f64 - 1.0) as usize;
+        image[(x, y)]
+    };
+    let (a, b, c, d) = (at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0), at(1.0, 1.0));
+    std::array::from_fn(|k| {
+        let row = |p: [u8; 3], q: [u8; 3]| f64::from(p[k]) * (1.0 - fx) + f64::from(q[k]) * fx;
+        row(a, b) * (1.0 - fy) + row(c, d) * fy
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use proptest::prelude::*;
+    use sms_core::{Camera, EntityShape, Intrinsics, LabelMap, MaskSource, PointCloud};
+    use sms_frames::Frame;
+
+    proptest! {
+        /// Squares do not overlap, and lie inside the atlas; corners lie inside their square, halves apart.
+        #[test]
+        fn triangles_keep_to_their_places(levels in 0usize..4, texel in 0.0005..0.02f64, stretch in 1.0..9.0f64) {
+            let mut mesh = Mesh::icosphere(0.05, levels);
+            mesh.vertices.iter_mut().for_each(|v| v.x *= stretch);
+            let config = TextureConfig { texel_m: texel, max_side: 512, ..TextureConfig::default() };
+            let (squares, width, height) = pack(&mesh, &config);
+            let mut used = vec![false; width * height];
+            let mut seen = vec![false; mesh.triangles.len()];
+            for s in &squares {
+                prop_assert!(s.x + s.side <= width && s.y + s.side <= height);
+                for y in s.y..s.y + s.side {
+                    for x in s.x..s.x + s.side {
+                        prop_assert!(!std::mem::replace(&mut used[y * width + x], true));
+                    }
+                }
+                for (half, t) in s.triangles.iter().enumerate() {
+                    if let Some(t) = *t {
+                        prop_assert!(!std::mem::replace(&mut seen[t], true));
+                        for [x, y] in s.corners(half) {
+                            let (x, y) = (x - s.x as f64, y - s.y as f64);
+                            let diagonal = x + y - s.side as f64;
+                            prop_assert!(x >= 1.0 && y >= 1.0 && x <= s.side as f64 - 1.0 && y <= s.side as f64 - 1.0);
+                            let apart = if half == 0 { -diagonal } else { diagonal };
+                            prop_assert!(apart >= 1.0);
+                        }
+                    }
+                }
+            }
+            prop_assert!(seen.iter().all(|s| *s));
+            prop_assert!(width.max(height) <= 512 || texel < 0.001 || levels == 3);
+        }
+    }
+
+    /// A square plate under a camera that looks straight down on a picture of four colours.
+    #[test]
+    fn a_plate_gets_the_picture_that_the_camera_saw() {
+        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
+        let eye = DVec3::new(0.0, 0.0, 1.0);
+        let camera = Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y);
+        let quarter = |x: usize, y: usize| -> [u8; 3] {
+            [if x < 50 { 200 } else { 20 }, if y < 50 { 180 } else { 40 }, 90]
+        };
+        let color =
+            Image::from_vec(100, 100, (0..10_000).map(|i| quarter(i % 100, i / 100)).collect::<Vec<_>>());
+        let frame = Frame {
+            index: 0,
+            time_s: None,
+            camera,
+            color: Image::filled(100, 100, [0; 3]),
+            depth: Image::filled(100, 100, 1.0),
+            normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
+            color_path: "none".into(),
+            mask_path: None,
+        };
+        let sequence =
+            Sequence { frames: vec![frame], x_world_recording: DPose3::IDENTITY, source: "none".into() };
+        let labels = Labels {
+            maps: vec![LabelMap::filled(100, 100, 1)],
+            objects: Vec::new(),
+            source: MaskSource::Files,
+        };
+        let mut mesh = Mesh::cuboid(DVec3::new(0.3, 0.3, 0.05));
+        mesh.vertices.iter_mut().for_each(|v| v.z -= 0.05);
+        mesh.colors = vec![[7, 8, 9]; 8];
+        let entity = Entity {
+            label: 1,
+            name: "plate".into(),
+            description: String::new(),
+            kind: EntityKind::Dynamic,
+            shape: EntityShape::Convex,
+            cloud: PointCloud::default(),
+            mesh,
+            texture: None,
+            parts: Vec::new(),
+            observed_share: 1.0,
+            residual_m: 0.0,
+            mean_color: [1, 2, 3],
+        };
+        let mut set = EntitySet { entities: vec![entity], support_height: None };
+        bake_textures(&mut set, &sequence, &labels, &[Some(color)], &TextureConfig::default());
+        let (mesh, texture) = (&set.entities[0].mesh, set.entities[0].texture.as_ref().unwrap());
+        let lookup = |[u, v]: [f64; 2]| {
+            let (w, h) = (texture.image.width as f64, texture.image.height as f64);
+            texture.image[((u * w) as usize, ((1.0 - v) * h) as usize)]
+        };
+        for t in 0..mesh.triangles.len() {
+            let corners = mesh.corners(t);
+            let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
+            for weights in [[0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.15, 0.15, 0.7]] {
+                let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
+                let uv = [0, 1]
+                    .map(|c| (0..3).map(|k| f64::from(texture.corner_uv[t][k][c]) * weights[k]).sum::<f64>());
+                let (x, y, _) = camera.project(p).unwrap();
+                let expected = if n.z > 0.9 { quarter(x as usize, y as usize) } else { [7, 8, 9] };
+                assert_eq!(lookup(uv), expected, "triangle {t} at {p}");
+            }
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! Recorded colour at more than scan resolution, for pictures.
+
+use crate::images::read_color;
+use crate::resample::{resize_color, target_intrinsics, undistort_color};
+use crate::{ReadOptions, Recording, Sequence};
+use rayon::prelude::*;
+use sms_core::{Cancel, ColorImage, CoreError};
+
+/// The colour image of every frame as it was recorded, distortion undone, its long side at most `long_side` pixels:
+/// the frame's camera sees it after `intrinsics.scaled_to` its size. `None` where the recording or the image is gone; the
+/// sequence's own colour has to do there.
+///
+/// # Errors
+/// [`CoreError::Interrupted`] when cancelled.
+pub fn recorded_colors(
+    sequence: &Sequence,
+    options: &ReadOptions,
+    long_side: usize,
+    cancel: &Cancel,
+) -> Result<Vec<Option<ColorImage>>, CoreError> {
+    let Ok(recording) = Recording::open(&sequence.source, options) else {
+        return Ok(vec![None; sequence.len()]);
+    };
+    sequence
+        .frames
+        .par_iter()
+        .map(|frame| {
+            cancel.check()?;
+            let read = || {
+                let recorded = &recording.frames[recording.index_of(frame)?];
+                let color = read_color(&recorded.color_path).ok()?;
+                let color = undistort_color(&color, &recorded.color_lens);
+                let target = target_intrinsics(&recorded.color_lens, long_side);
+                Some(resize_color(&color, target.width, target.height))
+            };
+            Ok(read())
+        })
+        .collect()
+}
