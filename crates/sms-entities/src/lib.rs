@@ -41,6 +41,7 @@ mod error;
 mod foot;
 mod grid;
 mod hilbert;
+mod hollow;
 mod inside;
 mod maxflow;
 mod mesher;

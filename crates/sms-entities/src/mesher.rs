@@ -3,6 +3,7 @@
 use crate::config::{EntitiesConfig, MeshRule};
 use crate::decimate::decimate;
 use crate::delaunay::{NONE, Tetrahedralization, delaunay};
+use crate::hollow::{HiddenInside, hidden_inside};
 use crate::support::Plane;
 use crate::views::{Sight, Views};
 use crate::{inside, refine, surface};
@@ -69,10 +70,24 @@ pub fn mesh_cloud(cloud: &PointCloud, config: &EntitiesConfig) -> Option<Mesh> {
 
 /// A closed mesh with positive volume; `None` when the points lie in one plane.
 pub(crate) fn mesh_object(input: &MeshInput, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
+    let first = mesh_with(input, &HiddenInside::default(), config)?;
+    if config.mesh != MeshRule::Vote || first.1 != MeshPath::Asked {
+        return Some(first);
+    }
+    let hollowed = hidden_inside(input, &first.0)
+        .and_then(|inside| mesh_with(input, &inside, config))
+        .filter(|m| m.1 == MeshPath::Asked);
+    hollowed.or(Some(first))
+}
+
+/// The same with points on the hidden inside of a hollow.
+fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
     let mut points = input.cloud.points_w.clone();
     let mut normals = input.cloud.normals_w.clone();
     points.extend_from_slice(input.contact);
     normals.extend(std::iter::repeat_n(-input.rest.normal, input.contact.len()));
+    points.extend_from_slice(&inside.points);
+    normals.extend_from_slice(&inside.normals);
     let tetrahedra = delaunay(&points);
     let hull = convex_hull(&points, usize::MAX, 0.0)?;
     let usable = |mesh: &Mesh| mesh.is_closed_oriented() && mesh.volume() > 0.02 * hull.volume();

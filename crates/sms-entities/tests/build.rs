@@ -101,6 +101,22 @@ fn analytic_shapes_come_back_with_their_volume() {
     }
 }
 
+/// Deep in a mug no camera sees: the hollow goes on to a floor as thick as the wall, instead of being filled.
+#[test]
+fn a_deep_mug_is_hollow_to_its_floor() {
+    let objects = [cup(DVec3::ZERO, 0.035, 0.11, 0.005)];
+    let low = Observation { elevation: Some(0.62), frames: 24, ..Observation::default() };
+    let set = build(&observe(&objects, &[], &low, 3));
+    let entity = &set.entities[0];
+    let ratio = entity.mesh.volume() / objects[0].volume;
+    println!("volume × {ratio:.3}, observed {:.2}", entity.observed_share);
+    assert!((0.85..1.25).contains(&ratio), "{ratio}");
+    for z in [0.015, 0.03, 0.06, 0.1] {
+        assert!(!entity.parts.iter().any(|p| is_within(p, DVec3::new(0.0, 0.0, z))), "filled at {z}");
+    }
+    assert!(entity.mesh.is_closed_oriented());
+}
+
 #[test]
 fn a_cup_keeps_its_hollow() {
     let objects = [cup(DVec3::ZERO, 0.05, 0.09, 0.006)];

@@ -124,6 +124,8 @@ pub struct Observation {
     pub normal_noise: f64,
     /// Camera distance.
     pub distance: f64,
+    /// Elevation of all cameras over the horizon, radians; `None` for three rings.
+    pub elevation: Option<f64>,
     /// Azimuth range, radians.
     pub arc: f64,
 }
@@ -139,6 +141,7 @@ impl Default for Observation {
             position_noise: 0.0008,
             normal_noise: 0.15,
             distance: 0.55,
+            elevation: None,
             arc: 2.0 * PI,
         }
     }
@@ -182,7 +185,7 @@ pub fn observe(objects: &[Shape], clutter: &[Shape], how: &Observation, seed: u6
     let mut taken = std::collections::BTreeSet::new();
     for f in 0..how.frames {
         let azimuth = how.arc * (f as f64 / how.frames as f64 - 0.5);
-        let elevation = [0.75f64, 0.45, 1.0][f % 3];
+        let elevation = how.elevation.unwrap_or([0.75, 0.45, 1.0][f % 3]);
         let eye =
             DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
         let camera = Camera::look_at(k, eye * how.distance, DVec3::Z * 0.03, DVec3::Z);

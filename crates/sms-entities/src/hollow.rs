@@ -1,0 +1,113 @@
+//! The floor of a hollow that no camera saw.
+//!
+//! Into a mug cameras look at a slant: they see its inner wall down to some depth and nothing below. Closing the mesh there
+//! fills the rest, and an empty mug weighs twice what it should. Where an object has thin walls, cameras look into it, and
+//! nothing of its own was seen at the end of what they look into, the hollow goes on down between walls and to a floor of that thickness.
+
+use crate::grid::{PointGrid, median};
+use crate::mesher::MeshInput;
+use crate::views::{Sight, Views};
+use glamx::{DPose3, DVec3};
+use parry3d_f64::query::{Ray, RayCast};
+use parry3d_f64::shape::TriMesh;
+use sms_core::Mesh;
+
+/// Walls between these count as thin, metres …
+const WALL_M: [f64; 2] = [0.001, 0.01];
+/// … and no thicker than this share of the object's size.
+const WALL_SHARE: f64 = 0.12;
+/// Share of the seen surface that must have a thin wall behind it.
+const THIN_SHARE: f64 = 0.35;
+/// A column under the contact area is filled for lack of sight when it is this many walls high.
+const COLUMN_WALLS: f64 = 2.5;
+/// Heights above a column's top where cameras may look into the hollow, metres.
+const LOOK_ABOVE_M: [f64; 3] = [0.005, 0.009, 0.014];
+/// Fewer columns than this are no hollow.
+const FEWEST: usize = 6;
+/// Share of the columns that end unseen over which cameras must look into the hollow.
+const LOOKED_INTO: f64 = 0.3;
+
+/// The hidden inside of a hollow: points with normals into the hollow.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct HiddenInside {
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) normals: Vec<DVec3>,
+}
+
+/// The hidden floor of a hollow of `mesh`, which was made of `input`, and the hidden part of its walls: what was seen of
+/// the outside below the end of sight, a wall's thickness further in. `None` where the object is not hollow, or its hollow
+/// was seen to its end.
+pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInside> {
+    let views = input.views?;
+    let solid = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).ok()?;
+    let wall = wall_thickness(input, mesh, &solid)?;
+    let plane = &input.rest;
+    let up = plane.normal;
+    let reach = 2.5 * input.spacing;
+    let seen = PointGrid::new(&input.cloud.points_w, reach);
+    // Columns of the contact area that end unseen.
+    let columns: Vec<(DVec3, f64)> = input
+        .contact
+        .iter()
+        .filter_map(|&q| {
+            let height = exit(&solid, q + up * 1e-4, up)?;
+            (height > COLUMN_WALLS * wall && !seen.is_near(q + up * height, reach)).then_some((q, height))
+        })
+        .collect();
+    let looked_into = columns.iter().filter(|(q, h)| is_looked_into(views, *q + up * *h, up)).count();
+    if looked_into < FEWEST || (looked_into as f64) < LOOKED_INTO * columns.len() as f64 {
+        return None;
+    }
+    let mut inside = HiddenInside::default();
+    for (q, _) in &columns {
+        inside.points.push(*q + up * wall);
+        inside.normals.push(up);
+    }
+    // Up to where the columns end; there the seen part of the wall begins.
+    let end = median(columns.iter().map(|c| c.1).collect());
+    for (&p, &n) in input.cloud.points_w.iter().zip(&input.cloud.normals_w) {
+        let height = plane.height_over(p);
+        let deep = || exit(&solid, p - n * (0.5 * wall), -n).is_some_and(|d| d > COLUMN_WALLS * wall);
+        if height > wall && height < end && n.dot(up).abs() < 0.8 && deep() {
+            inside.points.push(p - n * wall);
+            inside.normals.push(-n);
+        }
+    }
+    Some(inside)
+}
+
+/// Distance at which a ray from inside leaves the solid, metres.
+fn exit(solid: &TriMesh, origin: DVec3, direction: DVec3) -> Option<f64> {
+    solid.cast_ray(&DPose3::IDENTITY, &Ray::new(origin, direction), 10.0, false)
+}
+
+/// Median thickness of the walls behind the seen surface; `None` where most of it has none.
+fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64> {
+    let size = mesh.aabb()?.extents().max_element();
+    let limit = WALL_M[1].min(WALL_SHARE * size);
+    let cloud = input.cloud;
+    let stride = cloud.points_w.len().div_ceil(800).max(1);
+    let (mut thin, mut cast) = (Vec::new(), 0usize);
+    for i in (0..cloud.points_w.len()).step_by(stride) {
+        let inward = -cloud.normals_w[i];
+        // From a little in front of the surface through both sides of the wall.
+        let start = cloud.points_w[i] - inward * 0.002;
+        let Some(first) = exit(solid, start, inward).filter(|&d| d < 0.005) else { continue };
+        let Some(second) = exit(solid, start + inward * (first + 1e-5), inward) else { continue };
+        cast += 1;
+        if second <= limit {
+            thin.push(second);
+        }
+    }
+    let enough = cast >= 50 && thin.len() as f64 >= THIN_SHARE * cast as f64;
+    enough.then(|| median(thin).max(WALL_M[0]))
+}
+
+/// Whether cameras look through the space just above a point.
+fn is_looked_into(views: &Views, top: DVec3, up: DVec3) -> bool {
+    LOOK_ABOVE_M.iter().any(|&h| {
+        let p = top + up * h;
+        let free = |f: &usize| views.sight(*f, p, 0.0) == Sight::Free;
+        (0..views.sequence.frames.len()).filter(free).take(2).count() >= 2
+    })
+}
