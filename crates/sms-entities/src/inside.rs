@@ -67,6 +67,9 @@ pub(crate) fn normal_votes(mesh: &Tetrahedralization, normals: &[DVec3]) -> Vec<
         .collect()
 }
 
+/// Cost of area beyond that of a sampled face, which lies where nothing was seen, in shares of the stiffness.
+const LARGE_FACE: f64 = 0.1;
+
 /// Reconciles votes (positive: inside) by a minimum cut in which parting two neighbours costs `stiffness` times the
 /// area of their face in units of `area`, at most `stiffness`.
 pub(crate) fn cut(mesh: &Tetrahedralization, votes: &[f64], stiffness: f64, area: f64) -> Vec<bool> {
@@ -78,7 +81,7 @@ pub(crate) fn cut(mesh: &Tetrahedralization, votes: &[f64], stiffness: f64, area
         for face in 0..4 {
             let [a, b, c] = FACES[face].map(|k| corners[k]);
             let size = 0.5 * (b - a).cross(c - a).length() / area;
-            let cost = stiffness * (0.2 + 0.8 * size.min(1.0));
+            let cost = stiffness * (0.2 + 0.8 * size.min(1.0) + LARGE_FACE * (size - 1.0).clamp(0.0, 20.0));
             match mesh.neighbors[t][face] {
                 // The hull's outside is outside.
                 NONE => gain -= 0.3 * cost,

@@ -35,6 +35,10 @@ pub(crate) fn contact_points(
         .collect();
     let outline = convex_outline(&foot);
     let on_plane = |s: f64, t: f64| u * s + v * t + plane.normal * plane.offset;
+    // Under a table's top cameras look from the side: where they look past the object there is none of it.
+    let is_open = |p: DVec3| {
+        UNDER_SHARES.iter().any(|share| is_looked_past(views, p + plane.normal * (share * top), label))
+    };
     let mut points = Vec::new();
     if outline.len() >= 3 {
         let min: [f64; 2] = std::array::from_fn(|k| outline.iter().map(|p| p[k]).fold(f64::MAX, f64::min));
@@ -45,13 +49,13 @@ pub(crate) fn contact_points(
                 // Every other row is shifted: an exact grid is needlessly degenerate.
                 let s = min[0] + spacing * (i as f64 + 0.5 * (j % 2) as f64);
                 let t = min[1] + spacing * j as f64;
-                if is_inside(&outline, [s, t]) && !plane_seen(views, on_plane(s, t), label) {
+                if is_inside(&outline, [s, t]) && !is_open(on_plane(s, t)) {
                     points.push(on_plane(s, t));
                 }
             }
         }
         for [s, t] in resample(&outline, spacing) {
-            if !plane_seen(views, on_plane(s, t), label) {
+            if !is_open(on_plane(s, t)) {
                 points.push(on_plane(s, t));
             }
         }
@@ -100,22 +104,20 @@ pub(crate) fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
     })
 }
 
-/// Whether cameras saw the carrying surface itself (or through it) at this point of the plane.
-fn plane_seen(views: &Views, p_w: DVec3, label: u16) -> bool {
+/// Heights over a possible contact point, as shares of the object's height, that cameras may look through.
+const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
+
+/// Whether cameras see something else than the object at a point, or look through it at something else. What is inside a
+/// bowl is looked through, too, but there the object itself is behind it.
+fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     let frames = views.sequence.frames.len();
     let needed = if frames < 6 { 1 } else { 2 };
-    let mut seen = 0;
-    for f in 0..frames {
-        match views.sight(f, p_w, 0.0) {
-            Sight::Surface(there) if there != label => seen += 1,
-            Sight::Free => seen += 1,
-            _ => {}
-        }
-        if seen >= needed {
-            return true;
-        }
-    }
-    false
+    let past = |f: &usize| match views.sight(*f, p_w, 0.0) {
+        Sight::Surface(there) => there != label,
+        Sight::Free => views.label_at(*f, p_w) != Some(label),
+        _ => false,
+    };
+    (0..frames).filter(past).take(needed).count() >= needed
 }
 
 /// Convex outline, counter-clockwise (Andrew's monotone chain).

@@ -67,6 +67,13 @@ impl Views<'_> {
         }
     }
 
+    /// The label of the pixel that `p_w` projects to in frame `f`, whatever is in front of or behind it.
+    pub(crate) fn label_at(&self, f: usize, p_w: DVec3) -> Option<u16> {
+        let (u, v, _) = self.sequence.frames[f].camera.project(p_w)?;
+        let (x, y) = self.sequence.frames[f].camera.pixel_at(u, v)?;
+        Some(self.labels.maps[f][(x, y)])
+    }
+
     /// How all frames see `p_w`, for an object with this label.
     pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
         let mut count = SightCount::default();
