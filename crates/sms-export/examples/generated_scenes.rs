@@ -1,4 +1,5 @@
-//! Exports the true geometry of generated billiards scenes in every format, to check exports without scanning.
+//! Exports the true geometry of generated billiards scenes, and one scene that has every shape and a picture, in every
+//! format, to check exports without scanning.
 //!
 //! `cargo run --release -p sms-export --example generated_scenes -- DIR [first seed] [number]`
 
@@ -8,11 +9,18 @@ use sms_synth::{BilliardsSettings, generate_billiards};
 use sms_target::scene_from_truth;
 use std::path::PathBuf;
 
+#[path = "../src/example.rs"]
+mod example;
+
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let dir = PathBuf::from(arguments.first().ok_or("usage: generated_scenes DIR [first seed] [number]")?);
     let number = |i: usize, default: u64| arguments.get(i).map_or(Ok(default), |a| a.parse());
     let (first, count) = (number(1, 1)?, number(2, 20)?);
+    for format in Format::ALL {
+        let folder = dir.join("shapes").join(format.name());
+        export(&example::scene(), format, &Sources::default(), &folder)?;
+    }
     for seed in first..first + count {
         let truth = generate_billiards(Seed(seed), &BilliardsSettings::default());
         let scene = scene_from_truth(&truth)?;

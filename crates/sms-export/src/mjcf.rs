@@ -30,6 +30,9 @@ const GROUND_HALF_DEPTH: f64 = 0.5;
 /// Angular frequency of contacts, rad/s. An impact at 1 m/s goes 2 mm deep; at rest MuJoCo's impedance leaves 2 µm.
 const CONTACT_FREQUENCY: f64 = 500.0;
 
+/// Share of the damping that is exported: MuJoCo's step and impedance damp as much as the rest would.
+const DAMPING_LEFT: f64 = 0.9;
+
 /// Writes `scene.xml` and its meshes into `dir`.
 pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
     write_meshes(scene, dir)?;
@@ -143,7 +146,7 @@ impl File<'_> {
         // Stiffness and damping, as negative numbers: of two moving bodies MuJoCo then takes the greater damping, where
         // of time constants it would take the mean, and make both soft.
         let spring = -CONTACT_FREQUENCY * CONTACT_FREQUENCY;
-        let damper = -2.0 * ratio * CONTACT_FREQUENCY;
+        let damper = -2.0 * DAMPING_LEFT * ratio * CONTACT_FREQUENCY;
         let priority = u8::from(body.kind == BodyKind::Dynamic);
         format!(
             "class=\"collision\" friction=\"{friction:.4} 0.001 {rolling:.6}\" priority=\"{priority}\" \
