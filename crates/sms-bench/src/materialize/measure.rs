@@ -4,6 +4,7 @@ use super::MaterializeOptions;
 use super::overlap::{collision_solids, parts_overlap};
 use super::trained::{SAMPLES, Trained, train};
 use crate::BenchError;
+use crate::prepare::Timer;
 use crate::scenes::BenchScene;
 use crate::surface::{F1_M, UNMATCHED};
 use crate::truth::{SurfacePoint, TrueSurface, observed_surface_at_most};
@@ -13,7 +14,6 @@ use sms_core::{Cancel, CoreError, Entity, EntityKind, EntityShape, Mesh, Progres
 use sms_entities::{EntitySet, build_entities};
 use sms_report::sample_surface;
 use std::path::Path;
-use std::time::Instant;
 
 /// The entities stage's seed; `sms materialize` has the same default.
 const SEED: Seed = Seed(0);
@@ -33,7 +33,7 @@ pub fn run_materialize(
 ) -> Result<Option<Metrics>, BenchError> {
     let Some(trained) = train(scene, options, progress, cancel, warnings)? else { return Ok(None) };
     let config = &options.bench.entities;
-    let timer = Instant::now();
+    let timer = Timer::start();
     let set = build_entities(
         &trained.model,
         &trained.sequence,
@@ -44,12 +44,13 @@ pub fn run_materialize(
         cancel,
         warnings,
     )?;
-    let seconds = timer.elapsed().as_secs_f64();
+    let (seconds, cpu_seconds) = timer.seconds();
 
     let measured = measure(&trained, &set);
     let prefix = format!("bench.materialize.{scene}.");
     let mut metrics = Metrics::new();
     metrics.set(format!("{prefix}seconds"), seconds);
+    metrics.set(format!("{prefix}cpu_seconds"), cpu_seconds);
     let dynamic = set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic).count();
     metrics.set(format!("{prefix}masks"), if trained.true_masks { "truth" } else { "geometry" });
     let found = measured.iter().filter(|m| m.entity.is_some()).count();
@@ -78,7 +79,15 @@ pub fn run_materialize(
             }
         }
         _ => {
-            // Of scenes with several objects, the mean over them.
+            // Of scenes with several objects each, and the mean over them.
+            for object in &measured {
+                if let Some(entity) = object.entity.map(|i| &set.entities[i]) {
+                    metrics.set(format!("{prefix}{}.shape", object.name), shape_name(&entity.shape));
+                }
+                for (key, value) in &object.figures {
+                    metrics.set(format!("{prefix}{}.{key}", object.name), *value);
+                }
+            }
             for (key, mean) in means(&measured) {
                 metrics.set(format!("{prefix}{key}"), mean);
             }

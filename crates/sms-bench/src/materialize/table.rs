@@ -7,7 +7,7 @@ use std::fmt::Write;
 const PREFIX: &str = "bench.materialize.";
 
 /// The figures shown: key, heading, factor to the shown unit, digits.
-const COLUMNS: [(&str, &str, f64, usize); 13] = [
+const COLUMNS: [(&str, &str, f64, usize); 14] = [
     ("masks_iou", "mask IoU", 1.0, 3),
     ("gaussians_f1_2p5mm", "scan F1", 1.0, 4),
     ("f1_2p5mm", "F1@2.5", 1.0, 4),
@@ -21,6 +21,7 @@ const COLUMNS: [(&str, &str, f64, usize); 13] = [
     ("faces", "faces", 1.0, 0),
     ("residual_m", "resid. mm", 1e3, 3),
     ("seconds", "s", 1.0, 2),
+    ("cpu_seconds", "CPU s", 1.0, 2),
 ];
 
 /// A figure to reach: at most (`true`) or at least (`false`), as mean over the models.
@@ -74,8 +75,10 @@ pub fn add_materialize_means(metrics: &mut Metrics, scenes: &[BenchScene]) {
             metrics.set(format!("{PREFIX}mean.{key}"), mean);
         }
     }
-    let seconds: f64 = models.iter().filter_map(|p| metrics.number(&format!("{p}seconds"))).sum();
-    metrics.set(format!("{PREFIX}seconds"), seconds);
+    for key in ["seconds", "cpu_seconds"] {
+        let sum: f64 = models.iter().filter_map(|p| metrics.number(&format!("{p}{key}"))).sum();
+        metrics.set(format!("{PREFIX}{key}"), sum);
+    }
 }
 
 fn rows(metrics: &Metrics, scenes: &[BenchScene]) -> Vec<(String, Vec<Option<String>>)> {
