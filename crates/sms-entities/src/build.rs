@@ -13,9 +13,13 @@ use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
-use sms_core::{Cancel, LabelInfo, Labels, MaskSource, PointCloud, Progress, Seed, Warnings};
+use rayon::prelude::*;
+use sms_core::{
+    Aabb, Cancel, CoreError, Entity, LabelInfo, Labels, MaskSource, PointCloud, Progress, Seed, Warnings,
+};
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 pub(crate) const STAGE: &str = "materialize";
 
@@ -54,29 +58,41 @@ pub fn build_entities(
     progress.begin("objects", 2 * count + 1);
     let around = support::surroundings(&views, 0.005);
     let support_height = support::support_height(&around);
-    let mut drafts = Vec::new();
-    for (i, info) in labels.objects.iter().enumerate() {
-        cancel.check()?;
-        progress.update(i as u64, &info.name);
-        let object_seed = seed.derive_index("object", u64::from(info.id));
-        drafts.extend(draft(model, &views, &around, support_height, info, config, object_seed, warnings));
-    }
+    // Objects do not know of each other here; warnings are sorted when they are written.
+    let done = AtomicU64::new(0);
+    let drafts: Vec<Option<Draft>> = labels
+        .objects
+        .par_iter()
+        .map(|info| {
+            cancel.check()?;
+            let object_seed = seed.derive_index("object", u64::from(info.id));
+            let draft = draft(model, &views, &around, support_height, info, config, object_seed, warnings);
+            progress.update(done.fetch_add(1, Ordering::Relaxed) + 1, &info.name);
+            Ok(draft)
+        })
+        .collect::<Result<_, CoreError>>()?;
+    let mut drafts: Vec<Draft> = drafts.into_iter().flatten().collect();
     if labels.source == MaskSource::Geometry {
         join_pieces(&mut drafts, &views, config, seed, warnings);
         fix_floating(&mut drafts, warnings);
     }
-    let mut entities = Vec::new();
-    for (i, draft) in drafts.iter().enumerate() {
-        cancel.check()?;
-        progress.update(count + i as u64, &draft.info.name);
-        entities.extend(match draft.sphere {
-            Some(fit) => Some(body::sphere_entity(draft, &fit)),
-            None => {
-                let object_seed = seed.derive_index("solid", u64::from(draft.info.id));
-                body::mesh_entity(draft, &views, config, object_seed, warnings)
-            }
-        });
-    }
+    done.store(count, Ordering::Relaxed);
+    let entities: Vec<Option<Entity>> = drafts
+        .par_iter()
+        .map(|draft| {
+            cancel.check()?;
+            let entity = match draft.sphere {
+                Some(fit) => Some(body::sphere_entity(draft, &fit)),
+                None => {
+                    let object_seed = seed.derive_index("solid", u64::from(draft.info.id));
+                    body::mesh_entity(draft, &views, config, object_seed, warnings)
+                }
+            };
+            progress.update(done.fetch_add(1, Ordering::Relaxed) + 1, &draft.info.name);
+            Ok(entity)
+        })
+        .collect::<Result<_, CoreError>>()?;
+    let mut entities: Vec<Entity> = entities.into_iter().flatten().collect();
     for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
         let message =
@@ -205,10 +221,17 @@ fn join_pieces(
     let mut i = 0;
     while i < drafts.len() {
         let points = &drafts[i].cloud.points_w;
+        let bounds = Aabb::of_points(points.iter().copied());
         let touches = |j: &usize| {
-            let grid = PointGrid::new(&drafts[*j].cloud.points_w, reach);
-            let gaps = points.iter().filter_map(|&p| grid.nearest(p)).map(|n| n.0).collect();
-            *j != i && quantile(gaps, 0.05) < reach
+            let others = &drafts[*j].cloud.points_w;
+            let (Some(a), Some(b)) = (bounds, Aabb::of_points(others.iter().copied())) else { return false };
+            if *j == i || (a.min - reach).cmpgt(b.max).any() || (b.min - reach).cmpgt(a.max).any() {
+                return false;
+            }
+            let grid = PointGrid::new(others, reach);
+            let stride = points.len().div_ceil(2000).max(1);
+            let near = points.iter().step_by(stride).filter(|&&p| grid.is_near(p, reach)).count();
+            20 * near >= points.len().div_ceil(stride)
         };
         let size = |j: usize| drafts[j].cloud.points_w.len();
         let host = (0..drafts.len()).filter(touches).max_by_key(|&j| size(j)).filter(|&j| {

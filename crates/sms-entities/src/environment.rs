@@ -63,8 +63,7 @@ pub(crate) fn environment_entity(
             let replaced = patches.iter().any(|(outline, plane)| {
                 plane.height_over(center).abs() < 0.012 && is_over(outline, plane, center)
             });
-            let mut near_object = false;
-            own.for_each_within(center, CLEARANCE, |_, _| near_object = true);
+            let near_object = own.is_near(center, CLEARANCE);
             !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
         })
         .collect();
@@ -139,11 +138,7 @@ fn background_cloud(around: &Surroundings, mesh: &Mesh, reach: f64) -> PointClou
     let grid = PointGrid::new(&on_mesh, reach);
     let mut cloud = PointCloud::default();
     for i in 0..around.points.len() {
-        let mut near = false;
-        if around.labels[i] == BACKGROUND {
-            grid.for_each_within(around.points[i], reach, |_, _| near = true);
-        }
-        if near {
+        if around.labels[i] == BACKGROUND && grid.is_near(around.points[i], reach) {
             cloud.points_w.push(around.points[i]);
             cloud.normals_w.push(around.normals[i]);
             cloud.colors.push(around.colors[i]);

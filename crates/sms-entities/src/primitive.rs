@@ -74,7 +74,7 @@ pub fn fit_primitive(
         .into_iter()
         .flatten()
         .map(|guess| {
-            let solid = refine(&all, refine(&some, guess, config), config);
+            let solid = settled(&all, refine(&all, refine(&some, guess, config), config));
             describe(&all, &solid, config)
         })
         .filter(|fit| fit.inlier_share.is_finite())
@@ -203,22 +203,9 @@ fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<Solid> {
     let inverse = rotation.inverse();
     let local: Vec<(DVec3, DVec3)> =
         cloud.points.iter().zip(&cloud.normals).map(|(&p, &n)| (inverse * p, inverse * n)).collect();
-    let extent = |k: usize| -> (f64, f64) {
-        let end = |sign: f64| {
-            let on_face: Vec<f64> =
-                local.iter().filter(|(_, n)| n[k] * sign > ON_FACE).map(|(p, _)| p[k]).collect();
-            // A face that was seen says where it is; otherwise its neighbours' edges do.
-            if on_face.len() * 50 > local.len() {
-                median(on_face)
-            } else {
-                quantile(local.iter().map(|(p, _)| p[k]).collect(), if sign < 0.0 { 0.01 } else { 0.99 })
-            }
-        };
-        (end(-1.0), end(1.0))
-    };
     let (mut center, mut size) = (DVec3::ZERO, DVec3::ZERO);
     for k in if BOX { 0..3 } else { 2..3 } {
-        let (low, high) = extent(k);
+        let (low, high) = (end(&local, k, -1.0), end(&local, k, 1.0));
         center[k] = 0.5 * (low + high);
         size[k] = 0.5 * (high - low);
     }
@@ -232,6 +219,42 @@ fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<Solid> {
     }
     let usable = size.is_finite() && size.min_element() > 1e-4 && size.max_element() < 10.0;
     usable.then(|| Solid { is_box: BOX, x_ws: DPose3::from_parts(rotation * center, rotation), size })
+}
+
+/// Where points with normals end along an axis: at the face that was seen there, else where its neighbours' edges are.
+fn end(local: &[(DVec3, DVec3)], axis: usize, sign: f64) -> f64 {
+    let on_face: Vec<f64> =
+        local.iter().filter(|(_, n)| n[axis] * sign > ON_FACE).map(|(p, _)| p[axis]).collect();
+    if on_face.len() * 50 > local.len() {
+        return median(on_face);
+    }
+    // Evenly seen sides reach as far beyond their last percent as that reaches beyond the last two.
+    let all: Vec<f64> = local.iter().map(|(p, _)| p[axis] * sign).collect();
+    sign * (2.0 * quantile(all.clone(), 0.99) - quantile(all, 0.98))
+}
+
+/// Sets ends that were not seen anew: the guess's frame was a little turned.
+fn settled(cloud: &Points, mut solid: Solid) -> Solid {
+    let x_sw = solid.x_ws.inverse();
+    let local: Vec<(DVec3, DVec3)> = cloud
+        .points
+        .iter()
+        .zip(&cloud.normals)
+        .map(|(&p, &n)| (x_sw.transform_point(p), x_sw.rotation * n))
+        .collect();
+    let mut shift = DVec3::ZERO;
+    for k in if solid.is_box { 0..3 } else { 2..3 } {
+        let ends = [-1.0, 1.0].map(|sign| {
+            let on_face = local.iter().filter(|(_, n)| n[k] * sign > ON_FACE).count();
+            if on_face * 50 > local.len() { sign * solid.size[k] } else { end(&local, k, sign) }
+        });
+        if ends[1] > ends[0] {
+            shift[k] = 0.5 * (ends[0] + ends[1]);
+            solid.size[k] = 0.5 * (ends[1] - ends[0]);
+        }
+    }
+    solid.x_ws *= DPose3::from_translation(shift);
+    solid
 }
 
 /// Algebraic least-squares circle (Kåsa 1976) through points of the plane z = 0.
@@ -290,7 +313,7 @@ fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
         let Some(step) = solve(normal_matrix) else { return solid };
         let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
         let shift = DVec3::new(step[3], step[4], step[5]);
-        solid.x_ws = solid.x_ws * DPose3::from_parts(shift, turn);
+        solid.x_ws *= DPose3::from_parts(shift, turn);
         solid.x_ws.rotation = solid.x_ws.rotation.normalize();
         solid.size += DVec3::new(step[6], step[7], step[8]);
         if !solid.is_box {
