@@ -7,6 +7,8 @@ use sms_core::Mesh;
 
 /// Vertices this near to the lowest belong to the foot, metres.
 const FOOT_M: f64 = 3e-4;
+/// Vertices of parts this near to the foot's level are put onto it, metres.
+const LEVEL_M: f64 = 1e-4;
 /// Directions in which the foot's outermost corner is kept.
 const DIRECTIONS: usize = 16;
 
@@ -32,6 +34,19 @@ pub(crate) fn keep_foot(parts: &mut [Mesh], mesh: &Mesh, plane: &Plane, max_vert
         });
         if let Some(part) = nearest {
             wanted[part].push(corner);
+        }
+    }
+    // Hulls that make up for the volume their vertices cut off may reach below the foot, and would be pushed out.
+    for part in parts.iter_mut() {
+        if part.vertices.iter().any(|&p| (height(p) - lowest).abs() < LEVEL_M || height(p) < lowest) {
+            let level = |p: DVec3| {
+                let h = height(p);
+                if h < lowest + LEVEL_M { p + plane.normal * (lowest - h) } else { p }
+            };
+            let points: Vec<DVec3> = part.vertices.iter().map(|&p| level(p)).collect();
+            if let Some(hull) = convex_hull(&points, max_vertices, 0.0) {
+                *part = hull;
+            }
         }
     }
     for (part, corners) in parts.iter_mut().zip(wanted) {
@@ -78,5 +93,10 @@ mod tests {
         keep_foot(&mut parts, &mesh, &plane, 24);
         assert!(before < 12 && foot(&parts[0]) >= 12, "{before} → {}", foot(&parts[0]));
         assert!(parts[0].vertices.len() <= 24 && parts[0].is_closed_oriented());
+        // A part that swelled downwards is put back onto the foot's level.
+        parts[0].vertices.iter_mut().for_each(|v| v.z -= 5e-5);
+        keep_foot(&mut parts, &mesh, &plane, 24);
+        let lowest = parts[0].vertices.iter().map(|v| v.z).fold(f64::MAX, f64::min);
+        assert!(lowest.abs() < 1e-12, "{lowest}");
     }
 }
