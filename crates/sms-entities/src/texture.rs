@@ -15,6 +15,8 @@ use sms_frames::Sequence;
 const PAD: usize = 1;
 /// Least cosine between a surface and the direction to a camera that colours it.
 const LEAST_FACING: f64 = 0.2;
+/// Least agreement (cosine) of a vertex normal with its face for the surface to count as smooth there.
+const SHARP: f64 = 0.9;
 /// Smallest square, texels.
 const LEAST_SIDE: usize = 6;
 
@@ -184,7 +186,11 @@ fn color_at(
     let triangle = entity.mesh.triangles[t];
     let corners = entity.mesh.corners(t);
     let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
-    let n = (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
+    let smooth =
+        (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
+    let flat = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+    // At a sharp edge the mean of both faces would choose views of the other one.
+    let n = if smooth.dot(flat) < SHARP { flat } else { smooth };
     // The few best: quality and colour, best first.
     const MOST: usize = 8;
     let keep = config.views.clamp(1, MOST);
