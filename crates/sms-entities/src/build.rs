@@ -136,6 +136,13 @@ fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesErro
             );
             return Err(EntitiesError::Mismatch(message));
         }
+        if let Some(bad) = frame.depth.data.iter().find(|z| !(z.is_finite() && **z >= 0.0)) {
+            let message = format!(
+                "the depth of frame {} holds {bad}; give metres, and 0 where there is none",
+                frame.index
+            );
+            return Err(EntitiesError::Mismatch(message));
+        }
     }
     Ok(())
 }

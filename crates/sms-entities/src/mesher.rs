@@ -10,7 +10,7 @@ use crate::{inside, refine, surface};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_convex::convex_hull;
-use sms_core::{Mesh, PointCloud};
+use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
 
 /// How the mesh was obtained; later ones are fallbacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,7 +90,12 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     normals.extend_from_slice(&inside.normals);
     let tetrahedra = delaunay(&points);
     let hull = convex_hull(&points, usize::MAX, 0.0)?;
-    let usable = |mesh: &Mesh| mesh.is_closed_oriented() && mesh.volume() > 0.02 * hull.volume();
+    let usable = |mesh: &Mesh| {
+        mesh.is_closed_oriented()
+            && mesh.volume() > 0.02 * hull.volume()
+            // Points a million metres from the rest make a needle whose inertia is lost in rounding.
+            && polyhedron_mass_properties(mesh, 1.0).is_ok()
+    };
     let rules = match config.mesh {
         MeshRule::Vote => [(MeshRule::Vote, MeshPath::Asked), (MeshRule::Prune, MeshPath::Prune)],
         MeshRule::Prune => [(MeshRule::Prune, MeshPath::Asked), (MeshRule::Vote, MeshPath::Prune)],

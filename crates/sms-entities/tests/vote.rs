@@ -4,7 +4,7 @@ mod common;
 
 use common::{Shape, sample_surface_of, surface_error, torus};
 use sms_core::glamx::DVec3;
-use sms_core::{Mesh, PointCloud, Seed};
+use sms_core::{Mesh, PointCloud};
 use sms_entities::{EntitiesConfig, MeshRule, mesh_cloud};
 
 const POINTS: usize = 20_000;
@@ -144,7 +144,6 @@ fn prune_closes_shapes_but_fills_their_hollows() {
 
 #[test]
 fn clouds_that_enclose_nothing_give_no_mesh() {
-    let _ = Seed(0);
     let of = |points_w: Vec<DVec3>| {
         let n = points_w.len();
         let cloud = PointCloud { points_w, normals_w: vec![DVec3::Z; n], colors: vec![[0; 3]; n] };
