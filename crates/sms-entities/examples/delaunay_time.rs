@@ -40,8 +40,7 @@ fn main() -> io::Result<()> {
         seconds = seconds.min(began.elapsed().as_secs_f64());
     }
     if let Some(out) = std::env::args().nth(2) {
-        let raw: Vec<u8> =
-            points.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes).collect();
+        let raw: Vec<u8> = points.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes).collect();
         std::fs::write(format!("{out}.f64"), raw)?;
         let raw: Vec<u8> = mesh.tetrahedra.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         std::fs::write(format!("{out}.u32"), raw)?;
