@@ -15,7 +15,8 @@ use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{
-    Aabb, Cancel, CoreError, Entity, LabelInfo, Labels, MaskSource, PointCloud, Progress, Seed, Warnings,
+    Aabb, Cancel, CoreError, Entity, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Progress, Seed,
+    Warnings,
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
@@ -72,10 +73,20 @@ pub fn build_entities(
         })
         .collect::<Result<_, CoreError>>()?;
     let mut drafts: Vec<Draft> = drafts.into_iter().flatten().collect();
+    let mut joined = Vec::new();
     if labels.source == MaskSource::Geometry {
-        join_pieces(&mut drafts, &views, config, seed, warnings);
+        joined = join_pieces(&mut drafts, &views, config, seed, warnings);
         fix_floating(&mut drafts, warnings);
     }
+    // From here on what was joined has one label.
+    let mut own_labels;
+    let views = if joined.is_empty() {
+        views
+    } else {
+        own_labels = labels.clone();
+        relabel(&mut own_labels, &joined);
+        Views { sequence, labels: &own_labels }
+    };
     done.store(count, Ordering::Relaxed);
     let entities: Vec<Option<Entity>> = drafts
         .par_iter()
@@ -93,11 +104,28 @@ pub fn build_entities(
         })
         .collect::<Result<_, CoreError>>()?;
     let mut entities: Vec<Entity> = entities.into_iter().flatten().collect();
+    let solid = |e: &Entity| e.parts.iter().map(Mesh::volume).sum::<f64>();
+    let before: Vec<f64> = entities.iter().map(solid).collect();
     for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
-        let message =
-            format!("`{a}` and `{b}` overlapped by {:.1} mm; they were cut apart", 1e3 * overlap.depth);
+        let fate = if overlap.left > 0.001 {
+            format!("{:.1} mm of it are left", 1e3 * overlap.left)
+        } else {
+            "they were parted".to_owned()
+        };
+        let message = format!("`{a}` and `{b}` overlapped by {:.1} mm; {fate}", 1e3 * overlap.depth);
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
+    }
+    for (entity, before) in entities.iter().zip(before) {
+        let lost = 1.0 - solid(entity) / before;
+        if lost > 0.1 {
+            let message = format!(
+                "`{}` lost {:.0} % of its collision shape where others overlap it; its mass is that of the whole",
+                entity.name,
+                100.0 * lost
+            );
+            warnings.add(STAGE, "collision_shape_cut", message, "check the masks where they meet");
+        }
     }
     cancel.check()?;
     if config.environment.enabled {
@@ -113,7 +141,7 @@ pub fn build_entities(
         ));
     }
     progress.end(&format!("{} entities", entities.len()));
-    Ok(EntitySet { entities, support_height })
+    Ok(EntitySet { entities, support_height, joined })
 }
 
 fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesError> {
@@ -223,7 +251,8 @@ fn join_pieces(
     config: &EntitiesConfig,
     seed: Seed,
     warnings: &Warnings,
-) {
+) -> Vec<(u16, u16)> {
+    let mut joined = Vec::new();
     let reach = 2.0 * cloud::coarse_spacing(config);
     let mut i = 0;
     while i < drafts.len() {
@@ -251,6 +280,7 @@ fn join_pieces(
         };
         let piece = drafts.remove(i);
         let host = &mut drafts[if host > i { host - 1 } else { host }];
+        joined.push((piece.info.id, host.info.id));
         host.cloud.points_w.extend(piece.cloud.points_w);
         host.cloud.normals_w.extend(piece.cloud.normals_w);
         host.cloud.colors.extend(piece.cloud.colors);
@@ -264,6 +294,21 @@ fn join_pieces(
         // The host may stand now, or have grown to touch another: look again from the start.
         i = 0;
     }
+    joined
+}
+
+/// Gives pixels of joined pieces the label of what they were joined to, in the order of joining.
+pub(crate) fn relabel(labels: &mut Labels, joined: &[(u16, u16)]) {
+    for map in &mut labels.maps {
+        for label in &mut map.data {
+            *label = host_of(*label, joined);
+        }
+    }
+}
+
+/// The label that stands for `label` after pieces were joined one after the other.
+pub(crate) fn host_of(label: u16, joined: &[(u16, u16)]) -> u16 {
+    joined.iter().fold(label, |l, &(piece, host)| if l == piece { host } else { l })
 }
 
 /// What is left without anything to stand on is part of something larger that was not seen whole (a shelf, a cable, a

@@ -124,7 +124,7 @@ impl EntitiesConfig {
             ("face_budget", self.face_budget, 12, 10_000_000),
             ("sphere.samples", sphere.samples, 1, 1_000_000),
             ("convex.max_parts", convex.max_parts, 1, 1024),
-            ("convex.max_vertices", convex.max_vertices, 4, 4096),
+            ("convex.max_vertices", convex.max_vertices, 8, 64),
             ("texture.max_side", self.texture.max_side, 64, 16_384),
             ("texture.views", self.texture.views, 1, 8),
             ("texture.image_side", self.texture.image_side, 16, 16_384),

@@ -12,11 +12,16 @@ const ALLOWED: f64 = 1e-5;
 /// Overlap that remains after cutting and costs a piece, metres.
 const GIVE_UP: f64 = 0.001;
 
+/// Mean thickness of the thinnest part that is kept after cutting, metres.
+const THINNEST: f64 = 1e-4;
+
 /// Two objects that overlapped, by their indices, and by how much (metres).
 pub(crate) struct Overlap {
     pub(crate) first: usize,
     pub(crate) second: usize,
     pub(crate) depth: f64,
+    /// What of it is left: exact solids that overlap by more than an error of the scan stay where they are.
+    pub(crate) left: f64,
 }
 
 /// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
@@ -28,7 +33,8 @@ pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report:
         for first in 0..second {
             let depth = part_pair(entities, first, second, max_vertices);
             if depth > report {
-                found.push(Overlap { first, second, depth });
+                let left = left_overlap(&entities[first], &entities[second]);
+                found.push(Overlap { first, second, depth, left });
             }
         }
     }
@@ -55,7 +61,10 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
                 let depth = (on_a - on_b).dot(normal);
                 deepest = deepest.max(depth);
                 let middle = match (is_exact(a), is_exact(b)) {
-                    (true, true) => break,
+                    (true, true) => {
+                        move_apart(a, b, normal * depth);
+                        break;
+                    }
                     (true, false) => on_a,
                     (false, true) => on_b,
                     (false, false) => 0.5 * (on_a + on_b),
@@ -74,8 +83,47 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
     }
     for entity in [a, b] {
         entity.parts.retain(|p| !p.triangles.is_empty());
+        // What cuts left thinner than engines take goes, where there is more of the object.
+        let is_thick = |p: &Mesh| 2.0 * p.volume() > THINNEST * p.area();
+        if entity.parts.iter().any(is_thick) {
+            entity.parts.retain(is_thick);
+        }
     }
     deepest
+}
+
+/// Largest distance that an exact solid is moved to part it from another, metres.
+const LARGEST_MOVE: f64 = 0.005;
+
+/// Moves the smaller of two exact solids that can move so far that they touch; both stay where that is too far.
+fn move_apart(a: &mut Entity, b: &mut Entity, b_from_a: DVec3) {
+    if b_from_a.length() > LARGEST_MOVE {
+        return;
+    }
+    let is_free = |e: &Entity| e.kind == EntityKind::Dynamic;
+    let a_goes = is_free(a) && (!is_free(b) || a.mesh.volume() < b.mesh.volume());
+    if a_goes {
+        translate(a, -b_from_a);
+    } else if is_free(b) {
+        translate(b, b_from_a);
+    }
+}
+
+fn translate(entity: &mut Entity, by: DVec3) {
+    match &mut entity.shape {
+        EntityShape::Sphere { center_w, .. } => *center_w += by,
+        EntityShape::Box { x_ws, .. } | EntityShape::Cylinder { x_ws, .. } => x_ws.translation += by,
+        EntityShape::Convex | EntityShape::TriMesh => {}
+    }
+    let points = entity.mesh.vertices.iter_mut().chain(&mut entity.cloud.points_w);
+    points.chain(entity.parts.iter_mut().flat_map(|p| &mut p.vertices)).for_each(|p| *p += by);
+}
+
+/// Deepest overlap of two objects, metres.
+fn left_overlap(a: &Entity, b: &Entity) -> f64 {
+    let pairs = (0..piece_count(a)).flat_map(|i| (0..piece_count(b)).map(move |j| (i, j)));
+    let depths = pairs.filter_map(|(i, j)| overlap(a, i, b, j)).map(|(n, p, q)| (p - q).dot(n));
+    depths.fold(0.0, f64::max)
 }
 
 /// Of two pieces that no cut can part, the smaller goes, where its object has others.
@@ -181,6 +229,25 @@ mod tests {
         assert!((left.max.x - 0.048).abs() < 1e-6 && (right.min.x - 0.048).abs() < 1e-6);
         assert!(pair.iter().all(|e| e.parts[0].is_closed_oriented()));
         assert!(part_objects(&mut pair, 64, 1e-4).is_empty());
+    }
+
+    #[test]
+    fn exact_solids_are_moved_apart_by_what_a_scan_may_err() {
+        let ball = entity(DVec3::ZERO, 0.0, Some(0.03));
+        let mut carton = entity(DVec3::new(0.077, 0.0, 0.0), 0.05, None);
+        let x_ws = DPose3::from_translation(DVec3::new(0.077, 0.0, 0.0));
+        carton.shape = EntityShape::Box { x_ws, half_extents: DVec3::splat(0.05) };
+        carton.parts.clear();
+        let mut pair = [ball, carton];
+        let found = part_objects(&mut pair, 64, 0.001);
+        assert!((found[0].depth - 0.003).abs() < 1e-9 && found[0].left < 2e-5, "{}", found[0].left);
+        let EntityShape::Sphere { center_w, .. } = pair[0].shape else { panic!() };
+        assert!((center_w.x + 0.003).abs() < 1e-6, "the smaller one gives way: {center_w}");
+        assert!((pair[0].mesh.aabb().unwrap().center() - center_w).length() < 1e-9);
+        // What overlaps by centimetres is no error of a scan: it is told, not hidden.
+        translate(&mut pair[0], DVec3::X * 0.02);
+        let found = part_objects(&mut pair, 64, 0.001);
+        assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);
     }
 
     #[test]

@@ -71,7 +71,8 @@ pub use sms_convex::{ConvexConfig, convex_hull, convex_parts};
 pub use sphere::{SphereFit, fit_sphere};
 pub use texture::bake_textures;
 
-use sms_core::Entity;
+use sms_core::{Entity, Labels};
+use sms_gaussians::GaussianModel;
 
 /// The stage's result.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -81,4 +82,16 @@ pub struct EntitySet {
     /// Height of the level plane that carries the scene, metres, where one was seen near the world's z = 0; it stands
     /// for the flat part of the environment, which the environment's mesh leaves out.
     pub support_height: Option<f64>,
+    /// Labels of pieces with the labels of the objects they were joined to, in the order of joining.
+    pub joined: Vec<(u16, u16)>,
+}
+
+impl EntitySet {
+    /// Gives the pixels and Gaussians of joined pieces the label of the object they belong to now.
+    pub fn relabel(&self, labels: &mut Labels, model: &mut GaussianModel) {
+        build::relabel(labels, &self.joined);
+        for label in &mut model.labels {
+            *label = build::host_of(*label, &self.joined);
+        }
+    }
 }

@@ -15,6 +15,8 @@ const TEXTURED: &str = "textured";
 #[serde(deny_unknown_fields)]
 struct IndexFile {
     support_height_m: Option<f64>,
+    #[serde(default)]
+    joined: Vec<(u16, u16)>,
     entities: Vec<String>,
 }
 
@@ -62,6 +64,7 @@ pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
     }
     let index = IndexFile {
         support_height_m: set.support_height,
+        joined: set.joined.clone(),
         entities: set.entities.iter().map(|e| e.name.clone()).collect(),
     };
     atomic::write_json(&dir.join("entities.json"), &index)?;
@@ -102,5 +105,5 @@ pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
             mean_color: file.mean_color,
         });
     }
-    Ok(EntitySet { entities, support_height: index.support_height_m })
+    Ok(EntitySet { entities, support_height: index.support_height_m, joined: index.joined })
 }

@@ -335,7 +335,7 @@ mod tests {
             residual_m: 0.0,
             mean_color: [1, 2, 3],
         };
-        let mut set = EntitySet { entities: vec![entity], support_height: None };
+        let mut set = EntitySet { entities: vec![entity], support_height: None, joined: Vec::new() };
         bake_textures(&mut set, &sequence, &labels, &[Some(color)], &TextureConfig::default());
         let (mesh, texture) = (&set.entities[0].mesh, set.entities[0].texture.as_ref().unwrap());
         let lookup = |[u, v]: [f64; 2]| {

@@ -71,6 +71,12 @@ pub fn mjcf_text(scene: &Scene) -> String {
     )
 }
 
+/// The ground reaches a metre beyond every body.
+fn ground_half_edge(scene: &Scene) -> f64 {
+    let far = |b: &Body| b.x_wb.translation.x.abs().max(b.x_wb.translation.y.abs()) + 1.0;
+    scene.bodies.iter().map(far).fold(GROUND_HALF_EDGE, f64::max)
+}
+
 fn wxyz(q: DQuat) -> String {
     numbers([q.w, q.x, q.y, q.z])
 }
@@ -171,7 +177,10 @@ impl File<'_> {
             }
             BodyShape::HalfSpace => Some(format!(
                 "type=\"box\" size=\"{}\" pos=\"{}\"",
-                numbers([GROUND_HALF_EDGE, GROUND_HALF_EDGE, GROUND_HALF_DEPTH]),
+                {
+                    let edge = ground_half_edge(self.scene);
+                    numbers([edge, edge, GROUND_HALF_DEPTH])
+                },
                 numbers([0.0, 0.0, -GROUND_HALF_DEPTH])
             )),
             BodyShape::Hulls { .. } | BodyShape::TriMesh { .. } => None,

@@ -16,12 +16,16 @@ pub(crate) fn file_name(text: &str) -> String {
     if name.is_empty() { "object".to_owned() } else { name.to_owned() }
 }
 
-/// Appends `_2`, `_3`, … until the name is not among `taken`.
+/// Bodies that every scene may have besides its objects.
+const RESERVED: [&str; 3] = ["floor", "environment", "world"];
+
+/// Appends `_2`, `_3`, … until the name is neither reserved nor among `taken`.
 pub(crate) fn unique(name: String, taken: &[String]) -> String {
-    if !taken.contains(&name) {
+    let is_free = |n: &String| !taken.contains(n) && !RESERVED.contains(&n.as_str());
+    if is_free(&name) {
         return name;
     }
-    (2..).map(|n| format!("{name}_{n}")).find(|n| !taken.contains(n)).unwrap_or(name)
+    (2..).map(|n| format!("{name}_{n}")).find(is_free).unwrap_or(name)
 }
 
 /// Whether a name that a user typed can be used as a file name as it is.
@@ -30,6 +34,7 @@ pub(crate) fn is_usable(name: &str) -> bool {
         && name.len() <= 64
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
         && !name.starts_with('-')
+        && !RESERVED.contains(&name)
 }
 
 #[cfg(test)]
@@ -41,6 +46,8 @@ mod tests {
         assert_eq!(file_name("Elmer's Glue (140 mm)"), "elmer_s_glue_140_mm");
         assert_eq!(file_name("Ω/.."), "object");
         assert_eq!(unique("cup".into(), &["cup".into(), "cup_2".into()]), "cup_3");
+        assert_eq!(unique(file_name("Floor"), &[]), "floor_2");
+        assert!(!is_usable("environment"));
         assert!(is_usable(&file_name("../etc")) && !is_usable("../etc") && !is_usable(""));
     }
 }

@@ -103,8 +103,9 @@ fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>,
     for row in &file.objects {
         if !is_usable(&row.name) {
             return fault(
-                format!("the name `{}` cannot be used as a file name", row.name),
-                "use letters, digits, `_` and `-`, at most 64; free text belongs in `description`",
+                format!("the name `{}` cannot be used for an object", row.name),
+                "use letters, digits, `_` and `-`, at most 64, and not floor, environment or world; free text belongs in \
+                 `description`",
             );
         }
         if by_name.insert(&row.name, row).is_some() {
@@ -214,7 +215,7 @@ mod tests {
         assert!(circle.contains("circle"), "{circle}");
         assert!(fault(&merging("object_01", "object_01")).contains("circle"));
         assert!(fault(&|t| t.replacen("object_02", "object_01", 1)).contains("used twice"));
-        assert!(fault(&|t| t.replacen("object_02", "a/b", 1)).contains("file name"));
+        assert!(fault(&|t| t.replacen("object_02", "a/b", 1)).contains("cannot be used"));
         assert!(fault(&|t| t.replacen("\"id\": 2", "\"id\": 1", 1)).contains("ids are not for editing"));
         assert!(fault(&|t| t.replacen("\"id\": 3", "\"id\": 4", 1)).contains("does not list"));
         assert!(fault(&|t| t.replacen("\"name\"", "\"nane\"", 1)).contains("nane"));

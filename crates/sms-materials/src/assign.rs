@@ -127,7 +127,10 @@ fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<Known
 fn fill_of_mesh(fill: Property, form: Form, object: &ObjectQuery) -> Property {
     let has_hollow = object.hull_fill > 0.0 && object.hull_fill < WALLS_VISIBLE_BELOW && !object.is_sphere;
     if object.walls_visible || (has_hollow && form != Form::Closed) {
-        return Property::new(Interval::exact(1.0), fill.source);
+        // Where nothing is known of the thing, a closed one of odd shape may be hollow all the same.
+        let low =
+            if fill.source == PropertySource::Prior && !object.walls_visible { fill.value.low } else { 1.0 };
+        return Property::new(Interval::new(1.0, low, 1.0), fill.source);
     }
     if form != Form::Open || !(0.0..1.0).contains(&object.hull_fill) || object.hull_fill <= 0.0 {
         return fill;
@@ -236,7 +239,13 @@ mod tests {
         assert_eq!(fill("mug", 0.3, false), Interval::exact(1.0), "the mesh has the walls");
         assert_eq!(fill("mug", 0.95, true), Interval::exact(1.0), "the caller knows");
         assert_eq!(fill("plush bear", 0.5, false).best, 0.48, "a concave outside says nothing of the inside");
-        assert_eq!(fill("", 0.3, false), Interval::exact(1.0));
+        let odd = fill("", 0.3, false);
+        assert_eq!((odd.best, odd.high), (1.0, 1.0));
+        assert_eq!(
+            odd.low,
+            table.prior(false).fill_factor.value.low,
+            "it may be closed and hollow all the same"
+        );
         assert_eq!(fill("", 0.0, false), table.prior(false).fill_factor.value, "unknown shape");
         assert_eq!(fill("wooden block", 0.99, false), Interval::exact(1.0));
         let ball = ObjectQuery { hull_fill: 0.4, ..query("o", "soccer ball", true) };

@@ -76,6 +76,10 @@ const NUMBERS: [(&str, f64); 8] = [
     ("poissons_ratio", 0.5),
 ];
 
+/// Mass per enclosed volume that a body can have, kg/m³: from a foil balloon to osmium.
+const LEAST_EFFECTIVE: f64 = 1.0;
+const MOST_EFFECTIVE: f64 = 25_000.0;
+
 impl ObjectOverride {
     fn slot(&mut self, key: &str) -> Option<&mut Option<OverrideValue>> {
         Some(match key {
@@ -261,6 +265,19 @@ impl Overrides {
                     "take it out: fixed bodies have no mass",
                 ));
             }
+            if let Some(mass) = o.mass_kg.map(OverrideValue::interval) {
+                let (low, high) = (mass.low / object.volume_m3, mass.high / object.volume_m3);
+                if low < LEAST_EFFECTIVE || high > MOST_EFFECTIVE {
+                    return Err(InputError::new(
+                        format!(
+                            "mass_kg of `{name}` is {low:.3} to {high:.3} kg/m³ over its {:.1} cm³",
+                            1e6 * object.volume_m3
+                        ),
+                        &self.path,
+                        format!("give kilograms, between {LEAST_EFFECTIVE} and {MOST_EFFECTIVE} kg/m³"),
+                    ));
+                }
+            }
         }
         Ok(())
     }
@@ -334,15 +351,19 @@ fn unknown_key(key: &str, given: String) -> InputError {
 
 fn checked(name: &str, key: &str, value: OverrideValue, most: f64) -> Result<(), InputError> {
     let i = value.interval();
-    let is_positive = i.low > 0.0 || !matches!(key, "density" | "fill_factor" | "mass_kg");
-    if 0.0 <= i.low && i.low <= i.best && i.best <= i.high && i.high <= most && is_positive {
+    let least = match key {
+        "density" => 1.0,
+        "fill_factor" => 1e-3,
+        "mass_kg" => 1e-6,
+        _ => 0.0,
+    };
+    if least <= i.low && i.low <= i.best && i.best <= i.high && i.high <= most {
         return Ok(());
     }
-    let sign = if is_positive { "≤" } else { "<" };
     Err(InputError::new(
         format!("{key} of `{name}` cannot be {} [{}, {}]", i.best, i.low, i.high),
         "",
-        format!("give 0 {sign} low ≤ best ≤ high ≤ {most}, in SI units"),
+        format!("give {least} ≤ low ≤ best ≤ high ≤ {most}, in SI units"),
     ))
 }
 
@@ -380,7 +401,9 @@ mod tests {
         for (key, text, word) in [
             ("weight", "1", "mass_kg"),
             ("density", "heavy", "best,low,high"),
-            ("density", "0", "0 < low"),
+            ("density", "0", "1 ≤ low"),
+            ("density", "0.5", "1 ≤ low"),
+            ("mass_kg", "1e-7", "≤ low"),
             ("density", "1,2", "best,low,high"),
             ("friction", "0.4,0.5,0.6", "low ≤ best"),
             ("friction", "nan", "cannot be NaN"),

@@ -154,6 +154,10 @@ impl Client {
             if attempt > self.config.max_retries || (is_silent && attempt > 1) {
                 return Err(trouble);
             }
+            if wait.is_some_and(|w| w.as_secs_f64() > self.config.max_backoff_s) {
+                // It asks for more patience than is allowed: coming back earlier would only be refused again.
+                return Err(trouble);
+            }
             let seconds =
                 seconds_before(attempt, wait, self.config.backoff_s, self.config.max_backoff_s, seed);
             self.pause.pause(seconds, cancel)?;

@@ -13,7 +13,7 @@ use sms_entities::{
 };
 use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence, recorded_colors};
-use sms_gaussians::{read_ply, write_ply};
+use sms_gaussians::{GaussianModel, read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{MaterialTable, Overrides, assign, save_queries};
 use sms_scene::{build_scene, save_scene};
@@ -32,12 +32,18 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     run.record_settings("entities", &config)?;
 
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
-    let hash = inputs_hash(&[&before], &(&config, seed))?;
-    let entities_dir =
-        run_stage(context, &run, "entities", &["entities.", "materialize."], &hash, |stage, warnings| {
+    let read = context.settings.section("read", ReadOptions::default())?;
+    let hash = inputs_hash(&[&before], &(&config, seed, &read))?;
+    let entities_dir = run_stage(
+        context,
+        &run,
+        "entities",
+        &["entities.", "materialize."],
+        &hash,
+        |stage, warnings| {
             timed("materialize.seconds", || {
-                let model = read_ply(&gaussians_dir.join("scene.ply"))?;
-                let (sequence, labels) =
+                let mut model = read_ply(&gaussians_dir.join("scene.ply"))?;
+                let (sequence, mut labels) =
                     trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
                 let mut set = build_entities(
                     &model,
@@ -49,8 +55,17 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                     &context.cancel,
                     warnings,
                 )?;
-                let read = context.settings.section("read", ReadOptions::default())?;
+                set.relabel(&mut labels, &mut model);
                 let colors = recorded_colors(&sequence, &read, config.texture.image_side, &context.cancel)?;
+                let missing = colors.iter().filter(|c| c.is_none()).count();
+                if config.texture.enabled && missing > 0 {
+                    warnings.add(
+                        "materialize",
+                        "recorded_colour_missing",
+                        format!("{missing} of {} recorded colour images are gone", colors.len()),
+                        "put the recording back where it was scanned from; pictures are baked from the smaller frames",
+                    );
+                }
                 bake_textures(&mut set, &sequence, &labels, &colors, &config.texture);
                 save_entities(stage.dir(), &set)?;
                 for entity in set.entities.iter().filter(|e| e.label != BACKGROUND) {
@@ -59,11 +74,13 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                 }
                 Ok(entity_metrics(&set))
             })
-        })?;
+        },
+    )?;
     let set = load_entities(&entities_dir)?;
 
-    let (sequence, labels) =
+    let (sequence, mut labels) =
         trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
+    set.relabel(&mut labels, &mut GaussianModel::default());
     let x_world_recording = sequence.x_world_recording;
     let mut queries = materials::queries(&set);
     let estimates = vlm::estimates(context, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;

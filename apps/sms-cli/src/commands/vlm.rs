@@ -88,6 +88,15 @@ pub(crate) fn estimates(
     if let (VlmMode::On, Some(given_up)) = (mode, &asked.given_up) {
         return Err(InputError::new(given_up.what.clone(), config.url, given_up.cure.clone()).into());
     }
+    let is_silent = !questions.is_empty() && asked.outcomes.iter().all(|o| o.estimate().is_none());
+    if mode == VlmMode::On && is_silent {
+        return Err(InputError::new(
+            "not one object could be answered by the vision-language model",
+            config.url,
+            "see the warnings above; or use --vlm auto, and the table or a prior stands in",
+        )
+        .into());
+    }
     for (i, outcome) in asked_about.into_iter().zip(&asked.outcomes) {
         estimates[i] = outcome.estimate().cloned();
     }
