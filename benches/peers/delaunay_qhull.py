@@ -60,7 +60,15 @@ def is_inside_exactly(corners, p):
     rows = [[a - b for a, b in zip(q, exact[4])] for q in exact[:4]]
     turn = determinant([[a - b for a, b in zip(exact[k], exact[3])] for k in range(3)])
     sphere = determinant([row + [sum(x * x for x in row)] for row in rows])
-    return sphere * turn < 0 if turn else False
+    return sphere * turn > 0
+
+
+def check_predicate():
+    """The judge itself: both orders of corners; inside, outside, and on the sphere."""
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    for order in ([0, 1, 2, 3], [1, 0, 2, 3]):
+        found = [is_inside_exactly([corners[k] for k in order], [x] * 3) for x in (0.25, 1.01, 1.0, 0.999)]
+        assert found == [True, False, False, True], found
 
 
 def violations(points, tetrahedra, rng):
@@ -109,6 +117,7 @@ def main():
     parser.add_argument("--points", nargs="+", type=int, default=[20_000, 100_000])
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
+    check_predicate()
     rng = np.random.default_rng(1)
     failed = False
     with tempfile.TemporaryDirectory() as folder:
