@@ -133,12 +133,9 @@ fn three_points_and_few_pixels_are_refused_by_name() {
     for (id, count) in [(7, 0), (8, 1), (9, 3), (10, 4), (11, 25)] {
         add_speck(&mut fixture, id, &format!("speck_of_{count}"), count);
     }
-    for source in [MaskSource::Truth, MaskSource::Geometry] {
-        fixture.labels.source = source;
-        let (set, messages) = build(&fixture);
-        assert!(set.entities.iter().any(|e| e.label == 1));
-        assert!(messages.iter().any(|m| m.starts_with("object_not_seen") && m.contains("`speck_of_3`")));
-    }
+    let (set, messages) = build(&fixture);
+    assert!(set.entities.iter().any(|e| e.label == 1));
+    assert!(messages.iter().any(|m| m.starts_with("object_not_seen") && m.contains("`speck_of_3`")));
 }
 
 /// A ball of two pixels.
