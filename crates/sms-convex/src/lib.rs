@@ -7,10 +7,12 @@
 //! assert_eq!(convex_parts(&cube, &ConvexConfig::default()).len(), 1);
 //! ```
 
+mod cache;
 mod clip;
 mod config;
 mod convex;
 mod hull;
+mod limit;
 mod merge;
 mod occupancy;
 mod piece;
@@ -21,7 +23,9 @@ mod search;
 mod solid;
 mod sweep;
 
+pub use cache::convex_parts_cached;
 pub use clip::clip;
 pub use config::ConvexConfig;
 pub use convex::convex_parts;
 pub use hull::convex_hull;
+pub use limit::limited_hull;
