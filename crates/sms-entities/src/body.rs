@@ -100,7 +100,8 @@ pub(crate) fn mesh_entity(
     let parts = match exact {
         Some(_) => Vec::new(),
         None => {
-            let mut parts = sms_convex::convex_parts(&mesh, &config.convex);
+            let mut parts =
+                sms_convex::convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
             crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
             parts
         }

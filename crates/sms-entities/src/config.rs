@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use sms_convex::ConvexConfig;
 use sms_core::{InputError, Ranges};
+use std::path::PathBuf;
 
 /// Which tetrahedra belong to the solid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,6 +53,9 @@ pub struct EntitiesConfig {
     pub primitive: PrimitiveConfig,
     /// Convex parts.
     pub convex: ConvexConfig,
+    /// Folder where decompositions are kept, so that the same mesh is decomposed once; no setting of the result.
+    #[serde(skip)]
+    pub parts_cache: Option<PathBuf>,
     /// Pictures on meshes.
     pub texture: TextureConfig,
     /// The static environment.
@@ -77,6 +81,7 @@ impl Default for EntitiesConfig {
             sphere: SphereConfig::default(),
             primitive: PrimitiveConfig::default(),
             convex: ConvexConfig::default(),
+            parts_cache: None,
             texture: TextureConfig::default(),
             environment: EnvironmentConfig::default(),
         }

@@ -297,9 +297,9 @@ fn a_busy_server_is_asked_again_when_it_says() {
     assert!((2.0..=4.0).contains(&done.pauses[2]), "doubled twice, less the jitter: {:?}", done.pauses);
     let late = one(|_, _| Act::Http(429, vec![("Retry-After", "86400".into())], vec![]));
     late.fallback(&["429"]);
-    assert_eq!(
-        late.pauses, [60.0; 3],
-        "no longer than `max_backoff_s`, and no more than `max_retries` times"
+    assert!(
+        late.pauses.is_empty() && late.requests.len() == 1,
+        "longer than `max_backoff_s`: not asked again"
     );
     one(|n, _| if n == 0 { Act::Http(408, vec![], vec![]) } else { reply(WHOLE) }).whole();
 }

@@ -27,10 +27,12 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let frames_dir = run.stage_dir("frames", "scan DIR --out")?;
     let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
     let settings = run_settings(&run)?;
-    let config = context.settings.section("entities", EntitiesConfig::default())?;
+    let mut config = context.settings.section("entities", EntitiesConfig::default())?;
     let seed = Seed(settings.seed);
     run.record_settings("entities", &config)?;
 
+    // Unfinished stages are redone from the start: what they decomposed is not.
+    config.parts_cache = Some(run.root().join("cache").join("parts"));
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
     let read = context.settings.section("read", ReadOptions::default())?;
     let hash = inputs_hash(&[&before], &(&config, seed, &read))?;
