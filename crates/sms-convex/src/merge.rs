@@ -9,11 +9,8 @@ use std::collections::BTreeMap;
 
 /// Unions may be more concave than pieces by these factors: CoACD measures them against the hulls that they join, which
 /// already are as concave as the threshold allows; here they are measured against the solid.
-const SURPLUS_SLACK: f64 = 1.25;
-const REACH_SLACK: f64 = 1.0;
-
-/// Share of the parts' volume below which a part is a sliver.
-const SLIVER: f64 = 3e-4;
+const SURPLUS_SLACK: f64 = 1.5;
+const REACH_SLACK: f64 = 1.15;
 
 /// A possible union of two parts.
 struct Union {
@@ -68,31 +65,6 @@ pub(crate) fn merge(parts: Vec<Part>, solid: &Solid, tolerance: Tolerance, max_p
             continue;
         };
         join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
-    }
-    drop_slivers(alive)
-}
-
-/// Splinters left by cuts carry nothing and trouble physics engines: each joins the part that grows least by it where
-/// that costs next to nothing, and is left out otherwise.
-fn drop_slivers(mut alive: BTreeMap<usize, Part>) -> Vec<Part> {
-    let total: f64 = alive.values().map(|p| p.hull_volume).sum();
-    let slivers: Vec<usize> =
-        alive.iter().filter(|(_, p)| p.hull_volume < SLIVER * total).map(|(&k, _)| k).collect();
-    let mut scratch = Scratch::default();
-    for id in slivers {
-        if alive.len() < 2 {
-            break;
-        }
-        let Some(sliver) = alive.remove(&id) else { continue };
-        let best = alive
-            .iter()
-            .filter_map(|(&k, p)| Some((k, union(p, &sliver, 0.02, &mut scratch)?)))
-            .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(&b.0)));
-        if let Some((k, union)) = best
-            && union.added < SLIVER * total
-        {
-            alive.insert(k, union.part);
-        }
     }
     alive.into_values().collect()
 }

@@ -168,7 +168,7 @@ impl Piece {
             }
         }
         let mut sides = out.map(|s| s.piece);
-        for [a, b] in self.new_spines(plane, if with_caps { 0.03 } else { 0.1 }, inside) {
+        for [a, b] in self.new_spines(plane, inside) {
             for s in &mut sides {
                 let n = s.points.len() as u32;
                 s.points.extend([a, b]);
@@ -209,9 +209,9 @@ impl Piece {
 
 impl Piece {
     /// Where the plane meets earlier cuts inside the cell and the solid.
-    fn new_spines(&self, plane: Plane, step: f64, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
+    fn new_spines(&self, plane: Plane, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
+        const SAMPLES: usize = 12;
         let mut out = Vec::new();
-        let Some(bounds) = sms_core::Aabb::of_points(self.points.iter().copied()) else { return out };
         for (k, other) in self.cell.iter().enumerate() {
             let along = plane.normal.cross(other.normal);
             let sin2 = along.length_squared();
@@ -221,17 +221,8 @@ impl Piece {
             let foot =
                 (other.normal.cross(along) * plane.offset + along.cross(plane.normal) * other.offset) / sin2;
             let along = along / sin2.sqrt();
-            // As far as it runs through the piece's box.
-            let (mut from, mut to) = (-4.0f64, 4.0f64);
-            for axis in 0..3 {
-                let (a, b) = (bounds.min[axis] - foot[axis], bounds.max[axis] - foot[axis]);
-                if along[axis].abs() > 1e-9 {
-                    let (a, b) = (a / along[axis], b / along[axis]);
-                    (from, to) = (from.max(a.min(b)), to.min(a.max(b)));
-                } else if a > 1e-6 || b < -1e-6 {
-                    to = from - 1.0;
-                }
-            }
+            // The object lies within 2 of the origin.
+            let (mut from, mut to) = (-2.0f64 - foot.dot(along), 2.0 - foot.dot(along));
             for (m, bound) in self.cell.iter().enumerate() {
                 if m == k {
                     continue;
@@ -250,29 +241,17 @@ impl Piece {
             if to - from < 1e-3 {
                 continue;
             }
-            let samples = ((to - from) / step) as usize + 4;
-            let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (samples - 1) as f64);
-            // Between a sample inside and one outside, the last point inside.
-            let edge = |mut within: DVec3, mut beyond: DVec3| {
-                for _ in 0..5 {
-                    let middle = within.midpoint(beyond);
-                    *(if inside(middle) { &mut within } else { &mut beyond }) = middle;
-                }
-                within
-            };
+            let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (SAMPLES - 1) as f64);
             let mut start: Option<DVec3> = None;
-            let (mut last, mut before) = (DVec3::ZERO, None);
-            for i in 0..samples {
+            let mut last = DVec3::ZERO;
+            for i in 0..SAMPLES {
                 let p = at(i);
                 if inside(p) {
-                    if start.is_none() {
-                        start = Some(before.map_or(p, |q| edge(p, q)));
-                    }
+                    start.get_or_insert(p);
                     last = p;
                 } else if let Some(s) = start.take() {
-                    out.push([s, edge(last, p)]);
+                    out.push([s, last]);
                 }
-                before = Some(p);
             }
             out.extend(start.map(|s| [s, last]));
         }

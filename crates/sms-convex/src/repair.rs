@@ -165,8 +165,13 @@ pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]]) -> Option
     if surface.triangles.is_empty() {
         return None;
     }
-    if surface.is_closed() && surface.volume() > 1e-9 && !Occupancy::new(&surface, 64).is_tangled() {
-        return Some(surface);
+    if surface.is_closed() {
+        let volume = surface.volume();
+        let seen = Occupancy::new(&surface, 64).volume();
+        // Walls thinner than a voxel are missed by the grid, tangled and doubled surfaces by the sum.
+        if volume > 1e-9 && (volume - seen).abs() < 0.15 * volume.max(seen) + 0.02 {
+            return Some(surface);
+        }
     }
     crate::remesh::remesh(&surface)
 }

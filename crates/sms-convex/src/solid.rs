@@ -27,9 +27,9 @@ impl Solid {
         self.surface.project_local_point(p, false).point.distance(p)
     }
 
-    /// Whether a point lies inside, up to a voxel there and a little here: walls may be thinner than voxels.
+    /// Whether a point lies inside, up to a voxel.
     pub(crate) fn contains(&self, p: DVec3) -> bool {
-        self.distance(p) < 0.004
+        self.inside.contains(p)
     }
 
     /// Farthest that the surface of a hull lies outside the solid (the boundary's share of CoACD's concavity), or the

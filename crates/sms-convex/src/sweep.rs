@@ -166,8 +166,7 @@ impl GrowingHull {
                 }
             }
         }
-        // Low above every face it sees is also what lies far beyond the rim of something flat: that gains volume.
-        if highest < (self.slight * STEPS).powi(2) && gained < 5e-3 * self.slight * 6.0 * STEPS.powi(3) {
+        if highest < (self.slight * STEPS).powi(2) {
             return;
         }
         // The horizon must be one simple loop, or rounding has torn the visible region.
@@ -223,13 +222,6 @@ impl GrowingHull {
         for &(a, ..) in &self.horizon {
             self.starting[a as usize] = NONE;
         }
-    }
-
-    /// Whether a point lies outside by more than what is left out.
-    pub(crate) fn leaves_out(&self, p: DVec3) -> bool {
-        let q = (p * STEPS).round();
-        let least = self.slight * STEPS;
-        self.faces.iter().any(|f| f.alive && f.normal.dot(q - f.foot) > least * f.normal.length())
     }
 
     /// Corner points of the hull's faces.
