@@ -27,3 +27,4 @@ pub use clip::clip;
 pub use config::ConvexConfig;
 pub use convex::convex_parts;
 pub use hull::convex_hull;
+pub use predicates::{collinear, orient};

@@ -9,12 +9,12 @@ fn coord(p: DVec3) -> Coord3D<f64> {
 
 /// Sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side to which the normal
 /// (b − a) × (c − a) points. Zero exactly when the four points are coplanar.
-pub(crate) fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+pub fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
 /// Whether three points lie exactly on a line.
-pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let flat = |i: usize, j: usize| {
         let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
         robust::orient2d(at(a), at(b), at(c)) == 0.0

@@ -91,6 +91,18 @@ impl Mesh {
             .sum()
     }
 
+    /// Unit normal of each vertex: the mean of its triangles' normals, weighted with their areas; zero where it has none.
+    pub fn vertex_normals(&self) -> Vec<DVec3> {
+        let mut normals = vec![DVec3::ZERO; self.vertices.len()];
+        for t in 0..self.triangles.len() {
+            let [a, b, c] = self.corners(t);
+            for v in self.triangles[t] {
+                normals[v as usize] += (b - a).cross(c - a);
+            }
+        }
+        normals.iter().map(|n| n.normalize_or_zero()).collect()
+    }
+
     /// An axis-aligned box centred at the origin with the given half extents.
     pub fn cuboid(half: DVec3) -> Self {
         let vertices = (0..8)

@@ -6,8 +6,9 @@
 //! special case and no perturbation.
 
 use crate::hilbert::insertion_order;
-use crate::predicates::{collinear, in_sphere, orient};
+use crate::predicates::in_sphere;
 use glamx::DVec3;
+use sms_convex::{collinear, orient};
 
 /// No tetrahedron: what lies beyond a hull face.
 pub const NONE: u32 = u32::MAX;

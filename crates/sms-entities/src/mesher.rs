@@ -174,15 +174,9 @@ fn keep_volume(mesh: &mut Mesh, volume: f64) {
     if !(area > 0.0 && lost.abs() < 0.05 * volume) {
         return;
     }
-    let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
-    for t in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corners(t);
-        for v in mesh.triangles[t] {
-            normals[v as usize] += (b - a).cross(c - a);
-        }
-    }
+    let normals = mesh.vertex_normals();
     for (v, n) in mesh.vertices.iter_mut().zip(normals) {
-        *v += n.normalize_or_zero() * (lost / area);
+        *v += n * (lost / area);
     }
 }
 

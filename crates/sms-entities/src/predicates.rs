@@ -1,4 +1,4 @@
-//! Exact orientation and in-sphere tests on [`DVec3`], with the signs this crate uses throughout.
+//! The exact in-sphere test on [`DVec3`], beside `sms_convex`'s orientation tests.
 
 use glamx::DVec3;
 use robust::Coord3D;
@@ -7,30 +7,16 @@ fn coord(p: DVec3) -> Coord3D<f64> {
     Coord3D { x: p.x, y: p.y, z: p.z }
 }
 
-/// Sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side to which the normal
-/// (b − a) × (c − a) points. Zero exactly when the four points are coplanar.
-pub(crate) fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
-}
-
 /// Positive when `e` lies strictly inside the circumsphere of the positively oriented tetrahedron (a, b, c, d).
 pub(crate) fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     // The library's convention wants the opposite orientation, hence the swap of the first two corners.
     robust::insphere(coord(b), coord(a), coord(c), coord(d), coord(e))
 }
 
-/// Whether three points lie exactly on a line.
-pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
-    let flat = |i: usize, j: usize| {
-        let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
-        robust::orient2d(at(a), at(b), at(c)) == 0.0
-    };
-    flat(0, 1) && flat(1, 2) && flat(2, 0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sms_convex::{collinear, orient};
 
     #[test]
     fn signs_are_as_documented() {

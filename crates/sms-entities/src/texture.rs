@@ -124,7 +124,7 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
             }
         }
     }
-    let normals = vertex_normals(mesh);
+    let normals = mesh.vertex_normals();
     let pixels: Vec<Vec<[u8; 3]>> = squares
         .par_iter()
         .map(|square| {
@@ -160,17 +160,6 @@ fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
     let weights = [1.0 - v - w, v, w].map(|k| k.max(0.0));
     let sum: f64 = weights.iter().sum();
     weights.map(|k| k / sum)
-}
-
-fn vertex_normals(mesh: &Mesh) -> Vec<DVec3> {
-    let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
-    for t in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corners(t);
-        for v in mesh.triangles[t] {
-            normals[v as usize] += (b - a).cross(c - a);
-        }
-    }
-    normals.iter().map(|n| n.normalize_or_zero()).collect()
 }
 
 /// Colour of a place on triangle `t`: the mean of the views that see it most squarely and from nearest.
