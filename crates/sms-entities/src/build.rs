@@ -6,7 +6,7 @@ use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::environment;
 use crate::grid::{PointGrid, quantile};
-use crate::recognise::recognise_sphere;
+use crate::recognise::{recognise_sphere, sunk};
 use crate::sphere::SphereFit;
 use crate::support::{self, Carrier, Rest, Surroundings};
 use crate::underside::{is_over, outline_on_plane};
@@ -75,8 +75,8 @@ pub fn build_entities(
     let mut drafts: Vec<Draft> = drafts.into_iter().flatten().collect();
     let mut joined = Vec::new();
     if labels.source == MaskSource::Geometry {
-        joined = join_pieces(&mut drafts, &views, config, seed, warnings);
-        fix_floating(&mut drafts, warnings);
+        joined = join_pieces(&mut drafts, &views, &around, config, seed, warnings);
+        fix_floating(&mut drafts, &around, warnings);
     }
     // From here on what was joined has one label.
     let mut own_labels;
@@ -238,7 +238,7 @@ fn draft(
         );
     }
     drop_carrier_points(&mut cloud, &rest);
-    let sphere = recognise_sphere(&cloud, views, info.id, &rest, config, seed);
+    let sphere = recognise_sphere(&cloud, views, around, info.id, &rest, config, seed);
     Some(Draft { info: info.clone(), cloud, spacing, rest, sphere, fixed: false })
 }
 
@@ -248,6 +248,7 @@ fn draft(
 fn join_pieces(
     drafts: &mut Vec<Draft>,
     views: &Views,
+    around: &Surroundings,
     config: &EntitiesConfig,
     seed: Seed,
     warnings: &Warnings,
@@ -272,7 +273,8 @@ fn join_pieces(
         let size = |j: usize| drafts[j].cloud.points_w.len();
         let host = (0..drafts.len()).filter(touches).max_by_key(|&j| size(j)).filter(|&j| {
             let carried = matches!(drafts[i].rest.carrier, Carrier::Object(_) | Carrier::Unseen);
-            !can_stay(&drafts[i]) || (carried && 4 * points.len() < size(j))
+            !can_stay(i, drafts, around)
+                || (carried && !is_cradled(i, drafts, around) && 4 * points.len() < size(j))
         });
         let Some(host) = host else {
             i += 1;
@@ -285,7 +287,7 @@ fn join_pieces(
         host.cloud.normals_w.extend(piece.cloud.normals_w);
         host.cloud.colors.extend(piece.cloud.colors);
         host.spacing = host.spacing.max(piece.spacing);
-        host.sphere = recognise_sphere(&host.cloud, views, host.info.id, &host.rest, config, seed);
+        host.sphere = recognise_sphere(&host.cloud, views, around, host.info.id, &host.rest, config, seed);
         let message = format!(
             "`{}` cannot stand by itself and touches `{}`: they were joined",
             piece.info.name, host.info.name
@@ -313,8 +315,12 @@ pub(crate) fn host_of(label: u16, joined: &[(u16, u16)]) -> u16 {
 
 /// What is left without anything to stand on is part of something larger that was not seen whole (a shelf, a cable, a
 /// card stuck to a wall): it becomes a fixed collider.
-fn fix_floating(drafts: &mut [Draft], warnings: &Warnings) {
-    for draft in drafts.iter_mut().filter(|d| !can_stay(d)) {
+fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings) {
+    for i in 0..drafts.len() {
+        if can_stay(i, drafts, around) {
+            continue;
+        }
+        let draft = &mut drafts[i];
         draft.fixed = true;
         let message =
             format!("nothing that carries `{}` was seen: it is kept as a fixed collider", draft.info.name);
@@ -323,9 +329,10 @@ fn fix_floating(drafts: &mut [Draft], warnings: &Warnings) {
     }
 }
 
-/// Whether an object would stay where it was seen: it stands on the floor or the environment, or it lies flat on
-/// another object with its middle over the contact.
-fn can_stay(draft: &Draft) -> bool {
+/// Whether an object would stay where it was seen: it stands on the floor or the environment, it lies flat on another
+/// object with its middle over the contact, or it is a ball in that object's hollow.
+fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
+    let draft = &drafts[i];
     let plane = &draft.rest.plane;
     let points = &draft.cloud.points_w;
     let heights: Vec<f64> = points.iter().map(|&p| plane.height_over(p)).collect();
@@ -336,19 +343,48 @@ fn can_stay(draft: &Draft) -> bool {
     match draft.rest.carrier {
         Carrier::Unseen => false,
         Carrier::Floor | Carrier::Environment => lowest < slack,
+        Carrier::Object(_) if draft.sphere.is_some() => is_cradled(i, drafts, around),
         Carrier::Object(_) => {
             let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
             let foot = outline_on_plane(points, plane, 0.01, 0.0);
-            draft.sphere.is_none() && lowest < 0.01 && foot.len() >= 3 && is_over(&foot, plane, middle)
+            lowest < 0.01 && foot.len() >= 3 && is_over(&foot, plane, middle)
         }
     }
 }
 
+/// Whether a ball lies in a hollow of the object that carries it, or on a level part of it that reaches out on all
+/// sides: the carrier's surface is seen round its foot in every direction and nowhere falls away below it. Under a head
+/// on a statue it does.
+fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
+    let (Some(fit), Carrier::Object(label)) = (drafts[i].sphere, drafts[i].rest.carrier) else {
+        return false;
+    };
+    let Some(carrier) = drafts.iter().find(|d| d.info.id == label) else { return false };
+    const SECTORS: usize = 8;
+    // Noise of the surface, and of the fit's lowest point.
+    let give = (0.1 * fit.radius).max(0.003);
+    if sunk(&fit, around, &drafts[i].rest) > give {
+        return false;
+    }
+    let mut highest = [f64::NEG_INFINITY; SECTORS];
+    for p in &carrier.cloud.points_w {
+        let from = p - fit.center;
+        let out = from.truncate().length();
+        if out > 0.3 * fit.radius && out < 1.5 * fit.radius && from.z < 0.0 {
+            let turn = (from.y.atan2(from.x) / std::f64::consts::TAU).rem_euclid(1.0);
+            let sector = &mut highest[((turn * SECTORS as f64) as usize).min(SECTORS - 1)];
+            *sector = sector.max(from.z);
+        }
+    }
+    highest.iter().all(|&z| z > -fit.radius - give)
+}
+
 /// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own.
+/// No more than the plane's scatter is taken, because the floor of a thin dish lies just over it.
 fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) {
     let top = cloud.points_w.iter().map(|&p| rest.plane.height_over(p)).fold(0.0, f64::max);
     // A thin object's top may be this near to the plane itself.
-    let band = (0.15 * top).min(0.003);
+    let band = (0.15 * top).min((4.0 * rest.noise_m).clamp(0.0008, 0.003));
     let keep: Vec<bool> = cloud
         .points_w
         .iter()

@@ -87,9 +87,13 @@ pub struct EntitySet {
 }
 
 impl EntitySet {
-    /// Gives the pixels and Gaussians of joined pieces the label of the object they belong to now.
-    pub fn relabel(&self, labels: &mut Labels, model: &mut GaussianModel) {
+    /// Gives the pixels of joined pieces the label of the object they belong to now.
+    pub fn relabel(&self, labels: &mut Labels) {
         build::relabel(labels, &self.joined);
+    }
+
+    /// Gives the Gaussians of joined pieces the label of the object they belong to now.
+    pub fn relabel_model(&self, model: &mut GaussianModel) {
         for label in &mut model.labels {
             *label = build::host_of(*label, &self.joined);
         }

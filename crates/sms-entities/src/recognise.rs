@@ -4,7 +4,7 @@ use crate::build::Draft;
 use crate::config::EntitiesConfig;
 use crate::primitive::{self, primitive_mesh};
 use crate::sphere::{self, RaySample, SphereFit};
-use crate::support::{Carrier, Plane, Rest};
+use crate::support::{Carrier, Plane, Rest, Surroundings, height_below_ball};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::{EntityShape, Mesh, PointCloud, Seed};
@@ -46,6 +46,7 @@ fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
 pub(crate) fn recognise_sphere(
     cloud: &PointCloud,
     views: &Views,
+    around: &Surroundings,
     label: u16,
     rest: &Rest,
     config: &EntitiesConfig,
@@ -68,7 +69,7 @@ pub(crate) fn recognise_sphere(
         }
         None => first,
     };
-    (!is_contradicted(&best, views, label, rest)).then_some(best)
+    (!is_contradicted(&best, views, around, label, rest)).then_some(best)
 }
 
 /// Share of a sphere's seen directions through which cameras may look before it is no ball. Borders of masks and of
@@ -77,9 +78,21 @@ const SEEN_THROUGH: f64 = 0.12;
 /// How far a ball may reach below what it rests on, metres.
 const SUNK_M: f64 = 0.003;
 
+/// How far a ball reaches below what carries it, metres. A hollow is no plane: there the carrier's surface counts.
+pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
+    let hollow = match rest.carrier {
+        Carrier::Object(carrier) => height_below_ball(around, carrier, fit.center, fit.radius),
+        _ => None,
+    };
+    match hollow {
+        Some(height) => height - (fit.center.z - fit.radius),
+        None => fit.radius - rest.plane.height_over(fit.center),
+    }
+}
+
 /// Whether the cameras or the floor contradict that a whole sphere is there. A round bowl's wall lies on a sphere, too.
-fn is_contradicted(fit: &SphereFit, views: &Views, label: u16, rest: &Rest) -> bool {
-    if rest.plane.height_over(fit.center) - fit.radius < -SUNK_M {
+fn is_contradicted(fit: &SphereFit, views: &Views, around: &Surroundings, label: u16, rest: &Rest) -> bool {
+    if sunk(fit, around, rest) > SUNK_M {
         return true;
     }
     let (mut seen, mut through) = (0, 0);

@@ -3,7 +3,7 @@
 use crate::grid::{PointGrid, median, quantile};
 use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
-use glamx::DVec3;
+use glamx::{DMat4, DVec3, DVec4};
 use rand::RngExt;
 use sms_core::Seed;
 use std::collections::BTreeMap;
@@ -56,7 +56,12 @@ pub(crate) enum Carrier {
 pub(crate) struct Rest {
     pub(crate) plane: Plane,
     pub(crate) carrier: Carrier,
+    /// Scatter (standard deviation, robust) of what was seen of the carrying surface about the plane, metres.
+    pub(crate) noise_m: f64,
 }
+
+/// Scatter assumed where little was seen of the carrying surface.
+const UNSEEN_NOISE_M: f64 = 0.001;
 
 /// Sums over the measurements in one cell.
 #[derive(Default)]
@@ -152,7 +157,7 @@ pub(crate) fn find_rest(
         points.iter().filter(|p| p.z < lowest + (0.3 * height).max(0.01)).map(|p| p.with_z(0.0)).collect();
     let center = foot.iter().sum::<DVec3>() / foot.len().max(1) as f64;
     let flat = PointGrid::new(&foot, 0.02);
-    let candidates: Vec<usize> = (0..around.points.len())
+    let mut candidates: Vec<usize> = (0..around.points.len())
         .filter(|&i| {
             let p = around.points[i];
             around.labels[i] != label
@@ -162,26 +167,92 @@ pub(crate) fn find_rest(
                 && flat.is_near(p.with_z(0.0), 0.04)
         })
         .collect();
-    let floor = |height: f64| Rest { plane: Plane::horizontal(height), carrier: Carrier::Floor };
+    // Past the rim of a dish more may be seen of the floor below it than of the dish round the foot of what lies in it.
+    let next_to_foot: Vec<usize> = candidates
+        .iter()
+        .copied()
+        .filter(|&i| flat.is_near(around.points[i].with_z(0.0), NEXT_TO_FOOT_M))
+        .collect();
+    if let Some(carrier) = surrounding_object(&next_to_foot, around, center) {
+        candidates.retain(|&i| around.labels[i] == carrier);
+    }
+    let rest = |plane: Plane, carrier: Carrier, members: &[usize]| {
+        let off = members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect::<Vec<_>>();
+        let noise_m = if off.len() < 12 { UNSEEN_NOISE_M } else { 1.4826 * median(off) };
+        Rest { plane, carrier, noise_m }
+    };
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
         return match support {
-            Some(h) if lowest - h < 0.04 => floor(h),
-            _ => Rest { plane: Plane::horizontal(lowest), carrier: Carrier::Unseen },
+            Some(h) if lowest - h < 0.04 => rest(Plane::horizontal(h), Carrier::Floor, &[]),
+            _ => rest(Plane::horizontal(lowest), Carrier::Unseen, &[]),
         };
     };
-    if let Some(h) = support {
-        let level = plane.normal.z > 4f64.to_radians().cos();
-        if level && height_at(&plane, center).is_some_and(|here| (here - h).abs() < 0.005) {
-            return floor(h);
-        }
-    }
     let mut votes: BTreeMap<u16, usize> = BTreeMap::new();
     for &i in &members {
         *votes.entry(around.labels[i]).or_default() += 1;
     }
     let most = votes.iter().max_by_key(|v| (*v.1, std::cmp::Reverse(*v.0))).map_or(0, |v| *v.0);
+    // The floor of a thin dish lies millimetres over the plane, and what lies in it rests on the dish.
+    if most == sms_core::BACKGROUND
+        && let Some(h) = support
+    {
+        let level = plane.normal.z > 4f64.to_radians().cos();
+        if level && height_at(&plane, center).is_some_and(|here| (here - h).abs() < 0.005) {
+            return rest(Plane::horizontal(h), Carrier::Floor, &members);
+        }
+    }
     let carrier = if most == sms_core::BACKGROUND { Carrier::Environment } else { Carrier::Object(most) };
-    Rest { plane, carrier }
+    rest(plane, carrier, &members)
+}
+
+/// Reach, horizontally from the foot, of what surrounds it, metres.
+const NEXT_TO_FOOT_M: f64 = 0.015;
+
+/// The object whose level surface is seen next to a foot in most directions, if it is an object's.
+fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVec3) -> Option<u16> {
+    const SECTORS: usize = 8;
+    /// Directions that must agree.
+    const MOST: usize = 5;
+    let mut sectors: [BTreeMap<u16, usize>; SECTORS] = Default::default();
+    for &i in next_to_foot {
+        let out = around.points[i] - center;
+        let turn = (out.y.atan2(out.x) / std::f64::consts::TAU).rem_euclid(1.0);
+        let sector = &mut sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)];
+        *sector.entry(around.labels[i]).or_default() += 1;
+    }
+    let mut votes: BTreeMap<u16, usize> = BTreeMap::new();
+    for sector in &sectors {
+        if let Some(most) = sector.iter().max_by_key(|v| (*v.1, std::cmp::Reverse(*v.0))) {
+            *votes.entry(*most.0).or_default() += 1;
+        }
+    }
+    votes.into_iter().find(|&(label, n)| n >= MOST && label != sms_core::BACKGROUND).map(|(label, _)| label)
+}
+
+/// Height of an object's surface right below a ball that lies on it or in its hollow, where the ball hides it: a
+/// paraboloid through what was seen of the level parts round the ball's foot. `None` where too little was seen.
+pub(crate) fn height_below_ball(
+    around: &Surroundings,
+    carrier: u16,
+    center: DVec3,
+    radius: f64,
+) -> Option<f64> {
+    const LEAST: usize = 20;
+    let (mut normal, mut right, mut count) = (DMat4::ZERO, DVec4::ZERO, 0);
+    for (i, p) in around.points.iter().enumerate() {
+        let from = p - center;
+        let out = from.truncate().length() / radius;
+        if around.labels[i] == carrier && around.normals[i].z > 0.75 && from.z < 0.0 && out < 1.5 {
+            let x = from / radius;
+            let row = DVec4::new(1.0, x.x, x.y, x.x * x.x + x.y * x.y);
+            normal += DMat4::from_cols(row * row.x, row * row.y, row * row.z, row * row.w);
+            right += row * from.z;
+            count += 1;
+        }
+    }
+    // A millionth keeps a ring of points, whose height and curvature cannot be told apart, from exploding.
+    let damped = normal + DMat4::from_diagonal(DVec4::splat(1e-6 * f64::from(count)));
+    (count as usize >= LEAST).then(|| center.z + (damped.inverse() * right).x)
 }
 
 /// Height of the plane over the horizontal position of `p`; `None` for a vertical plane.

@@ -5,7 +5,7 @@ mod common;
 use common::*;
 use proptest::prelude::*;
 use sms_core::glamx::DVec3;
-use sms_core::{Cancel, EntityKind, EntityShape, Mesh, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, EntityKind, EntityShape, MaskSource, Mesh, NoProgress, Seed, Warnings};
 use sms_entities::{
     ConvexConfig, EntitiesConfig, EntitiesError, EntitySet, MeshRule, build_entities, convex_parts,
     load_entities, save_entities,
@@ -189,6 +189,49 @@ fn with_masks_from_geometry_scraps_are_joined_and_balls_stay_free() {
     assert!(
         matches!(set.entities[1].shape, EntityShape::Sphere { radius, .. } if (radius - 0.06).abs() < 3e-4)
     );
+}
+
+/// A dish's floor may be thinner than the scatter that still counts as the floor below it.
+#[test]
+fn balls_in_dishes_rest_in_them() {
+    let (thick, r) = (0.0025, 0.025);
+    let dish = || cup(DVec3::ZERO, 0.09, 0.03, thick);
+    let in_dish = ball(DVec3::new(0.02, 0.01, thick + r), r);
+    let in_bowl = ball(DVec3::new(0.0, 0.0, 0.002 + r), r);
+    for objects in [[dish(), in_dish], [round_bowl(DVec3::ZERO, 0.08, 0.05, 0.006), in_bowl]] {
+        let mut fixture = observe(&objects, &[], &Observation { frames: 16, ..Default::default() }, 7);
+        for source in [MaskSource::Files, MaskSource::Geometry] {
+            fixture.labels.source = source;
+            let warnings = Warnings::new();
+            let set = run(&fixture, &EntitiesConfig::default(), &warnings).unwrap();
+            let said = warnings.snapshot();
+            let name = objects[0].name;
+            assert_eq!(set.entities.len(), 2, "{name}, {source:?}: {said:?}");
+            assert!(set.entities.iter().all(|e| e.kind == EntityKind::Dynamic), "{name}: {said:?}");
+            let EntityShape::Sphere { center_w, radius } = set.entities[1].shape else {
+                panic!("{name}: the ball is {:?}", set.entities[1].shape)
+            };
+            assert!((radius - r).abs() < 3e-4 && (center_w.z - objects_center(name, thick, r)).abs() < 5e-4);
+            let ratio = set.entities[0].mesh.volume() / objects[0].volume;
+            println!("{name}, {source:?}: volume × {ratio:.3}; {said:?}");
+            assert!((0.9..1.1).contains(&ratio), "{name}: {ratio}");
+            // The dish's parts bear the ball from right below, and nothing of them is inside it.
+            let parts = &set.entities[0].parts;
+            let below = center_w - DVec3::Z * (radius + 0.0015);
+            assert!(parts.iter().any(|p| is_within(p, below)), "{name}: nothing bears the ball");
+            for direction in Mesh::icosphere(radius - 0.001, 2).vertices {
+                let inside = center_w + direction;
+                assert!(
+                    !parts.iter().any(|p| is_within(p, inside)),
+                    "{name}: a part is in the ball at {inside}"
+                );
+            }
+        }
+    }
+}
+
+fn objects_center(name: &str, thick: f64, r: f64) -> f64 {
+    if name == "bowl" { 0.002 + r } else { thick + r }
 }
 
 #[test]

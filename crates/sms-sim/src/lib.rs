@@ -48,7 +48,7 @@ mod timing;
 mod world;
 
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
-pub use rest::{RestingDrift, resting_drift};
+pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::Simulation;
 pub use striker::{FINGER_HALF, SEGMENT_M, StrikerMotion};
 pub use world::{BodyId, BodyState, KinematicShape, SimError, World, WorldFactory, WorldOptions};

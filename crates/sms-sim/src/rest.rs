@@ -41,3 +41,52 @@ pub fn resting_drift(
     };
     Ok(scene.bodies.iter().enumerate().filter(|(_, b)| b.kind == BodyKind::Dynamic).map(drift).collect())
 }
+
+/// How far a body may come in a while and still count as resting.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RestLimits {
+    /// Time that the scene is left alone, seconds.
+    pub seconds: f64,
+    /// Distance, metres.
+    pub moved_m: f64,
+    /// Angle, radians.
+    pub turned_rad: f64,
+}
+
+impl Default for RestLimits {
+    fn default() -> Self {
+        Self { seconds: 1.0, moved_m: 0.001, turned_rad: 0.5f64.to_radians() }
+    }
+}
+
+impl RestLimits {
+    /// The drift in units of the limits: above 1 a body does not rest.
+    fn excess(&self, drift: &RestingDrift) -> f64 {
+        (drift.moved_m / self.moved_m).max(drift.turned_rad / self.turned_rad)
+    }
+}
+
+/// Makes bodies static until the rest of the scene rests: a recording shows things at rest, so what moves by itself was
+/// not seen whole. One at a time, the one that comes farthest first, because it may be what pushes the others. Gives the
+/// drifts of those that were fixed, in that order.
+///
+/// # Errors
+/// [`SimError`] when a world cannot be built or blows up.
+pub fn fix_restless(
+    factory: &dyn WorldFactory,
+    scene: &mut Scene,
+    limits: &RestLimits,
+) -> Result<Vec<RestingDrift>, SimError> {
+    let mut fixed = Vec::new();
+    loop {
+        let drifts = resting_drift(factory, scene, limits.seconds)?;
+        let worst = drifts.into_iter().max_by(|a, b| limits.excess(a).total_cmp(&limits.excess(b)));
+        let Some(worst) = worst.filter(|d| limits.excess(d) > 1.0) else { return Ok(fixed) };
+        if let Some(i) = scene.body_index(&worst.body) {
+            scene.bodies[i].kind = BodyKind::Static;
+            scene.bodies[i].mass = None;
+        }
+        fixed.push(worst);
+    }
+}

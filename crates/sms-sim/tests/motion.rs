@@ -8,7 +8,9 @@ use sms_core::{
     MassProperties, Mesh, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
 };
 use sms_scene::{Body, BodyKind, BodyShape, floor_body};
-use sms_sim::{BodyState, StrikerMotion, WorldFactory, WorldOptions, resting_drift};
+use sms_sim::{
+    BodyState, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless, resting_drift,
+};
 
 fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
     scene(
@@ -153,6 +155,38 @@ fn resting_drift_names_what_moves() {
         assert_eq!(drift.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["rests", "falls"]);
         assert!(drift[0].moved_m < 1e-4 && drift[0].turned_rad < 1e-3);
         assert!((drift[1].moved_m - 0.02).abs() < 1e-3 && drift[1].turned_rad < 1e-2);
+    }
+}
+
+/// A pole that topples onto its neighbour is the one that is fixed: the neighbour rests once it stands.
+#[test]
+fn restless_bodies_are_fixed_worst_first_and_no_others() {
+    for factory in factories() {
+        let surface = || material(0.5, 0.2, 0.0);
+        let at = |x: f64, z: f64| DPose3::from_translation(DVec3::new(x, 0.0, z));
+        let half = DVec3::new(0.015, 0.015, 0.15);
+        let angle = 0.25;
+        // Stands on its lower edge and leans towards +x.
+        let height = half.z * f64::cos(angle) + half.x * f64::sin(angle);
+        let pole = DPose3::from_parts(DVec3::new(0.0, 0.0, height), DQuat::from_rotation_y(angle));
+        let bodies = vec![
+            floor(surface()),
+            cuboid("pole", pole, half, BodyKind::Dynamic, surface()),
+            cuboid("neighbour", at(0.2, 0.02), DVec3::splat(0.02), BodyKind::Dynamic, surface()),
+            cuboid("lower", at(-0.3, 0.03), DVec3::splat(0.03), BodyKind::Dynamic, surface()),
+            cuboid("upper", at(-0.3, 0.09), DVec3::splat(0.03), BodyKind::Dynamic, surface()),
+        ];
+        let mut scene = scene(G, bodies);
+        let limits = RestLimits::default();
+        let before = resting_drift(factory, &scene, limits.seconds).unwrap();
+        println!("{}: {before:?}", factory.engine());
+        assert!(before[1].moved_m > limits.moved_m, "the pole does not reach its neighbour");
+        let fixed = fix_restless(factory, &mut scene, &limits).unwrap();
+        assert_eq!(fixed.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["pole"]);
+        let kinds: Vec<BodyKind> = scene.bodies[1..].iter().map(|b| b.kind).collect();
+        assert_eq!(kinds, [BodyKind::Static, BodyKind::Dynamic, BodyKind::Dynamic, BodyKind::Dynamic]);
+        let after = resting_drift(factory, &scene, limits.seconds).unwrap();
+        assert!(after.iter().all(|d| d.moved_m < limits.moved_m && d.turned_rad < limits.turned_rad));
     }
 }
 

@@ -1,22 +1,24 @@
 //! `sms materialize`: Gaussians → entities → materials → scene.
 
 use super::scan::{RunSettings, SETTINGS};
-use super::{inputs_hash, materials, run_stage, shown, timed, vlm};
+use super::{inputs_hash, length_text, materials, run_stage, shown, timed, vlm};
 use crate::cli::Materialize;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{
-    BACKGROUND, CoreError, EntityKind, EntityShape, Hash, InputError, Labels, RunFolder, Seed, atomic,
+    BACKGROUND, CoreError, EntityKind, EntityShape, Hash, InputError, Labels, MaskSource, RunFolder, Seed,
+    Warnings, atomic,
 };
 use sms_entities::{
     EntitiesConfig, EntitySet, bake_textures, build_entities, load_entities, object_gaussians, save_entities,
 };
 use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence, recorded_colors};
-use sms_gaussians::{GaussianModel, read_ply, write_ply};
+use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{MaterialTable, Overrides, assign, save_queries};
-use sms_scene::{build_scene, save_scene};
+use sms_scene::{Scene, build_scene, save_scene};
+use sms_sim::{RapierFactory, RestLimits, fix_restless};
 
 /// An entity's own Gaussians, in its folder.
 const GAUSSIANS: &str = "gaussians.ply";
@@ -36,6 +38,8 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
     let read = context.settings.section("read", ReadOptions::default())?;
     let hash = inputs_hash(&[&before], &(&config, seed, &read))?;
+    let (sequence, mut labels) =
+        trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
     let entities_dir = run_stage(
         context,
         &run,
@@ -45,8 +49,6 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         |stage, warnings| {
             timed("materialize.seconds", || {
                 let mut model = read_ply(&gaussians_dir.join("scene.ply"))?;
-                let (sequence, mut labels) =
-                    trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
                 let mut set = build_entities(
                     &model,
                     &sequence,
@@ -57,7 +59,9 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                     &context.cancel,
                     warnings,
                 )?;
-                set.relabel(&mut labels, &mut model);
+                set.relabel_model(&mut model);
+                let mut labels = labels.clone();
+                set.relabel(&mut labels);
                 let colors = recorded_colors(&sequence, &read, config.texture.image_side, &context.cancel)?;
                 let missing = colors.iter().filter(|c| c.is_none()).count();
                 if config.texture.enabled && missing > 0 {
@@ -80,9 +84,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     )?;
     let set = load_entities(&entities_dir)?;
 
-    let (sequence, mut labels) =
-        trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
-    set.relabel(&mut labels, &mut GaussianModel::default());
+    set.relabel(&mut labels);
     let x_world_recording = sequence.x_world_recording;
     let mut queries = materials::queries(&set);
     let estimates = vlm::estimates(context, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;
@@ -95,14 +97,17 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         None => edits,
     };
     let table = MaterialTable::builtin();
-    let scene_hash = inputs_hash(&[&hash], &("scene 3", &queries, &overrides, &table))?;
+    let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, &table))?;
     let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
         save_queries(&stage.dir().join(materials::QUERIES), &queries)?;
         let mut materials = assign(&queries, &table, Some(&overrides), warnings)?;
         let floor = materials.pop();
         let support = set.support_height.zip(floor);
-        let scene =
+        let mut scene =
             build_scene(&settings.recording_name(), &set.entities, &materials, support, x_world_recording)?;
+        if labels.source == MaskSource::Geometry {
+            fix_pieces(&mut scene, warnings)?;
+        }
         save_scene(stage.dir(), &scene)?;
         for body in &scene.bodies {
             let of_entity = entities_dir.join(&body.name).join(GAUSSIANS);
@@ -118,6 +123,21 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     summary(context, &set);
     context.say(format!("  in {}", shown(&scene_dir.join("scene.json"))));
     context.print_metrics(&run)
+}
+
+/// Masks from geometry cut things into pieces that no longer stand by themselves; those are kept where they were seen.
+/// Masks of people and networks mean what they say: what does not rest there is left to `sms simulate` to tell.
+fn fix_pieces(scene: &mut Scene, warnings: &Warnings) -> anyhow::Result<()> {
+    for drift in fix_restless(&RapierFactory, scene, &RestLimits::default())? {
+        let message = format!(
+            "`{}` moved {} and turned {:.1}° when left alone: it is kept as a fixed collider",
+            drift.body,
+            length_text(drift.moved_m),
+            drift.turned_rad.to_degrees()
+        );
+        warnings.add("materialize", "kept_fixed", message, "correct the masks, or scan it from more sides");
+    }
+    Ok(())
 }
 
 /// The frames that were trained on, with their label maps: objects must not see what was kept out either.
