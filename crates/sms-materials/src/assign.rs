@@ -22,8 +22,6 @@ pub struct ObjectQuery {
     pub is_sphere: bool,
     /// Mean sRGB colour.
     pub mean_color: [u8; 3],
-    /// Whether it is known that the mesh has the object's walls, so that the material fills all that it encloses.
-    pub walls_visible: bool,
     /// Volume of the mesh over that of its convex hull; 0 where unknown.
     pub hull_fill: f64,
     /// Volume of the mesh (or of the sphere, box or cylinder that stands for it), m³; 0 where unknown or open.
@@ -126,10 +124,9 @@ fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<Known
 /// The fill factor over what the mesh encloses, from the one over the outer volume.
 fn fill_of_mesh(fill: Property, form: Form, object: &ObjectQuery) -> Property {
     let has_hollow = object.hull_fill > 0.0 && object.hull_fill < WALLS_VISIBLE_BELOW && !object.is_sphere;
-    if object.walls_visible || (has_hollow && form != Form::Closed) {
+    if has_hollow && form != Form::Closed {
         // Where nothing is known of the thing, a closed one of odd shape may be hollow all the same.
-        let low =
-            if fill.source == PropertySource::Prior && !object.walls_visible { fill.value.low } else { 1.0 };
+        let low = if fill.source == PropertySource::Prior { fill.value.low } else { 1.0 };
         return Property::new(Interval::new(1.0, low, 1.0), fill.source);
     }
     if form != Form::Open || !(0.0..1.0).contains(&object.hull_fill) || object.hull_fill <= 0.0 {
@@ -226,28 +223,27 @@ mod tests {
     #[test]
     fn hollow_things_are_counted_once_whatever_the_scan_saw_of_the_hollow() {
         let table = MaterialTable::builtin();
-        let fill = |description: &str, hull_fill: f64, walls_visible: bool| {
-            let q = ObjectQuery { hull_fill, walls_visible, ..query("o", description, false) };
+        let fill = |description: &str, hull_fill: f64| {
+            let q = ObjectQuery { hull_fill, ..query("o", description, false) };
             without_override(&q, &table).fill_factor.value
         };
-        let closed = fill("mug", 0.95, false);
+        let closed = fill("mug", 0.95);
         assert!(closed.high > 2.0 * closed.low, "wide: {closed:?}");
         for hull_fill in [0.6, 0.75, 0.95] {
-            let over_hull = fill("mug", hull_fill, false).best * hull_fill;
+            let over_hull = fill("mug", hull_fill).best * hull_fill;
             assert!((over_hull - 0.375).abs() < 1e-12, "the mass does not depend on how much was seen");
         }
-        assert_eq!(fill("mug", 0.3, false), Interval::exact(1.0), "the mesh has the walls");
-        assert_eq!(fill("mug", 0.95, true), Interval::exact(1.0), "the caller knows");
-        assert_eq!(fill("plush bear", 0.5, false).best, 0.48, "a concave outside says nothing of the inside");
-        let odd = fill("", 0.3, false);
+        assert_eq!(fill("mug", 0.3), Interval::exact(1.0), "the mesh has the walls");
+        assert_eq!(fill("plush bear", 0.5).best, 0.48, "a concave outside says nothing of the inside");
+        let odd = fill("", 0.3);
         assert_eq!((odd.best, odd.high), (1.0, 1.0));
         assert_eq!(
             odd.low,
             table.prior(false).fill_factor.value.low,
             "it may be closed and hollow all the same"
         );
-        assert_eq!(fill("", 0.0, false), table.prior(false).fill_factor.value, "unknown shape");
-        assert_eq!(fill("wooden block", 0.99, false), Interval::exact(1.0));
+        assert_eq!(fill("", 0.0), table.prior(false).fill_factor.value, "unknown shape");
+        assert_eq!(fill("wooden block", 0.99), Interval::exact(1.0));
         let ball = ObjectQuery { hull_fill: 0.4, ..query("o", "soccer ball", true) };
         assert_eq!(without_override(&ball, &table).fill_factor.value.best, 0.07);
     }

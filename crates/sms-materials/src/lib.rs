@@ -28,5 +28,5 @@ mod table;
 pub use assign::{ObjectQuery, WALLS_VISIBLE_BELOW, assign, without_override};
 pub use estimate::Estimate;
 pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
-pub use store::{load_materials, load_queries, save_materials, save_queries};
+pub use store::{load_queries, save_queries};
 pub use table::{ClassEntry, MaterialTable, Range};

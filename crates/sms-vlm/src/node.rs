@@ -4,6 +4,8 @@
 const MAX_DEPTH: usize = 32;
 /// The most objects that are looked for in one reply.
 const MAX_OBJECTS: usize = 64;
+/// The most bytes that are read in looking for them, every reading counted.
+const MAX_READ: usize = 1 << 22;
 
 /// A value of a reply. Keys stay in order and may repeat, because a repeated key is a mistake to be told of.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +56,7 @@ pub(crate) fn objects(text: &str) -> Result<Found, NoObject> {
     let text = without_thoughts(text);
     let mut found = Vec::new();
     let mut cut_off = false;
-    let mut at = 0;
+    let (mut at, mut spent) = (0, 0);
     while let Some(offset) = text[at..].find('{') {
         let start = at + offset;
         let mut parser = Parser { text, at: start };
@@ -70,8 +72,9 @@ pub(crate) fn objects(text: &str) -> Result<Found, NoObject> {
             }
             Err(Fault::Malformed) => at = start + 1,
         }
-        // A text of nothing but braces must not cost its square.
-        if found.len() >= MAX_OBJECTS || at - start > 1 << 20 || start > 1 << 16 {
+        // Objects that never close are read to the end from each of their braces: that must not cost the square.
+        spent += parser.at - start;
+        if found.len() >= MAX_OBJECTS || spent > MAX_READ {
             break;
         }
     }

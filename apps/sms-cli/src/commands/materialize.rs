@@ -91,12 +91,16 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     for (query, estimate) in queries.iter_mut().zip(estimates) {
         query.estimate = estimate;
     }
+    let table = MaterialTable::builtin();
     let edits = Overrides::read_optional(&run.root().join(materials::EDITS))?;
     let overrides = match a.materials.as_deref() {
-        Some(path) => edits.under(Overrides::read(path)?),
+        Some(path) => {
+            // Each file answers for its own mistakes.
+            edits.check(&queries, &table)?;
+            edits.under(Overrides::read(path)?)
+        }
         None => edits,
     };
-    let table = MaterialTable::builtin();
     let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, &table))?;
     let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
         save_queries(&stage.dir().join(materials::QUERIES), &queries)?;
@@ -151,7 +155,12 @@ fn trained_on(sequence: Sequence, labels: Labels, holdout: usize) -> (Sequence, 
 /// The settings that the run's Gaussians were made with.
 pub(crate) fn run_settings(run: &RunFolder) -> anyhow::Result<RunSettings> {
     let dir = run.stage_dir("gaussians", "scan DIR --out")?;
-    Ok(atomic::read_json(&dir.join(SETTINGS))?)
+    let path = dir.join(SETTINGS);
+    if !path.exists() {
+        let cure = "scan the recording again into this run";
+        return Err(InputError::new("this run does not say how it was scanned", &path, cure).into());
+    }
+    Ok(atomic::read_json(&path)?)
 }
 
 impl RunSettings {
