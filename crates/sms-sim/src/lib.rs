@@ -44,6 +44,7 @@ mod rapier;
 mod rest;
 mod simulation;
 mod striker;
+pub mod suite;
 mod timing;
 mod world;
 

@@ -25,21 +25,32 @@ pub fn resting_drift(
     scene: &Scene,
     seconds: f64,
 ) -> Result<Vec<RestingDrift>, SimError> {
+    stand(factory, scene, seconds, |_| ())
+}
+
+/// Lets a scene stand, calls `each_step` with the drifts after every step, and gives the drifts at the end.
+fn stand(
+    factory: &dyn WorldFactory,
+    scene: &Scene,
+    seconds: f64,
+    mut each_step: impl FnMut(&[RestingDrift]),
+) -> Result<Vec<RestingDrift>, SimError> {
     let options = WorldOptions { sleep: false, ..WorldOptions::default() };
     let mut simulation = Simulation::new(factory, scene, &options)?;
-    let steps = (seconds / options.dt).round() as usize;
-    for _ in 0..steps {
+    let moving = || scene.bodies.iter().enumerate().filter(|(_, b)| b.kind == BodyKind::Dynamic);
+    let mut drifts: Vec<RestingDrift> = moving()
+        .map(|(_, body)| RestingDrift { body: body.name.clone(), moved_m: 0.0, turned_rad: 0.0 })
+        .collect();
+    for _ in 0..(seconds / options.dt).round() as usize {
         simulation.advance(options.dt)?;
-    }
-    let drift = |(id, body): (usize, &sms_scene::Body)| {
-        let now = simulation.state(id).x_wb;
-        RestingDrift {
-            body: body.name.clone(),
-            moved_m: now.translation.distance(body.x_wb.translation),
-            turned_rad: now.rotation.angle_between(body.x_wb.rotation),
+        for (drift, (id, body)) in drifts.iter_mut().zip(moving()) {
+            let now = simulation.state(id).x_wb;
+            drift.moved_m = now.translation.distance(body.x_wb.translation);
+            drift.turned_rad = now.rotation.angle_between(body.x_wb.rotation);
         }
-    };
-    Ok(scene.bodies.iter().enumerate().filter(|(_, b)| b.kind == BodyKind::Dynamic).map(drift).collect())
+        each_step(&drifts);
+    }
+    Ok(drifts)
 }
 
 /// How far a body may come in a while and still count as resting.
@@ -68,8 +79,8 @@ impl RestLimits {
 }
 
 /// Makes bodies static until the rest of the scene rests: a recording shows things at rest, so what moves by itself was
-/// not seen whole. One at a time, the one that comes farthest first, because it may be what pushes the others. Gives the
-/// drifts of those that were fixed, in that order.
+/// not seen whole. One at a time, the one that leaves first, because what moves later may have been pushed. Gives the
+/// drifts of those that were fixed, as they were before, in that order.
 ///
 /// # Errors
 /// [`SimError`] when a world cannot be built or blows up.
@@ -80,13 +91,21 @@ pub fn fix_restless(
 ) -> Result<Vec<RestingDrift>, SimError> {
     let mut fixed = Vec::new();
     loop {
-        let drifts = resting_drift(factory, scene, limits.seconds)?;
-        let worst = drifts.into_iter().max_by(|a, b| limits.excess(a).total_cmp(&limits.excess(b)));
-        let Some(worst) = worst.filter(|d| limits.excess(d) > 1.0) else { return Ok(fixed) };
-        if let Some(i) = scene.body_index(&worst.body) {
+        let mut first = None;
+        let mut drifts = stand(factory, scene, limits.seconds, |drifts| {
+            if first.is_none() {
+                let excess = |i: &usize| limits.excess(&drifts[*i]);
+                first = (0..drifts.len())
+                    .filter(|i| excess(i) > 1.0)
+                    .max_by(|a, b| excess(a).total_cmp(&excess(b)));
+            }
+        })?;
+        let Some(first) = first else { return Ok(fixed) };
+        let drift = drifts.swap_remove(first);
+        if let Some(i) = scene.body_index(&drift.body) {
             scene.bodies[i].kind = BodyKind::Static;
             scene.bodies[i].mass = None;
         }
-        fixed.push(worst);
+        fixed.push(drift);
     }
 }

@@ -23,66 +23,6 @@ fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
 }
 
 #[test]
-fn a_sliding_ball_ends_rolling_at_five_sevenths() {
-    let mu = 0.3;
-    for factory in factories() {
-        let mut simulation = simulate(factory, &floor_and_ball(mu, 0.0), &awake());
-        launch(&mut simulation, 1, DVec3::X, DVec3::ZERO);
-        let mut rolls_at = None;
-        for k in 1..=400 {
-            simulation.advance(DT).unwrap();
-            let s = simulation.state(1);
-            if rolls_at.is_none() && (s.v_w.x - R * s.w_w.y).abs() < 2e-3 {
-                rolls_at = Some(k as f64 * DT);
-            }
-        }
-        let s = simulation.state(1);
-        let expected_s = 2.0 / (7.0 * mu * G);
-        println!(
-            "{}: rolls at {rolls_at:?} ({expected_s:.4}), ratio {:.5}, aside {:.1e}",
-            factory.engine(),
-            s.v_w.x * 1.4,
-            s.x_wb.translation.y
-        );
-        assert!((s.v_w.x * 1.4 - 1.0).abs() < 2e-3, "{}", s.v_w.x);
-        assert!((rolls_at.unwrap() - expected_s).abs() < 2.0 * DT);
-        assert!(s.x_wb.translation.y.abs() < 1e-5);
-    }
-}
-
-#[test]
-fn rolling_resistance_decelerates_as_the_closed_form_says() {
-    let lever = 2e-4;
-    let (v0, a) = (0.3, 5.0 / 7.0 * G * lever / R);
-    for factory in factories() {
-        let mut simulation = simulate(factory, &floor_and_ball(0.3, lever), &awake());
-        let heading = DVec3::new(0.3f64.cos(), 0.3f64.sin(), 0.0);
-        launch(&mut simulation, 1, v0 * heading, DVec3::Z.cross(heading) * (v0 / R));
-        run(&mut simulation, 2.0);
-        let s = simulation.state(1);
-        assert!(
-            (s.v_w.length() - (v0 - 2.0 * a)).abs() < 2e-3 * v0,
-            "{}: {}",
-            factory.engine(),
-            s.v_w.length()
-        );
-        run(&mut simulation, 8.0);
-        let s = simulation.state(1);
-        let travel = DVec3 { z: 0.0, ..s.x_wb.translation };
-        println!(
-            "{}: stops after {:.4} m of {:.4}, aside {:.1e}",
-            factory.engine(),
-            travel.dot(heading),
-            v0 * v0 / (2.0 * a),
-            travel.cross(heading).z
-        );
-        assert!(s.v_w.length() < 1e-4, "{}: still at {}", factory.engine(), s.v_w.length());
-        assert!((travel.dot(heading) / (v0 * v0 / (2.0 * a)) - 1.0).abs() < 5e-3);
-        assert!(travel.cross(heading).z.abs() < 1e-3);
-    }
-}
-
-#[test]
 fn without_rolling_resistance_a_ball_rolls_on() {
     for factory in factories() {
         let mut simulation = simulate(factory, &floor_and_ball(0.3, 0.0), &awake());
@@ -160,7 +100,7 @@ fn resting_drift_names_what_moves() {
 
 /// A pole that topples onto its neighbour is the one that is fixed: the neighbour rests once it stands.
 #[test]
-fn restless_bodies_are_fixed_worst_first_and_no_others() {
+fn the_body_that_leaves_first_is_fixed_and_no_others() {
     for factory in factories() {
         let surface = || material(0.5, 0.2, 0.0);
         let at = |x: f64, z: f64| DPose3::from_translation(DVec3::new(x, 0.0, z));
@@ -172,7 +112,7 @@ fn restless_bodies_are_fixed_worst_first_and_no_others() {
         let bodies = vec![
             floor(surface()),
             cuboid("pole", pole, half, BodyKind::Dynamic, surface()),
-            cuboid("neighbour", at(0.2, 0.02), DVec3::splat(0.02), BodyKind::Dynamic, surface()),
+            cuboid("neighbour", at(0.16, 0.08), DVec3::new(0.02, 0.03, 0.08), BodyKind::Dynamic, surface()),
             cuboid("lower", at(-0.3, 0.03), DVec3::splat(0.03), BodyKind::Dynamic, surface()),
             cuboid("upper", at(-0.3, 0.09), DVec3::splat(0.03), BodyKind::Dynamic, surface()),
         ];
