@@ -1,6 +1,7 @@
 //! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
 use super::bench_materialize::{self, BenchMaterialize};
+use super::bench_physics::{self, BenchPhysics};
 use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
@@ -32,6 +33,8 @@ pub(crate) enum BenchCommand {
     Scan(Box<BenchScan>),
     /// Scan models whose shape is known (../shared/data/meshes) once, and measure the meshes made of the scans.
     Materialize(Box<BenchMaterialize>),
+    /// Closed-form probes of the physics engines: impacts, throw, rolling, sliding, tipping, a stack.
+    Physics(BenchPhysics),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
     Score(BenchScore),
 }
@@ -104,6 +107,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
     match &a.what {
         BenchCommand::Scan(scan) => run_scan(context, scan),
         BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
+        BenchCommand::Physics(physics) => bench_physics::run(context, physics),
         BenchCommand::Score(score) => run_score(context, score),
     }
 }
