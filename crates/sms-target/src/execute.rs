@@ -49,7 +49,8 @@ pub enum TargetError {
 ///
 /// The action is what was planned: the task is resolved against the *planner's* scene, which gives the robot's motion
 /// in world coordinates, and the robot repeats that motion whatever is really there. The objective is measured on the
-/// true body in the place of the planner's target ball, or where none is there, on the scene's true target ball.
+/// true bodies in the places of the planner's; where none is there, on the scene's true target ball, or on the body of
+/// that name.
 ///
 /// # Errors
 /// [`TargetError`].
@@ -80,12 +81,14 @@ pub fn execute_on(
     // The truth is in the recording's world, the plan in the one that the recording was aligned to.
     let true_scene = carried(scene_from_truth(truth)?, &planned_scene.x_world_recording);
     let matches = match_bodies(planned_scene, &true_scene);
-    let ball = matches
-        .iter()
-        .find(|(planned, _)| *planned == task.target().name)
-        .map_or(truth.target.as_str(), |(_, name)| name.as_str());
+    // A target ball that has no match is still the scene's target ball; other bodies keep their names.
+    let called = |name: &str| match matches.iter().find(|(planned, _)| *planned == name) {
+        Some((_, there)) => there.clone(),
+        None if task.kind() == "billiards" => truth.target.clone(),
+        None => name.to_owned(),
+    };
 
-    let run = |scene: &Scene, recording| rollout(target, &task, &motion, scene, ball, recording);
+    let run = |scene: &Scene, recording| rollout(target, &task, &motion, scene, &called, recording);
     let recording = Recording { every_s: options.record_every_s };
     let realised = run(&true_scene, Some(recording))?;
     let mut chaos_floor = 0.0f64;
@@ -109,10 +112,10 @@ fn rollout(
     task: &ResolvedTask,
     motion: &StrikerMotion,
     scene: &Scene,
-    ball: &str,
+    called: &dyn Fn(&str) -> String,
     recording: Option<Recording>,
 ) -> Result<Rollout, TargetError> {
-    let bodies = task.bodies_in(scene, ball)?;
+    let bodies = task.bodies_called(scene, called)?;
     let mut simulation = target.simulation(scene, &task.world_options())?;
     Ok(task.rollout(&mut simulation, motion, &bodies, recording)?)
 }

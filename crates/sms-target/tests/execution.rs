@@ -123,7 +123,7 @@ fn an_aligned_recording_gives_the_same_execution() {
     for body in &mut turned.bodies {
         body.x_wb = x_vw * body.x_wb;
     }
-    let Task::Billiards(mut moved) = task;
+    let Task::Billiards(mut moved) = task else { panic!() };
     let goal = x_vw.transform_point(DVec3::new(truth.goal_w[0], truth.goal_w[1], 0.0));
     moved.goal_w = [goal.x, goal.y];
     let other = execute(&Task::Billiards(moved), &action, &turned, &truth, &options).unwrap();

@@ -2,17 +2,9 @@
 
 use crate::Selector;
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, InputError, atomic};
+use sms_core::InputError;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
-
-/// A task file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Task {
-    /// Strike the cue ball so that the target ball passes over the goal.
-    Billiards(Billiards),
-}
 
 /// The value of `kind` in a billiards task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -113,19 +105,19 @@ impl Default for StrikerMaterial {
     }
 }
 
-fn default_horizon_s() -> f64 {
+pub(crate) fn default_horizon_s() -> f64 {
     4.0
 }
 
-fn default_success_m() -> f64 {
+pub(crate) fn default_success_m() -> f64 {
     0.05
 }
 
-fn default_form() -> ActionForm {
+pub(crate) fn default_form() -> ActionForm {
     ActionForm::SpeedAngleContact
 }
 
-fn default_dt() -> f64 {
+pub(crate) fn default_dt() -> f64 {
     0.0025
 }
 
@@ -165,6 +157,48 @@ impl Billiards {
         if self.goal_w.iter().any(|v| !v.is_finite()) {
             return fault("goal_w", "it must be two finite numbers, x and y in metres".to_owned());
         }
+        self.common().validate(self.path())
+    }
+
+    /// The file to name in messages.
+    pub(crate) fn path(&self) -> &Path {
+        named(&self.source)
+    }
+
+    pub(crate) fn common(&self) -> Common {
+        Common {
+            horizon_s: self.horizon_s,
+            success_m: self.success_m,
+            form: self.form,
+            bounds: self.bounds,
+            striker: self.striker,
+            dt: self.dt,
+        }
+    }
+}
+
+/// The file that a task came from, or what stands for it.
+pub(crate) fn named(source: &Path) -> &Path {
+    if source.as_os_str().is_empty() { Path::new("(task made by the program)") } else { source }
+}
+
+/// What all tasks of a strike have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Common {
+    pub(crate) horizon_s: f64,
+    pub(crate) success_m: f64,
+    pub(crate) form: ActionForm,
+    pub(crate) bounds: ActionBounds,
+    pub(crate) striker: StrikerMaterial,
+    pub(crate) dt: f64,
+}
+
+impl Common {
+    pub(crate) fn validate(&self, path: &Path) -> Result<(), InputError> {
+        let fault = |key: &str, why: String| {
+            let what = format!("`{key}` in this task file cannot be used: {why}");
+            Err(InputError::new(what, path, format!("correct `{key}`")))
+        };
         for (key, value, largest) in
             [("horizon_s", self.horizon_s, 60.0), ("success_m", self.success_m, 10.0), ("dt", self.dt, 0.02)]
         {
@@ -201,64 +235,12 @@ impl Billiards {
         }
         Ok(())
     }
-
-    /// The file to name in messages.
-    pub(crate) fn path(&self) -> &Path {
-        if self.source.as_os_str().is_empty() {
-            Path::new("(task made by the program)")
-        } else {
-            &self.source
-        }
-    }
-}
-
-impl Task {
-    /// Reads and checks a task file (TOML).
-    ///
-    /// # Errors
-    /// [`CoreError::Input`] that names the file and the key: the file cannot be read, is no TOML, has an unknown or
-    /// missing key, an unknown kind, or a value out of range.
-    pub fn read(path: &Path) -> Result<Self, CoreError> {
-        // The kind decides which keys exist, so it is looked at first; the typed reading then reports lines.
-        let table: toml::Table = atomic::read_toml(path)?;
-        match table.get("kind").and_then(toml::Value::as_str) {
-            Some("billiards") => {
-                let mut task: Billiards = atomic::read_toml(path)?;
-                task.source = path.to_owned();
-                task.validate()?;
-                Ok(Self::Billiards(task))
-            }
-            other => {
-                let what = match other {
-                    Some(kind) => format!("this task file has an unknown `kind`, \"{kind}\""),
-                    None => "this task file does not say its `kind`".to_owned(),
-                };
-                Err(InputError::new(what, path, "write kind = \"billiards\"").into())
-            }
-        }
-    }
-
-    /// Writes the task as TOML, with every setting that is in force.
-    ///
-    /// # Errors
-    /// [`CoreError::Write`].
-    pub fn write(&self, path: &Path) -> Result<(), CoreError> {
-        let text = toml::to_string(self)
-            .map_err(|e| CoreError::Write { path: path.to_owned(), source: std::io::Error::other(e) })?;
-        atomic::write_bytes(path, text.as_bytes())
-    }
-
-    /// Name of the kind ("billiards").
-    pub fn kind(&self) -> &'static str {
-        match self {
-            Self::Billiards(_) => "billiards",
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Task;
 
     const GOOD: &str = r#"
         kind = "billiards"
@@ -276,7 +258,7 @@ mod tests {
 
     #[test]
     fn a_short_file_gets_the_papers_defaults() {
-        let Task::Billiards(task) = read(GOOD).unwrap();
+        let Task::Billiards(task) = read(GOOD).unwrap() else { panic!() };
         assert_eq!((task.horizon_s, task.success_m, task.dt), (4.0, 0.05, 0.0025));
         assert_eq!(task.bounds.speed, [0.2, 0.85]);
         assert_eq!((task.striker.friction, task.striker.restitution), (0.65, 0.75));

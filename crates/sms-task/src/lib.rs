@@ -16,7 +16,7 @@
 //! let dir = std::env::temp_dir().join("sms-task-example");
 //! std::fs::create_dir_all(&dir)?;
 //! std::fs::write(dir.join("shot.toml"), file)?;
-//! let Task::Billiards(task) = Task::read(&dir.join("shot.toml"))?;
+//! let Task::Billiards(task) = Task::read(&dir.join("shot.toml"))? else { panic!("the kind says it") };
 //! assert_eq!(task.cue, Selector::sphere_of_color("white"));
 //! assert_eq!(task.horizon_s, 4.0);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -30,14 +30,20 @@ pub mod json;
 mod resolved;
 mod rollout;
 mod selector;
+mod strike;
 pub mod table;
+mod task;
+mod terms;
 mod trajectory;
 
 pub use action::{Action, Parameter};
-pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial, Task};
+pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial};
 pub use closest::ClosestApproach;
 pub use execution::Execution;
 pub use resolved::{Ball, ResolvedTask, TaskError};
 pub use rollout::{Recording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
+pub use strike::{Strike, StrikeKind};
+pub use task::Task;
+pub use terms::{Bodies, METRES_PER_RADIAN, Others, Region, Term, When};
 pub use trajectory::{BodyTrack, Trajectory};

@@ -1,10 +1,13 @@
 //! A task with its bodies found in the planner's scene.
 
-use crate::{Action, ActionForm, Billiards, Parameter, Selector, Task};
-use glamx::{DVec2, DVec3};
+use crate::billiards::{Common, named};
+use crate::terms::Tracker;
+use crate::{Action, ActionForm, Billiards, Bodies, Parameter, Region, Selector, Strike, Task, Term};
+use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{CoreError, InputError};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{SimError, StrikerMotion, WorldOptions};
+use std::path::{Path, PathBuf};
 
 /// Errors of resolving or running a task.
 #[derive(Debug, thiserror::Error)]
@@ -24,12 +27,28 @@ pub enum TaskError {
 /// target world, whose bodies are others, carries out the same motion of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedTask {
-    settings: Billiards,
+    kind: &'static str,
+    pub(crate) common: Common,
+    source: PathBuf,
     cue: Ball,
+    /// Corners of the struck body on the floor, relative to its centre; none for a ball.
+    outline: Vec<DVec2>,
     target: Ball,
+    /// Direction of the angle 0 on the floor, radians from world x.
+    base_angle: f64,
+    pub(crate) wish: Wish,
 }
 
-/// A ball of the task, as the planner's scene has it.
+/// What the objective is.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Wish {
+    /// The target ball passes over the goal on the floor.
+    Pass(DVec2),
+    /// Terms, each with the bodies that it is about.
+    Terms(Vec<(Term, Vec<Ball>)>),
+}
+
+/// A body of the task, as the planner's scene has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ball {
     /// Name of the body.
@@ -49,32 +68,138 @@ impl Task {
     /// [`TaskError::Input`] when a selector matches no dynamic body (the bodies there are, are listed), when cue and
     /// target are the same body, or when a setting is out of range.
     pub fn resolve(&self, scene: &Scene) -> Result<ResolvedTask, TaskError> {
-        let Self::Billiards(settings) = self;
-        settings.validate()?;
-        let cue = find(settings, "cue", &settings.cue, scene)?;
-        let target = find(settings, "target", &settings.target, scene)?;
-        if cue.index == target.index {
-            return Err(InputError::new(
-                format!("`cue` and `target` are the same body, `{}`", cue.name),
-                settings.path(),
-                format!("make the selectors differ; the scene has {}", bodies_of(scene)),
-            )
-            .into());
+        match self {
+            Self::Billiards(settings) => resolve_billiards(settings, scene),
+            Self::Strike(settings) => resolve_strike(settings, scene),
         }
-        Ok(ResolvedTask { settings: settings.clone(), cue, target })
     }
 }
 
-fn find(settings: &Billiards, key: &str, selector: &Selector, scene: &Scene) -> Result<Ball, InputError> {
+fn resolve_billiards(settings: &Billiards, scene: &Scene) -> Result<ResolvedTask, TaskError> {
+    settings.validate()?;
+    let path = settings.path();
+    let cue = find(path, "cue", &settings.cue, scene)?;
+    let target = find(path, "target", &settings.target, scene)?;
+    if cue.index == target.index {
+        return Err(InputError::new(
+            format!("`cue` and `target` are the same body, `{}`", cue.name),
+            path,
+            format!("make the selectors differ; the scene has {}", bodies_of(scene)),
+        )
+        .into());
+    }
+    Ok(ResolvedTask {
+        kind: "billiards",
+        common: settings.common(),
+        source: settings.source.clone(),
+        outline: Vec::new(),
+        base_angle: horizontal(target.center_w - cue.center_w).to_angle(),
+        wish: Wish::Pass(DVec2::from_array(settings.goal_w)),
+        cue,
+        target,
+    })
+}
+
+fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, TaskError> {
+    settings.validate()?;
+    let path = settings.path();
+    let cue = find(path, "strike", &settings.strike, scene)?;
+    let mut named_bodies = vec![cue.index];
+    let mut found = Vec::new();
+    for (i, term) in settings.terms.iter().enumerate() {
+        let body = match term.bodies() {
+            Bodies::One(selector) => Some(find(path, &format!("terms[{i}].body"), selector, scene)?),
+            Bodies::Others(_) => None,
+        };
+        named_bodies.extend(body.as_ref().map(|b| b.index));
+        found.push(body);
+    }
+    let others: Vec<Ball> = (0..scene.bodies.len())
+        .filter(|i| scene.bodies[*i].kind == BodyKind::Dynamic && !named_bodies.contains(i))
+        .map(|i| ball_of(scene, i))
+        .collect();
+    let moved = settings.terms.iter().zip(&found).find_map(|(term, body)| match term {
+        Term::Reach { .. } | Term::Topple { .. } => body.clone().filter(|b| b.index != cue.index),
+        _ => None,
+    });
+    let place = settings.terms.iter().find_map(|term| match term {
+        Term::Reach { place, .. } => Some(place.middle_w()),
+        _ => None,
+    });
+    let here = horizontal(cue.center_w);
+    let towards = settings.towards_w.map(DVec2::from_array);
+    let towards = towards.or(moved.as_ref().map(|b| horizontal(b.center_w))).or(place);
+    let base_angle = towards.map_or(0.0, |p| (p - here).to_angle());
+    for (i, term) in settings.terms.iter().enumerate() {
+        if let Term::Reach { place, .. } = term {
+            warn_off_floor(path, i, place, scene)?;
+        }
+    }
+    let outline = outline_of(&scene.bodies[cue.index]);
+    let wish = settings.terms.iter().cloned().zip(found);
+    let wish = wish.map(|(term, body)| (term, body.map_or_else(|| others.clone(), |b| vec![b]))).collect();
+    Ok(ResolvedTask {
+        kind: "strike",
+        common: settings.common(),
+        source: settings.source.clone(),
+        target: moved.unwrap_or_else(|| cue.clone()),
+        base_angle,
+        wish: Wish::Terms(wish),
+        outline,
+        cue,
+    })
+}
+
+/// Farther than this from every body nothing of a scan is left, metres.
+const FARTHEST_M: f64 = 3.0;
+
+/// A place that nothing of the scene is near to is a slip of units or axes.
+fn warn_off_floor(path: &Path, index: usize, place: &Region, scene: &Scene) -> Result<(), InputError> {
+    let middle = place.middle_w();
+    let nearest = scene
+        .bodies
+        .iter()
+        .filter(|b| !matches!(b.shape, BodyShape::HalfSpace))
+        .map(|b| horizontal(b.x_wb.translation).distance(middle))
+        .fold(f64::INFINITY, f64::min);
+    if nearest <= FARTHEST_M {
+        return Ok(());
+    }
+    Err(InputError::new(
+        format!(
+            "the place of `terms[{index}]`, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
+            middle.x, middle.y
+        ),
+        path,
+        format!("give world coordinates in metres; the scene has {}", bodies_of(scene)),
+    ))
+}
+
+/// Corners of a body that is no ball on the floor, relative to its centre.
+fn outline_of(body: &Body) -> Vec<DVec2> {
+    match &body.shape {
+        BodyShape::Sphere { .. } | BodyShape::HalfSpace => Vec::new(),
+        shape => {
+            let corners = shape.meshes().into_iter().flat_map(|m| m.vertices);
+            corners.map(|p| horizontal(body.x_wb.rotation * p)).collect()
+        }
+    }
+}
+
+fn find(path: &Path, key: &str, selector: &Selector, scene: &Scene) -> Result<Ball, InputError> {
     let index = selector.select(scene).ok_or_else(|| {
         InputError::new(
             format!("`{key} = {selector}` matches no dynamic body of scene `{}`", scene.name),
-            settings.path(),
+            path,
             format!("select one of the bodies that the scene has: {}", bodies_of(scene)),
         )
     })?;
+    Ok(ball_of(scene, index))
+}
+
+fn ball_of(scene: &Scene, index: usize) -> Ball {
     let body = &scene.bodies[index];
-    Ok(Ball { name: body.name.clone(), index, center_w: body.x_wb.translation, radius: radius_of(body) })
+    Ball { name: body.name.clone(), index, center_w: body.x_wb.translation, radius: radius_of(body) }
 }
 
 /// "a (sphere, #f0f0f0, at [0.10, 0.20, 0.03]), b (static), …".
@@ -103,29 +228,35 @@ fn radius_of(body: &Body) -> f64 {
 }
 
 impl ResolvedTask {
-    /// The task's settings.
-    pub fn settings(&self) -> &Billiards {
-        &self.settings
+    /// The file to name in messages.
+    pub(crate) fn path(&self) -> &Path {
+        named(&self.source)
     }
 
-    /// Kind of task ("billiards").
+    /// Kind of task ("billiards", "strike").
     pub fn kind(&self) -> &'static str {
-        "billiards"
+        self.kind
     }
 
-    /// The ball that is struck.
+    /// The body that is struck.
     pub fn cue(&self) -> &Ball {
         &self.cue
     }
 
-    /// The ball that has to reach the goal.
+    /// The body that has to come to a place or to topple; the struck one where no term names another.
     pub fn target(&self) -> &Ball {
         &self.target
     }
 
-    /// The goal on the floor.
-    pub fn goal_w(&self) -> DVec2 {
-        DVec2::from_array(self.settings.goal_w)
+    /// The goal on the floor: that of billiards, or the middle of the first place to reach.
+    pub fn goal_w(&self) -> Option<DVec2> {
+        match &self.wish {
+            Wish::Pass(goal_w) => Some(*goal_w),
+            Wish::Terms(terms) => terms.iter().find_map(|(term, _)| match term {
+                Term::Reach { place, .. } => Some(place.middle_w()),
+                _ => None,
+            }),
+        }
     }
 
     /// Unit of the objective.
@@ -135,22 +266,36 @@ impl ResolvedTask {
 
     /// Whether an objective counts as success.
     pub fn is_success(&self, objective: f64) -> bool {
-        objective <= self.settings.success_m
+        objective <= self.common.success_m
     }
 
-    /// Objective of doing nothing: the target ball's distance to the goal at the start, metres.
+    /// Objective of doing nothing, metres: where everything stays where it is.
     pub fn initial_objective(&self) -> f64 {
-        horizontal(self.target.center_w).distance(self.goal_w())
+        match &self.wish {
+            Wish::Pass(goal_w) => horizontal(self.target.center_w).distance(*goal_w),
+            Wish::Terms(terms) => terms
+                .iter()
+                .map(|(term, bodies)| {
+                    let cost = |b: &Ball| {
+                        let x_wb = DPose3::from_translation(b.center_w);
+                        let mut tracker = Tracker::new(term, x_wb);
+                        tracker.observe(0.5 * self.common.horizon_s, &x_wb);
+                        tracker.cost()
+                    };
+                    bodies.iter().map(cost).sum::<f64>()
+                })
+                .sum(),
+        }
     }
 
     /// How worlds are built for this task.
     pub fn world_options(&self) -> WorldOptions {
-        WorldOptions { dt: self.settings.dt, ..WorldOptions::default() }
+        WorldOptions { dt: self.common.dt, ..WorldOptions::default() }
     }
 
     /// The parameters of an action, in order.
     pub fn parameters(&self) -> Vec<Parameter> {
-        let b = &self.settings.bounds;
+        let b = &self.common.bounds;
         let parameter = |name: &str, unit: &str, [low, high]: [f64; 2]| Parameter {
             name: name.to_owned(),
             unit: unit.to_owned(),
@@ -158,7 +303,7 @@ impl ResolvedTask {
             high,
         };
         let mut all = vec![parameter("speed", "m/s", b.speed), parameter("angle", "rad", b.angle)];
-        if self.settings.form == ActionForm::SpeedAngleContact {
+        if self.common.form == ActionForm::SpeedAngleContact {
             all.push(parameter("contact_along", "m", b.along));
             all.push(parameter("contact_across", "m", b.across));
         }
@@ -168,9 +313,12 @@ impl ResolvedTask {
     /// The part of the parameters' box where the cue ball can reach the target ball directly: a far smaller range
     /// of angles than the bounds allow, where most good shots are. `None` when it is not smaller.
     pub fn direct_box(&self) -> Option<Vec<[f64; 2]>> {
+        if self.cue.index == self.target.index || !self.outline.is_empty() {
+            return None;
+        }
         let distance = horizontal(self.target.center_w - self.cue.center_w).length();
         let reach = (self.cue.radius + self.target.radius) / distance;
-        let [low, high] = self.settings.bounds.angle;
+        let [low, high] = self.common.bounds.angle;
         // Beyond a cut of about 75° the target ball hardly moves.
         let cone = (0.97 * reach.min(1.0)).asin();
         let narrowed = [low.max(-cone), high.min(cone)];
@@ -189,15 +337,20 @@ impl ResolvedTask {
     /// target ball opposite to the goal, at several speeds. Spin, friction and obstacles are left to the search.
     pub fn suggestions(&self) -> Vec<Action> {
         let (cue, target) = (horizontal(self.cue.center_w), horizontal(self.target.center_w));
-        let Some(to_goal) = (self.goal_w() - target).try_normalize() else { return Vec::new() };
-        let ghost = target - to_goal * (self.cue.radius + self.target.radius);
-        let aim = ghost - cue;
+        let Some(to_goal) = self.goal_w().and_then(|goal_w| (goal_w - target).try_normalize()) else {
+            return Vec::new();
+        };
+        let aim = if self.cue.index == self.target.index {
+            to_goal
+        } else {
+            target - to_goal * (self.cue.radius + self.target.radius) - cue
+        };
         // The far side of the target ball cannot be struck directly.
         if aim.dot(to_goal) <= 0.0 {
             return Vec::new();
         }
-        let angle = wrap(aim.to_angle() - self.base_angle());
-        let [low, high] = self.settings.bounds.speed;
+        let angle = wrap(aim.to_angle() - self.base_angle);
+        let [low, high] = self.common.bounds.speed;
         [0.25, 0.5, 0.75, 1.0]
             .into_iter()
             .map(|t| {
@@ -223,20 +376,17 @@ impl ResolvedTask {
     pub fn strike(&self, action: &Action) -> StrikerMotion {
         assert_eq!(action.0.len(), self.parameters().len(), "values of the action");
         let offset = |i: usize| action.0.get(i).copied().unwrap_or(0.0);
-        let angle = wrap(self.base_angle() + action.0[1]);
+        let angle = wrap(self.base_angle + action.0[1]);
         let forward = DVec2::from_angle(angle);
         let contact = forward * offset(2) + forward.perp() * offset(3);
+        // The finger starts clear of a body that is no ball, whichever way it lies.
+        let back = self.outline.iter().map(|p| -p.dot(forward)).fold(0.0, f64::max);
         StrikerMotion {
             contact_w: self.cue.center_w + DVec3::new(contact.x, contact.y, 0.0),
             angle,
             speed: action.0[0],
-            ball_radius: self.cue.radius,
+            ball_radius: if self.outline.is_empty() { self.cue.radius } else { back },
         }
-    }
-
-    /// Direction from cue to target ball on the floor, radians from world x.
-    fn base_angle(&self) -> f64 {
-        horizontal(self.target.center_w - self.cue.center_w).to_angle()
     }
 }
 

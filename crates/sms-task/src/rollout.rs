@@ -1,6 +1,7 @@
 //! The one rollout that planner and targets share.
 
-use crate::resolved::horizontal;
+use crate::resolved::{Wish, horizontal};
+use crate::terms::{Tracker, is_indispensable};
 use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
@@ -34,9 +35,9 @@ pub struct Recording {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout {
     /// Smallest horizontal distance of the target ball's centre to the goal, metres, over all steps and between
-    /// them.
+    /// them; or the weighted sum of the task's terms.
     pub objective: f64,
-    /// When that was, seconds from the start of the sweep.
+    /// When the target ball was there, seconds from the start of the sweep; the end of the rollout for terms.
     pub closest_s: f64,
     /// When the rollout ended, seconds: the horizon, or earlier when nothing could change any more.
     pub end_s: f64,
@@ -49,6 +50,8 @@ pub struct Rollout {
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldBodies {
     target: BodyId,
+    /// Bodies of the task's terms, in the order of the terms and of their bodies; `None` where this world lacks one.
+    wished: Vec<Option<BodyId>>,
     dynamic: Vec<Mover>,
     /// Centre and radius of a disc on the floor that holds everything at the start.
     arena: (DVec2, f64),
@@ -66,11 +69,27 @@ struct Mover {
 }
 
 impl ResolvedTask {
-    /// The bodies of a world built from `scene`, in which the target ball is called `target`.
+    /// The bodies of a world built from `scene`, in which the target is called `target` and all others have their own
+    /// names.
     ///
     /// # Errors
     /// [`TaskError::Input`] when there is no dynamic body of that name.
     pub fn bodies_in(&self, scene: &Scene, target: &str) -> Result<WorldBodies, TaskError> {
+        let own = self.target().name.clone();
+        self.bodies_called(scene, &|name| if name == own { target.to_owned() } else { name.to_owned() })
+    }
+
+    /// The bodies of a world built from `scene`, in which bodies have other names than in the planner's: `called` gives
+    /// them.
+    ///
+    /// # Errors
+    /// [`TaskError::Input`] when the target, or another body that has to come somewhere or to topple, is not there.
+    /// What only had to keep still or out of the way may be missing.
+    pub fn bodies_called(
+        &self,
+        scene: &Scene,
+        called: &dyn Fn(&str) -> String,
+    ) -> Result<WorldBodies, TaskError> {
         let dynamic: Vec<Mover> = scene
             .bodies
             .iter()
@@ -90,15 +109,31 @@ impl ResolvedTask {
                 }),
             })
             .collect();
-        let found = dynamic.iter().find(|m| m.name == target).map(|m| m.id).ok_or_else(|| {
+        let missing = |name: &str| {
             let names: Vec<&str> = dynamic.iter().map(|m| m.name.as_str()).collect();
             InputError::new(
-                format!("scene `{}` has no dynamic body `{target}`", scene.name),
-                self.settings().path(),
+                format!("scene `{}` has no dynamic body `{name}`", scene.name),
+                self.path(),
                 format!("its dynamic bodies are: {}", names.join(", ")),
             )
-        })?;
-        Ok(WorldBodies { target: found, dynamic, arena: arena_of(scene) })
+        };
+        let find = |name: &str| {
+            let name = called(name);
+            dynamic.iter().find(|m| m.name == name).map(|m| m.id).ok_or_else(|| missing(&name))
+        };
+        let target = find(&self.target().name)?;
+        let mut wished = Vec::new();
+        if let Wish::Terms(terms) = &self.wish {
+            for (term, bodies) in terms {
+                for body in bodies {
+                    match find(&body.name) {
+                        Err(e) if is_indispensable(term) => return Err(e.into()),
+                        found => wished.push(found.ok()),
+                    }
+                }
+            }
+        }
+        Ok(WorldBodies { target, wished, dynamic, arena: arena_of(scene) })
     }
 
     /// Builds a world of a scene and saves it as [`ResolvedTask::rollout`] wants it: at rest. The scan saw the objects
@@ -139,20 +174,20 @@ impl ResolvedTask {
         bodies: &WorldBodies,
         recording: Option<Recording>,
     ) -> Result<Rollout, SimError> {
-        let settings = self.settings();
+        let settings = &self.common;
+        let mut judge = Judge::new(&self.wish, simulation, bodies);
         let striker = simulation.strike(motion, settings.striker.friction, settings.striker.restitution);
-        let mut closest = ClosestApproach::new(self.goal_w());
         let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;
-        closest.observe(time_s, horizontal(simulation.state(bodies.target).x_wb.translation));
+        judge.observe(time_s, simulation);
         if let Some(r) = &mut recorder {
             r.record(time_s, simulation);
         }
         for step in 1..=steps {
             simulation.advance(settings.dt)?;
             time_s = step as f64 * settings.dt;
-            closest.observe(time_s, horizontal(simulation.state(bodies.target).x_wb.translation));
+            judge.observe(time_s, simulation);
             if let Some(r) = &mut recorder {
                 r.record_if_due(time_s, simulation);
             }
@@ -161,17 +196,71 @@ impl ResolvedTask {
             if step % 16 == 0
                 && simulation.is_strike_over()
                 && (bodies.all_rest(simulation)
-                    || (recorder.is_none() && bodies.cannot_improve(simulation, &closest, left_s)))
+                    || (recorder.is_none() && judge.is_over(simulation, bodies, left_s)))
             {
                 break;
             }
         }
         Ok(Rollout {
-            objective: closest.distance(),
-            closest_s: closest.time_s(),
+            objective: judge.objective(),
+            closest_s: judge.closest_s().unwrap_or(time_s),
             end_s: time_s,
             trajectory: recorder.map(|r| r.finish(time_s, simulation)),
         })
+    }
+}
+
+/// Looks at a motion as it goes on, and says what it is worth.
+enum Judge<'a> {
+    Pass(ClosestApproach, BodyId),
+    Terms(Vec<(Tracker<'a>, BodyId)>),
+}
+
+impl<'a> Judge<'a> {
+    fn new(wish: &'a Wish, simulation: &Simulation, bodies: &WorldBodies) -> Self {
+        match wish {
+            Wish::Pass(goal_w) => Self::Pass(ClosestApproach::new(*goal_w), bodies.target),
+            Wish::Terms(terms) => {
+                let of_terms = terms.iter().flat_map(|(term, bodies)| bodies.iter().map(move |_| term));
+                let tracker = |(term, id): (&'a crate::Term, &Option<BodyId>)| {
+                    id.map(|id| (Tracker::new(term, simulation.state(id).x_wb), id))
+                };
+                Self::Terms(of_terms.zip(&bodies.wished).filter_map(tracker).collect())
+            }
+        }
+    }
+
+    fn observe(&mut self, time_s: f64, simulation: &Simulation) {
+        match self {
+            Self::Pass(closest, id) => {
+                closest.observe(time_s, horizontal(simulation.state(*id).x_wb.translation));
+            }
+            Self::Terms(trackers) => {
+                trackers.iter_mut().for_each(|(t, id)| t.observe(time_s, &simulation.state(*id).x_wb));
+            }
+        }
+    }
+
+    fn objective(&self) -> f64 {
+        match self {
+            Self::Pass(closest, _) => closest.distance(),
+            Self::Terms(trackers) => trackers.iter().map(|(t, _)| t.cost()).sum(),
+        }
+    }
+
+    fn closest_s(&self) -> Option<f64> {
+        match self {
+            Self::Pass(closest, _) => Some(closest.time_s()),
+            Self::Terms(_) => None,
+        }
+    }
+
+    /// Whether nothing that is still to come can change the objective.
+    fn is_over(&self, simulation: &Simulation, bodies: &WorldBodies, left_s: f64) -> bool {
+        match self {
+            Self::Pass(closest, _) => bodies.cannot_improve(simulation, closest, left_s),
+            Self::Terms(trackers) => trackers.iter().all(|(t, _)| t.is_met()),
+        }
     }
 }
 

@@ -55,8 +55,9 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     context.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
     context.say(format!("  {}", values.join(", ")));
     context.say(format!(
-        "  predicted {} from the goal ({} in 90 % of disturbed worlds), {} rollouts",
+        "  predicted {}{} ({} in 90 % of disturbed worlds), {} rollouts",
         length_text(plan.objective),
+        if plan.task == "billiards" { " from the goal" } else { " in all terms" },
         length_text(plan.objective_q90),
         plan.evaluations
     ));

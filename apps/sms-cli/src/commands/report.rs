@@ -49,7 +49,7 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
         scene: scene.as_ref(),
         plan: plan.as_ref(),
         execution: execution.as_ref(),
-        goal_w: resolved.as_ref().map(|t| t.goal_w().to_array()),
+        goal_w: resolved.as_ref().and_then(|t| t.goal_w()).map(|p| p.to_array()),
         striker_half_m: Some(FINGER_HALF.to_array()),
         roles: resolved.as_ref().map(roles).unwrap_or_default(),
         losses: losses(&gaussians_dir)?,
