@@ -66,7 +66,7 @@ impl Region {
         match self {
             Self::Point { at_w } if !finite(at_w) => Some("`at_w` must be two finite numbers"),
             Self::Disc { center_w, radius_m }
-                if !finite(center_w) || !(*radius_m > 0.0 && *radius_m < 1e3) =>
+                if !(finite(center_w) && *radius_m > 0.0 && *radius_m < 1e3) =>
             {
                 Some("`center_w` must be two finite numbers and `radius_m` above 0")
             }

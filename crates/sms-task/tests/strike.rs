@@ -220,3 +220,17 @@ fn mistakes_name_the_file_the_term_and_what_there_is() {
     let task = read(&PUSH_OFF.replace("{ name = \"box\" }", "{ color = \"red\" }").replace("mug", "blue"));
     assert_eq!(task.resolve(&scene).unwrap().cue().name, "far");
 }
+
+/// The examples of docs/tasks.md are task files, and each wants something that is not so already.
+#[test]
+fn the_examples_can_be_read() {
+    let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks");
+    let mut count = 0;
+    for entry in std::fs::read_dir(dir).unwrap() {
+        let path = entry.unwrap().path();
+        let task = Task::read(&path).unwrap();
+        assert_eq!(task.kind(), "strike", "{}", path.display());
+        count += 1;
+    }
+    assert!(count >= 4);
+}

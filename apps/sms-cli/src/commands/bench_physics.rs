@@ -34,7 +34,7 @@ pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
         let mut row = format!("{:>22}  {:>10}", probe.name, probe.limit);
         for (name, factory) in engines {
             let figure = probe.figure(&probe.measure(factory)?);
-            metrics.set(&format!("bench.physics.{name}.{}", probe.name), figure);
+            metrics.set(format!("bench.physics.{name}.{}", probe.name), figure);
             missed += usize::from(figure > probe.limit);
             row += &format!(" {figure:>9.5}{}", if figure > probe.limit { "!" } else { " " });
         }

@@ -63,8 +63,9 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let e = Execution::load(&dir)?;
     context.say(format!("execute: {}", e.engine));
     context.say(format!(
-        "  realised {} from the goal (predicted {}); {}",
+        "  realised {} {} (predicted {}); {}",
         length_text(e.objective),
+        if plan.task == "billiards" { "from the goal" } else { "in all terms" },
         length_text(plan.objective),
         if e.success { "success" } else { "missed" }
     ));
