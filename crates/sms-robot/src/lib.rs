@@ -1,19 +1,32 @@
 //! The robot.
 
+mod arm_sim;
 mod clearance;
 mod dynamics;
+mod ik;
 mod kinematics;
 mod linalg;
 mod model;
+mod motion;
+mod osc;
 mod shape;
+mod sweep;
 mod urdf;
 mod workspace;
 
 use glamx::DVec3;
 
+pub use arm_sim::ArmSim;
+pub use ik::{IkConfig, IkSolution, IkTarget, LENGTH_M, Unreachable};
 pub use linalg::MAX_JOINTS;
 pub use model::{Frame, FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, RobotModel};
+pub use motion::{
+    Infeasible, JointMotion, JointSample, LimitKind, Use, Uses, hold_reference, joint_move, motor_torques,
+    roll_out,
+};
+pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
+pub use sweep::{LinePath, SEGMENT_M, Sweep, SweepPath, SweepProfile, ToolPath, ToolReference, minimum_jerk};
 pub use urdf::{FR3_HOME, FR3_URDF, OffChain, UrdfOptions};
 pub use workspace::{Jacobian, JointVector, MassMatrix, Workspace};
 
