@@ -115,7 +115,7 @@ impl RobotModel {
                 _ => self.spread_posture(start - 1 - usize::from(near.is_some())),
             };
             q[..self.dof()].copy_from_slice(&from);
-            let (position, angle) = self.descend(target, &mut q, config, ws);
+            let (position, angle) = self.descend(target, &mut q, config, 0.3, ws);
             if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
                 let q = q[..self.dof()].to_vec();
                 let same = |s: &IkSolution| s.q.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-2);
@@ -139,6 +139,28 @@ impl RobotModel {
             (b.limit_share * b.manipulability).total_cmp(&(a.limit_share * a.manipulability))
         });
         Ok(found)
+    }
+
+    /// The posture nearest to `q` (by short steps, without a pull to the middle of the ranges) that puts the tool at
+    /// `target`.
+    ///
+    /// # Errors
+    /// [`Unreachable`] when the way there ends elsewhere.
+    pub fn refine(
+        &self,
+        target: &IkTarget,
+        q: &[f64],
+        config: &IkConfig,
+        ws: &mut Workspace,
+    ) -> Result<Vec<f64>, Unreachable> {
+        let mut moved: JointVector = [0.0; MAX_JOINTS];
+        moved[..self.dof()].copy_from_slice(q);
+        let (position, angle) = self.descend(target, &mut moved, config, 0.0, ws);
+        if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
+            Ok(moved[..self.dof()].to_vec())
+        } else {
+            Err(self.unreachable(&moved, position, angle, config))
+        }
     }
 
     fn unreachable(&self, q: &JointVector, position: f64, angle: f64, config: &IkConfig) -> Unreachable {
@@ -191,6 +213,7 @@ impl RobotModel {
         target: &IkTarget,
         q: &mut JointVector,
         config: &IkConfig,
+        pull: f64,
         ws: &mut Workspace,
     ) -> (f64, f64) {
         let n = self.dof();
@@ -211,8 +234,8 @@ impl RobotModel {
             }
             self.jacobian(self.tool, ws, &mut jacobian);
             // The pull to the middle fades, so that the last steps converge quadratically.
-            let pull = 0.3 * 0.85f64.powi(iteration as i32);
-            let step = self.step(target, q, &error, &jacobian, damping, pull, config.limit_margin);
+            let fading = pull * 0.85f64.powi(iteration as i32);
+            let step = self.step(target, q, &error, &jacobian, damping, fading, config.limit_margin);
             let mut tried = *q;
             for i in 0..n {
                 let (low, high) = self.bounds(i, config.limit_margin);

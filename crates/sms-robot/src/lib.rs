@@ -10,6 +10,7 @@ mod model;
 mod motion;
 mod osc;
 mod shape;
+mod strike;
 mod sweep;
 mod urdf;
 mod workspace;
@@ -26,6 +27,10 @@ pub use motion::{
 };
 pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
+pub use strike::{
+    Phase, StrikeConfig, StrikeError, StrikePlan, SweepPlan, Tracking, plan_strike, plan_sweep,
+    simulate_sweep,
+};
 pub use sweep::{LinePath, SEGMENT_M, Sweep, SweepPath, SweepProfile, ToolPath, ToolReference, minimum_jerk};
 pub use urdf::{FR3_HOME, FR3_URDF, OffChain, UrdfOptions};
 pub use workspace::{Jacobian, JointVector, MassMatrix, Workspace};
