@@ -24,7 +24,7 @@ pub enum IkTarget {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IkConfig {
-    /// Number of starts; the first ones are the posture given, the home and the middle of the ranges, the others are
+    /// Number of starts, every other one with a pull to the middle of the ranges; the first ones are the posture given, the home and the middle of the ranges, the others are
     /// spread over the ranges.
     pub starts: usize,
     /// Most iterations of one start.
@@ -40,7 +40,7 @@ pub struct IkConfig {
 impl Default for IkConfig {
     fn default() -> Self {
         Self {
-            starts: 24,
+            starts: 16,
             iterations: 100,
             position_tolerance_m: 1e-9,
             angle_tolerance_rad: 1e-9,
@@ -115,7 +115,7 @@ impl RobotModel {
                 _ => self.spread_posture(start - 1 - usize::from(near.is_some())),
             };
             q[..self.dof()].copy_from_slice(&from);
-            let (position, angle) = self.descend(target, &mut q, config, 0.3, ws);
+            let (position, angle) = self.descend(target, &mut q, config, if start % 2 == 0 { 0.3 } else { 0.0 }, ws);
             if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
                 let q = q[..self.dof()].to_vec();
                 let same = |s: &IkSolution| s.q.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-2);

@@ -9,6 +9,7 @@ mod linalg;
 mod model;
 mod motion;
 mod osc;
+mod posture;
 mod shape;
 mod strike;
 mod sweep;

@@ -110,7 +110,8 @@ pub struct Use {
 pub type Uses = [(LimitKind, Use); 4];
 
 impl JointMotion {
-    /// How far the motion goes to the limits; `torque_rate` is the largest change of torque per second.
+    /// How far the motion goes to the limits; `torque_rate` is the largest change of torque per second, without that
+    /// of Coulomb friction where a joint turns round (the joints' own controllers see to it).
     pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
         let none = Use { share: 0.0, joint: 0, value: 0.0, bound: f64::INFINITY, at_s: 0.0 };
         let mut uses = [LimitKind::Position, LimitKind::Velocity, LimitKind::Torque, LimitKind::TorqueRate]
@@ -132,7 +133,9 @@ impl JointMotion {
                 note(1, s.qd[i].abs() / l.velocity, i, s.qd[i], l.velocity);
                 note(2, s.tau[i].abs() / l.effort, i, s.tau[i], l.effort);
                 if k > 0 {
-                    let rate = (s.tau[i] - self.samples[k - 1].tau[i]) / self.period_s;
+                    let before = &self.samples[k - 1];
+                    let smooth = |s: &JointSample| s.tau[i] - joint_friction(0.0, joint.friction, s.qd[i]);
+                    let rate = (smooth(s) - smooth(before)) / self.period_s;
                     note(3, rate.abs() / torque_rate, i, rate, torque_rate);
                 }
             }

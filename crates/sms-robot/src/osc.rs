@@ -61,8 +61,8 @@ impl OscConfig {
             position_damping: 45.0,
             rotation_stiffness: 7.5,
             rotation_damping: 5.0,
-            posture_stiffness: 3.0,
-            posture_damping: 4.5,
+            posture_stiffness: 40.0,
+            posture_damping: 12.0,
             ..Self::default()
         }
     }
@@ -208,7 +208,8 @@ impl TaskLaw {
             - drift_w;
         let mut qdd = [0.0; MAX_JOINTS];
         for i in 0..n {
-            qdd[i] = config.posture_stiffness * (posture[i] - q[i]) - config.posture_damping * qd[i];
+            qdd[i] =
+                config.posture_stiffness * (posture[i] - q[i]) - config.posture_damping * qd[i];
         }
         let (posture_v, posture_w) = jacobian.times(&qdd);
         let (linear, angular) = (linear - posture_v, angular - posture_w);

@@ -5,6 +5,7 @@ use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
 use crate::motion::{Infeasible, JointMotion, Uses, joint_move, roll_out};
 use crate::osc::OscConfig;
+use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
 use crate::sweep::{LinePath, SEGMENT_M, Sweep, ToolPath};
 use crate::workspace::{JointVector, Workspace};
@@ -98,21 +99,34 @@ pub fn plan_sweep(
     if config.symmetric_tool {
         rotations.push(sweep.reversed_rotation_w());
     }
-    let mut postures: Vec<(f64, DQuat, Vec<f64>)> = Vec::new();
+    let mut all: Vec<(f64, DQuat, Vec<f64>)> = Vec::new();
     let mut unreachable: Option<Unreachable> = None;
     for rotation in rotations {
         let at_contact = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, rotation));
-        match model.inverse_kinematics(&at_contact, None, &config.ik, ws) {
-            Ok(found) => {
-                postures.extend(found.into_iter().map(|s| (s.limit_share * s.manipulability, rotation, s.q)))
-            }
+        match postures(model, &at_contact, &config.ik, ws) {
+            Ok(found) => all.extend(found.into_iter().map(|q| (strain(model, sweep, &q, ws), rotation, q))),
             Err(e) => keep_nearest(&mut unreachable, e),
         }
     }
-    postures.sort_by(|a, b| b.0.total_cmp(&a.0));
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut refused: Option<(f64, StrikeError)> = None;
     let mut best: Option<(f64, SweepPlan)> = None;
-    for (_, rotation, q_contact) in postures.into_iter().take(config.candidates) {
+    let mut followed: Vec<Vec<f64>> = Vec::new();
+    for (badness, rotation, q_contact) in all {
+        if followed.len() >= config.candidates {
+            break;
+        }
+        if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
+            continue;
+        }
+        if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
+            let blocked = StrikeError::Blocked { clearance, at_s: sweep.contact_s() };
+            if refused.is_none() {
+                refused = Some((badness, blocked));
+            }
+            continue;
+        }
+        followed.push(q_contact.clone());
         let path = sweep.path(rotation);
         let start = IkTarget::Pose(path.at(0.0).x_wt);
         let q_start = match model.refine(&start, &q_contact, &config.ik, ws) {
@@ -179,21 +193,31 @@ fn blocked(
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Option<(Clearance, f64)> {
-    let mut poses = Vec::new();
     let last = motion.samples.len() - 1;
-    for k in 0..=12 {
-        let index = k * last / 12;
-        let s = &motion.samples[index];
-        model.forward_kinematics(&s.q, ws);
-        model.shape_poses(ws, &mut poses);
-        let mut found = vec![model.self_clearance(&poses, clearance_m)];
-        found.extend(obstacles.iter().map(|o| model.obstacle_clearance(&poses, o, clearance_m)));
-        let nearest = found.into_iter().flatten().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
-        if let Some(c) = nearest.filter(|c| c.distance_m < clearance_m) {
-            return Some((c, index as f64 * motion.period_s));
-        }
-    }
-    None
+    (0..=12).map(|k| k * last / 12).find_map(|index| {
+        let near = too_near(model, &motion.samples[index].q, obstacles, clearance_m, ws)?;
+        Some((near, index as f64 * motion.period_s))
+    })
+}
+
+/// The nearest pair of a posture, when it is nearer than `clearance_m`.
+fn too_near(
+    model: &RobotModel,
+    q: &[f64],
+    obstacles: &[Obstacle],
+    clearance_m: f64,
+    ws: &mut Workspace,
+) -> Option<Clearance> {
+    let mut poses = Vec::new();
+    model.forward_kinematics(q, ws);
+    model.shape_poses(ws, &mut poses);
+    let with_itself = model.self_clearance(&poses, clearance_m);
+    let with_others = obstacles.iter().map(|o| model.obstacle_clearance(&poses, o, clearance_m));
+    std::iter::once(with_itself)
+        .chain(with_others)
+        .flatten()
+        .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
+        .filter(|c| c.distance_m < clearance_m)
 }
 
 /// What a part of a strike's motion is for.
