@@ -115,7 +115,8 @@ impl RobotModel {
                 _ => self.spread_posture(start - 1 - usize::from(near.is_some())),
             };
             q[..self.dof()].copy_from_slice(&from);
-            let (position, angle) = self.descend(target, &mut q, config, if start % 2 == 0 { 0.3 } else { 0.0 }, ws);
+            let (position, angle) =
+                self.descend(target, &mut q, config, if start % 2 == 0 { 0.3 } else { 0.0 }, ws);
             if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
                 let q = q[..self.dof()].to_vec();
                 let same = |s: &IkSolution| s.q.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-2);

@@ -208,8 +208,7 @@ impl TaskLaw {
             - drift_w;
         let mut qdd = [0.0; MAX_JOINTS];
         for i in 0..n {
-            qdd[i] =
-                config.posture_stiffness * (posture[i] - q[i]) - config.posture_damping * qd[i];
+            qdd[i] = config.posture_stiffness * (posture[i] - q[i]) - config.posture_damping * qd[i];
         }
         let (posture_v, posture_w) = jacobian.times(&qdd);
         let (linear, angular) = (linear - posture_v, angular - posture_w);

@@ -44,7 +44,8 @@ pub(crate) fn postures(
                 let ahead: Vec<f64> = (0..n).map(|i| q[i] + STRIDE * direction[i]).collect();
                 let Ok(refined) = model.refine(target, &ahead, config, ws) else { break };
                 let forward: f64 = (0..n).map(|i| (refined[i] - q[i]) * direction[i]).sum();
-                let back = all.iter().any(|k| k.iter().zip(&refined).all(|(a, b)| (a - b).abs() < 0.3 * STRIDE));
+                let back =
+                    all.iter().any(|k| k.iter().zip(&refined).all(|(a, b)| (a - b).abs() < 0.3 * STRIDE));
                 if forward < 0.3 * STRIDE || back {
                     break;
                 }
@@ -114,7 +115,12 @@ fn pull_back(jacobian: &Jacobian, weight: &JointVector, v: DVec3, w: DVec3) -> O
 }
 
 /// The joint speeds that move the tool as asked with the least squares of the shares of the speed limits.
-pub(crate) fn easiest_speeds(model: &RobotModel, jacobian: &Jacobian, v: DVec3, w: DVec3) -> Option<JointVector> {
+pub(crate) fn easiest_speeds(
+    model: &RobotModel,
+    jacobian: &Jacobian,
+    v: DVec3,
+    w: DVec3,
+) -> Option<JointVector> {
     let mut weight = [0.0; MAX_JOINTS];
     for (weight, joint) in weight.iter_mut().zip(&model.joints) {
         *weight = joint.limits.velocity * joint.limits.velocity;

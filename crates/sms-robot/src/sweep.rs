@@ -41,9 +41,9 @@ pub trait ToolPath {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SweepProfile {
-    /// v (3 s² − 2 s³) with s from 0 to 1 in each segment: no acceleration at the start, at the contact and at the end,
-    /// so that torques do not jump and small errors of timing do not change the speed at the contact. Its largest
-    /// acceleration is 1.5 times the uniform one's.
+    /// In each segment the acceleration rises over the first two fifths, stays, and falls over the last two: none at
+    /// the start, at the contact and at the end, so that torques do not jump and small errors of timing do not change
+    /// the speed at the contact. Its largest acceleration is 5/3 of the uniform one's.
     #[default]
     Smooth,
     /// Uniform acceleration, then uniform deceleration; torques would have to jump at the start, contact and end.
@@ -112,11 +112,10 @@ impl Sweep {
         let rising = t < half;
         let s = if rising { t / half } else { 2.0 - t / half };
         let (distance, speed, acceleration) = match self.profile {
-            SweepProfile::Smooth => (
-                v * half * (s.powi(3) - 0.5 * s.powi(4)),
-                v * s * s * (3.0 - 2.0 * s),
-                v / half * 6.0 * s * (1.0 - s),
-            ),
+            SweepProfile::Smooth => {
+                let [p, u, a] = smooth_rise(s);
+                (v * half * p, v * u, v / half * a)
+            }
             SweepProfile::Uniform => (0.5 * v * half * s * s, v * s, v / half),
         };
         if rising {
@@ -151,6 +150,24 @@ impl ToolPath for SweepPath {
         let d = self.sweep.direction_w;
         let x_wt = DPose3::from_parts(self.sweep.contact_w + (distance - SEGMENT_M) * d, self.rotation_w);
         ToolReference { v_w: speed * d, a_w: acceleration * d, ..ToolReference::at_rest(x_wt) }
+    }
+}
+
+/// Distance, speed and acceleration of a rise of the speed from 0 to 1 in unit time, whose acceleration is a trapezoid.
+fn smooth_rise(s: f64) -> [f64; 3] {
+    const RAMP: f64 = 0.4;
+    let peak = 1.0 / (1.0 - RAMP);
+    let ramp = |s: f64| [peak * s.powi(3) / (6.0 * RAMP), peak * s * s / (2.0 * RAMP), peak * s / RAMP];
+    if s < RAMP {
+        ramp(s)
+    } else if s <= 1.0 - RAMP {
+        let [p, v, _] = ramp(RAMP);
+        let t = s - RAMP;
+        [p + v * t + 0.5 * peak * t * t, v + peak * t, peak]
+    } else {
+        // The rise is symmetric about its middle.
+        let [p, v, a] = ramp(1.0 - s);
+        [s - 0.5 + p, 1.0 - v, a]
     }
 }
 

@@ -8,7 +8,10 @@ fn scan() {
     let model = RobotModel::fr3();
     let mut ws = Workspace::default();
     let mut config = StrikeConfig::default();
-    if let Ok(s) = std::env::var("STARTS") { config.ik.starts = s.parse().unwrap(); config.candidates = s.parse::<usize>().unwrap() / 4; }
+    if let Ok(s) = std::env::var("STARTS") {
+        config.ik.starts = s.parse().unwrap();
+        config.candidates = s.parse::<usize>().unwrap() / 4;
+    }
     for speed in [0.2, 0.4, 0.6, 0.85, 1.0, 1.25, 1.5] {
         let (mut ok, mut worst_v, mut worst_d, mut worst_o, mut worst_e) =
             (0, 0.0f64, 0.0f64, 0.0f64, 0.0f64);
