@@ -94,7 +94,8 @@ fixed("fr3_joint8", "fr3_link7", "fr3_link8", flange["xyz"], [0, 0, 0])
 hand = facts["hand"]
 out.append('  <link name="fr3_hand">')
 inertial(hand)
-for c in hand["self_collision_capsules"]:
+# The second capsule of the source stands for the fingers at any opening; ours have boxes of their own.
+for c in hand["self_collision_capsules"][:1]:
     half = [0, c["length"] / 2, 0]
     capsule([p - h for p, h in zip(c["centre"], half)], [p + h for p, h in zip(c["centre"], half)], c["radius"])
 out.append("  </link>")

@@ -51,8 +51,10 @@ impl RobotModel {
             tau[i] = ws.placed[i].axis_w.dot(along);
             if let Some(p) = joint.parent {
                 let lever = ws.placed[i].p_w - ws.placed[p].p_w;
-                ws.moment[p] = ws.moment[p] + ws.moment[i] + lever.cross(ws.force[i]);
-                ws.force[p] = ws.force[p] + ws.force[i];
+                let moment = ws.moment[i] + lever.cross(ws.force[i]);
+                ws.moment[p] += moment;
+                let force = ws.force[i];
+                ws.force[p] += force;
             }
         }
     }

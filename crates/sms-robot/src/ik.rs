@@ -237,10 +237,13 @@ impl RobotModel {
             // The pull to the middle fades, so that the last steps converge quadratically.
             let fading = pull * 0.85f64.powi(iteration as i32);
             let step = self.step(target, q, &error, &jacobian, damping, fading, config.limit_margin);
+            // Long steps are shortened as a whole: the model of the arm is linear only nearby.
+            let longest = step[..n].iter().fold(0.0f64, |m, x| m.max(x.abs()));
+            let share = if longest > 0.5 { 0.5 / longest } else { 1.0 };
             let mut tried = *q;
             for i in 0..n {
                 let (low, high) = self.bounds(i, config.limit_margin);
-                tried[i] = (q[i] + step[i].clamp(-0.5, 0.5)).clamp(low, high);
+                tried[i] = (q[i] + share * step[i]).clamp(low, high);
             }
             self.forward_kinematics(&tried[..n], ws);
             let after = residual(target, &self.frame_pose(self.tool, ws));
@@ -273,7 +276,9 @@ impl RobotModel {
         let rows = task_rows(target, jacobian);
         let mut free = [true; MAX_JOINTS];
         let mut step: JointVector = [0.0; MAX_JOINTS];
-        // A joint that a step would push through its limit is held, and the step is taken again without it.
+        let mut goal = *error;
+        // A joint that the step would push through its limit goes to that limit, and the others' step is taken again
+        // for what is left to do.
         for _ in 0..=n {
             let mut wish: JointVector = [0.0; MAX_JOINTS];
             for i in (0..n).filter(|&i| free[i] && self.joints[i].limits.lower.is_finite()) {
@@ -287,22 +292,25 @@ impl RobotModel {
                     gram[r][s] = (0..n).filter(|&i| free[i]).map(|i| rows[r][i] * rows[s][i]).sum();
                 }
                 gram[r][r] += damping * damping + 1e-14;
-                right[r] = error[r] - (0..n).map(|i| rows[r][i] * wish[i]).sum::<f64>();
+                right[r] = goal[r] - (0..n).map(|i| rows[r][i] * wish[i]).sum::<f64>();
             }
             let Some(factor) = Cholesky::<6>::new(&gram, 6) else { return step };
             factor.solve(&mut right);
-            let mut blocked = false;
-            for i in 0..n {
-                step[i] =
-                    if free[i] { wish[i] + (0..6).map(|r| rows[r][i] * right[r]).sum::<f64>() } else { 0.0 };
+            let mut worst = (1e-12, None);
+            for i in (0..n).filter(|&i| free[i]) {
+                step[i] = wish[i] + (0..6).map(|r| rows[r][i] * right[r]).sum::<f64>();
                 let (low, high) = self.bounds(i, margin);
-                if free[i] && ((q[i] <= low && step[i] < 0.0) || (q[i] >= high && step[i] > 0.0)) {
-                    free[i] = false;
-                    blocked = true;
+                let beyond = (low - q[i] - step[i]).max(q[i] + step[i] - high);
+                if beyond > worst.0 {
+                    worst = (beyond, Some(i));
                 }
             }
-            if !blocked {
-                break;
+            let Some(i) = worst.1 else { break };
+            let (low, high) = self.bounds(i, margin);
+            step[i] = if step[i] > 0.0 { high - q[i] } else { low - q[i] };
+            free[i] = false;
+            for r in 0..6 {
+                goal[r] -= rows[r][i] * step[i];
             }
         }
         step

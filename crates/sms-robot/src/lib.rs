@@ -1,6 +1,7 @@
 //! The robot.
 
 mod arm_sim;
+mod check;
 mod clearance;
 mod dynamics;
 mod ik;
@@ -10,6 +11,7 @@ mod model;
 mod motion;
 mod osc;
 mod posture;
+mod program;
 mod shape;
 mod strike;
 mod sweep;
@@ -19,6 +21,7 @@ mod workspace;
 use glamx::DVec3;
 
 pub use arm_sim::ArmSim;
+pub use check::{CheckItem, CheckKind, DIRECTION_TOLERANCE_RAD, SPEED_TOLERANCE, StrikeCheck, check_strike};
 pub use ik::{IkConfig, IkSolution, IkTarget, LENGTH_M, Unreachable};
 pub use linalg::MAX_JOINTS;
 pub use model::{Frame, FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, RobotModel};
@@ -27,6 +30,7 @@ pub use motion::{
     roll_out,
 };
 pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
+pub use program::{JointProgram, PROGRAM_VERSION, ProgramPoint};
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
 pub use strike::{
     Phase, StrikeConfig, StrikeError, StrikePlan, SweepPlan, Tracking, plan_strike, plan_sweep,

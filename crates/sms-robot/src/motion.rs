@@ -119,7 +119,7 @@ impl JointMotion {
         for (k, s) in self.samples.iter().enumerate() {
             let at_s = k as f64 * self.period_s;
             let mut note = |kind: usize, share: f64, joint: usize, value: f64, bound: f64| {
-                if share > uses[kind].1.share {
+                if share.is_nan() || share > uses[kind].1.share {
                     uses[kind].1 = Use { share, joint, value, bound, at_s };
                 }
             };
@@ -152,7 +152,7 @@ impl JointMotion {
         let worst = uses.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
         match worst {
             // NaN counts as broken.
-            Some((limit, u)) if !(u.share <= 1.0) => {
+            Some((limit, u)) if u.share.is_nan() || u.share > 1.0 => {
                 let joint = &model.joints()[u.joint];
                 Err(Infeasible {
                     joint: joint.name.clone(),
@@ -184,9 +184,13 @@ pub fn motor_torques(
     tau
 }
 
+/// Share of the speed limits below which a joint is at rest, and how long that is waited for, seconds.
+const STILL: f64 = 2e-4;
+const SETTLE_S: f64 = 2.0;
+
 /// The motion of the joints under operational-space control along `path`, on a robot that is exactly its model: from
 /// `q` at rest, near `posture` where the tool leaves it free, in steps of about `period_s` (adjusted to divide the
-/// duration), by the midpoint rule.
+/// duration), by the midpoint rule. After the path's end the tool rests, and the motion goes on until the joints do.
 pub fn roll_out(
     model: &RobotModel,
     path: &dyn ToolPath,
@@ -207,10 +211,15 @@ pub fn roll_out(
     s.qd = [0.0; MAX_JOINTS];
     let friction = OscConfig { friction_compensation: true, ..*gains };
     let mut samples = Vec::with_capacity(steps as usize + 1);
-    for k in 0..=steps as usize {
+    let longest = steps as usize + (SETTLE_S / h) as usize;
+    for k in 0..=longest {
         let t = k as f64 * h;
         s.qdd = law.torques(model, &s.q, &s.qd, &path.at(t), &rest, &friction, &mut s.tau);
         samples.push(s);
+        let still = (0..n).all(|i| s.qd[i].abs() < STILL * model.joints[i].limits.velocity);
+        if k >= steps as usize && still {
+            break;
+        }
         let (mut q_mid, mut v_mid, mut unused) = (s.q, s.qd, s.tau);
         for i in 0..n {
             q_mid[i] += 0.5 * h * s.qd[i];

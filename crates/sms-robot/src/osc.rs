@@ -45,8 +45,8 @@ impl Default for OscConfig {
             position_damping: 60.0,
             rotation_stiffness: 900.0,
             rotation_damping: 60.0,
-            posture_stiffness: 40.0,
-            posture_damping: 12.0,
+            posture_stiffness: 100.0,
+            posture_damping: 20.0,
             torque_rate: 1000.0,
             friction_compensation: true,
         }
@@ -61,8 +61,8 @@ impl OscConfig {
             position_damping: 45.0,
             rotation_stiffness: 7.5,
             rotation_damping: 5.0,
-            posture_stiffness: 40.0,
-            posture_damping: 12.0,
+            posture_stiffness: 100.0,
+            posture_damping: 20.0,
             ..Self::default()
         }
     }

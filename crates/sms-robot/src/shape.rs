@@ -41,10 +41,10 @@ pub enum LinkShape {
 impl LinkShape {
     /// The hull of points; `None` when they lie in one plane.
     pub fn convex(points: &[DVec3]) -> Option<Self> {
-        (points.len() >= 4)
-            .then(|| ConvexPolyhedron::from_convex_hull(points))
-            .flatten()
-            .map(|hull| Self::Convex(Arc::new(hull)))
+        if !spans_volume(points) {
+            return None;
+        }
+        ConvexPolyhedron::from_convex_hull(points).map(|hull| Self::Convex(Arc::new(hull)))
     }
 
     /// Half the segment and radius, when the shape is a segment with a radius about it.
@@ -102,6 +102,23 @@ impl LinkShape {
             _ => *x,
         }
     }
+}
+
+/// Whether the points are not all in one plane, to a millionth of their extent.
+fn spans_volume(points: &[DVec3]) -> bool {
+    let farthest = |measure: &dyn Fn(DVec3) -> f64| {
+        points.iter().copied().max_by(|&a, &b| measure(a).total_cmp(&measure(b)))
+    };
+    let Some(&a) = points.first() else { return false };
+    let span = || {
+        let b = farthest(&|p| p.distance(a))?;
+        let along = (b - a).try_normalize()?;
+        let c = farthest(&|p| along.cross(p - a).length())?;
+        let normal = along.cross(c - a).try_normalize()?;
+        let height = farthest(&|p| normal.dot(p - a).abs()).map(|p| normal.dot(p - a).abs())?;
+        Some(height > 1e-6 * b.distance(a) && height > 1e-9)
+    };
+    span().unwrap_or(false)
 }
 
 /// Something that the robot must not touch.

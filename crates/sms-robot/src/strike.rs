@@ -256,7 +256,7 @@ impl StrikePlan {
 }
 
 /// Plans the whole strike: approach, descent, sweep and lift. Obstacles are noticed in the sweep; what the rest of the
-/// motion comes near is for `check_strike` to say.
+/// motion comes near is for [`crate::check_strike`] to say.
 ///
 /// # Errors
 /// [`StrikeError`].

@@ -14,6 +14,7 @@ use roxmltree::Document;
 use serde::{Deserialize, Serialize};
 use sms_core::InputError;
 use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 use std::path::{Path, PathBuf};
 
 /// What becomes of joints that are not between base and tool.
@@ -101,4 +102,4 @@ impl RobotModel {
 pub const FR3_URDF: &str = include_str!("../../assets/fr3.urdf");
 
 /// Home of the Franka Research 3, radians: hand down, 0.55 m in front of the base.
-pub const FR3_HOME: [f64; 7] = [0.0, 0.0, 0.0, -1.570_79, 0.0, 1.570_79, -0.785_3];
+pub const FR3_HOME: [f64; 7] = [0.0, 0.0, 0.0, -FRAC_PI_2, 0.0, FRAC_PI_2, -FRAC_PI_4];
