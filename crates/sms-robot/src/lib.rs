@@ -1,4 +1,34 @@
-//! The robot.
+//! The robot: a fixed-base arm from a URDF (or the built-in Franka Research 3), its kinematics and dynamics,
+//! operational-space torque control, the paper's strike, and the checks before one is called executable.
+//!
+//! A pure library: no physics engine is in it. What comes out is joint motions and torques ([`StrikePlan`],
+//! [`JointProgram`]), a controller ([`Osc`]) that any engine can be driven by, and collision shapes
+//! ([`RobotModel::collisions`]) that it can be given.
+//!
+//! ```
+//! use glamx::DVec3;
+//! use sms_robot::{FIST_HALF, JointProgram, RobotModel, StrikeConfig, Sweep, Workspace, check_strike, floor, plan_strike};
+//!
+//! let robot = RobotModel::fr3();
+//! let mut ws = Workspace::default();
+//! // A ball of 3 cm radius, half a metre ahead, is struck along x at 0.5 m/s.
+//! let sweep = Sweep::of_ball(DVec3::new(0.5, 0.0, 0.03), 0.03, 0.0, 0.5, FIST_HALF.x);
+//! let (config, around) = (StrikeConfig::default(), [floor(0.0)]);
+//! let plan = plan_strike(&robot, &sweep, &around, &config, &mut ws)?;
+//! let check = check_strike(&robot, &plan, &around, &config, &mut ws);
+//! assert!(check.executable(), "{:?}", check.items);
+//! let program = JointProgram::of_strike(&robot, &plan, 0.001, &mut ws);
+//! assert_eq!(program.points[0].q, robot.home());
+//! # Ok::<(), sms_robot::StrikeError>(())
+//! ```
+//!
+//! # Conventions
+//! - Poses are in the world: `x_wr` is the pose of the robot's base, `x_wt` that of its tool. Velocities are of a frame's
+//!   origin, in world axes (Pinocchio's `LOCAL_WORLD_ALIGNED`).
+//! - Vectors over joints follow [`RobotModel::joints`]; SI units; a sliding joint has metres and newtons.
+//! - Nothing is allocated in kinematics, dynamics and control steps: [`Workspace`] holds what they need, for up to
+//!   [`MAX_JOINTS`] joints.
+//! - RNEA, CRBA, Jacobian and J̇ q̇ agree with Pinocchio to 1e-13 over 1500 states (`tests/oracle.rs`).
 
 mod arm_sim;
 mod check;

@@ -199,6 +199,19 @@ pub fn roll_out(
     gains: &OscConfig,
     period_s: f64,
 ) -> JointMotion {
+    follow(model, path, q, posture, gains, period_s, SETTLE_S)
+}
+
+/// [`roll_out`], which waits `settle_s` seconds at most for the joints to rest.
+pub(crate) fn follow(
+    model: &RobotModel,
+    path: &dyn ToolPath,
+    q: &[f64],
+    posture: &[f64],
+    gains: &OscConfig,
+    period_s: f64,
+    settle_s: f64,
+) -> JointMotion {
     let n = model.dof();
     let duration = path.duration_s();
     let steps = (duration / period_s).ceil().max(1.0);
@@ -211,7 +224,7 @@ pub fn roll_out(
     s.qd = [0.0; MAX_JOINTS];
     let friction = OscConfig { friction_compensation: true, ..*gains };
     let mut samples = Vec::with_capacity(steps as usize + 1);
-    let longest = steps as usize + (SETTLE_S / h) as usize;
+    let longest = steps as usize + (settle_s / h) as usize;
     for k in 0..=longest {
         let t = k as f64 * h;
         s.qdd = law.torques(model, &s.q, &s.qd, &path.at(t), &rest, &friction, &mut s.tau);

@@ -34,8 +34,8 @@ pub struct ProgramPoint {
     pub qd: Vec<f64>,
     /// Torques of the motors with gravity and friction, N·m (N).
     pub tau: Vec<f64>,
-    /// The part that has to be sent to a robot which compensates gravity and friction itself: M q̈ + C q̇, with the
-    /// rotors' inertia. libfranka's `Torques` are of this kind.
+    /// The part that has to be sent to a robot whose joints control the torque behind the gear and compensate gravity
+    /// and friction themselves: M q̈ + C q̇ without the rotors' inertia. libfranka's `Torques` are of this kind.
     pub tau_command: Vec<f64>,
     /// Position of the tool in the world, metres.
     pub tool_position_w: [f64; 3],
@@ -93,7 +93,9 @@ impl JointProgram {
                     q: s.q[..n].to_vec(),
                     qd: s.qd[..n].to_vec(),
                     tau: s.tau[..n].to_vec(),
-                    tau_command: (0..n).map(|i| s.tau[i] - gravity[i] - friction(i)).collect(),
+                    tau_command: (0..n)
+                        .map(|i| s.tau[i] - gravity[i] - friction(i) - model.joints()[i].armature * s.qdd[i])
+                        .collect(),
                     tool_position_w: x_wt.translation.to_array(),
                     tool_quaternion_w: x_wt.rotation.to_array(),
                 }

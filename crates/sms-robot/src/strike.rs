@@ -3,7 +3,7 @@
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
-use crate::motion::{Infeasible, JointMotion, Uses, joint_move, roll_out};
+use crate::motion::{Infeasible, JointMotion, Uses, follow, joint_move, roll_out};
 use crate::osc::OscConfig;
 use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
@@ -30,7 +30,7 @@ pub struct StrikeConfig {
     pub approach_height_m: f64,
     /// Share of the limits of speed and torque that the approach uses.
     pub approach_share: f64,
-    /// Time between samples of the program, seconds.
+    /// Time between samples of the motions, seconds; a program interpolates between them.
     pub period_s: f64,
 }
 
@@ -44,7 +44,7 @@ impl Default for StrikeConfig {
             clearance_m: 0.002,
             approach_height_m: 0.2,
             approach_share: 0.5,
-            period_s: 0.001,
+            period_s: 0.0025,
         }
     }
 }
@@ -137,7 +137,7 @@ pub fn plan_sweep(
             }
         };
         let coarse = 0.005f64.max(path.duration_s() / 80.0);
-        let motion = roll_out(model, &path, &q_start, &q_start, &config.osc, coarse);
+        let motion = follow(model, &path, &q_start, &q_start, &config.osc, coarse, 0.0);
         let rate = config.osc.torque_rate;
         let badness = motion.uses(model, rate).iter().map(|u| u.1.share).fold(0.0, f64::max);
         let refusal = match motion.check(model, rate) {

@@ -88,7 +88,7 @@ fn every_link_lies_inside_its_capsules_and_they_are_not_much_fatter() {
             fattest = fattest.max(ours - mesh);
         }
         println!("{link}: {} capsules, {:.1} mm beyond the mesh at most", capsules.len(), 1e3 * fattest);
-        assert!(fattest < 0.035, "{link}: {fattest} m too fat");
+        assert!(fattest < 0.04, "{link}: {fattest} m too fat");
     }
 }
 
