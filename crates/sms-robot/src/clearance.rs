@@ -1,6 +1,6 @@
 //! Self-collision and distance to obstacles.
 
-use crate::model::RobotModel;
+use crate::model::{LinkCollision, RobotModel};
 use crate::shape::{Clearance, Obstacle, distance, obstacle_distance};
 use crate::workspace::Workspace;
 use glamx::DPose3;
@@ -24,9 +24,7 @@ impl RobotModel {
         let mut best = (f64::INFINITY, None);
         for &(i, j) in &self.pairs {
             let (a, b) = (&self.collisions[i], &self.collisions[j]);
-            let gap = poses[i].translation.distance(poses[j].translation)
-                - a.shape.bounding_radius()
-                - b.shape.bounding_radius();
+            let gap = bounding_gap(&self.collisions, poses, i, j);
             if gap > enough.min(best.0) {
                 best = if gap < best.0 { (gap, Some((i, j))) } else { best };
                 continue;
@@ -92,8 +90,10 @@ impl RobotModel {
             self.forward_kinematics(&q, &mut ws);
             self.shape_poses(&ws, &mut poses);
             for (count, &(i, j)) in touching.iter_mut().zip(&pairs) {
-                let d = distance(&self.collisions[i].shape, &poses[i], &self.collisions[j].shape, &poses[j]);
-                *count += usize::from(d <= 0.0);
+                let apart = bounding_gap(&self.collisions, &poses, i, j) > 0.0
+                    || distance(&self.collisions[i].shape, &poses[i], &self.collisions[j].shape, &poses[j])
+                        > 0.0;
+                *count += usize::from(!apart);
             }
         }
         let mut counts = touching.into_iter();
@@ -119,6 +119,13 @@ impl RobotModel {
             })
             .collect()
     }
+}
+
+/// Distance of the spheres around two shapes.
+fn bounding_gap(shapes: &[LinkCollision], poses: &[DPose3], i: usize, j: usize) -> f64 {
+    poses[i].translation.distance(poses[j].translation)
+        - shapes[i].shape.bounding_radius()
+        - shapes[j].shape.bounding_radius()
 }
 
 fn halton(mut index: u32, base: u32) -> f64 {

@@ -38,7 +38,8 @@ impl Default for StrikeConfig {
     fn default() -> Self {
         Self {
             osc: OscConfig::default(),
-            ik: IkConfig::default(),
+            // Few starts are enough: from each posture found, the elbow is moved through its whole range.
+            ik: IkConfig { starts: 8, ..IkConfig::default() },
             candidates: 6,
             symmetric_tool: true,
             clearance_m: 0.002,
@@ -77,7 +78,7 @@ pub struct SweepPlan {
     pub rotation_w: DQuat,
     /// Posture at the start; also the posture that the null space is drawn to.
     pub q_start: Vec<f64>,
-    /// The joints' motion through the sweep.
+    /// The joints' motion through the sweep; in a [`StrikePlan`] also the rest after it, until all joints stand still.
     pub motion: JointMotion,
     /// How far it goes to the limits.
     pub uses: Uses,
@@ -136,7 +137,7 @@ pub fn plan_sweep(
                 continue;
             }
         };
-        let coarse = 0.005f64.max(path.duration_s() / 80.0);
+        let coarse = 0.005f64.max(path.duration_s() / 40.0);
         let motion = follow(model, &path, &q_start, &q_start, &config.osc, coarse, 0.0);
         let rate = config.osc.torque_rate;
         let badness = motion.uses(model, rate).iter().map(|u| u.1.share).fold(0.0, f64::max);
@@ -173,7 +174,8 @@ pub fn plan_sweep(
         });
     };
     let path = sweep.path(plan.rotation_w);
-    plan.motion = roll_out(model, &path, &plan.q_start, &plan.q_start, &config.osc, config.period_s);
+    let fine = config.period_s.max(path.duration_s() / 200.0);
+    plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
     plan.uses = plan.motion.check(model, config.osc.torque_rate)?;
     Ok(plan)
 }
@@ -267,9 +269,12 @@ pub fn plan_strike(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<StrikePlan, StrikeError> {
-    let plan = plan_sweep(model, sweep, obstacles, config, ws)?;
+    let mut plan = plan_sweep(model, sweep, obstacles, config, ws)?;
     let n = model.dof();
     let rate = config.osc.torque_rate;
+    let path = sweep.path(plan.rotation_w);
+    plan.motion = roll_out(model, &path, &plan.q_start, &plan.q_start, &config.osc, config.period_s);
+    plan.uses = plan.motion.check(model, rate)?;
     let up = |q: &JointVector, ws: &mut Workspace| -> Result<JointMotion, Infeasible> {
         model.forward_kinematics(&q[..n], ws);
         let start = model.frame_pose(model.tool(), ws);
