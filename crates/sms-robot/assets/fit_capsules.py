@@ -3,8 +3,7 @@
     python fit_capsules.py FOLDER_WITH_STL > fr3_capsules.json
 
 The triangles are split until their edges are below 12 mm; every small triangle then lies inside one capsule (a capsule is
-convex, so its three corners suffice). How deep the surface lies inside the capsules, on average, is minimised by Nelder-Mead
-from random clusters. Needs NumPy, SciPy. The meshes are those of
+convex, so its three corners suffice). The sum of the capsules' volumes is minimised by Nelder-Mead from random clusters. Needs NumPy, SciPy. The meshes are those of
 frankaemika/franka_description @ b299b39d9692 (Apache-2.0); only the fitted numbers are kept here.
 """
 import json
@@ -16,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
-COUNTS = {"link0": 2, "link1": 2, "link2": 2, "link3": 2, "link4": 2, "link5": 3, "link6": 3, "link7": 2}
+COUNTS = {"link0": 2, "link1": 2, "link2": 2, "link3": 2, "link4": 2, "link5": 3, "link6": 2, "link7": 2}
 EDGE_M = 0.012
 
 
@@ -46,21 +45,22 @@ def to_segment(points, a, b):
     return np.linalg.norm(points - a - t[..., None] * d, axis=-1)
 
 
+def volume(length, radius):
+    return np.pi * radius**2 * (length + 4 / 3 * radius)
+
+
 def best_capsule(triangles, start):
-    """Ends of the capsule around `triangles` that buries their surface least, and the mean depth times their number."""
-    corners = triangles.reshape(-1, 3)
-    corners = corners[ConvexHull(corners, qhull_options="QJ").vertices]
-    centres = triangles.mean(1)[:: max(1, len(triangles) // 300)]
+    points = triangles.reshape(-1, 3)
+    points = points[ConvexHull(points, qhull_options="QJ").vertices]
 
     def cost(x):
         a, b = x[:3], x[3:]
-        radius = to_segment(corners, a, b).max()
-        return 1e3 * (radius - to_segment(centres, a, b).mean())
+        return volume(np.linalg.norm(b - a), to_segment(points, a, b).max()) * 1e3
 
     x = start
     for _ in range(3):
         x = minimize(cost, x, method="Nelder-Mead", options={"maxiter": 800, "xatol": 1e-5, "fatol": 1e-7}).x
-    return x, cost(x) * len(triangles)
+    return x, cost(x)
 
 
 def principal(triangles):
@@ -73,7 +73,7 @@ def principal(triangles):
 
 def fit(triangles, count, rng):
     best = None
-    for attempt in range(1 if count == 1 else 8):
+    for attempt in range(1 if count == 1 else 10):
         centres = triangles.mean(1)
         # k-means as the first split.
         seeds = centres[rng.choice(len(centres), count, replace=False)]
@@ -112,7 +112,7 @@ def main():
             {"a": np.round(x[:3], 4).tolist(), "b": np.round(x[3:], 4).tolist(), "radius": round(r + 2e-4, 4)}
             for x, r in capsules
         ]
-        print(name, f"buried {total / len(triangles):.1f} mm on average", file=sys.stderr)
+        print(name, f"{total:.3f} l", file=sys.stderr)
     json.dump(out, sys.stdout, indent=1)
     print()
 
