@@ -1,0 +1,219 @@
+//! Strikes of the FR3: planned over its workspace, executed under torque control in free space.
+
+use glamx::{DPose3, DVec3};
+use sms_core::Mesh;
+use sms_robot::{
+    FIST_HALF, LimitKind, LinkShape, Obstacle, ObstacleShape, OscConfig, RobotModel, StrikeConfig,
+    StrikeError, Sweep, SweepProfile, Workspace, check_strike, floor, plan_strike, plan_sweep,
+    simulate_sweep,
+};
+
+const RADIUS: f64 = 0.03;
+
+fn ball_at(x: f64, y: f64, degrees: f64, speed: f64) -> Sweep {
+    Sweep::of_ball(DVec3::new(x, y, RADIUS), RADIUS, degrees.to_radians(), speed, FIST_HALF.x)
+}
+
+/// Strikes over the workspace in front of the robot.
+fn workspace() -> impl Iterator<Item = (f64, f64, f64)> {
+    [0.35, 0.45, 0.55, 0.65].into_iter().flat_map(|x| {
+        [-0.2, 0.0, 0.2].into_iter().flat_map(move |y| {
+            [-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0].into_iter().map(move |angle| (x, y, angle))
+        })
+    })
+}
+
+/// At least this many of the 84 strikes have a motion within all limits at each speed; the others are refused with the
+/// joint that limits them (mostly the elbow's 2.62 rad/s).
+const FEASIBLE: [(f64, usize); 5] = [(0.2, 84), (0.5, 84), (0.85, 64), (1.2, 40), (1.5, 10)];
+
+#[test]
+fn the_contact_is_passed_at_the_asked_speed_and_direction_over_the_workspace() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    for (speed, least) in FEASIBLE {
+        let mut feasible = 0;
+        let mut worst = [0.0f64; 4];
+        for (x, y, angle) in workspace() {
+            match plan_sweep(&model, &ball_at(x, y, angle, speed), &[floor(0.0)], &config, &mut ws) {
+                Ok(plan) => {
+                    feasible += 1;
+                    let t = simulate_sweep(&model, &plan, &config.osc, &model, 1.0, 0.00125);
+                    let case = format!("{x} {y} {angle}° at {speed} m/s: {t:?}");
+                    assert!((t.contact_speed / speed - 1.0).abs() <= 0.02, "{case}");
+                    assert!(t.direction_error_rad <= 0.3f64.to_radians(), "{case}");
+                    assert!(t.offset_m <= 1e-3, "{case}");
+                    assert_eq!((t.saturated_periods, t.over_speed_periods), (0, 0), "{case}");
+                    let values = [
+                        (t.contact_speed / speed - 1.0).abs() * 100.0,
+                        t.direction_error_rad.to_degrees(),
+                        1e3 * t.offset_m,
+                        1e3 * t.largest_error_m,
+                    ];
+                    for (w, v) in worst.iter_mut().zip(values) {
+                        *w = w.max(v);
+                    }
+                }
+                Err(StrikeError::Infeasible(e)) => {
+                    assert!(e.value.abs() > e.bound.abs(), "{e}");
+                    assert!(model.joints().iter().any(|j| j.name == e.joint), "{e}");
+                }
+                Err(StrikeError::Blocked { clearance, .. }) => {
+                    assert!(clearance.distance_m < config.clearance_m, "{clearance:?}");
+                }
+                Err(StrikeError::Unreachable(e)) => panic!("{x} {y} {angle}°: {e}"),
+            }
+        }
+        println!(
+            "{speed} m/s: {feasible} of 84; speed {:.3} %, direction {:.3}°, off the line {:.2} mm, behind {:.2} mm",
+            worst[0], worst[1], worst[2], worst[3]
+        );
+        assert!(feasible >= least, "{feasible} of 84 at {speed} m/s");
+    }
+}
+
+#[test]
+fn the_contact_is_passed_well_enough_when_the_robot_is_not_its_model() {
+    // A third more friction, and an unknown load of 0.2 kg at the hand (a heavier link of the URDF).
+    let model = RobotModel::fr3();
+    let heavier = sms_robot::FR3_URDF.replacen("<mass value=\"0.6544\"/>", "<mass value=\"0.8544\"/>", 1);
+    assert_ne!(heavier, sms_robot::FR3_URDF);
+    let options = sms_robot::UrdfOptions { tool: Some("fr3_fist".into()), ..Default::default() };
+    let real = RobotModel::from_urdf_text(&heavier, std::path::Path::new("heavier.urdf"), &options).unwrap();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    for (x, y, angle, speed) in [(0.5, 0.0, 0.0, 0.6), (0.45, 0.15, -30.0, 0.4), (0.6, -0.1, 45.0, 0.8)] {
+        let plan = plan_sweep(&model, &ball_at(x, y, angle, speed), &[floor(0.0)], &config, &mut ws).unwrap();
+        let t = simulate_sweep(&model, &plan, &config.osc, &real, 1.33, 0.00125);
+        println!("{t:?}");
+        assert!(
+            (t.contact_speed / speed - 1.0).abs() < 0.05 && t.direction_error_rad < 2f64.to_radians(),
+            "{t:?}"
+        );
+    }
+}
+
+#[test]
+fn the_smooth_profile_tracks_better_than_the_uniform_one() {
+    let model = RobotModel::fr3();
+    let mut config = StrikeConfig::default();
+    // The uniform profile's torques jump; let it be planned all the same.
+    config.osc.torque_rate = 1e9;
+    let mut ws = Workspace::default();
+    let smooth = ball_at(0.6, 0.0, 90.0, 1.2);
+    let uniform = Sweep { profile: SweepProfile::Uniform, ..smooth };
+    let run = |sweep: &Sweep, ws: &mut Workspace| {
+        let plan = plan_sweep(&model, sweep, &[], &config, ws).unwrap();
+        simulate_sweep(&model, &plan, &OscConfig::default(), &model, 1.0, 0.00125)
+    };
+    let (a, b) = (run(&smooth, &mut ws), run(&uniform, &mut ws));
+    assert!(a.largest_error_m < 0.1 * b.largest_error_m, "{a:?} {b:?}");
+    assert!(b.rate_limited_periods > 10);
+}
+
+#[test]
+fn what_cannot_be_done_is_said_with_the_reason() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    let far = plan_sweep(&model, &ball_at(1.2, 0.0, 0.0, 0.5), &[], &config, &mut ws).unwrap_err();
+    let StrikeError::Unreachable(e) = &far else { panic!("{far}") };
+    assert!(e.position_error_m > 0.1, "{far}");
+    let fast = plan_sweep(&model, &ball_at(0.5, 0.0, 0.0, 1.4), &[], &config, &mut ws).unwrap_err();
+    let StrikeError::Infeasible(e) = &fast else { panic!("{fast}") };
+    assert_eq!((e.limit, e.joint.as_str()), (LimitKind::Velocity, "fr3_joint4"));
+    assert!(fast.to_string().contains("2.62"), "{fast}");
+    let wall = Obstacle {
+        name: "wall".into(),
+        x_wo: DPose3::from_translation(DVec3::new(0.55, 0.0, 0.15)),
+        shape: ObstacleShape::Link(LinkShape::Box { half: DVec3::new(0.02, 0.5, 0.15) }),
+    };
+    let blocked = plan_sweep(&model, &ball_at(0.55, 0.0, 0.0, 0.5), &[wall], &config, &mut ws).unwrap_err();
+    assert!(blocked.to_string().contains("wall"), "{blocked}");
+    let StrikeError::Blocked { clearance, .. } = blocked else { panic!() };
+    assert!(clearance.distance_m < 0.0);
+}
+
+#[test]
+fn a_whole_strike_is_one_continuous_motion_from_home() {
+    let model = RobotModel::fr3();
+    let mut ws = Workspace::default();
+    let config = StrikeConfig::default();
+    let plan = plan_strike(&model, &ball_at(0.5, 0.1, -20.0, 0.6), &[floor(0.0)], &config, &mut ws).unwrap();
+    let n = model.dof();
+    let mut end = model.home().to_vec();
+    for (phase, motion) in &plan.phases {
+        let first = &motion.samples[0];
+        let gap = (0..n).map(|i| (first.q[i] - end[i]).abs()).fold(0.0, f64::max);
+        assert!(gap < 1e-6, "{phase:?} begins {gap} rad from the end before");
+        for s in [first, &motion.samples[motion.samples.len() - 1]] {
+            assert!(s.qd[..n].iter().all(|v| v.abs() < 0.01), "{phase:?} is not at rest: {:?}", &s.qd[..n]);
+        }
+        // Speeds are the derivatives of positions, and positions never jump.
+        for pair in motion.samples.windows(2) {
+            for i in 0..n {
+                let mean = 0.5 * (pair[0].qd[i] + pair[1].qd[i]);
+                let off = (pair[1].q[i] - pair[0].q[i]) / motion.period_s - mean;
+                assert!(off.abs() < 2e-3, "{phase:?} joint {i}: {off}");
+            }
+        }
+        end = motion.samples[motion.samples.len() - 1].q[..n].to_vec();
+    }
+    let check = check_strike(&model, &plan, &[floor(0.0)], &config, &mut ws);
+    for item in &check.items {
+        println!("{:?} {} {:.4}: {}", item.kind, item.passed, item.margin, item.detail);
+    }
+    assert!(check.executable());
+    assert_eq!(check.items.len(), 8);
+}
+
+#[test]
+fn the_check_finds_what_is_in_the_way_of_the_approach() {
+    let model = RobotModel::fr3();
+    let mut ws = Workspace::default();
+    let config = StrikeConfig::default();
+    let plan = plan_strike(&model, &ball_at(0.5, 0.1, -20.0, 0.6), &[floor(0.0)], &config, &mut ws).unwrap();
+    // Where the hand hangs at home, above the strike.
+    let lamp = Obstacle {
+        name: "lamp".into(),
+        x_wo: DPose3::from_translation(DVec3::new(0.5545, 0.0, 0.5)),
+        shape: ObstacleShape::surface(&Mesh::icosphere(0.05, 2)).unwrap(),
+    };
+    let check = check_strike(&model, &plan, &[floor(0.0), lamp], &config, &mut ws);
+    assert!(!check.executable());
+    let failed: Vec<_> = check.items.iter().filter(|i| !i.passed).collect();
+    assert_eq!(failed.len(), 1, "{failed:?}");
+    assert!(failed[0].detail.contains("lamp") && failed[0].margin < 0.0, "{failed:?}");
+    // A floor that is too high is found, too.
+    let check = check_strike(&model, &plan, &[floor(0.022)], &config, &mut ws);
+    assert!(!check.executable());
+}
+
+#[test]
+fn the_same_strike_is_planned_bit_for_bit_again() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let sweep = ball_at(0.45, -0.1, 30.0, 0.5);
+    let plan = || plan_sweep(&model, &sweep, &[floor(0.0)], &config, &mut Workspace::default()).unwrap();
+    assert_eq!(plan(), plan());
+}
+
+#[test]
+fn a_robot_elsewhere_strikes_there() {
+    let x_wr = DPose3::from_parts(DVec3::new(2.0, -1.0, 0.4), glamx::DQuat::from_rotation_z(1.1));
+    let here = RobotModel::fr3();
+    let there = RobotModel::fr3().with_base(x_wr);
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    let sweep = ball_at(0.5, 0.1, 10.0, 0.5);
+    let moved = Sweep {
+        contact_w: x_wr.transform_point(sweep.contact_w),
+        direction_w: x_wr.rotation * sweep.direction_w,
+        ..sweep
+    };
+    let a = plan_sweep(&here, &sweep, &[floor(0.0)], &config, &mut ws).unwrap();
+    let b = plan_sweep(&there, &moved, &[floor(0.4)], &config, &mut ws).unwrap();
+    let off = a.q_start.iter().zip(&b.q_start).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(off < 1e-6, "{off}");
+}
