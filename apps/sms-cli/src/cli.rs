@@ -65,6 +65,8 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// Search the best action for a task.
     Plan(Plan),
+    /// Plan the arm's motion for the planned strike, check it, and write it for the robot.
+    Robot(Robot),
     /// Carry the plan out in an independent target world.
     Execute(Execute),
     /// Measure the reconstruction against known models.
@@ -277,6 +279,16 @@ pub(crate) enum FormatName {
     Obj,
     /// Every format.
     All,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Robot {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Where the base stands in the run's world: x, y, z in metres and the yaw in degrees, such as 0,0,0,0. Without it
+    /// `robot.x_world_robot` or `robot.x_recording_robot` of the settings.
+    #[arg(long, value_name = "X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
+    pub at: Option<String>,
 }
 
 #[derive(Debug, Args, Clone)]

@@ -40,6 +40,7 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::Materials(a) => commands::materials::run(context, &a),
         Command::Simulate(a) => commands::simulate::run(context, &a),
         Command::Plan(a) => commands::plan::run(context, &a),
+        Command::Robot(a) => commands::robot::run(context, &a),
         Command::Execute(a) => commands::execute::run(context, &a),
         Command::Evaluate(a) => commands::evaluate::run(context, &a),
         Command::Report(a) => commands::report::run(context, &a).map(drop),

@@ -9,6 +9,7 @@ use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
+use sms_robot::RobotConfig;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 
@@ -46,6 +47,7 @@ sections! {
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
     "vlm": VlmConfig, "vision-language model that is asked for materials";
     "plan": PlanConfig, "search of an action";
+    "robot": RobotConfig, "the arm that strikes, and where it stands";
     "evaluate": EvaluateSettings, "comparison with known models";
 }
 
@@ -67,6 +69,7 @@ validated!(
     ScanConfig,
     EntitiesConfig,
     VlmConfig,
+    RobotConfig,
     EvaluateSettings
 );
 

@@ -33,6 +33,7 @@
 mod arm_sim;
 mod check;
 mod clearance;
+mod config;
 mod dynamics;
 mod ik;
 mod kinematics;
@@ -42,6 +43,7 @@ mod motion;
 mod osc;
 mod posture;
 mod program;
+mod scene;
 mod shape;
 mod strike;
 mod sweep;
@@ -52,6 +54,7 @@ use glamx::DVec3;
 
 pub use arm_sim::ArmSim;
 pub use check::{CheckItem, CheckKind, DIRECTION_TOLERANCE_RAD, SPEED_TOLERANCE, StrikeCheck, check_strike};
+pub use config::RobotConfig;
 pub use ik::{IkConfig, IkSolution, IkTarget, LENGTH_M, Unreachable};
 pub use linalg::MAX_JOINTS;
 pub use model::{Frame, FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, RobotModel};
@@ -61,6 +64,7 @@ pub use motion::{
 };
 pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
 pub use program::{JointProgram, PROGRAM_VERSION, ProgramPoint};
+pub use scene::obstacles;
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
 pub use strike::{
     Phase, StrikeConfig, StrikeError, StrikePlan, SweepPlan, Tracking, plan_strike, plan_sweep,

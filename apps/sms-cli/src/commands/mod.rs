@@ -12,6 +12,7 @@ pub(crate) mod materialize;
 pub(crate) mod materials;
 pub(crate) mod plan;
 pub(crate) mod report;
+pub(crate) mod robot;
 pub(crate) mod sample;
 pub(crate) mod scan;
 pub(crate) mod settings;
@@ -60,7 +61,7 @@ pub(crate) fn run_stage(
 }
 
 /// The stages in order, with the metrics that each writes.
-const STAGES: [(&str, &[&str]); 7] = [
+const STAGES: [(&str, &[&str]); 8] = [
     ("frames", &["check.", "poses."]),
     ("masks", &["masks."]),
     ("gaussians", &["scan."]),
@@ -68,6 +69,8 @@ const STAGES: [(&str, &[&str]); 7] = [
     ("scene", &["scene."]),
     ("plan", &["plan."]),
     ("target", &["execute."]),
+    // Made from the plan, as the target's is.
+    ("robot", &["robot."]),
 ];
 
 /// Removes what was made from an earlier result of `stage`: a plan for another scene, or objects of another scan, must
@@ -75,7 +78,8 @@ const STAGES: [(&str, &[&str]); 7] = [
 fn drop_dependents(run: &RunFolder, stage: &str) -> anyhow::Result<()> {
     let Some(at) = STAGES.iter().position(|s| s.0 == stage) else { return Ok(()) };
     let mut metrics = Metrics::load(&run.metrics_path())?;
-    for (name, prefixes) in &STAGES[at + 1..] {
+    let after = if stage == "target" { STAGES.len() } else { at + 1 };
+    for (name, prefixes) in &STAGES[after..] {
         let dir = run.root().join(name);
         if dir.exists() {
             std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;

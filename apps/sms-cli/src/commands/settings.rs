@@ -11,6 +11,7 @@ use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
+use sms_robot::RobotConfig;
 use std::fmt::Write;
 
 pub(crate) fn run(context: &Context, a: &SettingsArguments) -> anyhow::Result<()> {
@@ -42,6 +43,7 @@ pub(crate) fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String
             "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
             "vlm" => serde_json::to_value(settings.section(name, super::vlm::defaults())?)?,
             "plan" => serde_json::to_value(settings.section(name, PlanConfig::default())?)?,
+            "robot" => serde_json::to_value(settings.section(name, RobotConfig::default())?)?,
             "evaluate" => serde_json::to_value(settings.section(name, EvaluateSettings::default())?)?,
             _ => continue,
         };

@@ -1,0 +1,155 @@
+//! Settings of the robot.
+
+use crate::{FIST_HALF, RobotModel, UrdfOptions};
+use glamx::{DMat3, DPose3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{InputError, Ranges};
+use std::path::{Path, PathBuf};
+
+/// Which robot strikes, and where it stands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotConfig {
+    /// The robot's URDF; the built-in Franka Research 3 where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub urdf: Option<PathBuf>,
+    /// Link of the URDF whose frame strikes: x ahead, z up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tool: Option<String>,
+    /// Folders in which `package://` paths of the URDF are looked for.
+    pub package_folders: Vec<PathBuf>,
+    /// Pose of the robot's base in the run's world, `X_world_robot`: 4 × 4, rigid, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub x_world_robot: Option<[[f64; 4]; 4]>,
+    /// Pose of the base in the recording's own world, as a hand-eye calibration gives it; the run's world is the
+    /// recording's with the floor level. One of the two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub x_recording_robot: Option<[[f64; 4]; 4]>,
+    /// Distance from the tool's origin to its front face, metres.
+    pub front_m: f64,
+    /// Time between points of the written motion, seconds.
+    pub period_s: f64,
+}
+
+impl Default for RobotConfig {
+    fn default() -> Self {
+        Self {
+            urdf: None,
+            tool: None,
+            package_folders: Vec::new(),
+            x_world_robot: None,
+            x_recording_robot: None,
+            front_m: FIST_HALF.x,
+            period_s: 0.001,
+        }
+    }
+}
+
+impl RobotConfig {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the key.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("robot");
+        r.within("front_m", self.front_m, 0.0, 1.0)?;
+        r.within("period_s", self.period_s, 1e-4, 0.1)?;
+        for (key, matrix) in
+            [("x_world_robot", &self.x_world_robot), ("x_recording_robot", &self.x_recording_robot)]
+        {
+            if let Some(m) = matrix
+                && pose_of(m).is_none()
+            {
+                return Err(InputError::new(
+                    format!(
+                        "`robot.{key}` is no rigid pose: its rotation is not orthonormal, or its last row not 0 0 0 1"
+                    ),
+                    Path::new("(settings)"),
+                    "give [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]] with metres",
+                ));
+            }
+        }
+        if self.x_world_robot.is_some() && self.x_recording_robot.is_some() {
+            return Err(InputError::new(
+                "`robot.x_world_robot` and `robot.x_recording_robot` are both given",
+                Path::new("(settings)"),
+                "keep one of them",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Where the base stands in the run's world; `None` where the settings do not say.
+    pub fn x_wr(&self, x_world_recording: &DPose3) -> Option<DPose3> {
+        let in_recording = || Some(*x_world_recording * self.x_recording_robot.as_ref().and_then(pose_of)?);
+        self.x_world_robot.as_ref().and_then(pose_of).or_else(in_recording)
+    }
+
+    /// The robot, standing at the world's origin.
+    ///
+    /// # Errors
+    /// [`InputError`] of the URDF.
+    pub fn model(&self) -> Result<RobotModel, InputError> {
+        match &self.urdf {
+            None => Ok(RobotModel::fr3()),
+            Some(path) => {
+                let options = UrdfOptions {
+                    tool: self.tool.clone(),
+                    package_folders: self.package_folders.clone(),
+                    ..UrdfOptions::default()
+                };
+                RobotModel::from_urdf(path, &options)
+            }
+        }
+    }
+}
+
+/// A pose from a row-major 4 × 4 matrix, where that is rigid.
+fn pose_of(m: &[[f64; 4]; 4]) -> Option<DPose3> {
+    const TOLERANCE: f64 = 1e-3;
+    if m.iter().flatten().any(|v| !v.is_finite()) || m[3] != [0.0, 0.0, 0.0, 1.0] {
+        return None;
+    }
+    let column = |c: usize| DVec3::new(m[0][c], m[1][c], m[2][c]);
+    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let gram = rotation.transpose() * rotation - DMat3::IDENTITY;
+    let off = (0..3).map(|c| gram.col(c).abs().max_element()).fold(0.0, f64::max);
+    (off < TOLERANCE && rotation.determinant() > 0.0)
+        .then(|| DPose3::from_parts(column(3), DQuat::from_mat3(&rotation).normalize()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOVED: [[f64; 4]; 4] =
+        [[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
+
+    #[test]
+    fn a_base_in_the_recordings_world_is_carried_to_the_runs() {
+        let config = RobotConfig { x_recording_robot: Some(MOVED), ..RobotConfig::default() };
+        config.validate().unwrap();
+        let x_world_recording = DPose3::from_translation(DVec3::Z * 0.5);
+        let x_wr = config.x_wr(&x_world_recording).unwrap();
+        assert!((x_wr.transform_point(DVec3::X) - DVec3::new(0.1, 1.2, 0.8)).length() < 1e-12);
+        assert_eq!(RobotConfig::default().x_wr(&x_world_recording), None);
+    }
+
+    #[test]
+    fn poses_that_are_not_rigid_and_two_places_are_refused() {
+        let mut scaled = MOVED;
+        scaled[0][1] = -1.1;
+        let mut mirrored = MOVED;
+        mirrored[2][2] = -1.0;
+        for bad in [scaled, mirrored, [[f64::NAN; 4]; 4]] {
+            let config = RobotConfig { x_world_robot: Some(bad), ..RobotConfig::default() };
+            assert!(config.validate().unwrap_err().to_string().contains("x_world_robot"));
+        }
+        let both = RobotConfig {
+            x_world_robot: Some(MOVED),
+            x_recording_robot: Some(MOVED),
+            ..RobotConfig::default()
+        };
+        assert!(both.validate().unwrap_err().to_string().contains("both"));
+    }
+}

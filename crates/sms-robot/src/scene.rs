@@ -1,0 +1,31 @@
+//! What stands around the robot, from a scene.
+
+use crate::{LinkShape, Obstacle, ObstacleShape};
+use sms_scene::{Body, BodyShape, Scene};
+
+/// Every body of a scene but the one that is struck, which the tool has to touch. Bodies without extent are left out.
+pub fn obstacles(scene: &Scene, struck: usize) -> Vec<Obstacle> {
+    let others = scene.bodies.iter().enumerate().filter(|(i, _)| *i != struck);
+    others
+        .filter_map(|(_, body)| {
+            Some(Obstacle { name: body.name.clone(), x_wo: body.x_wb, shape: obstacle_shape(body)? })
+        })
+        .collect()
+}
+
+fn obstacle_shape(body: &Body) -> Option<ObstacleShape> {
+    let link = match &body.shape {
+        BodyShape::Sphere { radius } => LinkShape::Sphere { radius: *radius },
+        BodyShape::Box { half_extents } => LinkShape::Box { half: *half_extents },
+        BodyShape::Cylinder { radius, half_length } => {
+            LinkShape::Cylinder { radius: *radius, half_length: *half_length }
+        }
+        BodyShape::HalfSpace => return Some(ObstacleShape::HalfSpace),
+        BodyShape::TriMesh { mesh } => return ObstacleShape::surface(mesh),
+        BodyShape::Hulls { hulls } => {
+            let links: Vec<LinkShape> = hulls.iter().filter_map(|h| LinkShape::convex(&h.vertices)).collect();
+            return (!links.is_empty()).then_some(ObstacleShape::Hulls(links));
+        }
+    };
+    Some(ObstacleShape::Link(link))
+}
