@@ -108,6 +108,13 @@ impl Hull<'_> {
         orient(a, b, c, self.points[point as usize]) > 0.0
     }
 
+    /// Whether a point lies in front of a face or in its plane. A face in whose plane the new point lies is replaced, too:
+    /// kept, its edge may be in line with the point, and a face without area, which nothing ever sees, would stay.
+    fn sees_or_continues(&self, point: u32, face: u32) -> bool {
+        let [a, b, c] = self.faces[face as usize].corners.map(|i| self.points[i as usize]);
+        orient(a, b, c, self.points[point as usize]) >= 0.0
+    }
+
     /// Gives each point to the first of `faces` that it sees; points that see none are inside.
     fn assign(&mut self, points: &[u32], faces: &[u32]) {
         for &p in points {
@@ -136,7 +143,7 @@ impl Hull<'_> {
                 if is_visible.contains(&g) {
                     continue;
                 }
-                if self.sees(point, g) {
+                if self.sees_or_continues(point, g) {
                     is_visible.insert(g);
                     visible.push(g);
                 } else {

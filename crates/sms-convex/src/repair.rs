@@ -1,11 +1,21 @@
 //! From whatever mesh is given to a closed surface of few faces.
 
 use crate::occupancy::Occupancy;
+use crate::remesh::remesh;
 use glamx::DVec3;
 use std::collections::BTreeMap;
 
 /// Openings up to this wide, in half sizes of the object, are holes of a scan and not mouths of vessels.
 const WIDEST_HOLE: f64 = 0.2;
+
+/// Surfaces are cut with about so many faces …
+const FACES: usize = 2000;
+
+/// … in smooth places and more in rough ones, up to so many: tangles and needles without end would take for ever.
+pub(crate) const MOST_FACES: usize = 6000;
+
+/// Voxels along the longest side where a surface is made anew: the first with which it has few enough faces.
+const RESOLUTIONS: [usize; 4] = [80, 40, 24, 12];
 
 /// A surface in unit coordinates: centred, its longest side of length 2.
 #[derive(Debug, Clone, Default)]
@@ -158,20 +168,26 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
     out
 }
 
-/// A closed surface of the solid that triangles stand for: as they are where they are closed and enclose what their
-/// winding says, else made anew on a grid. `None` when they enclose nothing.
-pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]]) -> Option<Surface> {
+/// A closed surface of the solid that triangles stand for, with few faces for its roughness and at most [`MOST_FACES`]:
+/// as they are where they are closed and enclose what their winding says, else made anew on a grid, as coarse as that
+/// takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
+pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]], threshold: f64) -> Option<Surface> {
     let surface = clean(points, triangles);
     if surface.triangles.is_empty() {
         return None;
     }
-    if surface.is_closed() {
-        let volume = surface.volume();
-        let seen = Occupancy::new(&surface, 64).volume();
-        // Walls thinner than a voxel are missed by the grid, tangled and doubled surfaces by the sum.
-        if volume > 1e-9 && (volume - seen).abs() < 0.15 * volume.max(seen) + 0.02 {
-            return Some(surface);
+    let few = |s: Surface| {
+        let s = s.decimated(FACES, 0.06 * threshold);
+        [0.2, 0.4].iter().fold(s, |s, share| s.decimated(MOST_FACES, share * threshold))
+    };
+    if surface.is_closed() && surface.volume() > 1e-9 && !Occupancy::new(&surface, 64).is_tangled() {
+        let few = few(surface.clone());
+        if few.triangles.len() <= MOST_FACES {
+            return Some(few);
         }
     }
-    crate::remesh::remesh(&surface)
+    RESOLUTIONS
+        .iter()
+        .filter_map(|&resolution| Some(few(remesh(&surface, resolution)?)))
+        .find(|s| s.triangles.len() <= MOST_FACES)
 }
