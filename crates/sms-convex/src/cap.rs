@@ -118,6 +118,30 @@ fn chain(mut ends: Vec<(DVec3, i32)>) -> Vec<Edge> {
     out
 }
 
+/// The same boundary with each edge once; those passed both ways drop out.
+pub(crate) fn tidy(mut edges: Vec<Edge>) -> Vec<Edge> {
+    for e in &mut edges {
+        if e.ends[1].to_array() < e.ends[0].to_array() {
+            e.ends.swap(0, 1);
+            e.weight = -e.weight;
+        }
+    }
+    let bits = |e: &Edge| e.ends.map(|p| p.to_array().map(f64::to_bits));
+    edges.sort_by_cached_key(bits);
+    let mut out: Vec<Edge> = Vec::with_capacity(edges.len());
+    for e in edges {
+        match out.last_mut() {
+            Some(last) if last.ends == e.ends => {
+                last.weight += e.weight;
+                last.is_inner |= e.is_inner;
+            }
+            _ => out.push(e),
+        }
+    }
+    out.retain(|e| e.weight != 0);
+    out
+}
+
 /// Where the edge between two points crosses a plane: the same bits whichever of them comes first.
 pub(crate) fn between(a: DVec3, b: DVec3, plane: Plane) -> DVec3 {
     let (a, b) = if a.to_array() < b.to_array() { (a, b) } else { (b, a) };

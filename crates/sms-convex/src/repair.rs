@@ -73,6 +73,57 @@ impl Surface {
         if fewer.is_closed() { fewer } else { self }
     }
 
+    /// Turns faces round so that neighbours agree, where edges have two faces each; sheets of which any was turned then
+    /// face outwards.
+    fn agree(&mut self) {
+        let mut edges: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * self.triangles.len());
+        for (f, &[a, b, c]) in self.triangles.iter().enumerate() {
+            edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b), f, a < b)));
+        }
+        edges.sort_unstable();
+        // The face across, and whether it runs the other way along the edge, as neighbours should.
+        let mut across: Vec<Vec<(usize, bool)>> = vec![Vec::new(); self.triangles.len()];
+        for same in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            if let [a, b] = same {
+                across[a.2].push((b.2, a.3 != b.3));
+                across[b.2].push((a.2, a.3 != b.3));
+            }
+        }
+        let mut turned: Vec<Option<bool>> = vec![None; self.triangles.len()];
+        for first in 0..self.triangles.len() {
+            if turned[first].is_some() {
+                continue;
+            }
+            turned[first] = Some(false);
+            let mut sheet = vec![first];
+            let mut at = 0;
+            while at < sheet.len() {
+                let f = sheet[at];
+                at += 1;
+                for &(g, agrees) in &across[f] {
+                    if turned[g].is_none() {
+                        turned[g] = turned[f].map(|t| t == agrees);
+                        sheet.push(g);
+                    }
+                }
+            }
+            if !sheet.iter().any(|&f| turned[f] == Some(true)) {
+                continue;
+            }
+            let corner = |i: u32| self.points[i as usize];
+            let six_volume = |f: usize| {
+                let [a, b, c] = self.triangles[f].map(corner);
+                a.dot(b.cross(c)) * if turned[f] == Some(true) { -1.0 } else { 1.0 }
+            };
+            let inwards = sheet.iter().map(|&f| six_volume(f)).sum::<f64>() < 0.0;
+            for &f in &sheet {
+                if (turned[f] == Some(true)) != inwards {
+                    self.triangles[f].swap(1, 2);
+                }
+            }
+        }
+    }
+
     /// Closes openings no wider than `width` by fans around their centres.
     fn fill_holes(&mut self, width: f64) {
         let mut edges: Vec<(u32, u32)> =
@@ -159,6 +210,9 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
         }
     }
     let mut out = out.compacted();
+    if !out.is_closed() {
+        out.agree();
+    }
     if !out.is_closed() {
         out.fill_holes(WIDEST_HOLE);
     }
