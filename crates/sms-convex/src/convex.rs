@@ -24,6 +24,12 @@ const PART_COST: f64 = 0.25;
 /// bowls and vases.
 const MOST_WORK: u64 = 150_000_000;
 
+/// Pieces are cut until the volume that their hulls add is this much nearer than the threshold; unions may use it whole.
+const CUT_SHARE: f64 = 0.8;
+
+/// Pieces thinner than this are films that cuts beside flat faces leave; they hold nothing, but span hollows.
+const FILM: f64 = 1e-4;
+
 /// Pieces are not cut any further once there are so many.
 const MOST_PIECES: usize = 256;
 
@@ -208,12 +214,12 @@ fn examine(
     let hull_volume = scratch.hull.volume();
     work.add(piece.size() + scratch.hull.take_steps());
     let volume = piece.volume().max(0.0);
-    if hull_volume <= 0.0 {
+    if hull_volume <= 0.0 || volume < FILM * piece.widest_side() {
         return (None, Vec::new());
     }
     let enough = tolerance.threshold;
     let convex = || {
-        rv(hull_volume - volume) <= enough
+        rv(hull_volume - volume) <= CUT_SHARE * enough
             && solid.reach(scratch.hull.triangles(), tolerance.spacing, enough, work) <= enough
     };
     if may_cut

@@ -19,14 +19,14 @@ use sms_core::{Aabb, Mesh};
 /// ```
 pub fn limited_hull(points: &[DVec3], max_vertices: usize) -> Option<Mesh> {
     let max_vertices = max_vertices.max(4);
-    let size = Aabb::of_points(points.iter().copied())?.extents().max_element();
-    let exact = sound_hull(points, usize::MAX, size)?;
+    let slight = SLIGHT * Aabb::of_points(points.iter().copied())?.extents().max_element();
+    let exact = convex_hull(points, usize::MAX, slight)?;
     if exact.vertices.len() <= max_vertices {
         return Some(exact);
     }
     let bounds = exact.aabb()?;
     let wanted = exact.volume();
-    let mut hull = sound_hull(&exact.vertices, max_vertices, size)?;
+    let mut hull = convex_hull(&exact.vertices, max_vertices, slight)?;
     for _ in 0..ROUNDS {
         let ratio = (wanted / hull.volume()).cbrt();
         if !(ratio - 1.0 > CLOSE && ratio.is_finite()) {
@@ -38,7 +38,7 @@ pub fn limited_hull(points: &[DVec3], max_vertices: usize) -> Option<Mesh> {
             .iter()
             .map(|&v| (middle + (v - middle) * ratio.min(MOST)).clamp(bounds.min, bounds.max))
             .collect();
-        let Some(next) = sound_hull(&grown, max_vertices, size) else { break };
+        let Some(next) = convex_hull(&grown, max_vertices, slight) else { break };
         if next.volume() <= hull.volume() {
             break;
         }
@@ -55,10 +55,5 @@ const CLOSE: f64 = 5e-4;
 /// Largest swelling of one round.
 const MOST: f64 = 1.05;
 
-/// The largest hull over a few tolerances: points a hair from a common plane can end a hull early at one tolerance or another.
-fn sound_hull(points: &[DVec3], max_vertices: usize, size: f64) -> Option<Mesh> {
-    [0.0, 1e-7, 1e-6, 1e-5, 1e-4]
-        .iter()
-        .filter_map(|share| convex_hull(points, max_vertices, share * size))
-        .max_by(|a, b| a.volume().total_cmp(&b.volume()))
-}
+/// Points farther out than this, in longest sides, are corners: nearer ones only make faces of no width.
+const SLIGHT: f64 = 1e-6;

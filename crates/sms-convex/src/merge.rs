@@ -8,11 +8,6 @@ use crate::work::Work;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Unions may be more concave than pieces by these factors: CoACD measures them against the hulls that they join, which
-/// already are as concave as the threshold allows; here they are measured against the solid.
-const SURPLUS_SLACK: f64 = 1.25;
-const REACH_SLACK: f64 = 1.0;
-
 /// Share of the parts' volume below which a part is a sliver.
 const SLIVER: f64 = 3e-4;
 
@@ -141,13 +136,13 @@ fn best(
         }
         let allowed = *union.allowed.get_or_insert_with(|| {
             let part = &union.part;
-            rv(part.hull_volume - part.volume) <= SURPLUS_SLACK * tolerance.threshold && {
+            rv(part.hull_volume - part.volume) <= tolerance.threshold && {
                 scratch.hull.clear(SLIGHT);
                 for &p in &part.points {
                     scratch.hull.push(p);
                 }
                 scratch.hull.volume();
-                let enough = REACH_SLACK * tolerance.threshold;
+                let enough = tolerance.threshold;
                 solid.reach(scratch.hull.triangles(), tolerance.spacing, enough, work) <= enough
             }
         });

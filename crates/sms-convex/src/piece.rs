@@ -51,6 +51,13 @@ impl Piece {
         (self.points.len() + 3 * self.triangles.len() + self.spines.len() + caps) as u64
     }
 
+    /// Area of the largest side of the box around all points.
+    pub(crate) fn widest_side(&self) -> f64 {
+        let extents =
+            sms_core::Aabb::of_points(self.points.iter().copied()).map_or(DVec3::ZERO, |b| b.extents());
+        (extents.x * extents.y).max(extents.y * extents.z).max(extents.z * extents.x)
+    }
+
     pub(crate) fn corners(&self, t: &[u32; 3]) -> [DVec3; 3] {
         t.map(|i| self.points[i as usize])
     }
