@@ -20,6 +20,7 @@ mod piece;
 mod predicates;
 mod remesh;
 mod repair;
+mod round;
 mod search;
 mod solid;
 mod sweep;

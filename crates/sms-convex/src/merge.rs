@@ -34,13 +34,14 @@ fn union(a: &Part, b: &Part, gap: f64, scratch: &mut Scratch) -> Option<Union> {
     Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
 }
 
-/// Joins parts, those first whose union adds the least volume: all that stay within the threshold, and more while
-/// there are more than `max_parts`.
+/// Joins parts, those first whose union adds the least volume: all that stay within the threshold and add no more than
+/// `most_added`, and more while there are more than `max_parts`.
 pub(crate) fn merge(
     parts: Vec<Part>,
     solid: &Solid,
     tolerance: Tolerance,
     max_parts: usize,
+    most_added: f64,
     work: &Work,
 ) -> Vec<Part> {
     let mut alive: BTreeMap<usize, Part> = parts.into_iter().enumerate().collect();
@@ -62,7 +63,9 @@ pub(crate) fn merge(
         unions.extend(pairs.into_iter().zip(found).filter_map(|(k, u)| Some((k, u?))));
         fresh.clear();
         let forced = alive.len() > max_parts;
-        let Some(key) = best(&mut unions, solid, tolerance, forced, work) else {
+        let Some(key) =
+            best(&mut unions, solid, tolerance, if forced { None } else { Some(most_added) }, work)
+        else {
             if !forced {
                 break;
             }
@@ -117,21 +120,21 @@ fn join(
     *next_id += 1;
 }
 
-/// The union that adds the least volume, of those within the threshold unless `forced`.
+/// The union that adds the least volume; of those within the threshold that add no more than `most_added`, if given.
 fn best(
     unions: &mut BTreeMap<(usize, usize), Union>,
     solid: &Solid,
     tolerance: Tolerance,
-    forced: bool,
+    most_added: Option<f64>,
     work: &Work,
 ) -> Option<(usize, usize)> {
     let mut scratch = Scratch::default();
     loop {
         let (key, union) = unions
             .iter_mut()
-            .filter(|(_, u)| forced || u.allowed != Some(false))
+            .filter(|(_, u)| most_added.is_none_or(|most| u.allowed != Some(false) && u.added <= most))
             .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(b.0)))?;
-        if forced {
+        if most_added.is_none() {
             return Some(*key);
         }
         let allowed = *union.allowed.get_or_insert_with(|| {

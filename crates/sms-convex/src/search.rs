@@ -122,7 +122,7 @@ pub(crate) fn side_volumes(
     volumes
 }
 
-fn extent(piece: &Piece, normal: DVec3) -> (f64, f64) {
+pub(crate) fn extent(piece: &Piece, normal: DVec3) -> (f64, f64) {
     let heights = piece.points.iter().map(|p| p.dot(normal));
     heights.fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h), high.max(h)))
 }
@@ -189,7 +189,7 @@ fn flat_directions(piece: &Piece) -> Vec<DVec3> {
 
 /// Heights along `normal` beside which large faces lie flat: cuts there leave clean blocks. A hair towards the open side
 /// of the faces, so that neither a cut runs through corners nor a film of one block stays on the other.
-fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
+pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
     const HAIR: f64 = 1e-5;
     let mut flat: Vec<(f64, f64)> = Vec::new();
     let mut total = 0.0;
