@@ -116,25 +116,23 @@ def solid_columns(vertices, triangles, columns):
 def hull_columns(parts, columns):
     """Per part an array (columns, 2) of the interval inside the hull; empty where low > high."""
     import numpy as np
+    from scipy.spatial import ConvexHull
 
     px, py = (c.ravel() for c in np.meshgrid(*columns, indexing="ij"))
     spans = []
-    for vertices, triangles in parts:
+    for vertices, _ in parts:
         v = np.asarray(vertices, float)
         box = np.nonzero(
             (px >= v[:, 0].min()) & (px <= v[:, 0].max()) & (py >= v[:, 1].min()) & (py <= v[:, 1].max())
         )[0]
         low, high = np.full(len(box), -np.inf), np.full(len(box), np.inf)
-        scale = np.abs(v - v.mean(0)).max() ** 2
-        for a, b, c in v[np.asarray(triangles)]:
-            n = np.cross(b - a, c - a)
-            if np.linalg.norm(n) < 1e-12 * scale:
-                continue
-            rest = n @ a - n[0] * px[box] - n[1] * py[box]
-            if n[2] > 1e-14 * scale:
-                high = np.minimum(high, rest / n[2])
-            elif n[2] < -1e-14 * scale:
-                low = np.maximum(low, rest / n[2])
+        # Of the vertices, as simulators take parts; a file's faces without width have normals of rounding.
+        for nx, ny, nz, d in np.unique(ConvexHull(v).equations.round(12), axis=0):
+            rest = -d - nx * px[box] - ny * py[box]
+            if nz > 1e-9:
+                high = np.minimum(high, rest / nz)
+            elif nz < -1e-9:
+                low = np.maximum(low, rest / nz)
             else:
                 high[rest < 0] = -np.inf
         keep = low < high

@@ -7,7 +7,7 @@ use sms_core::{Hash, Hasher, Mesh, atomic, hash_serializable};
 use std::path::Path;
 
 /// Counts changes of the algorithm: decompositions of other versions are not used.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Stored {

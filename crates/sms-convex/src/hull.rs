@@ -108,13 +108,27 @@ impl Hull<'_> {
         orient(a, b, c, self.points[point as usize]) > 0.0
     }
 
-    /// Gives each point to the first of `faces` that it sees; points that see none are inside.
+    /// Whether a point lies in front of a face or in its plane. A face in whose plane the new point lies is replaced, too:
+    /// kept, its edge may be in line with the point, and a face without area, which nothing ever sees, would stay.
+    fn sees_or_continues(&self, point: u32, face: u32) -> bool {
+        let [a, b, c] = self.faces[face as usize].corners.map(|i| self.points[i as usize]);
+        orient(a, b, c, self.points[point as usize]) >= 0.0
+    }
+
+    /// Gives each point to the one of `faces` above which it lies highest; points that see none are inside.
     fn assign(&mut self, points: &[u32], faces: &[u32]) {
         for &p in points {
-            let Some(&f) = faces.iter().find(|&&f| self.sees(p, f)) else { continue };
-            let [a, b, c] = self.faces[f as usize].corners.map(|i| self.points[i as usize]);
-            let normal = (b - a).cross(c - a).normalize_or_zero();
-            let distance = normal.dot(self.points[p as usize] - a).max(f64::MIN_POSITIVE);
+            let at = self.points[p as usize];
+            let mut highest: Option<(f64, u32)> = None;
+            for &f in faces.iter().filter(|&&f| self.sees(p, f)) {
+                let [a, b, c] = self.faces[f as usize].corners.map(|i| self.points[i as usize]);
+                let normal = (b - a).cross(c - a).normalize_or_zero();
+                let distance = normal.dot(at - a).max(f64::MIN_POSITIVE);
+                if highest.is_none_or(|h| distance > h.0) {
+                    highest = Some((distance, f));
+                }
+            }
+            let Some((distance, f)) = highest else { continue };
             let face = &mut self.faces[f as usize];
             if face.outside.is_empty() || distance > face.farthest.0 {
                 face.farthest = (distance, p);
@@ -136,7 +150,7 @@ impl Hull<'_> {
                 if is_visible.contains(&g) {
                     continue;
                 }
-                if self.sees(point, g) {
+                if self.sees_or_continues(point, g) {
                     is_visible.insert(g);
                     visible.push(g);
                 } else {

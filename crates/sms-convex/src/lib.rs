@@ -8,23 +8,28 @@
 //! ```
 
 mod cache;
+mod cap;
 mod clip;
 mod config;
 mod convex;
 mod hull;
+mod limit;
 mod merge;
 mod occupancy;
 mod piece;
 mod predicates;
 mod remesh;
 mod repair;
+mod round;
 mod search;
 mod solid;
 mod sweep;
+mod work;
 
 pub use cache::convex_parts_cached;
 pub use clip::clip;
 pub use config::ConvexConfig;
 pub use convex::convex_parts;
 pub use hull::convex_hull;
+pub use limit::limited_hull;
 pub use predicates::{collinear, orient};

@@ -9,6 +9,9 @@ pub(crate) struct Occupancy {
     cell: f64,
     size: [usize; 3],
     inside: Vec<bool>,
+    /// Lengths of all columns that the surface winds around forwards and backwards, in cells.
+    forwards: f64,
+    backwards: f64,
 }
 
 /// Crossings of one column: height in cells, and −1 where the column enters through an upward face's back.
@@ -24,15 +27,26 @@ impl Occupancy {
         // Columns through the corners of axis-aligned meshes would count twice: shift by an odd fraction of a cell.
         let min = low - DVec3::new(0.3713, 0.2917, 0.3291) * cell;
         let size = ((high - min) / cell).max(DVec3::ZERO).to_array().map(|v| v as usize + 2);
-        let mut grid = Self { min, cell, size, inside: vec![false; size.iter().product()] };
+        let mut grid = Self {
+            min,
+            cell,
+            size,
+            inside: vec![false; size.iter().product()],
+            forwards: 0.0,
+            backwards: 0.0,
+        };
         let columns = grid.crossings(surface);
         for (xy, mut column) in columns.into_iter().enumerate() {
             column.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             let (mut winding, mut from) = (0, 0.0);
+            let mut last = 0.0;
             for (z, sign) in column {
                 if winding == 0 {
                     from = z;
                 }
+                *(if winding >= 0 { &mut grid.forwards } else { &mut grid.backwards }) +=
+                    if winding == 0 { 0.0 } else { z - last };
+                last = z;
                 winding += sign;
                 if winding == 0 {
                     for k in from.ceil().max(0.0) as usize..=(z.floor().max(-1.0) as isize).max(0) as usize {
@@ -98,7 +112,13 @@ impl Occupancy {
             && self.inside[(z * self.size[1] + y) * self.size[0] + x]
     }
 
+    /// Whether much of the solid lies behind faces that are turned the wrong way.
+    pub(crate) fn is_tangled(&self) -> bool {
+        self.backwards > 0.03 * self.forwards
+    }
+
     /// Volume of the voxels inside.
+    #[cfg(test)]
     pub(crate) fn volume(&self) -> f64 {
         self.inside.iter().filter(|&&i| i).count() as f64 * self.cell.powi(3)
     }

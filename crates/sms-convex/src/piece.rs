@@ -2,10 +2,9 @@
 //!
 //! The hull of a cut surface is nearly the hull of the cut solid, because a cut's outline lies on both; what it lacks
 //! are the corners where cuts meet inside the solid. Pieces therefore keep, besides their surface, the *spines*: the
-//! lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps; a fan of triangles from
-//! any point of the plane to the outline's edges has the cap's signed volume, however tangled the outline is, and stays
-//! right when it is cut again.
+//! lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps ([`crate::cap`]).
 
+use crate::cap::{Cap, Edge, between, tidy};
 use crate::sweep::GrowingHull;
 use glamx::{DMat3, DVec3};
 
@@ -30,8 +29,8 @@ impl Plane {
 pub(crate) struct Piece {
     pub(crate) points: Vec<DVec3>,
     pub(crate) triangles: Vec<[u32; 3]>,
-    /// Fans that close the cuts, for volumes only.
-    pub(crate) caps: Vec<[DVec3; 3]>,
+    /// What closes the cuts, for volumes and inner corners.
+    pub(crate) caps: Vec<Cap>,
     /// Lines inside the solid along which two cuts meet.
     pub(crate) spines: Vec<[u32; 2]>,
     /// The half-spaces that the piece was cut to.
@@ -42,8 +41,21 @@ impl Piece {
     /// Signed volume of the closed piece.
     pub(crate) fn volume(&self) -> f64 {
         let surface: f64 = self.triangles.iter().map(|t| six_volume(self.corners(t))).sum();
-        let caps: f64 = self.caps.iter().map(|&t| six_volume(t)).sum();
+        let caps: f64 = self.caps.iter().map(Cap::six_volume).sum();
         (surface + caps) / 6.0
+    }
+
+    /// Points, faces and edges to go through.
+    pub(crate) fn size(&self) -> u64 {
+        let caps: usize = self.caps.iter().map(|c| c.edges.len()).sum();
+        (self.points.len() + 3 * self.triangles.len() + self.spines.len() + caps) as u64
+    }
+
+    /// Area of the largest side of the box around all points.
+    pub(crate) fn widest_side(&self) -> f64 {
+        let extents =
+            sms_core::Aabb::of_points(self.points.iter().copied()).map_or(DVec3::ZERO, |b| b.extents());
+        (extents.x * extents.y).max(extents.y * extents.z).max(extents.z * extents.x)
     }
 
     pub(crate) fn corners(&self, t: &[u32; 3]) -> [DVec3; 3] {
@@ -112,7 +124,8 @@ impl Piece {
             .collect();
         let mut out = [Side::new(self), Side::new(self)];
         let mut cuts = Cuts::default();
-        let mut outline: Vec<[DVec3; 2]> = Vec::new();
+        // The lower side's boundary in the plane.
+        let mut outline: Vec<Edge> = Vec::new();
         for t in &self.triangles {
             let s = t.map(|i| side[i as usize]);
             let (low, high) = (s.iter().any(|&s| s < 0), s.iter().any(|&s| s > 0));
@@ -127,6 +140,10 @@ impl Piece {
                     out[1].triangle(self, *t);
                 } else {
                     out[0].triangle(self, *t);
+                    if in_plane && with_caps {
+                        let [a, b, c] = self.corners(t);
+                        outline.extend([[a, b], [b, c], [c, a]].map(Edge::of_surface));
+                    }
                 }
             } else if !low {
                 out[1].triangle(self, *t);
@@ -149,7 +166,7 @@ impl Piece {
                 out[1].close_polygon();
             }
             if with_caps {
-                outline.extend(crossing(self.corners(t), s, plane));
+                outline.extend(crossing(self.corners(t), s, plane).map(Edge::of_surface));
             }
         }
         for &[i, j] in &self.spines {
@@ -168,7 +185,7 @@ impl Piece {
             }
         }
         let mut sides = out.map(|s| s.piece);
-        for [a, b] in self.new_spines(plane, inside) {
+        for [a, b] in self.new_spines(plane, if with_caps { 0.03 } else { 0.1 }, inside) {
             for s in &mut sides {
                 let n = s.points.len() as u32;
                 s.points.extend([a, b]);
@@ -180,27 +197,15 @@ impl Piece {
             s.cell.push(Plane { normal: plane.normal * sign, offset: plane.offset * sign });
         }
         if with_caps {
+            let [below, above] = &mut sides;
             for cap in &self.caps {
-                let s = cap.map(|p| {
-                    let h = plane.height(p);
-                    if h > HAIR {
-                        1
-                    } else if h < -HAIR {
-                        -1
-                    } else {
-                        0
-                    }
-                });
-                for (which, side) in sides.iter_mut().enumerate() {
-                    clip_cap(*cap, s, plane, which, &mut side.caps);
-                }
-                outline.extend(crossing(*cap, s, plane));
+                cap.split(plane, HAIR, [&mut below.caps, &mut above.caps], &mut outline);
             }
-            if let Some(&[apex, _]) = outline.first() {
-                for [a, b] in outline {
-                    sides[0].caps.push([apex, b, a]);
-                    sides[1].caps.push([apex, a, b]);
-                }
+            let mut outline = tidy(outline);
+            if !outline.is_empty() {
+                above.caps.push(Cap { normal: -plane.normal, edges: outline.clone() });
+                outline.iter_mut().for_each(|e| e.weight = -e.weight);
+                below.caps.push(Cap { normal: plane.normal, edges: outline });
             }
         }
         sides
@@ -209,9 +214,9 @@ impl Piece {
 
 impl Piece {
     /// Where the plane meets earlier cuts inside the cell and the solid.
-    fn new_spines(&self, plane: Plane, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
-        const SAMPLES: usize = 12;
+    fn new_spines(&self, plane: Plane, step: f64, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
         let mut out = Vec::new();
+        let Some(bounds) = sms_core::Aabb::of_points(self.points.iter().copied()) else { return out };
         for (k, other) in self.cell.iter().enumerate() {
             let along = plane.normal.cross(other.normal);
             let sin2 = along.length_squared();
@@ -221,8 +226,17 @@ impl Piece {
             let foot =
                 (other.normal.cross(along) * plane.offset + along.cross(plane.normal) * other.offset) / sin2;
             let along = along / sin2.sqrt();
-            // The object lies within 2 of the origin.
-            let (mut from, mut to) = (-2.0f64 - foot.dot(along), 2.0 - foot.dot(along));
+            // As far as it runs through the piece's box.
+            let (mut from, mut to) = (-4.0f64, 4.0f64);
+            for axis in 0..3 {
+                let (a, b) = (bounds.min[axis] - foot[axis], bounds.max[axis] - foot[axis]);
+                if along[axis].abs() > 1e-9 {
+                    let (a, b) = (a / along[axis], b / along[axis]);
+                    (from, to) = (from.max(a.min(b)), to.min(a.max(b)));
+                } else if a > 1e-6 || b < -1e-6 {
+                    to = from - 1.0;
+                }
+            }
             for (m, bound) in self.cell.iter().enumerate() {
                 if m == k {
                     continue;
@@ -241,17 +255,29 @@ impl Piece {
             if to - from < 1e-3 {
                 continue;
             }
-            let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (SAMPLES - 1) as f64);
+            let samples = ((to - from) / step) as usize + 4;
+            let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (samples - 1) as f64);
+            // Between a sample inside and one outside, the last point inside.
+            let edge = |mut within: DVec3, mut beyond: DVec3| {
+                for _ in 0..5 {
+                    let middle = within.midpoint(beyond);
+                    *(if inside(middle) { &mut within } else { &mut beyond }) = middle;
+                }
+                within
+            };
             let mut start: Option<DVec3> = None;
-            let mut last = DVec3::ZERO;
-            for i in 0..SAMPLES {
+            let (mut last, mut before) = (DVec3::ZERO, None);
+            for i in 0..samples {
                 let p = at(i);
                 if inside(p) {
-                    start.get_or_insert(p);
+                    if start.is_none() {
+                        start = Some(before.map_or(p, |q| edge(p, q)));
+                    }
                     last = p;
                 } else if let Some(s) = start.take() {
-                    out.push([s, last]);
+                    out.push([s, edge(last, p)]);
                 }
+                before = Some(p);
             }
             out.extend(start.map(|s| [s, last]));
         }
@@ -259,17 +285,12 @@ impl Piece {
     }
 }
 
-fn six_volume([a, b, c]: [DVec3; 3]) -> f64 {
+pub(crate) fn six_volume([a, b, c]: [DVec3; 3]) -> f64 {
     a.dot(b.cross(c))
 }
 
 fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
-}
-
-fn between(a: DVec3, b: DVec3, plane: Plane) -> DVec3 {
-    let (ha, hb) = (plane.height(a), plane.height(b));
-    a + (b - a) * (ha / (ha - hb))
 }
 
 /// The boundary that a triangle's lower side gains on the plane, in the triangle's direction of travel.
@@ -293,36 +314,6 @@ fn crossing(t: [DVec3; 3], s: [i8; 3], plane: Plane) -> Option<[DVec3; 2]> {
     match (from, to) {
         (Some(a), Some(b)) if a != b => Some([a, b]),
         _ => None,
-    }
-}
-
-fn clip_cap(t: [DVec3; 3], s: [i8; 3], plane: Plane, which: usize, out: &mut Vec<[DVec3; 3]>) {
-    let sign = if which == 0 { -1 } else { 1 };
-    let mut polygon: [DVec3; 4] = [DVec3::ZERO; 4];
-    let mut n = 0;
-    if s == [0; 3] {
-        let faces_up = (t[1] - t[0]).cross(t[2] - t[0]).dot(plane.normal) > 0.0;
-        if faces_up == (which == 0) {
-            out.push(t);
-        }
-        return;
-    }
-    if !s.contains(&sign) {
-        return;
-    }
-    for k in 0..3 {
-        let (a, b, sa, sb) = (t[k], t[(k + 1) % 3], s[k], s[(k + 1) % 3]);
-        if sa * sign >= 0 {
-            polygon[n] = a;
-            n += 1;
-        }
-        if sa * sb < 0 && n < 4 {
-            polygon[n] = between(a, b, plane);
-            n += 1;
-        }
-    }
-    for k in 1..n.saturating_sub(1) {
-        out.push([polygon[0], polygon[k], polygon[k + 1]]);
     }
 }
 
@@ -442,15 +433,20 @@ mod tests {
             mesh.triangles.extend(hole.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
             let mut pieces = vec![piece_of(&mesh)];
             let inside = |p: DVec3| p.abs().max_element() <= 1.0 && p.length() >= 0.7;
-            for _ in 0..4 {
+            for _ in 0..6 {
                 let mut normal =
                     DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::splat(1.0);
                 if aligned {
                     normal = [DVec3::X, DVec3::Y, DVec3::Z][rng.random_range(0..3)];
                 }
-                let plane = Plane { normal: normal.normalize_or(DVec3::X), offset: 0.0 };
+                let offset = if aligned { [0.0, 0.3, 1.0][rng.random_range(0..3)] } else { 0.3 * rng.random::<f64>() };
+                let plane = Plane { normal: normal.normalize_or(DVec3::X), offset };
                 pieces = pieces.iter().flat_map(|p| p.split(plane, true, &inside)).collect();
             }
+            // Caps do not grow with every cut through them.
+            let edges: usize = pieces.iter().flat_map(|p| &p.caps).map(|c| c.edges.len()).sum();
+            let faces: usize = pieces.iter().map(|p| p.triangles.len()).sum();
+            prop_assert!(edges < 2 * faces, "{edges} {faces}");
             let sum: f64 = pieces.iter().map(Piece::volume).sum();
             prop_assert!((sum - mesh.volume()).abs() < 1e-7, "{sum} {}", mesh.volume());
             let mut hull = GrowingHull::default();

@@ -9,8 +9,9 @@ use glamx::DVec3;
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
-/// Voxels along the longest side.
-const RESOLUTION: usize = 80;
+/// Most pairs of a voxel and a face whose box it lies in or beside: so much do nearest faces cost. Faces of a scan make a
+/// million; twenty thousand that cross the whole object make more than this on any grid that shows anything.
+pub(crate) const MOST_PAIRS: f64 = 2e7;
 
 /// Openings up to twice so many voxels wide are sealed.
 const SEAL: u16 = 2;
@@ -73,10 +74,24 @@ impl Grid {
     }
 }
 
-/// A closed surface around what `surface` (any triangles, in unit coordinates) encloses; `None` when that is nothing.
-pub(crate) fn remesh(surface: &Surface) -> Option<Surface> {
+/// Pairs of a face and a voxel, of `resolution` along the longest side, that lies in the face's box or beside it.
+pub(crate) fn pairs(surface: &Surface, resolution: usize) -> f64 {
+    let cell = 2.0 / resolution as f64;
+    let boxes = surface.triangles.iter().filter_map(|t| {
+        let bounds = sms_core::Aabb::of_points(t.map(|i| surface.points[i as usize]))?;
+        Some((bounds.extents() / cell + DVec3::splat(2.0)).element_product())
+    });
+    boxes.sum()
+}
+
+/// A closed surface around what `surface` (any triangles, in unit coordinates) encloses, on a grid of `resolution` voxels
+/// along the longest side; `None` when that is nothing, or too much work.
+pub(crate) fn remesh(surface: &Surface, resolution: usize) -> Option<Surface> {
+    let cell = 2.0 / resolution as f64;
+    if pairs(surface, resolution) > MOST_PAIRS {
+        return None;
+    }
     let shape = TriMesh::new(surface.points.clone(), surface.triangles.clone()).ok()?;
-    let cell = 2.0 / RESOLUTION as f64;
     let low = surface.points.iter().fold(DVec3::ONE, |m, p| m.min(*p));
     let high = surface.points.iter().fold(-DVec3::ONE, |m, p| m.max(*p));
     let pad = f64::from(SEAL) + 2.3;
@@ -123,7 +138,7 @@ pub(crate) fn remesh(surface: &Surface) -> Option<Surface> {
 
 /// Voxels that the surface passes through, and their neighbours.
 fn near_surface(surface: &Surface, grid: &Grid) -> Vec<bool> {
-    let mut near = vec![false; grid.len()];
+    let mut on = vec![false; grid.len()];
     for t in &surface.triangles {
         let [a, b, c] = t.map(|i| surface.points[i as usize]);
         let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
@@ -132,12 +147,16 @@ fn near_surface(surface: &Surface, grid: &Grid) -> Vec<bool> {
             for j in 0..=steps - i {
                 let (u, v) = (i as f64 / steps as f64, j as f64 / steps as f64);
                 let p = a * (1.0 - u - v) + b * u + c * v;
-                let [x, y, z] = ((p - grid.min) / grid.cell).to_array().map(|v| v as usize);
-                for n in 0..27 {
-                    let to = [x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1];
-                    near[grid.index(to)] = true;
-                }
+                on[grid.index(((p - grid.min) / grid.cell).to_array().map(|v| v as usize))] = true;
             }
+        }
+    }
+    let mut near = vec![false; grid.len()];
+    for i in (0..grid.len()).filter(|&i| on[i]) {
+        // The grid reaches beyond the surface by more than a voxel.
+        let [x, y, z] = grid.at(i);
+        for n in 0..27 {
+            near[grid.index([x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1])] = true;
         }
     }
     near
@@ -219,7 +238,7 @@ mod tests {
             points: ball.vertices.clone(),
             triangles: ball.triangles.iter().copied().skip(3).collect(),
         };
-        let closed = remesh(&torn).unwrap();
+        let closed = remesh(&torn, 80).unwrap();
         assert!(closed.is_closed());
         assert!((closed.volume() / ball.volume() - 1.0).abs() < 0.01, "{}", closed.volume());
         let half: Vec<[u32; 3]> = ball
@@ -228,7 +247,7 @@ mod tests {
             .copied()
             .filter(|t| t.iter().all(|&i| ball.vertices[i as usize].z < 0.05))
             .collect();
-        let cup = remesh(&clean(&ball.vertices, &half)).unwrap();
+        let cup = remesh(&clean(&ball.vertices, &half), 80).unwrap();
         assert!(cup.is_closed());
         assert!(cup.volume() < 0.15 * ball.volume(), "{}", cup.volume());
     }

@@ -1,11 +1,21 @@
 //! From whatever mesh is given to a closed surface of few faces.
 
 use crate::occupancy::Occupancy;
+use crate::remesh::remesh;
 use glamx::DVec3;
 use std::collections::BTreeMap;
 
 /// Openings up to this wide, in half sizes of the object, are holes of a scan and not mouths of vessels.
 const WIDEST_HOLE: f64 = 0.2;
+
+/// Surfaces are cut with about so many faces …
+const FACES: usize = 2000;
+
+/// … in smooth places and more in rough ones, up to so many: tangles and needles without end would take for ever.
+pub(crate) const MOST_FACES: usize = 6000;
+
+/// Voxels along the longest side where a surface is made anew: the first with which it has few enough faces.
+const RESOLUTIONS: [usize; 4] = [80, 40, 24, 12];
 
 /// A surface in unit coordinates: centred, its longest side of length 2.
 #[derive(Debug, Clone, Default)]
@@ -61,6 +71,57 @@ impl Surface {
         let triangles = kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
         let fewer = Self { points: self.points.clone(), triangles }.compacted();
         if fewer.is_closed() { fewer } else { self }
+    }
+
+    /// Turns faces round so that neighbours agree, where edges have two faces each; sheets of which any was turned then
+    /// face outwards.
+    fn agree(&mut self) {
+        let mut edges: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * self.triangles.len());
+        for (f, &[a, b, c]) in self.triangles.iter().enumerate() {
+            edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b), f, a < b)));
+        }
+        edges.sort_unstable();
+        // The face across, and whether it runs the other way along the edge, as neighbours should.
+        let mut across: Vec<Vec<(usize, bool)>> = vec![Vec::new(); self.triangles.len()];
+        for same in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            if let [a, b] = same {
+                across[a.2].push((b.2, a.3 != b.3));
+                across[b.2].push((a.2, a.3 != b.3));
+            }
+        }
+        let mut turned: Vec<Option<bool>> = vec![None; self.triangles.len()];
+        for first in 0..self.triangles.len() {
+            if turned[first].is_some() {
+                continue;
+            }
+            turned[first] = Some(false);
+            let mut sheet = vec![first];
+            let mut at = 0;
+            while at < sheet.len() {
+                let f = sheet[at];
+                at += 1;
+                for &(g, agrees) in &across[f] {
+                    if turned[g].is_none() {
+                        turned[g] = turned[f].map(|t| t == agrees);
+                        sheet.push(g);
+                    }
+                }
+            }
+            if !sheet.iter().any(|&f| turned[f] == Some(true)) {
+                continue;
+            }
+            let corner = |i: u32| self.points[i as usize];
+            let six_volume = |f: usize| {
+                let [a, b, c] = self.triangles[f].map(corner);
+                a.dot(b.cross(c)) * if turned[f] == Some(true) { -1.0 } else { 1.0 }
+            };
+            let inwards = sheet.iter().map(|&f| six_volume(f)).sum::<f64>() < 0.0;
+            for &f in &sheet {
+                if (turned[f] == Some(true)) != inwards {
+                    self.triangles[f].swap(1, 2);
+                }
+            }
+        }
     }
 
     /// Closes openings no wider than `width` by fans around their centres.
@@ -150,6 +211,9 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
     }
     let mut out = out.compacted();
     if !out.is_closed() {
+        out.agree();
+    }
+    if !out.is_closed() {
         out.fill_holes(WIDEST_HOLE);
     }
     if out.is_closed() && out.volume() < 0.0 {
@@ -158,20 +222,26 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
     out
 }
 
-/// A closed surface of the solid that triangles stand for: as they are where they are closed and enclose what their
-/// winding says, else made anew on a grid. `None` when they enclose nothing.
-pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]]) -> Option<Surface> {
+/// A closed surface of the solid that triangles stand for, with few faces for its roughness and at most [`MOST_FACES`]:
+/// as they are where they are closed and enclose what their winding says, else made anew on a grid, as coarse as that
+/// takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
+pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]], threshold: f64) -> Option<Surface> {
     let surface = clean(points, triangles);
     if surface.triangles.is_empty() {
         return None;
     }
-    if surface.is_closed() {
-        let volume = surface.volume();
-        let seen = Occupancy::new(&surface, 64).volume();
-        // Walls thinner than a voxel are missed by the grid, tangled and doubled surfaces by the sum.
-        if volume > 1e-9 && (volume - seen).abs() < 0.15 * volume.max(seen) + 0.02 {
-            return Some(surface);
+    let few = |s: Surface| {
+        let s = s.decimated(FACES, 0.06 * threshold);
+        [0.2, 0.4].iter().fold(s, |s, share| s.decimated(MOST_FACES, share * threshold))
+    };
+    if surface.is_closed() && surface.volume() > 1e-9 && !Occupancy::new(&surface, 64).is_tangled() {
+        let few = few(surface.clone());
+        if few.triangles.len() <= MOST_FACES {
+            return Some(few);
         }
     }
-    crate::remesh::remesh(&surface)
+    RESOLUTIONS
+        .iter()
+        .filter_map(|&resolution| Some(few(remesh(&surface, resolution)?)))
+        .find(|s| s.triangles.len() <= MOST_FACES)
 }

@@ -7,6 +7,7 @@
 use crate::piece::{Piece, Plane};
 use crate::solid::Solid;
 use crate::sweep::{GrowingHull, outline};
+use crate::work::Work;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -18,6 +19,18 @@ const PLENTY: f64 = 0.6;
 
 const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
 
+/// Which planes are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Planes {
+    /// The frame's axes, the piece's own and diagonals.
+    All,
+    /// The frame's axes only.
+    Square,
+    /// Through flat faces, where there are any: nothing shows that an open box should fall into its five walls until the
+    /// last of four cuts.
+    Flat,
+}
+
 /// How widely the search looks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Breadth {
@@ -27,8 +40,7 @@ pub(crate) struct Breadth {
     pub(crate) second: usize,
     /// First cuts tried with their second cuts.
     pub(crate) candidates: usize,
-    /// Whether planes other than the frame's are tried.
-    pub(crate) diagonals: bool,
+    pub(crate) planes: Planes,
     /// Volume of hulls that one more part must save.
     pub(crate) part_cost: f64,
 }
@@ -110,13 +122,14 @@ pub(crate) fn side_volumes(
     volumes
 }
 
+pub(crate) fn extent(piece: &Piece, normal: DVec3) -> (f64, f64) {
+    let heights = piece.points.iter().map(|p| p.dot(normal));
+    heights.fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h), high.max(h)))
+}
+
 /// Evenly spaced offsets inside the piece's extent along `normal`; none when it is too thin to be cut.
 fn even_offsets(piece: &Piece, normal: DVec3, count: usize) -> Vec<f64> {
-    let (low, high) = piece
-        .points
-        .iter()
-        .map(|p| p.dot(normal))
-        .fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h), high.max(h)));
+    let (low, high) = extent(piece, normal);
     const THINNEST: f64 = 0.02;
     let count = count.min(((high - low) / THINNEST) as usize);
     (1..=count).map(|k| low + (high - low) * k as f64 / (count + 1) as f64).collect()
@@ -146,27 +159,59 @@ fn directions(piece: &Piece) -> Vec<DVec3> {
     out
 }
 
-/// Heights along `normal` at which large faces lie flat: cuts there leave clean blocks.
-fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
+/// The frame's axes and the directions of the largest flat faces.
+fn flat_directions(piece: &Piece) -> Vec<DVec3> {
+    let mut flat: Vec<(DVec3, f64)> = Vec::new();
+    for t in &piece.triangles {
+        let [a, b, c] = piece.corners(t);
+        let cross = (b - a).cross(c - a);
+        let Some(n) = cross.try_normalize() else { continue };
+        match flat.iter().position(|f| f.0.dot(n).abs() > 0.9995) {
+            Some(k) => flat[k].1 += cross.length(),
+            None => flat.push((n, cross.length())),
+        }
+        if flat.len() > 200 {
+            // Round all over.
+            return AXES.to_vec();
+        }
+    }
+    let total: f64 = flat.iter().map(|f| f.1).sum();
+    flat.retain(|f| f.1 > 0.03 * total);
+    flat.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut out: Vec<DVec3> = flat.iter().take(6).map(|f| f.0).collect();
+    for axis in AXES {
+        if out.iter().all(|d| d.dot(axis).abs() < 0.9995) {
+            out.push(axis);
+        }
+    }
+    out
+}
+
+/// Heights along `normal` beside which large faces lie flat: cuts there leave clean blocks. A hair towards the open side
+/// of the faces, so that neither a cut runs through corners nor a film of one block stays on the other.
+pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
+    const HAIR: f64 = 1e-5;
     let mut flat: Vec<(f64, f64)> = Vec::new();
     let mut total = 0.0;
     for t in &piece.triangles {
         let [a, b, c] = piece.corners(t);
         let cross = (b - a).cross(c - a);
-        let area = cross.length();
+        let (area, up) = (cross.length(), cross.dot(normal));
         total += area;
-        if cross.dot(normal).abs() > 0.999 * area {
-            flat.push(((a + b + c).dot(normal) / 3.0, area));
+        if up.abs() > 0.999 * area {
+            flat.push(((a + b + c).dot(normal) / 3.0, up));
         }
     }
     flat.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut levels: Vec<(f64, f64)> = Vec::new();
-    for (h, area) in flat {
-        match levels.last_mut() {
-            Some(level) if h - level.0 < 2e-3 => level.1 += area,
-            _ => levels.push((h, area)),
-        }
-    }
+    let mut levels: Vec<(f64, f64)> = flat
+        .chunk_by(|a, b| b.0 - a.0 < 5e-4)
+        .filter_map(|level| {
+            let area: f64 = level.iter().map(|f| f.1.abs()).sum();
+            let up: f64 = level.iter().map(|f| f.1).sum();
+            let height = if up > 0.0 { level.last()?.0 + HAIR } else { level.first()?.0 - HAIR };
+            Some((height, area))
+        })
+        .collect();
     levels.retain(|l| l.1 > 0.01 * total);
     levels.sort_by(|a, b| b.1.total_cmp(&a.1));
     levels.truncate(6);
@@ -180,7 +225,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
     }
     let edges = side.edges();
     let mut best = whole;
-    for normal in if breadth.diagonals { side.axes() } else { AXES } {
+    for normal in if breadth.planes == Planes::All { side.axes() } else { AXES } {
         let offsets = even_offsets(side, normal, breadth.second);
         for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
             best = best.min(below + above + breadth.part_cost);
@@ -191,19 +236,42 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scra
 
 /// The plane that leaves the least volume of hulls after it and one more cut on each side; `None` when the piece is
 /// too thin everywhere.
-pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Breadth) -> Option<Plane> {
+pub(crate) fn best_cut(
+    piece: &Piece,
+    surplus: f64,
+    solid: &Solid,
+    breadth: Breadth,
+    work: &Work,
+) -> Option<Plane> {
     let edges = piece.edges();
-    let directions = if breadth.diagonals { directions(piece) } else { AXES.to_vec() };
-    let per_direction: Vec<Vec<(Plane, f64, f64)>> = directions
+    let directions = match breadth.planes {
+        Planes::All => directions(piece),
+        Planes::Square => AXES.to_vec(),
+        Planes::Flat => flat_directions(piece),
+    };
+    let per_direction: Vec<Vec<(Plane, f64, f64, bool)>> = directions
         .par_iter()
         .map_init(Scratch::default, |scratch, &normal| {
             let mut offsets = even_offsets(piece, normal, breadth.first);
-            let Some((&low, &high)) = offsets.first().zip(offsets.last()) else { return Vec::new() };
+            let (low, high) = extent(piece, normal);
             let middle = 0.5 * (low + high);
-            offsets.extend(flat_heights(piece, normal).into_iter().filter(|h| *h > low && *h < high));
+            let mut flat = flat_heights(piece, normal);
+            flat.retain(|h| *h > low + 2e-3 && *h < high - 2e-3);
+            if breadth.planes == Planes::Flat && !flat.is_empty() {
+                offsets.clear();
+            }
+            offsets.extend(&flat);
             offsets.sort_by(f64::total_cmp);
             offsets.dedup();
+            if offsets.is_empty() {
+                return Vec::new();
+            }
             let volumes = side_volumes(piece, &edges, normal, &offsets, scratch);
+            work.add((edges.len() + piece.points.len()) as u64 + scratch.hull.take_steps());
+            if breadth.planes == Planes::Flat && !flat.is_empty() {
+                let planes = offsets.iter().zip(volumes);
+                return planes.map(|(&offset, v)| (Plane { normal, offset }, v.0, v.1, true)).collect();
+            }
             let sum = |k: usize| volumes[k].0 + volumes[k].1;
             let mut chosen: Vec<usize> = Vec::new();
             // The best two that are not neighbours, and the middle.
@@ -221,12 +289,15 @@ pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Brea
             chosen.extend(mid.filter(|m| !chosen.contains(m)));
             chosen
                 .into_iter()
-                .map(|k| (Plane { normal, offset: offsets[k] }, volumes[k].0, volumes[k].1))
+                .map(|k| (Plane { normal, offset: offsets[k] }, volumes[k].0, volumes[k].1, false))
                 .collect()
         })
         .collect();
-    let mut candidates: Vec<(Plane, f64, f64)> = per_direction.into_iter().flatten().collect();
-    let sum = |c: &(Plane, f64, f64)| c.1 + c.2;
+    let mut candidates: Vec<(Plane, f64, f64, bool)> = per_direction.into_iter().flatten().collect();
+    if candidates.iter().any(|c| c.3) {
+        candidates.retain(|c| c.3);
+    }
+    let sum = |c: &(Plane, f64, f64, bool)| c.1 + c.2;
     let best = candidates.iter().min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
     let whole = piece.hull_volume(&mut GrowingHull::default());
     // Where one cut already takes most of the surplus away, there is no need to look farther.
@@ -237,13 +308,16 @@ pub(crate) fn best_cut(piece: &Piece, surplus: f64, solid: &Solid, breadth: Brea
     candidates.truncate(breadth.candidates);
     let scores: Vec<f64> = candidates
         .par_iter()
-        .map_init(Scratch::default, |scratch, &(plane, below, above)| {
-            let sides = piece.split(plane, false, &|p| solid.contains(p));
+        .map_init(Scratch::default, |scratch, &(plane, below, above, _)| {
+            work.add(2 * piece.size());
+            let sides = piece.split(plane, false, &|p| solid.contains(p, work));
             if sides.iter().any(|s| s.points.len() < 4) {
                 return f64::INFINITY;
             }
-            after_next_cut(&sides[0], below, breadth, scratch)
-                + after_next_cut(&sides[1], above, breadth, scratch)
+            let score = after_next_cut(&sides[0], below, breadth, scratch)
+                + after_next_cut(&sides[1], above, breadth, scratch);
+            work.add(6 * piece.size() + scratch.hull.take_steps());
+            score
         })
         .collect();
     let best = (0..candidates.len())

@@ -2,6 +2,7 @@
 
 use crate::occupancy::Occupancy;
 use crate::repair::Surface;
+use crate::work::{QUERY, Work};
 use glamx::DVec3;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::TriMesh;
@@ -27,14 +28,25 @@ impl Solid {
         self.surface.project_local_point(p, false).point.distance(p)
     }
 
-    /// Whether a point lies inside, up to a voxel.
-    pub(crate) fn contains(&self, p: DVec3) -> bool {
-        self.inside.contains(p)
+    /// Whether a point lies inside, up to a voxel there and a little here: walls may be thinner than voxels.
+    pub(crate) fn contains(&self, p: DVec3, work: &Work) -> bool {
+        work.add(QUERY);
+        self.distance(p) < 0.004
     }
 
     /// Farthest that the surface of a hull lies outside the solid (the boundary's share of CoACD's concavity), or the
     /// first distance above `enough`. Samples lie about `spacing` apart.
-    pub(crate) fn reach(&self, hull: impl Iterator<Item = [DVec3; 3]>, spacing: f64, enough: f64) -> f64 {
+    pub(crate) fn reach(
+        &self,
+        hull: impl Iterator<Item = [DVec3; 3]>,
+        spacing: f64,
+        enough: f64,
+        work: &Work,
+    ) -> f64 {
+        let distance = |p| {
+            work.add(QUERY);
+            self.distance(p)
+        };
         let mut faces: Vec<([DVec3; 3], f64)> =
             hull.map(|t| (t, (t[1] - t[0]).cross(t[2] - t[0]).length())).collect();
         // Large faces span hollows: they show early that a hull is too concave.
@@ -44,7 +56,7 @@ impl Solid {
             if area2 < 0.02 * spacing * spacing {
                 continue;
             }
-            worst = worst.max(self.distance((t[0] + t[1] + t[2]) / 3.0));
+            worst = worst.max(distance((t[0] + t[1] + t[2]) / 3.0));
             if worst > enough {
                 return worst;
             }
@@ -65,7 +77,7 @@ impl Solid {
                 let columns = (longest * (1.0 - v) / spacing).ceil().clamp(1.0, 64.0) as usize;
                 for s in 0..columns {
                     let u = (s as f64 + 0.5) / columns as f64 * (1.0 - v);
-                    worst = worst.max(self.distance(a * (1.0 - u - v) + b * u + c * v));
+                    worst = worst.max(distance(a * (1.0 - u - v) + b * u + c * v));
                     if worst > enough {
                         return worst;
                     }

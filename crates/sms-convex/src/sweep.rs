@@ -40,6 +40,8 @@ pub(crate) struct GrowingHull {
     starting: Vec<u32>,
     volume: f64,
     slight: f64,
+    /// Tests of points against faces since [`Self::take_steps`].
+    steps_taken: u64,
 }
 
 const NONE: u32 = u32::MAX;
@@ -58,6 +60,11 @@ impl GrowingHull {
         self.starting.clear();
         self.round = 0;
         self.volume = 0.0;
+    }
+
+    /// Steps of work since the last call.
+    pub(crate) fn take_steps(&mut self) -> u64 {
+        std::mem::take(&mut self.steps_taken)
     }
 
     pub(crate) fn push(&mut self, p: DVec3) {
@@ -129,12 +136,15 @@ impl GrowingHull {
     fn insert(&mut self, p: DVec3) {
         let q = (p * STEPS).round();
         let sees = |f: &u32| self.faces[*f as usize].alive && self.height(*f, q) > 0.0;
+        let mut tests = 1;
         let first = self
             .newest
             .iter()
             .copied()
-            .find(|f| sees(f))
-            .or_else(|| (0..self.faces.len() as u32).find(|f| sees(f)));
+            .chain(0..self.faces.len() as u32)
+            .inspect(|_| tests += 1)
+            .find(|f| sees(f));
+        self.steps_taken += tests;
         let Some(first) = first else { return };
         self.round += 1;
         let round = self.round;
@@ -166,7 +176,9 @@ impl GrowingHull {
                 }
             }
         }
-        if highest < (self.slight * STEPS).powi(2) {
+        self.steps_taken += 3 * self.visible.len() as u64;
+        // Low above every face it sees is also what lies far beyond the rim of something flat: that gains volume.
+        if highest < (self.slight * STEPS).powi(2) && gained < 5e-3 * self.slight * 6.0 * STEPS.powi(3) {
             return;
         }
         // The horizon must be one simple loop, or rounding has torn the visible region.
@@ -222,6 +234,13 @@ impl GrowingHull {
         for &(a, ..) in &self.horizon {
             self.starting[a as usize] = NONE;
         }
+    }
+
+    /// Whether a point lies outside by more than what is left out.
+    pub(crate) fn leaves_out(&self, p: DVec3) -> bool {
+        let q = (p * STEPS).round();
+        let least = self.slight * STEPS;
+        self.faces.iter().any(|f| f.alive && f.normal.dot(q - f.foot) > least * f.normal.length())
     }
 
     /// Corner points of the hull's faces.

@@ -94,7 +94,7 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
         mesh.is_closed_oriented()
             && mesh.volume() > 0.02 * hull.volume()
             // Points a million metres from the rest make a needle whose inertia is lost in rounding.
-            && polyhedron_mass_properties(mesh, 1.0).is_ok()
+            && polyhedron_mass_properties(mesh, 1.0).is_ok_and(|m| is_wide(m.inertia()))
     };
     let rules = match config.mesh {
         MeshRule::Vote => [(MeshRule::Vote, MeshPath::Asked), (MeshRule::Prune, MeshPath::Prune)],
@@ -118,6 +118,13 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     }
     let mesh = rest_on(within_budget(&hull, config), &input.rest, CONTACT_BAND);
     usable(&mesh).then_some((mesh, MeshPath::Hull))
+}
+
+/// Whether the narrowest side of a body with this inertia is above rounding: its second moment is a difference of numbers
+/// as large as the widest side's.
+fn is_wide(inertia: glamx::DMat3) -> bool {
+    let moments = glamx::DSymmetricEigen3::new(inertia).eigenvalues;
+    moments.element_sum() - 2.0 * moments.max_element() > 1e-9 * moments.max_element()
 }
 
 fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -> Vec<bool> {
