@@ -13,6 +13,27 @@ pub enum Method {
     Screen,
     /// The paper: a local search from each of a number of random simplexes.
     MultiStart,
+    /// A part of the budget on Halton points, then covariance matrix adaptation from the best of them, restarted with
+    /// twice the population.
+    CmaEs,
+    /// A part of the budget on Halton points, then local searches from the best ones: few evaluations for all, more for
+    /// the better half of them, and so on.
+    Halving,
+}
+
+impl Method {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Screen, Self::MultiStart, Self::CmaEs, Self::Halving];
+
+    /// The word in settings files and tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Screen => "screen",
+            Self::MultiStart => "multi_start",
+            Self::CmaEs => "cma_es",
+            Self::Halving => "halving",
+        }
+    }
 }
 
 /// Settings of the planner. Budgets count rollouts, never seconds, so that a plan does not depend on the machine.
@@ -33,6 +54,10 @@ pub struct PlanConfig {
     pub nelder_mead: NelderMead,
     /// First step of the local search, as a share of the range that its start was drawn from.
     pub initial_step: f64,
+    /// Searches that [`Method::Halving`] does not halve any more.
+    pub survivors: usize,
+    /// Least population of [`Method::CmaEs`]; 0 leaves it to the number of parameters.
+    pub population: usize,
     /// Distinct actions that are tried in the first quarter of the disturbed worlds.
     pub candidates: usize,
     /// How many of them, those with the smallest 90 % quantile there, are tried in the others.
@@ -53,6 +78,8 @@ impl Default for PlanConfig {
             suggestions: true,
             nelder_mead: NelderMead::default(),
             initial_step: 0.08,
+            survivors: 4,
+            population: 0,
             candidates: 24,
             finalists: 8,
             disturbances: Disturbances::default(),
@@ -73,6 +100,8 @@ impl PlanConfig {
         for (key, value, low, high) in [
             ("starts", self.starts, 1, 1_000_000),
             ("evaluations", self.evaluations, 1, 1_000_000),
+            ("survivors", self.survivors, 1, 1_000_000),
+            ("population", self.population, 0, 1_000_000),
             ("candidates", self.candidates, 1, 1_000_000),
             ("finalists", self.finalists, 1, 1_000_000),
             ("disturbances.worlds", d.worlds, 1, 1_000_000),
@@ -99,6 +128,11 @@ impl PlanConfig {
             r.within(key, value, low, high).map_err(named)?;
         }
         Ok(())
+    }
+
+    /// Most rollouts of the nominal search.
+    pub(crate) fn budget(&self) -> usize {
+        if self.method == Method::MultiStart { usize::MAX } else { self.evaluations }
     }
 
     /// A quick plan: about a third of the rollouts.

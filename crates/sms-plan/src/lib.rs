@@ -12,19 +12,27 @@
 //! assert!((found.x[0] - 0.3).abs() < 0.01 && (found.x[1] - 0.3).abs() < 0.01);
 //! ```
 
+mod batch;
+mod cma_es;
 mod config;
+mod descents;
 mod disturb;
 mod halton;
+mod jacobi;
 mod nelder_mead;
 mod optimiser;
 mod outcome;
 mod plan;
 mod planner;
 mod robust;
+mod screening;
 mod search;
+mod simplex;
 mod space;
 mod trials;
 
+pub use batch::{BatchOptimiser, Proposal, StartRecord, drive};
+pub use cma_es::CmaEs;
 pub use config::{Method, PlanConfig};
 pub use disturb::Disturbances;
 pub use halton::Halton;
@@ -32,5 +40,6 @@ pub use nelder_mead::{Bounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
 pub use plan::{Plan, StartSummary};
-pub use planner::{PlanError, plan};
+pub use planner::{NominalSearch, PlanError, plan, search_nominal};
+pub use simplex::{LocalSearch, SimplexSearch};
 pub use trials::{Phase, Trial, read_trials, write_trials};

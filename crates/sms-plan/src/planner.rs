@@ -3,7 +3,7 @@
 use crate::robust::{acceptable, candidates, most_robust};
 use crate::search::{Scored, search};
 use crate::space::Space;
-use crate::{Phase, Plan, PlanConfig, PlanOutcome, Trial, disturb};
+use crate::{Phase, Plan, PlanConfig, PlanOutcome, StartSummary, Trial, disturb};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, Warnings};
 use sms_scene::Scene;
@@ -12,10 +12,6 @@ use sms_task::{Recording, ResolvedTask, Rollout, TaskError, WorldBodies};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// Objective of a rollout whose simulation blew up, metres: worse than any miss, and finite so that it can be
-/// logged.
-const FAILED_OBJECTIVE: f64 = 10.0;
 
 /// Time between recorded states of the plan's trajectory, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 120.0;
@@ -74,14 +70,14 @@ pub fn plan(
     let counter = Counter { progress, cancel, done: AtomicUsize::new(0), failed: AtomicUsize::new(0) };
 
     progress.begin("plan: search", config.evaluations as u64);
-    let mut found = search(&space, config, seed.derive("search"), &|x| {
+    let mut found = search(&space, config, seed.derive("search"), config.budget(), &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     let limit = acceptable(&found.scored, config.good_m);
     let steps = space.steps(config.initial_step, true);
     let chosen = candidates(&found.scored, limit, &steps, config.candidates);
     let evaluations = counter.done.load(Ordering::SeqCst);
-    let Some(best) = chosen.first().filter(|c| c.objective < FAILED_OBJECTIVE) else {
+    let Some(best) = chosen.first().filter(|c| c.objective.is_finite()) else {
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     };
     progress.end(&format!("best of {evaluations} shots passes the goal at {:.1} mm", 1e3 * best.objective));
@@ -111,6 +107,50 @@ pub fn plan(
     };
     warn(task, &plan, counter.failed.load(Ordering::SeqCst), warnings);
     Ok(PlanOutcome { plan, trials: found.trials })
+}
+
+/// What a search of the nominal world alone found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NominalSearch {
+    /// Every rollout: the scan, then the searches in order of their starts.
+    pub trials: Vec<Trial>,
+    /// The local searches.
+    pub starts: Vec<StartSummary>,
+}
+
+impl NominalSearch {
+    /// The best valid trial.
+    pub fn best(&self) -> Option<&Trial> {
+        self.trials.iter().filter(|t| t.valid).min_by(|a, b| a.objective.total_cmp(&b.objective))
+    }
+}
+
+/// The first part of [`plan`] alone, for comparing methods: searches the nominal world with at most `budget` rollouts.
+///
+/// # Errors
+/// As [`plan`]; a search without any valid rollout is not an error here.
+pub fn search_nominal(
+    task: &ResolvedTask,
+    scene: &Scene,
+    factory: &dyn WorldFactory,
+    config: &PlanConfig,
+    budget: usize,
+    seed: Seed,
+    cancel: &Cancel,
+) -> Result<NominalSearch, PlanError> {
+    config.validate(Path::new("(settings of the planner)"))?;
+    let space = Space::new(task);
+    let nominal = Worlds::new(task, scene, factory)?;
+    let counter = Counter {
+        progress: &sms_core::NoProgress,
+        cancel,
+        done: AtomicUsize::new(0),
+        failed: AtomicUsize::new(0),
+    };
+    let found = search(&space, config, seed.derive("search"), budget, &|x| {
+        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
+    })?;
+    Ok(NominalSearch { trials: found.trials, starts: found.starts })
 }
 
 fn warn(task: &ResolvedTask, plan: &Plan, failed: usize, warnings: &Warnings) {
@@ -161,7 +201,7 @@ impl Counter<'_> {
         let objective = match rollout() {
             Err(SimError::Diverged { .. }) => {
                 self.failed.fetch_add(1, Ordering::SeqCst);
-                FAILED_OBJECTIVE
+                f64::INFINITY
             }
             other => other?,
         };
@@ -268,13 +308,8 @@ impl Disturbed<'_> {
         for (w, column) in columns {
             for (&i, objective) in who.iter().zip(column) {
                 outcomes[i].push(objective);
-                trials.push(Trial {
-                    phase: Phase::Disturbed,
-                    start: i as i32,
-                    iteration: w as i32,
-                    action: self.space.action(&all[i].x),
-                    objective,
-                });
+                let action = self.space.action(&all[i].x);
+                trials.push(Trial::new(Phase::Disturbed, i as i32, w as i32, action, objective));
             }
         }
         Ok(())

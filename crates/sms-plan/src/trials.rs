@@ -40,12 +40,24 @@ pub struct Trial {
     pub iteration: i32,
     /// The action.
     pub action: Action,
-    /// Its objective, in the task's unit.
+    /// Its objective, in the task's unit; infinite for a trial that is not valid.
     pub objective: f64,
+    /// Whether the simulation can be believed: it neither diverged nor gained energy nor let bodies pass through each
+    /// other.
+    pub valid: bool,
 }
 
-/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`. No
-/// times, so that the same plan gives the same bytes.
+impl Trial {
+    /// A trial; one without a finite objective is not valid.
+    pub fn new(phase: Phase, start: i32, iteration: i32, action: Action, objective: f64) -> Self {
+        let valid = objective.is_finite();
+        let objective = if valid { objective } else { f64::INFINITY };
+        Self { phase, start, iteration, action, objective, valid }
+    }
+}
+
+/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`,
+/// `valid` (1, or 0 for rollouts that cannot be believed, whose objective is infinite). No times, so that the same plan gives the same bytes.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -59,6 +71,7 @@ pub fn write_trials(path: &Path, parameters: &[Parameter], trials: &[Trial]) -> 
         columns.push((&p.name, Column::F64(trials.iter().map(|t| t.action.0[i]).collect())));
     }
     columns.push(("objective", Column::F64(trials.iter().map(|t| t.objective).collect())));
+    columns.push(("valid", Column::I32(trials.iter().map(|t| i32::from(t.valid)).collect())));
     write_table(path, &columns)
 }
 
@@ -95,13 +108,8 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
                 .into_iter()
                 .find(|p| p.as_str() == phases[i])
                 .ok_or_else(|| not_trials().because(format!("unknown phase `{}`", phases[i])))?;
-            Ok(Trial {
-                phase,
-                start: starts[i],
-                iteration: iterations[i],
-                action: Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect()),
-                objective: objectives[i],
-            })
+            let action = Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect());
+            Ok(Trial::new(phase, starts[i], iterations[i], action, objectives[i]))
         })
         .collect()
 }
