@@ -16,6 +16,10 @@ pub enum Phase {
     Search,
     /// A candidate in a disturbed world.
     Disturbed,
+    /// A strategy's action in a disturbed world that played no part in choosing it.
+    Forecast,
+    /// The chosen action with one unknown disturbed.
+    Sensitivity,
 }
 
 impl Phase {
@@ -25,6 +29,8 @@ impl Phase {
             Self::Screen => "screen",
             Self::Search => "search",
             Self::Disturbed => "disturbed",
+            Self::Forecast => "forecast",
+            Self::Sensitivity => "sensitivity",
         }
     }
 }
@@ -34,9 +40,10 @@ impl Phase {
 pub struct Trial {
     /// What it was for.
     pub phase: Phase,
-    /// Index of the start (search) or of the candidate (disturbed); −1 in the screening.
+    /// Index of the start (search), candidate (disturbed), strategy (forecast) or unknown (sensitivity); −1 in the
+    /// screening.
     pub start: i32,
-    /// Number of the evaluation within the phase and start; the world's index for disturbed trials.
+    /// Number of the evaluation within the phase and start; the world's for disturbed ones.
     pub iteration: i32,
     /// The action.
     pub action: Action,
@@ -104,7 +111,8 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
     };
     (0..rows)
         .map(|i| {
-            let phase = [Phase::Screen, Phase::Search, Phase::Disturbed]
+            let all = [Phase::Screen, Phase::Search, Phase::Disturbed, Phase::Forecast, Phase::Sensitivity];
+            let phase = all
                 .into_iter()
                 .find(|p| p.as_str() == phases[i])
                 .ok_or_else(|| not_trials().because(format!("unknown phase `{}`", phases[i])))?;

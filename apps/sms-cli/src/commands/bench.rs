@@ -1,6 +1,7 @@
 //! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
 use super::bench_materialize::{self, BenchMaterialize};
+use super::bench_optimisers::{self, BenchOptimisers};
 use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
@@ -34,6 +35,9 @@ pub(crate) enum BenchCommand {
     Materialize(Box<BenchMaterialize>),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
     Score(BenchScore),
+    /// Compare search methods of the planner at equal numbers of simulated shots. The planner is given the true geometry
+    /// and materials of generated scenes: this measures search, not reconstruction.
+    Optimisers(BenchOptimisers),
 }
 
 #[derive(Debug, Args, Clone)]
@@ -105,6 +109,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Scan(scan) => run_scan(context, scan),
         BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
         BenchCommand::Score(score) => run_score(context, score),
+        BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 mod bench_materialize;
+mod bench_optimisers;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod evaluate;
