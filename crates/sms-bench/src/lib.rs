@@ -18,7 +18,8 @@
 //!
 //!
 //! # The planner
-//! [`run_optimisers`] compares search methods on generated scenes.
+//! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
+//! true world is one more sample of what is not known.
 //!
 //! ```
 //! use sms_bench::{F1_M, SurfacePoint, score_surface};
@@ -42,9 +43,11 @@ mod materialize;
 mod optimisers;
 mod panels;
 mod plan_scenes;
+mod plan_speed;
 mod prepare;
 mod process;
 mod real;
+mod robust;
 mod run;
 mod scenes;
 mod score;
@@ -66,8 +69,10 @@ pub use materialize::{
 pub use optimisers::{OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
+pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use process::{cpu_seconds, peak_bytes};
+pub use robust::{RobustBench, robust_table, run_robust};
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,

@@ -50,3 +50,4 @@ pub use sensitivity::Sensitivity;
 pub use simplex::{LocalSearch, SimplexSearch};
 pub use strategy::Strategy;
 pub use trials::{Phase, Trial, read_trials, write_trials};
+pub use worlds::rehearse;

@@ -41,7 +41,8 @@ pub(crate) fn touches(
             _ => continue,
         };
         let is_struck = found.contains(&(cue, target));
-        if !found.contains(&pair) && !(is_struck && pair.0 == cue) {
+        let is_aside = is_struck && pair.0 == cue;
+        if !(is_aside || found.contains(&pair)) {
             found.push(pair);
         }
     }

@@ -155,3 +155,23 @@ impl<'a> DisturbedWorlds<'a> {
         Ok(rows)
     }
 }
+
+/// Carries out an action in `count` disturbed worlds of a family: the objectives in the worlds' order, infinite where a
+/// rollout cannot be believed. For measuring what a plan is worth; the planner's own families have other seeds.
+///
+/// # Errors
+/// [`PlanError`]: a scene that cannot be simulated, or interruption.
+pub fn rehearse(
+    task: &ResolvedTask,
+    scene: &Scene,
+    factory: &dyn WorldFactory,
+    disturbances: &Disturbances,
+    action: &sms_task::Action,
+    seed: Seed,
+    count: usize,
+    cancel: &Cancel,
+) -> Result<Vec<f64>, PlanError> {
+    let worlds = DisturbedWorlds::new(task, scene, factory, disturbances, seed, 0..count, &|_| true)?;
+    let counter = Counter::new(&sms_core::NoProgress, cancel);
+    Ok(worlds.objectives(std::slice::from_ref(action), 0..count, &counter)?.remove(0))
+}

@@ -5,6 +5,7 @@ use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
 use crate::{BodyId, BodyState, ContactEvent, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
 use glamx::DVec3;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use std::time::Instant;
 
 /// Least length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball
 /// gets as long as it needs to close the remaining gap in a part of the step, else an engine that predicts
@@ -47,7 +48,23 @@ pub struct Simulation {
     splits: usize,
     /// First touches of a ball and another body since the start, in order of time.
     contacts: Vec<ContactEvent>,
+    profile: Option<Profile>,
     saved: Option<Saved>,
+}
+
+/// Where the time of a simulation goes, since [`Simulation::begin_profile`]. Wall-clock seconds of the calling thread.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Profile {
+    /// Steps of the engine, the parts of split steps included.
+    pub steps: usize,
+    /// Steps that were made because a step was split.
+    pub splits: usize,
+    /// In the engine's steps.
+    pub engine_s: f64,
+    /// In finding out what balls rest on and when they will hit something.
+    pub impacts_s: f64,
+    /// In returning to the saved state.
+    pub restore_s: f64,
 }
 
 struct SimBody {
@@ -111,6 +128,7 @@ impl Simulation {
             time_s: 0.0,
             splits: 0,
             contacts: Vec::new(),
+            profile: None,
             saved: None,
         })
     }
@@ -165,6 +183,16 @@ impl Simulation {
             }
         }
         deepest
+    }
+
+    /// Begins to measure where time goes.
+    pub fn begin_profile(&mut self) {
+        self.profile = Some(Profile::default());
+    }
+
+    /// What was measured since, if anything.
+    pub fn profile(&self) -> Option<Profile> {
+        self.profile
     }
 
     /// Number of bodies, strikers included.
@@ -240,8 +268,12 @@ impl Simulation {
     /// Returns to the saved state; strikers added since are gone. `false` where nothing was saved.
     pub fn restore(&mut self) -> bool {
         let Some(saved) = &self.saved else { return false };
+        let began = self.profile.map(|_| Instant::now());
         if !self.world.restore() {
             return false;
+        }
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.restore_s += began.elapsed().as_secs_f64();
         }
         self.bodies.truncate(saved.states.len());
         self.states.clone_from(&saved.states);
@@ -271,18 +303,22 @@ impl Simulation {
 
     /// Steps until the time that was asked for, or until an impact that does not fit in before it.
     fn nominal_step(&mut self) -> Result<(), SimError> {
+        let began = self.profile.map(|_| Instant::now());
         let supports = self.supports();
+        self.add_impact_time(began);
         let mut splits = 0;
         loop {
             let left = self.time_s - self.world_s;
             if left < MIN_STEP_S {
                 return Ok(());
             }
+            let began = self.profile.map(|_| Instant::now());
             let impact = if self.options.contact_timing && splits < MAX_SPLITS {
                 self.next_impact(left, &supports)
             } else {
                 None
             };
+            self.add_impact_time(began);
             let Some((impact, ball, other)) = impact else {
                 self.step(left, &supports)?;
                 // So that rounding does not add up.
@@ -301,6 +337,15 @@ impl Simulation {
             }
             splits += 1;
             self.splits += 1;
+            if let Some(profile) = &mut self.profile {
+                profile.splits += 1;
+            }
+        }
+    }
+
+    fn add_impact_time(&mut self, began: Option<Instant>) {
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.impacts_s += began.elapsed().as_secs_f64();
         }
     }
 
@@ -333,7 +378,12 @@ impl Simulation {
             }
             self.world.set_kinematic_target(sweep.body, sweep.motion.pose_at(t));
         }
+        let began = self.profile.map(|_| Instant::now());
         self.world.step(dt);
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.engine_s += began.elapsed().as_secs_f64();
+            profile.steps += 1;
+        }
         self.world_s += dt;
         self.refresh_states()
     }

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 mod bench_materialize;
 mod bench_optimisers;
+mod bench_plan;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod evaluate;
