@@ -240,6 +240,10 @@ pub(crate) struct Plan {
     /// Seed of the search (default: the run's).
     #[arg(long)]
     pub seed: Option<u64>,
+    /// Worlds that differ within what is not known, in which shots are compared; 0 plans for the scanned world alone
+    /// (default: the setting `plan.disturbances.worlds`).
+    #[arg(long, value_name = "N")]
+    pub robust: Option<usize>,
 }
 
 #[derive(Debug, Args, Clone)]

@@ -16,6 +16,11 @@
 //!   another program made of it by the same functions; the format is in `export.rs`.
 //! - **Disturbed poses**: the result is aligned rigidly first ([`align_cameras`], [`refine_on_surfaces`]).
 //!
+//!
+//! # The planner
+//! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
+//! true world is one more sample of what is not known.
+//!
 //! ```
 //! use sms_bench::{F1_M, SurfacePoint, score_surface};
 //! use sms_core::glamx::DVec3;
@@ -29,15 +34,20 @@
 //! ```
 
 mod align;
+mod bootstrap;
 mod disturb;
 mod export;
 mod images;
 mod matching;
 mod materialize;
+mod optimisers;
 mod panels;
+mod plan_scenes;
+mod plan_speed;
 mod prepare;
 mod process;
 mod real;
+mod robust;
 mod run;
 mod scenes;
 mod score;
@@ -47,6 +57,7 @@ mod table;
 mod truth;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
+pub use bootstrap::{Paired, paired_difference};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
@@ -55,9 +66,13 @@ pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
     materialize_markdown, materialize_table, materialize_targets, parts_overlap, run_materialize, train,
 };
+pub use optimisers::{OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
+pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
+pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use process::{cpu_seconds, peak_bytes};
+pub use robust::{RobustBench, robust_table, run_robust};
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,
@@ -95,6 +110,9 @@ pub enum BenchError {
     /// The meshes failed.
     #[error(transparent)]
     Entities(#[from] sms_entities::EntitiesError),
+    /// The planner failed.
+    #[error(transparent)]
+    Plan(#[from] sms_plan::PlanError),
     /// A comparison with a scanned model failed.
     #[error(transparent)]
     Evaluate(#[from] sms_report::EvaluateError),

@@ -1,6 +1,6 @@
 //! Settings of the planner.
 
-use crate::{Disturbances, NelderMead};
+use crate::{Disturbances, NelderMead, RobustObjective};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use std::path::Path;
@@ -13,6 +13,27 @@ pub enum Method {
     Screen,
     /// The paper: a local search from each of a number of random simplexes.
     MultiStart,
+    /// A part of the budget on Halton points, then covariance matrix adaptation from the best of them, restarted with
+    /// twice the population.
+    CmaEs,
+    /// A part of the budget on Halton points, then local searches from the best ones: few evaluations for all, more for
+    /// the better half of them, and so on.
+    Halving,
+}
+
+impl Method {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Screen, Self::MultiStart, Self::CmaEs, Self::Halving];
+
+    /// The word in settings files and tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Screen => "screen",
+            Self::MultiStart => "multi_start",
+            Self::CmaEs => "cma_es",
+            Self::Halving => "halving",
+        }
+    }
 }
 
 /// Settings of the planner. Budgets count rollouts, never seconds, so that a plan does not depend on the machine.
@@ -33,14 +54,26 @@ pub struct PlanConfig {
     pub nelder_mead: NelderMead,
     /// First step of the local search, as a share of the range that its start was drawn from.
     pub initial_step: f64,
-    /// Distinct actions that are tried in the first quarter of the disturbed worlds.
+    /// Searches that [`Method::Halving`] does not halve any more.
+    pub survivors: usize,
+    /// Least population of [`Method::CmaEs`]; 0 leaves it to the number of parameters.
+    pub population: usize,
+    /// Distinct actions that are tried in the first few disturbed worlds.
     pub candidates: usize,
-    /// How many of them, those with the smallest 90 % quantile there, are tried in the others.
+    /// Least number of them that are tried in all worlds.
     pub finalists: usize,
+    /// What is minimised over the disturbed worlds.
+    pub objective: RobustObjective,
+    /// How many simplex searches go on over all worlds, from the best candidates.
+    pub polish_starts: usize,
+    /// Points that each of them may try, each in all worlds.
+    pub polish: usize,
+    /// Worlds that play no part in the choice, for the prediction.
+    pub forecast_worlds: usize,
+    /// Rollouts that find out which unknown matters most, at most; 0 leaves it out.
+    pub sensitivity_rollouts: usize,
     /// The disturbed worlds.
     pub disturbances: Disturbances,
-    /// Nominal objective up to which an action is good enough to be chosen for its robustness alone, metres.
-    pub good_m: f64,
 }
 
 impl Default for PlanConfig {
@@ -53,10 +86,16 @@ impl Default for PlanConfig {
             suggestions: true,
             nelder_mead: NelderMead::default(),
             initial_step: 0.08,
-            candidates: 24,
+            survivors: 4,
+            population: 0,
+            candidates: 48,
             finalists: 8,
+            objective: RobustObjective::Mean,
+            polish_starts: 3,
+            polish: 16,
+            forecast_worlds: 32,
+            sensitivity_rollouts: 160,
             disturbances: Disturbances::default(),
-            good_m: 0.01,
         }
     }
 }
@@ -73,9 +112,15 @@ impl PlanConfig {
         for (key, value, low, high) in [
             ("starts", self.starts, 1, 1_000_000),
             ("evaluations", self.evaluations, 1, 1_000_000),
+            ("survivors", self.survivors, 1, 1_000_000),
+            ("population", self.population, 0, 1_000_000),
             ("candidates", self.candidates, 1, 1_000_000),
             ("finalists", self.finalists, 1, 1_000_000),
-            ("disturbances.worlds", d.worlds, 1, 1_000_000),
+            ("disturbances.worlds", d.worlds, 0, 1_000_000),
+            ("polish_starts", self.polish_starts, 0, 1_000_000),
+            ("polish", self.polish, 0, 1_000_000),
+            ("forecast_worlds", self.forecast_worlds, 1, 1_000_000),
+            ("sensitivity_rollouts", self.sensitivity_rollouts, 0, 1_000_000),
             ("nelder_mead.max_iterations", self.nelder_mead.max_iterations, 0, 1_000_000),
             ("nelder_mead.restarts", self.nelder_mead.restarts, 0, 1_000_000),
         ] {
@@ -84,8 +129,10 @@ impl PlanConfig {
         for (key, value, low, high) in [
             ("screening_share", self.screening_share, 0.0, 1.0),
             ("initial_step", self.initial_step, 1e-6, 1.0),
-            ("good_m", self.good_m, 0.0, 10.0),
             ("disturbances.position_m", d.position_m, 0.0, 0.1),
+            ("disturbances.radius_m", d.radius_m, 0.0, 0.1),
+            ("disturbances.object_m", d.object_m, 0.0, 0.1),
+            ("disturbances.object_rad", d.object_rad, 0.0, 1.0),
             ("disturbances.contact_m", d.contact_m, 0.0, 0.1),
             ("disturbances.angle_rad", d.angle_rad, 0.0, 1.0),
             ("disturbances.speed_share", d.speed_share, 0.0, 0.9),
@@ -101,13 +148,22 @@ impl PlanConfig {
         Ok(())
     }
 
+    /// Most rollouts of the nominal search.
+    pub(crate) fn budget(&self) -> usize {
+        if self.method == Method::MultiStart { usize::MAX } else { self.evaluations }
+    }
+
     /// A quick plan: about a third of the rollouts.
     pub fn draft() -> Self {
         Self {
             starts: 12,
             evaluations: 480,
-            candidates: 12,
+            candidates: 24,
             finalists: 4,
+            polish_starts: 2,
+            polish: 8,
+            forecast_worlds: 16,
+            sensitivity_rollouts: 64,
             disturbances: Disturbances { worlds: 8, ..Disturbances::default() },
             ..Self::default()
         }
@@ -117,8 +173,11 @@ impl PlanConfig {
     pub fn fine() -> Self {
         Self {
             evaluations: 6000,
-            candidates: 48,
+            candidates: 128,
             finalists: 16,
+            polish_starts: 6,
+            polish: 24,
+            forecast_worlds: 64,
             disturbances: Disturbances { worlds: 32, ..Disturbances::default() },
             ..Self::default()
         }
@@ -129,8 +188,7 @@ impl PlanConfig {
         Self {
             method: Method::MultiStart,
             nelder_mead: NelderMead::paper(),
-            candidates: 1,
-            finalists: 1,
+            disturbances: Disturbances { worlds: 0, ..Disturbances::default() },
             ..Self::default()
         }
     }

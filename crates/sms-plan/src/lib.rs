@@ -12,25 +12,42 @@
 //! assert!((found.x[0] - 0.3).abs() < 0.01 && (found.x[1] - 0.3).abs() < 0.01);
 //! ```
 
+mod batch;
+mod cma_es;
 mod config;
+mod descents;
 mod disturb;
 mod halton;
+mod jacobi;
 mod nelder_mead;
 mod optimiser;
 mod outcome;
 mod plan;
 mod planner;
+mod prediction;
 mod robust;
+mod screening;
 mod search;
+mod sensitivity;
+mod simplex;
 mod space;
+mod strategy;
 mod trials;
+mod worlds;
 
+pub use batch::{BatchOptimiser, Proposal, StartRecord, drive};
+pub use cma_es::CmaEs;
 pub use config::{Method, PlanConfig};
-pub use disturb::Disturbances;
+pub use disturb::{Disturbances, Unknown};
 pub use halton::Halton;
 pub use nelder_mead::{Bounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
 pub use plan::{Plan, StartSummary};
-pub use planner::{PlanError, plan};
+pub use planner::{NominalSearch, PlanError, plan, search_nominal};
+pub use prediction::{Prediction, RobustObjective};
+pub use sensitivity::Sensitivity;
+pub use simplex::{LocalSearch, SimplexSearch};
+pub use strategy::Strategy;
 pub use trials::{Phase, Trial, read_trials, write_trials};
+pub use worlds::rehearse;

@@ -4,7 +4,7 @@
 //! order: the same acceptance rules, stopping test, adaptive coefficients (Gao and Han 2012) and treatment of
 //! bounds (the initial simplex is reflected into them, later points are clipped).
 
-use crate::{Minimum, Optimiser};
+use crate::{LocalSearch, Minimum, Optimiser, SimplexSearch};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the method. Coordinates are those of the unit box when it plans.
@@ -63,14 +63,14 @@ impl Bounds {
         Self { low: vec![0.0; n], high: vec![1.0; n] }
     }
 
-    fn clip(&self, x: &mut [f64]) {
+    pub(crate) fn clip(&self, x: &mut [f64]) {
         for ((v, &low), &high) in x.iter_mut().zip(&self.low).zip(&self.high) {
             *v = v.max(low).min(high);
         }
     }
 
     /// Reflects what lies beyond an upper bound, so that a simplex started at the bound keeps its volume.
-    fn reflect(&self, x: &mut [f64]) {
+    pub(crate) fn reflect(&self, x: &mut [f64]) {
         for (v, &high) in x.iter_mut().zip(&self.high) {
             if *v > high {
                 *v = 2.0 * high - *v;
@@ -79,22 +79,6 @@ impl Bounds {
         self.clip(x);
     }
 }
-
-struct Coefficients {
-    rho: f64,
-    chi: f64,
-    psi: f64,
-    sigma: f64,
-}
-
-#[derive(Debug, Clone)]
-struct Vertex {
-    x: Vec<f64>,
-    f: f64,
-}
-
-/// The objective asked for a stop.
-struct Stopped;
 
 impl NelderMead {
     /// The paper's preset: 30 iterations, coefficients 1, 2, 0.5 and 0.5, no restart, no early stop but SciPy's
@@ -115,7 +99,7 @@ impl NelderMead {
     }
 
     /// A simplex around a point with the given step per coordinate; steps that would leave the bounds are turned.
-    fn simplex_around(x0: &[f64], steps: &[f64], bounds: &Bounds) -> Vec<Vec<f64>> {
+    pub(crate) fn simplex_around(x0: &[f64], steps: &[f64], bounds: &Bounds) -> Vec<Vec<f64>> {
         let mut simplex = vec![x0.to_vec()];
         for (k, &step) in steps.iter().enumerate() {
             let mut x = x0.to_vec();
@@ -135,128 +119,30 @@ impl NelderMead {
         objective: &mut dyn FnMut(&[f64]) -> Option<f64>,
         on_iteration: &mut dyn FnMut(&[f64], f64),
     ) -> Minimum {
-        let mut evaluations = 0;
-        let mut evaluate = |x: &[f64]| -> Result<f64, Stopped> {
-            let f = objective(x).ok_or(Stopped)?;
-            evaluations += 1;
-            Ok(if f.is_nan() { f64::INFINITY } else { f })
-        };
-        let mut vertices: Vec<Vertex> = simplex
-            .into_iter()
-            .map(|mut x| {
-                if let Some(b) = bounds {
-                    b.reflect(&mut x);
-                }
-                Vertex { x, f: f64::INFINITY }
-            })
-            .collect();
-        let mut iterations = 0;
-        // Whatever stopped the search, the vertices hold every point that was worth keeping.
-        let _ = self.iterate(&mut vertices, bounds, &mut evaluate, &mut iterations, on_iteration);
-        vertices.sort_by(|a, b| a.f.total_cmp(&b.f));
-        let best = vertices.swap_remove(0);
-        Minimum { x: best.x, objective: best.f, evaluations, iterations }
+        let mut search = SimplexSearch::new(self, simplex, bounds.cloned());
+        while let Some(x) = search.next_point() {
+            let Some(f) = objective(x) else { break };
+            if search.tell(f) {
+                let (x, f) = search.best();
+                on_iteration(x, f);
+            }
+        }
+        let (x, f) = search.best();
+        Minimum {
+            x: x.to_vec(),
+            objective: f,
+            evaluations: search.evaluations(),
+            iterations: search.iterations(),
+        }
     }
 
-    fn iterate(
-        &self,
-        vertices: &mut [Vertex],
-        bounds: Option<&Bounds>,
-        evaluate: &mut dyn FnMut(&[f64]) -> Result<f64, Stopped>,
-        iterations: &mut usize,
-        on_iteration: &mut dyn FnMut(&[f64], f64),
-    ) -> Result<(), Stopped> {
-        let n = vertices.len() - 1;
-        let Coefficients { rho, chi, psi, sigma } = self.coefficients(n);
-        for v in vertices.iter_mut() {
-            v.f = evaluate(&v.x)?;
-        }
-        vertices.sort_by(|a, b| a.f.total_cmp(&b.f));
-        while *iterations < self.max_iterations && !self.has_converged(vertices) {
-            // Centroid of all but the worst; `along` gives the point a·centroid + b·worst.
-            let mut centroid = vec![0.0; n];
-            for v in &vertices[..n] {
-                centroid.iter_mut().zip(&v.x).for_each(|(c, x)| *c += x);
-            }
-            centroid.iter_mut().for_each(|c| *c /= n as f64);
-            let worst = vertices[n].x.clone();
-            let along = |a: f64, b: f64| {
-                let mut x: Vec<f64> = centroid.iter().zip(&worst).map(|(c, w)| a * c + b * w).collect();
-                if let Some(bounds) = bounds {
-                    bounds.clip(&mut x);
-                }
-                x
-            };
-            let reflected = along(1.0 + rho, -rho);
-            let f_reflected = evaluate(&reflected)?;
-            let (f_best, f_second, f_worst) = (vertices[0].f, vertices[n - 1].f, vertices[n].f);
-            let mut replacement = None;
-            if f_reflected < f_best {
-                // Kept first, so that a stop during the expansion does not lose it.
-                vertices[n] = Vertex { x: reflected.clone(), f: f_reflected };
-                let expanded = along(1.0 + rho * chi, -(rho * chi));
-                let f_expanded = evaluate(&expanded)?;
-                replacement = Some(if f_expanded < f_reflected {
-                    (expanded, f_expanded)
-                } else {
-                    (reflected, f_reflected)
-                });
-            } else if f_reflected < f_second {
-                replacement = Some((reflected, f_reflected));
-            } else if f_reflected < f_worst {
-                let outside = along(1.0 + psi * rho, -(psi * rho));
-                let f_outside = evaluate(&outside)?;
-                if f_outside <= f_reflected {
-                    replacement = Some((outside, f_outside));
-                }
-            } else {
-                let inside = along(1.0 - psi, psi);
-                let f_inside = evaluate(&inside)?;
-                if f_inside < f_worst {
-                    replacement = Some((inside, f_inside));
-                }
-            }
-            match replacement {
-                Some((x, f)) => vertices[n] = Vertex { x, f },
-                None => {
-                    let best = vertices[0].x.clone();
-                    for v in &mut vertices[1..] {
-                        let mut x: Vec<f64> =
-                            best.iter().zip(&v.x).map(|(b, x)| b + sigma * (x - b)).collect();
-                        if let Some(bounds) = bounds {
-                            bounds.clip(&mut x);
-                        }
-                        let f = evaluate(&x)?;
-                        *v = Vertex { x, f };
-                    }
-                }
-            }
-            *iterations += 1;
-            vertices.sort_by(|a, b| a.f.total_cmp(&b.f));
-            on_iteration(&vertices[0].x, vertices[0].f);
-        }
-        Ok(())
-    }
-
-    fn coefficients(&self, n: usize) -> Coefficients {
+    /// ρ, χ, ψ and σ in n dimensions.
+    pub(crate) fn coefficients(&self, n: usize) -> [f64; 4] {
         if self.adaptive {
             let d = n as f64;
-            return Coefficients {
-                rho: 1.0,
-                chi: 1.0 + 2.0 / d,
-                psi: 0.75 - 1.0 / (2.0 * d),
-                sigma: 1.0 - 1.0 / d,
-            };
+            return [1.0, 1.0 + 2.0 / d, 0.75 - 1.0 / (2.0 * d), 1.0 - 1.0 / d];
         }
-        Coefficients { rho: self.reflection, chi: self.expansion, psi: self.contraction, sigma: self.shrink }
-    }
-
-    fn has_converged(&self, sorted: &[Vertex]) -> bool {
-        let best = &sorted[0];
-        sorted[1..].iter().all(|v| {
-            (v.f - best.f).abs() <= self.f_tolerance
-                && v.x.iter().zip(&best.x).all(|(a, b)| (a - b).abs() <= self.x_tolerance)
-        })
+        [self.reflection, self.expansion, self.contraction, self.shrink]
     }
 }
 
@@ -271,37 +157,11 @@ impl Optimiser for NelderMead {
         steps: &[f64],
         objective: &mut dyn FnMut(&[f64]) -> Option<f64>,
     ) -> Minimum {
-        let bounds = Bounds::unit(steps.len());
-        let simplex = if start.len() == steps.len() + 1 {
-            start.to_vec()
-        } else {
-            Self::simplex_around(&start[0], steps, &bounds)
-        };
-        // Shared with the closure that sets it.
-        let stopped = std::cell::Cell::new(false);
-        let mut objective = |x: &[f64]| {
-            let f = objective(x);
-            stopped.set(f.is_none());
-            f
-        };
-        let mut found = self.descend(simplex, Some(&bounds), &mut objective, &mut |_, _| {});
-        let mut scale = 1.0;
-        for _ in 0..self.restarts {
-            let left = self.max_iterations.saturating_sub(found.iterations);
-            if left == 0 || stopped.get() {
-                break;
-            }
-            scale *= -0.5;
-            let steps: Vec<f64> = steps.iter().map(|s| s * scale).collect();
-            let simplex = Self::simplex_around(&found.x, &steps, &bounds);
-            let settings = Self { max_iterations: left, ..*self };
-            let again = settings.descend(simplex, Some(&bounds), &mut objective, &mut |_, _| {});
-            found.evaluations += again.evaluations;
-            found.iterations += again.iterations;
-            if again.objective < found.objective {
-                (found.x, found.objective) = (again.x, again.objective);
-            }
+        let mut search = LocalSearch::new(self, start, steps, None);
+        while let Some(x) = search.next_point() {
+            let Some(f) = objective(x) else { break };
+            search.tell(f);
         }
-        found
+        search.minimum()
     }
 }

@@ -16,14 +16,26 @@ pub struct PlanOutcome {
 }
 
 impl PlanOutcome {
-    /// `plan.{evaluations, objective, objective_q90, objective_unit}`.
+    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, strategies}` and, with disturbed worlds,
+    /// `plan.predicted_{mean, q10, q50, q90, success_share, worlds}`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();
         metrics
             .set("plan.evaluations", self.plan.evaluations)
             .set("plan.objective", self.plan.objective)
             .set("plan.objective_q90", self.plan.objective_q90)
-            .set("plan.objective_unit", self.plan.objective_unit.clone());
+            .set("plan.objective_unit", self.plan.objective_unit.clone())
+            .set("plan.invalid", self.plan.invalid)
+            .set("plan.strategies", self.plan.strategies.len());
+        if let Some(p) = &self.plan.predicted {
+            metrics
+                .set("plan.predicted_mean", p.mean)
+                .set("plan.predicted_q10", p.q10)
+                .set("plan.predicted_q50", p.q50)
+                .set("plan.predicted_q90", p.q90)
+                .set("plan.predicted_success_share", p.success_share)
+                .set("plan.predicted_worlds", p.worlds);
+        }
         metrics
     }
 }

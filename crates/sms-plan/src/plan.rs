@@ -1,6 +1,7 @@
 //! The stage's result.
 
-use serde::{Deserialize, Serialize};
+use crate::{Prediction, RobustObjective, Sensitivity, Strategy};
+use serde::{Deserialize, Deserializer, Serialize};
 use sms_task::{Action, Parameter, Trajectory};
 
 /// One optimisation from one start.
@@ -10,11 +11,13 @@ pub struct StartSummary {
     pub start: usize,
     /// Where it began.
     pub initial: Action,
-    /// Objective there.
+    /// Objective there; infinite (`null` in JSON) where the rollout was not valid.
+    #[serde(deserialize_with = "infinite_if_null")]
     pub initial_objective: f64,
     /// Where it ended.
     pub action: Action,
     /// Objective there.
+    #[serde(deserialize_with = "infinite_if_null")]
     pub objective: f64,
     /// Rollouts used.
     pub evaluations: usize,
@@ -22,6 +25,10 @@ pub struct StartSummary {
     pub iterations: usize,
     /// 90 % quantile of the objective over disturbed worlds, where it was computed.
     pub objective_q90: Option<f64>,
+}
+
+fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
 /// The chosen action with what it is predicted to do.
@@ -39,12 +46,27 @@ pub struct Plan {
     pub objective: f64,
     /// Unit of the objective.
     pub objective_unit: String,
-    /// 90 % quantile over disturbed worlds.
+    /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
     pub objective_q90: f64,
-    /// Rollouts in all.
+    /// Rollouts in all, but for shots that were repeated to see what touches what.
     pub evaluations: usize,
+    /// Rollouts among them that could not be believed; they were never the best.
+    #[serde(default)]
+    pub invalid: usize,
     /// Every start.
     pub starts: Vec<StartSummary>,
+    /// What was minimised over the disturbed worlds; `None` where the nominal world alone was looked at.
+    #[serde(default)]
+    pub chosen_by: Option<RobustObjective>,
+    /// What the action does in disturbed worlds that played no part in choosing it.
+    #[serde(default)]
+    pub predicted: Option<Prediction>,
+    /// Ways of reaching the goal, best first; the first one's action is the plan's.
+    #[serde(default)]
+    pub strategies: Vec<Strategy>,
+    /// Which unknowns matter for the chosen action, most important first.
+    #[serde(default)]
+    pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
     pub trajectory: Trajectory,
 }

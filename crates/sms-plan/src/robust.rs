@@ -1,25 +1,239 @@
-//! Which of the good actions to choose: the one that still works when the world is a little different.
+//! Which action to choose: the one that fares best when the world is a little different.
 
-use crate::disturb::quantile;
-use crate::search::Scored;
-use crate::space::is_near;
+use crate::prediction::compare;
+use crate::search::{Found, Scored};
+use crate::space::{Space, is_near};
+use crate::strategy::{name, touches};
+use crate::worlds::{Counter, DisturbedWorlds, Worlds};
+use crate::{LocalSearch, NelderMead, Phase, PlanConfig, PlanError, Trial};
+use rayon::prelude::*;
+use sms_scene::Scene;
+use sms_task::{Action, ResolvedTask};
+use std::collections::BTreeMap;
 
-/// Objective up to which an action may be chosen for its robustness: `good`, or 1.5 times the best one found where
-/// nothing as good was found.
-pub(crate) fn acceptable(scored: &[Scored], good: f64) -> f64 {
-    let best = scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
-    good.max(1.5 * best)
+/// Ways of reaching the goal that are followed through all worlds.
+pub(crate) const STRATEGIES: usize = 4;
+
+/// Worlds in which all candidates are tried.
+const FIRST_WORLDS: usize = 4;
+
+/// An action on its way through the disturbed worlds.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Candidate {
+    pub(crate) x: Vec<f64>,
+    pub(crate) action: Action,
+    /// Objective in the nominal world.
+    pub(crate) objective: f64,
+    /// What happens, in words.
+    pub(crate) strategy: String,
+    /// Objectives in the worlds seen so far.
+    pub(crate) outcomes: Vec<f64>,
 }
 
-/// Up to `count` acceptable actions, best first, that differ from each other by more than the steps in some
-/// coordinate.
-pub(crate) fn candidates(scored: &[Scored], acceptable: f64, steps: &[f64], count: usize) -> Vec<Scored> {
-    let mut order: Vec<&Scored> = scored.iter().filter(|s| s.objective <= acceptable).collect();
+/// What the choice needs.
+pub(crate) struct Choice<'a> {
+    pub(crate) task: &'a ResolvedTask,
+    pub(crate) scene: &'a Scene,
+    pub(crate) config: &'a PlanConfig,
+    pub(crate) space: &'a Space,
+    pub(crate) nominal: &'a Worlds<'a>,
+    pub(crate) counter: &'a Counter<'a>,
+}
+
+impl Choice<'_> {
+    /// The best action of each strategy, best strategy first. With disturbed worlds, all of them have been tried in all
+    /// of these: many candidates in few worlds, the better half in twice as many, and so on; then the search goes on
+    /// over all worlds from the best of them.
+    pub(crate) fn choose(
+        &self,
+        found: &mut Found,
+        worlds: &DisturbedWorlds<'_>,
+    ) -> Result<Vec<Candidate>, PlanError> {
+        let mut all = self.candidates(&found.scored)?;
+        let mut alive: Vec<usize> = (0..all.len()).collect();
+        if worlds.len() > 0 {
+            let (mut seen, mut next) = (0, FIRST_WORLDS.min(worlds.len()));
+            loop {
+                self.run(&mut all, &alive, worlds, seen..next, &mut found.trials)?;
+                seen = next;
+                alive = self.ranked(&all, &alive);
+                if seen == worlds.len() {
+                    break;
+                }
+                alive = self.better_half(&all, &alive);
+                next = (2 * seen).min(worlds.len());
+            }
+            let polished = self.polish(&mut all, &alive, worlds, &mut found.trials)?;
+            alive.extend(polished);
+            alive = self.ranked(&all, &alive);
+        }
+        let mut best: Vec<Candidate> = Vec::new();
+        for i in alive {
+            if !best.iter().any(|b| b.strategy == all[i].strategy) {
+                best.push(all[i].clone());
+            }
+        }
+        best.truncate(STRATEGIES);
+        Ok(best)
+    }
+
+    /// Distinct actions that do better than nothing, best first: half of them the nominally best ones, half from every
+    /// strategy in turn.
+    fn candidates(&self, scored: &[Scored]) -> Result<Vec<Candidate>, PlanError> {
+        let count = self.config.candidates;
+        let steps = self.space.steps(self.config.initial_step, true);
+        let pool = distinct(scored, self.task.initial_objective(), &steps, 2 * count);
+        let pool: Vec<Candidate> = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
+        let mut pool = pool;
+        self.name_strategies(&mut pool)?;
+        Ok(spread(pool, count))
+    }
+
+    fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
+        let action = self.space.action(&x);
+        Candidate { x, action, objective, strategy: String::new(), outcomes: Vec::new() }
+    }
+
+    /// Repeats each shot in the nominal world and looks at what touches what.
+    fn name_strategies(&self, candidates: &mut [Candidate]) -> Result<(), PlanError> {
+        let names: Vec<(String, f64)> = candidates
+            .par_iter()
+            .map(|c| {
+                let strike = self.task.strike(&c.action);
+                Ok(match self.nominal.rollout(&strike, None) {
+                    Ok(rollout) => {
+                        let touched = touches(&rollout.contacts, rollout.closest_s, self.scene, self.task);
+                        (name(&touched, self.scene, self.task), rollout.objective)
+                    }
+                    Err(e) if e.is_invalid_rollout() => ("not valid".to_owned(), f64::INFINITY),
+                    Err(e) => return Err(e.into()),
+                })
+            })
+            .collect::<Result<_, PlanError>>()?;
+        for (c, (name, objective)) in candidates.iter_mut().zip(names) {
+            (c.strategy, c.objective) = (name, objective);
+        }
+        Ok(())
+    }
+
+    /// Tries the candidates `who` in the given worlds; outcomes are appended in the worlds' order.
+    fn run(
+        &self,
+        all: &mut [Candidate],
+        who: &[usize],
+        worlds: &DisturbedWorlds<'_>,
+        range: std::ops::Range<usize>,
+        trials: &mut Vec<Trial>,
+    ) -> Result<(), PlanError> {
+        let actions: Vec<Action> = who.iter().map(|&i| all[i].action.clone()).collect();
+        let rows = worlds.objectives(&actions, range.clone(), self.counter)?;
+        for (&i, row) in who.iter().zip(rows) {
+            for (w, &objective) in range.clone().zip(&row) {
+                let action = all[i].action.clone();
+                trials.push(Trial::new(Phase::Disturbed, i as i32, w as i32, action, objective));
+            }
+            all[i].outcomes.extend(row);
+        }
+        Ok(())
+    }
+
+    /// In order of the stated objective over the worlds; ties keep the nominally better one first.
+    fn ranked(&self, all: &[Candidate], who: &[usize]) -> Vec<usize> {
+        let objective = self.config.objective;
+        let mut order = who.to_vec();
+        order.sort_by(|&a, &b| {
+            compare(objective.rank(&all[a].outcomes), objective.rank(&all[b].outcomes))
+                .then(all[a].objective.total_cmp(&all[b].objective))
+        });
+        order
+    }
+
+    /// The better half of ranked candidates, with the best one of each of the first few strategies.
+    fn better_half(&self, all: &[Candidate], ranked: &[usize]) -> Vec<usize> {
+        let half = ranked.len().div_ceil(2).max(self.config.finalists).min(ranked.len());
+        let mut strategies: Vec<&str> = Vec::new();
+        ranked
+            .iter()
+            .enumerate()
+            .filter(|&(place, &i)| {
+                let strategy = all[i].strategy.as_str();
+                let is_first = !strategies.contains(&strategy) && strategies.len() < STRATEGIES;
+                if is_first {
+                    strategies.push(strategy);
+                }
+                place < half || is_first
+            })
+            .map(|(_, &i)| i)
+            .collect()
+    }
+
+    /// Simplex searches over all worlds from the best candidates that differ; the points that were tried become
+    /// candidates. Returns them.
+    fn polish(
+        &self,
+        all: &mut Vec<Candidate>,
+        ranked: &[usize],
+        worlds: &DisturbedWorlds<'_>,
+        trials: &mut Vec<Trial>,
+    ) -> Result<Vec<usize>, PlanError> {
+        let config = self.config;
+        let settings = NelderMead { restarts: 0, ..config.nelder_mead };
+        let statistic = |c: &Candidate| {
+            let (invalid, value) = config.objective.rank(&c.outcomes);
+            if invalid == 0 { value } else { f64::INFINITY }
+        };
+        let mut searches: Vec<LocalSearch> = Vec::new();
+        let mut begun: Vec<usize> = Vec::new();
+        for &i in ranked {
+            let steps = self.space.steps(0.5 * config.initial_step, self.space.is_promising(&all[i].x));
+            if searches.len() == config.polish_starts {
+                break;
+            }
+            if begun.iter().all(|&b| !is_near(&all[b].x, &all[i].x, &steps)) {
+                begun.push(i);
+                let start = [all[i].x.clone()];
+                searches.push(LocalSearch::new(&settings, &start, &steps, Some(statistic(&all[i]))));
+            }
+        }
+        let first = all.len();
+        for _ in 0..config.polish {
+            let mut asked: Vec<(usize, usize)> = Vec::new();
+            for (s, search) in searches.iter().enumerate() {
+                if let Some(x) = search.next_point() {
+                    asked.push((s, all.len()));
+                    all.push(self.candidate(x.to_vec(), f64::INFINITY));
+                }
+            }
+            if asked.is_empty() {
+                break;
+            }
+            let who: Vec<usize> = asked.iter().map(|a| a.1).collect();
+            self.run(all, &who, worlds, 0..worlds.len(), trials)?;
+            for (s, i) in asked {
+                searches[s].tell(statistic(&all[i]));
+            }
+        }
+        let added: Vec<usize> = (first..all.len()).collect();
+        // Only the best of them can be chosen: the others are not looked at more closely.
+        let kept: Vec<usize> = self.ranked(all, &added).into_iter().take(2 * STRATEGIES).collect();
+        let mut looked: Vec<Candidate> = kept.iter().map(|&i| all[i].clone()).collect();
+        self.name_strategies(&mut looked)?;
+        for (&i, c) in kept.iter().zip(looked) {
+            all[i] = c;
+        }
+        Ok(kept)
+    }
+}
+
+/// Up to `count` actions better than `limit`, best first, that differ from each other by more than the steps in some
+/// coordinate; the best one whatever the limit.
+fn distinct(scored: &[Scored], limit: f64, steps: &[f64], count: usize) -> Vec<Scored> {
+    let mut order: Vec<&Scored> = scored.iter().filter(|s| s.objective.is_finite()).collect();
     // Stable: what was tried first comes first among equals.
     order.sort_by(|a, b| a.objective.total_cmp(&b.objective));
     let mut chosen: Vec<Scored> = Vec::new();
     for s in order {
-        if chosen.len() == count {
+        if chosen.len() == count || (s.objective >= limit && !chosen.is_empty()) {
             break;
         }
         if !chosen.iter().any(|c| is_near(&c.x, &s.x, steps)) {
@@ -29,14 +243,29 @@ pub(crate) fn candidates(scored: &[Scored], acceptable: f64, steps: &[f64], coun
     chosen
 }
 
-/// Indices of the `count` rows with the smallest 90 % quantile, in order of it; ties keep the better nominal one,
-/// which comes first.
-pub(crate) fn most_robust(outcomes: &[Vec<f64>], count: usize) -> Vec<usize> {
-    let q90: Vec<f64> = outcomes.iter().map(|row| quantile(row, 0.9)).collect();
-    let mut order: Vec<usize> = (0..outcomes.len()).collect();
-    order.sort_by(|&a, &b| q90[a].total_cmp(&q90[b]));
-    order.truncate(count);
-    order
+/// Up to `count` of the candidates, which come best first, in their order: the first half of them, then one from each
+/// strategy in turn.
+fn spread(pool: Vec<Candidate>, count: usize) -> Vec<Candidate> {
+    let mut chosen: Vec<usize> = (0..pool.len().min(count.div_ceil(2))).collect();
+    let mut rest: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (i, c) in pool.iter().enumerate().skip(chosen.len()) {
+        rest.entry(&c.strategy).or_default().push(i);
+    }
+    let mut groups: Vec<std::vec::IntoIter<usize>> = {
+        let mut groups: Vec<Vec<usize>> = rest.into_values().collect();
+        groups.sort();
+        groups.into_iter().map(IntoIterator::into_iter).collect()
+    };
+    while chosen.len() < count {
+        let round: Vec<usize> = groups.iter_mut().filter_map(Iterator::next).collect();
+        if round.is_empty() {
+            break;
+        }
+        chosen.extend(round.into_iter().take(count - chosen.len()));
+    }
+    chosen.sort_unstable();
+    let mut pool: Vec<Option<Candidate>> = pool.into_iter().map(Some).collect();
+    chosen.into_iter().filter_map(|i| pool[i].take()).collect()
 }
 
 #[cfg(test)]
@@ -47,21 +276,41 @@ mod tests {
         Scored { x: vec![x], objective }
     }
 
-    #[test]
-    fn a_slightly_worse_but_robust_action_wins_and_a_bad_one_is_not_asked() {
-        let all = [scored(0.1, 0.001), scored(0.5, 0.009), scored(0.9, 0.04), scored(0.11, 0.002)];
-        let limit = acceptable(&all, 0.01);
-        assert_eq!(limit, 0.01);
-        let chosen = candidates(&all, limit, &[0.05], 8);
-        assert_eq!(chosen.iter().map(|c| c.x[0]).collect::<Vec<_>>(), [0.1, 0.5]);
-        let outcomes = [vec![0.0, 0.0, 0.3, 0.4], vec![0.01, 0.02, 0.02, 0.03]];
-        assert_eq!(most_robust(&outcomes, 1), [1]);
+    fn candidate(objective: f64, strategy: &str) -> Candidate {
+        Candidate {
+            x: vec![objective],
+            action: Action(vec![objective]),
+            objective,
+            strategy: strategy.into(),
+            outcomes: Vec::new(),
+        }
     }
 
     #[test]
-    fn without_a_good_action_those_near_the_best_are_asked() {
-        let all = [scored(0.1, 0.2), scored(0.5, 0.25), scored(0.9, 0.5)];
-        let chosen = candidates(&all, acceptable(&all, 0.01), &[0.05], 8);
-        assert_eq!(chosen.len(), 2);
+    fn distinct_actions_that_help_are_candidates_however_much_worse_than_the_best() {
+        let all = [
+            scored(0.1, 0.001),
+            scored(0.5, 0.09),
+            scored(0.9, 0.4),
+            scored(0.11, 0.002),
+            scored(0.7, f64::INFINITY),
+        ];
+        let places = |limit, count| -> Vec<f64> {
+            distinct(&all, limit, &[0.05], count).iter().map(|c| c.x[0]).collect()
+        };
+        assert_eq!(places(0.3, 8), [0.1, 0.5]);
+        assert_eq!(places(0.3, 1), [0.1]);
+        assert_eq!(places(0.0, 8), [0.1]);
+    }
+
+    #[test]
+    fn every_strategy_has_a_candidate() {
+        let mut pool: Vec<Candidate> = (0..20).map(|i| candidate(0.001 * f64::from(i), "direct")).collect();
+        pool.push(candidate(0.05, "off a"));
+        pool.push(candidate(0.06, "off b"));
+        let names: Vec<String> = spread(pool, 8).into_iter().map(|c| c.strategy).collect();
+        assert_eq!(names.len(), 8);
+        assert!(names.contains(&"off a".to_owned()) && names.contains(&"off b".to_owned()));
+        assert_eq!(spread(vec![candidate(0.1, "a")], 8).len(), 1);
     }
 }

@@ -46,6 +46,11 @@ impl Space {
         self.promising.iter().map(|[l, h]| if promising { share * (h - l) } else { share }).collect()
     }
 
+    /// Whether a unit point is in the promising ranges.
+    pub(crate) fn is_promising(&self, x: &[f64]) -> bool {
+        self.has_promising() && x.iter().zip(&self.promising).all(|(v, [l, h])| (l..=h).contains(&v))
+    }
+
     /// A unit point of the promising ranges, from a unit point within them.
     pub(crate) fn in_promising(&self, x: &[f64]) -> Vec<f64> {
         x.iter().zip(&self.promising).map(|(v, [l, h])| l + v * (h - l)).collect()

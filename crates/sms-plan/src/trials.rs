@@ -16,6 +16,10 @@ pub enum Phase {
     Search,
     /// A candidate in a disturbed world.
     Disturbed,
+    /// A strategy's action in a disturbed world that played no part in choosing it.
+    Forecast,
+    /// The chosen action with one unknown disturbed.
+    Sensitivity,
 }
 
 impl Phase {
@@ -25,6 +29,8 @@ impl Phase {
             Self::Screen => "screen",
             Self::Search => "search",
             Self::Disturbed => "disturbed",
+            Self::Forecast => "forecast",
+            Self::Sensitivity => "sensitivity",
         }
     }
 }
@@ -34,18 +40,31 @@ impl Phase {
 pub struct Trial {
     /// What it was for.
     pub phase: Phase,
-    /// Index of the start (search) or of the candidate (disturbed); −1 in the screening.
+    /// Index of the start (search), candidate (disturbed), strategy (forecast) or unknown (sensitivity); −1 in the
+    /// screening.
     pub start: i32,
-    /// Number of the evaluation within the phase and start; the world's index for disturbed trials.
+    /// Number of the evaluation within the phase and start; the world's for disturbed ones.
     pub iteration: i32,
     /// The action.
     pub action: Action,
-    /// Its objective, in the task's unit.
+    /// Its objective, in the task's unit; infinite for a trial that is not valid.
     pub objective: f64,
+    /// Whether the simulation can be believed: it neither diverged nor gained energy nor let bodies pass through each
+    /// other.
+    pub valid: bool,
 }
 
-/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`. No
-/// times, so that the same plan gives the same bytes.
+impl Trial {
+    /// A trial; one without a finite objective is not valid.
+    pub fn new(phase: Phase, start: i32, iteration: i32, action: Action, objective: f64) -> Self {
+        let valid = objective.is_finite();
+        let objective = if valid { objective } else { f64::INFINITY };
+        Self { phase, start, iteration, action, objective, valid }
+    }
+}
+
+/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`,
+/// `valid` (1, or 0 for rollouts that cannot be believed, whose objective is infinite). No times, so that the same plan gives the same bytes.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -59,6 +78,7 @@ pub fn write_trials(path: &Path, parameters: &[Parameter], trials: &[Trial]) -> 
         columns.push((&p.name, Column::F64(trials.iter().map(|t| t.action.0[i]).collect())));
     }
     columns.push(("objective", Column::F64(trials.iter().map(|t| t.objective).collect())));
+    columns.push(("valid", Column::I32(trials.iter().map(|t| i32::from(t.valid)).collect())));
     write_table(path, &columns)
 }
 
@@ -91,17 +111,13 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
     };
     (0..rows)
         .map(|i| {
-            let phase = [Phase::Screen, Phase::Search, Phase::Disturbed]
+            let all = [Phase::Screen, Phase::Search, Phase::Disturbed, Phase::Forecast, Phase::Sensitivity];
+            let phase = all
                 .into_iter()
                 .find(|p| p.as_str() == phases[i])
                 .ok_or_else(|| not_trials().because(format!("unknown phase `{}`", phases[i])))?;
-            Ok(Trial {
-                phase,
-                start: starts[i],
-                iteration: iterations[i],
-                action: Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect()),
-                objective: objectives[i],
-            })
+            let action = Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect());
+            Ok(Trial::new(phase, starts[i], iterations[i], action, objectives[i]))
         })
         .collect()
 }

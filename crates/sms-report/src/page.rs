@@ -410,7 +410,12 @@ mod tests {
             objective_unit: "m".into(),
             objective_q90: 0.02,
             evaluations: 10,
+            invalid: 0,
             starts: Vec::new(),
+            chosen_by: None,
+            predicted: None,
+            strategies: Vec::new(),
+            sensitivities: Vec::new(),
             trajectory: trajectory(),
         };
         let mut metrics = Metrics::new();

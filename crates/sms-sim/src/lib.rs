@@ -50,6 +50,8 @@ mod world;
 
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
-pub use simulation::Simulation;
+pub use simulation::{Profile, Simulation};
 pub use striker::{FINGER_HALF, SEGMENT_M, StrikerMotion};
-pub use world::{BodyId, BodyState, KinematicShape, SimError, World, WorldFactory, WorldOptions};
+pub use world::{
+    BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
+};

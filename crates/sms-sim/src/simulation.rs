@@ -2,9 +2,10 @@
 
 use crate::geometry::{BodyGeometry, Part, Path};
 use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
-use crate::{BodyId, BodyState, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
+use crate::{BodyId, BodyState, ContactEvent, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
 use glamx::DVec3;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use std::time::Instant;
 
 /// Least length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball
 /// gets as long as it needs to close the remaining gap in a part of the step, else an engine that predicts
@@ -45,7 +46,25 @@ pub struct Simulation {
     /// advance: an impact that begins just before the end of a step is not cut in two.
     time_s: f64,
     splits: usize,
+    /// First touches of a ball and another body since the start, in order of time.
+    contacts: Vec<ContactEvent>,
+    profile: Option<Profile>,
     saved: Option<Saved>,
+}
+
+/// Where the time of a simulation goes, since [`Simulation::begin_profile`]. Wall-clock seconds of the calling thread.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Profile {
+    /// Steps of the engine, the parts of split steps included.
+    pub steps: usize,
+    /// Steps that were made because a step was split.
+    pub splits: usize,
+    /// In the engine's steps.
+    pub engine_s: f64,
+    /// In finding out what balls rest on and when they will hit something.
+    pub impacts_s: f64,
+    /// In returning to the saved state.
+    pub restore_s: f64,
 }
 
 struct SimBody {
@@ -108,6 +127,8 @@ impl Simulation {
             world_s: 0.0,
             time_s: 0.0,
             splits: 0,
+            contacts: Vec::new(),
+            profile: None,
             saved: None,
         })
     }
@@ -115,6 +136,11 @@ impl Simulation {
     /// Name of the engine.
     pub fn engine(&self) -> &'static str {
         self.world.engine()
+    }
+
+    /// Gravity in the world, m/s².
+    pub fn gravity_w(&self) -> DVec3 {
+        self.gravity_w
     }
 
     /// Time that was advanced, seconds. States may be up to half a millisecond older, where an impact is about to
@@ -126,6 +152,47 @@ impl Simulation {
     /// How often a step was split for an impact.
     pub fn split_count(&self) -> usize {
         self.splits
+    }
+
+    /// Every pair of a ball and another body that hit each other, once, when it did for the first time since the start or
+    /// the saved state. Only impacts for
+    /// which a step was split are known ([`WorldOptions::contact_timing`]); a body that a ball rests on or rolls
+    /// against from the start is none.
+    pub fn contacts(&self) -> &[ContactEvent] {
+        &self.contacts
+    }
+
+    /// How deep a ball is inside of another body that is no robot, metres; 0 where it is in none. For a mesh, which
+    /// has no inside, how much nearer than its radius the ball's centre is.
+    pub fn penetration(&self, ball: BodyId) -> f64 {
+        let Kind::Ball { radius, .. } = self.bodies[ball].kind else { return 0.0 };
+        let center_w = self.states[ball].x_wb.translation;
+        let mut deepest = 0.0f64;
+        for (other, body) in self.bodies.iter().enumerate() {
+            let state = &self.states[other];
+            let reach = radius + body.geometry.bounding_radius;
+            let is_far = center_w.distance_squared(state.x_wb.translation) > reach * reach;
+            if other == ball || is_far || body.kind == Kind::Kinematic {
+                continue;
+            }
+            let p = state.x_wb.inverse_transform_point(center_w);
+            for part in body.geometry.parts_near(p, radius) {
+                let (nearest, inside) = part.nearest(p);
+                let distance = p.distance(nearest);
+                deepest = deepest.max(if inside { radius + distance } else { radius - distance });
+            }
+        }
+        deepest
+    }
+
+    /// Begins to measure where time goes.
+    pub fn begin_profile(&mut self) {
+        self.profile = Some(Profile::default());
+    }
+
+    /// What was measured since, if anything.
+    pub fn profile(&self) -> Option<Profile> {
+        self.profile
     }
 
     /// Number of bodies, strikers included.
@@ -194,14 +261,19 @@ impl Simulation {
             time_s: self.time_s,
             splits: self.splits,
         });
+        self.contacts.clear();
         true
     }
 
     /// Returns to the saved state; strikers added since are gone. `false` where nothing was saved.
     pub fn restore(&mut self) -> bool {
         let Some(saved) = &self.saved else { return false };
+        let began = self.profile.map(|_| Instant::now());
         if !self.world.restore() {
             return false;
+        }
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.restore_s += began.elapsed().as_secs_f64();
         }
         self.bodies.truncate(saved.states.len());
         self.states.clone_from(&saved.states);
@@ -209,6 +281,7 @@ impl Simulation {
         self.world_s = saved.world_s;
         self.time_s = saved.time_s;
         self.splits = saved.splits;
+        self.contacts.clear();
         self.wrenches.clear();
         true
     }
@@ -230,19 +303,23 @@ impl Simulation {
 
     /// Steps until the time that was asked for, or until an impact that does not fit in before it.
     fn nominal_step(&mut self) -> Result<(), SimError> {
+        let began = self.profile.map(|_| Instant::now());
         let supports = self.supports();
+        self.add_impact_time(began);
         let mut splits = 0;
         loop {
             let left = self.time_s - self.world_s;
             if left < MIN_STEP_S {
                 return Ok(());
             }
+            let began = self.profile.map(|_| Instant::now());
             let impact = if self.options.contact_timing && splits < MAX_SPLITS {
                 self.next_impact(left, &supports)
             } else {
                 None
             };
-            let Some(impact) = impact else {
+            self.add_impact_time(began);
+            let Some((impact, ball, other)) = impact else {
                 self.step(left, &supports)?;
                 // So that rounding does not add up.
                 self.world_s = self.time_s;
@@ -255,10 +332,28 @@ impl Simulation {
                 if length > left {
                     return Ok(());
                 }
+                self.note_contact(ball, other);
                 self.step(length, &supports)?;
             }
             splits += 1;
             self.splits += 1;
+            if let Some(profile) = &mut self.profile {
+                profile.splits += 1;
+            }
+        }
+    }
+
+    fn add_impact_time(&mut self, began: Option<Instant>) {
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.impacts_s += began.elapsed().as_secs_f64();
+        }
+    }
+
+    fn note_contact(&mut self, ball: BodyId, other: BodyId) {
+        let is_known =
+            |c: &ContactEvent| (c.ball, c.other) == (ball, other) || (c.ball, c.other) == (other, ball);
+        if !self.contacts.iter().any(is_known) {
+            self.contacts.push(ContactEvent { time_s: self.world_s, ball, other });
         }
     }
 
@@ -283,7 +378,12 @@ impl Simulation {
             }
             self.world.set_kinematic_target(sweep.body, sweep.motion.pose_at(t));
         }
+        let began = self.profile.map(|_| Instant::now());
         self.world.step(dt);
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.engine_s += began.elapsed().as_secs_f64();
+            profile.steps += 1;
+        }
         self.world_s += dt;
         self.refresh_states()
     }
@@ -381,14 +481,14 @@ impl Simulation {
     }
 
     /// The next touch of a ball and another body, if within `horizon` seconds.
-    fn next_impact(&self, horizon: f64, supports: &[Support]) -> Option<Impact> {
-        let mut first: Option<Impact> = None;
+    fn next_impact(&self, horizon: f64, supports: &[Support]) -> Option<(Impact, BodyId, BodyId)> {
+        let mut first: Option<(Impact, BodyId, BodyId)> = None;
         for (ball, body) in self.bodies.iter().enumerate() {
             let Kind::Ball { radius, .. } = body.kind else { continue };
             let path = self.path(ball, supports);
             let center_w = self.states[ball].x_wb.translation;
             for other in 0..self.bodies.len() {
-                let until = first.map_or(horizon, |i| i.time_s);
+                let until = first.map_or(horizon, |(i, ..)| i.time_s);
                 let Some(travel) = self.travel(ball, other, until) else { continue };
                 let geometry = &self.bodies[other].geometry;
                 let x_wb = &self.states[other].x_wb;
@@ -399,8 +499,9 @@ impl Simulation {
                 }
                 let other_path = self.path(other, supports);
                 for part in geometry.parts_near(x_wb.inverse_transform_point(center_w), reach) {
-                    let until = first.map_or(horizon, |i| i.time_s);
-                    first = time_of_impact(&path, radius, part, &other_path, until).or(first);
+                    let until = first.map_or(horizon, |(i, ..)| i.time_s);
+                    let impact = time_of_impact(&path, radius, part, &other_path, until);
+                    first = impact.map(|i| (i, ball, other)).or(first);
                 }
             }
         }

@@ -75,6 +75,34 @@ pub enum SimError {
         /// Body.
         body: String,
     },
+    /// The motion is none that bodies can have.
+    #[error("the simulation of {engine} cannot be believed from t = {time_s:.4} s on: {why}")]
+    Unphysical {
+        /// Engine.
+        engine: &'static str,
+        /// Time.
+        time_s: f64,
+        /// What was seen.
+        why: String,
+    },
+}
+
+impl SimError {
+    /// Whether a run was spoilt, not the scene: another motion may be simulated well.
+    pub fn is_invalid_rollout(&self) -> bool {
+        matches!(self, Self::Diverged { .. } | Self::Unphysical { .. })
+    }
+}
+
+/// A ball that hits something.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactEvent {
+    /// When, seconds.
+    pub time_s: f64,
+    /// The ball; of two balls the faster one.
+    pub ball: BodyId,
+    /// What it hits.
+    pub other: BodyId,
 }
 
 /// A rigid-body world.

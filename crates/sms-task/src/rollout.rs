@@ -6,7 +6,9 @@ use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
 use sms_scene::{BodyKind, BodyShape, Scene};
-use sms_sim::{BodyId, BodyState, SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions};
+use sms_sim::{
+    BodyId, BodyState, ContactEvent, SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions,
+};
 
 /// Name of the striker's track.
 pub const STRIKER: &str = "striker";
@@ -19,6 +21,14 @@ const STILL: (f64, f64) = (0.003, 0.03);
 
 /// How far outside of everything a ball has to be to count as gone, metres: obstacles are pushed about a little.
 const ARENA_MARGIN_M: f64 = 0.05;
+
+/// A ball deeper than this inside of another body has passed through its surface, metres. Engines let fast balls sink in by
+/// a few tenths of a millimetre.
+const DEEPEST_M: f64 = 0.005;
+
+/// Energy that bodies may seem to gain once the robot is gone, as a share of what they then had and in joules. Engines
+/// push bodies apart that have sunk into each other.
+const ENERGY_GAIN: (f64, f64) = (0.25, 0.02);
 
 /// Longest settling, seconds, and farthest that anything may move horizontally in it, metres.
 const SETTLE_S: f64 = 1.0;
@@ -39,6 +49,8 @@ pub struct Rollout {
     pub objective: f64,
     /// When the target ball was there, seconds from the start of the sweep; the end of the rollout for terms.
     pub closest_s: f64,
+    /// First touches of balls and other bodies, in order of time.
+    pub contacts: Vec<ContactEvent>,
     /// When the rollout ended, seconds: the horizon, or earlier when nothing could change any more.
     pub end_s: f64,
     /// The motion, when it was recorded.
@@ -66,6 +78,8 @@ struct Mover {
     mass: f64,
     /// Largest principal moment or more, kg·m².
     inertia: f64,
+    /// Smallest principal moment or less, kg·m².
+    least_inertia: f64,
 }
 
 impl ResolvedTask {
@@ -106,6 +120,15 @@ impl ResolvedTask {
                 inertia: b.mass.map_or(0.0, |m| {
                     let i = m.inertia();
                     i.x_axis.x.max(i.y_axis.y).max(i.z_axis.z)
+                }),
+                least_inertia: b.mass.map_or(0.0, |m| {
+                    let i = m.inertia();
+                    // Gershgorin's bound on the smallest eigenvalue.
+                    let least = |k: usize| {
+                        let row = i.row(k);
+                        row[k] - (row.abs().element_sum() - row[k].abs())
+                    };
+                    least(0).min(least(1)).min(least(2)).max(0.0)
                 }),
             })
             .collect();
@@ -166,7 +189,8 @@ impl ResolvedTask {
     /// goal. Balls that roll away no longer count; bodies that are no balls must stand still, or they might topple.
     ///
     /// # Errors
-    /// [`SimError::Diverged`] when a state stops being finite.
+    /// [`SimError::Diverged`] when a state stops being finite, [`SimError::Unphysical`] when bodies gain energy after the
+    /// robot has gone, or when a ball is more than 5 mm inside of another body.
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
@@ -180,6 +204,7 @@ impl ResolvedTask {
         let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;
+        let mut watch = Watch { left: None, rest: bodies.energy(simulation)[0] };
         judge.observe(time_s, simulation);
         if let Some(r) = &mut recorder {
             r.record(time_s, simulation);
@@ -193,8 +218,11 @@ impl ResolvedTask {
             }
             let left_s = settings.horizon_s - time_s;
             // Looked at now and then: it costs as much as a few contacts.
-            if step % 16 == 0
-                && simulation.is_strike_over()
+            if step % 16 != 0 {
+                continue;
+            }
+            watch.check(time_s, simulation, bodies)?;
+            if simulation.is_strike_over()
                 && (bodies.all_rest(simulation)
                     || (recorder.is_none() && judge.is_over(simulation, bodies, left_s)))
             {
@@ -204,6 +232,7 @@ impl ResolvedTask {
         Ok(Rollout {
             objective: judge.objective(),
             closest_s: judge.closest_s().unwrap_or(time_s),
+            contacts: simulation.contacts().to_vec(),
             end_s: time_s,
             trajectory: recorder.map(|r| r.finish(time_s, simulation)),
         })
@@ -277,6 +306,21 @@ impl WorldBodies {
         }
         let moved = places.iter().zip(self.places(simulation)).map(|(a, b)| a.distance(b));
         self.all_rest(simulation) && moved.fold(0.0, f64::max) < SETTLE_M
+    }
+
+    /// Bounds of the mechanical energy that was not there at rest, joules: from below and from above. Bodies that sleep
+    /// have only their height.
+    fn energy(&self, simulation: &Simulation) -> [f64; 2] {
+        let gravity_w = simulation.gravity_w();
+        let mut bounds = [0.0, 0.0];
+        for m in &self.dynamic {
+            let state = simulation.state(m.id);
+            let (v2, w2) = (state.v_w.length_squared(), state.w_w.length_squared());
+            let common = 0.5 * m.mass * v2 - m.mass * gravity_w.dot(state.x_wb.translation);
+            bounds[0] += common + 0.5 * m.least_inertia * w2;
+            bounds[1] += common + 0.5 * m.inertia * w2;
+        }
+        bounds
     }
 
     fn places<'a>(&'a self, simulation: &'a Simulation) -> impl Iterator<Item = DVec2> + 'a {
@@ -355,6 +399,40 @@ fn arena_of(scene: &Scene) -> (DVec2, f64) {
     }
     let center = 0.5 * (low + high);
     (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
+}
+
+/// Notices motions that bodies cannot have.
+struct Watch {
+    /// Upper bound of the energy when the robot had gone, and of the share of it that is motion.
+    left: Option<(f64, f64)>,
+    /// Energy at the start.
+    rest: f64,
+}
+
+impl Watch {
+    fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
+        let unphysical = |why: String| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
+        for m in bodies.dynamic.iter().filter(|m| m.radius.is_some() && !simulation.is_asleep(m.id)) {
+            let depth_m = simulation.penetration(m.id);
+            if depth_m > DEEPEST_M {
+                return unphysical(format!("`{}` is {:.1} mm inside of another body", m.name, 1e3 * depth_m));
+            }
+        }
+        if !simulation.is_strike_over() {
+            return Ok(());
+        }
+        let [low, high] = bodies.energy(simulation);
+        match self.left {
+            None => self.left = Some((high, high - self.rest)),
+            Some((then, moving)) => {
+                let gain = low - then;
+                if gain > ENERGY_GAIN.0 * moving.max(0.0) + ENERGY_GAIN.1 {
+                    return unphysical(format!("bodies gained {gain:.3} J by themselves"));
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 struct Recorder<'a> {

@@ -1,7 +1,9 @@
 //! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
 use super::bench_materialize::{self, BenchMaterialize};
+use super::bench_optimisers::{self, BenchOptimisers};
 use super::bench_physics::{self, BenchPhysics};
+use super::bench_plan::{self, BenchPlan, BenchRobust};
 use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
@@ -37,6 +39,15 @@ pub(crate) enum BenchCommand {
     Physics(BenchPhysics),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
     Score(BenchScore),
+    /// Compare search methods of the planner at equal numbers of simulated shots. The planner is given the true geometry
+    /// and materials of generated scenes: this measures search, not reconstruction.
+    Optimisers(BenchOptimisers),
+    /// Measure what plans are worth when the true world is one more sample of what is not known: planning for the scanned
+    /// world alone against robust planning with about as many simulated shots. True geometry of generated scenes, materials
+    /// known within intervals.
+    Robust(BenchRobust),
+    /// Measure how fast shots are simulated and planned, and where the time goes.
+    Plan(BenchPlan),
 }
 
 #[derive(Debug, Args, Clone)]
@@ -109,6 +120,9 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
         BenchCommand::Physics(physics) => bench_physics::run(context, physics),
         BenchCommand::Score(score) => run_score(context, score),
+        BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
+        BenchCommand::Robust(robust) => bench_plan::run_robust(context, robust),
+        BenchCommand::Plan(plan) => bench_plan::run(context, plan),
     }
 }
 

@@ -54,7 +54,8 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
     )?;
     simulate::run(context, &cli::Simulate { run: root.clone(), seconds: 1.0 })?;
     let task = sample::task_of(&truth);
-    let plan_arguments = cli::Plan { run: root.clone(), task: recording.join("task.toml"), seed: None };
+    let plan_arguments =
+        cli::Plan { run: root.clone(), task: recording.join("task.toml"), seed: None, robust: None };
     let base = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     plan::run_with(context, &plan_arguments, &task, &context.settings.section("plan", base)?)?;
     execute::run(context, &cli::Execute { run: root.clone() })?;

@@ -2,7 +2,9 @@
 
 pub(crate) mod bench;
 mod bench_materialize;
+mod bench_optimisers;
 mod bench_physics;
+mod bench_plan;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod evaluate;

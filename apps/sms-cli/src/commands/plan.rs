@@ -5,7 +5,7 @@ use super::{inputs_hash, length_text, run_stage, shown, timed};
 use crate::cli::Plan;
 use crate::context::Context;
 use sms_core::{Hasher, RunFolder, Seed};
-use sms_plan::{PlanConfig, load_plan, plan, save_plan};
+use sms_plan::{Plan as Planned, PlanConfig, load_plan, plan, save_plan};
 use sms_scene::load_scene;
 use sms_sim::RapierFactory;
 use sms_task::Task;
@@ -18,6 +18,11 @@ pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
 
 /// The same with the planner's settings given (the demo's presets).
 pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanConfig) -> anyhow::Result<()> {
+    let mut config = config.clone();
+    if let Some(worlds) = a.robust {
+        config.disturbances.worlds = worlds;
+    }
+    let config = &config;
     let run = RunFolder::open(&a.run)?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
     let scene = load_scene(&scene_dir)?;
@@ -54,13 +59,57 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
         .collect();
     context.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
     context.say(format!("  {}", values.join(", ")));
-    context.say(format!(
-        "  predicted {}{} ({} in 90 % of disturbed worlds), {} rollouts",
-        length_text(plan.objective),
-        if plan.task == "billiards" { " from the goal" } else { " in all terms" },
-        length_text(plan.objective_q90),
-        plan.evaluations
-    ));
+    for line in summary(&plan) {
+        context.say(line);
+    }
     context.say(format!("  in {}", shown(&dir.join("plan.json"))));
     context.print_metrics(&run)
+}
+
+/// What the plan is predicted to do, which other ways there are, and what matters most.
+fn summary(plan: &Planned) -> Vec<String> {
+    let mut lines = Vec::new();
+    let of_what = if plan.task == "billiards" { "from the goal" } else { "in all terms" };
+    match &plan.predicted {
+        Some(p) => lines.push(format!(
+            "  predicted {} {of_what} on average ({} in 9 of 10 worlds), {} in the scanned world; success in {:.0} % of {} \
+             worlds",
+            length_text(p.mean),
+            length_text(p.q90),
+            length_text(plan.objective),
+            100.0 * p.success_share,
+            p.worlds
+        )),
+        None => lines.push(format!(
+            "  predicted {} {of_what} in the scanned world; other worlds were not looked at",
+            length_text(plan.objective)
+        )),
+    }
+    if plan.strategies.len() > 1 || plan.predicted.is_some() {
+        lines.push("  strategies                                 scanned     mean      10 %      50 %      90 %  success".to_owned());
+    }
+    for s in plan.strategies.iter().filter(|_| plan.strategies.len() > 1 || plan.predicted.is_some()) {
+        let mut line = format!("    {:<40} {:>8}", s.name, length_text(s.objective));
+        if let Some(p) = &s.prediction {
+            for v in [p.mean, p.q10, p.q50, p.q90] {
+                line.push_str(&format!("  {:>8}", length_text(v)));
+            }
+            line.push_str(&format!("  {:>5.0} %", 100.0 * p.success_share));
+        }
+        lines.push(line);
+    }
+    let matters: Vec<String> = plan
+        .sensitivities
+        .iter()
+        .filter(|s| s.share >= 0.05)
+        .take(4)
+        .map(|s| format!("{} ({:.0} %, {})", s.unknown, 100.0 * s.share, length_text(s.change)))
+        .collect();
+    if !matters.is_empty() {
+        lines.push(format!("  what matters most: {}", matters.join(", ")));
+    }
+    let invalid =
+        if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };
+    lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
+    lines
 }

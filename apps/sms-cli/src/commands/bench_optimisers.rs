@@ -1,0 +1,99 @@
+//! `sms bench optimisers`: search methods against each other on generated scenes.
+
+use crate::context::Context;
+use clap::{Args, ValueEnum};
+use sms_bench::{OptimiserBench, SceneFamily, optimiser_table, run_optimisers};
+use sms_core::InputError;
+use std::path::PathBuf;
+
+/// How hard the scenes of a planner's benchmark are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Family {
+    /// The paper's: free corridors from cue to target ball to goal, cut of at most 35°.
+    Open,
+    /// Nine obstacles that may stand in the way, cut of up to 75°.
+    Crowded,
+}
+
+impl Family {
+    pub(crate) fn family(self) -> SceneFamily {
+        match self {
+            Self::Open => SceneFamily::Open,
+            Self::Crowded => SceneFamily::Crowded,
+        }
+    }
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchOptimisers {
+    /// Seeds of the generated billiards scenes, such as 1001..1012 or 1,2,7 (tune on seeds of 1000 and above only).
+    #[arg(long, value_name = "SEEDS", default_value = "1001..1012")]
+    pub seeds: String,
+    /// How hard they are.
+    #[arg(long, value_enum, default_value = "crowded")]
+    pub family: Family,
+    /// Budgets: simulated shots per search.
+    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "60,240,960")]
+    pub evaluations: Vec<usize>,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> {
+    if a.evaluations.contains(&0) {
+        return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
+    }
+    let bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
+    if let Some(out) = &a.out {
+        metrics.save(out)?;
+    }
+    if context.json {
+        return context.print_json(&metrics);
+    }
+    context.say(optimiser_table(&bench, &metrics).trim_end());
+    Ok(())
+}
+
+/// `1001..1012` (both included), `1,2,7`, or a mixture.
+pub(crate) fn parse_seeds(text: &str) -> anyhow::Result<Vec<u64>> {
+    let mut seeds = Vec::new();
+    for part in text.split(',').map(str::trim) {
+        let number = |s: &str| s.trim().parse::<u64>();
+        match part.split_once("..") {
+            None => seeds.push(number(part)),
+            Some((first, last)) => match (number(first), number(last.trim_start_matches('='))) {
+                (Ok(first), Ok(last)) if first <= last && last - first < 10_000 => {
+                    seeds.extend((first..=last).map(Ok));
+                }
+                (Err(e), _) | (_, Err(e)) => seeds.push(Err(e)),
+                _ => return Err(no_seeds(text).into()),
+            },
+        }
+    }
+    let seeds: Vec<u64> = seeds.into_iter().collect::<Result<_, _>>().map_err(|_| no_seeds(text))?;
+    Ok(seeds)
+}
+
+fn no_seeds(text: &str) -> InputError {
+    InputError::new(
+        format!("`{text}` names no seeds"),
+        "--seeds",
+        "give a range such as 1001..1012, or a list such as 1,2,7",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_ranges_and_lists() {
+        assert_eq!(parse_seeds("1001..1003").unwrap(), [1001, 1002, 1003]);
+        assert_eq!(parse_seeds("7, 1..=2").unwrap(), [7, 1, 2]);
+        for bad in ["", "x", "3..1", "1..x"] {
+            assert!(parse_seeds(bad).unwrap_err().downcast_ref::<InputError>().is_some(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! `sms bench plan` and `sms bench robust`: the planner's speed and what its plans are worth.
+
+use super::bench_optimisers::{Family, parse_seeds};
+use crate::context::Context;
+use clap::Args;
+use sms_bench::{PlanScene, RobustBench, robust_table, run_plan_speed};
+use sms_core::metrics::Metrics;
+use sms_plan::PlanConfig;
+use std::path::PathBuf;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchPlan {
+    /// Seeds of the generated billiards scenes.
+    #[arg(long, value_name = "SEEDS", default_value = "1001..1003")]
+    pub seeds: String,
+    /// How hard they are.
+    #[arg(long, value_enum, default_value = "open")]
+    pub family: Family,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchRobust {
+    /// Seeds of the generated billiards scenes.
+    #[arg(long, value_name = "SEEDS", default_value = "1001..1012")]
+    pub seeds: String,
+    /// How hard they are.
+    #[arg(long, value_enum, default_value = "crowded")]
+    pub family: Family,
+    /// True worlds per scene in which each plan is carried out.
+    #[arg(long, value_name = "N", default_value_t = 48)]
+    pub worlds: usize,
+    /// Simulated shots of the search before disturbed worlds are looked at (default: the planner's); planning for the
+    /// scanned world alone gets twice as many.
+    #[arg(long, value_name = "N")]
+    pub evaluations: Option<usize>,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Plans with the settings of `[plan]`.
+pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
+    let seeds = parse_seeds(&a.seeds)?;
+    let config = context.settings.section("plan", PlanConfig::default())?;
+    let scenes: Vec<PlanScene> =
+        seeds.into_iter().map(|s| PlanScene::new(a.family.family(), s)).collect::<Result<_, _>>()?;
+    let metrics = run_plan_speed(&scenes, &config, context.progress.as_ref(), &context.cancel)?;
+    let get = |key: &str| metrics.number(&format!("bench.plan.{key}")).unwrap_or(f64::NAN);
+    let text = format!(
+        "one shot: {:.1} ms ({:.0} a second on one thread), {:.0} steps, of which {:.0} by splitting\n  \
+         engine {:.0} %, impacts {:.0} %, restore {:.1} %, other {:.0} %; building a world takes {:.1} ms\n\
+         one plan on {:.0} threads: {:.1} s for the scanned world alone, {:.1} s robust, {:.1} s the paper's way",
+        1e3 * get("evaluation_s"),
+        get("evaluations_per_s"),
+        get("steps"),
+        get("splits"),
+        100.0 * get("engine_share"),
+        100.0 * get("impacts_share"),
+        100.0 * get("restore_share"),
+        100.0 * get("other_share"),
+        1e3 * get("prepare_s"),
+        get("threads"),
+        get("scene_s"),
+        get("robust_scene_s"),
+        get("paper_scene_s"),
+    );
+    finish(context, &metrics, a.out.as_ref(), &text)
+}
+
+pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {
+    let mut bench = RobustBench::new(parse_seeds(&a.seeds)?, a.family.family());
+    bench.worlds = a.worlds.max(1);
+    if let Some(evaluations) = a.evaluations {
+        bench.set_evaluations(evaluations.max(1));
+    }
+    let metrics = sms_bench::run_robust(&bench, context.progress.as_ref(), &context.cancel)?;
+    finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
+}
+
+fn finish(context: &Context, metrics: &Metrics, out: Option<&PathBuf>, text: &str) -> anyhow::Result<()> {
+    if let Some(out) = out {
+        metrics.save(out)?;
+    }
+    if context.json {
+        return context.print_json(metrics);
+    }
+    context.say(text);
+    Ok(())
+}

@@ -1,0 +1,190 @@
+//! `sms bench optimisers`: search methods at equal numbers of rollouts.
+
+use crate::{BenchError, PlanScene, SceneFamily, paired_difference};
+use rayon::prelude::*;
+use sms_core::metrics::Metrics;
+use sms_core::{Cancel, Progress, Seed};
+use sms_plan::{Method, PlanConfig, search_nominal};
+use sms_sim::RapierFactory;
+use std::fmt::Write as _;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Rollouts that one of the paper's searches of 30 iterations takes in four dimensions.
+const PAPER_SEARCH: usize = 53;
+
+/// What to compare.
+#[derive(Debug, Clone)]
+pub struct OptimiserBench {
+    /// Seeds of the scenes.
+    pub seeds: Vec<u64>,
+    /// How hard they are.
+    pub family: SceneFamily,
+    /// Budgets, rollouts.
+    pub evaluations: Vec<usize>,
+    /// The methods: name and settings, whose `evaluations` the budget replaces.
+    pub entrants: Vec<(String, PlanConfig)>,
+    /// Name of the method that the others are compared with.
+    pub baseline: String,
+}
+
+impl OptimiserBench {
+    /// Every method with its default settings, compared with the scan followed by equally long searches.
+    pub fn new(seeds: Vec<u64>, family: SceneFamily, evaluations: Vec<usize>) -> Self {
+        let entrants = Method::ALL
+            .into_iter()
+            .map(|method| (method.as_str().to_owned(), Self::settings(method)))
+            .collect();
+        Self { seeds, family, evaluations, entrants, baseline: Method::Screen.as_str().to_owned() }
+    }
+
+    /// The settings with which a method enters.
+    pub fn settings(method: Method) -> PlanConfig {
+        match method {
+            Method::MultiStart => PlanConfig::paper(),
+            _ => PlanConfig { method, ..PlanConfig::default() },
+        }
+    }
+}
+
+fn with_budget(config: &PlanConfig, budget: usize) -> PlanConfig {
+    let mut config = PlanConfig { evaluations: budget, ..config.clone() };
+    if config.method == Method::MultiStart {
+        // As many of the paper's searches as the budget holds.
+        config.starts = (budget / PAPER_SEARCH).clamp(1, config.starts);
+    }
+    config
+}
+
+/// Best objective in metres that each method finds within each budget, over the scenes. Keys are
+/// `bench.optimisers.{name}.{evaluations}.{mean_m, median_m, success_share, difference_m, difference_low_m,
+/// difference_high_m}`; the differences are those of the means to the baseline with a paired 95 % bootstrap interval
+/// over scenes. The figures do not depend on the number of threads.
+///
+/// # Errors
+/// [`BenchError`]: interruption, or settings out of range.
+pub fn run_optimisers(
+    bench: &OptimiserBench,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Metrics, BenchError> {
+    let scenes: Vec<PlanScene> =
+        bench.seeds.iter().map(|&s| PlanScene::new(bench.family, s)).collect::<Result<_, _>>()?;
+    let jobs: Vec<(usize, usize, usize)> = (0..bench.entrants.len())
+        .flat_map(|e| (0..bench.evaluations.len()).map(move |b| (e, b)))
+        .flat_map(|(e, b)| (0..scenes.len()).map(move |s| (e, b, s)))
+        .collect();
+    progress.begin("bench optimisers", jobs.len() as u64);
+    let done = AtomicUsize::new(0);
+    let best: Vec<(f64, bool)> = jobs
+        .par_iter()
+        .map(|&(e, b, s)| {
+            let (scene, budget) = (&scenes[s], bench.evaluations[b]);
+            let config = with_budget(&bench.entrants[e].1, budget);
+            let seed = Seed(scene.seed).derive("bench optimisers");
+            let found =
+                search_nominal(&scene.task, &scene.scene, &RapierFactory, &config, budget, seed, cancel)?;
+            progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "searches");
+            // A search without a valid rollout leaves the ball where it is.
+            let objective = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
+            Ok((objective, scene.task.is_success(objective)))
+        })
+        .collect::<Result<_, BenchError>>()?;
+    progress.end("");
+    let column = |e: usize, b: usize| {
+        let first = (e * bench.evaluations.len() + b) * scenes.len();
+        &best[first..first + scenes.len()]
+    };
+    let baseline = bench.entrants.iter().position(|(name, _)| *name == bench.baseline);
+    let mut metrics = Metrics::new();
+    metrics.set("bench.optimisers.scenes", scenes.len());
+    for (e, (name, _)) in bench.entrants.iter().enumerate() {
+        for (b, budget) in bench.evaluations.iter().enumerate() {
+            let values: Vec<f64> = column(e, b).iter().map(|v| v.0).collect();
+            let mut set = |key: &str, value: f64| {
+                metrics.set(format!("bench.optimisers.{name}.{budget}.{key}"), value);
+            };
+            let n = values.len().max(1) as f64;
+            set("mean_m", values.iter().sum::<f64>() / n);
+            set("median_m", median(&values));
+            set("success_share", column(e, b).iter().filter(|v| v.1).count() as f64 / n);
+            if let Some(other) = baseline.filter(|&o| o != e) {
+                let others: Vec<f64> = column(other, b).iter().map(|v| v.0).collect();
+                if let Some(d) = paired_difference(&values, &others) {
+                    set("difference_m", d.mean);
+                    set("difference_low_m", d.low);
+                    set("difference_high_m", d.high);
+                }
+            }
+        }
+    }
+    Ok(metrics)
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+    }
+}
+
+/// The figures of [`run_optimisers`] as a table, millimetres.
+pub fn optimiser_table(bench: &OptimiserBench, metrics: &Metrics) -> String {
+    let mut text = format!(
+        "best objective found, mm, mean (median) over {} scenes, share of successes; difference to `{}` with its 95 % interval\n",
+        bench.seeds.len(),
+        bench.baseline
+    );
+    for budget in &bench.evaluations {
+        let _ = writeln!(text, "{budget} rollouts");
+        for (name, _) in &bench.entrants {
+            let get = |key: &str| metrics.number(&format!("bench.optimisers.{name}.{budget}.{key}"));
+            let mm = |key: &str| get(key).map_or_else(|| "?".to_owned(), |v| format!("{:.2}", 1e3 * v));
+            let _ = write!(
+                text,
+                "  {name:<12} {:>8} ({:>7})  {:>4.0} %",
+                mm("mean_m"),
+                mm("median_m"),
+                100.0 * get("success_share").unwrap_or(f64::NAN)
+            );
+            if get("difference_m").is_some() {
+                let _ = write!(
+                    text,
+                    "  {:>8} [{}, {}]",
+                    mm("difference_m"),
+                    mm("difference_low_m"),
+                    mm("difference_high_m")
+                );
+            }
+            text.push('\n');
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::NoProgress;
+
+    #[test]
+    fn figures_are_complete_and_do_not_depend_on_threads() {
+        let bench = OptimiserBench::new(vec![1001, 1002], SceneFamily::Open, vec![16]);
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run_optimisers(&bench, &NoProgress, &Cancel::new())).unwrap()
+        };
+        let (one, two) = (run(1), run(2));
+        assert_eq!(one, two);
+        for method in Method::ALL {
+            let name = method.as_str();
+            let mean = one.number(&format!("bench.optimisers.{name}.16.mean_m")).unwrap();
+            assert!(mean.is_finite() && mean > 0.0 && mean < 0.4, "{name}: {mean}");
+            let difference = one.number(&format!("bench.optimisers.{name}.16.difference_m"));
+            assert_eq!(difference.is_none(), method == Method::Screen);
+        }
+        assert!(optimiser_table(&bench, &one).contains("cma_es"));
+    }
+}

@@ -1,0 +1,70 @@
+//! The scenes on which the planner is measured.
+
+use crate::BenchError;
+use serde::{Deserialize, Serialize};
+use sms_core::{InputError, Seed};
+use sms_plan::PlanError;
+use sms_scene::Scene;
+use sms_synth::{BilliardsSettings, generate_billiards};
+use sms_target::scene_from_truth;
+use sms_task::{Billiards, ResolvedTask, Selector, Task};
+
+/// Seeds for tuning the planner; seeds below 1000 are held back for the final tables.
+pub const TUNING_SEEDS: std::ops::RangeInclusive<u64> = 1001..=1012;
+
+/// How hard the generated scenes are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneFamily {
+    /// The paper's: both corridors free, cut of at most 35°.
+    Open,
+    /// Nine obstacles, corridors not kept free, cut of up to 75°.
+    Crowded,
+}
+
+impl SceneFamily {
+    /// How such scenes are generated.
+    pub fn settings(self) -> BilliardsSettings {
+        match self {
+            Self::Open => BilliardsSettings::default(),
+            Self::Crowded => BilliardsSettings {
+                objects: 9,
+                corridor_half_width_m: 0.0,
+                max_cut_angle: 75f64.to_radians(),
+                ..BilliardsSettings::default()
+            },
+        }
+    }
+}
+
+/// A task in the true geometry and materials of a generated scene: what a perfect scan would give.
+#[derive(Debug, Clone)]
+pub struct PlanScene {
+    /// Seed of the scene.
+    pub seed: u64,
+    /// The scene.
+    pub scene: Scene,
+    /// The task in it.
+    pub task: ResolvedTask,
+}
+
+impl PlanScene {
+    /// Generates the scene of a seed.
+    ///
+    /// # Errors
+    /// [`BenchError`] when the generator's masses or task are impossible.
+    pub fn new(family: SceneFamily, seed: u64) -> Result<Self, BenchError> {
+        let truth = generate_billiards(Seed(seed), &family.settings());
+        let scene = scene_from_truth(&truth).map_err(|e| {
+            InputError::new(
+                format!("the scene cannot be simulated: {e}"),
+                format!("seed {seed}"),
+                "use another seed",
+            )
+        })?;
+        let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+        let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
+        let task = task.resolve(&scene).map_err(PlanError::from)?;
+        Ok(Self { seed, scene, task })
+    }
+}

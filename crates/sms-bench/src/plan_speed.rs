@@ -1,0 +1,115 @@
+//! `sms bench plan`: how fast shots are simulated and planned, and where the time goes.
+
+use crate::{BenchError, PlanScene};
+use sms_core::metrics::Metrics;
+use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
+use sms_plan::{Disturbances, Halton, Method, PlanConfig, PlanError, plan};
+use sms_sim::RapierFactory;
+use sms_task::Action;
+use std::time::Instant;
+
+/// Shots of each scene that are timed one by one.
+const SHOTS: usize = 64;
+
+/// Times shots that are spread over the whole range of actions, one after another on this thread, and whole plans on all
+/// threads of rayon's pool. Keys, means over the scenes:
+/// `bench.plan.{evaluation_s, evaluations_per_s, steps, splits, engine_share, impacts_share, restore_share, other_share,
+/// prepare_s, paper_scene_s, scene_s, robust_scene_s, threads}`. `scene_s` is planning for the scanned world alone with
+/// the default method, `robust_scene_s` with `config`'s disturbed worlds, `paper_scene_s` the paper's 30 searches of 30
+/// iterations.
+///
+/// # Errors
+/// [`BenchError`]: a scene that cannot be simulated, or interruption.
+pub fn run_plan_speed(
+    scenes: &[PlanScene],
+    config: &PlanConfig,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Metrics, BenchError> {
+    let mut rows: Vec<Vec<(&str, f64)>> = Vec::new();
+    progress.begin("bench plan", scenes.len() as u64);
+    for (i, scene) in scenes.iter().enumerate() {
+        let mut row = time_shots(scene, cancel)?;
+        let nominal = Disturbances { worlds: 0, ..config.disturbances.clone() };
+        let kinds = [
+            ("paper_scene_s", PlanConfig { method: Method::MultiStart, ..PlanConfig::paper() }),
+            ("scene_s", PlanConfig { disturbances: nominal, ..config.clone() }),
+            ("robust_scene_s", config.clone()),
+        ];
+        for (key, config) in kinds {
+            let (began, warnings) = (Instant::now(), Warnings::new());
+            let seed = Seed(scene.seed);
+            plan(&scene.task, &scene.scene, &RapierFactory, &config, seed, &NoProgress, cancel, &warnings)?;
+            row.push((key, began.elapsed().as_secs_f64()));
+        }
+        rows.push(row);
+        progress.update(i as u64 + 1, "scenes");
+    }
+    progress.end("");
+    let mut metrics = Metrics::new();
+    metrics.set("bench.plan.scenes", scenes.len());
+    metrics.set("bench.plan.threads", rayon::current_num_threads());
+    for k in 0..rows.first().map_or(0, Vec::len) {
+        let mean = rows.iter().map(|r| r[k].1).sum::<f64>() / rows.len() as f64;
+        metrics.set(format!("bench.plan.{}", rows[0][k].0), mean);
+    }
+    if let Some(seconds) = metrics.number("bench.plan.evaluation_s") {
+        metrics.set("bench.plan.evaluations_per_s", 1.0 / seconds);
+    }
+    Ok(metrics)
+}
+
+fn time_shots(scene: &PlanScene, cancel: &Cancel) -> Result<Vec<(&'static str, f64)>, BenchError> {
+    let task = &scene.task;
+    let bodies = task.bodies_in(&scene.scene, &task.target().name).map_err(PlanError::from)?;
+    let began = Instant::now();
+    let mut simulation = task
+        .prepare(&RapierFactory, &scene.scene, &task.world_options(), &bodies)
+        .map_err(PlanError::from)?;
+    let prepare_s = began.elapsed().as_secs_f64();
+    simulation.begin_profile();
+    let parameters = task.parameters();
+    let points = Halton::new(parameters.len(), Seed(scene.seed));
+    let began = Instant::now();
+    for i in 0..SHOTS {
+        cancel.check()?;
+        let point = points.point(i as u64);
+        let values = point.iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low));
+        let strike = task.strike(&Action(values.collect()));
+        simulation.restore();
+        match task.rollout(&mut simulation, &strike, &bodies, None) {
+            Err(e) if !e.is_invalid_rollout() => return Err(PlanError::from(e).into()),
+            _ => {}
+        }
+    }
+    let all_s = began.elapsed().as_secs_f64();
+    let p = simulation.profile().unwrap_or_default();
+    let each = |v: f64| v / SHOTS as f64;
+    let share = |v: f64| v / all_s;
+    Ok(vec![
+        ("evaluation_s", each(all_s)),
+        ("steps", each(p.steps as f64)),
+        ("splits", each(p.splits as f64)),
+        ("engine_share", share(p.engine_s)),
+        ("impacts_share", share(p.impacts_s)),
+        ("restore_share", share(p.restore_s)),
+        ("other_share", share(all_s - p.engine_s - p.impacts_s - p.restore_s)),
+        ("prepare_s", prepare_s),
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::SceneFamily;
+
+    #[test]
+    fn shares_add_up_and_every_figure_is_there() {
+        let scene = PlanScene::new(SceneFamily::Open, 1001).unwrap();
+        let row = time_shots(&scene, &Cancel::new()).unwrap();
+        let shares: f64 = row.iter().filter(|(k, _)| k.ends_with("_share")).map(|(_, v)| v).sum();
+        assert!((shares - 1.0).abs() < 1e-9, "{shares}");
+        let get = |key: &str| row.iter().find(|(k, _)| *k == key).unwrap().1;
+        assert!(get("steps") > 50.0 && get("splits") > 1.0 && get("engine_share") > 0.0);
+    }
+}

@@ -1,0 +1,243 @@
+//! Many simplex searches: from the best points of a scan with equal budgets or with successive halving, or the
+//! paper's from random simplexes.
+
+use crate::screening::{self, Screened};
+use crate::space::Space;
+use crate::{BatchOptimiser, LocalSearch, NelderMead, Phase, Proposal, StartRecord};
+use rand::RngExt;
+use sms_core::Seed;
+
+/// How the budget is shared among searches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sharing {
+    /// As many evaluations for each.
+    Even,
+    /// Few for all, more for the better half, and so on (successive halving, Jamieson and Talwalkar 2016), until this
+    /// many searches are left.
+    Halving(usize),
+}
+
+/// Settings of [`Descents`].
+#[derive(Debug, Clone)]
+pub(crate) struct DescentSettings {
+    pub(crate) name: &'static str,
+    pub(crate) nelder_mead: NelderMead,
+    pub(crate) initial_step: f64,
+    pub(crate) starts: usize,
+    pub(crate) sharing: Sharing,
+}
+
+struct Member {
+    search: LocalSearch,
+    initial: Vec<f64>,
+    initial_objective: Option<f64>,
+    /// Evaluations that it may still use in this round.
+    allowance: usize,
+}
+
+pub(crate) struct Descents {
+    settings: DescentSettings,
+    space: Space,
+    /// Points of the scan; empty when there is none.
+    screen: Vec<Screened>,
+    screened: bool,
+    members: Vec<Member>,
+    /// Members of this round, best first.
+    active: Vec<usize>,
+    rounds_left: usize,
+    /// Who was asked for: the member of each point.
+    asked: Vec<usize>,
+}
+
+impl Descents {
+    /// Searches from the best points of a scan of `screening` points.
+    pub(crate) fn screened(
+        space: &Space,
+        settings: DescentSettings,
+        suggestions: bool,
+        seed: Seed,
+        screening: usize,
+    ) -> Self {
+        let screen = screening::points(space, suggestions, seed, screening.max(1));
+        Self::new(space, settings, screen)
+    }
+
+    /// The paper's starts: simplexes of random points in the promising ranges.
+    pub(crate) fn random(space: &Space, settings: DescentSettings, seed: Seed) -> Self {
+        let n = space.dimensions();
+        let starts: Vec<(Vec<Vec<f64>>, Vec<f64>, Option<f64>)> = (0..settings.starts)
+            .map(|i| {
+                let mut rng = seed.derive_index("simplex", i as u64).rng();
+                let vertex = |_| space.in_promising(&(0..n).map(|_| rng.random()).collect::<Vec<f64>>());
+                ((0..=n).map(vertex).collect(), space.steps(settings.initial_step, true), None)
+            })
+            .collect();
+        let mut descents = Self::new(space, settings, Vec::new());
+        descents.screened = true;
+        descents.begin(&starts);
+        for m in &mut descents.members {
+            m.allowance = usize::MAX;
+        }
+        descents.rounds_left = 0;
+        descents
+    }
+
+    fn new(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
+        Self {
+            settings,
+            space: space.clone(),
+            screen,
+            screened: false,
+            members: Vec::new(),
+            active: Vec::new(),
+            rounds_left: 0,
+            asked: Vec::new(),
+        }
+    }
+
+    fn begin(&mut self, starts: &[(Vec<Vec<f64>>, Vec<f64>, Option<f64>)]) {
+        let nelder_mead = &self.settings.nelder_mead;
+        self.members = starts
+            .iter()
+            .map(|(points, steps, known)| Member {
+                search: LocalSearch::new(nelder_mead, points, steps, *known),
+                initial: points[0].clone(),
+                initial_objective: *known,
+                allowance: 0,
+            })
+            .collect();
+        self.active = (0..self.members.len()).collect();
+        self.rounds_left = match self.settings.sharing {
+            Sharing::Even => 1,
+            Sharing::Halving(survivors) => {
+                let mut rounds = 1;
+                let mut count = self.members.len();
+                while count > survivors.max(1) {
+                    count = count.div_ceil(2).max(survivors.max(1));
+                    rounds += 1;
+                }
+                rounds
+            }
+        };
+    }
+
+    fn begin_from_screen(&mut self) {
+        let chosen =
+            screening::distinct(&self.space, &self.screen, self.settings.initial_step, self.settings.starts);
+        let starts: Vec<_> =
+            chosen.into_iter().map(|(s, steps)| (vec![s.x], steps, Some(s.objective))).collect();
+        self.begin(&starts);
+    }
+
+    /// Shares what this round may use, after leaving out the worse half of the searches; whether there is a round.
+    fn begin_round(&mut self, room: usize, first: bool) -> bool {
+        if self.rounds_left == 0 {
+            // What the last round left over: searches that were stopped go on, the best one first.
+            let mut waiting: Vec<usize> =
+                (0..self.members.len()).filter(|&i| self.members[i].search.next_point().is_some()).collect();
+            waiting.sort_by(|&a, &b| self.value(a).total_cmp(&self.value(b)));
+            waiting.truncate(4);
+            let count = waiting.len();
+            for (k, &i) in waiting.iter().enumerate() {
+                self.members[i].allowance = room / count + usize::from(k < room % count);
+            }
+            self.active = waiting;
+            return self.settings.sharing != Sharing::Even && count > 0;
+        }
+        if let Sharing::Halving(survivors) = self.settings.sharing
+            && !first
+        {
+            let mut order = std::mem::take(&mut self.active);
+            order.sort_by(|&a, &b| self.value(a).total_cmp(&self.value(b)));
+            order.truncate(order.len().div_ceil(2).max(survivors.max(1)));
+            self.active = order;
+        }
+        let share = room / self.rounds_left;
+        let running: Vec<usize> =
+            self.active.iter().copied().filter(|&i| self.members[i].search.next_point().is_some()).collect();
+        for (k, &i) in running.iter().enumerate() {
+            self.members[i].allowance = share / running.len() + usize::from(k < share % running.len());
+        }
+        self.rounds_left -= 1;
+        true
+    }
+
+    fn value(&self, member: usize) -> f64 {
+        self.members[member].search.minimum().objective
+    }
+
+    fn ask_members(&mut self, room: usize) -> Vec<Proposal> {
+        self.asked.clear();
+        let mut points = Vec::new();
+        for &i in &self.active {
+            let m = &mut self.members[i];
+            if points.len() == room || m.allowance == 0 {
+                continue;
+            }
+            if let Some(x) = m.search.next_point() {
+                points.push(Proposal { x: x.to_vec(), phase: Phase::Search, start: i as i32 });
+                m.allowance = m.allowance.saturating_sub(1);
+                self.asked.push(i);
+            }
+        }
+        points
+    }
+}
+
+impl BatchOptimiser for Descents {
+    fn name(&self) -> &'static str {
+        self.settings.name
+    }
+
+    fn ask(&mut self, room: usize) -> Vec<Proposal> {
+        if !self.screened {
+            self.screen.truncate(room);
+            return self
+                .screen
+                .iter()
+                .map(|s| Proposal { x: s.x.clone(), phase: Phase::Screen, start: -1 })
+                .collect();
+        }
+        let mut first = self.members.is_empty();
+        if first {
+            self.begin_from_screen();
+        }
+        loop {
+            let points = self.ask_members(room);
+            if !points.is_empty() || !self.begin_round(room, first) {
+                return points;
+            }
+            first = false;
+        }
+    }
+
+    fn tell(&mut self, values: &[f64]) {
+        if !self.screened {
+            self.screen.iter_mut().zip(values).for_each(|(s, &f)| s.objective = f);
+            self.screened = true;
+            return;
+        }
+        for (&i, &f) in self.asked.iter().zip(values) {
+            let m = &mut self.members[i];
+            m.initial_objective.get_or_insert(f);
+            m.search.tell(f);
+        }
+    }
+
+    fn starts(&self) -> Vec<StartRecord> {
+        self.members
+            .iter()
+            .map(|m| {
+                let found = m.search.minimum();
+                StartRecord {
+                    initial: m.initial.clone(),
+                    initial_objective: m.initial_objective.unwrap_or(found.objective),
+                    x: found.x,
+                    objective: found.objective,
+                    evaluations: found.evaluations,
+                    iterations: found.iterations,
+                }
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,347 @@
+//! The downhill simplex method as a state machine: it says which point it wants next and is told the value, so that a
+//! search can be stopped and continued, and many of them can be evaluated side by side.
+
+use crate::{Bounds, Minimum, NelderMead};
+
+#[derive(Debug, Clone)]
+struct Vertex {
+    x: Vec<f64>,
+    f: f64,
+}
+
+/// What the point that was asked for is for.
+#[derive(Debug, Clone)]
+enum Step {
+    /// A vertex of the first simplex.
+    First(usize),
+    Reflect,
+    Expand {
+        reflected: Vec<f64>,
+        f_reflected: f64,
+    },
+    ContractOutside {
+        f_reflected: f64,
+    },
+    ContractInside,
+    Shrink(usize),
+    Done,
+}
+
+/// One descent of [`NelderMead`] from a simplex, without restarts: the points that SciPy's method asks for, in its
+/// order.
+#[derive(Debug, Clone)]
+pub struct SimplexSearch {
+    settings: NelderMead,
+    bounds: Option<Bounds>,
+    vertices: Vec<Vertex>,
+    step: Step,
+    asked: Vec<f64>,
+    iterations: usize,
+    evaluations: usize,
+    /// ρ, χ, ψ, σ.
+    coefficients: [f64; 4],
+}
+
+impl SimplexSearch {
+    /// Begins with a simplex of n + 1 points in n dimensions.
+    ///
+    /// # Panics
+    /// Without points.
+    pub fn new(settings: &NelderMead, simplex: Vec<Vec<f64>>, bounds: Option<Bounds>) -> Self {
+        let vertices: Vec<Vertex> = simplex
+            .into_iter()
+            .map(|mut x| {
+                if let Some(b) = &bounds {
+                    b.reflect(&mut x);
+                }
+                Vertex { x, f: f64::INFINITY }
+            })
+            .collect();
+        let asked = vertices[0].x.clone();
+        Self {
+            coefficients: settings.coefficients(vertices.len() - 1),
+            settings: *settings,
+            bounds,
+            vertices,
+            step: Step::First(0),
+            asked,
+            iterations: 0,
+            evaluations: 0,
+        }
+    }
+
+    /// The point whose value is wanted; `None` when the search has ended.
+    pub fn next_point(&self) -> Option<&[f64]> {
+        (!matches!(self.step, Step::Done)).then_some(self.asked.as_slice())
+    }
+
+    /// The best point so far with its value; infinite before the first one is known.
+    pub fn best(&self) -> (&[f64], f64) {
+        let mut best = &self.vertices[0];
+        for v in &self.vertices[1..] {
+            if v.f.total_cmp(&best.f).is_lt() {
+                best = v;
+            }
+        }
+        (&best.x, best.f)
+    }
+
+    /// Iterations done.
+    pub fn iterations(&self) -> usize {
+        self.iterations
+    }
+
+    /// Values told.
+    pub fn evaluations(&self) -> usize {
+        self.evaluations
+    }
+
+    /// The value of [`SimplexSearch::next_point`]. One that is not a number counts as infinite. Returns whether an
+    /// iteration ended with it.
+    pub fn tell(&mut self, value: f64) -> bool {
+        let f = if value.is_nan() { f64::INFINITY } else { value };
+        self.evaluations += 1;
+        let n = self.vertices.len() - 1;
+        let [rho, chi, psi, _] = self.coefficients;
+        let x = std::mem::take(&mut self.asked);
+        match std::mem::replace(&mut self.step, Step::Done) {
+            Step::First(k) => {
+                self.vertices[k].f = f;
+                if k < n {
+                    self.asked = self.vertices[k + 1].x.clone();
+                    self.step = Step::First(k + 1);
+                } else {
+                    self.sort();
+                    self.begin_iteration();
+                }
+                false
+            }
+            Step::Reflect => {
+                let (f_best, f_worst) = (self.vertices[0].f, self.vertices[n].f);
+                let f_second = self.vertices[n.saturating_sub(1)].f;
+                if f < f_best {
+                    self.asked = self.along(1.0 + rho * chi, -(rho * chi));
+                    // Kept first, so that a stop during the expansion does not lose it.
+                    self.vertices[n] = Vertex { x: x.clone(), f };
+                    self.step = Step::Expand { reflected: x, f_reflected: f };
+                    false
+                } else if f < f_second {
+                    self.replace_worst(x, f)
+                } else if f < f_worst {
+                    self.asked = self.along(1.0 + psi * rho, -(psi * rho));
+                    self.step = Step::ContractOutside { f_reflected: f };
+                    false
+                } else {
+                    self.asked = self.along(1.0 - psi, psi);
+                    self.step = Step::ContractInside;
+                    false
+                }
+            }
+            Step::Expand { reflected, f_reflected } => {
+                if f < f_reflected {
+                    self.replace_worst(x, f)
+                } else {
+                    self.replace_worst(reflected, f_reflected)
+                }
+            }
+            Step::ContractOutside { f_reflected } => {
+                if f <= f_reflected {
+                    self.replace_worst(x, f)
+                } else {
+                    self.begin_shrink()
+                }
+            }
+            Step::ContractInside => {
+                if f < self.vertices[n].f {
+                    self.replace_worst(x, f)
+                } else {
+                    self.begin_shrink()
+                }
+            }
+            Step::Shrink(k) => {
+                self.vertices[k] = Vertex { x, f };
+                if k < n {
+                    self.ask_shrunk(k + 1);
+                    false
+                } else {
+                    self.end_iteration()
+                }
+            }
+            Step::Done => false,
+        }
+    }
+
+    fn replace_worst(&mut self, x: Vec<f64>, f: f64) -> bool {
+        if let Some(worst) = self.vertices.last_mut() {
+            *worst = Vertex { x, f };
+        }
+        self.end_iteration()
+    }
+
+    fn end_iteration(&mut self) -> bool {
+        self.iterations += 1;
+        self.sort();
+        self.begin_iteration();
+        true
+    }
+
+    fn begin_iteration(&mut self) {
+        if self.iterations >= self.settings.max_iterations || self.has_converged() {
+            self.step = Step::Done;
+            return;
+        }
+        let rho = self.coefficients[0];
+        self.asked = self.along(1.0 + rho, -rho);
+        self.step = Step::Reflect;
+    }
+
+    fn begin_shrink(&mut self) -> bool {
+        if self.vertices.len() == 1 {
+            return self.end_iteration();
+        }
+        self.ask_shrunk(1);
+        false
+    }
+
+    fn ask_shrunk(&mut self, k: usize) {
+        let sigma = self.coefficients[3];
+        let best = &self.vertices[0].x;
+        let mut x: Vec<f64> =
+            best.iter().zip(&self.vertices[k].x).map(|(b, x)| b + sigma * (x - b)).collect();
+        if let Some(bounds) = &self.bounds {
+            bounds.clip(&mut x);
+        }
+        self.asked = x;
+        self.step = Step::Shrink(k);
+    }
+
+    /// The point a·centroid + b·worst; the centroid is that of all vertices but the worst.
+    fn along(&self, a: f64, b: f64) -> Vec<f64> {
+        let n = self.vertices.len() - 1;
+        let mut centroid = vec![0.0; n];
+        for v in &self.vertices[..n] {
+            centroid.iter_mut().zip(&v.x).for_each(|(c, x)| *c += x);
+        }
+        centroid.iter_mut().for_each(|c| *c /= n as f64);
+        let mut x: Vec<f64> = centroid.iter().zip(&self.vertices[n].x).map(|(c, w)| a * c + b * w).collect();
+        if let Some(bounds) = &self.bounds {
+            bounds.clip(&mut x);
+        }
+        x
+    }
+
+    fn sort(&mut self) {
+        self.vertices.sort_by(|a, b| a.f.total_cmp(&b.f));
+    }
+
+    fn has_converged(&self) -> bool {
+        let best = &self.vertices[0];
+        self.vertices[1..].iter().all(|v| {
+            (v.f - best.f).abs() <= self.settings.f_tolerance
+                && v.x.iter().zip(&best.x).all(|(a, b)| (a - b).abs() <= self.settings.x_tolerance)
+        })
+    }
+}
+
+/// A descent in the unit box with the restarts of [`NelderMead::restarts`], which can be stopped and continued.
+#[derive(Debug, Clone)]
+pub struct LocalSearch {
+    settings: NelderMead,
+    steps: Vec<f64>,
+    simplex: SimplexSearch,
+    restarts_left: usize,
+    scale: f64,
+    /// Of the descents before the running one.
+    finished: Minimum,
+    /// The first point where its value was known before the search.
+    known: Option<(Vec<f64>, f64)>,
+}
+
+impl LocalSearch {
+    /// Begins at a point, or at a simplex of n + 1 points; `steps` says how far apart first trials are. The value of
+    /// the first point may be known already; it is then not asked for.
+    pub fn new(settings: &NelderMead, start: &[Vec<f64>], steps: &[f64], known: Option<f64>) -> Self {
+        let bounds = Bounds::unit(steps.len());
+        let simplex = if start.len() == steps.len() + 1 {
+            start.to_vec()
+        } else {
+            NelderMead::simplex_around(&start[0], steps, &bounds)
+        };
+        let finished =
+            Minimum { x: start[0].clone(), objective: f64::INFINITY, evaluations: 0, iterations: 0 };
+        let mut search = Self {
+            settings: *settings,
+            steps: steps.to_vec(),
+            simplex: SimplexSearch::new(settings, simplex, Some(bounds)),
+            restarts_left: settings.restarts,
+            scale: 1.0,
+            finished,
+            known: known.map(|f| (start[0].clone(), f)),
+        };
+        search.tell_known();
+        search
+    }
+
+    /// The point whose value is wanted; `None` when the search has ended.
+    pub fn next_point(&self) -> Option<&[f64]> {
+        self.simplex.next_point()
+    }
+
+    /// The value of [`LocalSearch::next_point`].
+    pub fn tell(&mut self, value: f64) {
+        self.finished.evaluations += 1;
+        self.simplex.tell(value);
+        self.continue_or_restart();
+    }
+
+    /// The best so far.
+    pub fn minimum(&self) -> Minimum {
+        let (x, f) = self.simplex.best();
+        let iterations = self.finished.iterations + self.simplex.iterations();
+        if f < self.finished.objective || self.finished.objective.is_infinite() {
+            return Minimum {
+                x: x.to_vec(),
+                objective: f,
+                evaluations: self.finished.evaluations,
+                iterations,
+            };
+        }
+        Minimum { iterations, ..self.finished.clone() }
+    }
+
+    fn tell_known(&mut self) {
+        while let Some(value) = self.known_value() {
+            self.simplex.tell(value);
+        }
+    }
+
+    fn known_value(&self) -> Option<f64> {
+        let (x, f) = self.known.as_ref()?;
+        (self.simplex.next_point()? == x.as_slice()).then_some(*f)
+    }
+
+    fn continue_or_restart(&mut self) {
+        loop {
+            self.tell_known();
+            if self.simplex.next_point().is_some() || self.restarts_left == 0 {
+                return;
+            }
+            self.restarts_left -= 1;
+            let best = self.minimum();
+            let left = self.settings.max_iterations.saturating_sub(best.iterations);
+            if left == 0 {
+                self.restarts_left = 0;
+                return;
+            }
+            self.finished = best;
+            self.scale *= -0.5;
+            let steps: Vec<f64> = self.steps.iter().map(|s| s * self.scale).collect();
+            let bounds = Bounds::unit(steps.len());
+            let simplex = NelderMead::simplex_around(&self.finished.x, &steps, &bounds);
+            let settings = NelderMead { max_iterations: left, ..self.settings };
+            self.simplex = SimplexSearch::new(&settings, simplex, Some(bounds));
+            // The simulation repeats: what is known is not asked for again.
+            self.known = Some((self.finished.x.clone(), self.finished.objective));
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! Simulations that rollouts borrow, and the disturbed worlds in which candidates are tried.
+
+use crate::{Disturbances, PlanError, Unknown};
+use rayon::prelude::*;
+use sms_core::{Cancel, Progress, Seed};
+use sms_scene::Scene;
+use sms_sim::{SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions};
+use sms_task::{Recording, ResolvedTask, Rollout, WorldBodies};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Counts rollouts, reports them, and stops when asked to.
+pub(crate) struct Counter<'a> {
+    progress: &'a dyn Progress,
+    cancel: &'a Cancel,
+    done: AtomicUsize,
+    invalid: AtomicUsize,
+}
+
+impl<'a> Counter<'a> {
+    pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
+        Self { progress, cancel, done: AtomicUsize::new(0), invalid: AtomicUsize::new(0) }
+    }
+
+    pub(crate) fn done(&self) -> usize {
+        self.done.load(Ordering::SeqCst)
+    }
+
+    pub(crate) fn invalid(&self) -> usize {
+        self.invalid.load(Ordering::SeqCst)
+    }
+
+    /// The objective of a rollout; infinite where the simulation cannot be believed.
+    pub(crate) fn count(&self, rollout: impl FnOnce() -> Result<f64, SimError>) -> Result<f64, PlanError> {
+        self.cancel.check()?;
+        let objective = match rollout() {
+            Err(SimError::Diverged { .. } | SimError::Unphysical { .. }) => {
+                self.invalid.fetch_add(1, Ordering::SeqCst);
+                f64::INFINITY
+            }
+            other => other?,
+        };
+        let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
+        self.progress.update(done as u64, "shots simulated");
+        Ok(objective)
+    }
+}
+
+/// Simulations of one scene, reused: each is built once, and returned to its first state before every rollout, so
+/// that it does not matter which of them a rollout gets.
+pub(crate) struct Worlds<'a> {
+    task: &'a ResolvedTask,
+    scene: std::borrow::Cow<'a, Scene>,
+    factory: &'a dyn WorldFactory,
+    options: WorldOptions,
+    bodies: WorldBodies,
+    idle: Mutex<Vec<Simulation>>,
+}
+
+impl<'a> Worlds<'a> {
+    pub(crate) fn new(
+        task: &'a ResolvedTask,
+        scene: std::borrow::Cow<'a, Scene>,
+        factory: &'a dyn WorldFactory,
+    ) -> Result<Self, PlanError> {
+        let bodies = task.bodies_in(&scene, &task.target().name)?;
+        Ok(Self { task, scene, factory, options: task.world_options(), bodies, idle: Mutex::default() })
+    }
+
+    pub(crate) fn rollout(
+        &self,
+        motion: &StrikerMotion,
+        recording: Option<Recording>,
+    ) -> Result<Rollout, SimError> {
+        let idle = self.idle.lock().ok().and_then(|mut idle| idle.pop());
+        let mut simulation = match idle {
+            Some(simulation) => simulation,
+            None => self.task.prepare(self.factory, &self.scene, &self.options, &self.bodies)?,
+        };
+        let reusable = simulation.restore();
+        let rollout = self.task.rollout(&mut simulation, motion, &self.bodies, recording);
+        if reusable && let Ok(mut idle) = self.idle.lock() {
+            idle.push(simulation);
+        }
+        rollout
+    }
+
+    pub(crate) fn objective(&self, motion: &StrikerMotion) -> Result<f64, SimError> {
+        Ok(self.rollout(motion, None)?.objective)
+    }
+}
+
+/// A family of disturbed worlds: the same ones for every action (common random numbers).
+pub(crate) struct DisturbedWorlds<'a> {
+    task: &'a ResolvedTask,
+    disturbances: &'a Disturbances,
+    seed: Seed,
+    /// Whether the execution is disturbed too.
+    execution: bool,
+    worlds: Vec<(usize, Worlds<'a>)>,
+}
+
+impl<'a> DisturbedWorlds<'a> {
+    /// The worlds of these indices, with only those unknowns disturbed that `which` picks.
+    pub(crate) fn new(
+        task: &'a ResolvedTask,
+        scene: &Scene,
+        factory: &'a dyn WorldFactory,
+        disturbances: &'a Disturbances,
+        seed: Seed,
+        indices: std::ops::Range<usize>,
+        which: &(dyn Fn(&Unknown) -> bool + Sync),
+    ) -> Result<Self, PlanError> {
+        let worlds = indices
+            .into_par_iter()
+            .map(|index| {
+                let scene = disturbances.scene_of(scene, seed, index, which);
+                Ok((index, Worlds::new(task, std::borrow::Cow::Owned(scene), factory)?))
+            })
+            .collect::<Result<_, PlanError>>()?;
+        Ok(Self { task, disturbances, seed, execution: which(&Unknown::Execution), worlds })
+    }
+
+    /// Number of worlds.
+    pub(crate) fn len(&self) -> usize {
+        self.worlds.len()
+    }
+
+    /// The objectives of each action in the worlds `range` (positions, not indices), in the worlds' order.
+    pub(crate) fn objectives(
+        &self,
+        actions: &[sms_task::Action],
+        range: std::ops::Range<usize>,
+        counter: &Counter<'_>,
+    ) -> Result<Vec<Vec<f64>>, PlanError> {
+        let (first, count) = (range.start, range.len());
+        // World by world, so that each is built once per thread at most.
+        let pairs: Vec<(usize, usize)> =
+            range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
+        let values: Vec<f64> = pairs
+            .par_iter()
+            .map(|&(w, a)| {
+                let (index, world) = &self.worlds[w];
+                let mut strike = self.task.strike(&actions[a]);
+                if self.execution {
+                    strike = self.disturbances.strike(&strike, self.seed, *index);
+                }
+                counter.count(|| world.objective(&strike))
+            })
+            .collect::<Result<_, PlanError>>()?;
+        let mut rows = vec![vec![f64::INFINITY; count]; actions.len()];
+        for ((w, a), value) in pairs.into_iter().zip(values) {
+            rows[a][w - first] = value;
+        }
+        Ok(rows)
+    }
+}
+
+/// Carries out an action in `count` disturbed worlds of a family: the objectives in the worlds' order, infinite where a
+/// rollout cannot be believed. For measuring what a plan is worth; the planner's own families have other seeds.
+///
+/// # Errors
+/// [`PlanError`]: a scene that cannot be simulated, or interruption.
+pub fn rehearse(
+    task: &ResolvedTask,
+    scene: &Scene,
+    factory: &dyn WorldFactory,
+    disturbances: &Disturbances,
+    action: &sms_task::Action,
+    seed: Seed,
+    count: usize,
+    cancel: &Cancel,
+) -> Result<Vec<f64>, PlanError> {
+    let worlds = DisturbedWorlds::new(task, scene, factory, disturbances, seed, 0..count, &|_| true)?;
+    let counter = Counter::new(&sms_core::NoProgress, cancel);
+    Ok(worlds.objectives(std::slice::from_ref(action), 0..count, &counter)?.remove(0))
+}
