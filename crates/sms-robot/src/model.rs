@@ -93,6 +93,8 @@ pub struct LinkCollision {
     pub x_js: DPose3,
     /// The shape.
     pub shape: LinkShape,
+    /// [`LinkShape::bounding_radius`].
+    pub(crate) radius: f64,
 }
 
 /// A fixed-base robot: joints in an order in which parents come first, frames, collision shapes, and the tool.

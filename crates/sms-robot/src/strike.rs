@@ -1,13 +1,16 @@
 //! From an asked strike to a motion of the arm that can be executed, or the reason why there is none.
 
+use crate::arm_sim::ArmSim;
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
-use crate::motion::{Infeasible, JointMotion, Uses, follow, joint_move, roll_out};
-use crate::osc::OscConfig;
+use crate::motion::{
+    Infeasible, JointMotion, JointSample, LimitKind, Uses, follow, joint_move, motor_torques, roll_out,
+};
+use crate::osc::{Osc, OscConfig};
 use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
-use crate::sweep::{LinePath, SEGMENT_M, Sweep, ToolPath};
+use crate::sweep::{LinePath, SEGMENT_M, Sweep, SweepPath, ToolPath};
 use crate::workspace::{JointVector, Workspace};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -59,6 +62,12 @@ pub enum StrikeError {
     /// The sweep breaks a limit in every posture that was followed.
     #[error(transparent)]
     Infeasible(#[from] Infeasible),
+    /// There is no such strike.
+    #[error("this strike cannot be: {what}")]
+    Invalid {
+        /// What is wrong.
+        what: String,
+    },
     /// Something is in the way in every posture that keeps the limits.
     #[error("the robot's {} would come within {:.1} mm of {} at {at_s:.3} s of the sweep", .clearance.link, 1e3 * .clearance.distance_m, .clearance.other)]
     Blocked {
@@ -84,6 +93,20 @@ pub struct SweepPlan {
     pub uses: Uses,
 }
 
+impl SweepPlan {
+    /// The tool's motion.
+    pub fn path(&self) -> SweepPath {
+        self.sweep.path(self.rotation_w)
+    }
+
+    /// The controller for the sweep, taking over from a robot that stands at the start.
+    pub fn controller(&self, model: &RobotModel, config: &OscConfig, ws: &mut Workspace) -> Osc {
+        let mut hold = [0.0; MAX_JOINTS];
+        model.gravity_torques(&self.q_start, ws, &mut hold);
+        Osc::new(*config, &self.q_start, &hold[..model.dof()])
+    }
+}
+
 /// Finds a posture and the joints' motion for a sweep: postures at the contact from inverse kinematics, each followed
 /// from the start to the end by the controller's law; the one that stays farthest from all limits is taken.
 ///
@@ -96,6 +119,7 @@ pub fn plan_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
+    refuse_nonsense(sweep, config)?;
     let mut rotations = vec![sweep.rotation_w()];
     if config.symmetric_tool {
         rotations.push(sweep.reversed_rotation_w());
@@ -180,6 +204,26 @@ pub fn plan_sweep(
     Ok(plan)
 }
 
+/// What would make durations infinite or directions undefined.
+fn refuse_nonsense(sweep: &Sweep, config: &StrikeConfig) -> Result<(), StrikeError> {
+    let finite = sweep.contact_w.is_finite() && sweep.direction_w.is_finite() && sweep.up_w.is_finite();
+    let across = sweep.direction_w.cross(sweep.up_w).length();
+    let what = if !finite {
+        "its contact, direction or up is no number".to_owned()
+    } else if !(sweep.speed > 1e-3 && sweep.speed < 100.0) {
+        format!("its speed is {} m/s", sweep.speed)
+    } else if (sweep.direction_w.length() - 1.0).abs() > 1e-6 {
+        format!("its direction has the length {}", sweep.direction_w.length())
+    } else if across < 1e-3 * sweep.up_w.length() || sweep.up_w.length() < 1e-9 {
+        "its direction is up or down, or there is no up".to_owned()
+    } else if !(config.period_s > 1e-5 && config.osc.period_s > 1e-5 && config.approach_share > 0.0) {
+        "period_s, osc.period_s and approach_share of the settings have to be positive".to_owned()
+    } else {
+        return Ok(());
+    };
+    Err(StrikeError::Invalid { what })
+}
+
 fn keep_nearest(best: &mut Option<Unreachable>, e: Unreachable) {
     let measure = |u: &Unreachable| u.position_error_m + crate::LENGTH_M * u.angle_error_rad;
     if best.as_ref().is_none_or(|b| measure(&e) < measure(b)) {
@@ -187,7 +231,8 @@ fn keep_nearest(best: &mut Option<Unreachable>, e: Unreachable) {
     }
 }
 
-/// The first place where links come too near each other or an obstacle, looked at in twelve places of the motion.
+/// The first place where links come too near each other or an obstacle, looked at in thirteen places of the motion, and
+/// not farther apart than 0.1 s.
 fn blocked(
     model: &RobotModel,
     motion: &JointMotion,
@@ -196,7 +241,8 @@ fn blocked(
     ws: &mut Workspace,
 ) -> Option<(Clearance, f64)> {
     let last = motion.samples.len() - 1;
-    (0..=12).map(|k| k * last / 12).find_map(|index| {
+    let places = 12.max((motion.duration_s() / 0.1) as usize).min(last.max(1));
+    (0..=places).map(|k| k * last / places).find_map(|index| {
         let near = too_near(model, &motion.samples[index].q, obstacles, clearance_m, ws)?;
         Some((near, index as f64 * motion.period_s))
     })
@@ -275,36 +321,46 @@ pub fn plan_strike(
     let path = sweep.path(plan.rotation_w);
     plan.motion = roll_out(model, &path, &plan.q_start, &plan.q_start, &config.osc, config.period_s);
     plan.uses = plan.motion.check(model, rate)?;
-    let up = |q: &JointVector, ws: &mut Workspace| -> Result<JointMotion, Infeasible> {
-        model.forward_kinematics(&q[..n], ws);
-        let start = model.frame_pose(model.tool(), ws);
-        let mut failure = None;
-        // Lower lifts where the arm cannot be raised that far.
-        for halvings in 0..3 {
-            let by_w = config.approach_height_m * 0.5f64.powi(halvings) * sweep.up_w.normalize();
-            let mut duration_s = 1.2;
-            for _ in 0..6 {
-                let path = LinePath { start, by_w, duration_s };
-                let motion = roll_out(model, &path, &q[..n], &q[..n], &config.osc, config.period_s);
-                match motion.check(model, rate) {
-                    Ok(_) => return Ok(motion),
-                    Err(e) => failure = Some(e),
-                }
-                duration_s *= 1.5;
-            }
-        }
-        match failure {
-            Some(e) => Err(e),
-            None => Ok(JointMotion { period_s: config.period_s, samples: Vec::new() }),
-        }
-    };
     let first = plan.motion.samples[0].q;
     let last = plan.motion.samples[plan.motion.samples.len() - 1].q;
-    let descent = up(&first, ws)?.reversed(model, ws);
-    let lift = up(&last, ws)?;
-    let above = descent.samples[0].q;
-    let approach =
-        joint_move(model, model.home(), &above[..n], config.approach_share, rate, 0.5, config.period_s, ws)?;
+    let descents: Vec<JointMotion> =
+        lifts(model, &first, sweep, config, ws).iter().map(|m| m.reversed(model, ws)).collect();
+    // Lower descents where the highest, or the way to it, meets something.
+    let mut found: Option<(bool, JointMotion, JointMotion)> = None;
+    for descent in descents {
+        let above = descent.samples[0].q;
+        let to = (model.home(), &above[..n]);
+        let Ok(approach) =
+            joint_move(model, to.0, to.1, config.approach_share, rate, 0.5, config.period_s, ws)
+        else {
+            continue;
+        };
+        let clear = [&approach, &descent]
+            .into_iter()
+            .all(|m| blocked(model, m, obstacles, config.clearance_m, ws).is_none());
+        if clear || found.is_none() {
+            found = Some((clear, approach, descent));
+        }
+        if clear {
+            break;
+        }
+    }
+    let (approach, descent) = match found {
+        Some((_, approach, descent)) => (approach, descent),
+        // From home straight to the start, with the reason when even that fails.
+        None => {
+            let share = config.approach_share;
+            let to_start =
+                joint_move(model, model.home(), &first[..n], share, rate, 0.5, config.period_s, ws)?;
+            (to_start, standing(model, &first, config.period_s, ws))
+        }
+    };
+    let raised = lifts(model, &last, sweep, config, ws);
+    // Where every lift meets something the arm stays where it is.
+    let lift = raised
+        .into_iter()
+        .find(|m| blocked(model, m, obstacles, config.clearance_m, ws).is_none())
+        .unwrap_or_else(|| standing(model, &last, config.period_s, ws));
     let phases = vec![
         (Phase::Approach, approach),
         (Phase::Descent, descent),
@@ -312,6 +368,46 @@ pub fn plan_strike(
         (Phase::Lift, lift),
     ];
     Ok(StrikePlan { sweep: plan, phases })
+}
+
+/// Motions straight up from a posture that keep all limits, the highest first: by the height of the settings, a half, a
+/// quarter and an eighth of it.
+fn lifts(
+    model: &RobotModel,
+    q: &JointVector,
+    sweep: &Sweep,
+    config: &StrikeConfig,
+    ws: &mut Workspace,
+) -> Vec<JointMotion> {
+    let q = &q[..model.dof()];
+    model.forward_kinematics(q, ws);
+    let start = model.frame_pose(model.tool(), ws);
+    let mut found = Vec::new();
+    for halvings in 0..4 {
+        let by_w = config.approach_height_m * 0.5f64.powi(halvings) * sweep.up_w.normalize();
+        let mut duration_s = 1.2;
+        for _ in 0..4 {
+            let path = LinePath { start, by_w, duration_s };
+            let motion = roll_out(model, &path, q, q, &config.osc, config.period_s);
+            match motion.check(model, config.osc.torque_rate) {
+                Ok(_) => {
+                    found.push(motion);
+                    break;
+                }
+                // No slower motion stays within a limit of position.
+                Err(e) if e.limit == LimitKind::Position => break,
+                Err(_) => duration_s *= 1.5,
+            }
+        }
+    }
+    found
+}
+
+/// No motion.
+fn standing(model: &RobotModel, q: &JointVector, period_s: f64, ws: &mut Workspace) -> JointMotion {
+    let zero = [0.0; MAX_JOINTS];
+    let tau = motor_torques(model, q, &zero, &zero, ws);
+    JointMotion { period_s, samples: vec![JointSample { q: *q, qd: zero, qdd: zero, tau }] }
 }
 
 /// How a sweep went under control, in free space.
@@ -347,12 +443,10 @@ pub fn simulate_sweep(
 ) -> Tracking {
     let n = model.dof();
     let mut ws = Workspace::default();
-    let mut hold = [0.0; MAX_JOINTS];
-    model.gravity_torques(&plan.q_start, &mut ws, &mut hold);
-    let mut osc = crate::Osc::new(*config, &plan.q_start, &hold[..n]);
-    let mut sim = crate::ArmSim::new(&plan.q_start);
+    let mut osc = plan.controller(model, config, &mut ws);
+    let mut sim = ArmSim::new(&plan.q_start);
     sim.friction_scale = friction_scale;
-    let path = plan.sweep.path(plan.rotation_w);
+    let path = plan.path();
     let d = plan.sweep.direction_w.normalize();
     let start_w = plan.sweep.contact_w - SEGMENT_M * d;
     let mut tracking = Tracking {
@@ -371,9 +465,7 @@ pub fn simulate_sweep(
     let (mut before_p, mut before_v) = (start_w, DVec3::ZERO);
     for k in 0..periods {
         let t = k as f64 * config.period_s;
-        let ahead = path.at(t + 0.5 * config.period_s);
-        let mut reference = path.at(t);
-        (reference.a_w, reference.alpha_w) = (ahead.a_w, ahead.alpha_w);
+        let reference = path.held(t, config.period_s);
         let error = (before_p - reference.x_wt.translation).length();
         tracking.largest_error_m = tracking.largest_error_m.max(error);
         let out = osc.step(model, &sim.q[..n], &sim.qd[..n], &reference);

@@ -283,6 +283,7 @@ impl Builder<'_, '_, '_> {
                 link: name.to_owned(),
                 joint: carrier,
                 x_js: x_jl * x_ls,
+                radius: shape.bounding_radius(),
                 shape,
             });
         }
