@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 pub struct StrikeConfig {
     /// The controller that executes it; its gains also shape the motion in the null space.
     pub osc: OscConfig,
-    /// Inverse kinematics of the posture at the contact.
+    /// Inverse kinematics of the posture at the contact; arms of six joints or fewer get eight times as many starts.
     pub ik: IkConfig,
     /// How many postures are followed through the sweep.
     pub candidates: usize,
@@ -41,7 +41,6 @@ impl Default for StrikeConfig {
     fn default() -> Self {
         Self {
             osc: OscConfig::default(),
-            // Few starts are enough: from each posture found, the elbow is moved through its whole range.
             ik: IkConfig { starts: 8, ..IkConfig::default() },
             candidates: 6,
             symmetric_tool: true,
@@ -124,11 +123,15 @@ pub fn plan_sweep(
     if config.symmetric_tool {
         rotations.push(sweep.reversed_rotation_w());
     }
+    // The postures of an arm with joints to spare are found from a few by moving along their families; those of other
+    // arms stand alone.
+    let starts = config.ik.starts * if model.dof() > 6 { 1 } else { 8 };
+    let ik = IkConfig { starts, ..config.ik };
     let mut all: Vec<(f64, DQuat, Vec<f64>)> = Vec::new();
     let mut unreachable: Option<Unreachable> = None;
     for rotation in rotations {
         let at_contact = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, rotation));
-        match postures(model, &at_contact, &config.ik, ws) {
+        match postures(model, &at_contact, &ik, ws) {
             Ok(found) => all.extend(found.into_iter().map(|q| (strain(model, sweep, &q, ws), rotation, q))),
             Err(e) => keep_nearest(&mut unreachable, e),
         }
