@@ -136,6 +136,21 @@ fn what_cannot_be_done_is_said_with_the_reason() {
 }
 
 #[test]
+fn the_fist_weighs_some_kilograms() {
+    let model = RobotModel::fr3();
+    let mut ws = Workspace::default();
+    for (x, y, angle) in workspace().step_by(5) {
+        let sweep = ball_at(x, y, angle, 0.4);
+        let plan = plan_sweep(&model, &sweep, &[], &StrikeConfig::default(), &mut ws).unwrap();
+        model.forward_kinematics(&plan.motion.samples[plan.motion.samples.len() / 2].q, &mut ws);
+        let mobility = model.point_mobility(model.tool(), sweep.contact_w, &mut ws);
+        let mass = 1.0 / sweep.direction_w.dot(mobility * sweep.direction_w);
+        println!("{x} {y} {angle}°: {mass:.2} kg");
+        assert!((1.0..30.0).contains(&mass), "{mass} kg");
+    }
+}
+
+#[test]
 fn strikes_that_make_no_sense_are_refused() {
     let model = RobotModel::fr3();
     let good = ball_at(0.5, 0.0, 0.0, 0.5);
