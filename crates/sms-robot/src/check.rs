@@ -1,9 +1,11 @@
 //! What is looked at before a strike is called executable, and what was found.
 
+use crate::approach::{Phase, StrikePlan};
 use crate::model::RobotModel;
 use crate::motion::{LimitKind, Use};
 use crate::shape::{Clearance, Obstacle};
-use crate::strike::{Phase, StrikeConfig, StrikePlan, Tracking, simulate_sweep};
+use crate::strike::StrikeConfig;
+use crate::tracking::{Tracking, simulate_sweep};
 use crate::workspace::Workspace;
 use serde::{Deserialize, Serialize};
 
