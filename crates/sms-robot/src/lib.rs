@@ -67,7 +67,7 @@ pub use program::{JointProgram, PROGRAM_VERSION, ProgramPoint};
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
 pub use strike::{StrikeConfig, StrikeError, SweepPlan, plan_sweep};
 pub use sweep::{LinePath, SEGMENT_M, Sweep, SweepPath, SweepProfile, ToolPath, ToolReference, minimum_jerk};
-pub use tracking::{Tracking, simulate_sweep};
+pub use tracking::{ContactTracking, Tracking, simulate_sweep};
 pub use urdf::{FR3_HOME, FR3_URDF, OffChain, UrdfOptions};
 pub use workspace::{Jacobian, JointVector, MassMatrix, Workspace};
 

@@ -187,6 +187,14 @@ impl RobotModel {
         self
     }
 
+    /// The same robot without rotors' inertia, damping and friction: for engines whose joints have none of them.
+    pub fn with_bare_joints(mut self) -> Self {
+        for joint in &mut self.joints {
+            (joint.damping, joint.friction, joint.armature) = (0.0, 0.0, 0.0);
+        }
+        self
+    }
+
     /// Largest reach of the tool from the base, metres: an upper bound from the lengths of the chain.
     pub fn reach_bound_m(&self) -> f64 {
         let tool = &self.frames[self.tool.0];

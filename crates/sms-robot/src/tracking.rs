@@ -9,17 +9,24 @@ use crate::workspace::Workspace;
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// How a sweep went under control, in free space.
+/// How the tool passed the contact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Tracking {
-    /// Speed along the sweep when the tool passed the contact, m/s; NaN when it never did.
-    pub contact_speed: f64,
+pub struct ContactTracking {
+    /// Speed along the sweep, m/s.
+    pub speed: f64,
     /// Angle between the velocity there and the sweep, radians.
     pub direction_error_rad: f64,
     /// Distance of the tool from the sweep's line there, metres.
     pub offset_m: f64,
-    /// When it passed, seconds from the start of the sweep.
-    pub contact_s: f64,
+    /// When, seconds from the start of the sweep.
+    pub at_s: f64,
+}
+
+/// How a sweep went under control, in free space.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Tracking {
+    /// The tool at the contact; `None` when it never came there.
+    pub contact: Option<ContactTracking>,
     /// Largest distance of the tool from where it should have been at that time, metres, over the sweep.
     pub largest_error_m: f64,
     /// Control periods in which an effort limit cut a torque.
@@ -49,10 +56,7 @@ pub fn simulate_sweep(
     let d = plan.sweep.direction_w.normalize();
     let start_w = plan.sweep.contact_w - SEGMENT_M * d;
     let mut tracking = Tracking {
-        contact_speed: f64::NAN,
-        direction_error_rad: f64::NAN,
-        offset_m: f64::NAN,
-        contact_s: f64::NAN,
+        contact: None,
         largest_error_m: 0.0,
         saturated_periods: 0,
         rate_limited_periods: 0,
@@ -76,14 +80,16 @@ pub fn simulate_sweep(
             let (x, v) = sim.tool(real);
             let p = x.translation;
             let (was, is) = ((before_p - start_w).dot(d), (p - start_w).dot(d));
-            if tracking.contact_s.is_nan() && is >= SEGMENT_M {
+            if tracking.contact.is_none() && is >= SEGMENT_M {
                 let share = (SEGMENT_M - was) / (is - was);
                 let v_at = before_v + share * (v - before_v);
                 let p_at = before_p + share * (p - before_p) - start_w;
-                tracking.contact_speed = v_at.dot(d);
-                tracking.direction_error_rad = v_at.cross(d).length().atan2(v_at.dot(d));
-                tracking.offset_m = (p_at - p_at.dot(d) * d).length();
-                tracking.contact_s = t + (s as f64 + share) * h;
+                tracking.contact = Some(ContactTracking {
+                    speed: v_at.dot(d),
+                    direction_error_rad: v_at.cross(d).length().atan2(v_at.dot(d)),
+                    offset_m: (p_at - p_at.dot(d) * d).length(),
+                    at_s: t + (s as f64 + share) * h,
+                });
             }
             (before_p, before_v) = (p, v);
         }
