@@ -3,10 +3,11 @@
 //! `cargo bench -p sms-robot`.
 
 use criterion::Criterion;
-use glamx::DVec3;
+use glamx::{DPose3, DVec3};
+use sms_core::Mesh;
 use sms_robot::{
-    ArmSim, FIST_HALF, IkConfig, IkTarget, MAX_JOINTS, Osc, OscConfig, RobotModel, StrikeConfig, Sweep,
-    Workspace, check_strike, floor, hold_reference, plan_strike, plan_sweep,
+    ArmSim, FIST_HALF, IkConfig, IkTarget, LinkShape, MAX_JOINTS, Obstacle, ObstacleShape, Osc, OscConfig,
+    RobotModel, StrikeConfig, Sweep, Workspace, check_strike, floor, hold_reference, plan_strike, plan_sweep,
 };
 use std::hint::black_box;
 use std::time::Duration;
@@ -53,6 +54,23 @@ fn benches(c: &mut Criterion) {
     let (config, floor) = (StrikeConfig::default(), [floor(0.0)]);
     c.bench_function("plan sweep", |b| {
         b.iter(|| plan_sweep(&model, black_box(&sweep), &floor, &config, &mut ws))
+    });
+    // Eight obstacles of eight hulls each in a ring around the ball.
+    let mut around = vec![sms_robot::floor(0.0)];
+    for k in 0..8 {
+        let angle = std::f64::consts::TAU * f64::from(k) / 8.0;
+        let hull = |j: u32| {
+            let at = DVec3::new(0.0, 0.0, 0.012 * f64::from(j));
+            let points: Vec<DVec3> =
+                Mesh::cylinder(0.03, 0.006, 16).vertices.iter().map(|&p| p + at).collect();
+            LinkShape::convex(&points).expect("a disc has a volume")
+        };
+        let center = DVec3::new(0.55 + 0.25 * angle.cos(), 0.05 + 0.3 * angle.sin(), 0.01);
+        let shape = ObstacleShape::Hulls((0..8).map(hull).collect());
+        around.push(Obstacle::new(format!("jar {k}"), DPose3::from_translation(center), shape));
+    }
+    c.bench_function("plan sweep among 64 hulls", |b| {
+        b.iter(|| plan_sweep(&model, black_box(&sweep), &around, &config, &mut ws))
     });
     c.bench_function("plan strike and check", |b| {
         b.iter(|| {

@@ -1,9 +1,11 @@
 //! What is looked at before a strike is called executable, and what was found.
 
+use crate::approach::{Phase, StrikePlan};
 use crate::model::RobotModel;
 use crate::motion::{LimitKind, Use};
 use crate::shape::{Clearance, Obstacle};
-use crate::strike::{Phase, StrikeConfig, StrikePlan, Tracking, simulate_sweep};
+use crate::strike::StrikeConfig;
+use crate::tracking::{Tracking, simulate_sweep};
 use crate::workspace::Workspace;
 use serde::{Deserialize, Serialize};
 
@@ -42,8 +44,8 @@ pub struct CheckItem {
     /// Whether it passes.
     pub passed: bool,
     /// What is left until it does not, in SI units (positions and distances: rad or m; speeds; torques; the speed as a
-    /// share); negative when it does not pass.
-    pub margin: f64,
+    /// share); negative when it does not pass. `None` when there is nothing to measure.
+    pub margin: Option<f64>,
     /// In words: value, limit, joint or links, phase and time.
     pub detail: String,
 }
@@ -81,26 +83,26 @@ pub fn check_strike(
     items.extend(distances(model, plan, obstacles, config.clearance_m, ws));
     let tracking = simulate_sweep(model, &plan.sweep, &config.osc, model, 1.0, 0.5 * config.osc.period_s);
     let asked = plan.sweep.sweep.speed;
-    let error = (tracking.contact_speed / asked - 1.0).abs();
+    let never = || "the tool never comes to the contact under control in free space".to_owned();
+    let left = tracking.contact.map(|c| {
+        (SPEED_TOLERANCE - (c.speed / asked - 1.0).abs(), DIRECTION_TOLERANCE_RAD - c.direction_error_rad)
+    });
     items.push(CheckItem {
         kind: CheckKind::ContactSpeed,
-        // NaN (the contact was never reached) does not pass.
-        passed: error <= SPEED_TOLERANCE,
-        margin: SPEED_TOLERANCE - error,
-        detail: format!(
-            "{:.4} m/s at the contact under control in free space, {asked:.4} asked for",
-            tracking.contact_speed
-        ),
+        passed: left.is_some_and(|l| l.0 >= 0.0),
+        margin: left.map(|l| l.0),
+        detail: tracking.contact.map_or_else(never, |c| {
+            format!("{:.4} m/s at the contact under control in free space, {asked:.4} asked for", c.speed)
+        }),
     });
     items.push(CheckItem {
         kind: CheckKind::ContactDirection,
-        passed: tracking.direction_error_rad <= DIRECTION_TOLERANCE_RAD,
-        margin: DIRECTION_TOLERANCE_RAD - tracking.direction_error_rad,
-        detail: format!(
-            "{:.3}° off the asked direction, {:.2} mm off the line",
-            tracking.direction_error_rad.to_degrees(),
-            1e3 * tracking.offset_m
-        ),
+        passed: left.is_some_and(|l| l.1 >= 0.0),
+        margin: left.map(|l| l.1),
+        detail: tracking.contact.map_or_else(never, |c| {
+            let off = c.direction_error_rad.to_degrees();
+            format!("{off:.3}° off the asked direction, {:.2} mm off the line", 1e3 * c.offset_m)
+        }),
     });
     StrikeCheck { items, tracking }
 }
@@ -135,7 +137,7 @@ fn limits(model: &RobotModel, plan: &StrikePlan, config: &StrikeConfig) -> Vec<C
             CheckItem {
                 kind: check,
                 passed: u.share <= 1.0,
-                margin,
+                margin: Some(margin),
                 detail: format!(
                     "{} comes to {:.3} {unit} of {:.3} in the {} at {at_s:.2} s",
                     joint.name,
@@ -186,13 +188,13 @@ fn distances(
             let kind = if i == 0 { CheckKind::SelfCollision } else { CheckKind::Obstacle };
             let Some((c, phase, at_s)) = found else {
                 let detail = format!("the robot has no shapes that could touch {name}");
-                return CheckItem { kind, passed: true, margin: f64::MAX, detail };
+                return CheckItem { kind, passed: true, margin: None, detail };
             };
             let far = if c.distance_m > enough { "more than " } else { "" };
             CheckItem {
                 kind,
                 passed: c.distance_m >= clearance_m,
-                margin: c.distance_m - clearance_m,
+                margin: Some(c.distance_m - clearance_m),
                 detail: format!(
                     "{} comes within {far}{:.1} mm of {} in the {} at {at_s:.2} s; {:.1} mm are kept",
                     c.link,

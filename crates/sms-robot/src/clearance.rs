@@ -51,7 +51,7 @@ impl RobotModel {
     ) -> Option<Clearance> {
         let mut best = (f64::INFINITY, None);
         for (i, c) in self.collisions.iter().enumerate().filter(|(_, c)| c.joint.is_some()) {
-            let d = obstacle_distance(&c.shape, &poses[i], obstacle, enough.min(best.0));
+            let d = obstacle_distance((&c.shape, c.radius), &poses[i], obstacle, enough.min(best.0));
             if d < best.0 {
                 best = (d, Some(i));
             }
@@ -123,9 +123,7 @@ impl RobotModel {
 
 /// Distance of the spheres around two shapes.
 fn bounding_gap(shapes: &[LinkCollision], poses: &[DPose3], i: usize, j: usize) -> f64 {
-    poses[i].translation.distance(poses[j].translation)
-        - shapes[i].shape.bounding_radius()
-        - shapes[j].shape.bounding_radius()
+    poses[i].translation.distance(poses[j].translation) - shapes[i].radius - shapes[j].radius
 }
 
 fn halton(mut index: u32, base: u32) -> f64 {

@@ -2,9 +2,9 @@
 //! axes (Featherstone, "Rigid Body Dynamics Algorithms", chapters 5 and 6).
 
 use crate::linalg::{Cholesky, MAX_JOINTS, point_inertia};
-use crate::model::RobotModel;
+use crate::model::{FrameId, RobotModel};
 use crate::workspace::{Composite, JointVector, MassMatrix, Workspace};
-use glamx::DVec3;
+use glamx::{DMat3, DVec3};
 
 impl RobotModel {
     /// Torques (forces) that give accelerations `qdd` at positions `q` and speeds `qd`, under gravity: M q̈ + C q̇ + g,
@@ -130,6 +130,61 @@ impl RobotModel {
         }
         factor.solve(&mut qdd[..n]);
         true
+    }
+
+    /// How the velocity of a point that moves with a frame changes with an impulse there: J M⁻¹ Jᵀ, 1/kg. Its inverse
+    /// along a direction, 1/(dᵀ X d), is the mass that a ball feels which is struck there, as long as the blow lasts:
+    /// control is slower. Zero for a point of the base. After [`Self::forward_kinematics`].
+    pub fn point_mobility(&self, frame: FrameId, point_w: DVec3, ws: &mut Workspace) -> DMat3 {
+        let mut rows = [[0.0; MAX_JOINTS]; 3];
+        self.point_rows(frame, point_w, ws, &mut rows);
+        self.fill_mass_matrix(ws);
+        let n = self.dof();
+        let Some(factor) = Cholesky::new(&ws.mass_matrix, n) else { return DMat3::ZERO };
+        let columns = rows.map(|mut row| {
+            factor.solve(&mut row[..n]);
+            DVec3::from_array(std::array::from_fn(|r| (0..n).map(|i| rows[r][i] * row[i]).sum()))
+        });
+        DMat3::from_cols(columns[0], columns[1], columns[2])
+    }
+
+    /// Changes the speeds `qd` by an impulse, N·s in the world, at a point that moves with a frame: q̇ += M⁻¹ Jᵀ p.
+    /// After [`Self::forward_kinematics`].
+    pub fn apply_impulse(
+        &self,
+        frame: FrameId,
+        point_w: DVec3,
+        impulse_w: DVec3,
+        ws: &mut Workspace,
+        qd: &mut [f64],
+    ) {
+        let mut rows = [[0.0; MAX_JOINTS]; 3];
+        self.point_rows(frame, point_w, ws, &mut rows);
+        self.fill_mass_matrix(ws);
+        let n = self.dof();
+        let mut change: JointVector = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            change[i] = (0..3).map(|r| rows[r][i] * impulse_w[r]).sum();
+        }
+        if let Some(factor) = Cholesky::new(&ws.mass_matrix, n) {
+            factor.solve(&mut change[..n]);
+            (0..n).for_each(|i| qd[i] += change[i]);
+        }
+    }
+
+    /// Rows of the Jacobian of a point that moves with a frame.
+    fn point_rows(&self, frame: FrameId, point_w: DVec3, ws: &Workspace, rows: &mut [[f64; MAX_JOINTS]; 3]) {
+        let mut joint = self.frames[frame.0].joint;
+        while let Some(i) = joint {
+            let placed = &ws.placed[i];
+            let along = if self.joints[i].kind.turns() {
+                placed.axis_w.cross(point_w - placed.p_w)
+            } else {
+                placed.axis_w
+            };
+            (0..3).for_each(|r| rows[r][i] = along[r]);
+            joint = self.joints[i].parent;
+        }
     }
 
     /// Kinetic energy, J. After [`Self::forward_kinematics`].

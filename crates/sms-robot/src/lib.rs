@@ -30,6 +30,7 @@
 //!   [`MAX_JOINTS`] joints.
 //! - RNEA, CRBA, Jacobian and J̇ q̇ agree with Pinocchio to 1e-13 over 1500 states (`tests/oracle.rs`).
 
+mod approach;
 mod arm_sim;
 mod check;
 mod clearance;
@@ -47,11 +48,13 @@ mod scene;
 mod shape;
 mod strike;
 mod sweep;
+mod tracking;
 mod urdf;
 mod workspace;
 
 use glamx::DVec3;
 
+pub use approach::{Phase, StrikePlan, plan_strike};
 pub use arm_sim::ArmSim;
 pub use check::{CheckItem, CheckKind, DIRECTION_TOLERANCE_RAD, SPEED_TOLERANCE, StrikeCheck, check_strike};
 pub use config::RobotConfig;
@@ -66,11 +69,9 @@ pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
 pub use program::{JointProgram, PROGRAM_VERSION, ProgramPoint};
 pub use scene::obstacles;
 pub use shape::{Clearance, LinkShape, Obstacle, ObstacleShape, floor};
-pub use strike::{
-    Phase, StrikeConfig, StrikeError, StrikePlan, SweepPlan, Tracking, plan_strike, plan_sweep,
-    simulate_sweep,
-};
+pub use strike::{StrikeConfig, StrikeError, SweepPlan, plan_sweep};
 pub use sweep::{LinePath, SEGMENT_M, Sweep, SweepPath, SweepProfile, ToolPath, ToolReference, minimum_jerk};
+pub use tracking::{ContactTracking, Tracking, simulate_sweep};
 pub use urdf::{FR3_HOME, FR3_URDF, OffChain, UrdfOptions};
 pub use workspace::{Jacobian, JointVector, MassMatrix, Workspace};
 

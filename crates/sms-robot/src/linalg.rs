@@ -59,7 +59,7 @@ impl<const N: usize> Cholesky<N> {
     }
 }
 
-/// v vᵀ-free parallel axis term: the inertia of a unit point mass at `r`, (r·r) 1 − r rᵀ.
+/// The inertia of a unit point mass at `r`: (r·r) 1 − r rᵀ.
 pub(crate) fn point_inertia(r: DVec3) -> DMat3 {
     let d = r.length_squared();
     DMat3::from_cols(

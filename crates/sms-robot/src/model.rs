@@ -93,6 +93,8 @@ pub struct LinkCollision {
     pub x_js: DPose3,
     /// The shape.
     pub shape: LinkShape,
+    /// [`LinkShape::bounding_radius`].
+    pub(crate) radius: f64,
 }
 
 /// A fixed-base robot: joints in an order in which parents come first, frames, collision shapes, and the tool.
@@ -182,6 +184,14 @@ impl RobotModel {
         assert_eq!(home.len(), self.dof(), "one position for each joint");
         self.home =
             home.iter().zip(&self.joints).map(|(q, j)| q.clamp(j.limits.lower, j.limits.upper)).collect();
+        self
+    }
+
+    /// The same robot without rotors' inertia, damping and friction: for engines whose joints have none of them.
+    pub fn with_bare_joints(mut self) -> Self {
+        for joint in &mut self.joints {
+            (joint.damping, joint.friction, joint.armature) = (0.0, 0.0, 0.0);
+        }
         self
     }
 

@@ -248,7 +248,8 @@ pub(crate) fn follow(
 }
 
 /// A motion from posture to posture, straight in joint space with minimum jerk, as fast as `share` of all limits of
-/// speed, torque and change of torque lets it be, but not faster than in `least_s` seconds.
+/// speed, torque and change of torque lets it be, but not faster than in `least_s` seconds. Where the arm's weight
+/// takes more torque than that share, a tenth of the limit is added to it.
 ///
 /// # Errors
 /// [`Infeasible`] when a posture on the way cannot even be held.
@@ -270,11 +271,14 @@ pub fn joint_move(
         .map(|(i, j)| 1.875 * (to[i] - from[i]).abs() / (share * j.limits.velocity))
         .fold(least_s, f64::max);
     let mut duration = fastest.max(period_s);
+    // What it takes to hold the arm on the way cannot be saved by being slow.
+    let held = timed_move(model, from, to, 1e3, 20.0, ws).uses(model, torque_rate)[2].1.share;
+    let torque_share = share.max(held + 0.1).min(1.0);
     // Slower motions need less torque: what speed adds falls with the square of the duration.
     for _ in 0..40 {
         let motion = timed_move(model, from, to, duration, period_s, ws);
         let uses = motion.uses(model, torque_rate);
-        if uses[2].1.share <= share && uses[3].1.share <= share && uses[1].1.share <= share * 1.001 {
+        if uses[2].1.share <= torque_share && uses[3].1.share <= share && uses[1].1.share <= share * 1.001 {
             return motion.check(model, torque_rate).map(|_| motion);
         }
         duration *= 1.15;

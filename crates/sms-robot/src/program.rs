@@ -1,9 +1,9 @@
 //! The motion of a strike as a table that a robot's own program replays, in JSON and Parquet.
 
+use crate::approach::{Phase, StrikePlan};
 use crate::model::RobotModel;
 use crate::motion::{JointSample, motor_torques};
 use crate::osc::joint_friction;
-use crate::strike::{Phase, StrikePlan};
 use crate::workspace::Workspace;
 use glamx::{DPose3, DQuat};
 use parquet::basic::{LogicalType, Repetition, Type as PhysicalType};

@@ -4,7 +4,7 @@ use glamx::{DPose3, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, Capsule, ConvexPolyhedron, Cuboid, Cylinder, Shape, TriMesh};
 use serde::{Deserialize, Serialize};
-use sms_core::Mesh;
+use sms_core::{Aabb, Mesh};
 use std::sync::Arc;
 
 /// A convex collision shape, centred at its own frame, lengths along z, metres.
@@ -64,6 +64,14 @@ impl LinkShape {
             Self::Cylinder { half_length, radius } => half_length.hypot(*radius),
             Self::Box { half } => half.length(),
             Self::Convex(hull) => hull.points().iter().map(|p| p.length()).fold(0.0, f64::max),
+        }
+    }
+
+    /// A sphere that holds the shape: centre in its frame, and radius.
+    fn bounds(&self) -> (DVec3, f64) {
+        match self {
+            Self::Convex(hull) => sphere_around(hull.points()),
+            _ => (DVec3::ZERO, self.bounding_radius()),
         }
     }
 
@@ -130,6 +138,33 @@ pub struct Obstacle {
     pub x_wo: DPose3,
     /// Shape.
     pub shape: ObstacleShape,
+    /// Spheres in the obstacle's frame that hold all of it, and each of its parts: centre and radius.
+    bounds: (DVec3, f64),
+    part_bounds: Vec<(DVec3, f64)>,
+}
+
+impl Obstacle {
+    /// An obstacle of `shape` at `x_wo` in the world.
+    pub fn new(name: impl Into<String>, x_wo: DPose3, shape: ObstacleShape) -> Self {
+        let (bounds, part_bounds) = match &shape {
+            ObstacleShape::HalfSpace => ((DVec3::ZERO, f64::INFINITY), Vec::new()),
+            ObstacleShape::Link(part) => (part.bounds(), Vec::new()),
+            ObstacleShape::Hulls(parts) => {
+                let each: Vec<(DVec3, f64)> = parts.iter().map(LinkShape::bounds).collect();
+                let center = each.iter().map(|b| b.0).sum::<DVec3>() / each.len().max(1) as f64;
+                let radius = each.iter().map(|b| b.0.distance(center) + b.1).fold(0.0, f64::max);
+                ((center, radius), each)
+            }
+            ObstacleShape::Surface(mesh) => (sphere_around(mesh.vertices()), Vec::new()),
+        };
+        Self { name: name.into(), x_wo, shape, bounds, part_bounds }
+    }
+}
+
+/// A sphere about the middle of the points' box that holds them.
+fn sphere_around(points: &[DVec3]) -> (DVec3, f64) {
+    let center = Aabb::of_points(points.iter().copied()).map_or(DVec3::ZERO, |b| b.center());
+    (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
 }
 
 /// The shape of an [`Obstacle`].
@@ -164,7 +199,15 @@ pub(crate) fn distance(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose
 
 /// Distance of a link's shape to an obstacle, metres; negative by the depth where they overlap. Where it is more than
 /// `enough`, any value above `enough` may come back.
-pub(crate) fn obstacle_distance(a: &LinkShape, x_wa: &DPose3, obstacle: &Obstacle, enough: f64) -> f64 {
+pub(crate) fn obstacle_distance(
+    (a, a_radius): (&LinkShape, f64),
+    x_wa: &DPose3,
+    obstacle: &Obstacle,
+    enough: f64,
+) -> f64 {
+    let gap_to = |(center, radius): (DVec3, f64)| {
+        obstacle.x_wo.transform_point(center).distance(x_wa.translation) - radius - a_radius
+    };
     match &obstacle.shape {
         ObstacleShape::HalfSpace => {
             let normal_w = obstacle.x_wo.rotation * DVec3::Z;
@@ -172,15 +215,27 @@ pub(crate) fn obstacle_distance(a: &LinkShape, x_wa: &DPose3, obstacle: &Obstacl
             normal_w.dot(x_wa.translation - obstacle.x_wo.translation) - a.support(down_a)
         }
         ObstacleShape::Link(b) => {
-            let gap = x_wa.translation.distance(obstacle.x_wo.translation)
-                - a.bounding_radius()
-                - b.bounding_radius();
+            let gap = gap_to(obstacle.bounds);
             if gap > enough { gap } else { distance(a, x_wa, b, &obstacle.x_wo) }
         }
         ObstacleShape::Hulls(parts) => {
-            parts.iter().map(|b| distance(a, x_wa, b, &obstacle.x_wo)).fold(f64::INFINITY, f64::min)
+            let gap = gap_to(obstacle.bounds);
+            if gap > enough {
+                return gap;
+            }
+            let mut nearest = f64::INFINITY;
+            for (b, &bounds) in parts.iter().zip(&obstacle.part_bounds) {
+                let gap = gap_to(bounds);
+                let d = if gap > enough.min(nearest) { gap } else { distance(a, x_wa, b, &obstacle.x_wo) };
+                nearest = nearest.min(d);
+            }
+            nearest
         }
         ObstacleShape::Surface(mesh) => {
+            let gap = gap_to(obstacle.bounds);
+            if gap > enough {
+                return gap;
+            }
             a.with_parry(|sa| general_distance(sa, &a.parry_pose(x_wa), mesh.as_ref(), &obstacle.x_wo))
         }
     }
@@ -214,11 +269,7 @@ fn segment_distance(ca: DVec3, ha: DVec3, cb: DVec3, hb: DVec3) -> f64 {
 
 /// A named half space whose surface is the plane z = `height_m` of the world.
 pub fn floor(height_m: f64) -> Obstacle {
-    Obstacle {
-        name: "floor".to_owned(),
-        x_wo: DPose3::from_translation(DVec3::new(0.0, 0.0, height_m)),
-        shape: ObstacleShape::HalfSpace,
-    }
+    Obstacle::new("floor", DPose3::from_translation(DVec3::new(0.0, 0.0, height_m)), ObstacleShape::HalfSpace)
 }
 
 /// Two links, or a link and an obstacle, and their distance.
@@ -286,7 +337,7 @@ mod tests {
             };
             let x_wa = pose(a);
             let lowest = points.iter().map(|&p| x_wa.transform_point(p).z).fold(f64::INFINITY, f64::min) - radius;
-            let ours = obstacle_distance(&shape, &x_wa, &floor(height), 1.0);
+            let ours = obstacle_distance((&shape, shape.bounding_radius()), &x_wa, &floor(height), 1.0);
             prop_assert!((ours - (lowest - height)).abs() < 1e-7, "{ours} {lowest}");
         }
     }

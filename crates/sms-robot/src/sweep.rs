@@ -35,6 +35,12 @@ pub trait ToolPath {
     fn duration_s(&self) -> f64;
     /// The reference at `t` seconds; before the start and after the end the tool rests.
     fn at(&self, t: f64) -> ToolReference;
+    /// The reference for a controller whose torques are held from `t` for `period_s` seconds: pose and velocity of now,
+    /// acceleration of the middle of the period.
+    fn held(&self, t: f64, period_s: f64) -> ToolReference {
+        let ahead = self.at(t + 0.5 * period_s);
+        ToolReference { a_w: ahead.a_w, alpha_w: ahead.alpha_w, ..self.at(t) }
+    }
 }
 
 /// How the speed of a sweep rises and falls. Both need the same time for the same distance and speed.

@@ -115,6 +115,35 @@ proptest! {
         prop_assert!(((after.1 - before.1) / (2.0 * h) - alpha).length() < 1e-6);
     }
 
+    /// An impulse p at a point adds p · (v before + v after) / 2 of kinetic energy, and the point's velocity changes by
+    /// the mobility times p.
+    #[test]
+    fn an_impulse_does_the_work_that_it_must(
+        q in prop::array::uniform7(-0.8..0.8f64), v in prop::array::uniform7(-1.0..1.0f64),
+        p in prop::array::uniform3(-1.0..1.0f64), at in prop::array::uniform3(-0.1..0.1f64),
+    ) {
+        let model = RobotModel::fr3();
+        let mut ws = Workspace::default();
+        model.forward_kinematics(&q, &mut ws);
+        let x = model.frame_pose(model.tool(), &ws);
+        let (arm, p) = (x.rotation * DVec3::from(at), DVec3::from(p));
+        let point_w = x.translation + arm;
+        let mut jacobian = Jacobian::default();
+        model.jacobian(model.tool(), &ws, &mut jacobian);
+        let velocity = |qd: &[f64]| {
+            let (v, w) = jacobian.times(qd);
+            v + w.cross(arm)
+        };
+        let mut after = v;
+        let before = model.kinetic_energy(&v, &mut ws);
+        model.apply_impulse(model.tool(), point_w, p, &mut ws, &mut after);
+        let work = model.kinetic_energy(&after, &mut ws) - before;
+        let expected = 0.5 * p.dot(velocity(&v) + velocity(&after));
+        prop_assert!((work - expected).abs() < 1e-9, "{work} {expected}");
+        let mobility = model.point_mobility(model.tool(), point_w, &mut ws);
+        prop_assert!((velocity(&after) - velocity(&v) - mobility * p).length() < 1e-10);
+    }
+
     /// M from composite bodies is what Newton-Euler says for unit accelerations.
     #[test]
     fn the_mass_matrix_is_the_derivative_of_inverse_dynamics(q in prop::array::uniform5(-0.4..0.4f64)) {

@@ -74,6 +74,18 @@ fn masses_that_no_body_has_are_refused() {
 }
 
 #[test]
+fn a_mark_of_no_mass_on_a_fixed_joint_is_no_fault() {
+    let nothing = MASS.replace("value=\"1\"", "value=\"0\"").replace("0.1", "0");
+    let mark = format!(
+        "<link name=\"mark\">{nothing}</link><joint name=\"m\" type=\"fixed\"><parent link=\"hand\"/>\
+         <child link=\"mark\"/></joint></robot>"
+    );
+    let with_mark = |link: &str| arm(link, "revolute", LIMIT).replace("</robot>", &mark);
+    assert_eq!(read(&with_mark(MASS)).unwrap().joints()[0].mass.unwrap().mass(), 1.0);
+    refused(&with_mark(&nothing), &["hand", "0 kg"]);
+}
+
+#[test]
 fn joints_that_cannot_be_driven_are_refused() {
     for kind in ["floating", "planar", "screw"] {
         refused(&arm(MASS, kind, LIMIT), &["elbow", kind]);

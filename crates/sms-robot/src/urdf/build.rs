@@ -270,6 +270,7 @@ impl Builder<'_, '_, '_> {
         self.model.frames.push(Frame { name: name.to_owned(), joint: carrier, x_jf: x_jl });
         if let Some(joint) = carrier
             && let Some(inertial) = self.source.inertial(node)?
+            && !(inertial.is_nothing() && self.is_mere_frame(link))
         {
             let mass = self.link_mass(name, node, &inertial)?;
             let impossible =
@@ -283,6 +284,7 @@ impl Builder<'_, '_, '_> {
                 link: name.to_owned(),
                 joint: carrier,
                 x_js: x_jl * x_ls,
+                radius: shape.bounding_radius(),
                 shape,
             });
         }
@@ -308,6 +310,11 @@ impl Builder<'_, '_, '_> {
             }
         }
         Ok(())
+    }
+
+    /// Whether a link hangs on a fixed joint. Such links are often given a mass of zero to mark a place.
+    fn is_mere_frame(&self, link: usize) -> bool {
+        self.raw.iter().any(|j| j.child == link && j.kind.is_none())
     }
 
     fn link_mass(&self, name: &str, node: Node, raw: &Inertial) -> Result<MassProperties, InputError> {

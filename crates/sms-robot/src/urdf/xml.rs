@@ -103,7 +103,14 @@ pub(super) struct Inertial {
     pub(super) inertia: DMat3,
 }
 
-/// Line and column of an element.
+impl Inertial {
+    /// Whether mass and inertia are all zero.
+    pub(super) fn is_nothing(&self) -> bool {
+        self.mass == 0.0 && self.inertia == DMat3::ZERO
+    }
+}
+
+/// The line of an element.
 pub(super) fn place(node: Node) -> String {
     let at = node.document().text_pos_at(node.range().start);
     format!("line {}", at.row)
