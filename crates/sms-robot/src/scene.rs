@@ -7,9 +7,7 @@ use sms_scene::{Body, BodyShape, Scene};
 pub fn obstacles(scene: &Scene, struck: usize) -> Vec<Obstacle> {
     let others = scene.bodies.iter().enumerate().filter(|(i, _)| *i != struck);
     others
-        .filter_map(|(_, body)| {
-            Some(Obstacle { name: body.name.clone(), x_wo: body.x_wb, shape: obstacle_shape(body)? })
-        })
+        .filter_map(|(_, body)| Some(Obstacle::new(body.name.clone(), body.x_wb, obstacle_shape(body)?)))
         .collect()
 }
 
