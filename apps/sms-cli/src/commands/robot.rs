@@ -59,8 +59,10 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         program.write_parquet(&stage.dir().join("program.parquet"))?;
         let mut m = Metrics::new();
         m.set("robot.executable", check.executable());
-        m.set("robot.contact_speed", check.tracking.contact_speed);
-        m.set("robot.direction_error_rad", check.tracking.direction_error_rad);
+        if let Some(contact) = &check.tracking.contact {
+            m.set("robot.contact_speed", contact.speed);
+            m.set("robot.direction_error_rad", contact.direction_error_rad);
+        }
         m.set("robot.contact_s", program.contact_s);
         Ok(m)
     })?;
