@@ -135,9 +135,10 @@ fn is_convex(hull: &Mesh, tolerance: f64) -> bool {
     (0..hull.triangles.len()).all(|t| {
         let [a, b, c] = hull.corners(t);
         let normal = (b - a).cross(c - a);
-        // A sliver's normal is noise.
+        // The normal of a face that is narrower than the tolerance says nothing: files round coordinates to a
+        // nanometre, which turns it by more than what is looked for. Its neighbours speak for it.
         let longest = (b - a).length().max((c - a).length()).max((c - b).length());
-        normal.length() < 1e-2 * longest * tolerance.max(1e-12)
+        normal.length() < longest * tolerance.max(1e-12)
             || hull.vertices.iter().all(|&v| (v - a).dot(normal.normalize_or(DVec3::ZERO)) <= tolerance)
     })
 }
@@ -166,6 +167,36 @@ mod tests {
             bodies: vec![body],
         }
         .validate()
+    }
+
+    /// An exact hull whose points were rounded to a nanometre: a corner cut off by a micrometre leaves faces whose
+    /// normals are off by a thousandth.
+    #[test]
+    fn narrow_faces_of_rounded_hulls_are_no_dents() {
+        let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+        let (s, h, d) = (0.1, 1e-6, 4e-10);
+        // A prism over a pentagon, one corner of which is cut off by h; the cut's one end is rounded by d.
+        let outline = [(0.0, 0.0), (s, 0.0), (s, s - h), (s - h, s), (0.0, s)];
+        let bottom = outline.map(|(x, y)| corner(x, y, 0.0));
+        let mut top = outline.map(|(x, y)| corner(x, y, s));
+        top[2].y -= d;
+        top[3].x += d;
+        let vertices = [bottom, top].concat();
+        let mut triangles = Vec::new();
+        for k in 1..4u32 {
+            triangles.push([0, k + 1, k]);
+            triangles.push([5, 5 + k, 6 + k]);
+        }
+        for k in 0..5u32 {
+            let n = (k + 1) % 5;
+            triangles.extend([[k, n, 5 + n], [k, 5 + n, 5 + k]]);
+        }
+        let prism = Mesh::new(vertices, triangles);
+        assert!(prism.is_closed_oriented() && prism.volume() > 0.0);
+        assert!(is_convex(&prism, 1e-5));
+        let mut dented = prism;
+        dented.vertices[5] *= 0.5;
+        assert!(!is_convex(&dented, 1e-5));
     }
 
     #[test]
