@@ -83,7 +83,7 @@ pub struct SweepPlan {
     pub rotation_w: DQuat,
     /// Posture at the start; also the posture that the null space is drawn to.
     pub q_start: Vec<f64>,
-    /// The joints' motion through the sweep; in a [`StrikePlan`] also the rest after it, until all joints stand still.
+    /// The joints' motion through the sweep; in a [`crate::StrikePlan`] also the rest after it, until all joints stand still.
     pub motion: JointMotion,
     /// How far it goes to the limits.
     pub uses: Uses,
