@@ -110,12 +110,17 @@ pub fn plan(
             start.objective_q90 = Some(objective_q90);
         }
     }
-    let rollout = nominal.rollout(&task.strike(&action), Some(Recording { every_s: RECORD_EVERY_S }))?;
-    let sensitivities = if predicted.is_some() && config.sensitivity_rollouts > 0 {
-        Sensing { task, scene, factory, config, seed, counter: &counter, winner }
-            .sense(&rollout, &mut found.trials)?
-    } else {
-        Vec::new()
+    // Recorded until the end, it may turn out invalid after what counts has happened; there is nothing to show then.
+    let rollout = match nominal.rollout(&task.strike(&action), Some(Recording { every_s: RECORD_EVERY_S })) {
+        Err(e) if !e.is_invalid_rollout() => return Err(e.into()),
+        other => other.ok(),
+    };
+    let sensitivities = match &rollout {
+        Some(rollout) if predicted.is_some() && config.sensitivity_rollouts > 0 => {
+            let sensing = Sensing { task, scene, factory, config, seed, counter: &counter, winner };
+            sensing.sense(rollout, &mut found.trials)?
+        }
+        _ => Vec::new(),
     };
     let strategies = chosen
         .iter()
@@ -142,7 +147,7 @@ pub fn plan(
         predicted,
         strategies,
         sensitivities,
-        trajectory: rollout.trajectory.unwrap_or_default(),
+        trajectory: rollout.and_then(|r| r.trajectory).unwrap_or_default(),
     };
     warn(task, &plan, warnings);
     Ok(PlanOutcome { plan, trials: found.trials })

@@ -64,7 +64,8 @@ impl Choice<'_> {
                 next = (2 * seen).min(worlds.len());
             }
             let polished = self.polish(&mut all, &alive, worlds, &mut found.trials)?;
-            alive.extend(polished);
+            // What cannot be believed in the scanned world is no plan, however it fares in others.
+            alive.extend(polished.into_iter().filter(|&i| all[i].objective.is_finite()));
             alive = self.ranked(&all, &alive);
         }
         let mut best: Vec<Candidate> = Vec::new();

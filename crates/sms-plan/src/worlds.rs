@@ -111,10 +111,15 @@ impl<'a> DisturbedWorlds<'a> {
         indices: std::ops::Range<usize>,
         which: &(dyn Fn(&Unknown) -> bool + Sync),
     ) -> Result<Self, PlanError> {
+        // Pictures of every world at once would fill the memory.
+        let mut bare = scene.clone();
+        for body in &mut bare.bodies {
+            (body.visual, body.texture) = (sms_core::Mesh::default(), None);
+        }
         let worlds = indices
             .into_par_iter()
             .map(|index| {
-                let scene = disturbances.scene_of(scene, seed, index, which);
+                let scene = disturbances.scene_of(&bare, seed, index, which);
                 Ok((index, Worlds::new(task, std::borrow::Cow::Owned(scene), factory)?))
             })
             .collect::<Result<_, PlanError>>()?;
