@@ -60,7 +60,7 @@ pub struct PlanConfig {
     pub population: usize,
     /// Distinct actions that are tried in the first few disturbed worlds.
     pub candidates: usize,
-    /// Least number of them that are tried in all worlds.
+    /// Least number of them that are tried in all worlds, and how many of the best are tried in as many worlds again.
     pub finalists: usize,
     /// What is minimised over the disturbed worlds.
     pub objective: RobustObjective,

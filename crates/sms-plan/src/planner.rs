@@ -49,8 +49,8 @@ pub enum PlanError {
 ///
 /// Choice: distinct actions that do better than nothing, of every strategy (who touches whom), are tried in a few of the
 /// worlds, the better half of them in twice as many, and so on; from the best ones a simplex search goes on over all
-/// worlds. The action with the smallest [`PlanConfig::objective`] over them wins. What it is predicted to do is measured
-/// in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
+/// worlds. The best few are tried in as many worlds again, and the one with the smallest [`PlanConfig::objective`] over
+/// both wins. What it is predicted to do is measured in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
 /// scan made, is looked at.
 ///
 /// # Errors
@@ -89,10 +89,11 @@ pub fn plan(
             DisturbedWorlds::new(task, scene, factory, d, seed.derive("disturbed"), range, &everything)
         };
         let choice = Choice { task, scene, config, space: &space, nominal: &nominal, counter: &counter };
-        let chosen = choice.choose(&mut found, &family(0..d.worlds)?)?;
+        let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?)?;
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
-        let forecast = forecast(&chosen, &family(d.worlds..d.worlds + fresh)?, &counter, &mut found.trials)?;
+        let forecast =
+            forecast(&chosen, &family(2 * d.worlds..2 * d.worlds + fresh)?, &counter, &mut found.trials)?;
         (chosen, forecast)
     };
     let predictions: Vec<Option<Prediction>> =

@@ -41,9 +41,10 @@ pub(crate) struct Choice<'a> {
 }
 
 impl Choice<'_> {
-    /// The best action of each strategy, best strategy first. With disturbed worlds, all of them have been tried in all
-    /// of these: many candidates in few worlds, the better half in twice as many, and so on; then the search goes on
-    /// over all worlds from the best of them.
+    /// The best action of each strategy, best strategy first. With disturbed worlds: many candidates are tried in few
+    /// worlds, the better half in twice as many, and so on; then the search goes on over the first half of all worlds
+    /// from the best of them. In those worlds the survivors look better than they are, and those that were searched for
+    /// there more so: the best few and the best of each strategy are tried in the other half too, and both halves decide.
     pub(crate) fn choose(
         &self,
         found: &mut Found,
@@ -52,20 +53,25 @@ impl Choice<'_> {
         let mut all = self.candidates(&found.scored)?;
         let mut alive: Vec<usize> = (0..all.len()).collect();
         if worlds.len() > 0 {
-            let (mut seen, mut next) = (0, FIRST_WORLDS.min(worlds.len()));
+            let half = worlds.len().div_ceil(2);
+            let (mut seen, mut next) = (0, FIRST_WORLDS.min(half));
             loop {
                 self.run(&mut all, &alive, worlds, seen..next, &mut found.trials)?;
                 seen = next;
                 alive = self.ranked(&all, &alive);
-                if seen == worlds.len() {
+                if seen == half {
                     break;
                 }
-                alive = self.better_half(&all, &alive);
-                next = (2 * seen).min(worlds.len());
+                let count = alive.len().div_ceil(2).max(self.config.finalists);
+                alive = self.best_with_strategies(&all, &alive, count);
+                next = (2 * seen).min(half);
             }
-            let polished = self.polish(&mut all, &alive, worlds, &mut found.trials)?;
+            let polished = self.polish(&mut all, &alive, worlds, half, &mut found.trials)?;
             // What cannot be believed in the scanned world is no plan, however it fares in others.
             alive.extend(polished.into_iter().filter(|&i| all[i].objective.is_finite()));
+            alive = self.ranked(&all, &alive);
+            alive = self.best_with_strategies(&all, &alive, self.config.finalists);
+            self.run(&mut all, &alive, worlds, half..worlds.len(), &mut found.trials)?;
             alive = self.ranked(&all, &alive);
         }
         let mut best: Vec<Candidate> = Vec::new();
@@ -149,9 +155,9 @@ impl Choice<'_> {
         order
     }
 
-    /// The better half of ranked candidates, with the best one of each of the first few strategies.
-    fn better_half(&self, all: &[Candidate], ranked: &[usize]) -> Vec<usize> {
-        let half = ranked.len().div_ceil(2).max(self.config.finalists).min(ranked.len());
+    /// The first `count` of ranked candidates, with the best one of each of the first few strategies and the nominally
+    /// best of all (the first candidate), so that the choice is never worse than that one over all worlds.
+    fn best_with_strategies(&self, all: &[Candidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut strategies: Vec<&str> = Vec::new();
         ranked
             .iter()
@@ -162,19 +168,20 @@ impl Choice<'_> {
                 if is_first {
                     strategies.push(strategy);
                 }
-                place < half || is_first
+                place < count || is_first || i == 0
             })
             .map(|(_, &i)| i)
             .collect()
     }
 
-    /// Simplex searches over all worlds from the best candidates that differ; the points that were tried become
-    /// candidates. Returns them.
+    /// Simplex searches over the first `count` worlds from the best candidates that differ; the points that were tried
+    /// become candidates. Returns the best of them.
     fn polish(
         &self,
         all: &mut Vec<Candidate>,
         ranked: &[usize],
         worlds: &DisturbedWorlds<'_>,
+        count: usize,
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<usize>, PlanError> {
         let config = self.config;
@@ -209,7 +216,7 @@ impl Choice<'_> {
                 break;
             }
             let who: Vec<usize> = asked.iter().map(|a| a.1).collect();
-            self.run(all, &who, worlds, 0..worlds.len(), trials)?;
+            self.run(all, &who, worlds, 0..count, trials)?;
             for (s, i) in asked {
                 searches[s].tell(statistic(&all[i]));
             }

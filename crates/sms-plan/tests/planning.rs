@@ -190,43 +190,51 @@ fn post_and_wall() -> Scene {
     scene
 }
 
-#[test]
-fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
+fn behind_the_post() -> (Scene, ResolvedTask) {
     let scene = post_and_wall();
     let (cue, target) = (Selector::by_name("cue"), Selector::by_name("blue"));
     let mut task = Billiards::new(cue, target, [0.95, 0.0]);
     (task.form, task.horizon_s) = (ActionForm::SpeedAngle, 3.0);
     let task = Task::Billiards(task).resolve(&scene).unwrap();
+    (scene, task)
+}
+
+#[test]
+fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
+    let (scene, task) = behind_the_post();
     let config = PlanConfig { evaluations: 300, starts: 8, ..config() };
     let warnings = Warnings::new();
     let (progress, cancel) = (NoProgress, Cancel::new());
     let plan =
         plan(&task, &scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings).unwrap().plan;
-    assert!(plan.strategies[0].name.contains("blue off wall"), "{:?}", plan.strategies);
-    assert!(plan.objective < 0.05, "{}", plan.objective);
+    assert!(plan.objective < 0.1, "{}", plan.objective);
     let names: Vec<&str> = plan.strategies.iter().map(|s| s.name.as_str()).collect();
     let mut distinct = names.clone();
     distinct.dedup();
     assert_eq!(names, distinct);
+    assert!(names.contains(&"cue → blue off wall") && names[0].contains("wall"), "{names:?}");
     assert!(plan.strategies.iter().all(|s| s.prediction.is_some()));
 }
 
 #[test]
 fn over_the_disturbed_worlds_the_choice_beats_the_nominally_best_shot() {
-    let task = task(DVec2::new(0.85, 0.1), ActionForm::SpeedAngleContact);
-    let scene = two_balls();
-    let wide = Disturbances { position_m: 0.003, worlds: 12, ..Disturbances::default() };
-    let robust = PlanConfig { evaluations: 150, candidates: 16, disturbances: wide.clone(), ..config() };
+    // Off the wall, errors grow with every touch: what is best in one world is not in many.
+    let (scene, task) = behind_the_post();
+    let wide = Disturbances { position_m: 0.002, worlds: 12, ..Disturbances::default() };
+    let robust =
+        PlanConfig { evaluations: 200, starts: 8, candidates: 24, disturbances: wide.clone(), ..config() };
     let nominal = PlanConfig { disturbances: Disturbances { worlds: 0, ..wide.clone() }, ..robust.clone() };
     let mean = |config: &PlanConfig| {
-        let plan = run(&task, config, &Warnings::new()).unwrap().plan;
-        // The family of worlds in which the planner with this seed chose.
-        let (seed, cancel) = (Seed(11).derive("disturbed"), Cancel::new());
-        let values = rehearse(&task, &scene, &RapierFactory, &wide, &plan.action, seed, 12, &cancel).unwrap();
+        let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
+        let factory = RapierFactory;
+        let found = plan(&task, &scene, &factory, config, Seed(11), &progress, &cancel, &warnings).unwrap();
+        // The family of worlds in which the planner with this seed chose: 12, and 12 again for the best.
+        let seed = Seed(11).derive("disturbed");
+        let values = rehearse(&task, &scene, &factory, &wide, &found.plan.action, seed, 24, &cancel).unwrap();
         values.iter().sum::<f64>() / values.len() as f64
     };
     let (robust, nominal) = (mean(&robust), mean(&nominal));
-    assert!(robust < nominal, "{robust} m robust, {nominal} m nominal");
+    assert!(robust < 0.9 * nominal, "{robust} m robust, {nominal} m nominal");
 }
 
 #[test]
