@@ -1,5 +1,6 @@
 //! Settings of the planner.
 
+use crate::robust::FIRST_WORLDS;
 use crate::{Disturbances, NelderMead, RobustObjective};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
@@ -151,6 +152,23 @@ impl PlanConfig {
     /// Most rollouts of the nominal search.
     pub(crate) fn budget(&self) -> usize {
         if self.method == Method::MultiStart { usize::MAX } else { self.evaluations }
+    }
+
+    /// About how many rollouts the choice and the forecast take.
+    pub(crate) fn disturbed_rollouts(&self) -> usize {
+        let worlds = self.disturbances.worlds;
+        if worlds == 0 {
+            return 0;
+        }
+        let (mut alive, mut seen, mut next) = (self.candidates, 0, FIRST_WORLDS.min(worlds));
+        let mut count = 0;
+        while seen < worlds {
+            count += alive * (next - seen);
+            alive = alive.div_ceil(2).max(self.finalists.min(alive));
+            seen = next;
+            next = (2 * seen).min(worlds);
+        }
+        count + worlds * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
     }
 
     /// A quick plan: about a third of the rollouts.

@@ -70,7 +70,7 @@ pub fn plan(
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(progress, cancel);
 
-    progress.begin("plan: search", config.evaluations as u64);
+    counter.begin("plan: search", config.evaluations);
     let mut found = search(&space, config, seed.derive("search"), config.budget(), &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
@@ -83,7 +83,7 @@ pub fn plan(
 
     let d = &config.disturbances;
     let (chosen, forecast) = {
-        progress.begin("plan: disturbed worlds", d.worlds as u64);
+        counter.begin("plan: disturbed worlds", config.disturbed_rollouts());
         let everything = |_: &Unknown| true;
         let family = |range| {
             DisturbedWorlds::new(task, scene, factory, d, seed.derive("disturbed"), range, &everything)

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 pub(crate) const STRATEGIES: usize = 4;
 
 /// Worlds in which all candidates are tried.
-const FIRST_WORLDS: usize = 4;
+pub(crate) const FIRST_WORLDS: usize = 4;
 
 /// An action on its way through the disturbed worlds.
 #[derive(Debug, Clone, PartialEq)]
