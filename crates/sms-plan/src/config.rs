@@ -80,10 +80,10 @@ pub struct PlanConfig {
 impl Default for PlanConfig {
     fn default() -> Self {
         Self {
-            method: Method::Screen,
+            method: Method::Halving,
             starts: 30,
             evaluations: 1500,
-            screening_share: 0.5,
+            screening_share: 0.3,
             suggestions: true,
             nelder_mead: NelderMead::default(),
             initial_step: 0.08,
