@@ -70,3 +70,11 @@ pub struct Plan {
     /// Predicted motion of the chosen action.
     pub trajectory: Trajectory,
 }
+
+impl Plan {
+    /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
+    pub fn is_nominal_only(&self) -> bool {
+        // Plans of earlier versions have neither, and a quantile over disturbed worlds.
+        self.predicted.is_none() && !self.strategies.is_empty()
+    }
+}

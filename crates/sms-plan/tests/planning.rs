@@ -167,7 +167,7 @@ fn without_disturbed_worlds_the_nominally_best_shot_is_chosen() {
     let best = outcome.trials.iter().map(|t| t.objective).fold(f64::INFINITY, f64::min);
     assert_eq!(outcome.plan.objective, best);
     assert_eq!((outcome.plan.predicted, outcome.plan.objective_q90), (None, best));
-    assert!(outcome.plan.sensitivities.is_empty());
+    assert!(outcome.plan.sensitivities.is_empty() && outcome.plan.is_nominal_only());
 }
 
 /// A post between the target ball and a goal behind it, and a wall beside them.
@@ -250,5 +250,5 @@ fn plans_of_earlier_versions_read() {
     std::fs::write(dir.path().join("plan.json"), json.to_string()).unwrap();
     let read = load_plan(dir.path()).unwrap();
     assert_eq!(read.action, outcome.plan.action);
-    assert!(read.predicted.is_none() && read.strategies.is_empty());
+    assert!(read.predicted.is_none() && read.strategies.is_empty() && !read.is_nominal_only());
 }
