@@ -48,7 +48,8 @@ pub struct Plan {
     pub objective_unit: String,
     /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
     pub objective_q90: f64,
-    /// Rollouts in all, but for shots that were repeated to see what touches what.
+    /// Rollouts in all, but for up to eight in which shots that were found over disturbed worlds are looked at in the
+    /// nominal one.
     pub evaluations: usize,
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]

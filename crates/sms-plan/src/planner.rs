@@ -1,9 +1,10 @@
 //! From a task and a scene to a plan (paper section "Simulate").
 
-use crate::robust::{Candidate, Choice};
+use crate::robust::{Candidate, Choice, key};
 use crate::search::search;
 use crate::sensitivity::Sensing;
 use crate::space::Space;
+use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
 use crate::{Phase, Plan, PlanConfig, PlanOutcome, Prediction, StartSummary, Strategy, Trial, Unknown};
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
@@ -11,7 +12,9 @@ use sms_scene::Scene;
 use sms_sim::{SimError, WorldFactory};
 use sms_task::{Action, Recording, ResolvedTask, TaskError};
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 
 /// Time between recorded states of the plan's trajectory, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 120.0;
@@ -71,9 +74,21 @@ pub fn plan(
     let counter = Counter::new(progress, cancel);
 
     counter.begin("plan: search", config.evaluations);
+    // What each shot touches, by its point: the order in which threads note it does not matter.
+    let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
     let mut found = search(&space, config, seed.derive("search"), config.budget(), &|x| {
-        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
+        let mut seen = None;
+        let objective = counter.count(|| {
+            let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
+            seen = Some(strategy_of(&rollout, scene, task));
+            Ok(rollout.objective)
+        })?;
+        if let (Some(strategy), Ok(mut notes)) = (seen, notes.lock()) {
+            notes.insert(key(x), strategy);
+        }
+        Ok(objective)
     })?;
+    let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
     let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
     if !best.is_finite() {
@@ -88,7 +103,15 @@ pub fn plan(
         let family = |range| {
             DisturbedWorlds::new(task, scene, factory, d, seed.derive("disturbed"), range, &everything)
         };
-        let choice = Choice { task, scene, config, space: &space, nominal: &nominal, counter: &counter };
+        let choice = Choice {
+            task,
+            scene,
+            config,
+            space: &space,
+            nominal: &nominal,
+            counter: &counter,
+            known: &known,
+        };
         let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?)?;
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };

@@ -3,7 +3,7 @@
 use crate::prediction::compare;
 use crate::search::{Found, Scored};
 use crate::space::{Space, is_near};
-use crate::strategy::{name, touches};
+use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
 use crate::{LocalSearch, NelderMead, Phase, PlanConfig, PlanError, Trial};
 use rayon::prelude::*;
@@ -38,6 +38,13 @@ pub(crate) struct Choice<'a> {
     pub(crate) space: &'a Space,
     pub(crate) nominal: &'a Worlds<'a>,
     pub(crate) counter: &'a Counter<'a>,
+    /// What the shots of the search do, by [`key`].
+    pub(crate) known: &'a BTreeMap<Vec<u64>, String>,
+}
+
+/// What a point is noted by.
+pub(crate) fn key(x: &[f64]) -> Vec<u64> {
+    x.iter().map(|v| v.to_bits()).collect()
 }
 
 impl Choice<'_> {
@@ -50,7 +57,7 @@ impl Choice<'_> {
         found: &mut Found,
         worlds: &DisturbedWorlds<'_>,
     ) -> Result<Vec<Candidate>, PlanError> {
-        let mut all = self.candidates(&found.scored)?;
+        let mut all = self.candidates(&found.scored);
         let mut alive: Vec<usize> = (0..all.len()).collect();
         if worlds.len() > 0 {
             let half = worlds.len().div_ceil(2);
@@ -86,32 +93,28 @@ impl Choice<'_> {
 
     /// Distinct actions that do better than nothing, best first: half of them the nominally best ones, half from every
     /// strategy in turn.
-    fn candidates(&self, scored: &[Scored]) -> Result<Vec<Candidate>, PlanError> {
+    fn candidates(&self, scored: &[Scored]) -> Vec<Candidate> {
         let count = self.config.candidates;
         let steps = self.space.steps(self.config.initial_step, true);
         let pool = distinct(scored, self.task.initial_objective(), &steps, 2 * count);
-        let pool: Vec<Candidate> = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
-        let mut pool = pool;
-        self.name_strategies(&mut pool)?;
-        Ok(spread(pool, count))
+        let pool = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
+        spread(pool, count)
     }
 
     fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
         let action = self.space.action(&x);
-        Candidate { x, action, objective, strategy: String::new(), outcomes: Vec::new() }
+        let strategy = self.known.get(&key(&x)).cloned().unwrap_or_default();
+        Candidate { x, action, objective, strategy, outcomes: Vec::new() }
     }
 
-    /// Repeats each shot in the nominal world and looks at what touches what.
+    /// Carries out each shot in the nominal world and looks at what touches what. Not counted: a handful.
     fn name_strategies(&self, candidates: &mut [Candidate]) -> Result<(), PlanError> {
         let names: Vec<(String, f64)> = candidates
             .par_iter()
             .map(|c| {
                 let strike = self.task.strike(&c.action);
                 Ok(match self.nominal.rollout(&strike, None) {
-                    Ok(rollout) => {
-                        let touched = touches(&rollout.contacts, rollout.closest_s, self.scene, self.task);
-                        (name(&touched, self.scene, self.task), rollout.objective)
-                    }
+                    Ok(rollout) => (strategy_of(&rollout, self.scene, self.task), rollout.objective),
                     Err(e) if e.is_invalid_rollout() => ("not valid".to_owned(), f64::INFINITY),
                     Err(e) => return Err(e.into()),
                 })
