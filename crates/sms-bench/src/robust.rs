@@ -74,7 +74,7 @@ fn uncertain(family: SceneFamily, seed: u64) -> Result<PlanScene, BenchError> {
 /// Plans with every planner on every scene, and carries each plan out in `worlds` true worlds per scene, which are drawn
 /// as the planner's disturbed worlds are, from another seed. Keys are `bench.robust.{name}.{realised_mean_m,
 /// realised_median_m, success_share, predicted_mean_m, nominal_m, rollouts, change_share, change_low_share,
-/// change_high_share}`; the change is that of the realised mean relative to the first planner, with a paired 95 %
+/// change_high_share, scene_{seed}.realised_m, scene_{seed}.nominal_m}`; the change is that of the realised mean relative to the first planner, with a paired 95 %
 /// bootstrap interval over scenes of the difference, divided by the first planner's mean.
 ///
 /// # Errors
@@ -145,6 +145,10 @@ pub fn run_robust(
         set("predicted_mean_m", mean(&column(e, 3)));
         set("nominal_m", mean(&column(e, 4)));
         set("rollouts", mean(&column(e, 5)));
+        for (s, scene) in scenes.iter().enumerate() {
+            set(&format!("scene_{}.realised_m", scene.seed), column(e, 0)[s]);
+            set(&format!("scene_{}.nominal_m", scene.seed), column(e, 4)[s]);
+        }
         let base = mean(&column(0, 0));
         if let Some(d) = paired_difference(&column(e, 0), &column(0, 0)).filter(|_| e > 0) {
             set("change_share", d.mean / base);

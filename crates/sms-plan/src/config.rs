@@ -1,5 +1,6 @@
 //! Settings of the planner.
 
+use crate::robust::FIRST_WORLDS;
 use crate::{Disturbances, NelderMead, RobustObjective};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
@@ -60,7 +61,7 @@ pub struct PlanConfig {
     pub population: usize,
     /// Distinct actions that are tried in the first few disturbed worlds.
     pub candidates: usize,
-    /// Least number of them that are tried in all worlds.
+    /// Least number of them that are tried in all worlds, and how many of the best are tried in as many worlds again.
     pub finalists: usize,
     /// What is minimised over the disturbed worlds.
     pub objective: RobustObjective,
@@ -79,10 +80,10 @@ pub struct PlanConfig {
 impl Default for PlanConfig {
     fn default() -> Self {
         Self {
-            method: Method::Screen,
+            method: Method::Halving,
             starts: 30,
             evaluations: 1500,
-            screening_share: 0.5,
+            screening_share: 0.3,
             suggestions: true,
             nelder_mead: NelderMead::default(),
             initial_step: 0.08,
@@ -151,6 +152,23 @@ impl PlanConfig {
     /// Most rollouts of the nominal search.
     pub(crate) fn budget(&self) -> usize {
         if self.method == Method::MultiStart { usize::MAX } else { self.evaluations }
+    }
+
+    /// About how many rollouts the choice and the forecast take.
+    pub(crate) fn disturbed_rollouts(&self) -> usize {
+        let worlds = self.disturbances.worlds;
+        if worlds == 0 {
+            return 0;
+        }
+        let (mut alive, mut seen, mut next) = (self.candidates, 0, FIRST_WORLDS.min(worlds));
+        let mut count = 0;
+        while seen < worlds {
+            count += alive * (next - seen);
+            alive = alive.div_ceil(2).max(self.finalists.min(alive));
+            seen = next;
+            next = (2 * seen).min(worlds);
+        }
+        count + worlds * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
     }
 
     /// A quick plan: about a third of the rollouts.

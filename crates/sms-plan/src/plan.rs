@@ -48,7 +48,8 @@ pub struct Plan {
     pub objective_unit: String,
     /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
     pub objective_q90: f64,
-    /// Rollouts in all, but for shots that were repeated to see what touches what.
+    /// Rollouts in all, but for up to eight in which shots that were found over disturbed worlds are looked at in the
+    /// nominal one.
     pub evaluations: usize,
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]
@@ -69,4 +70,12 @@ pub struct Plan {
     pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
     pub trajectory: Trajectory,
+}
+
+impl Plan {
+    /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
+    pub fn is_nominal_only(&self) -> bool {
+        // Plans of earlier versions have neither, and a quantile over disturbed worlds.
+        self.predicted.is_none() && !self.strategies.is_empty()
+    }
 }

@@ -1,9 +1,10 @@
 //! From a task and a scene to a plan (paper section "Simulate").
 
-use crate::robust::{Candidate, Choice};
+use crate::robust::{Candidate, Choice, key};
 use crate::search::search;
 use crate::sensitivity::Sensing;
 use crate::space::Space;
+use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
 use crate::{Phase, Plan, PlanConfig, PlanOutcome, Prediction, StartSummary, Strategy, Trial, Unknown};
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
@@ -11,7 +12,9 @@ use sms_scene::Scene;
 use sms_sim::{SimError, WorldFactory};
 use sms_task::{Action, Recording, ResolvedTask, TaskError};
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 
 /// Time between recorded states of the plan's trajectory, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 120.0;
@@ -49,8 +52,8 @@ pub enum PlanError {
 ///
 /// Choice: distinct actions that do better than nothing, of every strategy (who touches whom), are tried in a few of the
 /// worlds, the better half of them in twice as many, and so on; from the best ones a simplex search goes on over all
-/// worlds. The action with the smallest [`PlanConfig::objective`] over them wins. What it is predicted to do is measured
-/// in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
+/// worlds. The best few are tried in as many worlds again, and the one with the smallest [`PlanConfig::objective`] over
+/// both wins. What it is predicted to do is measured in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
 /// scan made, is looked at.
 ///
 /// # Errors
@@ -70,29 +73,50 @@ pub fn plan(
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(progress, cancel);
 
-    progress.begin("plan: search", config.evaluations as u64);
+    counter.begin("plan: search", config.evaluations);
+    // What each shot touches, by its point: the order in which threads note it does not matter.
+    let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
     let mut found = search(&space, config, seed.derive("search"), config.budget(), &|x| {
-        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
+        let mut seen = None;
+        let objective = counter.count(|| {
+            let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
+            seen = Some(strategy_of(&rollout, scene, task));
+            Ok(rollout.objective)
+        })?;
+        if let (Some(strategy), Ok(mut notes)) = (seen, notes.lock()) {
+            notes.insert(key(x), strategy);
+        }
+        Ok(objective)
     })?;
+    let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
     let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
     if !best.is_finite() {
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     }
-    progress.end(&format!("best of {evaluations} shots passes the goal at {:.1} mm", 1e3 * best));
+    progress.end(&format!("best of {evaluations} shots: {:.1} mm", 1e3 * best));
 
     let d = &config.disturbances;
     let (chosen, forecast) = {
-        progress.begin("plan: disturbed worlds", d.worlds as u64);
+        counter.begin("plan: disturbed worlds", config.disturbed_rollouts());
         let everything = |_: &Unknown| true;
         let family = |range| {
             DisturbedWorlds::new(task, scene, factory, d, seed.derive("disturbed"), range, &everything)
         };
-        let choice = Choice { task, scene, config, space: &space, nominal: &nominal, counter: &counter };
-        let chosen = choice.choose(&mut found, &family(0..d.worlds)?)?;
+        let choice = Choice {
+            task,
+            scene,
+            config,
+            space: &space,
+            nominal: &nominal,
+            counter: &counter,
+            known: &known,
+        };
+        let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?)?;
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
-        let forecast = forecast(&chosen, &family(d.worlds..d.worlds + fresh)?, &counter, &mut found.trials)?;
+        let forecast =
+            forecast(&chosen, &family(2 * d.worlds..2 * d.worlds + fresh)?, &counter, &mut found.trials)?;
         (chosen, forecast)
     };
     let predictions: Vec<Option<Prediction>> =
@@ -110,12 +134,17 @@ pub fn plan(
             start.objective_q90 = Some(objective_q90);
         }
     }
-    let rollout = nominal.rollout(&task.strike(&action), Some(Recording { every_s: RECORD_EVERY_S }))?;
-    let sensitivities = if predicted.is_some() && config.sensitivity_rollouts > 0 {
-        Sensing { task, scene, factory, config, seed, counter: &counter, winner }
-            .sense(&rollout, &mut found.trials)?
-    } else {
-        Vec::new()
+    // Recorded until the end, it may turn out invalid after what counts has happened; there is nothing to show then.
+    let rollout = match nominal.rollout(&task.strike(&action), Some(Recording { every_s: RECORD_EVERY_S })) {
+        Err(e) if !e.is_invalid_rollout() => return Err(e.into()),
+        other => other.ok(),
+    };
+    let sensitivities = match &rollout {
+        Some(rollout) if predicted.is_some() && config.sensitivity_rollouts > 0 => {
+            let sensing = Sensing { task, scene, factory, config, seed, counter: &counter, winner };
+            sensing.sense(rollout, &mut found.trials)?
+        }
+        _ => Vec::new(),
     };
     let strategies = chosen
         .iter()
@@ -142,7 +171,7 @@ pub fn plan(
         predicted,
         strategies,
         sensitivities,
-        trajectory: rollout.trajectory.unwrap_or_default(),
+        trajectory: rollout.and_then(|r| r.trajectory).unwrap_or_default(),
     };
     warn(task, &plan, warnings);
     Ok(PlanOutcome { plan, trials: found.trials })
@@ -210,7 +239,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "no_good_shot",
             format!(
-                "no shot was found that brings the target ball to the goal; the best one passes it at {:.1} cm",
+                "no shot was found that does what the task asks; the best one comes to {:.1} cm",
                 1e2 * plan.objective
             ),
             "move the goal, widen the task's bounds, or plan with more evaluations",
@@ -220,7 +249,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "fragile_shot",
             format!(
-                "the chosen shot passes the goal at {:.1} cm, but at up to {:.1} cm in nine of ten worlds that \
+                "the chosen shot comes to {:.1} cm, but only to {:.1} cm in nine of ten worlds that \
                  differ within what is known",
                 1e2 * plan.objective,
                 1e2 * plan.objective_q90

@@ -3,7 +3,7 @@
 use crate::prediction::compare;
 use crate::search::{Found, Scored};
 use crate::space::{Space, is_near};
-use crate::strategy::{name, touches};
+use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
 use crate::{LocalSearch, NelderMead, Phase, PlanConfig, PlanError, Trial};
 use rayon::prelude::*;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 pub(crate) const STRATEGIES: usize = 4;
 
 /// Worlds in which all candidates are tried.
-const FIRST_WORLDS: usize = 4;
+pub(crate) const FIRST_WORLDS: usize = 4;
 
 /// An action on its way through the disturbed worlds.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,33 +38,47 @@ pub(crate) struct Choice<'a> {
     pub(crate) space: &'a Space,
     pub(crate) nominal: &'a Worlds<'a>,
     pub(crate) counter: &'a Counter<'a>,
+    /// What the shots of the search do, by [`key`].
+    pub(crate) known: &'a BTreeMap<Vec<u64>, String>,
+}
+
+/// What a point is noted by.
+pub(crate) fn key(x: &[f64]) -> Vec<u64> {
+    x.iter().map(|v| v.to_bits()).collect()
 }
 
 impl Choice<'_> {
-    /// The best action of each strategy, best strategy first. With disturbed worlds, all of them have been tried in all
-    /// of these: many candidates in few worlds, the better half in twice as many, and so on; then the search goes on
-    /// over all worlds from the best of them.
+    /// The best action of each strategy, best strategy first. With disturbed worlds: many candidates are tried in few
+    /// worlds, the better half in twice as many, and so on; then the search goes on over the first half of all worlds
+    /// from the best of them. In those worlds the survivors look better than they are, and those that were searched for
+    /// there more so: the best few and the best of each strategy are tried in the other half too, and both halves decide.
     pub(crate) fn choose(
         &self,
         found: &mut Found,
         worlds: &DisturbedWorlds<'_>,
     ) -> Result<Vec<Candidate>, PlanError> {
-        let mut all = self.candidates(&found.scored)?;
+        let mut all = self.candidates(&found.scored);
         let mut alive: Vec<usize> = (0..all.len()).collect();
         if worlds.len() > 0 {
-            let (mut seen, mut next) = (0, FIRST_WORLDS.min(worlds.len()));
+            let half = worlds.len().div_ceil(2);
+            let (mut seen, mut next) = (0, FIRST_WORLDS.min(half));
             loop {
                 self.run(&mut all, &alive, worlds, seen..next, &mut found.trials)?;
                 seen = next;
                 alive = self.ranked(&all, &alive);
-                if seen == worlds.len() {
+                if seen == half {
                     break;
                 }
-                alive = self.better_half(&all, &alive);
-                next = (2 * seen).min(worlds.len());
+                let count = alive.len().div_ceil(2).max(self.config.finalists);
+                alive = self.best_with_strategies(&all, &alive, count);
+                next = (2 * seen).min(half);
             }
-            let polished = self.polish(&mut all, &alive, worlds, &mut found.trials)?;
-            alive.extend(polished);
+            let polished = self.polish(&mut all, &alive, worlds, half, &mut found.trials)?;
+            // What cannot be believed in the scanned world is no plan, however it fares in others.
+            alive.extend(polished.into_iter().filter(|&i| all[i].objective.is_finite()));
+            alive = self.ranked(&all, &alive);
+            alive = self.best_with_strategies(&all, &alive, self.config.finalists);
+            self.run(&mut all, &alive, worlds, half..worlds.len(), &mut found.trials)?;
             alive = self.ranked(&all, &alive);
         }
         let mut best: Vec<Candidate> = Vec::new();
@@ -79,32 +93,28 @@ impl Choice<'_> {
 
     /// Distinct actions that do better than nothing, best first: half of them the nominally best ones, half from every
     /// strategy in turn.
-    fn candidates(&self, scored: &[Scored]) -> Result<Vec<Candidate>, PlanError> {
+    fn candidates(&self, scored: &[Scored]) -> Vec<Candidate> {
         let count = self.config.candidates;
         let steps = self.space.steps(self.config.initial_step, true);
         let pool = distinct(scored, self.task.initial_objective(), &steps, 2 * count);
-        let pool: Vec<Candidate> = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
-        let mut pool = pool;
-        self.name_strategies(&mut pool)?;
-        Ok(spread(pool, count))
+        let pool = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
+        spread(pool, count)
     }
 
     fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
         let action = self.space.action(&x);
-        Candidate { x, action, objective, strategy: String::new(), outcomes: Vec::new() }
+        let strategy = self.known.get(&key(&x)).cloned().unwrap_or_default();
+        Candidate { x, action, objective, strategy, outcomes: Vec::new() }
     }
 
-    /// Repeats each shot in the nominal world and looks at what touches what.
+    /// Carries out each shot in the nominal world and looks at what touches what. Not counted: a handful.
     fn name_strategies(&self, candidates: &mut [Candidate]) -> Result<(), PlanError> {
         let names: Vec<(String, f64)> = candidates
             .par_iter()
             .map(|c| {
                 let strike = self.task.strike(&c.action);
                 Ok(match self.nominal.rollout(&strike, None) {
-                    Ok(rollout) => {
-                        let touched = touches(&rollout.contacts, rollout.closest_s, self.scene, self.task);
-                        (name(&touched, self.scene, self.task), rollout.objective)
-                    }
+                    Ok(rollout) => (strategy_of(&rollout, self.scene, self.task), rollout.objective),
                     Err(e) if e.is_invalid_rollout() => ("not valid".to_owned(), f64::INFINITY),
                     Err(e) => return Err(e.into()),
                 })
@@ -148,9 +158,9 @@ impl Choice<'_> {
         order
     }
 
-    /// The better half of ranked candidates, with the best one of each of the first few strategies.
-    fn better_half(&self, all: &[Candidate], ranked: &[usize]) -> Vec<usize> {
-        let half = ranked.len().div_ceil(2).max(self.config.finalists).min(ranked.len());
+    /// The first `count` of ranked candidates, with the best one of each of the first few strategies and the nominally
+    /// best of all (the first candidate), so that the choice is never worse than that one over all worlds.
+    fn best_with_strategies(&self, all: &[Candidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut strategies: Vec<&str> = Vec::new();
         ranked
             .iter()
@@ -161,19 +171,20 @@ impl Choice<'_> {
                 if is_first {
                     strategies.push(strategy);
                 }
-                place < half || is_first
+                place < count || is_first || i == 0
             })
             .map(|(_, &i)| i)
             .collect()
     }
 
-    /// Simplex searches over all worlds from the best candidates that differ; the points that were tried become
-    /// candidates. Returns them.
+    /// Simplex searches over the first `count` worlds from the best candidates that differ; the points that were tried
+    /// become candidates. Returns the best of them.
     fn polish(
         &self,
         all: &mut Vec<Candidate>,
         ranked: &[usize],
         worlds: &DisturbedWorlds<'_>,
+        count: usize,
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<usize>, PlanError> {
         let config = self.config;
@@ -208,7 +219,7 @@ impl Choice<'_> {
                 break;
             }
             let who: Vec<usize> = asked.iter().map(|a| a.1).collect();
-            self.run(all, &who, worlds, 0..worlds.len(), trials)?;
+            self.run(all, &who, worlds, 0..count, trials)?;
             for (s, i) in asked {
                 searches[s].tell(statistic(&all[i]));
             }

@@ -4,7 +4,7 @@ use crate::Prediction;
 use serde::{Deserialize, Serialize};
 use sms_scene::{BodyShape, Scene};
 use sms_sim::ContactEvent;
-use sms_task::{Action, ResolvedTask};
+use sms_task::{Action, ResolvedTask, Rollout};
 
 /// A way of reaching the goal with its best action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,7 +21,7 @@ pub struct Strategy {
 
 /// The first touches, until the target ball is nearest to the goal, of cue and target ball with each other and with
 /// bodies that are no floor; of the cue ball only those before it leaves the story by touching the target ball.
-pub(crate) fn touches(
+fn touches(
     contacts: &[ContactEvent],
     until_s: f64,
     scene: &Scene,
@@ -49,8 +49,13 @@ pub(crate) fn touches(
     found
 }
 
+/// What happens in a rollout, in words.
+pub(crate) fn strategy_of(rollout: &Rollout, scene: &Scene, task: &ResolvedTask) -> String {
+    name(&touches(&rollout.contacts, rollout.closest_s, scene, task), scene, task)
+}
+
 /// The touches in words.
-pub(crate) fn name(touches: &[(usize, usize)], scene: &Scene, task: &ResolvedTask) -> String {
+fn name(touches: &[(usize, usize)], scene: &Scene, task: &ResolvedTask) -> String {
     let (cue, target) = (task.cue().index, task.target().index);
     let called = |b: usize| scene.bodies.get(b).map_or("?", |body| body.name.as_str());
     let list = |ball: usize| -> Vec<&str> {

@@ -14,12 +14,26 @@ pub(crate) struct Counter<'a> {
     progress: &'a dyn Progress,
     cancel: &'a Cancel,
     done: AtomicUsize,
+    /// Of these, before the current part of the work.
+    before: AtomicUsize,
     invalid: AtomicUsize,
 }
 
 impl<'a> Counter<'a> {
     pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
-        Self { progress, cancel, done: AtomicUsize::new(0), invalid: AtomicUsize::new(0) }
+        Self {
+            progress,
+            cancel,
+            done: AtomicUsize::new(0),
+            before: AtomicUsize::new(0),
+            invalid: AtomicUsize::new(0),
+        }
+    }
+
+    /// Begins a part of the work with about so many rollouts.
+    pub(crate) fn begin(&self, part: &str, rollouts: usize) {
+        self.before.store(self.done(), Ordering::SeqCst);
+        self.progress.begin(part, rollouts as u64);
     }
 
     pub(crate) fn done(&self) -> usize {
@@ -41,7 +55,8 @@ impl<'a> Counter<'a> {
             other => other?,
         };
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
-        self.progress.update(done as u64, "shots simulated");
+        let before = self.before.load(Ordering::SeqCst);
+        self.progress.update(done.saturating_sub(before) as u64, "shots simulated");
         Ok(objective)
     }
 }
@@ -111,10 +126,15 @@ impl<'a> DisturbedWorlds<'a> {
         indices: std::ops::Range<usize>,
         which: &(dyn Fn(&Unknown) -> bool + Sync),
     ) -> Result<Self, PlanError> {
+        // Pictures of every world at once would fill the memory.
+        let mut bare = scene.clone();
+        for body in &mut bare.bodies {
+            (body.visual, body.texture) = (sms_core::Mesh::default(), None);
+        }
         let worlds = indices
             .into_par_iter()
             .map(|index| {
-                let scene = disturbances.scene_of(scene, seed, index, which);
+                let scene = disturbances.scene_of(&bare, seed, index, which);
                 Ok((index, Worlds::new(task, std::borrow::Cow::Owned(scene), factory)?))
             })
             .collect::<Result<_, PlanError>>()?;

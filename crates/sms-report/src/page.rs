@@ -146,7 +146,11 @@ fn cards(input: &ReportInput<'_>) -> String {
     let mut html = String::new();
     let m = |key: &str| input.metrics.number(key);
     if let Some(plan) = input.plan {
-        let note = format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90));
+        let note = if plan.is_nominal_only() {
+            "in the scanned world; others were not looked at".to_owned()
+        } else {
+            format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90))
+        };
         card(&mut html, "Predicted miss", &length_text(plan.objective), &note, "main");
     }
     if let Some(e) = input.execution {

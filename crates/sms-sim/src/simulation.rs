@@ -325,6 +325,8 @@ impl Simulation {
                 self.world_s = self.time_s;
                 return Ok(());
             };
+            // Noted before the step to it: engines that predict contacts may turn a ball back a moment earlier.
+            self.note_contact(ball, other, impact.time_s);
             if impact.time_s > MIN_STEP_S {
                 self.step(impact.time_s, &supports)?;
             } else {
@@ -332,7 +334,6 @@ impl Simulation {
                 if length > left {
                     return Ok(());
                 }
-                self.note_contact(ball, other);
                 self.step(length, &supports)?;
             }
             splits += 1;
@@ -349,11 +350,11 @@ impl Simulation {
         }
     }
 
-    fn note_contact(&mut self, ball: BodyId, other: BodyId) {
+    fn note_contact(&mut self, ball: BodyId, other: BodyId, in_s: f64) {
         let is_known =
             |c: &ContactEvent| (c.ball, c.other) == (ball, other) || (c.ball, c.other) == (other, ball);
         if !self.contacts.iter().any(is_known) {
-            self.contacts.push(ContactEvent { time_s: self.world_s, ball, other });
+            self.contacts.push(ContactEvent { time_s: self.world_s + in_s, ball, other });
         }
     }
 

@@ -490,3 +490,91 @@ impl<'a> Recorder<'a> {
         Trajectory { times_s: self.times_s, bodies }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Billiards, Selector, Task};
+    use glamx::DPose3;
+    use sms_core::{Mesh, sphere_mass_properties};
+    use sms_scene::{Body, SCENE_VERSION, example_material, floor_body};
+    use sms_sim::RapierFactory;
+
+    fn ball(name: &str, x: f64) -> Body {
+        let radius = 0.03;
+        Body {
+            name: name.into(),
+            label: 1,
+            description: String::new(),
+            kind: BodyKind::Dynamic,
+            x_wb: DPose3::from_translation(DVec3::new(x, 0.0, radius)),
+            shape: BodyShape::Sphere { radius },
+            visual: Mesh::default(),
+            texture: None,
+            mass: Some(sphere_mass_properties(DVec3::ZERO, radius, 1500.0).unwrap()),
+            material: example_material(),
+            color: [200, 0, 0],
+            observed_share: 1.0,
+        }
+    }
+
+    fn scene(others: impl IntoIterator<Item = Body>) -> Scene {
+        let bodies = [floor_body(0.0, example_material()), ball("cue", 0.3), ball("blue", 0.6)];
+        Scene {
+            version: SCENE_VERSION,
+            name: "two balls".into(),
+            gravity_w: DVec3::new(0.0, 0.0, -9.81),
+            x_world_recording: DPose3::identity(),
+            bodies: bodies.into_iter().chain(others).collect(),
+        }
+    }
+
+    fn task(scene: &Scene) -> ResolvedTask {
+        let task = Billiards::new(Selector::by_name("cue"), Selector::by_name("blue"), [0.8, 0.0]);
+        Task::Billiards(task).resolve(scene).unwrap()
+    }
+
+    #[test]
+    fn a_ball_deep_inside_of_a_box_is_no_valid_rollout() {
+        let stuck = Body {
+            name: "box".into(),
+            kind: BodyKind::Static,
+            x_wb: DPose3::from_translation(DVec3::new(0.6, 0.0, 0.05)),
+            shape: BodyShape::Box { half_extents: DVec3::splat(0.05) },
+            mass: None,
+            ..ball("box", 0.6)
+        };
+        let scene = scene([stuck]);
+        let task = task(&scene);
+        let bodies = task.bodies_in(&scene, "blue").unwrap();
+        let mut simulation = Simulation::new(&RapierFactory, &scene, &task.world_options()).unwrap();
+        let motion = task.strike(&crate::Action(vec![0.5, 0.0, 0.0, 0.0]));
+        let error = task.rollout(&mut simulation, &motion, &bodies, None).unwrap_err();
+        assert!(error.is_invalid_rollout(), "{error}");
+        assert!(error.to_string().contains("`blue` is") && error.to_string().contains("inside"), "{error}");
+    }
+
+    #[test]
+    fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
+        let scene = scene([]);
+        let task = task(&scene);
+        let bodies = task.bodies_in(&scene, "blue").unwrap();
+        let options = task.world_options();
+        let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
+        let mut watch = Watch { left: None, rest: bodies.energy(&simulation)[0] };
+        let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
+        simulation.strike(&motion, 0.6, 0.7);
+        let mut time_s = 0.0;
+        while time_s < 1.5 {
+            simulation.advance(options.dt).unwrap();
+            time_s += options.dt;
+            watch.check(time_s, &simulation, &bodies).unwrap();
+        }
+        assert!(simulation.is_strike_over());
+        let mut state = simulation.state(bodies.target);
+        state.v_w += DVec3::new(0.0, 3.0, 0.0);
+        simulation.set_state(bodies.target, &state);
+        let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
+        assert!(error.to_string().contains("gained"), "{error}");
+    }
+}

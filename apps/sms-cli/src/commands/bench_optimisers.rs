@@ -35,6 +35,9 @@ pub(crate) struct BenchOptimisers {
     /// Budgets: simulated shots per search.
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "60,240,960")]
     pub evaluations: Vec<usize>,
+    /// Methods to compare (default: all): screen, multi_start (the paper's), cma_es, halving (the default of `sms plan`).
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub methods: Vec<String>,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -44,7 +47,15 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
     if a.evaluations.contains(&0) {
         return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
     }
-    let bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    let mut bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    if let Some(unknown) = a.methods.iter().find(|m| bench.entrants.iter().all(|(name, _)| name != *m)) {
+        let names: Vec<&str> = bench.entrants.iter().map(|(name, _)| name.as_str()).collect();
+        let cure = format!("the methods are {}", names.join(", "));
+        return Err(InputError::new(format!("no method is called `{unknown}`"), "--methods", cure).into());
+    }
+    if !a.methods.is_empty() {
+        bench.entrants.retain(|(name, _)| a.methods.contains(name));
+    }
     let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
     if let Some(out) = &a.out {
         metrics.save(out)?;
