@@ -224,12 +224,14 @@ impl CmaSearch {
 
     fn begin_next(&mut self) -> bool {
         let Some((from, steps)) = self.begins.get(self.runs.len()) else { return false };
-        let scaled: Vec<f64> = from.x.iter().zip(steps).map(|(x, s)| x / s).collect();
+        // A parameter whose range is one value has no step.
+        let steps: Vec<f64> = steps.iter().map(|s| s.max(1e-9)).collect();
+        let scaled: Vec<f64> = from.x.iter().zip(&steps).map(|(x, s)| x / s).collect();
         let cma = CmaEs::new(&scaled, 1.0, self.population);
         self.population = 2 * cma.population();
         self.runs.push(Run {
             cma,
-            steps: steps.clone(),
+            steps,
             record: StartRecord {
                 initial: from.x.clone(),
                 initial_objective: from.objective,

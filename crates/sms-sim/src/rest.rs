@@ -92,20 +92,33 @@ pub fn fix_restless(
     let mut fixed = Vec::new();
     loop {
         let mut first = None;
-        let mut drifts = stand(factory, scene, limits.seconds, |drifts| {
+        let standing = stand(factory, scene, limits.seconds, |drifts| {
             if first.is_none() {
                 let excess = |i: &usize| limits.excess(&drifts[*i]);
                 first = (0..drifts.len())
                     .filter(|i| excess(i) > 1.0)
                     .max_by(|a, b| excess(a).total_cmp(&excess(b)));
             }
-        })?;
-        let Some(first) = first else { return Ok(fixed) };
-        let drift = drifts.swap_remove(first);
+        });
+        let drift = match standing {
+            Ok(mut drifts) => match first {
+                Some(first) => drifts.swap_remove(first),
+                None => return Ok(fixed),
+            },
+            // What blew up is what does not rest.
+            Err(SimError::Diverged { body, .. }) if is_dynamic(scene, &body) => {
+                RestingDrift { body, moved_m: f64::INFINITY, turned_rad: std::f64::consts::PI }
+            }
+            Err(e) => return Err(e),
+        };
         if let Some(i) = scene.body_index(&drift.body) {
             scene.bodies[i].kind = BodyKind::Static;
             scene.bodies[i].mass = None;
         }
         fixed.push(drift);
     }
+}
+
+fn is_dynamic(scene: &Scene, name: &str) -> bool {
+    scene.body(name).is_some_and(|b| b.kind == BodyKind::Dynamic)
 }

@@ -2,7 +2,7 @@
 
 use crate::billiards::{Common, named};
 use crate::terms::Tracker;
-use crate::{Action, ActionForm, Billiards, Bodies, Parameter, Region, Selector, Strike, Task, Term};
+use crate::{Action, ActionForm, Billiards, Bodies, Parameter, Selector, Strike, Task, Term};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{CoreError, InputError};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -88,6 +88,7 @@ fn resolve_billiards(settings: &Billiards, scene: &Scene) -> Result<ResolvedTask
         )
         .into());
     }
+    check_place(path, "`goal_w`", DVec2::from_array(settings.goal_w), scene)?;
     Ok(ResolvedTask {
         kind: "billiards",
         common: settings.common(),
@@ -131,8 +132,8 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
     let towards = towards.or(moved.as_ref().map(|b| horizontal(b.center_w))).or(place);
     let base_angle = towards.map_or(0.0, |p| (p - here).to_angle());
     for (i, term) in settings.terms.iter().enumerate() {
-        if let Term::Reach { place, .. } = term {
-            warn_off_floor(path, i, place, scene)?;
+        if let Term::Reach { place, .. } | Term::Avoid { place, .. } = term {
+            check_place(path, &format!("the place of `terms[{i}]`"), place.middle_w(), scene)?;
         }
     }
     let outline = outline_of(&scene.bodies[cue.index]);
@@ -154,21 +155,20 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
 const FARTHEST_M: f64 = 3.0;
 
 /// A place that nothing of the scene is near to is a slip of units or axes.
-fn warn_off_floor(path: &Path, index: usize, place: &Region, scene: &Scene) -> Result<(), InputError> {
-    let middle = place.middle_w();
+fn check_place(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
     let nearest = scene
         .bodies
         .iter()
         .filter(|b| !matches!(b.shape, BodyShape::HalfSpace))
-        .map(|b| horizontal(b.x_wb.translation).distance(middle))
+        .map(|b| horizontal(b.x_wb.translation).distance(place_w))
         .fold(f64::INFINITY, f64::min);
     if nearest <= FARTHEST_M {
         return Ok(());
     }
     Err(InputError::new(
         format!(
-            "the place of `terms[{index}]`, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
-            middle.x, middle.y
+            "{what}, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
+            place_w.x, place_w.y
         ),
         path,
         format!("give world coordinates in metres; the scene has {}", bodies_of(scene)),
@@ -279,7 +279,7 @@ impl ResolvedTask {
                     let cost = |b: &Ball| {
                         let x_wb = DPose3::from_translation(b.center_w);
                         let mut tracker = Tracker::new(term, x_wb);
-                        tracker.observe(0.5 * self.common.horizon_s, &x_wb);
+                        tracker.observe(term.between_s()[0], &x_wb);
                         tracker.cost()
                     };
                     bodies.iter().map(cost).sum::<f64>()
@@ -321,7 +321,9 @@ impl ResolvedTask {
         let [low, high] = self.common.bounds.angle;
         // Beyond a cut of about 75° the target ball hardly moves.
         let cone = (0.97 * reach.min(1.0)).asin();
-        let narrowed = [low.max(-cone), high.min(cone)];
+        // The angle 0 may go towards something else.
+        let middle = wrap(horizontal(self.target.center_w - self.cue.center_w).to_angle() - self.base_angle);
+        let narrowed = [low.max(middle - cone), high.min(middle + cone)];
         if narrowed[0] >= narrowed[1] || narrowed[1] - narrowed[0] > 0.9 * (high - low) {
             return None;
         }

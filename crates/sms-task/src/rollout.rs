@@ -229,6 +229,7 @@ impl ResolvedTask {
                 break;
             }
         }
+        judge.rest(time_s, simulation);
         Ok(Rollout {
             objective: judge.objective(),
             closest_s: judge.closest_s().unwrap_or(time_s),
@@ -267,6 +268,13 @@ impl<'a> Judge<'a> {
             Self::Terms(trackers) => {
                 trackers.iter_mut().for_each(|(t, id)| t.observe(time_s, &simulation.state(*id).x_wb));
             }
+        }
+    }
+
+    /// Nothing moves any more.
+    fn rest(&mut self, time_s: f64, simulation: &Simulation) {
+        if let Self::Terms(trackers) = self {
+            trackers.iter_mut().for_each(|(t, id)| t.rest(time_s, &simulation.state(*id).x_wb));
         }
     }
 

@@ -89,7 +89,7 @@ impl Strike {
         if self.terms.is_empty() {
             return fault("terms", "there is none; write at least one [[terms]] with a `term`");
         }
-        self.terms.iter().enumerate().try_for_each(|(i, t)| t.validate(i, self.horizon_s, path))
+        self.terms.iter().enumerate().try_for_each(|(i, t)| t.validate(i, self.horizon_s, self.dt, path))
     }
 
     pub(crate) fn path(&self) -> &Path {

@@ -11,7 +11,11 @@ pub const METRES_PER_RADIAN: f64 = 0.1;
 
 /// A place in the world.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    deny_unknown_fields,
+    expecting = "a place is { at_w = [x, y] }, { center_w = [x, y], radius_m = r } or { min_w = [x, y, z], max_w = [x, y, z] }"
+)]
 pub enum Region {
     /// A point on the floor, x and y in metres; heights do not count.
     Point {
@@ -93,7 +97,10 @@ pub enum When {
 
 /// Which bodies a term is about.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "a body is \"others\", or one of { name = … }, { near = [x, y, z] }, { color = … }"
+)]
 pub enum Bodies {
     /// All dynamic bodies but the one that is struck and those that other terms name: `"others"`.
     Others(Others),
@@ -212,7 +219,8 @@ impl Term {
         }
     }
 
-    fn between_s(&self) -> [f64; 2] {
+    /// The span of time that counts, seconds.
+    pub(crate) fn between_s(&self) -> [f64; 2] {
         match self {
             Self::Reach { between_s, .. }
             | Self::Avoid { between_s, .. }
@@ -221,7 +229,13 @@ impl Term {
         }
     }
 
-    pub(crate) fn validate(&self, index: usize, horizon_s: f64, path: &Path) -> Result<(), InputError> {
+    pub(crate) fn validate(
+        &self,
+        index: usize,
+        horizon_s: f64,
+        dt: f64,
+        path: &Path,
+    ) -> Result<(), InputError> {
         let fault = |why: &str| {
             let what = format!("`terms[{index}]` ({}) in this task file cannot be used: {why}", self.name());
             Err(InputError::new(what, path, "correct this term"))
@@ -235,10 +249,14 @@ impl Term {
             return fault("`weight` must be above 0 and at most 1e6");
         }
         let [from, to] = self.between_s();
-        if !(0.0 <= from && from < to && from < horizon_s) {
+        if !(0.0 <= from && to - from >= 2.0 * dt && from < horizon_s) {
             return fault(
-                "`between_s` must be [from, to] with 0 ≤ from < to and from before the horizon's end",
+                "`between_s` must be [from, to] with from at least 0 and before the horizon's end, and two time steps or \
+                 more between them",
             );
+        }
+        if is_indispensable(self) && matches!(self.bodies(), Bodies::Others(_)) {
+            return fault("name the body; \"others\" is for `avoid` and `keep-still`");
         }
         match self {
             Self::Reach { place, .. } | Self::Avoid { place, .. } => {
@@ -343,6 +361,14 @@ impl<'a> Tracker<'a> {
         here.min(there).min(at_a).min(at_b)
     }
 
+    /// The motion ended at `time_s` and everything rests: a span of time that is still to come sees it lie.
+    pub(crate) fn rest(&mut self, time_s: f64, x_wb: &DPose3) {
+        let [from, _] = self.term.between_s();
+        if from > time_s {
+            self.observe(from, x_wb);
+        }
+    }
+
     /// What the term adds to the objective, metres.
     pub(crate) fn cost(&self) -> f64 {
         self.term.weight() * self.value
@@ -438,6 +464,16 @@ mod tests {
         tracker.observe(1.0, &DPose3::from_parts(DVec3::X * 0.02, DQuat::from_rotation_x(0.3)));
         tracker.observe(1.5, &at(0.01, 0.0, 0.0));
         assert!((tracker.cost() - (0.02 + 0.3 * METRES_PER_RADIAN)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_span_after_everything_came_to_rest_sees_it_lie() {
+        let place = Region::Point { at_w: [0.0, 0.0] };
+        let term = Term::Reach { body: body(), place, when: When::Ever, weight: 1.0, between_s: [2.0, 3.0] };
+        let mut tracker = Tracker::new(&term, at(1.0, 0.0, 0.0));
+        tracker.observe(0.5, &at(0.3, 0.0, 0.0));
+        tracker.rest(0.5, &at(0.3, 0.0, 0.0));
+        assert!((tracker.cost() - 0.3).abs() < 1e-12);
     }
 
     #[test]

@@ -205,6 +205,8 @@ fn mistakes_name_the_file_the_term_and_what_there_is() {
         ("max_w = [1.5, 0.4, 0.1]", "max_w = [0.2, 0.4, 0.1]", "min_w"),
         ("min_w = [0.3, -0.4, 0.0], max_w = [1.5, 0.4, 0.1]", "at_w = [300.0, 0.0]", "from everything"),
         ("when = \"end\"", "when = \"end\"\nbetween_s = [5.0, 6.0]", "between_s"),
+        ("body = { name = \"box\" }", "body = \"others\"", "name the body"),
+        ("max_w = [1.5, 0.4, 0.1]", "max_w = [1.5, 0.4, 0.1], radius_m = 0.1", "place"),
         ("strike = { name = \"box\" }", "", "strike"),
         ("horizon_s", "horizon_s", "wish.toml"),
     ] {

@@ -46,5 +46,9 @@ pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
     } else {
         format!("{missed} missed (!)")
     });
-    if context.json { context.print_json(&metrics) } else { Ok(()) }
+    if context.json {
+        context.print_json(&metrics)?;
+    }
+    anyhow::ensure!(missed == 0, "{missed} figures are beyond their limits");
+    Ok(())
 }

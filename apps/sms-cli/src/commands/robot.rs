@@ -40,14 +40,17 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     run.record_settings("robot", &config)?;
 
     let mut read = Hasher::new();
-    read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?;
+    read.file(&plan_dir.join("plan.json"))?
+        .file(&plan_dir.join("task.toml"))?
+        .file(&scene_dir.join("scene.json"))?;
     if let Some(urdf) = &config.urdf {
         read.file(urdf)?;
     }
     let base = (x_wr.translation.to_array(), x_wr.rotation.to_array());
     let hash = inputs_hash(&[&read.finish()], &(&config, base))?;
     let dir = run_stage(context, &run, "robot", &["robot."], &hash, |stage, _| {
-        let settings = StrikeConfig::default();
+        // Of another robot's tool it is not known whether its back is as good as its front.
+        let settings = StrikeConfig { symmetric_tool: config.urdf.is_none(), ..StrikeConfig::default() };
         let mut ws = Workspace::default();
         let around = obstacles(&scene, task.cue().index);
         let strike = plan_strike(&robot, &sweep, &around, &settings, &mut ws)
@@ -82,9 +85,9 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
 
 /// A pose from "x,y,z,yaw in degrees".
 fn pose_of(text: &str) -> Result<DPose3, InputError> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|v| v.trim().parse().ok()).collect();
-    match numbers[..] {
-        [x, y, z, yaw_deg] if numbers.iter().all(|v: &f64| v.is_finite()) => {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|v| v.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z, yaw_deg]) if [x, y, z, yaw_deg].iter().all(|v| v.is_finite()) => {
             let turn = DQuat::from_rotation_z(yaw_deg.to_radians());
             Ok(DPose3::from_parts(DVec3::new(x, y, z), turn))
         }

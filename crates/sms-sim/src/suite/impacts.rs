@@ -98,6 +98,15 @@ pub(super) fn spin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimErro
 }
 
 pub(super) fn head_on(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    Ok(head_on_all(factory)?.into_iter().map(|e| e.0).collect())
+}
+
+pub(super) fn head_on_momentum(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    Ok(head_on_all(factory)?.into_iter().map(|e| e.1).collect())
+}
+
+/// Errors of restitution and of momentum, relative to the speed.
+fn head_on_all(factory: &dyn WorldFactory) -> Result<Vec<(f64, f64)>, SimError> {
     let mut errors = Vec::new();
     for e in [0.5, 0.95] {
         for speed in [0.05, 0.2, 0.8] {
@@ -111,9 +120,7 @@ pub(super) fn head_on(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> 
                 launch(&mut simulation, 0, DVec3::new(speed, 0.0, 0.0), DVec3::ZERO);
                 run(&mut simulation, gap / speed + 0.05)?;
                 let (a, b) = (simulation.state(0).v_w.x, simulation.state(1).v_w.x);
-                errors.push((b - a) / speed - e);
-                // Momentum is kept: it counts as much.
-                errors.push((a + b) / speed - 1.0);
+                errors.push(((b - a) / speed - e, (a + b) / speed - 1.0));
             }
         }
     }
@@ -181,8 +188,21 @@ pub(super) fn wall(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
 }
 
 /// On the table: a rolling cue ball, cut 45°. The object ball leaves along the line of centres and ends rolling at 5/7
-/// of its first speed.
+/// of its first speed; the cue ball's spin carries it forward.
 pub(super) fn follow_through(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    Ok(follow_through_all(factory)?.into_iter().map(|e| e[0]).collect())
+}
+
+pub(super) fn follow_through_speed(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    Ok(follow_through_all(factory)?.into_iter().map(|e| e[1]).collect())
+}
+
+pub(super) fn follow_through_cue(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    Ok(follow_through_all(factory)?.into_iter().map(|e| e[2]).collect())
+}
+
+/// Direction (degrees) and relative speed of the object ball, direction of the cue ball (degrees).
+fn follow_through_all(factory: &dyn WorldFactory) -> Result<Vec<[f64; 3]>, SimError> {
     let (e, speed, cut) = (0.95, 0.8, 45f64.to_radians());
     let mut errors = Vec::new();
     for phase in phases() {
@@ -198,8 +218,16 @@ pub(super) fn follow_through(factory: &dyn WorldFactory) -> Result<Vec<f64>, Sim
         let mut simulation = simulate(factory, G, bodies)?;
         launch(&mut simulation, 1, DVec3::new(speed, 0.0, 0.0), DVec3::new(0.0, speed / R, 0.0));
         run(&mut simulation, gap / speed + 0.5)?;
-        let v = simulation.state(2).v_w;
-        errors.push((v.y.atan2(v.x) + cut).to_degrees());
+        let impulse = 0.5 * (1.0 + e) * speed * cut.cos();
+        let line = DVec3::new(cut.cos(), -cut.sin(), 0.0);
+        let cue = 5.0 / 7.0 * (DVec3::new(speed, 0.0, 0.0) - impulse * line)
+            + 2.0 / 7.0 * DVec3::new(speed, 0.0, 0.0);
+        let flat = |b| simulation.state(b).v_w.with_z(0.0);
+        errors.push([
+            flat(2).angle_between(line).to_degrees(),
+            flat(2).length() / (5.0 / 7.0 * impulse) - 1.0,
+            flat(1).angle_between(cue).to_degrees(),
+        ]);
     }
     Ok(errors)
 }

@@ -100,7 +100,7 @@ pub fn probes() -> &'static [Probe] {
             Worst,
             impacts::oblique_with_friction,
         ),
-        probe("oblique_speed", "speed of the struck ball, relative", 0.005, Worst, impacts::oblique_speed),
+        probe("oblique_speed", "speed of the struck ball, relative", 0.002, Worst, impacts::oblique_speed),
         probe(
             "spin_throw_deg",
             "direction of a ball struck head on by one with side spin, degrees",
@@ -116,9 +116,16 @@ pub fn probes() -> &'static [Probe] {
             impacts::head_on,
         ),
         probe(
+            "head_on_momentum",
+            "momentum of two balls head on, relative",
+            1e-5,
+            Worst,
+            impacts::head_on_momentum,
+        ),
+        probe(
             "wall_45_restitution",
             "velocity after a wall at 45°, as a share of the speed (hull and mesh)",
-            0.005,
+            0.002,
             Worst,
             impacts::wall,
         ),
@@ -135,6 +142,20 @@ pub fn probes() -> &'static [Probe] {
             0.1,
             Worst,
             impacts::follow_through,
+        ),
+        probe(
+            "follow_through_speed",
+            "speed of that ball when it rolls, over 5/7 of its first − 1",
+            0.01,
+            Worst,
+            impacts::follow_through_speed,
+        ),
+        probe(
+            "follow_through_cue_deg",
+            "direction of the cue ball, whose spin carries it forward, degrees",
+            1.0,
+            Worst,
+            impacts::follow_through_cue,
         ),
         probe(
             "slide_to_roll",
