@@ -4,6 +4,7 @@ use crate::context::Context;
 use clap::{Args, ValueEnum};
 use sms_bench::{OptimiserBench, SceneFamily, optimiser_table, run_optimisers};
 use sms_core::InputError;
+use sms_core::metrics::Metrics;
 use std::path::PathBuf;
 
 /// How hard the scenes of a planner's benchmark are.
@@ -57,13 +58,23 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         bench.entrants.retain(|(name, _)| a.methods.contains(name));
     }
     let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
-    if let Some(out) = &a.out {
+    finish(context, &metrics, a.out.as_ref(), optimiser_table(&bench, &metrics).trim_end())
+}
+
+/// Keeps the figures of a benchmark and prints them, or `text` for people.
+pub(crate) fn finish(
+    context: &Context,
+    metrics: &Metrics,
+    out: Option<&PathBuf>,
+    text: &str,
+) -> anyhow::Result<()> {
+    if let Some(out) = out {
         metrics.save(out)?;
     }
     if context.json {
-        return context.print_json(&metrics);
+        return context.print_json(metrics);
     }
-    context.say(optimiser_table(&bench, &metrics).trim_end());
+    context.say(text);
     Ok(())
 }
 

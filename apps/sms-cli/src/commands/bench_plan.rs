@@ -1,10 +1,9 @@
 //! `sms bench plan` and `sms bench robust`: the planner's speed and what its plans are worth.
 
-use super::bench_optimisers::{Family, parse_seeds};
+use super::bench_optimisers::{Family, finish, parse_seeds};
 use crate::context::Context;
 use clap::Args;
 use sms_bench::{PlanScene, RobustBench, robust_table, run_plan_speed};
-use sms_core::metrics::Metrics;
 use sms_plan::PlanConfig;
 use std::path::PathBuf;
 
@@ -78,15 +77,4 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
     }
     let metrics = sms_bench::run_robust(&bench, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
-}
-
-fn finish(context: &Context, metrics: &Metrics, out: Option<&PathBuf>, text: &str) -> anyhow::Result<()> {
-    if let Some(out) = out {
-        metrics.save(out)?;
-    }
-    if context.json {
-        return context.print_json(metrics);
-    }
-    context.say(text);
-    Ok(())
 }

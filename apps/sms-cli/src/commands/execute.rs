@@ -1,7 +1,7 @@
 //! `sms execute`: the plan in the target world.
 
 use super::materialize::run_settings;
-use super::{inputs_hash, length_text, run_stage, shown};
+use super::{inputs_hash, length_text, of_what, run_stage, shown};
 use crate::cli::Execute;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
@@ -65,7 +65,7 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     context.say(format!(
         "  realised {} {} (predicted {}); {}",
         length_text(e.objective),
-        if plan.task == "billiards" { "from the goal" } else { "in all terms" },
+        of_what(&plan.task),
         length_text(plan.objective),
         if e.success { "success" } else { "missed" }
     ));

@@ -111,3 +111,8 @@ pub(crate) fn timed(key: &str, f: impl FnOnce() -> anyhow::Result<Metrics>) -> a
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
 }
+
+/// What the metres of an objective are of, by the kind of task.
+pub(crate) fn of_what(task: &str) -> &'static str {
+    if task == "billiards" { "from the goal" } else { "in all terms" }
+}

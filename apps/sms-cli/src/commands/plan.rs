@@ -1,7 +1,7 @@
 //! `sms plan`: the best action for a task.
 
 use super::materialize::run_settings;
-use super::{inputs_hash, length_text, run_stage, shown, timed};
+use super::{inputs_hash, length_text, of_what, run_stage, shown, timed};
 use crate::cli::Plan;
 use crate::context::Context;
 use sms_core::{Hasher, RunFolder, Seed};
@@ -69,7 +69,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
 /// What the plan is predicted to do, which other ways there are, and what matters most.
 fn summary(plan: &Planned) -> Vec<String> {
     let mut lines = Vec::new();
-    let of_what = if plan.task == "billiards" { "from the goal" } else { "in all terms" };
+    let of_what = of_what(&plan.task);
     match &plan.predicted {
         Some(p) => lines.push(format!(
             "  predicted {} {of_what} on average ({} in 9 of 10 worlds), {} in the scanned world; success in {:.0} % of {} \

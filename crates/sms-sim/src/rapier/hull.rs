@@ -18,7 +18,7 @@ use super::engine::parry::mass_properties::MassProperties;
 use super::engine::parry::query::{PointProjection, PointQuery, Ray, RayCast, RayIntersection};
 use super::engine::parry::shape::{
     ConvexPolyhedron, FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape, ShapeType,
-    SubShapeId, SupportMap, TypedShape,
+    SubShapeId, SupportMap, Triangle, TypedShape,
 };
 
 /// Vertices this near to a face's plane, metres, belong to the face.
@@ -31,13 +31,13 @@ pub(super) struct StableHull {
     /// Normal and description of each face.
     faces: Vec<(Vector, PolygonalFeature)>,
     /// The faces cut into triangles.
-    triangles: Vec<Corner>,
+    triangles: Vec<FacePiece>,
 }
 
 /// A triangle of a face.
 #[derive(Debug, Clone, Copy)]
-struct Corner {
-    corners: [Vector; 3],
+struct FacePiece {
+    shape: Triangle,
     normal: Vector,
     face: u32,
 }
@@ -53,8 +53,8 @@ impl StableHull {
             let first = face.first_vertex_or_edge as usize;
             let around = &hull.vertices_adj_to_face()[first..first + face.num_vertices_or_edges as usize];
             let at = |k: usize| hull.points()[around[k] as usize];
-            triangles.extend((1..around.len().saturating_sub(1)).map(|k| Corner {
-                corners: [at(0), at(k), at(k + 1)],
+            triangles.extend((1..around.len().saturating_sub(1)).map(|k| FacePiece {
+                shape: Triangle::new(at(0), at(k), at(k + 1)),
                 normal: face.normal,
                 face: id,
             }));
@@ -67,7 +67,7 @@ impl StableHull {
         let mut nearest: Option<(Real, Vector, u32)> = None;
         let mut highest = (Real::NEG_INFINITY, 0, Vector::ZERO);
         for t in &self.triangles {
-            let height = (p - t.corners[0]).dot(t.normal);
+            let height = (p - t.shape.a).dot(t.normal);
             if height > highest.0 {
                 highest = (height, t.face, p - t.normal * height);
             }
@@ -75,7 +75,7 @@ impl StableHull {
             if height <= 0.0 || nearest.is_some_and(|n| height * height > n.0) {
                 continue;
             }
-            let q = nearest_on_triangle(p, t.corners);
+            let q = t.shape.project_local_point(p, false).point;
             let distance = (p - q).length_squared();
             if nearest.is_none_or(|n| distance < n.0) {
                 nearest = Some((distance, q, t.face));
@@ -86,40 +86,6 @@ impl StableHull {
             None => (highest.2, highest.1, true),
         }
     }
-}
-
-/// The point of a triangle nearest to `p` (Ericson 2005, 5.1.5).
-fn nearest_on_triangle(p: Vector, [a, b, c]: [Vector; 3]) -> Vector {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return a;
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return b;
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return a + ab * (d1 / (d1 - d3));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return c;
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return a + ac * (d2 / (d2 - d6));
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
-    }
-    let sum = va + vb + vc;
-    // No area: a corner is as good as any point.
-    if sum > 0.0 { a + ab * (vb / sum) + ac * (vc / sum) } else { a }
 }
 
 /// The description of a face: the widest four of the vertices that lie in its plane. Parry's own list of a face's
