@@ -360,20 +360,18 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
         return false;
     };
     let Some(carrier) = drafts.iter().find(|d| d.info.id == label) else { return false };
-    const SECTORS: usize = 8;
     // Noise of the surface, and of the fit's lowest point.
     let give = (0.1 * fit.radius).max(0.003);
     if sunk(&fit, around, &drafts[i].rest) > give {
         return false;
     }
-    let mut highest = [f64::NEG_INFINITY; SECTORS];
+    let mut highest = [f64::NEG_INFINITY; support::SECTORS];
     for p in &carrier.cloud.points_w {
         let from = p - fit.center;
         let out = from.truncate().length();
         if out > 0.3 * fit.radius && out < 1.5 * fit.radius && from.z < 0.0 {
-            let turn = (from.y.atan2(from.x) / std::f64::consts::TAU).rem_euclid(1.0);
-            let sector = &mut highest[((turn * SECTORS as f64) as usize).min(SECTORS - 1)];
-            *sector = sector.max(from.z);
+            let here = &mut highest[support::sector(from)];
+            *here = here.max(from.z);
         }
     }
     highest.iter().all(|&z| z > -fit.radius - give)

@@ -208,17 +208,22 @@ pub(crate) fn find_rest(
 /// Reach, horizontally from the foot, of what surrounds it, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
 
+/// Directions about the vertical that are told apart.
+pub(crate) const SECTORS: usize = 8;
+
+/// Which of the [`SECTORS`] a horizontal direction lies in.
+pub(crate) fn sector(out: DVec3) -> usize {
+    let turn = (out.y.atan2(out.x) / std::f64::consts::TAU).rem_euclid(1.0);
+    ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
+}
+
 /// The object whose level surface is seen next to a foot in most directions, if it is an object's.
 fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVec3) -> Option<u16> {
-    const SECTORS: usize = 8;
     /// Directions that must agree.
     const MOST: usize = 5;
     let mut sectors: [BTreeMap<u16, usize>; SECTORS] = Default::default();
     for &i in next_to_foot {
-        let out = around.points[i] - center;
-        let turn = (out.y.atan2(out.x) / std::f64::consts::TAU).rem_euclid(1.0);
-        let sector = &mut sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)];
-        *sector.entry(around.labels[i]).or_default() += 1;
+        *sectors[sector(around.points[i] - center)].entry(around.labels[i]).or_default() += 1;
     }
     let mut votes: BTreeMap<u16, usize> = BTreeMap::new();
     for sector in &sectors {
