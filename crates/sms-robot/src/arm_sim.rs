@@ -54,7 +54,7 @@ impl ArmSim {
         }
     }
 
-    fn acceleration(
+    pub(crate) fn acceleration(
         &mut self,
         model: &RobotModel,
         q: &JointVector,

@@ -194,7 +194,7 @@ impl Path<'_> {
     pub(crate) fn acceleration_bound(&self) -> f64 {
         match self {
             Self::Free { acceleration_w, .. } => acceleration_w.length(),
-            Self::Sweep { motion, .. } => motion.speed / motion.contact_s(),
+            Self::Sweep { motion, .. } => motion.largest_acceleration(),
         }
     }
 }

@@ -1,5 +1,5 @@
 //! Rigid-body worlds: the [`World`] seam, the Rapier adapter in both precisions, and [`Simulation`], which holds what
-//! every engine shares: contact timing, rolling resistance and the robot's finger.
+//! every engine shares: contact timing, rolling resistance and what strikes (the arm, or a finger that gives no way).
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};
@@ -39,19 +39,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod arm;
 mod geometry;
 mod rapier;
 mod rest;
 mod simulation;
 mod striker;
 pub mod suite;
+mod support;
 mod timing;
 mod world;
 
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
-pub use striker::{FINGER_HALF, SEGMENT_M, StrikerMotion};
+pub use sms_robot::SEGMENT_M;
+pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use world::{
     BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
 };

@@ -1,9 +1,14 @@
 //! A world with contact timing, rolling resistance and the striker: what every engine shares.
 
+use crate::arm::ArmInWorld;
 use crate::geometry::{BodyGeometry, Part, Path};
+use crate::support::Support;
 use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
-use crate::{BodyId, BodyState, ContactEvent, SimError, StrikerMotion, World, WorldFactory, WorldOptions};
+use crate::{
+    BodyId, BodyState, ContactEvent, SimError, Striker, StrikerMotion, World, WorldFactory, WorldOptions,
+};
 use glamx::DVec3;
+use sms_robot::SweepDrive;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use std::time::Instant;
 
@@ -16,8 +21,8 @@ const IMPACT_STEP_GAPS: f64 = 4.0;
 const MIN_STEP_S: f64 = 4e-6;
 /// Splits of one nominal step after which the rest is one step.
 const MAX_SPLITS: usize = 24;
-/// Gap up to which a ball is carried by what is below it, metres: engines let bodies sink in and float by some µm.
-const SUPPORT_GAP: f64 = 5e-5;
+/// Distance from a ball, beyond what both travel in a step, within which a tool's acceleration is worked out, metres.
+const LOOK_AHEAD_M: f64 = 1e-3;
 /// Largest distance from the origin that still counts as a state, metres.
 const MAX_DISTANCE: f64 = 1e6;
 
@@ -32,13 +37,13 @@ const MAX_DISTANCE: f64 = 1e6;
 ///   decelerates by 5/7·g·lever/radius.
 /// - **Striker**: [`Simulation::strike`].
 pub struct Simulation {
-    world: Box<dyn World>,
+    pub(crate) world: Box<dyn World>,
     options: WorldOptions,
-    gravity_w: DVec3,
+    pub(crate) gravity_w: DVec3,
     names: Vec<String>,
-    bodies: Vec<SimBody>,
-    states: Vec<BodyState>,
-    sweeps: Vec<Sweep>,
+    pub(crate) bodies: Vec<SimBody>,
+    pub(crate) states: Vec<BodyState>,
+    strikes: Vec<Strike>,
     wrenches: Vec<(BodyId, DVec3, DVec3)>,
     /// Time of the world.
     world_s: f64,
@@ -63,47 +68,56 @@ pub struct Profile {
     pub engine_s: f64,
     /// In finding out what balls rest on and when they will hit something.
     pub impacts_s: f64,
+    /// In moving what strikes: the arm's dynamics and its control.
+    pub striker_s: f64,
     /// In returning to the saved state.
     pub restore_s: f64,
 }
 
-struct SimBody {
-    geometry: BodyGeometry,
-    kind: Kind,
-    rolling_m: f64,
+pub(crate) struct SimBody {
+    pub(crate) geometry: BodyGeometry,
+    pub(crate) kind: Kind,
+    pub(crate) rolling_m: f64,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+pub(crate) enum Kind {
     Static,
     Dynamic,
     Ball { radius: f64, mass: f64, inertia: f64 },
-    Kinematic,
+    Striker,
 }
 
+/// A strike that was begun.
 #[derive(Clone)]
-struct Sweep {
+struct Strike {
     body: BodyId,
-    motion: StrikerMotion,
+    by: By,
     start_s: f64,
     over: bool,
 }
 
+#[derive(Clone)]
+enum By {
+    Finger(StrikerMotion),
+    Arm(Box<ArmInWorld>),
+}
+
+impl By {
+    fn duration_s(&self) -> f64 {
+        match self {
+            Self::Finger(motion) => motion.duration_s(),
+            Self::Arm(arm) => arm.duration_s(),
+        }
+    }
+}
+
 struct Saved {
     states: Vec<BodyState>,
-    sweeps: Vec<Sweep>,
+    strikes: Vec<Strike>,
     world_s: f64,
     time_s: f64,
     splits: usize,
-}
-
-/// What a ball touches.
-#[derive(Clone, Copy, Default)]
-struct Support {
-    /// Whether it touches anything.
-    touching: bool,
-    /// Upward normal, rolling lever (m) and spin of what carries it.
-    carried: Option<(DVec3, f64, DVec3)>,
 }
 
 impl Simulation {
@@ -122,7 +136,7 @@ impl Simulation {
             names: scene.bodies.iter().map(|b| b.name.clone()).collect(),
             bodies,
             states,
-            sweeps: Vec::new(),
+            strikes: Vec::new(),
             wrenches: Vec::new(),
             world_s: 0.0,
             time_s: 0.0,
@@ -172,7 +186,7 @@ impl Simulation {
             let state = &self.states[other];
             let reach = radius + body.geometry.bounding_radius;
             let is_far = center_w.distance_squared(state.x_wb.translation) > reach * reach;
-            if other == ball || is_far || body.kind == Kind::Kinematic {
+            if other == ball || is_far || body.kind == Kind::Striker {
                 continue;
             }
             let p = state.x_wb.inverse_transform_point(center_w);
@@ -218,7 +232,7 @@ impl Simulation {
     pub fn is_asleep(&self, body: BodyId) -> bool {
         match self.bodies[body].kind {
             Kind::Static => true,
-            Kind::Kinematic => self.sweeps.iter().all(|s| s.body != body || s.over),
+            Kind::Striker => self.strikes.iter().all(|s| s.body != body || s.over),
             Kind::Dynamic | Kind::Ball { .. } => self.world.is_asleep(body),
         }
     }
@@ -229,24 +243,55 @@ impl Simulation {
         self.wrenches.push((body, force_w, torque_w));
     }
 
-    /// Starts a sweep of the robot's finger now, with the friction and restitution of its surface. The finger
-    /// pushes bodies and is pushed by none; when the sweep is over it touches nothing any more.
-    pub fn strike(&mut self, motion: &StrikerMotion, friction: f64, restitution: f64) -> BodyId {
-        let body = self.world.add_kinematic(motion.shape(), motion.pose_at(0.0), friction, restitution);
+    /// Starts a sweep now, with the friction and restitution of the striking surface. When the sweep is over, the striker
+    /// touches nothing any more. A finger pushes bodies and is pushed by none; an arm gives way as its inertia and its
+    /// controller let it, and is stopped by what does not move.
+    pub fn strike(&mut self, striker: impl Into<Striker>, friction: f64, restitution: f64) -> BodyId {
+        let (body, by, shape, state) = match striker.into() {
+            Striker::Finger(motion) => {
+                let x_wk = motion.pose_at(0.0);
+                let body = self.world.add_kinematic(motion.shape(), x_wk, friction, restitution);
+                let state = BodyState { x_wb: x_wk, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
+                (body, By::Finger(motion), motion.shape(), state)
+            }
+            Striker::Arm(strike) => {
+                let mut arm = ArmInWorld::new(&strike);
+                let (shape, state) = (arm.shape(), arm.state());
+                let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
+                (body, By::Arm(Box::new(arm)), shape, state)
+            }
+        };
         debug_assert_eq!(body, self.bodies.len(), "ids of the world and of the simulation agree");
         self.bodies.push(SimBody {
-            geometry: BodyGeometry::of_kinematic(motion.shape()),
-            kind: Kind::Kinematic,
+            geometry: BodyGeometry::of_kinematic(shape),
+            kind: Kind::Striker,
             rolling_m: 0.0,
         });
-        self.states.push(BodyState { x_wb: motion.pose_at(0.0), v_w: DVec3::ZERO, w_w: DVec3::ZERO });
-        self.sweeps.push(Sweep { body, motion: *motion, start_s: self.world_s, over: false });
+        self.states.push(state);
+        self.strikes.push(Strike { body, by, start_s: self.world_s, over: false });
         body
+    }
+
+    /// The arm that carries out a strike; `None` for a finger and for other bodies.
+    pub fn arm(&self, body: BodyId) -> Option<&SweepDrive> {
+        self.arm_of(body).map(ArmInWorld::drive)
+    }
+
+    /// The sum of the impulses that an arm has received so far, N·s; `None` for a finger and for other bodies.
+    pub fn received_impulse_w(&self, body: BodyId) -> Option<DVec3> {
+        self.arm_of(body).map(ArmInWorld::impulse_w)
+    }
+
+    fn arm_of(&self, body: BodyId) -> Option<&ArmInWorld> {
+        self.strikes.iter().find_map(|s| match &s.by {
+            By::Arm(arm) if s.body == body => Some(arm.as_ref()),
+            _ => None,
+        })
     }
 
     /// Whether every sweep that was started is over.
     pub fn is_strike_over(&self) -> bool {
-        self.sweeps.iter().all(|s| s.over)
+        self.strikes.iter().all(|s| s.over)
     }
 
     /// Saves the state, for [`Simulation::restore`]; `false` where the engine cannot.
@@ -256,7 +301,7 @@ impl Simulation {
         }
         self.saved = Some(Saved {
             states: self.states.clone(),
-            sweeps: self.sweeps.clone(),
+            strikes: self.strikes.clone(),
             world_s: self.world_s,
             time_s: self.time_s,
             splits: self.splits,
@@ -277,7 +322,7 @@ impl Simulation {
         }
         self.bodies.truncate(saved.states.len());
         self.states.clone_from(&saved.states);
-        self.sweeps.clone_from(&saved.sweeps);
+        self.strikes.clone_from(&saved.strikes);
         self.world_s = saved.world_s;
         self.time_s = saved.time_s;
         self.splits = saved.splits;
@@ -314,6 +359,7 @@ impl Simulation {
             }
             let began = self.profile.map(|_| Instant::now());
             let impact = if self.options.contact_timing && splits < MAX_SPLITS {
+                self.look_ahead(left);
                 self.next_impact(left, &supports)
             } else {
                 None
@@ -327,6 +373,9 @@ impl Simulation {
             };
             // Noted before the step to it: engines that predict contacts may turn a ball back a moment earlier.
             self.note_contact(ball, other, impact.time_s);
+            if let Some(Strike { by: By::Arm(arm), .. }) = self.strikes.iter_mut().find(|s| s.body == other) {
+                arm.expect(impact.point_w, impact.normal_w);
+            }
             if impact.time_s > MIN_STEP_S {
                 self.step(impact.time_s, &supports)?;
             } else {
@@ -341,6 +390,12 @@ impl Simulation {
             if let Some(profile) = &mut self.profile {
                 profile.splits += 1;
             }
+        }
+    }
+
+    fn add_striker_time(&mut self, began: Option<Instant>) {
+        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
+            profile.striker_s += began.elapsed().as_secs_f64();
         }
     }
 
@@ -368,17 +423,20 @@ impl Simulation {
                 self.world.apply_wrench(body, DVec3::ZERO, torque_w, false);
             }
         }
-        for sweep in &mut self.sweeps {
-            if sweep.over {
-                continue;
+        let began = self.profile.map(|_| Instant::now());
+        for strike in self.strikes.iter_mut().filter(|s| !s.over) {
+            let t = self.world_s + dt - strike.start_s;
+            strike.over = t > strike.by.duration_s();
+            if strike.over {
+                self.world.set_kinematic_enabled(strike.body, false);
             }
-            let t = self.world_s + dt - sweep.start_s;
-            sweep.over = t > sweep.motion.duration_s();
-            if sweep.over {
-                self.world.set_kinematic_enabled(sweep.body, false);
+            match &mut strike.by {
+                By::Finger(motion) => self.world.set_kinematic_target(strike.body, motion.pose_at(t)),
+                By::Arm(arm) if strike.over => arm.park(),
+                By::Arm(arm) => arm.before_step(self.world.as_mut(), strike.body, t, dt),
             }
-            self.world.set_kinematic_target(sweep.body, sweep.motion.pose_at(t));
         }
+        self.add_striker_time(began);
         let began = self.profile.map(|_| Instant::now());
         self.world.step(dt);
         if let (Some(profile), Some(began)) = (&mut self.profile, began) {
@@ -386,22 +444,30 @@ impl Simulation {
             profile.steps += 1;
         }
         self.world_s += dt;
-        self.refresh_states()
+        self.refresh_states(dt)
     }
 
-    fn refresh_states(&mut self) -> Result<(), SimError> {
+    fn refresh_states(&mut self, dt: f64) -> Result<(), SimError> {
+        let began = self.profile.map(|_| Instant::now());
+        for strike in &mut self.strikes {
+            let t = self.world_s - strike.start_s;
+            self.states[strike.body] = match &mut strike.by {
+                By::Finger(motion) => {
+                    BodyState { x_wb: motion.pose_at(t), v_w: motion.velocity_at(t), w_w: DVec3::ZERO }
+                }
+                By::Arm(arm) if strike.over => arm.state(),
+                By::Arm(arm) => arm.after_step(self.world.as_ref(), strike.body, dt),
+            };
+        }
+        self.add_striker_time(began);
         let mut failed = self.world.first_failed();
         for (body, state) in self.states.iter_mut().enumerate() {
             match self.bodies[body].kind {
                 Kind::Static => {}
-                Kind::Kinematic => {
-                    let Some(sweep) = self.sweeps.iter().find(|s| s.body == body) else { continue };
-                    let t = self.world_s - sweep.start_s;
-                    *state = BodyState {
-                        x_wb: sweep.motion.pose_at(t),
-                        v_w: sweep.motion.velocity_at(t),
-                        w_w: DVec3::ZERO,
-                    };
+                Kind::Striker => {
+                    if !(state.x_wb.is_finite() && state.v_w.is_finite()) {
+                        failed = failed.or(Some(body));
+                    }
                 }
                 Kind::Dynamic | Kind::Ball { .. } => {
                     *state = self.world.state(body);
@@ -425,60 +491,22 @@ impl Simulation {
         }
     }
 
-    /// What each ball touches; balls that sleep are left out.
-    fn supports(&self) -> Vec<Support> {
-        (0..self.bodies.len()).map(|b| self.support_of(b)).collect()
-    }
-
-    fn support_of(&self, ball: BodyId) -> Support {
-        let mut support = Support::default();
-        let Kind::Ball { radius, .. } = self.bodies[ball].kind else { return support };
-        if self.world.is_asleep(ball) {
-            return support;
-        }
-        let center_w = self.states[ball].x_wb.translation;
-        let up_w = (-self.gravity_w).try_normalize().unwrap_or(DVec3::Z);
-        // Steeper than this, a surface does not carry.
-        let mut best_slope = 0.5;
-        for (other, body) in self.bodies.iter().enumerate() {
-            let state = &self.states[other];
-            let reach = radius + body.geometry.bounding_radius + SUPPORT_GAP;
-            if other == ball || center_w.distance_squared(state.x_wb.translation) > reach * reach {
-                continue;
-            }
-            let p = state.x_wb.inverse_transform_point(center_w);
-            for part in body.geometry.parts_near(p, radius + SUPPORT_GAP) {
-                let (nearest, inside) = part.nearest(p);
-                let distance = p.distance(nearest);
-                if inside || distance > radius + SUPPORT_GAP || distance == 0.0 {
-                    continue;
-                }
-                support.touching = true;
-                let normal_w = state.x_wb.rotation * ((p - nearest) / distance);
-                let slope = normal_w.dot(up_w);
-                if slope > best_slope {
-                    best_slope = slope;
-                    let lever = 0.5 * (self.bodies[ball].rolling_m + body.rolling_m);
-                    support.carried = Some((normal_w, lever, state.w_w));
-                }
+    /// Works out how the tools of arms will move, where a ball is near enough for it to matter.
+    fn look_ahead(&mut self, horizon: f64) {
+        for strike in self.strikes.iter_mut().filter(|s| !s.over) {
+            let By::Arm(arm) = &mut strike.by else { continue };
+            let (tool, reach) =
+                (&self.states[strike.body], self.bodies[strike.body].geometry.bounding_radius);
+            let near = self.bodies.iter().zip(&self.states).any(|(body, state)| {
+                let Kind::Ball { radius, .. } = body.kind else { return false };
+                let travel = (state.v_w - tool.v_w).length() * horizon;
+                let far = radius + reach + travel + LOOK_AHEAD_M;
+                state.x_wb.translation.distance_squared(tool.x_wb.translation) < far * far
+            });
+            if near {
+                arm.look_ahead();
             }
         }
-        support
-    }
-
-    /// Torque of the rolling resistance for a step of `dt`, never more than would stop the rotation.
-    fn rolling_torque(&self, ball: BodyId, support: &Support, dt: f64) -> Option<DVec3> {
-        let Kind::Ball { mass, inertia, .. } = self.bodies[ball].kind else { return None };
-        let (normal_w, lever, spin_w) = support.carried?;
-        let weight = (-mass * self.gravity_w.dot(normal_w)).max(0.0);
-        let rotation = self.states[ball].w_w - spin_w;
-        let spinning = rotation.dot(normal_w) * normal_w;
-        let against = |part: DVec3| {
-            let most = inertia * part.length() / dt;
-            -part.normalize_or_zero() * (lever * weight).min(most)
-        };
-        let torque = against(rotation - spinning) + against(spinning);
-        (torque.length_squared() > 0.0).then_some(torque)
     }
 
     /// The next touch of a ball and another body, if within `horizon` seconds.
@@ -510,8 +538,16 @@ impl Simulation {
     }
 
     fn path(&self, body: BodyId, supports: &[Support]) -> Path<'_> {
-        if let Some(sweep) = self.sweeps.iter().find(|s| s.body == body) {
-            return Path::Sweep { motion: &sweep.motion, start_s: self.world_s - sweep.start_s };
+        if let Some(strike) = self.strikes.iter().find(|s| s.body == body) {
+            match &strike.by {
+                By::Finger(motion) => {
+                    return Path::Sweep { motion, start_s: self.world_s - strike.start_s };
+                }
+                By::Arm(arm) => {
+                    let acceleration_w = arm.acceleration_w();
+                    return Path::Free { state: &self.states[body], acceleration_w };
+                }
+            }
         }
         let is_flying = matches!(self.bodies[body].kind, Kind::Ball { .. })
             && !supports[body].touching
@@ -534,8 +570,8 @@ impl Simulation {
                     return None;
                 }
             }
-            Kind::Kinematic => {
-                if self.sweeps.iter().any(|s| s.body == other && s.over) {
+            Kind::Striker => {
+                if self.strikes.iter().any(|s| s.body == other && s.over) {
                     return None;
                 }
             }

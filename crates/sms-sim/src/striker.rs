@@ -1,27 +1,54 @@
-//! The robot's finger in the paper's strike: two linear segments of 0.1 m (appendix "Manipulator Control and Action
-//! Modeling").
+//! What strikes: the arm under torque control, or a finger that gives no way. Both make the paper's strike: two linear
+//! segments of 0.1 m (appendix "Manipulator Control and Action Modeling").
 
 use crate::KinematicShape;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use sms_robot::{ArmStrike, FIST_HALF, SEGMENT_M, Sweep};
+use std::sync::Arc;
 
-/// Length of each of the two segments, metres.
-pub const SEGMENT_M: f64 = 0.1;
+/// How far a striker is lifted when its sweep is over, metres.
+pub(crate) const RETRACTION_M: f64 = 0.3;
 
-/// How far the finger is lifted when the sweep is over, metres.
-const RETRACTION_M: f64 = 0.3;
+/// What carries out a strike.
+#[derive(Debug, Clone)]
+pub enum Striker {
+    /// A finger that follows its motion whatever it hits, as if it had an infinite mass: for a robot of which nothing is
+    /// known.
+    Finger(StrikerMotion),
+    /// An arm under torque control.
+    Arm(Arc<ArmStrike>),
+}
+
+impl From<&StrikerMotion> for Striker {
+    fn from(motion: &StrikerMotion) -> Self {
+        Self::Finger(*motion)
+    }
+}
+
+impl From<StrikerMotion> for Striker {
+    fn from(motion: StrikerMotion) -> Self {
+        Self::Finger(motion)
+    }
+}
+
+impl From<&Self> for Striker {
+    fn from(striker: &Self) -> Self {
+        striker.clone()
+    }
+}
 
 /// Half extents, metres, of the closed fingertips of a Franka Hand as one box: x along the sweep, y along the
 /// fingers' stroke, z up. The rubber tip of one finger is 17.5 × 15.2 × 18.5 mm and begins at the plane in which the
 /// closed fingers meet (`franka_description`, `end_effectors/franka_hand`).
-pub const FINGER_HALF: DVec3 = DVec3::new(0.008_75, 0.015_18, 0.009_25);
+pub const FINGER_HALF: DVec3 = FIST_HALF;
 
 /// A sweep of the closed fingers, in world coordinates.
 ///
 /// The finger is a box with its front face square to the sweep. It starts at rest 0.1 m before the place where the
-/// front face touches a ball of `ball_radius` at `contact_w`, accelerates uniformly so that it has `speed` there,
-/// decelerates to rest over another 0.1 m, and is then lifted out of the scene. `speed` therefore is the finger's
-/// speed at first touch when the ball is where it is believed to be.
+/// front face touches a ball of `ball_radius` at `contact_w`, accelerates so that it has `speed` there ([`Sweep`] says
+/// how: as the arm does), decelerates to rest over another 0.1 m, and is then lifted out of the scene. `speed` therefore
+/// is the finger's speed at first touch when the ball is where it is believed to be.
 ///
 /// The front face is flat: where on it the ball is touched (up to 15 mm to either side) makes no difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -57,36 +84,32 @@ impl StrikerMotion {
         2.0 * self.contact_s()
     }
 
-    /// Distance covered and speed at `t` seconds from the start.
-    fn travel_at(&self, t: f64) -> (f64, f64) {
-        let (v, half) = (self.speed, self.contact_s());
-        let a = v / half;
-        if t <= 0.0 {
-            (0.0, 0.0)
-        } else if t < half {
-            (0.5 * a * t * t, a * t)
-        } else if t < 2.0 * half {
-            let past = t - half;
-            (SEGMENT_M + v * past - 0.5 * a * past * past, v - a * past)
-        } else {
-            (2.0 * SEGMENT_M, 0.0)
-        }
+    /// The sweep of a tool whose front is `front_m` ahead of its origin.
+    pub fn sweep(&self, front_m: f64) -> Sweep {
+        Sweep::of_ball(self.contact_w, self.ball_radius, self.angle, self.speed, front_m)
+    }
+
+    /// Largest acceleration of the sweep, m/s².
+    pub(crate) fn largest_acceleration(&self) -> f64 {
+        // Of both of a sweep's profiles.
+        5.0 / 3.0 * self.speed / self.contact_s()
     }
 
     /// Pose `X_WK` of the finger's box at `t` seconds from the start: its centre, x along the sweep, z up. Before
     /// the start it waits, after the end it is lifted.
     pub fn pose_at(&self, t: f64) -> DPose3 {
-        let along = self.travel_at(t).0 - SEGMENT_M - self.ball_radius - FINGER_HALF.x;
+        let sweep = self.sweep(FINGER_HALF.x);
+        let along = sweep.travel_at(t).0 - SEGMENT_M;
         let lift = if t > self.duration_s() { RETRACTION_M } else { 0.0 };
         DPose3::from_parts(
-            self.contact_w + along * self.direction_w() + DVec3::new(0.0, 0.0, lift),
+            sweep.contact_w + along * sweep.direction_w + DVec3::new(0.0, 0.0, lift),
             DQuat::from_rotation_z(self.angle),
         )
     }
 
     /// Velocity of the finger at `t` seconds from the start, m/s.
     pub fn velocity_at(&self, t: f64) -> DVec3 {
-        self.travel_at(t).1 * self.direction_w()
+        self.sweep(FINGER_HALF.x).travel_at(t).1 * self.direction_w()
     }
 }
 

@@ -2,6 +2,7 @@
 //! taken at a step's boundary bends its path by degrees; steps are therefore split where balls hit.
 
 use crate::geometry::{Part, Path};
+use glamx::DVec3;
 
 /// Gap at which a ball counts as touching, metres: far below what bends a path, above the resolution of single
 /// precision a metre from the origin (1.2e-7 m).
@@ -20,6 +21,10 @@ pub(crate) struct Impact {
     pub(crate) time_s: f64,
     /// Speed at which the gap closes then, m/s, positive.
     pub(crate) closing_speed: f64,
+    /// Where on the other body, in the world, then.
+    pub(crate) point_w: DVec3,
+    /// From there to the ball's centre, a unit vector.
+    pub(crate) normal_w: DVec3,
 }
 
 /// When a ball of `radius` is within [`TOUCH_GAP`] of a part of another body, if that is before `horizon`
@@ -51,7 +56,9 @@ pub(crate) fn time_of_impact(
         let relative = ball.velocity_at(t) - other.velocity_at(t) - spin;
         let closing = -relative.dot(normal_w);
         if gap <= TOUCH_GAP {
-            return (closing > MIN_CLOSING_SPEED).then_some(Impact { time_s: t, closing_speed: closing });
+            let point_w = x_wb.transform_point(nearest);
+            let impact = Impact { time_s: t, closing_speed: closing, point_w, normal_w };
+            return (closing > MIN_CLOSING_SPEED).then_some(impact);
         }
         let along = if part.is_convex() { closing } else { relative.length() };
         // The plane turns with the other body.
@@ -80,7 +87,7 @@ fn time_to_cover(distance: f64, v: f64, a: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::BodyState;
-    use glamx::{DPose3, DQuat, DVec3};
+    use glamx::{DPose3, DQuat};
     use parry3d_f64::shape::Cuboid;
     use proptest::prelude::*;
 

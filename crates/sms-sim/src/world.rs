@@ -4,7 +4,7 @@ use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_scene::Scene;
 
-/// Index of a body: scene bodies first, in the scene's order, then kinematic ones in the order they were added.
+/// Index of a body: scene bodies first, in the scene's order, then kinematic ones and tools in the order they were added.
 pub type BodyId = usize;
 
 /// Motion state of one body.
@@ -132,7 +132,13 @@ pub trait World: Send {
     ) -> BodyId;
     /// Pose that a kinematic body reaches at the end of the next step.
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
-    /// Switches a kinematic body's collisions off or on.
+    /// Adds a tool: a dynamic body whose pose, velocity and mass are given before each step ([`World::set_tool`]), which
+    /// has no weight and is not turned by contacts. The change of its velocity in a step, times the mass, is the impulse
+    /// that it has received.
+    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
+    /// State of a tool at the beginning of the next step, and its mass in it, kg.
+    fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64);
+    /// Switches the collisions of a kinematic body or a tool off or on.
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool);
     /// Saves the state as snapshot 0; `false` where the engine cannot.
     fn save(&mut self) -> bool;

@@ -200,6 +200,29 @@ impl RapierWorld {
         }
     }
 
+    fn add_striker(
+        &mut self,
+        builder: RigidBodyBuilder,
+        shape: KinematicShape,
+        friction: f64,
+        restitution: f64,
+    ) -> BodyId {
+        let handle = self.physics.insert_body(builder);
+        let collider = match shape {
+            KinematicShape::Cuboid { half } => {
+                ColliderBuilder::cuboid(half.x as Real, half.y as Real, half.z as Real)
+            }
+            KinematicShape::Capsule { half_length, radius } => {
+                ColliderBuilder::capsule_z(half_length as Real, radius as Real)
+            }
+        };
+        let collider =
+            with_material(collider, friction, restitution).active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
+        self.physics.insert_collider(collider, Some(handle));
+        self.bodies.push(handle);
+        self.bodies.len() - 1
+    }
+
     fn body(&self, body: BodyId) -> &RigidBody {
         &self.physics.bodies[self.bodies[body]]
     }
@@ -275,20 +298,7 @@ impl World for RapierWorld {
         restitution: f64,
     ) -> BodyId {
         let builder = RigidBodyBuilder::kinematic_velocity_based().pose(pose_to_engine(&x_wk));
-        let handle = self.physics.insert_body(builder);
-        let collider = match shape {
-            KinematicShape::Cuboid { half } => {
-                ColliderBuilder::cuboid(half.x as Real, half.y as Real, half.z as Real)
-            }
-            KinematicShape::Capsule { half_length, radius } => {
-                ColliderBuilder::capsule_z(half_length as Real, radius as Real)
-            }
-        };
-        let collider =
-            with_material(collider, friction, restitution).active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
-        self.physics.insert_collider(collider, Some(handle));
-        let body = self.bodies.len();
-        self.bodies.push(handle);
+        let body = self.add_striker(builder, shape, friction, restitution);
         self.kinematics.push(Kinematic { body, x_wk, target_x_wk: x_wk, enabled: true });
         body
     }
@@ -296,6 +306,27 @@ impl World for RapierWorld {
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3) {
         if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
             k.target_x_wk = x_wk;
+        }
+    }
+
+    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
+        let builder = RigidBodyBuilder::dynamic()
+            .pose(pose_to_engine(&x_wt))
+            .additional_mass_properties(tool_mass(1.0))
+            .lock_rotations()
+            .gravity_scale(0.0)
+            .can_sleep(false);
+        self.add_striker(builder, shape, friction, restitution)
+    }
+
+    fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {
+        let rigid = self.body_mut(body);
+        rigid.set_position(pose_to_engine(&state.x_wb), true);
+        rigid.set_linvel(to_engine(state.v_w), true);
+        rigid.set_angvel(to_engine(state.w_w), true);
+        // Worked out anew by the engine only where it has changed.
+        if (rigid.mass() as f64 - mass).abs() > 1e-6 * mass {
+            rigid.set_additional_mass_properties(tool_mass(mass), true);
         }
     }
 
@@ -352,6 +383,11 @@ impl World for RapierWorld {
         let failed = self.physics.quarantine().bodies().first()?;
         self.bodies.iter().position(|h| h == failed)
     }
+}
+
+/// A tool's mass; contacts do not turn it, whatever its inertia.
+fn tool_mass(mass: f64) -> MassProperties {
+    MassProperties::new(Vector::ZERO, mass as Real, Vector::splat(mass as Real))
 }
 
 fn with_material(collider: ColliderBuilder, friction: f64, restitution: f64) -> ColliderBuilder {
