@@ -68,7 +68,7 @@ pub use materialize::{
 };
 pub use optimisers::{OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
-pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
+pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use process::{cpu_seconds, peak_bytes};

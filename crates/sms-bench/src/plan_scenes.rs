@@ -2,10 +2,12 @@
 
 use crate::BenchError;
 use serde::{Deserialize, Serialize};
+use sms_core::glamx::DVec3;
 use sms_core::{InputError, Seed};
 use sms_plan::PlanError;
+use sms_robot::RobotConfig;
 use sms_scene::Scene;
-use sms_synth::{BilliardsSettings, generate_billiards};
+use sms_synth::{BilliardsSettings, TruthScene, generate_billiards};
 use sms_target::scene_from_truth;
 use sms_task::{Billiards, ResolvedTask, Selector, Task};
 
@@ -44,8 +46,23 @@ pub struct PlanScene {
     pub seed: u64,
     /// The scene.
     pub scene: Scene,
-    /// The task in it.
+    /// The task in it, carried out by a finger that gives no way.
     pub task: ResolvedTask,
+    /// The robot that stands before it.
+    pub robot: RobotConfig,
+}
+
+/// How far the arm stands behind the generator's place for it, metres: nearer, its own links 5 and 7 meet in one strike of
+/// six.
+const STAND_BACK_M: f64 = 0.1;
+
+/// The built-in arm before a generated scene. Its place is known beforehand, as from a hand-eye calibration, and nothing
+/// that a scan has to find out.
+pub fn robot_of(truth: &TruthScene) -> RobotConfig {
+    let [x, y, z] = (truth.robot_base_w - DVec3::X * STAND_BACK_M).to_array();
+    let x_recording_robot =
+        [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
+    RobotConfig { x_recording_robot: Some(x_recording_robot), ..RobotConfig::default() }
 }
 
 impl PlanScene {
@@ -65,6 +82,14 @@ impl PlanScene {
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
         let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
         let task = task.resolve(&scene).map_err(PlanError::from)?;
-        Ok(Self { seed, scene, task })
+        Ok(Self { seed, scene, task, robot: robot_of(&truth) })
+    }
+
+    /// The task, carried out by the arm.
+    ///
+    /// # Errors
+    /// [`BenchError`] of the robot's description.
+    pub fn arm_task(&self) -> Result<ResolvedTask, BenchError> {
+        Ok(self.task.clone().with_robot(&self.robot, &self.scene)?)
     }
 }

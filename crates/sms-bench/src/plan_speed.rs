@@ -4,17 +4,22 @@ use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
 use sms_plan::{Disturbances, Halton, Method, PlanConfig, PlanError, plan};
-use sms_sim::RapierFactory;
+use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
 use sms_task::Action;
 use std::time::Instant;
 
-/// Shots of each scene that are timed one by one.
+/// Shots of each scene that are timed one by one, and how many are looked at to find as many that the arm can make.
 const SHOTS: usize = 64;
+const MOST_SHOTS: usize = 512;
 
 /// Times shots that are spread over the whole range of actions, one after another on this thread, and whole plans on all
 /// threads of rayon's pool. Keys, means over the scenes:
-/// `bench.plan.{evaluation_s, evaluations_per_s, steps, splits, engine_share, impacts_share, restore_share, other_share,
-/// prepare_s, paper_scene_s, scene_s, robust_scene_s, threads}`. `scene_s` is planning for the scanned world alone with
+/// `bench.plan.{evaluation_s, evaluations_per_s, finger_evaluation_s, sweep_plan_s, refusal_s, refused, shots, steps, splits,
+/// engine_share, impacts_share, arm_share, sweep_plan_share, restore_share, other_share, prepare_s, paper_scene_s, scene_s,
+/// robust_scene_s, threads}`. An evaluation is of a strike that the arm can make: its sweep is planned (`sweep_plan_s`), and
+/// the world simulated with the arm under torque control; `finger_evaluation_s` is the same strike with a finger that
+/// gives no way. `refused` is the share of strikes that the arm cannot make, `refusal_s` what it takes to say so. Plans are
+/// with the arm, too. `scene_s` is planning for the scanned world alone with
 /// the default method, `robust_scene_s` with `config`'s disturbed worlds, `paper_scene_s` the paper's 30 searches of 30
 /// iterations.
 ///
@@ -36,10 +41,11 @@ pub fn run_plan_speed(
             ("scene_s", PlanConfig { disturbances: nominal, ..config.clone() }),
             ("robust_scene_s", config.clone()),
         ];
+        let arm_task = scene.arm_task()?;
         for (key, config) in kinds {
             let (began, warnings) = (Instant::now(), Warnings::new());
             let seed = Seed(scene.seed);
-            plan(&scene.task, &scene.scene, &RapierFactory, &config, seed, &NoProgress, cancel, &warnings)?;
+            plan(&arm_task, &scene.scene, &RapierFactory, &config, seed, &NoProgress, cancel, &warnings)?;
             row.push((key, began.elapsed().as_secs_f64()));
         }
         rows.push(row);
@@ -60,40 +66,76 @@ pub fn run_plan_speed(
 }
 
 fn time_shots(scene: &PlanScene, cancel: &Cancel) -> Result<Vec<(&'static str, f64)>, BenchError> {
-    let task = &scene.task;
+    let task = scene.arm_task()?;
     let bodies = task.bodies_in(&scene.scene, &task.target().name).map_err(PlanError::from)?;
     let began = Instant::now();
     let mut simulation = task
         .prepare(&RapierFactory, &scene.scene, &task.world_options(), &bodies)
         .map_err(PlanError::from)?;
     let prepare_s = began.elapsed().as_secs_f64();
-    simulation.begin_profile();
     let parameters = task.parameters();
     let points = Halton::new(parameters.len(), Seed(scene.seed));
-    let began = Instant::now();
-    for i in 0..SHOTS {
+    // What the arm cannot do is refused before anything is simulated, and counts for itself.
+    let (mut planning_s, mut refusing_s, mut refused) = (0.0, 0.0, 0);
+    let mut made: Vec<(StrikerMotion, Striker)> = Vec::new();
+    for i in 0..MOST_SHOTS {
         cancel.check()?;
         let point = points.point(i as u64);
         let values = point.iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low));
         let strike = task.strike(&Action(values.collect()));
-        simulation.restore();
-        match task.rollout(&mut simulation, &strike, &bodies, None) {
-            Err(e) if !e.is_invalid_rollout() => return Err(PlanError::from(e).into()),
-            _ => {}
+        let began = Instant::now();
+        match task.striker(&strike) {
+            Ok(striker) => {
+                planning_s += began.elapsed().as_secs_f64();
+                made.push((strike, striker));
+            }
+            Err(e) if e.is_invalid_rollout() => {
+                refusing_s += began.elapsed().as_secs_f64();
+                refused += 1;
+            }
+            Err(e) => return Err(PlanError::from(e).into()),
+        }
+        if made.len() == SHOTS {
+            break;
         }
     }
-    let all_s = began.elapsed().as_secs_f64();
+    let rollouts_s = |simulation: &mut Simulation, strikers: &[Striker]| {
+        let began = Instant::now();
+        for striker in strikers {
+            cancel.check()?;
+            simulation.restore();
+            match task.rollout(simulation, striker, &bodies, None) {
+                Err(e) if !e.is_invalid_rollout() => return Err(BenchError::from(PlanError::from(e))),
+                _ => {}
+            }
+        }
+        Ok(began.elapsed().as_secs_f64())
+    };
+    let (motions, arms): (Vec<StrikerMotion>, Vec<Striker>) = made.into_iter().unzip();
+    let fingers: Vec<Striker> = motions.iter().map(Striker::from).collect();
+    let finger_s = rollouts_s(&mut simulation, &fingers)?;
+    simulation.begin_profile();
+    let all_s = planning_s + rollouts_s(&mut simulation, &arms)?;
     let p = simulation.profile().unwrap_or_default();
-    let each = |v: f64| v / SHOTS as f64;
+    let count = arms.len().max(1) as f64;
+    let each = |v: f64| v / count;
     let share = |v: f64| v / all_s;
+    let known = p.engine_s + p.impacts_s + p.restore_s + p.striker_s + planning_s;
     Ok(vec![
         ("evaluation_s", each(all_s)),
+        ("finger_evaluation_s", each(finger_s)),
+        ("sweep_plan_s", each(planning_s)),
+        ("refusal_s", refusing_s / f64::from(refused.max(1))),
+        ("refused", f64::from(refused) / (f64::from(refused) + count)),
+        ("shots", count),
         ("steps", each(p.steps as f64)),
         ("splits", each(p.splits as f64)),
         ("engine_share", share(p.engine_s)),
         ("impacts_share", share(p.impacts_s)),
+        ("arm_share", share(p.striker_s)),
+        ("sweep_plan_share", share(planning_s)),
         ("restore_share", share(p.restore_s)),
-        ("other_share", share(all_s - p.engine_s - p.impacts_s - p.restore_s)),
+        ("other_share", share(all_s - known)),
         ("prepare_s", prepare_s),
     ])
 }
@@ -111,5 +153,7 @@ mod tests {
         assert!((shares - 1.0).abs() < 1e-9, "{shares}");
         let get = |key: &str| row.iter().find(|(k, _)| *k == key).unwrap().1;
         assert!(get("steps") > 50.0 && get("splits") > 1.0 && get("engine_share") > 0.0);
+        assert!(get("shots") > 2.0 && get("arm_share") > 0.0);
+        println!("{row:?}");
     }
 }

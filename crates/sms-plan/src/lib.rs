@@ -43,7 +43,7 @@ pub use halton::Halton;
 pub use nelder_mead::{Bounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
-pub use plan::{Plan, StartSummary};
+pub use plan::{Plan, Refusal, StartSummary};
 pub use planner::{NominalSearch, PlanError, plan, search_nominal};
 pub use prediction::{Prediction, RobustObjective};
 pub use sensitivity::Sensitivity;

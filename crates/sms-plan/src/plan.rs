@@ -2,6 +2,7 @@
 
 use crate::{Prediction, RobustObjective, Sensitivity, Strategy};
 use serde::{Deserialize, Deserializer, Serialize};
+use sms_robot::RobotConfig;
 use sms_task::{Action, Parameter, Trajectory};
 
 /// One optimisation from one start.
@@ -31,6 +32,15 @@ fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
+/// Why the robot cannot make some of the strikes that were looked at.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refusal {
+    /// The reason, in words.
+    pub reason: String,
+    /// How many strikes.
+    pub count: usize,
+}
+
 /// The chosen action with what it is predicted to do.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -54,6 +64,19 @@ pub struct Plan {
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]
     pub invalid: usize,
+    /// Actions that were looked at in the scanned world.
+    #[serde(default)]
+    pub searched: usize,
+    /// Those among them that the robot cannot make, by reason, the most frequent first; nothing was simulated for them,
+    /// and they were never the best.
+    #[serde(default)]
+    pub refused: Vec<Refusal>,
+    /// What carries the strike out, in words.
+    #[serde(default)]
+    pub striker: String,
+    /// The robot that carries it out, with its place in the run's world; `None` for the finger that gives no way.
+    #[serde(default)]
+    pub robot: Option<RobotConfig>,
     /// Every start.
     pub starts: Vec<StartSummary>,
     /// What was minimised over the disturbed worlds; `None` where the nominal world alone was looked at.
@@ -73,6 +96,21 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// "312 of 1500 actions are out of the robot's reach: …"; `None` where none is.
+    pub fn refused_text(&self) -> Option<String> {
+        let count: usize = self.refused.iter().map(|r| r.count).sum();
+        let list: Vec<String> =
+            self.refused.iter().take(4).map(|r| format!("{} ({})", r.reason, r.count)).collect();
+        let more = if self.refused.len() > 4 { ", …" } else { "" };
+        (count > 0).then(|| {
+            format!(
+                "{count} of {} actions are out of the robot's reach: {}{more}",
+                self.searched,
+                list.join(", ")
+            )
+        })
+    }
+
     /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
     pub fn is_nominal_only(&self) -> bool {
         // Plans of earlier versions have neither, and a quantile over disturbed worlds.

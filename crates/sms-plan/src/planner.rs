@@ -6,7 +6,9 @@ use crate::sensitivity::Sensing;
 use crate::space::Space;
 use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
-use crate::{Phase, Plan, PlanConfig, PlanOutcome, Prediction, StartSummary, Strategy, Trial, Unknown};
+use crate::{
+    Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
+};
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
 use sms_sim::{SimError, WorldFactory};
@@ -91,7 +93,11 @@ pub fn plan(
     let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
     let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
+    let refused = counter.refusals();
     if !best.is_finite() {
+        if refused.iter().map(|r| r.count).sum::<usize>() == evaluations {
+            return Err(out_of_reach(task, &refused, evaluations).into());
+        }
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     }
     progress.end(&format!("best of {evaluations} shots: {:.1} mm", 1e3 * best));
@@ -166,6 +172,10 @@ pub fn plan(
         objective_q90,
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
+        searched: evaluations,
+        refused,
+        striker: task.striker_name(),
+        robot: task.arm().map(|a| a.settings().clone()),
         starts: found.starts,
         chosen_by: predicted.map(|_| config.objective),
         predicted,
@@ -231,6 +241,21 @@ pub fn search_nominal(
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     Ok(NominalSearch { trials: found.trials, starts: found.starts })
+}
+
+/// The robot can make none of the strikes.
+fn out_of_reach(task: &ResolvedTask, refusals: &[Refusal], evaluations: usize) -> InputError {
+    let list: Vec<String> = refusals.iter().map(|r| format!("{} ({})", r.reason, r.count)).collect();
+    let cue = task.cue();
+    InputError::new(
+        format!(
+            "the robot can make none of the {evaluations} strikes of `{}` that were looked at: {}",
+            cue.name,
+            list.join(", ")
+        ),
+        "[robot]",
+        "check where the robot stands (`x_world_robot`), lower the task's speeds, or plan without it",
+    )
 }
 
 fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {

@@ -1,11 +1,12 @@
 //! Simulations that rollouts borrow, and the disturbed worlds in which candidates are tried.
 
-use crate::{Disturbances, PlanError, Unknown};
+use crate::{Disturbances, PlanError, Refusal, Unknown};
 use rayon::prelude::*;
 use sms_core::{Cancel, Progress, Seed};
 use sms_scene::Scene;
-use sms_sim::{SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions};
+use sms_sim::{SimError, Simulation, Striker, StrikerMotion, WorldFactory, WorldOptions};
 use sms_task::{Recording, ResolvedTask, Rollout, WorldBodies};
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -17,6 +18,8 @@ pub(crate) struct Counter<'a> {
     /// Of these, before the current part of the work.
     before: AtomicUsize,
     invalid: AtomicUsize,
+    /// Strikes that the robot cannot make, by reason.
+    refused: Mutex<BTreeMap<String, usize>>,
 }
 
 impl<'a> Counter<'a> {
@@ -27,6 +30,7 @@ impl<'a> Counter<'a> {
             done: AtomicUsize::new(0),
             before: AtomicUsize::new(0),
             invalid: AtomicUsize::new(0),
+            refused: Mutex::default(),
         }
     }
 
@@ -44,10 +48,25 @@ impl<'a> Counter<'a> {
         self.invalid.load(Ordering::SeqCst)
     }
 
-    /// The objective of a rollout; infinite where the simulation cannot be believed.
+    /// The reasons why the robot cannot make strikes that were asked for, the most frequent first.
+    pub(crate) fn refusals(&self) -> Vec<Refusal> {
+        let counted = self.refused.lock().map(|r| r.clone()).unwrap_or_default();
+        let mut all: Vec<Refusal> =
+            counted.into_iter().map(|(reason, count)| Refusal { reason, count }).collect();
+        all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
+        all
+    }
+
+    /// The objective of a rollout; infinite where the simulation cannot be believed, or the robot cannot make the strike.
     pub(crate) fn count(&self, rollout: impl FnOnce() -> Result<f64, SimError>) -> Result<f64, PlanError> {
         self.cancel.check()?;
         let objective = match rollout() {
+            Err(SimError::Refused(e)) => {
+                if let Ok(mut refused) = self.refused.lock() {
+                    *refused.entry(e.reason()).or_default() += 1;
+                }
+                f64::INFINITY
+            }
             Err(SimError::Diverged { .. } | SimError::Unphysical { .. }) => {
                 self.invalid.fetch_add(1, Ordering::SeqCst);
                 f64::INFINITY
@@ -87,13 +106,17 @@ impl<'a> Worlds<'a> {
         motion: &StrikerMotion,
         recording: Option<Recording>,
     ) -> Result<Rollout, SimError> {
+        self.carry_out(&self.task.striker(motion)?, recording)
+    }
+
+    fn carry_out(&self, striker: &Striker, recording: Option<Recording>) -> Result<Rollout, SimError> {
         let idle = self.idle.lock().ok().and_then(|mut idle| idle.pop());
         let mut simulation = match idle {
             Some(simulation) => simulation,
             None => self.task.prepare(self.factory, &self.scene, &self.options, &self.bodies)?,
         };
         let reusable = simulation.restore();
-        let rollout = self.task.rollout(&mut simulation, motion, &self.bodies, recording);
+        let rollout = self.task.rollout(&mut simulation, striker, &self.bodies, recording);
         if reusable && let Ok(mut idle) = self.idle.lock() {
             idle.push(simulation);
         }
@@ -161,11 +184,16 @@ impl<'a> DisturbedWorlds<'a> {
             .par_iter()
             .map(|&(w, a)| {
                 let (index, world) = &self.worlds[w];
-                let mut strike = self.task.strike(&actions[a]);
-                if self.execution {
-                    strike = self.disturbances.strike(&strike, self.seed, *index);
-                }
-                counter.count(|| world.objective(&strike))
+                let asked = self.task.strike(&actions[a]);
+                counter.count(|| {
+                    let striker = if self.execution {
+                        let strike = self.disturbances.strike(&asked, self.seed, *index);
+                        self.task.striker_near(&asked, &strike)?
+                    } else {
+                        self.task.striker(&asked)?
+                    };
+                    Ok(world.carry_out(&striker, None)?.objective)
+                })
             })
             .collect::<Result<_, PlanError>>()?;
         let mut rows = vec![vec![f64::INFINITY; count]; actions.len()];

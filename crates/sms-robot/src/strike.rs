@@ -3,7 +3,7 @@
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
-use crate::motion::{Infeasible, JointMotion, Uses, follow};
+use crate::motion::{Infeasible, JointMotion, LimitKind, Uses, follow};
 use crate::osc::{Osc, OscConfig};
 use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
@@ -72,6 +72,28 @@ pub enum StrikeError {
         /// When, seconds from the start of the sweep.
         at_s: f64,
     },
+}
+
+impl StrikeError {
+    /// The reason without figures, for counting.
+    pub fn reason(&self) -> String {
+        match self {
+            Self::Unreachable(_) => "no posture reaches it".to_owned(),
+            Self::Infeasible(e) => {
+                let limit = match e.limit {
+                    LimitKind::Position => "its limit",
+                    LimitKind::Velocity => "its limit of speed",
+                    LimitKind::Torque => "its limit of torque",
+                    LimitKind::TorqueRate => "its limit of the change of torque",
+                };
+                format!("{} would be beyond {limit}", e.joint)
+            }
+            Self::Blocked { clearance, .. } => {
+                format!("{} would come too near {}", clearance.link, clearance.other)
+            }
+            Self::Invalid { .. } => "there is no such strike".to_owned(),
+        }
+    }
 }
 
 /// A sweep that the arm can make.

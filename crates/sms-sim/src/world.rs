@@ -2,6 +2,7 @@
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
+use sms_robot::StrikeError;
 use sms_scene::Scene;
 
 /// Index of a body: scene bodies first, in the scene's order, then kinematic ones and tools in the order they were added.
@@ -75,6 +76,9 @@ pub enum SimError {
         /// Body.
         body: String,
     },
+    /// The robot cannot make the strike; nothing was simulated.
+    #[error("the robot cannot make this strike: {0}")]
+    Refused(Box<StrikeError>),
     /// The motion is none that bodies can have.
     #[error("the simulation of {engine} cannot be believed from t = {time_s:.4} s on: {why}")]
     Unphysical {
@@ -88,9 +92,15 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Whether a run was spoilt, not the scene: another motion may be simulated well.
+    /// Whether a run was spoilt or refused, not the scene: another motion may be simulated well.
     pub fn is_invalid_rollout(&self) -> bool {
-        matches!(self, Self::Diverged { .. } | Self::Unphysical { .. })
+        matches!(self, Self::Diverged { .. } | Self::Unphysical { .. } | Self::Refused(_))
+    }
+}
+
+impl From<StrikeError> for SimError {
+    fn from(e: StrikeError) -> Self {
+        Self::Refused(Box::new(e))
     }
 }
 

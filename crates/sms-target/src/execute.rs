@@ -6,8 +6,9 @@ use glamx::DVec3;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, Seed};
+use sms_robot::RobotConfig;
 use sms_scene::{BodyKind, Scene};
-use sms_sim::{SimError, StrikerMotion};
+use sms_sim::{SimError, Striker};
 use sms_synth::TruthScene;
 use sms_task::{Action, Execution, Recording, ResolvedTask, Rollout, Task, TaskError};
 
@@ -23,11 +24,19 @@ pub struct TargetOptions {
     pub record_every_s: f64,
     /// Seed of the disturbances.
     pub seed: Seed,
+    /// The robot that strikes, by its place; where that is not known, a finger that gives no way.
+    pub robot: RobotConfig,
 }
 
 impl Default for TargetOptions {
     fn default() -> Self {
-        Self { chaos_runs: 4, chaos_m: 1e-6, record_every_s: 1.0 / 120.0, seed: Seed(0) }
+        Self {
+            chaos_runs: 4,
+            chaos_m: 1e-6,
+            record_every_s: 1.0 / 120.0,
+            seed: Seed(0),
+            robot: RobotConfig::default(),
+        }
     }
 }
 
@@ -76,8 +85,9 @@ pub fn execute_on(
     truth: &TruthScene,
     options: &TargetOptions,
 ) -> Result<Execution, TargetError> {
-    let task = task.resolve(planned_scene)?;
-    let motion = task.strike(action);
+    let task =
+        task.resolve(planned_scene)?.with_robot(&options.robot, planned_scene).map_err(TaskError::from)?;
+    let striker = task.striker(&task.strike(action))?;
     // The truth is in the recording's world, the plan in the one that the recording was aligned to.
     let true_scene = carried(scene_from_truth(truth)?, &planned_scene.x_world_recording);
     let matches = match_bodies(planned_scene, &true_scene);
@@ -88,7 +98,7 @@ pub fn execute_on(
         None => name.to_owned(),
     };
 
-    let run = |scene: &Scene, recording| rollout(target, &task, &motion, scene, &called, recording);
+    let run = |scene: &Scene, recording| rollout(target, &task, &striker, scene, &called, recording);
     let recording = Recording { every_s: options.record_every_s };
     let realised = run(&true_scene, Some(recording))?;
     let mut chaos_floor = 0.0f64;
@@ -110,14 +120,14 @@ pub fn execute_on(
 fn rollout(
     target: &dyn Target,
     task: &ResolvedTask,
-    motion: &StrikerMotion,
+    striker: &Striker,
     scene: &Scene,
     called: &dyn Fn(&str) -> String,
     recording: Option<Recording>,
 ) -> Result<Rollout, TargetError> {
     let bodies = task.bodies_called(scene, called)?;
     let mut simulation = target.simulation(scene, &task.world_options())?;
-    Ok(task.rollout(&mut simulation, motion, &bodies, recording)?)
+    Ok(task.rollout(&mut simulation, striker, &bodies, recording)?)
 }
 
 /// The scene with every dynamic body moved by up to `chaos_m` along x and y.

@@ -3,7 +3,7 @@
 //! A [`Task`] is a TOML file. [`Task::resolve`] finds its bodies in the planner's scene and gives a
 //! [`ResolvedTask`], which says what an [`Action`] means as a motion of the robot in the world
 //! ([`ResolvedTask::strike`]), and carries that motion out in any world ([`ResolvedTask::rollout`]): the planner's
-//! or a target's.
+//! or a target's. What moves so is the arm of [`ResolvedTask::with_robot`], or a finger that gives no way.
 //!
 //! ```
 //! use sms_task::{Billiards, Selector, Task};
@@ -23,6 +23,7 @@
 //! ```
 
 mod action;
+mod arm;
 mod billiards;
 mod closest;
 mod execution;
@@ -37,6 +38,7 @@ mod terms;
 mod trajectory;
 
 pub use action::{Action, Parameter};
+pub use arm::RobotArm;
 pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial};
 pub use closest::ClosestApproach;
 pub use execution::Execution;

@@ -2,12 +2,13 @@
 
 use crate::billiards::{Common, named};
 use crate::terms::Tracker;
-use crate::{Action, ActionForm, Billiards, Bodies, Parameter, Selector, Strike, Task, Term};
+use crate::{Action, ActionForm, Billiards, Bodies, Parameter, RobotArm, Selector, Strike, Task, Term};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{CoreError, InputError};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{SimError, StrikerMotion, WorldOptions};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Errors of resolving or running a task.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +38,7 @@ pub struct ResolvedTask {
     /// Direction of the angle 0 on the floor, radians from world x.
     base_angle: f64,
     pub(crate) wish: Wish,
+    pub(crate) arm: Option<Arc<RobotArm>>,
 }
 
 /// What the objective is.
@@ -96,6 +98,7 @@ fn resolve_billiards(settings: &Billiards, scene: &Scene) -> Result<ResolvedTask
         outline: Vec::new(),
         base_angle: horizontal(target.center_w - cue.center_w).to_angle(),
         wish: Wish::Pass(DVec2::from_array(settings.goal_w)),
+        arm: None,
         cue,
         target,
     })
@@ -146,6 +149,7 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
         target: moved.unwrap_or_else(|| cue.clone()),
         base_angle,
         wish: Wish::Terms(wish),
+        arm: None,
         outline,
         cue,
     })

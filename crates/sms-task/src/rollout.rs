@@ -6,9 +6,7 @@ use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
 use sms_scene::{BodyKind, BodyShape, Scene};
-use sms_sim::{
-    BodyId, BodyState, ContactEvent, SimError, Simulation, StrikerMotion, WorldFactory, WorldOptions,
-};
+use sms_sim::{BodyId, BodyState, ContactEvent, SimError, Simulation, Striker, WorldFactory, WorldOptions};
 
 /// Name of the striker's track.
 pub const STRIKER: &str = "striker";
@@ -180,7 +178,7 @@ impl ResolvedTask {
         Ok(simulation)
     }
 
-    /// Carries out a strike in a simulation that is in its first state, and measures how near the target ball comes
+    /// Carries out a strike ([`ResolvedTask::striker`]) in a simulation that is in its first state, and measures how near the target ball comes
     /// to the goal.
     ///
     /// A rollout ends at the horizon or when the sweep is over and everything rests. Without recording it also ends
@@ -194,13 +192,13 @@ impl ResolvedTask {
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
-        motion: &StrikerMotion,
+        striker: impl Into<Striker>,
         bodies: &WorldBodies,
         recording: Option<Recording>,
     ) -> Result<Rollout, SimError> {
         let settings = &self.common;
         let mut judge = Judge::new(&self.wish, simulation, bodies);
-        let striker = simulation.strike(motion, settings.striker.friction, settings.striker.restitution);
+        let striker = simulation.strike(striker, settings.striker.friction, settings.striker.restitution);
         let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;

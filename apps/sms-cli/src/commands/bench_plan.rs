@@ -50,7 +50,9 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
     let get = |key: &str| metrics.number(&format!("bench.plan.{key}")).unwrap_or(f64::NAN);
     let text = format!(
         "one shot: {:.1} ms ({:.0} a second on one thread), {:.0} steps, of which {:.0} by splitting\n  \
-         engine {:.0} %, impacts {:.0} %, restore {:.1} %, other {:.0} %; building a world takes {:.1} ms\n\
+         engine {:.0} %, impacts {:.0} %, arm {:.0} %, planning its sweep {:.0} %, restore {:.1} %, other {:.0} %; with a \
+         finger that gives no way {:.1} ms\n  \
+         {:.0} % of the strikes are refused, in {:.1} ms each; building a world takes {:.1} ms\n\
          one plan on {:.0} threads: {:.1} s for the scanned world alone, {:.1} s robust, {:.1} s the paper's way",
         1e3 * get("evaluation_s"),
         get("evaluations_per_s"),
@@ -58,8 +60,13 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
         get("splits"),
         100.0 * get("engine_share"),
         100.0 * get("impacts_share"),
+        100.0 * get("arm_share"),
+        100.0 * get("sweep_plan_share"),
         100.0 * get("restore_share"),
         100.0 * get("other_share"),
+        1e3 * get("finger_evaluation_s"),
+        100.0 * get("refused"),
+        1e3 * get("refusal_s"),
         1e3 * get("prepare_s"),
         get("threads"),
         get("scene_s"),
