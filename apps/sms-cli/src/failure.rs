@@ -47,6 +47,7 @@ fn is_input_error(error: &anyhow::Error) -> bool {
         EntitiesError::Input(_) => true,
         TaskError::Input(_) => true,
         PlanError::Input(_) => true,
+        PlanError::OutOfReach(_) => true,
         PlanError::Task(TaskError::Input(_)) => true,
         TargetError::Task(TaskError::Input(_)) => true,
     );

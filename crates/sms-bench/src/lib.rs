@@ -55,6 +55,7 @@ mod steps;
 mod surface;
 mod table;
 mod truth;
+mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use bootstrap::{Paired, paired_difference};
@@ -89,6 +90,8 @@ pub use truth::{
     OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
     observed_surface_at_most, sample_true_surface, true_surfaces, true_views,
 };
+
+pub use vessels::{run_full_shots, vessel_scene};
 
 use sms_core::{CoreError, InputError};
 

@@ -54,7 +54,7 @@ pub struct PlanScene {
 
 /// How far the arm stands behind the generator's place for it, metres: nearer, its own links 5 and 7 meet in one strike of
 /// six.
-const STAND_BACK_M: f64 = 0.1;
+pub(crate) const STAND_BACK_M: f64 = 0.1;
 
 /// The built-in arm before a generated scene. Its place is known beforehand, as from a hand-eye calibration, and nothing
 /// that a scan has to find out.

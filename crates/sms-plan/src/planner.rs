@@ -36,6 +36,9 @@ pub enum PlanError {
     /// The scene cannot be simulated.
     #[error(transparent)]
     Sim(#[from] SimError),
+    /// The robot can make none of the strikes.
+    #[error(transparent)]
+    OutOfReach(InputError),
     /// No rollout reached its end.
     #[error(
         "none of the {evaluations} simulated shots could be carried out ({engine} blew up in each); check the \
@@ -96,7 +99,7 @@ pub fn plan(
     let refused = counter.refusals();
     if !best.is_finite() {
         if refused.iter().map(|r| r.count).sum::<usize>() == evaluations {
-            return Err(out_of_reach(task, &refused, evaluations).into());
+            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, evaluations)));
         }
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     }
@@ -280,6 +283,15 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
                 1e2 * plan.objective_q90
             ),
             "narrow the material intervals, or choose a goal that is easier to reach",
+        );
+    }
+    let refused: usize = plan.refused.iter().map(|r| r.count).sum();
+    if let Some(text) = plan.refused_text().filter(|_| 2 * refused > plan.searched) {
+        warnings.add(
+            "plan",
+            "out_of_reach",
+            text,
+            "look at where the robot stands, and at what stands around the struck body",
         );
     }
     if plan.invalid > 0 {

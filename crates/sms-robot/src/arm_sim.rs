@@ -34,12 +34,20 @@ impl ArmSim {
 
     /// Advances by `dt` seconds under constant torques, by one step of the classic Runge-Kutta method.
     pub fn step(&mut self, model: &RobotModel, tau: &[f64], dt: f64) {
+        let first = self.acceleration(model, &self.q.clone(), &self.qd.clone(), tau);
+        self.step_from(model, tau, dt, &first);
+    }
+
+    /// [`Self::step`] from a state whose accelerations are known.
+    pub(crate) fn step_from(&mut self, model: &RobotModel, tau: &[f64], dt: f64, first: &JointVector) {
         let n = model.dof();
         let (q0, v0) = (self.q, self.qd);
         let (mut dq, mut dv) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         let (mut q, mut v) = (q0, v0);
-        for (ahead, weight) in [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)] {
-            let a = self.acceleration(model, &q, &v, tau);
+        for (stage, (ahead, weight)) in
+            [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate()
+        {
+            let a = if stage == 0 { *first } else { self.acceleration(model, &q, &v, tau) };
             for i in 0..n {
                 dq[i] += weight / 6.0 * v[i];
                 dv[i] += weight / 6.0 * a[i];
@@ -62,13 +70,19 @@ impl ArmSim {
         tau: &[f64],
     ) -> JointVector {
         let n = model.dof();
-        let (mut driven, mut a) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        for i in 0..n {
-            let joint = &model.joints()[i];
-            driven[i] = tau[i] - self.friction_scale * joint_friction(joint.damping, joint.friction, v[i]);
-        }
+        let mut a = [0.0; MAX_JOINTS];
+        let driven = self.driven(model, v, tau);
         model.forward_dynamics(&q[..n], &v[..n], &driven[..n], &mut self.ws, &mut a[..n]);
         a
+    }
+
+    /// Torques less friction.
+    pub(crate) fn driven(&self, model: &RobotModel, v: &JointVector, tau: &[f64]) -> JointVector {
+        let mut driven = [0.0; MAX_JOINTS];
+        for (i, joint) in model.joints().iter().enumerate() {
+            driven[i] = tau[i] - self.friction_scale * joint_friction(joint.damping, joint.friction, v[i]);
+        }
+        driven
     }
 
     /// Pose `X_WT` and velocity of the tool.

@@ -107,18 +107,24 @@ impl SweepDrive {
     pub fn advance_to(&mut self, until_s: f64) {
         let (model, period) = (self.strike.model.clone(), self.strike.osc.period_s);
         let n = model.dof();
+        let mut first = None;
         while until_s - self.time_s > MIN_STEP_S {
             let next = self.ticks as f64 * period;
             if next - self.time_s <= MIN_STEP_S {
                 let reference = self.strike.path().held(next, period);
                 let out = self.osc.step(&model, &self.arm.q[..n], &self.arm.qd[..n], &reference);
                 self.tau = out.tau;
+                first = self.osc.acceleration(&model, &self.arm.driven(&model, &self.arm.qd, &self.tau));
                 self.saturated += usize::from(out.saturated.is_some());
                 self.ticks += 1;
                 continue;
             }
             let to = if next < until_s - MIN_STEP_S { next } else { until_s };
-            self.arm.step(&model, &self.tau[..n], to - self.time_s);
+            // The controller has worked the dynamics out where it has just decided.
+            match first.take() {
+                Some(a) => self.arm.step_from(&model, &self.tau[..n], to - self.time_s, &a),
+                None => self.arm.step(&model, &self.tau[..n], to - self.time_s),
+            }
             self.time_s = to;
         }
         self.time_s = until_s.max(self.time_s);
@@ -146,6 +152,15 @@ impl SweepDrive {
     pub fn effective_mass(&mut self, point_w: DVec3, direction_w: DVec3) -> f64 {
         let n = direction_w.normalize_or_zero();
         1.0 / n.dot(self.mobility(point_w) * n)
+    }
+
+    /// [`Self::effective_mass`] of the tool's origin along the sweep when the controller decided last, kg.
+    pub fn mass_along_sweep(&mut self) -> f64 {
+        let d = self.strike.sweep.direction_w;
+        if self.ticks == 0 {
+            return self.effective_mass(self.strike.path().at(0.0).x_wt.translation, d);
+        }
+        1.0 / d.dot(self.osc.mobility_w() * d)
     }
 
     /// [`RobotModel::point_mobility`] of a point of the tool.

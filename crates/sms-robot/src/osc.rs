@@ -150,6 +150,25 @@ impl Osc {
     }
 }
 
+impl Osc {
+    /// Accelerations under `driven` torques (without friction's) in the state of the last step: what
+    /// [`RobotModel::forward_dynamics`] gives, from what the step has worked out. `None` before the first step.
+    pub(crate) fn acceleration(&self, model: &RobotModel, driven: &JointVector) -> Option<JointVector> {
+        let n = model.dof();
+        let mut a = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            a[i] = driven[i] - self.law.bias[i];
+        }
+        self.law.factor.as_ref()?.solve(&mut a[..n]);
+        Some(a)
+    }
+
+    /// [`RobotModel::point_mobility`] of the tool's origin in the state of the last step; zero before the first.
+    pub(crate) fn mobility_w(&self) -> DMat3 {
+        self.law.mobility_w
+    }
+}
+
 /// Friction of a joint at speed `qd`: viscous and Coulomb, N·m or N.
 pub fn joint_friction(damping: f64, coulomb: f64, qd: f64) -> f64 {
     damping * qd + coulomb * (qd / FRICTION_SPEED).tanh()
@@ -161,11 +180,21 @@ pub(crate) struct TaskLaw {
     ws: Workspace,
     jacobian: Jacobian,
     bias: JointVector,
+    /// Of the mass matrix.
+    factor: Option<Cholesky<MAX_JOINTS>>,
+    /// J M⁻¹ Jᵀ of the tool's origin.
+    mobility_w: DMat3,
 }
 
 impl Default for TaskLaw {
     fn default() -> Self {
-        Self { ws: Workspace::default(), jacobian: Jacobian::default(), bias: [0.0; MAX_JOINTS] }
+        Self {
+            ws: Workspace::default(),
+            jacobian: Jacobian::default(),
+            bias: [0.0; MAX_JOINTS],
+            factor: None,
+            mobility_w: DMat3::ZERO,
+        }
     }
 }
 
@@ -214,7 +243,8 @@ impl TaskLaw {
         let (linear, angular) = (linear - posture_v, angular - posture_w);
         let mut wanted = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
         // A mass matrix that cannot be factored belongs to a model without inertia, which is refused on reading.
-        if let Some(mass) = Cholesky::new(&ws.mass_matrix, n) {
+        self.factor = Cholesky::new(&ws.mass_matrix, n);
+        if let Some(mass) = &self.factor {
             let mut columns = [[0.0; MAX_JOINTS]; 6];
             for (r, column) in columns.iter_mut().enumerate() {
                 for i in 0..n {
@@ -230,6 +260,8 @@ impl TaskLaw {
                 // Keeps the force finite in directions that the arm has lost; 0.0001 % elsewhere.
                 mobility[r][r] += 1e-6;
             }
+            let entry = |r: usize, s: usize| mobility[r.max(s)][r.min(s)];
+            self.mobility_w = DMat3::from_cols_array_2d(&[0, 1, 2].map(|c| [0, 1, 2].map(|r| entry(r, c))));
             if let Some(factor) = Cholesky::<6>::new(&mobility, 6) {
                 factor.solve(&mut wanted);
                 for i in 0..n {

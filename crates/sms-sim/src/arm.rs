@@ -19,6 +19,7 @@ use sms_robot::{ArmStrike, SweepDrive};
 #[derive(Clone)]
 pub(crate) struct ArmInWorld {
     drive: SweepDrive,
+    state: BodyState,
     /// The touch for which the next step is made: where on the tool, and in which direction.
     touch: Option<(DVec3, DVec3)>,
     /// Of the next step.
@@ -27,19 +28,19 @@ pub(crate) struct ArmInWorld {
     speed_before_w: DVec3,
     /// Sum of the impulses received, N·s.
     impulse_w: DVec3,
-    lifted: bool,
 }
 
 impl ArmInWorld {
     pub(crate) fn new(strike: &ArmStrike) -> Self {
+        let mut drive = SweepDrive::new(strike.clone());
         Self {
-            drive: SweepDrive::new(strike.clone()),
+            state: state_of(&mut drive),
+            drive,
             touch: None,
             acceleration_w: DVec3::ZERO,
             mass: 1.0,
             speed_before_w: DVec3::ZERO,
             impulse_w: DVec3::ZERO,
-            lifted: false,
         }
     }
 
@@ -52,13 +53,8 @@ impl ArmInWorld {
     }
 
     /// Where the tool is, and how it moves.
-    pub(crate) fn state(&mut self) -> BodyState {
-        let (mut x_wb, v_w, w_w) = self.drive.tool();
-        if self.lifted {
-            x_wb.translation.z += crate::striker::RETRACTION_M;
-            return BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
-        }
-        BodyState { x_wb, v_w, w_w }
+    pub(crate) fn state(&self) -> BodyState {
+        self.state
     }
 
     /// Says that the next step is one in which a touch is expected.
@@ -78,20 +74,16 @@ impl ArmInWorld {
 
     /// Moves the arm on until `until_s` seconds after its start and hands the tool to the engine for that step of `dt`.
     pub(crate) fn before_step(&mut self, world: &mut dyn World, body: BodyId, until_s: f64, dt: f64) {
-        let (from, _, _) = self.drive.tool();
-        let (point_w, normal_w) = match self.touch {
-            Some(touch) => touch,
-            None => (from.translation, self.drive.strike().sweep.direction_w),
+        let from = self.state.x_wb;
+        self.mass = match self.touch {
+            Some((point_w, normal_w)) => self.drive.effective_mass(point_w, normal_w),
+            None => self.drive.mass_along_sweep(),
         };
-        self.mass = self.drive.effective_mass(point_w, normal_w);
         self.drive.advance_to(until_s);
-        let (to, _, _) = self.drive.tool();
-        let state = BodyState {
-            x_wb: from,
-            v_w: (to.translation - from.translation) / dt,
-            w_w: turn(&from, &to) / dt,
-        };
-        world.set_tool(body, &state, self.mass);
+        self.state = state_of(&mut self.drive);
+        let to = self.state.x_wb;
+        let v_w = (to.translation - from.translation) / dt;
+        world.set_tool(body, &BodyState { x_wb: from, v_w, w_w: turn(&from, &to) / dt }, self.mass);
         // As the engine has it, rounded.
         self.speed_before_w = world.state(body).v_w;
     }
@@ -101,16 +93,18 @@ impl ArmInWorld {
         let impulse_w = self.mass * (world.state(body).v_w - self.speed_before_w);
         let touch = self.touch.take();
         if impulse_w != DVec3::ZERO {
-            let point_w = touch.map_or_else(|| self.drive.tool().0.translation, |t| t.0);
+            let point_w = touch.map_or(self.state.x_wb.translation, |t| t.0);
             self.drive.push(point_w, impulse_w, dt);
             self.impulse_w += impulse_w;
+            self.state = state_of(&mut self.drive);
         }
-        self.state()
+        self.state
     }
 
     /// Takes the arm out of the world.
     pub(crate) fn park(&mut self) {
-        self.lifted = true;
+        self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
+        (self.state.v_w, self.state.w_w) = (DVec3::ZERO, DVec3::ZERO);
     }
 
     pub(crate) fn impulse_w(&self) -> DVec3 {
@@ -120,6 +114,11 @@ impl ArmInWorld {
     pub(crate) fn drive(&self) -> &SweepDrive {
         &self.drive
     }
+}
+
+fn state_of(drive: &mut SweepDrive) -> BodyState {
+    let (x_wb, v_w, w_w) = drive.tool();
+    BodyState { x_wb, v_w, w_w }
 }
 
 /// The rotation from one attitude to another, as a vector.

@@ -255,7 +255,7 @@ impl Simulation {
                 (body, By::Finger(motion), motion.shape(), state)
             }
             Striker::Arm(strike) => {
-                let mut arm = ArmInWorld::new(&strike);
+                let arm = ArmInWorld::new(&strike);
                 let (shape, state) = (arm.shape(), arm.state());
                 let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
                 (body, By::Arm(Box::new(arm)), shape, state)

@@ -3,7 +3,7 @@
 use super::bench_optimisers::{Family, finish, parse_seeds};
 use crate::context::Context;
 use clap::Args;
-use sms_bench::{PlanScene, RobustBench, robust_table, run_plan_speed};
+use sms_bench::{PlanScene, RobustBench, robust_table, run_full_shots, run_plan_speed};
 use sms_plan::PlanConfig;
 use std::path::PathBuf;
 
@@ -15,6 +15,10 @@ pub(crate) struct BenchPlan {
     /// How hard they are.
     #[arg(long, value_enum, default_value = "open")]
     pub family: Family,
+    /// Only times whole shots of four seconds in the scene of eight vessels of eight hulls, and writes that scene, the
+    /// robot and the strikes to this folder, for other simulators (`benches/peers/pybullet_rollout.py`).
+    #[arg(long, value_name = "DIR")]
+    pub export: Option<PathBuf>,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -42,6 +46,19 @@ pub(crate) struct BenchRobust {
 
 /// Plans with the settings of `[plan]`.
 pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
+    let mut full = run_full_shots(a.export.as_deref(), &context.cancel)?;
+    let of = |key: &str| 1e3 * full.number(&format!("bench.plan.full_{key}")).unwrap_or(f64::NAN);
+    let full_text = format!(
+        "a whole shot of 4 s among eight vessels of eight hulls: {:.1} ms with the arm, of which {:.1} ms to plan its sweep \
+         and {:.1} ms for its dynamics and control; {:.1} ms with a finger that gives no way",
+        of("evaluation_s"),
+        of("sweep_plan_s"),
+        of("arm_s"),
+        of("finger_evaluation_s")
+    );
+    if a.export.is_some() {
+        return finish(context, &full, a.out.as_ref(), &full_text);
+    }
     let seeds = parse_seeds(&a.seeds)?;
     let config = context.settings.section("plan", PlanConfig::default())?;
     let scenes: Vec<PlanScene> =
@@ -73,7 +90,8 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
         get("robust_scene_s"),
         get("paper_scene_s"),
     );
-    finish(context, &metrics, a.out.as_ref(), &text)
+    full.merge(metrics);
+    finish(context, &full, a.out.as_ref(), &format!("{full_text}\n{text}"))
 }
 
 pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {

@@ -31,7 +31,8 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     }
     let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?;
-    let options = TargetOptions::default();
+    // The same robot as in the plan, wherever it would stand now.
+    let options = TargetOptions { robot: plan.robot.clone().unwrap_or_default(), ..TargetOptions::default() };
     let mut read = Hasher::new();
     read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
     let hash = inputs_hash(&[&read.finish()], &options)?;

@@ -1,11 +1,12 @@
 //! `sms plan`: the best action for a task.
 
 use super::materialize::run_settings;
+use super::robot;
 use super::{inputs_hash, length_text, of_what, run_stage, shown, timed};
 use crate::cli::Plan;
 use crate::context::Context;
 use sms_core::{Hasher, RunFolder, Seed};
-use sms_plan::{Plan as Planned, PlanConfig, load_plan, plan, save_plan};
+use sms_plan::{Plan as Planned, PlanConfig, PlanError, load_plan, plan, save_plan};
 use sms_scene::load_scene;
 use sms_sim::RapierFactory;
 use sms_task::Task;
@@ -28,23 +29,35 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     let scene = load_scene(&scene_dir)?;
     let seed = Seed(a.seed.map_or_else(|| run_settings(&run).map(|s| s.seed), Ok)?);
     let resolved = task.resolve(&scene)?;
+    let robot = robot::place(context, &run)?;
+    let with_arm = resolved.clone().with_robot(&robot.config, &scene)?;
     run.record_settings("plan", config)?;
     // What the manifest says now: a user may have edited a mass or a friction.
     let mut manifest = Hasher::new();
     manifest.file(&scene_dir.join("scene.json"))?;
-    let hash = inputs_hash(&[&manifest.finish()], &(task, config, seed))?;
+    if let Some(urdf) = &robot.config.urdf {
+        manifest.file(urdf)?;
+    }
+    let hash = inputs_hash(&[&manifest.finish()], &(task, config, seed, &robot.config))?;
     let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
-            let outcome = plan(
-                &resolved,
-                &scene,
-                &RapierFactory,
-                config,
-                seed,
-                context.progress.as_ref(),
-                &context.cancel,
-                warnings,
-            )?;
+            let search = |task| {
+                let progress = context.progress.as_ref();
+                plan(task, &scene, &RapierFactory, config, seed, progress, &context.cancel, warnings)
+            };
+            let outcome = match search(&with_arm) {
+                // Nobody asked for the generator's robot.
+                Err(PlanError::OutOfReach(e)) if robot.is_the_recordings => {
+                    warnings.add(
+                        "plan",
+                        "no_strike_in_reach",
+                        e.what,
+                        "this plan is for a finger that gives no way; place the robot with [robot] in the settings",
+                    );
+                    search(&resolved)?
+                }
+                other => other?,
+            };
             save_plan(stage.dir(), &outcome)?;
             task.write(&stage.dir().join("task.toml"))?;
             Ok(outcome.metrics())
@@ -58,7 +71,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
         .map(|(p, v)| format!("{} {v:.4} {}", p.name, p.unit))
         .collect();
     context.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
-    context.say(format!("  {}", values.join(", ")));
+    context.say(format!("  {}, by {}", values.join(", "), plan.striker));
     for line in summary(&plan) {
         context.say(line);
     }
@@ -110,6 +123,7 @@ fn summary(plan: &Planned) -> Vec<String> {
     }
     let invalid =
         if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };
+    lines.extend(plan.refused_text().map(|text| format!("  {text}")));
     lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
     lines
 }

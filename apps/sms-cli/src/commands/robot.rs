@@ -1,25 +1,32 @@
 //! `sms robot`: the arm's motion for the planned strike, with what was checked.
 
+use super::materialize::run_settings;
 use super::{inputs_hash, run_stage, shown};
 use crate::cli::Robot;
 use crate::context::Context;
+use serde::{Deserialize, Serialize};
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder, atomic};
-use sms_plan::load_plan;
+use sms_plan::{Plan, load_plan};
 use sms_robot::{
     JointProgram, RobotConfig, StrikeCheck, StrikeConfig, Sweep, Workspace, check_strike, obstacles,
     plan_strike,
 };
 use sms_scene::load_scene;
 use sms_task::Task;
+use std::path::Path;
 
 pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
     let plan_dir = run.stage_dir("plan", "plan")?;
     let scene = load_scene(&scene_dir)?;
-    let config = context.settings.section("robot", RobotConfig::default())?;
+    let mut config = place(context, &run)?.config;
+    let plan = load_plan(&plan_dir)?;
+    if let (None, None, Some(planned)) = (&a.at, config.x_wr(&scene.x_world_recording), &plan.robot) {
+        config = RobotConfig { period_s: config.period_s, ..planned.clone() };
+    }
     let x_wr = match &a.at {
         Some(text) => pose_of(text)?,
         None => config.x_wr(&scene.x_world_recording).ok_or_else(|| {
@@ -32,7 +39,6 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         })?,
     };
     let robot = config.model()?.with_base(x_wr);
-    let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?.resolve(&scene)?;
     let motion = task.strike(&plan.action);
     let sweep =
@@ -71,6 +77,10 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     })?;
     let check: StrikeCheck = atomic::read_json(&dir.join("check.json"))?;
     context.say(format!("{} strikes `{}`; what was checked:", robot.name(), task.cue().name));
+    let planned_at = plan.robot.as_ref().and_then(|r| r.x_wr(&scene.x_world_recording));
+    if planned_at.is_none_or(|p| p.translation.distance(x_wr.translation) > 1e-6) {
+        context.say(format!("  note: what is predicted of this plan is for {}", planned_with(&plan)));
+    }
     for item in &check.items {
         context.say(format!("  {} {}", if item.passed { "ok  " } else { "FAIL" }, item.detail));
     }
@@ -81,6 +91,54 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         anyhow::bail!("the strike did not pass every check");
     }
     Ok(())
+}
+
+fn planned_with(plan: &Plan) -> String {
+    let name = if plan.striker.is_empty() { "a finger that gives no way" } else { &plan.striker };
+    match &plan.robot {
+        Some(_) => format!("{name}, standing elsewhere"),
+        None => name.to_owned(),
+    }
+}
+
+/// File of a generated recording that says where the robot stands.
+pub(crate) const ROBOT_FILE: &str = "robot.toml";
+
+/// The settings of the robot.
+pub(crate) struct Place {
+    pub(crate) config: RobotConfig,
+    /// Whether its place is that of a generated recording, and none that the user has given.
+    pub(crate) is_the_recordings: bool,
+}
+
+/// The user's settings of the robot; where they do not say where it stands, with the recording's own place, if it has
+/// one.
+pub(crate) fn place(context: &Context, run: &RunFolder) -> anyhow::Result<Place> {
+    let own = context.settings.section("robot", RobotConfig::default())?;
+    let is_known = own.x_world_robot.is_some() || own.x_recording_robot.is_some();
+    let file =
+        run_settings(run).ok().map(|s| Path::new(&s.recording).join(ROBOT_FILE)).filter(|p| p.is_file());
+    let (false, Some(file)) = (is_known, file) else {
+        return Ok(Place { config: own, is_the_recordings: false });
+    };
+    let Sections { robot } = atomic::read_toml(&file)?;
+    robot.validate()?;
+    let config = context.settings.section("robot", robot)?;
+    Ok(Place { config, is_the_recordings: true })
+}
+
+/// Writes where the robot stands, in the form of a settings file.
+pub(crate) fn write_place(folder: &Path, robot: &RobotConfig) -> anyhow::Result<()> {
+    let file = folder.join(ROBOT_FILE);
+    let text = toml::to_string(&Sections { robot: robot.clone() })?;
+    let head =
+        "# Where the robot stands before this recording's scene, as a hand-eye calibration would give it.\n";
+    Ok(atomic::write_bytes(&file, format!("{head}{text}").as_bytes())?)
+}
+
+#[derive(Serialize, Deserialize)]
+struct Sections {
+    robot: RobotConfig,
 }
 
 /// A pose from "x,y,z,yaw in degrees".

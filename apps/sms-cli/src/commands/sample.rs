@@ -1,6 +1,6 @@
 //! `sms sample`: a small generated recording with a task.
 
-use super::shown;
+use super::{robot, shown};
 use crate::cli::Sample;
 use crate::context::Context;
 use sms_core::{InputError, Seed};
@@ -29,7 +29,7 @@ pub(crate) fn run(context: &Context, a: &Sample) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes a recording and its task.
+/// Writes a recording, its task and the place of the robot.
 pub(crate) fn write(
     context: &Context,
     truth: &TruthScene,
@@ -38,6 +38,7 @@ pub(crate) fn write(
 ) -> anyhow::Result<()> {
     write_recording(truth, settings, folder, context.progress.as_ref(), &context.cancel)?;
     task_of(truth).write(&folder.join("task.toml"))?;
+    robot::write_place(folder, &sms_bench::robot_of(truth))?;
     Ok(())
 }
 

@@ -9,6 +9,7 @@
 //! # Ok::<(), sms_sim::SimError>(())
 //! ```
 
+mod arm;
 mod impacts;
 mod motion;
 mod scenes;
@@ -156,6 +157,27 @@ pub fn probes() -> &'static [Probe] {
             1.0,
             Worst,
             impacts::follow_through_cue,
+        ),
+        probe(
+            "arm_strike_speed",
+            "speed of a ball of 30 g to 2 kg that the arm strikes, over (1 + e)·v/(1 + m/M) − 1",
+            0.005,
+            Worst,
+            arm::speed,
+        ),
+        probe(
+            "arm_strike_momentum",
+            "momentum of that ball and what the arm received, relative",
+            1e-4,
+            Worst,
+            arm::momentum,
+        ),
+        probe(
+            "arm_strike_energy",
+            "energy of ball and arm after an elastic blow, relative",
+            0.01,
+            Worst,
+            arm::energy,
         ),
         probe(
             "slide_to_roll",
