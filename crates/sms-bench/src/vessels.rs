@@ -2,7 +2,7 @@
 //! seconds without ending early; and the same for another simulator.
 
 use crate::plan_scenes::STAND_BACK_M;
-use crate::{BenchError, PlanScene};
+use crate::{BenchError, PlanScene, cpu_seconds};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
@@ -138,7 +138,13 @@ struct PeerFile {
     strikes: Vec<StrikeFile>,
 }
 
-/// Times whole rollouts of [`vessel_scene`] on this thread, and writes the scene as URDF, the robot and the strikes to
+/// CPU seconds so far, where the system tells; else those of the clock on the wall.
+fn cpu() -> f64 {
+    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
+    cpu_seconds().unwrap_or_else(|| START.get_or_init(Instant::now).elapsed().as_secs_f64())
+}
+
+/// Times whole rollouts of [`vessel_scene`] on this thread, in CPU seconds of the process (nothing else may run in it), and writes the scene as URDF, the robot and the strikes to
 /// `folder`, where one is given. Keys: `bench.plan.{full_evaluation_s, full_finger_evaluation_s, full_sweep_plan_s,
 /// full_arm_s}`; the first is with the planning of the arm's sweep.
 ///
@@ -152,39 +158,41 @@ pub fn run_full_shots(folder: Option<&Path>, cancel: &Cancel) -> Result<Metrics,
     simulation.save();
     let steps = (HORIZON_S / options.dt).round() as usize;
     let surface = sms_task::StrikerMaterial::default();
-    let mut shot = |striker: &Striker| -> Result<(f64, [[f64; 3]; 2]), BenchError> {
-        cancel.check()?;
-        let began = Instant::now();
-        simulation.restore();
-        simulation.strike(striker, surface.friction, surface.restitution);
-        for _ in 0..steps {
-            simulation.advance(options.dt).map_err(PlanError::from)?;
+    let mut shoot = |strikers: &[Striker]| -> Result<(f64, Vec<[[f64; 3]; 2]>), BenchError> {
+        let (began, mut ends) = (cpu(), Vec::new());
+        for striker in strikers {
+            cancel.check()?;
+            simulation.restore();
+            simulation.strike(striker, surface.friction, surface.restitution);
+            for _ in 0..steps {
+                simulation.advance(options.dt).map_err(PlanError::from)?;
+            }
+            ends.push([1, 2].map(|b| simulation.state(b).x_wb.translation.to_array()));
         }
-        let seconds = began.elapsed().as_secs_f64();
-        Ok((seconds, [1, 2].map(|b| simulation.state(b).x_wb.translation.to_array())))
+        Ok((cpu() - began, ends))
     };
-    let (mut planning_s, mut arm_s, mut finger_s) = (0.0, 0.0, 0.0);
-    let mut files = Vec::new();
-    for k in 0..STRIKES {
-        let k = k as f64;
-        let motion = task.strike(&Action(vec![0.4 + 0.03 * k, 0.02 * k - 0.1, 0.0, 0.0]));
-        let began = Instant::now();
-        let striker = task.striker(&motion).map_err(PlanError::from)?;
-        planning_s += began.elapsed().as_secs_f64();
-        finger_s += shot(&Striker::from(motion))?.0;
-        let (seconds, balls_w) = shot(&striker)?;
-        arm_s += seconds;
-        if let Striker::Arm(arm) = &striker {
-            files.push(StrikeFile {
-                contact_w: arm.sweep.contact_w.to_array(),
-                direction_w: arm.sweep.direction_w.to_array(),
-                rotation_w_xyzw: arm.rotation_w.to_array(),
-                speed: arm.sweep.speed,
-                q_start: arm.q_start.clone(),
-                balls_w,
-            });
-        }
-    }
+    let motion =
+        |k: usize| task.strike(&Action(vec![0.4 + 0.03 * k as f64, 0.02 * k as f64 - 0.1, 0.0, 0.0]));
+    let motions: Vec<StrikerMotion> = (0..STRIKES).map(motion).collect();
+    let began = cpu();
+    let arms: Vec<Striker> =
+        motions.iter().map(|m| task.striker(m)).collect::<Result<_, _>>().map_err(PlanError::from)?;
+    let planning_s = cpu() - began;
+    let fingers: Vec<Striker> = motions.iter().map(Striker::from).collect();
+    let (finger_s, _) = shoot(&fingers)?;
+    let (arm_s, ends) = shoot(&arms)?;
+    let file = |(striker, balls_w): (&Striker, [[f64; 3]; 2])| match striker {
+        Striker::Finger(_) => None,
+        Striker::Arm(arm) => Some(StrikeFile {
+            contact_w: arm.sweep.contact_w.to_array(),
+            direction_w: arm.sweep.direction_w.to_array(),
+            rotation_w_xyzw: arm.rotation_w.to_array(),
+            speed: arm.sweep.speed,
+            q_start: arm.q_start.clone(),
+            balls_w,
+        }),
+    };
+    let files: Vec<StrikeFile> = arms.iter().zip(ends).filter_map(file).collect();
     let each = |v: f64| v / STRIKES as f64;
     if let Some(folder) = folder {
         export(&bench.scene, Format::Urdf, &Sources::default(), &folder.join("scene"))?;

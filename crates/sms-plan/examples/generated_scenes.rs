@@ -111,7 +111,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut target = Simulation::new(&RapierF64Factory, &true_scene, &options)?;
         let bodies = task.bodies_in(&true_scene, &truth.target)?;
         let Action(values) = &outcome.plan.action;
-        let real = task.rollout(&mut target, &task.strike(&outcome.plan.action), &bodies, None)?;
+        let real = task.rollout(&mut target, task.strike(&outcome.plan.action), &bodies, None)?;
         println!(
             "{seed:4}  {:8.1}  {:10.2}  {:6.1}  {:11.1}  {:5}  {seconds:4.1}  {:12.1}  {:5.3}  {:6.2}",
             1e2 * task.initial_objective(),

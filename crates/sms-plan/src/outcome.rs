@@ -16,7 +16,7 @@ pub struct PlanOutcome {
 }
 
 impl PlanOutcome {
-    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, strategies}` and, with disturbed worlds,
+    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, refused, striker, strategies}` and, with disturbed worlds,
     /// `plan.predicted_{mean, q10, q50, q90, success_share, worlds}`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();
@@ -26,6 +26,8 @@ impl PlanOutcome {
             .set("plan.objective_q90", self.plan.objective_q90)
             .set("plan.objective_unit", self.plan.objective_unit.clone())
             .set("plan.invalid", self.plan.invalid)
+            .set("plan.refused", self.plan.refused.iter().map(|r| r.count).sum::<usize>())
+            .set("plan.striker", self.plan.striker.clone())
             .set("plan.strategies", self.plan.strategies.len());
         if let Some(p) = &self.plan.predicted {
             metrics

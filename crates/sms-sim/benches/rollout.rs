@@ -98,7 +98,7 @@ fn rollouts(factory: &dyn WorldFactory, options: &WorldOptions) -> (f64, usize) 
             speed: 0.4 + 0.03 * f64::from(k),
             ball_radius: R,
         };
-        simulation.strike(&motion, 0.65, 0.75);
+        simulation.strike(motion, 0.65, 0.75);
         for _ in 0..1600 {
             simulation.advance(0.0025).unwrap();
         }

@@ -31,7 +31,7 @@
 //! };
 //! let mut simulation = Simulation::new(&RapierFactory, &scene, &WorldOptions::default())?;
 //! let motion = StrikerMotion { contact_w: center_w, angle: 0.0, speed: 0.5, ball_radius: 0.03 };
-//! simulation.strike(&motion, 0.65, 0.75);
+//! simulation.strike(motion, 0.65, 0.75);
 //! for _ in 0..400 {
 //!     simulation.advance(0.0025)?;
 //! }

@@ -138,7 +138,7 @@ fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64)
     let mut simulation = simulate(factory, &scene(G, bodies), &awake());
     let across = DVec3::new(-angle.sin(), angle.cos(), 0.0);
     let motion = StrikerMotion { contact_w: center + offset * across, angle, speed, ball_radius: R };
-    let striker = simulation.strike(&motion, 0.0, 0.75);
+    let striker = simulation.strike(motion, 0.0, 0.75);
     run(&mut simulation, motion.contact_s() + 0.02);
     let v = simulation.state(1).v_w;
     let direction = (v.y.atan2(v.x) - angle).to_degrees();
@@ -229,7 +229,7 @@ fn restoring_a_snapshot_repeats_every_bit() {
             assert!(simulation.restore());
             let motion =
                 StrikerMotion { contact_w: DVec3::new(0.0, 0.0, R), angle: 0.05, speed, ball_radius: R };
-            simulation.strike(&motion, 0.6, 0.7);
+            simulation.strike(motion, 0.6, 0.7);
             run(&mut simulation, 3.0);
             (0..simulation.body_count()).map(|b| simulation.state(b)).collect::<Vec<_>>()
         };
@@ -241,7 +241,7 @@ fn restoring_a_snapshot_repeats_every_bit() {
         let mut fresh = simulate(factory, &busy_scene(), &options);
         let motion =
             StrikerMotion { contact_w: DVec3::new(0.0, 0.0, R), angle: 0.05, speed: 0.7, ball_radius: R };
-        fresh.strike(&motion, 0.6, 0.7);
+        fresh.strike(motion, 0.6, 0.7);
         run(&mut fresh, 3.0);
         assert_eq!(first[2], fresh.state(2), "{}", factory.engine());
     }

@@ -25,7 +25,7 @@ fn plan(task: &Task, scene: &Scene) -> (Action, f64) {
         .into_iter()
         .map(|action| {
             let mut simulation = Simulation::new(&RapierFactory, scene, &task.world_options()).unwrap();
-            let rollout = task.rollout(&mut simulation, &task.strike(&action), &bodies, None).unwrap();
+            let rollout = task.rollout(&mut simulation, task.strike(&action), &bodies, None).unwrap();
             (action, rollout.objective)
         })
         .min_by(|a, b| a.1.total_cmp(&b.1))

@@ -555,7 +555,7 @@ mod tests {
         let bodies = task.bodies_in(&scene, "blue").unwrap();
         let mut simulation = Simulation::new(&RapierFactory, &scene, &task.world_options()).unwrap();
         let motion = task.strike(&crate::Action(vec![0.5, 0.0, 0.0, 0.0]));
-        let error = task.rollout(&mut simulation, &motion, &bodies, None).unwrap_err();
+        let error = task.rollout(&mut simulation, motion, &bodies, None).unwrap_err();
         assert!(error.is_invalid_rollout(), "{error}");
         assert!(error.to_string().contains("`blue` is") && error.to_string().contains("inside"), "{error}");
     }
@@ -569,7 +569,7 @@ mod tests {
         let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
         let mut watch = Watch { left: None, rest: bodies.energy(&simulation)[0] };
         let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
-        simulation.strike(&motion, 0.6, 0.7);
+        simulation.strike(motion, 0.6, 0.7);
         let mut time_s = 0.0;
         while time_s < 1.5 {
             simulation.advance(options.dt).unwrap();

@@ -23,7 +23,7 @@ fn simulation(task: &ResolvedTask, scene: &Scene) -> Simulation {
 fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<Recording>) -> Rollout {
     let bodies = task.bodies_in(scene, "blue").unwrap();
     let motion = task.strike(&Action(action.to_vec()));
-    task.rollout(&mut simulation(task, scene), &motion, &bodies, recording).unwrap()
+    task.rollout(&mut simulation(task, scene), motion, &bodies, recording).unwrap()
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn recording_and_reusing_a_world_do_not_change_the_objective() {
         for _ in 0..2 {
             assert!(reused.restore());
             let again =
-                task.rollout(&mut reused, &task.strike(&Action(action.to_vec())), &bodies, None).unwrap();
+                task.rollout(&mut reused, task.strike(&Action(action.to_vec())), &bodies, None).unwrap();
             assert_eq!(again, fresh);
         }
     }
@@ -102,9 +102,9 @@ fn stopping_early_changes_no_objective() {
         let action = Action(vec![0.25 + 0.025 * f64::from(i), -0.2 + 0.4 * f64::from(i * 7 % 24) / 23.0]);
         let motion = task.strike(&action);
         assert!(world.restore());
-        let full = task.rollout(&mut world, &motion, &bodies, Some(Recording { every_s: 0.1 })).unwrap();
+        let full = task.rollout(&mut world, motion, &bodies, Some(Recording { every_s: 0.1 })).unwrap();
         assert!(world.restore());
-        let short = task.rollout(&mut world, &motion, &bodies, None).unwrap();
+        let short = task.rollout(&mut world, motion, &bodies, None).unwrap();
         assert_eq!(short.objective, full.objective, "{action:?}");
         stopped_early += usize::from(short.end_s < full.end_s);
         bounced += usize::from(full.trajectory.unwrap().body("box_0").is_some());
@@ -125,7 +125,7 @@ fn a_prepared_world_sleeps_in_place_and_rolls_like_a_fresh_one() {
     }
     assert!(world.restore(), "it is saved");
     let motion = task.strike(&Action(vec![0.5, 0.01]));
-    let prepared = task.rollout(&mut world, &motion, &bodies, None).unwrap();
+    let prepared = task.rollout(&mut world, motion, &bodies, None).unwrap();
     let fresh = roll(&task, &scene, &[0.5, 0.01], None);
     assert!((prepared.objective - fresh.objective).abs() < 1e-3, "{prepared:?} {fresh:?}");
 }
@@ -176,7 +176,7 @@ fn a_target_world_with_other_names_carries_out_the_same_motion() {
     truth.bodies.push(ball("bystander", -1.0, 1.0, [0, 0, 0], material(0.3, 0.9)));
     let bodies = task.bodies_in(&truth, "ball_07").unwrap();
     let recording = Some(Recording { every_s: 0.02 });
-    let there = task.rollout(&mut simulation(&task, &truth), &motion, &bodies, recording).unwrap();
+    let there = task.rollout(&mut simulation(&task, &truth), motion, &bodies, recording).unwrap();
     assert!((there.objective - here.objective).abs() < 1e-4, "{} {}", there.objective, here.objective);
     let trajectory = there.trajectory.unwrap();
     assert!(trajectory.body("ball_07").is_some() && trajectory.body("bystander").is_none());

@@ -63,7 +63,7 @@ fn read(text: &str) -> Task {
 fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<Recording>) -> Rollout {
     let bodies = task.bodies_in(scene, &task.target().name).unwrap();
     let mut simulation = task.prepare(&RapierFactory, scene, &task.world_options(), &bodies).unwrap();
-    task.rollout(&mut simulation, &task.strike(&Action(action.to_vec())), &bodies, recording).unwrap()
+    task.rollout(&mut simulation, task.strike(&Action(action.to_vec())), &bodies, recording).unwrap()
 }
 
 const PUSH_OFF: &str = r#"

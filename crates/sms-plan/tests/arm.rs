@@ -1,0 +1,125 @@
+//! Planning with the arm: strikes that it cannot make are counted and never chosen.
+
+#[path = "../../sms-task/tests/common/mod.rs"]
+mod common;
+
+use common::{material, two_balls};
+use sms_core::glamx::{DPose3, DQuat, DVec3};
+use sms_core::{Cancel, Mesh, NoProgress, Seed, Warnings};
+use sms_plan::{Disturbances, PlanConfig, PlanError, PlanOutcome, plan, rehearse};
+use sms_robot::{RobotConfig, ToolPath};
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use sms_sim::{RapierFactory, Striker};
+use sms_task::{Action, Billiards, ResolvedTask, Selector, Task};
+
+fn standing_at(x: f64) -> RobotConfig {
+    let x_world_robot =
+        [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+    RobotConfig { x_world_robot: Some(x_world_robot), ..RobotConfig::default() }
+}
+
+/// The two balls, and a post at the cue ball's right hand, where the hand would have to be for shots to the left.
+fn scene() -> Scene {
+    let half = DVec3::new(0.02, 0.02, 0.1);
+    let post = Body {
+        name: "post".into(),
+        kind: BodyKind::Static,
+        x_wb: DPose3::from_parts(DVec3::new(0.25, -0.16, half.z), DQuat::IDENTITY),
+        shape: BodyShape::Box { half_extents: half },
+        visual: Mesh::default(),
+        mass: None,
+        ..common::ball("post", 0.0, 0.0, [90, 90, 90], material(0.4, 0.5))
+    };
+    let mut scene = two_balls();
+    scene.bodies.push(post);
+    scene
+}
+
+fn task(scene: &Scene, x: f64) -> ResolvedTask {
+    let (cue, target) = (Selector::by_name("cue"), Selector::by_name("blue"));
+    let mut task = Billiards::new(cue, target, [0.8, 0.03]);
+    task.horizon_s = 2.5;
+    Task::Billiards(task).resolve(scene).unwrap().with_robot(&standing_at(x), scene).unwrap()
+}
+
+fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome, PlanError> {
+    let config = PlanConfig {
+        starts: 4,
+        evaluations: 80,
+        candidates: 4,
+        finalists: 2,
+        polish_starts: 1,
+        polish: 3,
+        forecast_worlds: 4,
+        sensitivity_rollouts: 0,
+        disturbances: Disturbances { worlds: 4, ..Disturbances::default() },
+        ..PlanConfig::default()
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
+    pool.install(|| plan(task, scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings))
+}
+
+#[test]
+fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
+    let scene = scene();
+    let task = task(&scene, -0.1);
+    let outcome = run(&task, &scene, 1).unwrap();
+    // Another task of the same kind: nothing of the first one's sweeps is left.
+    let again = run(&self::task(&scene, -0.1), &scene, 2).unwrap();
+    assert_eq!(outcome, again, "with one and two threads");
+    let p = &outcome.plan;
+    let refused: usize = p.refused.iter().map(|r| r.count).sum();
+    println!("{} {:.4} m; {:?}", p.striker, p.objective, p.refused_text());
+    assert!(p.striker.contains("fr3") && p.robot.is_some());
+    assert!(refused > 0 && refused < p.searched, "{refused} of {}", p.searched);
+    assert!(p.refused.iter().any(|r| r.reason.contains("post")), "{:?}", p.refused);
+    let invalid = outcome.trials.iter().filter(|t| !t.valid).count();
+    assert_eq!(invalid, refused + p.invalid);
+    let strike = task.strike(&p.action);
+    assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
+    assert!(p.objective < 0.03, "{}", p.objective);
+    // The plan's own robot makes the same strike of it.
+    let same = self::task(&scene, 0.0).with_robot(p.robot.as_ref().unwrap(), &scene).unwrap();
+    let [Ok(Striker::Arm(a)), Ok(Striker::Arm(b))] = [task.striker(&strike), same.striker(&strike)] else {
+        panic!("both are arms")
+    };
+    assert_eq!((&a.q_start, a.sweep, a.rotation_w), (&b.q_start, b.sweep, b.rotation_w));
+    let worlds = Disturbances::default();
+    let cancel = Cancel::new();
+    let values = rehearse(&task, &scene, &RapierFactory, &worlds, &p.action, Seed(1), 4, &cancel).unwrap();
+    assert!(values.iter().all(|v| v.is_finite()), "{values:?}");
+}
+
+#[test]
+fn a_robot_out_of_reach_is_the_users_to_mend() {
+    let scene = scene();
+    let error = run(&task(&scene, -3.0), &scene, 1).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, PlanError::OutOfReach(_)));
+    assert!(text.contains("`cue`") && text.contains("no posture reaches it"), "{text}");
+}
+
+#[test]
+fn errors_of_the_execution_shift_the_planned_posture() {
+    let scene = scene();
+    let task = task(&scene, -0.1);
+    let asked = task.strike(&Action(vec![0.5, 0.1, 0.0, 0.0]));
+    let mut off = asked;
+    off.contact_w += DVec3::new(3e-4, -2e-4, 0.0);
+    (off.angle, off.speed) = (off.angle + 0.002, 1.02 * off.speed);
+    let (Ok(Striker::Arm(a)), Ok(Striker::Arm(b))) = (task.striker(&asked), task.striker_near(&asked, &off))
+    else {
+        panic!("both can be made")
+    };
+    assert!((b.sweep.direction_w - off.direction_w()).length() < 1e-12 && b.sweep.speed == off.speed);
+    let model = task.arm().unwrap().model();
+    let mut ws = sms_robot::Workspace::default();
+    model.forward_kinematics(&b.q_start, &mut ws);
+    let tool = model.frame_pose(model.tool(), &ws);
+    let start = b.path().at(0.0).x_wt;
+    assert!((tool.translation - start.translation).length() < 1e-8);
+    assert!(tool.rotation.angle_between(start.rotation) < 1e-6);
+    let moved = a.q_start.iter().zip(&b.q_start).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(moved > 1e-5 && moved < 0.02, "{moved}");
+}
