@@ -89,7 +89,7 @@ impl Sensing<'_> {
     fn is_involved(&self, name: &str, nominal: &Rollout) -> bool {
         let Some(index) = self.scene.body_index(name) else { return false };
         let is_fixed = self.scene.bodies[index].kind == BodyKind::Static;
-        let is_hit = nominal.contacts.iter().any(|c| c.ball == index || c.other == index);
+        let is_hit = nominal.contacts.iter().any(|c| c.body == index || c.other == index);
         is_fixed || is_hit || index == self.task.cue().index || index == self.task.target().index
     }
 }

@@ -148,7 +148,7 @@ fn a_plan_reports_its_distribution_and_what_matters() {
     let p = plan.predicted.unwrap();
     assert!(p.q10 <= p.q50 && p.q50 <= p.q90 && p.worlds == 6 && p.invalid == 0, "{p:?}");
     assert_eq!((plan.strategies[0].action.clone(), plan.strategies[0].prediction), (plan.action, Some(p)));
-    assert_eq!(plan.strategies[0].name, "cue → blue");
+    assert_eq!(plan.strategies[0].name, "direct");
     let shares: f64 = plan.sensitivities.iter().map(|s| s.share).sum();
     assert!((shares - 1.0).abs() < 1e-9, "{:?}", plan.sensitivities);
     // Without friction between the balls the target leaves along the line of centres: a millimetre across it turns the
@@ -212,7 +212,7 @@ fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
     let mut distinct = names.clone();
     distinct.dedup();
     assert_eq!(names, distinct);
-    assert!(names.contains(&"cue → blue off wall") && names[0].contains("wall"), "{names:?}");
+    assert!(names.contains(&"target off `wall`") && names[0].contains("wall"), "{names:?}");
     assert!(plan.strategies.iter().all(|s| s.prediction.is_some()));
 }
 
