@@ -1,6 +1,6 @@
 //! The stage's result.
 
-use crate::{Prediction, RobustObjective, Sensitivity, Strategy};
+use crate::{Prediction, Reason, RobustObjective, Sensitivity, Strategy};
 use serde::{Deserialize, Deserializer, Serialize};
 use sms_task::{Action, Parameter, Trajectory};
 
@@ -65,7 +65,11 @@ pub struct Plan {
     /// Ways of reaching the goal, best first; the first one's action is the plan's.
     #[serde(default)]
     pub strategies: Vec<Strategy>,
-    /// Which unknowns matter for the chosen action, most important first.
+    /// Why it was chosen, most telling first.
+    #[serde(default)]
+    pub reasons: Vec<Reason>,
+    /// Which unknowns matter for the chosen action, most important first. Each is disturbed alone: interactions are left
+    /// out.
     #[serde(default)]
     pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
@@ -76,6 +80,6 @@ impl Plan {
     /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
     pub fn is_nominal_only(&self) -> bool {
         // Plans of earlier versions have neither, and a quantile over disturbed worlds.
-        self.predicted.is_none() && !self.strategies.is_empty()
+        self.predicted.is_none() && self.strategies.first().is_some_and(|s| s.outcomes.is_empty())
     }
 }

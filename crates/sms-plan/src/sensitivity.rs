@@ -6,8 +6,9 @@ use crate::{Phase, PlanConfig, PlanError, Trial, Unknown};
 use serde::{Deserialize, Serialize};
 use sms_core::Seed;
 use sms_scene::{BodyKind, Scene};
-use sms_sim::WorldFactory;
+use sms_sim::{BodyId, WorldFactory};
 use sms_task::{ResolvedTask, Rollout};
+use std::collections::BTreeSet;
 
 /// Most worlds per unknown.
 const MOST_WORLDS: usize = 16;
@@ -34,11 +35,14 @@ pub(crate) struct Sensing<'a> {
     pub(crate) seed: Seed,
     pub(crate) counter: &'a Counter<'a>,
     pub(crate) winner: &'a Candidate,
+    /// Bodies that the shot touches, in the scanned world or in one of those of the forecast.
+    pub(crate) touched: &'a BTreeSet<BodyId>,
 }
 
 impl Sensing<'_> {
     /// Disturbs one unknown at a time, and looks at how the objective changes (one-at-a-time analysis: interactions are
-    /// left out). Unknowns of bodies that the shot does not touch are taken not to matter. Most important first.
+    /// left out). Unknowns of bodies that the shot touches neither in the scanned world nor in one of those of the
+    /// forecast are taken not to matter. Most important first.
     pub(crate) fn sense(
         &self,
         nominal: &Rollout,
@@ -48,7 +52,7 @@ impl Sensing<'_> {
         let mut unknowns = d.unknowns(self.scene);
         unknowns.retain(|u| match u {
             Unknown::Material { body } | Unknown::Pose { body } | Unknown::Radius { body } => {
-                self.is_involved(body, nominal)
+                self.is_involved(body)
             }
             Unknown::Execution => true,
         });
@@ -85,11 +89,13 @@ impl Sensing<'_> {
         Ok(found)
     }
 
-    /// Whether the shot has to do with a body: cue and target ball, what is fixed, and what a ball hits.
-    fn is_involved(&self, name: &str, nominal: &Rollout) -> bool {
+    /// Whether the shot has to do with a body: struck and target body, what is fixed, and what touches something.
+    fn is_involved(&self, name: &str) -> bool {
         let Some(index) = self.scene.body_index(name) else { return false };
         let is_fixed = self.scene.bodies[index].kind == BodyKind::Static;
-        let is_hit = nominal.contacts.iter().any(|c| c.body == index || c.other == index);
-        is_fixed || is_hit || index == self.task.cue().index || index == self.task.target().index
+        is_fixed
+            || self.touched.contains(&index)
+            || index == self.task.cue().index
+            || index == self.task.target().index
     }
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_sim::{BodyId, ContactEvent};
 use sms_task::{Action, ResolvedTask, Rollout};
+use std::collections::BTreeSet;
 
 /// Bodies of a chain that are told by name; what they push in turn is left out.
 const DEEPEST_CHAIN: usize = 3;
@@ -18,8 +19,25 @@ pub struct Strategy {
     pub action: Action,
     /// Its objective in the nominal world.
     pub objective: f64,
-    /// What it is predicted to do in worlds that played no part in choosing it.
+    /// What it is predicted to do in worlds that played no part in choosing it; `None` where there are none or no rollout
+    /// in them can be believed.
     pub prediction: Option<Prediction>,
+    /// Objective in each of those worlds, in their order; `None` where the rollout cannot be believed.
+    #[serde(default)]
+    pub outcomes: Vec<Option<f64>>,
+    /// Share of those worlds in which what happens is what the name says.
+    #[serde(default)]
+    pub as_named_share: Option<f64>,
+}
+
+impl Strategy {
+    /// What to say where worlds were looked at and no rollout in them can be believed: "could not be believed: 32 of 32
+    /// rollouts".
+    pub fn unbelievable_text(&self) -> Option<String> {
+        let all = self.outcomes.len();
+        (all > 0 && self.outcomes.iter().all(Option::is_none))
+            .then(|| format!("could not be believed: {all} of {all} rollouts"))
+    }
 }
 
 /// What happens in a rollout.
@@ -34,6 +52,13 @@ pub(crate) struct Story {
 /// What happens in a rollout, in words.
 pub(crate) fn strategy_of(rollout: &Rollout, scene: &Scene, task: &ResolvedTask) -> String {
     story_of(&rollout.contacts, rollout.closest_s, scene, task).name
+}
+
+/// Every body that touches something other than a floor in a rollout, in order of their indices.
+pub(crate) fn touched(rollout: &Rollout, scene: &Scene) -> BTreeSet<BodyId> {
+    let known = |b: BodyId| scene.bodies.get(b).is_none_or(|b| !matches!(b.shape, BodyShape::HalfSpace));
+    let pairs = rollout.contacts.iter().filter(|c| known(c.body) && known(c.other));
+    pairs.flat_map(|c| [c.body, c.other]).collect()
 }
 
 /// What happens until `until_s`.
