@@ -199,7 +199,9 @@ impl Explaining<'_> {
             spent += 1;
             let Some(look) = self.record(self.nominal, &action, spent, trials)? else { continue };
             let props = self.props(&look.story);
-            let Some(&body) = props.iter().find(|b| !relied.contains(b) && !told.contains(*b)) else { continue };
+            let Some(&body) = props.iter().find(|b| !relied.contains(b) && !told.contains(*b)) else {
+                continue;
+            };
             looked += 1;
             let changes: Vec<Change> =
                 self.changes(body).into_iter().filter(|c| c.property == BodyProperty::Mass).collect();
