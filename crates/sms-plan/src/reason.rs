@@ -40,6 +40,34 @@ pub enum BodyProperty {
     Friction,
     /// Coefficient of restitution.
     Restitution,
+    /// Lever of the rolling resistance, metres.
+    Rolling,
+}
+
+impl BodyProperty {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Mass, Self::Friction, Self::Restitution, Self::Rolling];
+
+    /// In words.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Mass => "mass",
+            Self::Friction => "friction",
+            Self::Restitution => "restitution",
+            Self::Rolling => "rolling resistance",
+        }
+    }
+
+    /// Gives a body what another one has of this property.
+    pub(crate) fn copy(self, from: &Body, to: &mut Body) {
+        let (a, b) = (&from.material, &mut to.material);
+        match self {
+            Self::Mass => to.mass = from.mass,
+            Self::Friction => b.friction.value.best = a.friction.value.best,
+            Self::Restitution => b.restitution.value.best = a.restitution.value.best,
+            Self::Rolling => b.rolling_m.value.best = a.rolling_m.value.best,
+        }
+    }
 }
 
 /// A shot in the scanned world, and in one in which one property of one body is another.
@@ -221,7 +249,7 @@ impl Explaining<'_> {
                 if matters(other.objective, look.objective) {
                     told.push(body);
                     let c = self.counterfactual(name.clone(), change, &look, &other, shots);
-                    let text = rejected(&c, other.objective < chosen[0].objective);
+                    let text = rejected(&c, matters(other.objective, chosen[0].objective));
                     reasons.push(Reason { text, counterfactual: Some(c) });
                 }
             }
@@ -390,6 +418,7 @@ impl Change {
             }
             BodyProperty::Friction => body.material.friction.value.best = would,
             BodyProperty::Restitution => body.material.restitution.value.best = would,
+            BodyProperty::Rolling => body.material.rolling_m.value.best = would,
         }
     }
 }
@@ -430,11 +459,7 @@ fn would_be(c: &Counterfactual) -> (String, String) {
 }
 
 fn property_text(c: &Counterfactual) -> String {
-    match c.property {
-        BodyProperty::Mass => format!("the mass of `{}`", c.body),
-        BodyProperty::Friction => format!("the friction of `{}`", c.body),
-        BodyProperty::Restitution => format!("the restitution of `{}`", c.body),
-    }
+    format!("the {} of `{}`", c.property.as_str(), c.body)
 }
 
 fn relies(c: &Counterfactual) -> String {
@@ -456,13 +481,13 @@ fn relies(c: &Counterfactual) -> String {
 
 fn rejected(c: &Counterfactual, is_better: bool) -> String {
     let (was, would) = would_be(c);
-    let moved = if c.moved_m[0] >= MATTERS.0 {
-        format!(" ({was}, pushed {} away)", length_text(c.moved_m[0]))
+    let pushed = if c.moved_m[0] >= MATTERS.0 {
+        format!(", and `{}` is pushed {} away", c.body, length_text(c.moved_m[0]))
     } else {
-        format!(" ({was})")
+        String::new()
     };
     format!(
-        "“{}” comes to {} at best because of {}{moved}: were it {would}, the best of {} such shots would come to {}{}",
+        "“{}” comes to {} at best{pushed}: were {} {would}, not {was}, the best of {} such shots would come to {}{}",
         c.strategy,
         length_text(c.objectives[0]),
         property_text(c),

@@ -315,7 +315,7 @@ fn sensitivities(plan: &Plan) -> String {
         let _ = write!(
             html,
             "<tr><td>{}</td><td class=\"track\"><span style=\"width:{:.1}%\"></span></td><td class=\"n\">± {}</td></tr>",
-            with_names(&s.unknown.to_string()),
+            with_names(&s.to_string()),
             100.0 * s.change / most,
             length_text(s.change)
         );
@@ -376,7 +376,12 @@ mod tests {
                 strategy("direct", vec![None; 4], None),
             ],
             reasons: vec![Reason { text: "it relies on `a<b`".into(), counterfactual: None }],
-            sensitivities: vec![Sensitivity { unknown: Unknown::Execution, change: 0.004, share: 1.0 }],
+            sensitivities: vec![Sensitivity {
+                unknown: Unknown::Execution,
+                change: 0.004,
+                share: 1.0,
+                property: None,
+            }],
             trajectory: Trajectory::default(),
         }
     }
@@ -421,6 +426,9 @@ mod tests {
             assert!((scale.top - top).abs() < 1e-12, "{v}: {}", scale.top);
             assert!(scale.at(v) <= 1.0 && scale.at(2.0 * scale.top) == 1.0);
         }
-        assert_eq!([0.0, 0.005, 0.0125, 0.15, 1.5].map(tick_text), ["0", "5 mm", "1.25 cm", "15 cm", "1.5 m"]);
+        assert_eq!(
+            [0.0, 0.005, 0.0125, 0.15, 1.5].map(tick_text),
+            ["0", "5 mm", "1.25 cm", "15 cm", "1.5 m"]
+        );
     }
 }

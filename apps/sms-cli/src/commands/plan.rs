@@ -118,7 +118,7 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
         .iter()
         .filter(|s| s.share >= 0.05)
         .take(4)
-        .map(|s| format!("{} ({:.0} %, {})", s.unknown, 100.0 * s.share, length_text(s.change)))
+        .map(|s| format!("{s} ({:.0} %, {})", 100.0 * s.share, length_text(s.change)))
         .collect();
     if !matters.is_empty() {
         lines.push(format!("  what matters most, each alone: {}", matters.join(", ")));
