@@ -183,7 +183,8 @@ mod tests {
         let (c, text) = of_statue(brass).expect("brass relies on its mass");
         assert!(c.strategy == name(brass) && c.objectives[0] == brass.objective, "{c:?}");
         assert!(c.values[0] > 15.0 && c.values[1] < 0.3 && c.objectives[1] > 0.08, "{c:?}");
-        assert!(c.moved_m[1] > c.moved_m[0] + 0.005, "{c:?}");
+        // The carton takes the ball's motion on and slides some millimetres.
+        assert!(c.moved_m[1] > c.moved_m[0] + 0.001, "{c:?}");
         assert!(text.contains("as light as a carton") && text.contains("pushed"), "{text}");
         let (c, text) = of_statue(cardboard).expect("cardboard does for its lack of mass");
         assert!(c.strategy.contains("statue") && c.objectives[1] < cardboard.objective, "{c:?}");

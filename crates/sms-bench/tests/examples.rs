@@ -8,15 +8,15 @@ use sms_sim::RapierFactory;
 use sms_task::{ResolvedTask, Task};
 use std::path::Path;
 
-/// Plans an example with few shots; with its task, resolved, and its scene.
-fn planned(file: &str) -> (Plan, ResolvedTask, Scene) {
+/// Plans an example with so many shots in the search; with its task, resolved, and its scene.
+fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
     // The demo's scene, whose places and colours the examples name.
     let scene = PlanScene::new(SceneFamily::Open, 1).unwrap().scene;
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks").join(file);
     let task = Task::read(&path).unwrap().resolve(&scene).unwrap();
     let config = PlanConfig {
         starts: 4,
-        evaluations: 80,
+        evaluations,
         candidates: 4,
         finalists: 2,
         polish_starts: 0,
@@ -37,20 +37,20 @@ fn planned(file: &str) -> (Plan, ResolvedTask, Scene) {
 
 #[test]
 fn the_blue_ball_passes_and_the_others_stay() {
-    let (plan, task, _) = planned("pass-and-leave.toml");
+    let (plan, task, _) = planned("pass-and-leave.toml", 80);
     assert!(plan.objective < 0.3 * task.initial_objective(), "{}", plan.objective);
     assert_eq!(plan.strategies[0].outcomes.len(), 4);
 }
 
 #[test]
 fn the_blue_ball_comes_nearer_to_where_it_is_to_lie() {
-    let (plan, task, _) = planned("park.toml");
+    let (plan, task, _) = planned("park.toml", 240);
     assert!(plan.objective < 0.7 * task.initial_objective(), "{}", plan.objective);
 }
 
 #[test]
 fn the_box_is_pushed() {
-    let (plan, task, scene) = planned("push-the-box.toml");
+    let (plan, task, scene) = planned("push-the-box.toml", 80);
     assert!(plan.objective < 0.4 * task.initial_objective(), "{}", plan.objective);
     let pushed = format!("pushes `{}`", task.cue().name);
     assert!(plan.strategies[0].name.starts_with(&pushed), "{}", plan.strategies[0].name);
@@ -59,6 +59,6 @@ fn the_box_is_pushed() {
 
 #[test]
 fn the_bottle_falls() {
-    let (plan, task, _) = planned("topple.toml");
+    let (plan, task, _) = planned("topple.toml", 80);
     assert!(task.is_success(plan.objective), "{} of {}", plan.objective, task.initial_objective());
 }

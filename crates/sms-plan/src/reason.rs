@@ -22,6 +22,8 @@ const FRICTIONS: [f64; 2] = [0.1, 0.9];
 const RESTITUTIONS: [f64; 2] = [0.1, 0.9];
 /// A change of the objective matters when it is at least this much, metres, and a factor of this.
 const MATTERS: (f64, f64) = (0.005, 2.0);
+/// A body that comes farther than this from its place is pushed, metres.
+const PUSHED_M: f64 = 0.001;
 /// Bodies of the chosen shot, and other strategies, that are looked at.
 const MOST_BODIES: usize = 2;
 const MOST_OTHERS: usize = 2;
@@ -464,7 +466,7 @@ fn property_text(c: &Counterfactual) -> String {
 
 fn relies(c: &Counterfactual) -> String {
     let (was, would) = would_be(c);
-    let pushed = if (c.moved_m[1] - c.moved_m[0]).abs() < MATTERS.0 {
+    let pushed = if (c.moved_m[1] - c.moved_m[0]).abs() < PUSHED_M {
         String::new()
     } else {
         let [now, then] = c.moved_m.map(length_text);
@@ -481,7 +483,7 @@ fn relies(c: &Counterfactual) -> String {
 
 fn rejected(c: &Counterfactual, is_better: bool) -> String {
     let (was, would) = would_be(c);
-    let pushed = if c.moved_m[0] >= MATTERS.0 {
+    let pushed = if c.moved_m[0] >= PUSHED_M {
         format!(", and `{}` is pushed {} away", c.body, length_text(c.moved_m[0]))
     } else {
         String::new()
