@@ -469,8 +469,13 @@ fn relies(c: &Counterfactual) -> String {
     let pushed = if (c.moved_m[1] - c.moved_m[0]).abs() < PUSHED_M {
         String::new()
     } else {
-        let [now, then] = c.moved_m.map(length_text);
-        format!("; `{}` would be pushed {then} away, not {now}", c.body)
+        let then = length_text(c.moved_m[1]);
+        let now = if c.moved_m[0] < PUSHED_M {
+            String::new()
+        } else {
+            format!(", not {}", length_text(c.moved_m[0]))
+        };
+        format!("; `{}` would be pushed {then} away{now}", c.body)
     };
     format!(
         "“{}” relies on {} ({was}): were it {would}, this shot would come to {}, not {}{pushed}",
