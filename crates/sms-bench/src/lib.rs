@@ -53,6 +53,7 @@ mod robust;
 mod run;
 mod scenes;
 mod score;
+mod solvability;
 mod steps;
 mod surface;
 mod table;
@@ -82,6 +83,7 @@ pub use scenes::{
     select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
+pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

@@ -1,8 +1,8 @@
 //! The trial log.
 
 use serde::{Deserialize, Serialize};
+use sms_core::table::{Column, read_table, write_table};
 use sms_core::{CoreError, InputError};
-use sms_task::table::{Column, read_table, write_table};
 use sms_task::{Action, Parameter};
 use std::path::Path;
 

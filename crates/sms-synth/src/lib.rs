@@ -25,6 +25,7 @@
 mod assets;
 mod billiards;
 mod bvh;
+mod challenge;
 mod depth_camera;
 mod floor_light;
 mod materials;
@@ -40,6 +41,7 @@ mod texture;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
+pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::DepthCamera;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};

@@ -31,7 +31,6 @@ mod resolved;
 mod rollout;
 mod selector;
 mod strike;
-pub mod table;
 mod task;
 mod terms;
 mod trajectory;
