@@ -85,19 +85,13 @@ mod tests {
     fn an_execution_reads_back_exactly() {
         let x_wb = DPose3::from_translation(DVec3::new(0.1 + 0.2, 1.0 / 3.0, -1e-17));
         let state = BodyState { x_wb, v_w: DVec3::X, w_w: DVec3::Y };
-        let execution = Execution {
+        let mut execution = Execution {
             engine: "rapier3d f64, quarter step (same engine)".to_owned(),
             objective: 0.012_345_678_901_234_5,
             objective_unit: "m".to_owned(),
             success: true,
             chaos_floor: 1e-5,
-            predicted: Some(AgainstPrediction {
-                nominal: 0.004,
-                mean: 0.01,
-                q90: 0.03,
-                rank: 0.625,
-                worlds: 32,
-            }),
+            predicted: None,
             trajectory: Trajectory {
                 times_s: vec![0.0, 0.01],
                 bodies: vec![BodyTrack { name: "target".to_owned(), states: vec![state, state] }],
@@ -110,5 +104,9 @@ mod tests {
         assert!(dir.path().join("trajectory.parquet").exists());
         let text = std::fs::read_to_string(dir.path().join("execution.json")).unwrap();
         assert!(text.lines().count() < 20, "one line per key, not per number:\n{text}");
+        let p = AgainstPrediction { nominal: 0.004, mean: 0.01, q90: 0.03, rank: 0.625, worlds: 32 };
+        execution.predicted = Some(p);
+        execution.save(dir.path()).unwrap();
+        assert_eq!(Execution::load(dir.path()).unwrap(), execution);
     }
 }
