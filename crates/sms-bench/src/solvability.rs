@@ -57,8 +57,8 @@ fn rebounds(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &Resol
     let is_prop =
         |b: usize| scene.bodies.get(b).is_some_and(|body| !matches!(body.shape, BodyShape::HalfSpace));
     let (mut count, mut reached) = (0, false);
-    for c in contacts.iter().filter(|c| c.time_s <= until_s && is_prop(c.ball) && is_prop(c.other)) {
-        let has = |b: usize| c.ball == b || c.other == b;
+    for c in contacts.iter().filter(|c| c.time_s <= until_s && is_prop(c.body) && is_prop(c.other)) {
+        let has = |b: usize| c.body == b || c.other == b;
         if has(cue) && has(target) {
             reached = true;
         } else if has(target) || (has(cue) && !reached) {

@@ -38,7 +38,7 @@ mod trajectory;
 pub use action::{Action, Parameter};
 pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial};
 pub use closest::ClosestApproach;
-pub use execution::Execution;
+pub use execution::{AgainstPrediction, Execution};
 pub use resolved::{Ball, ResolvedTask, TaskError};
 pub use rollout::{Recording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
