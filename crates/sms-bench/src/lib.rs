@@ -19,7 +19,8 @@
 //!
 //! # The planner
 //! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
-//! true world is one more sample of what is not known.
+//! true world is one more sample of what is not known. [`run_rebound`] plans one shot twice, with a statue of brass and of
+//! cardboard beside its way.
 //!
 //! ```
 //! use sms_bench::{F1_M, SurfacePoint, score_surface};
@@ -47,10 +48,12 @@ mod plan_speed;
 mod prepare;
 mod process;
 mod real;
+mod rebound;
 mod robust;
 mod run;
 mod scenes;
 mod score;
+mod solvability;
 mod steps;
 mod surface;
 mod table;
@@ -73,6 +76,7 @@ pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use process::{cpu_seconds, peak_bytes};
+pub use rebound::{StatueMaterial, rebound_scene, run_rebound};
 pub use robust::{RobustBench, robust_table, run_robust};
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
@@ -80,6 +84,7 @@ pub use scenes::{
     select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
+pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

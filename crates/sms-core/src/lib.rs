@@ -40,6 +40,7 @@ mod progress;
 mod ranges;
 mod run_folder;
 mod seed;
+pub mod table;
 mod text;
 mod topology;
 mod warnings;

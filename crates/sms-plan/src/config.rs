@@ -71,7 +71,8 @@ pub struct PlanConfig {
     pub polish: usize,
     /// Worlds that play no part in the choice, for the prediction.
     pub forecast_worlds: usize,
-    /// Rollouts that find out which unknown matters most, at most; 0 leaves it out.
+    /// Rollouts that find out which unknown matters most, at most, and as many again that find out why the action was
+    /// chosen; 0 leaves both out. Up to 64 more tell apart the properties of the two materials that matter most.
     pub sensitivity_rollouts: usize,
     /// The disturbed worlds.
     pub disturbances: Disturbances,

@@ -1,9 +1,9 @@
 //! The stage's result.
 
-use crate::{Prediction, RobustObjective, Sensitivity, Strategy};
+use crate::{Prediction, Reason, RobustObjective, Sensitivity, Strategy};
 use serde::{Deserialize, Deserializer, Serialize};
 use sms_robot::RobotConfig;
-use sms_task::{Action, Parameter, Trajectory};
+use sms_task::{Action, AgainstPrediction, Parameter, Trajectory};
 
 /// One optimisation from one start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -88,7 +88,11 @@ pub struct Plan {
     /// Ways of reaching the goal, best first; the first one's action is the plan's.
     #[serde(default)]
     pub strategies: Vec<Strategy>,
-    /// Which unknowns matter for the chosen action, most important first.
+    /// Why it was chosen, most telling first.
+    #[serde(default)]
+    pub reasons: Vec<Reason>,
+    /// Which unknowns matter for the chosen action, most important first. Each is disturbed alone: interactions are left
+    /// out.
     #[serde(default)]
     pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
@@ -111,9 +115,27 @@ impl Plan {
         })
     }
 
+    /// Where a realised objective lies in the predicted distribution; `None` where there is none.
+    pub fn against(&self, realised: f64) -> Option<AgainstPrediction> {
+        let p = self.predicted?;
+        let outcomes: Vec<f64> = self.strategies.first()?.outcomes.iter().copied().flatten().collect();
+        if outcomes.is_empty() {
+            return None;
+        }
+        let better = outcomes.iter().filter(|v| **v < realised).count() as f64;
+        let equal = outcomes.iter().filter(|v| **v == realised).count() as f64;
+        Some(AgainstPrediction {
+            nominal: self.objective,
+            mean: p.mean,
+            q90: p.q90,
+            rank: (better + 0.5 * equal) / outcomes.len() as f64,
+            worlds: outcomes.len(),
+        })
+    }
+
     /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
     pub fn is_nominal_only(&self) -> bool {
         // Plans of earlier versions have neither, and a quantile over disturbed worlds.
-        self.predicted.is_none() && !self.strategies.is_empty()
+        self.predicted.is_none() && self.strategies.first().is_some_and(|s| s.outcomes.is_empty())
     }
 }

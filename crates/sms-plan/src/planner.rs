@@ -1,20 +1,21 @@
 //! From a task and a scene to a plan (paper section "Simulate").
 
+use crate::reason::Explaining;
 use crate::robust::{Candidate, Choice, key};
 use crate::search::search;
 use crate::sensitivity::Sensing;
 use crate::space::Space;
-use crate::strategy::strategy_of;
+use crate::strategy::{strategy_of, touched};
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
 use crate::{
     Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
 };
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
-use sms_sim::{SimError, WorldFactory};
-use sms_task::{Action, Recording, ResolvedTask, TaskError};
+use sms_sim::{BodyId, SimError, WorldFactory};
+use sms_task::{Action, Recording, ResolvedTask, Rollout, TaskError};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -124,12 +125,13 @@ pub fn plan(
         let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?)?;
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
-        let forecast =
-            forecast(&chosen, &family(2 * d.worlds..2 * d.worlds + fresh)?, &counter, &mut found.trials)?;
+        let fresh = family(2 * d.worlds..2 * d.worlds + fresh)?;
+        let see = |rollout: &Rollout| (strategy_of(rollout, scene, task), touched(rollout, scene));
+        let forecast = forecast(&chosen, &fresh, &counter, &see, &mut found.trials)?;
         (chosen, forecast)
     };
     let predictions: Vec<Option<Prediction>> =
-        forecast.iter().map(|row| Prediction::of(row, |v| task.is_success(v))).collect();
+        forecast.iter().map(|row| Prediction::of(&objectives(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
     if let Some(p) = predicted {
@@ -150,21 +152,47 @@ pub fn plan(
     };
     let sensitivities = match &rollout {
         Some(rollout) if predicted.is_some() && config.sensitivity_rollouts > 0 => {
-            let sensing = Sensing { task, scene, factory, config, seed, counter: &counter, winner };
+            let disturbed = forecast[0].iter().filter_map(|shot| shot.1.as_ref()).flat_map(|s| s.1.clone());
+            let touched = disturbed.chain(touched(rollout, scene)).collect();
+            let sensing =
+                Sensing { task, scene, factory, config, seed, counter: &counter, winner, touched: &touched };
             sensing.sense(rollout, &mut found.trials)?
         }
         _ => Vec::new(),
     };
-    let strategies = chosen
+    let strategies: Vec<Strategy> = chosen
         .iter()
         .zip(&predictions)
-        .map(|(c, prediction)| Strategy {
+        .zip(&forecast)
+        .map(|((c, prediction), row)| Strategy {
             name: c.strategy.clone(),
             action: c.action.clone(),
             objective: c.objective,
             prediction: *prediction,
+            outcomes: row.iter().map(|shot| Some(shot.0).filter(|v| v.is_finite())).collect(),
+            as_named_share: (!row.is_empty()).then(|| {
+                let is_so = |shot: &&Seen| shot.1.as_ref().is_some_and(|s| s.0 == c.strategy);
+                row.iter().filter(is_so).count() as f64 / row.len() as f64
+            }),
         })
         .collect();
+    let reasons = match &rollout {
+        Some(rollout) if config.sensitivity_rollouts > 0 => {
+            let explaining = Explaining {
+                task,
+                scene,
+                factory,
+                config,
+                space: &space,
+                nominal: &nominal,
+                counter: &counter,
+                scored: &found.scored,
+                known: &known,
+            };
+            explaining.reasons(&chosen, &strategies, rollout, &mut found.trials)?
+        }
+        _ => Vec::new(),
+    };
     let plan = Plan {
         task: task.kind().to_owned(),
         engine: factory.engine().to_owned(),
@@ -183,6 +211,7 @@ pub fn plan(
         chosen_by: predicted.map(|_| config.objective),
         predicted,
         strategies,
+        reasons,
         sensitivities,
         trajectory: rollout.and_then(|r| r.trajectory).unwrap_or_default(),
     };
@@ -190,17 +219,25 @@ pub fn plan(
     Ok(PlanOutcome { plan, trials: found.trials })
 }
 
+/// Objective of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
+type Seen = (f64, Option<(String, BTreeSet<BodyId>)>);
+
+fn objectives(row: &[Seen]) -> Vec<f64> {
+    row.iter().map(|shot| shot.0).collect()
+}
+
 /// Tries the chosen actions in worlds that played no part in choosing them.
 fn forecast(
     chosen: &[Candidate],
     worlds: &DisturbedWorlds<'_>,
     counter: &Counter<'_>,
+    see: &(dyn Fn(&Rollout) -> (String, BTreeSet<BodyId>) + Sync),
     trials: &mut Vec<Trial>,
-) -> Result<Vec<Vec<f64>>, PlanError> {
+) -> Result<Vec<Vec<Seen>>, PlanError> {
     let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
-    let rows = worlds.objectives(&actions, 0..worlds.len(), counter)?;
+    let rows = worlds.look(&actions, 0..worlds.len(), counter, see)?;
     for (i, row) in rows.iter().enumerate() {
-        for (w, &objective) in row.iter().enumerate() {
+        for (w, objective) in objectives(row).into_iter().enumerate() {
             trials.push(Trial::new(Phase::Forecast, i as i32, w as i32, actions[i].clone(), objective));
         }
     }
@@ -292,6 +329,14 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "out_of_reach",
             text,
             "look at where the robot stands, and at what stands around the struck body",
+        );
+    }
+    if let Some(why) = plan.strategies.first().and_then(Strategy::unbelievable_text) {
+        warnings.add(
+            "plan",
+            "forecast_failed",
+            format!("what the chosen shot does in disturbed worlds is not known: it {why}"),
+            "look for interpenetrating or very light bodies in the scene; do not carry the shot out",
         );
     }
     if plan.invalid > 0 {

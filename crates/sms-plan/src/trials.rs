@@ -1,8 +1,8 @@
 //! The trial log.
 
 use serde::{Deserialize, Serialize};
+use sms_core::table::{Column, read_table, write_table};
 use sms_core::{CoreError, InputError};
-use sms_task::table::{Column, read_table, write_table};
 use sms_task::{Action, Parameter};
 use std::path::Path;
 
@@ -20,6 +20,8 @@ pub enum Phase {
     Forecast,
     /// The chosen action with one unknown disturbed.
     Sensitivity,
+    /// A shot in a world in which one property of one body is another, to find out why the action was chosen.
+    Reason,
 }
 
 impl Phase {
@@ -31,6 +33,7 @@ impl Phase {
             Self::Disturbed => "disturbed",
             Self::Forecast => "forecast",
             Self::Sensitivity => "sensitivity",
+            Self::Reason => "reason",
         }
     }
 }
@@ -40,8 +43,8 @@ impl Phase {
 pub struct Trial {
     /// What it was for.
     pub phase: Phase,
-    /// Index of the start (search), candidate (disturbed), strategy (forecast) or unknown (sensitivity); −1 in the
-    /// screening.
+    /// Index of the start (search), candidate (disturbed), strategy (forecast), unknown (sensitivity) or world with another
+    /// body (reason); −1 in the screening.
     pub start: i32,
     /// Number of the evaluation within the phase and start; the world's for disturbed ones.
     pub iteration: i32,
@@ -111,7 +114,14 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
     };
     (0..rows)
         .map(|i| {
-            let all = [Phase::Screen, Phase::Search, Phase::Disturbed, Phase::Forecast, Phase::Sensitivity];
+            let all = [
+                Phase::Screen,
+                Phase::Search,
+                Phase::Disturbed,
+                Phase::Forecast,
+                Phase::Sensitivity,
+                Phase::Reason,
+            ];
             let phase = all
                 .into_iter()
                 .find(|p| p.as_str() == phases[i])

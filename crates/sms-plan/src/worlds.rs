@@ -176,27 +176,45 @@ impl<'a> DisturbedWorlds<'a> {
         range: std::ops::Range<usize>,
         counter: &Counter<'_>,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
+        let rows = self.look(actions, range, counter, &|_| ())?;
+        Ok(rows.into_iter().map(|row| row.into_iter().map(|shot| shot.0).collect()).collect())
+    }
+
+    /// As [`DisturbedWorlds::objectives`], with what `look` sees in each rollout; `None` where it cannot be believed.
+    pub(crate) fn look<T: Send>(
+        &self,
+        actions: &[sms_task::Action],
+        range: std::ops::Range<usize>,
+        counter: &Counter<'_>,
+        look: &(dyn Fn(&Rollout) -> T + Sync),
+    ) -> Result<Vec<Vec<(f64, Option<T>)>>, PlanError> {
         let (first, count) = (range.start, range.len());
         // World by world, so that each is built once per thread at most.
         let pairs: Vec<(usize, usize)> =
             range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
-        let values: Vec<f64> = pairs
+        let values: Vec<(f64, Option<T>)> = pairs
             .par_iter()
             .map(|&(w, a)| {
                 let (index, world) = &self.worlds[w];
                 let asked = self.task.strike(&actions[a]);
-                counter.count(|| {
+                let mut seen = None;
+                let objective = counter.count(|| {
                     let striker = if self.execution {
                         let strike = self.disturbances.strike(&asked, self.seed, *index);
                         self.task.striker_near(&asked, &strike)?
                     } else {
                         self.task.striker(&asked)?
                     };
-                    Ok(world.carry_out(&striker, None)?.objective)
-                })
+                    let rollout = world.carry_out(&striker, None)?;
+                    seen = Some(look(&rollout));
+                    Ok(rollout.objective)
+                })?;
+                Ok((objective, seen))
             })
             .collect::<Result<_, PlanError>>()?;
-        let mut rows = vec![vec![f64::INFINITY; count]; actions.len()];
+        let nothing = || std::iter::repeat_with(|| (f64::INFINITY, None)).take(count).collect();
+        let mut rows: Vec<Vec<(f64, Option<T>)>> =
+            std::iter::repeat_with(nothing).take(actions.len()).collect();
         for ((w, a), value) in pairs.into_iter().zip(values) {
             rows[a][w - first] = value;
         }

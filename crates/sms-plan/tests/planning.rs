@@ -148,7 +148,7 @@ fn a_plan_reports_its_distribution_and_what_matters() {
     let p = plan.predicted.unwrap();
     assert!(p.q10 <= p.q50 && p.q50 <= p.q90 && p.worlds == 6 && p.invalid == 0, "{p:?}");
     assert_eq!((plan.strategies[0].action.clone(), plan.strategies[0].prediction), (plan.action, Some(p)));
-    assert_eq!(plan.strategies[0].name, "cue → blue");
+    assert_eq!(plan.strategies[0].name, "direct");
     let shares: f64 = plan.sensitivities.iter().map(|s| s.share).sum();
     assert!((shares - 1.0).abs() < 1e-9, "{:?}", plan.sensitivities);
     // Without friction between the balls the target leaves along the line of centres: a millimetre across it turns the
@@ -156,6 +156,41 @@ fn a_plan_reports_its_distribution_and_what_matters() {
     let share = |u: Unknown| plan.sensitivities.iter().find(|s| s.unknown == u).map_or(0.0, |s| s.share);
     let places = share(Unknown::Pose { body: "cue".into() }) + share(Unknown::Pose { body: "blue".into() });
     assert!(places > 0.5, "{:?}", plan.sensitivities);
+    // One way to the goal, and nothing that it relies on.
+    assert_eq!(plan.strategies[0].outcomes.iter().flatten().count(), 6);
+    assert_eq!(plan.strategies[0].as_named_share, Some(1.0));
+    assert!(plan.reasons.iter().all(|r| r.counterfactual.is_none()), "{:?}", plan.reasons);
+}
+
+#[test]
+fn a_ball_that_just_comes_to_the_goal_depends_on_its_rolling_resistance_and_not_on_its_mass() {
+    let scene = two_balls();
+    let task = r#"
+        kind = "strike"
+        strike = { name = "cue" }
+        form = "speed_angle"
+        horizon_s = 8.0
+        bounds = { speed = [0.08, 0.3] }
+        [[terms]]
+        term = "reach"
+        body = { name = "cue" }
+        place = { at_w = [0.3, 0.5] }
+        when = "end"
+    "#;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("task.toml");
+    std::fs::write(&path, task).unwrap();
+    let task = Task::read(&path).unwrap().resolve(&scene).unwrap();
+    let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
+    let config = PlanConfig { sensitivity_rollouts: 64, ..config() };
+    let plan =
+        plan(&task, &scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings).unwrap().plan;
+    assert_eq!(plan.strategies[0].name, "direct");
+    for s in plan.sensitivities.iter().filter(|s| s.property.is_some()) {
+        println!("{s}: {:.3}", s.share);
+        assert_ne!(s.property, Some(sms_plan::BodyProperty::Mass), "{s}");
+    }
+    assert!(plan.sensitivities.iter().any(|s| s.property.is_some()), "{:?}", plan.sensitivities);
 }
 
 #[test]
@@ -212,7 +247,7 @@ fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
     let mut distinct = names.clone();
     distinct.dedup();
     assert_eq!(names, distinct);
-    assert!(names.contains(&"cue → blue off wall") && names[0].contains("wall"), "{names:?}");
+    assert!(names.contains(&"target off `wall`") && names[0].contains("wall"), "{names:?}");
     assert!(plan.strategies.iter().all(|s| s.prediction.is_some()));
 }
 

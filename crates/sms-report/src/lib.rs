@@ -16,6 +16,7 @@ mod assignment;
 mod colormap;
 mod evaluate;
 mod figures;
+mod forecast;
 #[cfg(feature = "rerun")]
 mod live;
 mod page;

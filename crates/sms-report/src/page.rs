@@ -1,6 +1,7 @@
 //! The page.
 
 use crate::figures::{ViewPair, view_rows};
+use crate::forecast::forecast_section;
 use crate::shot::shot_svg;
 use crate::view3d::view_data;
 use serde::{Deserialize, Serialize};
@@ -89,13 +90,14 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Repo
     let missing = |what: &str, command: &str| {
         format!("<p class=\"missing\">No {what} in this run yet: <code>sms {command}</code> makes it.</p>")
     };
-    let parts: [(&str, String); 14] = [
+    let parts: [(&str, String); 15] = [
         ("title", escape(&input.title)),
         ("subtitle", escape(&input.subtitle)),
         ("style", STYLE.to_owned()),
         ("cards", cards(input)),
         ("shot", shot.unwrap_or_else(|| missing("scene", "simulate RUN"))),
         ("plan", plan_section(input)),
+        ("forecast", forecast_section(input.plan, input.execution)),
         ("objects", objects_table(input)),
         ("views", if views.is_empty() { missing("rendered views", "scan DIR --out RUN") } else { views }),
         ("losses", loss_curves(&input.losses)),
@@ -146,17 +148,26 @@ fn cards(input: &ReportInput<'_>) -> String {
     let mut html = String::new();
     let m = |key: &str| input.metrics.number(key);
     if let Some(plan) = input.plan {
-        let note = if plan.is_nominal_only() {
-            "in the scanned world; others were not looked at".to_owned()
-        } else {
-            format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90))
+        let unbelievable = plan.strategies.first().and_then(|s| s.unbelievable_text());
+        let note = match (&plan.predicted, unbelievable) {
+            (Some(p), _) => format!(
+                "on average; 9 in 10 worlds within {}, {} in the scanned one",
+                length_text(p.q90),
+                length_text(plan.objective)
+            ),
+            (None, Some(text)) => format!("in the scanned world; in disturbed ones it {text}"),
+            _ if plan.is_nominal_only() => "in the scanned world; others were not looked at".to_owned(),
+            // Plans of earlier versions.
+            _ => format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90)),
         };
-        card(&mut html, "Predicted miss", &length_text(plan.objective), &note, "main");
+        let value = plan.predicted.map_or(plan.objective, |p| p.mean);
+        card(&mut html, "Predicted miss", &length_text(value), &note, "main");
     }
     if let Some(e) = input.execution {
         let class = if e.success { "main good" } else { "main bad" };
         let verdict = if e.success { "success" } else { "missed" };
-        let note = format!("{verdict} in {}; chaos floor {}", e.engine, length_text(e.chaos_floor));
+        let rank = e.predicted.map_or_else(String::new, |p| format!(", {}", p.rank_text()));
+        let note = format!("{verdict}{rank}; in {}; chaos floor {}", e.engine, length_text(e.chaos_floor));
         card(&mut html, "Realised miss", &length_text(e.objective), &note, class);
     }
     if let Some(psnr) = m("scan.holdout_psnr_db").or(m("scan.train_psnr_db")) {
@@ -203,9 +214,14 @@ fn plan_section(input: &ReportInput<'_>) -> String {
             unit = escape(&p.unit)
         );
     }
+    let invalid = if plan.invalid > 0 {
+        format!(", {} of which could not be believed and were never the best", plan.invalid)
+    } else {
+        String::new()
+    };
     let _ = write!(
         html,
-        "</table><p>{} rollouts in {} from {} starts.</p>",
+        "</table><p>{} rollouts in {}{invalid}, from {} starts.</p>",
         plan.evaluations,
         escape(&plan.engine),
         plan.starts.len()
@@ -423,6 +439,7 @@ mod tests {
             chosen_by: None,
             predicted: None,
             strategies: Vec::new(),
+            reasons: Vec::new(),
             sensitivities: Vec::new(),
             trajectory: trajectory(),
         };

@@ -187,16 +187,27 @@ fn distances(
         .map(|(i, (found, name))| {
             let kind = if i == 0 { CheckKind::SelfCollision } else { CheckKind::Obstacle };
             let Some((c, phase, at_s)) = found else {
-                let detail = format!("the robot has no shapes that could touch {name}");
-                return CheckItem { kind, passed: true, margin: None, detail };
+                // Without shapes nothing is known of what the arm would touch. With shapes, no two links that could
+                // touch each other is an answer.
+                let known = model.collisions().iter().any(|c| c.joint.is_some());
+                let detail = if known {
+                    format!("the robot has no shapes that could touch {name}")
+                } else {
+                    format!(
+                        "it cannot be known whether the robot touches {name}: no moving link of its URDF has a \
+                         <collision> shape"
+                    )
+                };
+                return CheckItem { kind, passed: known, margin: None, detail };
             };
-            let far = if c.distance_m > enough { "more than " } else { "" };
+            let near = if c.distance_m > enough { "stays more than" } else { "comes within" };
+            let of = if c.distance_m > enough { "away from" } else { "of" };
             CheckItem {
                 kind,
                 passed: c.distance_m >= clearance_m,
                 margin: Some(c.distance_m - clearance_m),
                 detail: format!(
-                    "{} comes within {far}{:.1} mm of {} in the {} at {at_s:.2} s; {:.1} mm are kept",
+                    "{} {near} {:.1} mm {of} {} in the {} at {at_s:.2} s; {:.1} mm are kept",
                     c.link,
                     1e3 * c.distance_m.min(enough),
                     c.other,

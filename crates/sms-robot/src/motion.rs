@@ -62,7 +62,7 @@ pub enum LimitKind {
 
 /// A motion that the robot cannot make: the limit that it breaks by the largest share.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the robot cannot do that: {joint} would need {value:.4} {unit} at {at_s:.3} s, its limit is {bound:.4}", unit = unit(*.limit, *.turns))]
+#[error("the robot cannot do that: {}", self.reason())]
 pub struct Infeasible {
     /// The joint.
     pub joint: String,
@@ -76,6 +76,24 @@ pub struct Infeasible {
     pub at_s: f64,
     /// Whether the joint turns (radians, N·m) or slides (metres, N).
     pub turns: bool,
+}
+
+/// Times a limit beyond which a figure tells nothing but that the arm has lost a direction.
+const SINGULAR: f64 = 20.0;
+
+impl Infeasible {
+    fn reason(&self) -> String {
+        let Self { joint, value, bound, at_s, .. } = self;
+        let unit = unit(self.limit, self.turns);
+        if self.limit != LimitKind::Position && value.abs() > SINGULAR * bound.abs() {
+            format!(
+                "at {at_s:.3} s the arm is so near to a posture in which it cannot move the tool that way (stretched, or \
+                 folded) that {joint} would need more than {SINGULAR:.0} times its limit of {bound:.4} {unit}"
+            )
+        } else {
+            format!("{joint} would need {value:.4} {unit} at {at_s:.3} s, its limit is {bound:.4}")
+        }
+    }
 }
 
 fn unit(limit: LimitKind, turns: bool) -> &'static str {

@@ -6,16 +6,10 @@ use crate::motion::{JointSample, motor_torques};
 use crate::osc::joint_friction;
 use crate::workspace::Workspace;
 use glamx::{DPose3, DQuat};
-use parquet::basic::{LogicalType, Repetition, Type as PhysicalType};
-use parquet::data_type::{ByteArray, ByteArrayType, DoubleType};
-use parquet::errors::ParquetError;
-use parquet::file::properties::WriterProperties;
-use parquet::file::writer::SerializedFileWriter;
-use parquet::schema::types::Type;
 use serde::{Deserialize, Serialize};
+use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
-use std::sync::Arc;
 
 /// Version of the files.
 pub const PROGRAM_VERSION: u32 = 1;
@@ -150,65 +144,24 @@ impl JointProgram {
     /// # Errors
     /// [`CoreError::Write`].
     pub fn write_parquet(&self, path: &Path) -> Result<(), CoreError> {
-        let bytes = self.encode_parquet().map_err(|e| CoreError::Write {
-            path: path.to_owned(),
-            source: std::io::Error::new(std::io::ErrorKind::InvalidData, e),
-        })?;
-        atomic::write_bytes(path, &bytes)
-    }
-
-    fn encode_parquet(&self) -> Result<Vec<u8>, ParquetError> {
         let column =
-            |value: &dyn Fn(&ProgramPoint) -> f64| self.points.iter().map(value).collect::<Vec<f64>>();
-        let mut numbers: Vec<(String, Vec<f64>)> = Vec::new();
+            |value: &dyn Fn(&ProgramPoint) -> f64| Column::F64(self.points.iter().map(value).collect());
+        let phases = self.points.iter().map(|p| p.phase.name().to_owned()).collect();
+        let mut columns: Vec<(String, Column)> =
+            vec![("time_s".to_owned(), column(&|p| p.time_s)), ("phase".to_owned(), Column::Text(phases))];
         for (i, joint) in self.joints.iter().enumerate() {
-            numbers.push((format!("q_{joint}"), column(&|p| p.q[i])));
-            numbers.push((format!("qd_{joint}"), column(&|p| p.qd[i])));
-            numbers.push((format!("tau_{joint}"), column(&|p| p.tau[i])));
-            numbers.push((format!("tau_command_{joint}"), column(&|p| p.tau_command[i])));
+            columns.push((format!("q_{joint}"), column(&|p| p.q[i])));
+            columns.push((format!("qd_{joint}"), column(&|p| p.qd[i])));
+            columns.push((format!("tau_{joint}"), column(&|p| p.tau[i])));
+            columns.push((format!("tau_command_{joint}"), column(&|p| p.tau_command[i])));
         }
         for (i, name) in ["x", "y", "z"].into_iter().enumerate() {
-            numbers.push((name.to_owned(), column(&|p| p.tool_position_w[i])));
+            columns.push((name.to_owned(), column(&|p| p.tool_position_w[i])));
         }
         for (i, name) in ["qx", "qy", "qz", "qw"].into_iter().enumerate() {
-            numbers.push((name.to_owned(), column(&|p| p.tool_quaternion_w[i])));
+            columns.push((name.to_owned(), column(&|p| p.tool_quaternion_w[i])));
         }
-        let field = |name: &str, physical, logical| {
-            Type::primitive_type_builder(name, physical)
-                .with_repetition(Repetition::REQUIRED)
-                .with_logical_type(logical)
-                .build()
-                .map(Arc::new)
-        };
-        let mut fields = vec![
-            field("time_s", PhysicalType::DOUBLE, None)?,
-            field("phase", PhysicalType::BYTE_ARRAY, Some(LogicalType::String))?,
-        ];
-        for (name, _) in &numbers {
-            fields.push(field(name, PhysicalType::DOUBLE, None)?);
-        }
-        let schema = Arc::new(Type::group_type_builder("program").with_fields(fields).build()?);
-        // A fixed author keeps the bytes independent of the library's version string.
-        let properties = Arc::new(WriterProperties::builder().set_created_by("sms".to_owned()).build());
-        let mut bytes = Vec::new();
-        let mut file = SerializedFileWriter::new(&mut bytes, schema, properties)?;
-        let mut group = file.next_row_group()?;
-        let short = || ParquetError::General("the schema has fewer columns than the table".to_owned());
-        let mut writer = group.next_column()?.ok_or_else(short)?;
-        writer.typed::<DoubleType>().write_batch(&column(&|p| p.time_s), None, None)?;
-        writer.close()?;
-        let phases: Vec<ByteArray> = self.points.iter().map(|p| ByteArray::from(p.phase.name())).collect();
-        let mut writer = group.next_column()?.ok_or_else(short)?;
-        writer.typed::<ByteArrayType>().write_batch(&phases, None, None)?;
-        writer.close()?;
-        for (_, values) in &numbers {
-            let mut writer = group.next_column()?.ok_or_else(short)?;
-            writer.typed::<DoubleType>().write_batch(values, None, None)?;
-            writer.close()?;
-        }
-        group.close()?;
-        file.close()?;
-        Ok(bytes)
+        write_table(path, &columns)
     }
 }
 

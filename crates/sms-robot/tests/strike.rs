@@ -3,10 +3,11 @@
 use glamx::{DPose3, DVec3};
 use sms_core::Mesh;
 use sms_robot::{
-    FIST_HALF, LimitKind, LinkShape, Obstacle, ObstacleShape, OscConfig, RobotModel, StrikeCheck,
-    StrikeConfig, StrikeError, Sweep, SweepProfile, Workspace, check_strike, floor, plan_strike, plan_sweep,
-    simulate_sweep,
+    CheckKind, FIST_HALF, FR3_URDF, Infeasible, LimitKind, LinkShape, Obstacle, ObstacleShape, OscConfig,
+    RobotModel, StrikeCheck, StrikeConfig, StrikeError, Sweep, SweepProfile, UrdfOptions, Workspace,
+    check_strike, floor, plan_strike, plan_sweep, simulate_sweep,
 };
+use std::path::Path;
 
 const RADIUS: f64 = 0.03;
 
@@ -155,6 +156,40 @@ fn a_contact_that_is_never_reached_does_not_pass() {
     let check = check_strike(&model, &plan, &[], &config, &mut ws);
     assert!(!check.executable() && check.tracking.contact.is_none());
     assert!(check.items.iter().any(|i| !i.passed && i.detail.contains("never comes to the contact")));
+}
+
+/// Of a robot without collision shapes it cannot be said what it would touch, so it passes no check of distances.
+#[test]
+fn a_robot_without_shapes_is_not_executable() {
+    let mut bare = String::new();
+    let mut rest = FR3_URDF;
+    while let Some((before, after)) = rest.split_once("<collision") {
+        bare.push_str(before);
+        rest = after.split_once("</collision>").unwrap().1;
+    }
+    bare.push_str(rest);
+    let options = UrdfOptions { tool: Some("fr3_fist".to_owned()), ..UrdfOptions::default() };
+    let model = RobotModel::from_urdf_text(&bare, Path::new("bare.urdf"), &options).unwrap();
+    let (mut ws, config) = (Workspace::default(), StrikeConfig::default());
+    let around = [floor(0.0)];
+    let plan = plan_strike(&model, &ball_at(0.5, 0.0, 0.0, 0.3), &around, &config, &mut ws).unwrap();
+    let check = check_strike(&model, &plan, &around, &config, &mut ws);
+    let failed: Vec<CheckKind> = check.items.iter().filter(|i| !i.passed).map(|i| i.kind).collect();
+    assert_eq!(failed, [CheckKind::SelfCollision, CheckKind::Obstacle], "{:?}", check.items);
+}
+
+#[test]
+fn a_posture_that_has_lost_a_direction_is_called_that() {
+    let e = |value| Infeasible {
+        joint: "elbow".to_owned(),
+        limit: LimitKind::TorqueRate,
+        value,
+        bound: 1000.0,
+        at_s: 0.1,
+        turns: true,
+    };
+    assert!(e(-80_000.0).to_string().contains("more than 20 times its limit of 1000.0000 N·m/s"));
+    assert!(e(-1500.0).to_string().contains("-1500.0000 N·m/s"));
 }
 
 #[test]

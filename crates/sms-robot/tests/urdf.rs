@@ -97,6 +97,7 @@ fn joints_that_cannot_be_driven_are_refused() {
         &arm(MASS, "revolute", &LIMIT.replace("lower=\"-1\"", "lower=\"3\"")),
         &["elbow", "lower limit 3"],
     );
+    refused(&arm(MASS, "revolute", &LIMIT.replace("lower=\"-1\"", "lower=\"1\"")), &["elbow", "never move"]);
     refused(
         &arm(MASS, "revolute", &LIMIT.replace("velocity=\"2\"", "velocity=\"0\"")),
         &["velocity", "never move"],

@@ -10,6 +10,7 @@ use crate::{
 use glamx::DVec3;
 use sms_robot::SweepDrive;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 /// Least length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball
@@ -51,8 +52,12 @@ pub struct Simulation {
     /// advance: an impact that begins just before the end of a step is not cut in two.
     time_s: f64,
     splits: usize,
-    /// First touches of a ball and another body since the start, in order of time.
+    /// First touches of two bodies since the start, in order of time.
     contacts: Vec<ContactEvent>,
+    /// Pairs that touched before the state was saved, or in the first step of a world: they are no events.
+    resting: BTreeSet<(BodyId, BodyId)>,
+    /// What the engine says began to touch in a step; kept for its memory.
+    touches: Vec<(BodyId, BodyId)>,
     profile: Option<Profile>,
     saved: Option<Saved>,
 }
@@ -142,6 +147,8 @@ impl Simulation {
             time_s: 0.0,
             splits: 0,
             contacts: Vec::new(),
+            resting: BTreeSet::new(),
+            touches: Vec::new(),
             profile: None,
             saved: None,
         })
@@ -168,10 +175,10 @@ impl Simulation {
         self.splits
     }
 
-    /// Every pair of a ball and another body that hit each other, once, when it did for the first time since the start or
-    /// the saved state. Only impacts for
-    /// which a step was split are known ([`WorldOptions::contact_timing`]); a body that a ball rests on or rolls
-    /// against from the start is none.
+    /// Every pair of bodies that touched, once, when it did for the first time since the start or the saved state; pairs
+    /// that touch from the start are none. Known are impacts for which a step was split
+    /// ([`WorldOptions::contact_timing`]): a ball against anything; and from engines that tell
+    /// ([`World::take_touches`]) all other touches, however slow, of two bodies neither of which is static.
     pub fn contacts(&self) -> &[ContactEvent] {
         &self.contacts
     }
@@ -283,6 +290,7 @@ impl Simulation {
             time_s: self.time_s,
             splits: self.splits,
         });
+        self.resting.extend(self.contacts.iter().map(|c| ordered(c.body, c.other)));
         self.contacts.clear();
         true
     }
@@ -382,12 +390,33 @@ impl Simulation {
         }
     }
 
-    fn note_contact(&mut self, ball: BodyId, other: BodyId, in_s: f64) {
-        let is_known =
-            |c: &ContactEvent| (c.ball, c.other) == (ball, other) || (c.ball, c.other) == (other, ball);
-        if !self.contacts.iter().any(is_known) {
-            self.contacts.push(ContactEvent { time_s: self.world_s + in_s, ball, other });
+    fn note_contact(&mut self, body: BodyId, other: BodyId, in_s: f64) {
+        let pair = ordered(body, other);
+        if !self.contacts.iter().any(|c| ordered(c.body, c.other) == pair) {
+            self.contacts.push(ContactEvent { time_s: self.world_s + in_s, body, other });
         }
+    }
+
+    /// Notes what the engine says began to touch in the step of `dt` that it has just made; states are still those before
+    /// it.
+    fn note_touches(&mut self, dt: f64) {
+        let mut touches = std::mem::take(&mut self.touches);
+        self.world.take_touches(&mut touches);
+        for (a, b) in touches.drain(..) {
+            let is_static = |body: BodyId| self.bodies[body].kind == Kind::Static;
+            if is_static(a) || is_static(b) || self.resting.contains(&ordered(a, b)) {
+                continue;
+            }
+            // What stands together is found to touch in the first step.
+            if self.world_s == 0.0 {
+                self.resting.insert(ordered(a, b));
+                continue;
+            }
+            let speed = |body: BodyId| self.states[body].v_w.length();
+            let (body, other) = if speed(b) > speed(a) { (b, a) } else { (a, b) };
+            self.note_contact(body, other, dt);
+        }
+        self.touches = touches;
     }
 
     /// One step of the engine.
@@ -420,6 +449,7 @@ impl Simulation {
             profile.engine_s += began.elapsed().as_secs_f64();
             profile.steps += 1;
         }
+        self.note_touches(dt);
         self.world_s += dt;
         self.refresh_states(dt)
     }
@@ -562,6 +592,11 @@ impl Simulation {
         speed += self.gravity_w.length() * horizon;
         if speed < MIN_CLOSING_SPEED { None } else { Some(speed * horizon + TOUCH_GAP) }
     }
+}
+
+/// The pair with the smaller index first.
+fn ordered(a: BodyId, b: BodyId) -> (BodyId, BodyId) {
+    (a.min(b), a.max(b))
 }
 
 impl SimBody {

@@ -104,13 +104,13 @@ impl From<StrikeError> for SimError {
     }
 }
 
-/// A ball that hits something.
+/// Two bodies that touch for the first time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactEvent {
     /// When, seconds.
     pub time_s: f64,
-    /// The ball; of two balls the faster one.
-    pub ball: BodyId,
+    /// The faster one of the two; of a ball and something static the ball.
+    pub body: BodyId,
     /// What it hits.
     pub other: BodyId,
 }
@@ -158,6 +158,12 @@ pub trait World: Send {
     /// take such bodies out of the world.
     fn first_failed(&self) -> Option<BodyId> {
         None
+    }
+    /// Moves the pairs of bodies that began to touch since the last call, in a fixed order, to the end of `pairs`. A pair
+    /// may come again when it parts and touches again, and once for each two of its parts. Engines that cannot tell
+    /// add none: only impacts of balls are then known.
+    fn take_touches(&mut self, pairs: &mut Vec<(BodyId, BodyId)>) {
+        let _ = pairs;
     }
 }
 

@@ -40,7 +40,7 @@ impl Default for BilliardsSettings {
         Self {
             objects: 5,
             object_size: 1.0,
-            kinds: AssetKind::ALL.into_iter().filter(|k| *k != AssetKind::Plate).collect(),
+            kinds: AssetKind::SCATTERED.into_iter().filter(|k| *k != AssetKind::Plate).collect(),
             gap_m: 0.02,
             cue_target_m: [0.2, 0.4],
             target_goal_m: [0.15, 0.35],
@@ -58,15 +58,15 @@ const CUE_Y: [f64; 2] = [-0.08, 0.08];
 const SWEEP_M: f64 = 0.16;
 const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 /// Everything lies within this distance of the workspace's middle line, so that all views hold most of it.
-const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
+pub(crate) const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
 /// And within the wedge that the first, frontal view holds: the slope of its sides and how far its apex lies behind the
 /// robot's base (see `CameraPath` and `RecordingSettings::fov_x`).
-const FRONTAL_SLOPE: f64 = 0.66;
-const FRONTAL_DISTANCE_M: f64 = 0.15;
+pub(crate) const FRONTAL_SLOPE: f64 = 0.66;
+pub(crate) const FRONTAL_DISTANCE_M: f64 = 0.15;
 /// Half size of the floor.
 const FLOOR_HALF_SIZE_M: f64 = 1.5;
 /// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
-const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
+pub(crate) const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
 
 /// A scene from a seed. Frozen: the same seed and settings give the same scene.
 ///
@@ -110,7 +110,7 @@ struct Shot {
     goal: DVec2,
 }
 
-fn uniform(rng: &mut StageRng, [low, high]: [f64; 2]) -> f64 {
+pub(crate) fn uniform(rng: &mut StageRng, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
@@ -187,7 +187,7 @@ fn place_obstacle(
 }
 
 /// Radius of the disc around the asset's axis that holds its footprint, for an object standing at the world's origin.
-fn footprint_radius(object: &TruthObject) -> f64 {
+pub(crate) fn footprint_radius(object: &TruthObject) -> f64 {
     let about_axis = |p: &DVec3| {
         let p_w = object.x_wb.translation + *p;
         p_w.x.hypot(p_w.y)
@@ -196,7 +196,7 @@ fn footprint_radius(object: &TruthObject) -> f64 {
 }
 
 /// A disc on the floor that holds the object: centre and radius.
-fn footprint(object: &TruthObject) -> (DVec2, f64) {
+pub(crate) fn footprint(object: &TruthObject) -> (DVec2, f64) {
     let com = object.x_wb.translation.truncate();
     if let Some(r) = object.sphere_radius {
         return (com, r);
@@ -208,14 +208,14 @@ fn footprint(object: &TruthObject) -> (DVec2, f64) {
     (center, radius)
 }
 
-fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
+pub(crate) fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
     let along = b - a;
     let t = ((p - a).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
     p.distance(a + along * t)
 }
 
 /// `mug`, `mug_2`, `mug_3` …
-fn name_uniquely(objects: &mut [TruthObject]) {
+pub(crate) fn name_uniquely(objects: &mut [TruthObject]) {
     let mut used: BTreeMap<String, usize> = BTreeMap::new();
     for object in objects {
         let count = used.entry(object.name.clone()).or_default();

@@ -25,7 +25,9 @@
 mod assets;
 mod billiards;
 mod bvh;
+mod challenge;
 mod depth_camera;
+mod eighteen;
 mod floor_light;
 mod materials;
 mod model;
@@ -40,7 +42,9 @@ mod texture;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
+pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::DepthCamera;
+pub use eighteen::{FIXED_SCENES, FixedScene};
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};

@@ -112,6 +112,7 @@ pub fn execute_on(
         objective_unit: task.objective_unit().to_owned(),
         success: task.is_success(realised.objective),
         chaos_floor,
+        predicted: None,
         trajectory: realised.trajectory.unwrap_or_default(),
         matches,
     })

@@ -5,6 +5,34 @@ use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, atomic};
 use std::path::Path;
 
+/// Where a realised objective lies in the distribution that was predicted for it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AgainstPrediction {
+    /// Predicted in the scanned world.
+    pub nominal: f64,
+    /// Mean of the predicted distribution.
+    pub mean: f64,
+    /// Its 90 % quantile.
+    pub q90: f64,
+    /// Share of the predicted worlds that are better than what was realised, those that are equal counted half: 0 is better
+    /// than all, 1 worse than all, 0.5 what could be expected.
+    pub rank: f64,
+    /// Number of predicted worlds; those whose rollout cannot be believed are none.
+    pub worlds: usize,
+}
+
+impl AgainstPrediction {
+    /// In words: "worse than 78 % of 32 predicted worlds".
+    pub fn rank_text(&self) -> String {
+        let percent = (100.0 * self.rank).round();
+        match self.rank {
+            r if r <= 0.0 => format!("better than in all {} predicted worlds", self.worlds),
+            r if r >= 1.0 => format!("worse than in all {} predicted worlds", self.worlds),
+            _ => format!("worse than in {percent:.0} % of {} predicted worlds", self.worlds),
+        }
+    }
+}
+
 /// A plan carried out in a target world: an observed trajectory that a calibrator can read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Execution {
@@ -18,6 +46,9 @@ pub struct Execution {
     pub success: bool,
     /// Largest |Δobjective| over runs with start positions disturbed by 1 µm: what no planner can beat.
     pub chaos_floor: f64,
+    /// Where the objective lies in the predicted distribution; `None` for plans that have none.
+    #[serde(default)]
+    pub predicted: Option<AgainstPrediction>,
     /// What moved. Names are those of the target's bodies.
     pub trajectory: Trajectory,
     /// Planner's body name → target's body name, for those that were matched.
@@ -54,12 +85,13 @@ mod tests {
     fn an_execution_reads_back_exactly() {
         let x_wb = DPose3::from_translation(DVec3::new(0.1 + 0.2, 1.0 / 3.0, -1e-17));
         let state = BodyState { x_wb, v_w: DVec3::X, w_w: DVec3::Y };
-        let execution = Execution {
+        let mut execution = Execution {
             engine: "rapier3d f64, quarter step (same engine)".to_owned(),
             objective: 0.012_345_678_901_234_5,
             objective_unit: "m".to_owned(),
             success: true,
             chaos_floor: 1e-5,
+            predicted: None,
             trajectory: Trajectory {
                 times_s: vec![0.0, 0.01],
                 bodies: vec![BodyTrack { name: "target".to_owned(), states: vec![state, state] }],
@@ -72,5 +104,9 @@ mod tests {
         assert!(dir.path().join("trajectory.parquet").exists());
         let text = std::fs::read_to_string(dir.path().join("execution.json")).unwrap();
         assert!(text.lines().count() < 20, "one line per key, not per number:\n{text}");
+        let p = AgainstPrediction { nominal: 0.004, mean: 0.01, q90: 0.03, rank: 0.625, worlds: 32 };
+        execution.predicted = Some(p);
+        execution.save(dir.path()).unwrap();
+        assert_eq!(Execution::load(dir.path()).unwrap(), execution);
     }
 }

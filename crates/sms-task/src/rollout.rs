@@ -47,7 +47,7 @@ pub struct Rollout {
     pub objective: f64,
     /// When the target ball was there, seconds from the start of the sweep; the end of the rollout for terms.
     pub closest_s: f64,
-    /// First touches of balls and other bodies, in order of time.
+    /// First touches of bodies, in order of time; seconds from the start of the sweep.
     pub contacts: Vec<ContactEvent>,
     /// When the rollout ended, seconds: the horizon, or earlier when nothing could change any more.
     pub end_s: f64,
@@ -198,6 +198,8 @@ impl ResolvedTask {
     ) -> Result<Rollout, SimError> {
         let settings = &self.common;
         let mut judge = Judge::new(&self.wish, simulation, bodies);
+        // The world is older: it settled.
+        let start_s = simulation.time_s();
         let striker = simulation.strike(striker, settings.striker.friction, settings.striker.restitution);
         let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
@@ -231,7 +233,11 @@ impl ResolvedTask {
         Ok(Rollout {
             objective: judge.objective(),
             closest_s: judge.closest_s().unwrap_or(time_s),
-            contacts: simulation.contacts().to_vec(),
+            contacts: simulation
+                .contacts()
+                .iter()
+                .map(|c| ContactEvent { time_s: c.time_s - start_s, ..*c })
+                .collect(),
             end_s: time_s,
             trajectory: recorder.map(|r| r.finish(time_s, simulation)),
         })

@@ -1,8 +1,8 @@
 //! What happened in a world.
 
-use crate::table::{Column, write_table};
 use serde::{Deserialize, Serialize};
 use sms_core::CoreError;
+use sms_core::table::{Column, write_table};
 use sms_sim::BodyState;
 use std::path::Path;
 
@@ -70,8 +70,8 @@ impl Trajectory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::table::read_table;
     use glamx::{DPose3, DQuat, DVec3};
+    use sms_core::table::read_table;
 
     #[test]
     fn the_parquet_file_has_a_row_per_body_and_time() {

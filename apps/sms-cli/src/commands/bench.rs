@@ -3,7 +3,8 @@
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_optimisers::{self, BenchOptimisers};
 use super::bench_physics::{self, BenchPhysics};
-use super::bench_plan::{self, BenchPlan, BenchRobust};
+use super::bench_plan::{self, BenchPlan, BenchRebound, BenchRobust};
+use super::bench_scenes::{self, BenchScenes};
 use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
@@ -48,6 +49,10 @@ pub(crate) enum BenchCommand {
     Robust(BenchRobust),
     /// Measure how fast shots are simulated and planned, and where the time goes.
     Plan(BenchPlan),
+    /// Which way a shot goes, and why, when a statue beside its way is of brass and when it is of cardboard.
+    Rebound(BenchRebound),
+    /// Find out by brute force whether generated challenge scenes can be solved by a straight shot, or only by rebounds.
+    Scenes(BenchScenes),
 }
 
 #[derive(Debug, Args, Clone)]
@@ -123,6 +128,8 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
         BenchCommand::Robust(robust) => bench_plan::run_robust(context, robust),
         BenchCommand::Plan(plan) => bench_plan::run(context, plan),
+        BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
+        BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
     }
 }
 

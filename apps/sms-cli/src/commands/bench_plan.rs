@@ -1,9 +1,12 @@
 //! `sms bench plan` and `sms bench robust`: the planner's speed and what its plans are worth.
 
 use super::bench_optimisers::{Family, finish, parse_seeds};
+use super::plan::summary;
 use crate::context::Context;
 use clap::Args;
 use sms_bench::{PlanScene, RobustBench, robust_table, run_full_shots, run_plan_speed};
+use sms_core::Seed;
+use sms_core::metrics::Metrics;
 use sms_plan::PlanConfig;
 use std::path::PathBuf;
 
@@ -39,6 +42,16 @@ pub(crate) struct BenchRobust {
     /// scanned world alone gets twice as many.
     #[arg(long, value_name = "N")]
     pub evaluations: Option<usize>,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchRebound {
+    /// Seed of the planner.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -102,4 +115,21 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
     }
     let metrics = sms_bench::run_robust(&bench, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
+}
+
+pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result<()> {
+    let config = context.settings.section("plan", PlanConfig::default())?;
+    let mut metrics = Metrics::new();
+    let mut text = Vec::new();
+    for (statue, plan) in sms_bench::run_rebound(&config, Seed(a.seed), &context.cancel)? {
+        let key = |name: &str| format!("bench.rebound.{}.{name}", statue.as_str());
+        metrics.set(key("objective"), plan.objective);
+        metrics.set(key("strategy"), plan.strategies.first().map_or("", |s| s.name.as_str()));
+        if let Some(p) = &plan.predicted {
+            metrics.set(key("predicted_mean"), p.mean);
+        }
+        text.push(format!("a statue of {}:", statue.as_str()));
+        text.extend(summary(&plan));
+    }
+    finish(context, &metrics, a.out.as_ref(), &text.join("\n"))
 }

@@ -38,7 +38,8 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let hash = inputs_hash(&[&read.finish()], &options)?;
     let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, warnings| {
         let truth = read_truth(Path::new(&recording))?;
-        let execution = execute(&task, &plan.action, &scene, &truth, &options)?;
+        let mut execution = execute(&task, &plan.action, &scene, &truth, &options)?;
+        execution.predicted = plan.against(execution.objective);
         execution.save(stage.dir())?;
         let planned = task.resolve(&scene)?.target().name.clone();
         let struck = execution.matches.iter().find(|m| m.0 == planned).map(|m| m.1.as_str());
@@ -59,17 +60,31 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
         m.set("execute.objective", execution.objective);
         m.set("execute.success", execution.success);
         m.set("execute.chaos_floor", execution.chaos_floor);
+        if let Some(p) = &execution.predicted {
+            m.set("execute.predicted_mean", p.mean);
+            m.set("execute.predicted_q90", p.q90);
+            m.set("execute.predicted_rank", p.rank);
+        }
         Ok(m)
     })?;
     let e = Execution::load(&dir)?;
     context.say(format!("execute: {}", e.engine));
     context.say(format!(
-        "  realised {} {} (predicted {}); {}",
+        "  realised {} {}; {}",
         length_text(e.objective),
         of_what(&plan.task),
-        length_text(plan.objective),
         if e.success { "success" } else { "missed" }
     ));
+    context.say(match &e.predicted {
+        Some(p) => format!(
+            "  predicted {} on average, {} in 9 of 10 worlds, {} in the scanned one; {}",
+            length_text(p.mean),
+            length_text(p.q90),
+            length_text(p.nominal),
+            p.rank_text()
+        ),
+        None => format!("  predicted {} in the scanned world", length_text(plan.objective)),
+    });
     context.say(format!("  in {}", shown(&dir.join("execution.json"))));
     context.print_metrics(&run)
 }

@@ -5,6 +5,7 @@ mod bench_materialize;
 mod bench_optimisers;
 mod bench_physics;
 mod bench_plan;
+mod bench_scenes;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod evaluate;

@@ -80,7 +80,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
 }
 
 /// What the plan is predicted to do, which other ways there are, and what matters most.
-fn summary(plan: &Planned) -> Vec<String> {
+pub(crate) fn summary(plan: &Planned) -> Vec<String> {
     let mut lines = Vec::new();
     let of_what = of_what(&plan.task);
     match &plan.predicted {
@@ -93,33 +93,48 @@ fn summary(plan: &Planned) -> Vec<String> {
             100.0 * p.success_share,
             p.worlds
         )),
-        None => lines.push(format!(
-            "  predicted {} {of_what} in the scanned world; other worlds were not looked at",
-            length_text(plan.objective)
-        )),
+        None => {
+            let unbelievable = plan.strategies.first().and_then(|s| s.unbelievable_text());
+            let elsewhere = unbelievable.map_or_else(
+                || "other worlds were not looked at".to_owned(),
+                |text| format!("in disturbed ones it {text}"),
+            );
+            lines.push(format!(
+                "  predicted {} {of_what} in the scanned world; {elsewhere}",
+                length_text(plan.objective)
+            ));
+        }
     }
-    if plan.strategies.len() > 1 || plan.predicted.is_some() {
-        lines.push("  strategies                                 scanned     mean      10 %      50 %      90 %  success".to_owned());
-    }
-    for s in plan.strategies.iter().filter(|_| plan.strategies.len() > 1 || plan.predicted.is_some()) {
-        let mut line = format!("    {:<40} {:>8}", s.name, length_text(s.objective));
+    let width = plan.strategies.iter().map(|s| s.name.chars().count()).max().unwrap_or(0).max(10);
+    let columns = ["scanned", "mean", "10 %", "50 %", "90 %", "success"].map(|c| format!("{c:>9}")).concat();
+    lines.push(format!("  {:<width$}  {columns}", "strategies"));
+    for s in &plan.strategies {
+        let mut line = format!("    {:<width$}{:>9}", s.name, length_text(s.objective));
         if let Some(p) = &s.prediction {
             for v in [p.mean, p.q10, p.q50, p.q90] {
-                line.push_str(&format!("  {:>8}", length_text(v)));
+                line.push_str(&format!("{:>9}", length_text(v)));
             }
-            line.push_str(&format!("  {:>5.0} %", 100.0 * p.success_share));
+            line.push_str(&format!("{:>7.0} %", 100.0 * p.success_share));
+            if p.invalid > 0 {
+                line.push_str(&format!("  ({} of {} not valid)", p.invalid, p.worlds));
+            }
+        } else if let Some(text) = s.unbelievable_text() {
+            line.push_str(&format!("  {text}"));
         }
         lines.push(line);
+    }
+    for (i, reason) in plan.reasons.iter().enumerate() {
+        lines.push(format!("  {} {}", if i == 0 { "why:" } else { "    " }, reason.text));
     }
     let matters: Vec<String> = plan
         .sensitivities
         .iter()
         .filter(|s| s.share >= 0.05)
         .take(4)
-        .map(|s| format!("{} ({:.0} %, {})", s.unknown, 100.0 * s.share, length_text(s.change)))
+        .map(|s| format!("{s} ({:.0} %, {})", 100.0 * s.share, length_text(s.change)))
         .collect();
     if !matters.is_empty() {
-        lines.push(format!("  what matters most: {}", matters.join(", ")));
+        lines.push(format!("  what matters most, each alone: {}", matters.join(", ")));
     }
     let invalid =
         if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };

@@ -49,11 +49,9 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     read.file(&plan_dir.join("plan.json"))?
         .file(&plan_dir.join("task.toml"))?
         .file(&scene_dir.join("scene.json"))?;
-    if let Some(urdf) = &config.urdf {
-        read.file(urdf)?;
-    }
-    let base = (x_wr.translation.to_array(), x_wr.rotation.to_array());
-    let hash = inputs_hash(&[&read.finish()], &(&config, base))?;
+    // All that was read of the robot counts: its URDF, and the meshes and packages that this names.
+    let read_robot = format!("{robot:?}");
+    let hash = inputs_hash(&[&read.finish()], &(&config, read_robot))?;
     let dir = run_stage(context, &run, "robot", &["robot."], &hash, |stage, _| {
         // Of another robot's tool it is not known whether its back is as good as its front.
         let settings = StrikeConfig { symmetric_tool: config.urdf.is_none(), ..StrikeConfig::default() };

@@ -404,6 +404,12 @@ impl Builder<'_, '_, '_> {
                 "exchange them",
             ));
         }
+        if lower == upper {
+            return Err(self.source.error(
+                format!("joint {} has {lower} as its lower and its upper limit: it can never move", raw.name),
+                "state its range, make the joint fixed, or hold it in `held`",
+            ));
+        }
         for (what, value) in [("velocity", limits.velocity), ("effort", limits.effort)] {
             if value <= 0.0 {
                 return Err(self.source.error(

@@ -11,6 +11,7 @@ use crate::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 use glamx::{DMat3, DPose3, DQuat, DSymmetricEigen3, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use std::sync::Mutex;
 
 /// Rapier's tolerances are made for bodies of a metre; its own scale makes the distance at which contacts are
 /// predicted 20 µm. A contact normal taken at 20 mm, Rapier's default, is another one than at the impact.
@@ -44,6 +45,7 @@ pub(crate) struct RapierWorld {
     wrenched: Vec<BodyId>,
     kinematics: Vec<Kinematic>,
     last_dt: f64,
+    touches: Touches,
     options: WorldOptions,
     saved: Option<Box<Saved>>,
 }
@@ -72,6 +74,38 @@ struct Saved {
     handles: usize,
     kinematics: Vec<Kinematic>,
     last_dt: f64,
+}
+
+/// Collects pairs of bodies that begin to touch. Rapier reports where something changes, in the order of its pairs.
+#[derive(Default)]
+struct Touches(Mutex<Vec<(BodyId, BodyId)>>);
+
+impl EventHandler for Touches {
+    fn handle_collision_event(
+        &self,
+        _bodies: &RigidBodySet,
+        colliders: &ColliderSet,
+        event: CollisionEvent,
+        _pair: Option<&ContactPair>,
+    ) {
+        let CollisionEvent::Started(a, b, _) = event else { return };
+        let body = |handle: ColliderHandle| colliders.get(handle).map(|c| c.user_data as BodyId);
+        if let (Some(a), Some(b), Ok(mut pairs)) = (body(a), body(b), self.0.lock()) {
+            pairs.push((a, b));
+        }
+    }
+
+    fn handle_contact_force_event(
+        &self,
+        _dt: Real,
+        _bodies: &RigidBodySet,
+        _colliders: &ColliderSet,
+        _pair: &ContactPair,
+        _force: Real,
+    ) {
+    }
+
+    fn handle_soft_body_tear_event(&self, _bodies: &SoftBodySet, _event: &SoftBodyTearEvent) {}
 }
 
 /// Restitution's part of the friction. Rapier applies restitution after friction was solved, and the impulse that
@@ -130,6 +164,7 @@ impl RapierWorld {
             wrenched: Vec::new(),
             kinematics: Vec::new(),
             last_dt: options.dt,
+            touches: Touches::default(),
             options: *options,
             saved: None,
         };
@@ -168,7 +203,14 @@ impl RapierWorld {
         for collider in colliders(&body.shape).map_err(|why| refuse(&why))? {
             // Pairs with a hook are determined anew at each step; only balls and the striker need it.
             let hooks = if is_ball { ActiveHooks::MODIFY_SOLVER_CONTACTS } else { ActiveHooks::empty() };
-            let collider = with_material(collider, friction, restitution).active_hooks(hooks);
+            let collider = with_material(collider, friction, restitution)
+                .active_hooks(hooks)
+                .user_data(self.bodies.len() as u128);
+            // Of two static bodies nothing is reported.
+            let collider = match body.kind {
+                BodyKind::Dynamic => collider.active_events(ActiveEvents::COLLISION_EVENTS),
+                BodyKind::Static => collider,
+            };
             self.physics.insert_collider(collider, Some(handle));
         }
         self.bodies.push(handle);
@@ -216,11 +258,13 @@ impl RapierWorld {
                 ColliderBuilder::capsule_z(half_length as Real, radius as Real)
             }
         };
-        let collider =
-            with_material(collider, friction, restitution).active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS);
+        let body = self.bodies.len();
+        let collider = with_material(collider, friction, restitution)
+            .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
+            .user_data(body as u128);
         self.physics.insert_collider(collider, Some(handle));
         self.bodies.push(handle);
-        self.bodies.len() - 1
+        body
     }
 
     fn body(&self, body: BodyId) -> &RigidBody {
@@ -245,7 +289,7 @@ impl World for RapierWorld {
         p.warmstart_coefficient = (dt / self.last_dt).min(1.0) as Real;
         self.last_dt = dt;
         self.start_kinematics(dt);
-        self.physics.step_with_events(&ImpactFriction, &());
+        self.physics.step_with_events(&ImpactFriction, &self.touches);
         self.place_kinematics();
         for body in std::mem::take(&mut self.wrenched) {
             let body = self.body_mut(body);
@@ -376,7 +420,16 @@ impl World for RapierWorld {
         self.kinematics.clone_from(&saved.kinematics);
         self.last_dt = saved.last_dt;
         self.wrenched.clear();
+        if let Ok(touches) = self.touches.0.get_mut() {
+            touches.clear();
+        }
         true
+    }
+
+    fn take_touches(&mut self, pairs: &mut Vec<(BodyId, BodyId)>) {
+        if let Ok(touches) = self.touches.0.get_mut() {
+            pairs.append(touches);
+        }
     }
 
     fn first_failed(&self) -> Option<BodyId> {

@@ -130,6 +130,36 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
+/// A full food can: what it holds and its steel are one substance of their mean density.
+pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
+    let (radius, height) = (uniform(rng, 0.032, 0.037) * size, uniform(rng, 0.09, 0.11) * size);
+    let rim = 0.0015;
+    let profile = [
+        (radius - 0.002, 0.0),
+        (radius, 0.002),
+        (radius, 0.005),
+        (radius - rim, 0.007),
+        (radius - rim, height - 0.007),
+        (radius, height - 0.005),
+        (radius, height - 0.002),
+        (radius - 0.002, height),
+    ];
+    let colors = pick(
+        rng,
+        &[([190, 36, 34], [236, 232, 222]), ([42, 96, 60], [240, 220, 150]), ([40, 74, 130], [232, 200, 60])],
+    );
+    Blueprint {
+        name: "can",
+        class: "food can",
+        material: "full_can",
+        solid: lathe_solid(&profile, SEGMENTS),
+        void: None,
+        hollow: HollowKind::Solid,
+        sphere_radius: None,
+        texture: texture(rng, Pattern::Bands, colors, (0.35 * height) as f32, 0.6),
+    }
+}
+
 pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
     let (radius, height) = (uniform(rng, 0.030, 0.037) * size, uniform(rng, 0.15, 0.19) * size);
     let (neck, cap) = (0.42 * radius, 0.52 * radius);

@@ -144,6 +144,35 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
+/// A figure that sits with crossed legs, its hands in its lap.
+pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
+    let s = uniform(rng, 0.95, 1.15) * size;
+    let blobs = scaled(
+        &[
+            ([0.010, 0.0, 0.016], [0.046, 0.058, 0.020]),
+            ([0.0, 0.0, 0.050], [0.028, 0.034, 0.040]),
+            ([0.0, 0.0, 0.082], [0.024, 0.038, 0.022]),
+            ([0.008, 0.036, 0.060], [0.016, 0.014, 0.030]),
+            ([0.008, -0.036, 0.060], [0.016, 0.014, 0.030]),
+            ([0.028, 0.0, 0.036], [0.018, 0.028, 0.012]),
+            ([0.002, 0.0, 0.114], [0.021, 0.020, 0.024]),
+            ([0.0, 0.0, 0.138], [0.010, 0.010, 0.010]),
+        ],
+        s,
+    );
+    let colors = pick(rng, &[([214, 212, 204], [150, 148, 150]), ([112, 128, 116], [190, 200, 188])]);
+    Blueprint {
+        name: "seated_statue",
+        class: "marble statue",
+        material: "marble",
+        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
+        void: None,
+        hollow: HollowKind::Solid,
+        sphere_radius: None,
+        texture: texture(rng, Pattern::Marble, colors, 0.03, 0.6),
+    }
+}
+
 pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
     let s = uniform(rng, 0.9, 1.15) * size;
     let block =

@@ -50,11 +50,19 @@ pub enum AssetKind {
     ToyRobot,
     /// Small football.
     SoccerBall,
+    /// Heavy chamfered block of brass.
+    BrassBlock,
+    /// Full steel can.
+    Can,
+    /// Heavy seated figure of marble.
+    SeatedStatue,
+    /// A third pool ball.
+    PoolBall,
 }
 
 impl AssetKind {
-    /// All kinds, in a fixed order.
-    pub const ALL: [Self; 13] = [
+    /// What [`crate::generate_billiards`] scatters: frozen, since its scenes are. In a fixed order.
+    pub const SCATTERED: [Self; 13] = [
         Self::CardboardBox,
         Self::WoodBlock,
         Self::Bowl,
@@ -69,6 +77,20 @@ impl AssetKind {
         Self::ToyRobot,
         Self::SoccerBall,
     ];
+
+    /// All kinds, in a fixed order.
+    pub const ALL: [Self; 17] = {
+        let mut all = [Self::BrassBlock; 17];
+        let mut i = 0;
+        while i < Self::SCATTERED.len() {
+            all[i] = Self::SCATTERED[i];
+            i += 1;
+        }
+        all[14] = Self::Can;
+        all[15] = Self::SeatedStatue;
+        all[16] = Self::PoolBall;
+        all
+    };
 }
 
 /// An asset in its frame `A`: standing on z = 0, axis at x = y = 0.
@@ -133,6 +155,10 @@ pub(crate) fn make_asset(
         AssetKind::CeramicBear => figures::ceramic_bear(rng, size),
         AssetKind::ToyRobot => figures::toy_robot(rng, size),
         AssetKind::SoccerBall => soccer_ball(rng, size),
+        AssetKind::BrassBlock => brass_block(rng, size),
+        AssetKind::Can => dishware::can(rng, size),
+        AssetKind::SeatedStatue => figures::seated_statue(rng, size),
+        AssetKind::PoolBall => pool_ball(rng),
     };
     place(blueprint, p_w, yaw, rng)
 }
@@ -221,6 +247,27 @@ fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
         sphere_radius: None,
         texture: texture(rng, Pattern::Wood, colors, 0.03, 0.12),
     }
+}
+
+fn brass_block(rng: &mut StageRng, size: f64) -> Blueprint {
+    let extents =
+        DVec3::new(uniform(rng, 0.11, 0.15), uniform(rng, 0.04, 0.055), uniform(rng, 0.055, 0.08)) * size;
+    Blueprint {
+        name: "brass_block",
+        class: "brass block",
+        material: "brass",
+        solid: chamfered_cuboid(extents, 0.003),
+        void: None,
+        hollow: HollowKind::Solid,
+        sphere_radius: None,
+        texture: texture(rng, Pattern::Marble, ([204, 164, 84], [138, 100, 44]), 0.04, 0.9),
+    }
+}
+
+fn pool_ball(rng: &mut StageRng) -> Blueprint {
+    let colors = pick(rng, &[([206, 34, 30], [236, 84, 60]), ([232, 176, 24], [250, 208, 84])]);
+    let texture = texture(rng, Pattern::Speckle, colors, 0.006, 0.9);
+    ball(BALL_RADIUS_M, texture, "pool_ball", "billiard ball", "phenolic_resin")
 }
 
 fn place(blueprint: Blueprint, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {

@@ -1,5 +1,6 @@
 //! Tables of named columns as Parquet files (uncompressed), which pandas, Polars, DuckDB and Rerun open.
 
+use crate::{CoreError, InputError, atomic};
 use parquet::basic::{LogicalType, Repetition, Type as PhysicalType};
 use parquet::column::reader::ColumnReader;
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int32Type};
@@ -8,7 +9,6 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
-use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -55,7 +55,7 @@ impl Column {
 ///
 /// # Errors
 /// [`CoreError::Write`] when the file cannot be written, or when the columns differ in length.
-pub fn write_table(path: &Path, columns: &[(&str, Column)]) -> Result<(), CoreError> {
+pub fn write_table<N: AsRef<str>>(path: &Path, columns: &[(N, Column)]) -> Result<(), CoreError> {
     let bytes = encode(columns).map_err(|e| CoreError::Write {
         path: path.to_owned(),
         source: std::io::Error::new(std::io::ErrorKind::InvalidData, e),
@@ -63,13 +63,19 @@ pub fn write_table(path: &Path, columns: &[(&str, Column)]) -> Result<(), CoreEr
     atomic::write_bytes(path, &bytes)
 }
 
-fn encode(columns: &[(&str, Column)]) -> Result<Vec<u8>, ParquetError> {
+fn encode<N: AsRef<str>>(columns: &[(N, Column)]) -> Result<Vec<u8>, ParquetError> {
     let rows = columns.first().map_or(0, |(_, c)| c.len());
     if let Some((name, column)) = columns.iter().find(|(_, c)| c.len() != rows) {
-        return Err(ParquetError::General(format!("column `{name}` has {} rows, not {rows}", column.len())));
+        return Err(ParquetError::General(format!(
+            "column `{}` has {} rows, not {rows}",
+            name.as_ref(),
+            column.len()
+        )));
     }
-    let fields =
-        columns.iter().map(|(name, c)| c.field(name).map(Arc::new)).collect::<Result<Vec<_>, _>>()?;
+    let fields = columns
+        .iter()
+        .map(|(name, c)| c.field(name.as_ref()).map(Arc::new))
+        .collect::<Result<Vec<_>, _>>()?;
     let schema = Arc::new(Type::group_type_builder("table").with_fields(fields).build()?);
     // A fixed author keeps the bytes independent of the library's version string.
     let properties = Arc::new(WriterProperties::builder().set_created_by("sms".to_owned()).build());

@@ -1,0 +1,75 @@
+//! `sms bench scenes`: which generated scenes can be solved, and how.
+
+use super::bench_optimisers::parse_seeds;
+use crate::context::Context;
+use clap::Args;
+use sms_bench::{Solvability, SolvabilityBench, run_solvability};
+use sms_core::{InputError, atomic};
+use sms_synth::Layout;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchScenes {
+    /// Layouts, with commas: empty, direct, backstop, screened, cue_bank, chain, two_ways (default: all).
+    #[arg(long, value_name = "LAYOUTS")]
+    pub layouts: Option<String>,
+    /// Seeds of the scenes.
+    #[arg(long, value_name = "SEEDS", default_value = "1001..1004")]
+    pub seeds: String,
+    /// Obstacles besides what a layout needs.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    pub obstacles: usize,
+    /// Shots per scene.
+    #[arg(long, value_name = "N", default_value_t = 1500)]
+    pub shots: u64,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
+    let layouts = match &a.layouts {
+        None => Layout::ALL.to_vec(),
+        Some(text) => text.split(',').map(layout_of).collect::<Result<_, _>>()?,
+    };
+    let bench = SolvabilityBench {
+        layouts,
+        seeds: parse_seeds(&a.seeds)?,
+        obstacles: a.obstacles,
+        shots: a.shots.max(1),
+    };
+    let found = run_solvability(&bench, context.progress.as_ref(), &context.cancel)?;
+    if let Some(out) = &a.out {
+        atomic::write_json(out, &found)?;
+    }
+    context.say(table(&found).trim_end());
+    Ok(())
+}
+
+fn layout_of(word: &str) -> Result<Layout, InputError> {
+    Layout::ALL.into_iter().find(|l| l.as_str() == word.trim()).ok_or_else(|| {
+        let all: Vec<&str> = Layout::ALL.iter().map(|l| l.as_str()).collect();
+        InputError::new(
+            format!("there is no layout `{word}`"),
+            "--layouts",
+            format!("name some of: {}", all.join(", ")),
+        )
+    })
+}
+
+fn table(found: &[Solvability]) -> String {
+    let mut text = String::from(
+        "best distance to the goal, mm (share of shots within 5 cm), by rebounds\n  layout       seed  objects      none           one            two or more\n",
+    );
+    for s in found {
+        let _ = write!(text, "  {:<10} {:>6} {:>6}  ", s.layout.as_str(), s.seed, s.obstacles);
+        for k in 0..3 {
+            let best =
+                if s.best_m[k].is_finite() { format!("{:.0}", 1e3 * s.best_m[k]) } else { "-".to_owned() };
+            let _ = write!(text, " {best:>5} ({:>4.1} %)", 100.0 * s.success_share[k]);
+        }
+        text.push('\n');
+    }
+    text
+}

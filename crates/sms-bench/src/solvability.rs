@@ -1,0 +1,162 @@
+//! How a scene can be solved, found out by brute force in a target world: by a straight shot, or only by rebounds.
+
+use crate::BenchError;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sms_core::{Cancel, Progress, Seed};
+use sms_plan::{Halton, PlanError};
+use sms_scene::{BodyShape, Scene};
+use sms_sim::{ContactEvent, RapierFactory};
+use sms_synth::{Layout, generate_challenge};
+use sms_target::scene_from_truth;
+use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Scenes to look at: layouts times seeds.
+#[derive(Debug, Clone)]
+pub struct SolvabilityBench {
+    /// What the scenes ask for.
+    pub layouts: Vec<Layout>,
+    /// Their seeds.
+    pub seeds: Vec<u64>,
+    /// Obstacles scattered around, besides what the layout needs.
+    pub obstacles: usize,
+    /// Shots per scene, spread evenly over speed and angle.
+    pub shots: u64,
+}
+
+/// What brute force found out about one scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Solvability {
+    /// What the scene asks for.
+    pub layout: Layout,
+    /// Its seed.
+    pub seed: u64,
+    /// Objects besides the two balls.
+    pub obstacles: usize,
+    /// Best distance to the goal, metres, by number of rebounds: none, one, two or more. Infinite where no shot of that
+    /// kind reached the target ball.
+    pub best_m: [f64; 3],
+    /// Share of all shots that end within 5 cm, by number of rebounds.
+    pub success_share: [f64; 3],
+    /// The nearest to the goal that any shot came, and the strike that did it: speed (m/s), angle (rad).
+    pub best_action: Vec<f64>,
+}
+
+impl Solvability {
+    /// The best of all shots, metres.
+    pub fn best(&self) -> f64 {
+        self.best_m.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Rebounds before the target ball is nearest to the goal: touches of it, or of the cue ball before that meets it, with
+/// anything but each other and the floor. `None` where the target ball is never touched.
+fn rebounds(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &ResolvedTask) -> Option<usize> {
+    let (cue, target) = (task.cue().index, task.target().index);
+    let is_prop =
+        |b: usize| scene.bodies.get(b).is_some_and(|body| !matches!(body.shape, BodyShape::HalfSpace));
+    let (mut count, mut reached) = (0, false);
+    for c in contacts.iter().filter(|c| c.time_s <= until_s && is_prop(c.body) && is_prop(c.other)) {
+        let has = |b: usize| c.body == b || c.other == b;
+        if has(cue) && has(target) {
+            reached = true;
+        } else if has(target) || (has(cue) && !reached) {
+            count += 1;
+            reached |= has(target);
+        }
+    }
+    reached.then_some(count)
+}
+
+/// Simulates `shots` shots in the true scene.
+fn look(
+    bench: &SolvabilityBench,
+    layout: Layout,
+    seed: u64,
+    cancel: &Cancel,
+) -> Result<Option<Solvability>, BenchError> {
+    let Some(truth) = generate_challenge(layout, Seed(seed), bench.obstacles) else { return Ok(None) };
+    // The generator's masses are possible.
+    let Ok(scene) = scene_from_truth(&truth) else { return Ok(None) };
+    let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+    let mut billiards = Billiards::new(cue, target, truth.goal_w);
+    billiards.form = ActionForm::SpeedAngle;
+    let task = Task::Billiards(billiards).resolve(&scene).map_err(PlanError::from)?;
+    let bodies = task.bodies_in(&scene, &task.target().name).map_err(PlanError::from)?;
+    let mut simulation =
+        task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).map_err(PlanError::from)?;
+    let parameters = task.parameters();
+    let points = Halton::new(parameters.len(), Seed(seed));
+    let mut found = Solvability {
+        layout,
+        seed,
+        obstacles: truth.objects.len() - 2,
+        best_m: [f64::INFINITY; 3],
+        success_share: [0.0; 3],
+        best_action: Vec::new(),
+    };
+    for i in 0..bench.shots {
+        cancel.check()?;
+        let values =
+            points.point(i).iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect();
+        let action = Action(values);
+        simulation.restore();
+        let rollout = match task.rollout(&mut simulation, &task.strike(&action), &bodies, None) {
+            Ok(rollout) => rollout,
+            Err(e) if e.is_invalid_rollout() => continue,
+            Err(e) => return Err(PlanError::from(e).into()),
+        };
+        let Some(count) = rebounds(&rollout.contacts, rollout.closest_s, &scene, &task) else { continue };
+        if rollout.objective < found.best() {
+            found.best_action = action.0;
+        }
+        let kind = count.min(2);
+        found.best_m[kind] = found.best_m[kind].min(rollout.objective);
+        if task.is_success(rollout.objective) {
+            found.success_share[kind] += 1.0 / bench.shots as f64;
+        }
+    }
+    Ok(Some(found))
+}
+
+/// Looks at every scene that its seed allows, in the order of layouts and seeds.
+///
+/// # Errors
+/// [`BenchError`]: a scene that cannot be simulated, or interruption.
+pub fn run_solvability(
+    bench: &SolvabilityBench,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Vec<Solvability>, BenchError> {
+    let jobs: Vec<(Layout, u64)> =
+        bench.layouts.iter().flat_map(|&l| bench.seeds.iter().map(move |&s| (l, s))).collect();
+    progress.begin("bench scenes", jobs.len() as u64);
+    let done = AtomicU64::new(0);
+    let found: Vec<Option<Solvability>> = jobs
+        .par_iter()
+        .map(|&(layout, seed)| {
+            let found = look(bench, layout, seed, cancel);
+            progress.update(done.fetch_add(1, Ordering::SeqCst) + 1, "scenes");
+            found
+        })
+        .collect::<Result<_, _>>()?;
+    progress.end("");
+    Ok(found.into_iter().flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::NoProgress;
+
+    #[test]
+    fn two_balls_on_an_empty_floor_need_no_rebound() {
+        let bench =
+            SolvabilityBench { layouts: vec![Layout::Empty], seeds: vec![1001], obstacles: 0, shots: 300 };
+        let found = run_solvability(&bench, &NoProgress, &Cancel::new()).unwrap();
+        assert_eq!((found.len(), found[0].obstacles), (1, 0));
+        assert!(found[0].best_m[0] < 0.05 && found[0].best_m[1].is_infinite(), "{found:?}");
+        assert!(found[0].success_share[0] > 0.0 && found[0].success_share[1] == 0.0);
+    }
+}

@@ -1,0 +1,327 @@
+//! Billiards scenes that cannot all be solved by a straight shot: what the paper's eighteen were adjusted to by hand
+//! (appendix "Scene Generation") is drawn here from layouts. A layout proposes; whether a scene really needs a rebound
+//! is found out by brute force in a target world (`sms bench scenes`).
+
+use crate::assets::{AssetKind, make_asset, make_pool_ball};
+use crate::billiards::{
+    FRONTAL_DISTANCE_M, FRONTAL_SLOPE, WORKSPACE_CENTER, WORKSPACE_HALF_WIDTH_M, distance_to_segment,
+    draw_floor, footprint, footprint_radius, name_uniquely, uniform,
+};
+use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use crate::{BALL_RADIUS_M, BilliardsSettings};
+use glamx::{DVec2, DVec3};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sms_core::{Seed, StageRng};
+
+/// What a scene asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// Two balls and nothing else.
+    Empty,
+    /// The direct way is free, and a light box stands where a rebound would be tempting (the paper's scene A).
+    Direct,
+    /// The goal lies so far back that no cut reaches it; something heavy stands where the target ball can rebound
+    /// (scene B).
+    Backstop,
+    /// Something stands between target ball and goal; something heavy stands beside.
+    Screened,
+    /// Something stands between cue and target ball; something heavy stands beside.
+    CueBank,
+    /// The target ball has to rebound twice: off something heavy and off a ball that moves (scene C).
+    Chain,
+    /// A far goal that a thin cut and a rebound both reach (scene D).
+    TwoWays,
+}
+
+impl Layout {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Empty,
+        Self::Direct,
+        Self::Backstop,
+        Self::Screened,
+        Self::CueBank,
+        Self::Chain,
+        Self::TwoWays,
+    ];
+
+    /// The word in files, names and seeds.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Empty => "empty",
+            Self::Direct => "direct",
+            Self::Backstop => "backstop",
+            Self::Screened => "screened",
+            Self::CueBank => "cue_bank",
+            Self::Chain => "chain",
+            Self::TwoWays => "two_ways",
+        }
+    }
+}
+
+/// Heavy things that a ball rebounds off.
+const HEAVY: [AssetKind; 4] =
+    [AssetKind::BrassBlock, AssetKind::BrassStatue, AssetKind::MarbleStatue, AssetKind::SeatedStatue];
+/// Things that stand in the way.
+const SCREENS: [AssetKind; 6] = [
+    AssetKind::WoodBlock,
+    AssetKind::Bowl,
+    AssetKind::Mug,
+    AssetKind::Vase,
+    AssetKind::CeramicBear,
+    AssetKind::SeatedStatue,
+];
+/// Tries to draw a shot that fits the workspace, and to place one obstacle.
+const DRAWS: usize = 4000;
+const PLACES: usize = 600;
+/// Half width of the ways that balls are meant to take.
+const WAY_M: f64 = BALL_RADIUS_M + 0.012;
+/// Room for the gripper's fingers behind and beside the cue ball.
+const SWEEP_M: f64 = 0.16;
+const SWEEP_HALF_WIDTH_M: f64 = 0.08;
+/// Smallest gap between two objects, metres.
+const GAP_M: f64 = 0.02;
+
+/// A shot as it is meant: places of the balls and the goal, the polyline of ways, and what stands where for it.
+struct Shot {
+    cue: DVec2,
+    target: DVec2,
+    goal: DVec2,
+    /// Ways that stay free.
+    ways: Vec<(DVec2, DVec2)>,
+    props: Vec<Prop>,
+}
+
+/// An object that the layout needs.
+struct Prop {
+    kind: AssetKind,
+    /// Where on it the ball's centre turns, when it is rebounded off, and the surface's normal there.
+    at: DVec2,
+    facing: Option<DVec2>,
+}
+
+/// A scene of this layout with up to `obstacles` further objects scattered around. The same arguments give the same
+/// scene. `None` where the seed's draws do not fit into the workspace.
+pub fn generate_challenge(layout: Layout, scene_seed: Seed, obstacles: usize) -> Option<TruthScene> {
+    let seed = scene_seed.derive("billiards challenge v1").derive(layout.as_str());
+    let mut rng = seed.derive("shot").rng();
+    let shot = (0..DRAWS).find_map(|_| draw(layout, &mut rng))?;
+    let mut balls = seed.derive("balls").rng();
+    let mut objects =
+        vec![make_pool_ball(true, shot.cue, &mut balls), make_pool_ball(false, shot.target, &mut balls)];
+    for (index, prop) in shot.props.iter().enumerate() {
+        let object = place_prop(prop, seed.derive_index("prop", index as u64));
+        let clear = objects.iter().all(|o| apart(o, &object) >= 0.004);
+        if !clear || !inside(&object) || crosses(&object, &shot, prop) {
+            return None;
+        }
+        objects.push(object);
+    }
+    let mut deck: Vec<AssetKind> = Vec::new();
+    let mut shuffle = seed.derive("kinds").rng();
+    for index in 0..obstacles {
+        if deck.is_empty() {
+            deck = AssetKind::ALL.into_iter().filter(|k| *k != AssetKind::Plate).collect();
+        }
+        let kind = deck.swap_remove(shuffle.random_range(0..deck.len()));
+        objects.extend(scatter(kind, &shot, &objects, seed.derive_index("obstacle", index as u64)));
+    }
+    name_uniquely(&mut objects);
+    Some(TruthScene {
+        version: TRUTH_VERSION,
+        name: format!("billiards, {}, seed {}", layout.as_str(), scene_seed.0),
+        seed: scene_seed,
+        cue: objects[0].name.clone(),
+        target: objects[1].name.clone(),
+        objects,
+        floor: draw_floor(scene_seed, seed),
+        goal_w: shot.goal.to_array(),
+        robot_base_w: DVec3::ZERO,
+        workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
+    })
+}
+
+/// Draws a shot; `None` where it leaves the workspace.
+fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
+    let cue = DVec2::new(uniform(rng, [0.30, 0.42]), uniform(rng, [-0.12, 0.12]));
+    let heading = uniform(rng, [-0.6, 0.6]);
+    let side = if rng.random::<bool>() { 1.0 } else { -1.0 };
+    let along = |from: DVec2, angle: f64, by: f64| from + DVec2::from_angle(angle) * by;
+    let heavy = |rng: &mut StageRng| HEAVY[rng.random_range(0..HEAVY.len())];
+    let screen = |rng: &mut StageRng| SCREENS[rng.random_range(0..SCREENS.len())];
+    // A ball that comes along `from` and leaves along `to` turns at a surface that faces their difference.
+    let facing = |from: f64, to: f64| (DVec2::from_angle(to) - DVec2::from_angle(from)).normalize();
+    let target = match layout {
+        Layout::CueBank => along(cue, heading, uniform(rng, [0.26, 0.38])),
+        Layout::TwoWays => along(cue, heading, uniform(rng, [0.12, 0.20])),
+        _ => along(cue, heading, uniform(rng, [0.16, 0.30])),
+    };
+    let shot = match layout {
+        Layout::Empty | Layout::Direct => {
+            let cut = side * uniform(rng, [0.15, 0.95]);
+            let goal = along(target, heading + cut, uniform(rng, [0.20, 0.38]));
+            let mut props = Vec::new();
+            if layout == Layout::Direct {
+                // Beyond the goal's side of the target ball, where a ball that missed would rebound.
+                let beyond = along(target, heading - 0.4 * side, uniform(rng, [0.16, 0.24]));
+                props.push(Prop { kind: AssetKind::CardboardBox, at: beyond, facing: None });
+            }
+            Shot { cue, target, goal, ways: vec![(cue, target), (target, goal)], props }
+        }
+        Layout::Backstop | Layout::TwoWays => {
+            let first = heading + side * uniform(rng, [-0.3, 0.7]);
+            let turn = along(target, first, uniform(rng, [0.08, 0.18]));
+            let far = layout == Layout::TwoWays;
+            let back = if far { uniform(rng, [1.0, 1.6]) } else { uniform(rng, [1.75, 2.7]) };
+            let last = heading + side * back;
+            let goal =
+                along(turn, last, if far { uniform(rng, [0.26, 0.38]) } else { uniform(rng, [0.14, 0.30]) });
+            let prop = Prop { kind: heavy(rng), at: turn, facing: Some(facing(first, last)) };
+            let mut ways = vec![(cue, target), (target, turn), (turn, goal)];
+            if far {
+                ways.push((target, goal));
+            }
+            Shot { cue, target, goal, ways, props: vec![prop] }
+        }
+        Layout::Screened => {
+            let cut = side * uniform(rng, [0.0, 0.5]);
+            let goal = along(target, heading + cut, uniform(rng, [0.26, 0.38]));
+            let between = target.lerp(goal, uniform(rng, [0.45, 0.6]));
+            let to_goal = (goal - target).normalize();
+            let aside = 0.5 * (target + goal) + side * to_goal.perp() * uniform(rng, [0.10, 0.17]);
+            let (first, last) = ((aside - target).to_angle(), (goal - aside).to_angle());
+            let props = vec![
+                Prop { kind: screen(rng), at: between, facing: None },
+                Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
+            ];
+            Shot { cue, target, goal, ways: vec![(cue, target), (target, aside), (aside, goal)], props }
+        }
+        Layout::CueBank => {
+            let between = cue.lerp(target, uniform(rng, [0.48, 0.60]));
+            let to_target = (target - cue).normalize();
+            let aside = 0.5 * (cue + target) + side * to_target.perp() * uniform(rng, [0.11, 0.18]);
+            let (first, last) = ((aside - cue).to_angle(), (target - aside).to_angle());
+            let goal = along(target, last + uniform(rng, [-0.6, 0.6]), uniform(rng, [0.12, 0.24]));
+            let props = vec![
+                Prop { kind: screen(rng), at: between, facing: None },
+                Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
+            ];
+            Shot { cue, target, goal, ways: vec![(cue, aside), (aside, target), (target, goal)], props }
+        }
+        Layout::Chain => {
+            let first = heading + side * uniform(rng, [-0.2, 0.5]);
+            let turn = along(target, first, uniform(rng, [0.08, 0.15]));
+            let second = heading + side * uniform(rng, [1.5, 2.3]);
+            let at_ball = along(turn, second, uniform(rng, [0.10, 0.20]));
+            // Off a ball of its own mass the target ball leaves square to the line of centres.
+            let last = second + side * uniform(rng, [0.7, 1.3]);
+            let goal = along(at_ball, last, uniform(rng, [0.10, 0.20]));
+            let square = DVec2::from_angle(last).perp();
+            let line = if square.dot(DVec2::from_angle(second)) > 0.0 { square } else { -square };
+            let props = vec![
+                Prop { kind: heavy(rng), at: turn, facing: Some(facing(first, second)) },
+                Prop { kind: AssetKind::PoolBall, at: at_ball, facing: Some(-line) },
+            ];
+            let ways = vec![(cue, target), (target, turn), (turn, at_ball), (at_ball, goal)];
+            Shot { cue, target, goal, ways, props }
+        }
+    };
+    let reach = BilliardsSettings::default().reach_m;
+    let fits = [shot.cue, shot.target, shot.goal]
+        .iter()
+        .chain(shot.ways.iter().map(|(_, b)| b))
+        .all(|p| p.x > 0.20 && p.length() <= reach && p.y.abs() < 0.34 && in_wedge(*p, BALL_RADIUS_M));
+    // The finger sweeps from behind the cue ball.
+    let clear = |p: &DVec2| p.distance(shot.cue) > 0.12;
+    (fits && clear(&shot.target) && clear(&shot.goal) && shot.goal.distance(shot.target) > 0.12)
+        .then_some(shot)
+}
+
+/// Whether a disc lies in the wedge that the first view holds.
+fn in_wedge(p: DVec2, radius: f64) -> bool {
+    p.y.abs() + radius <= WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M))
+}
+
+fn inside(object: &TruthObject) -> bool {
+    let (center, radius) = footprint(object);
+    center.x - radius >= 0.16
+        && center.length() + radius <= BilliardsSettings::default().reach_m + 0.1
+        && in_wedge(center, radius)
+}
+
+/// Stands a prop so that a ball whose centre is at `at` touches it with the normal `facing`; without one, its axis is
+/// there.
+fn place_prop(prop: &Prop, seed: Seed) -> TruthObject {
+    let mut rng = seed.derive("asset").rng();
+    let yaw = match prop.facing {
+        // Blocks turn a long side (their y axis) to the ball.
+        Some(n) if prop.kind == AssetKind::BrassBlock => n.to_angle() - std::f64::consts::FRAC_PI_2,
+        _ => uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]),
+    };
+    let mut object = make_asset(prop.kind, DVec2::ZERO, yaw, 1.0, &mut rng);
+    let mut at = prop.at;
+    if let Some(n) = prop.facing {
+        // How far the object reaches towards the ball at the heights at which a ball touches it.
+        let com = object.x_wb.translation;
+        let reach = match object.sphere_radius {
+            // Two balls of different size on one floor touch when their centres are this far apart from above.
+            Some(r) => com.truncate().dot(n) + 2.0 * (r * BALL_RADIUS_M).sqrt() - BALL_RADIUS_M,
+            None => (object.mesh.vertices.iter())
+                .map(|v| *v + com)
+                .filter(|p| p.z > 0.5 * BALL_RADIUS_M && p.z < 1.6 * BALL_RADIUS_M)
+                .map(|p| p.truncate().dot(n))
+                .fold(0.0, f64::max),
+        };
+        at -= n * (BALL_RADIUS_M + reach);
+    }
+    object.x_wb.translation += DVec3::new(at.x, at.y, 0.0);
+    object
+}
+
+/// Gap between the discs that hold two objects; between their vertices' hulls it is larger.
+fn apart(a: &TruthObject, b: &TruthObject) -> f64 {
+    let ((p, r), (q, s)) = (footprint(a), footprint(b));
+    p.distance(q) - r - s
+}
+
+/// Whether a prop stands in a way that it is not meant to touch, or in the finger's.
+fn crosses(object: &TruthObject, shot: &Shot, prop: &Prop) -> bool {
+    let (center, radius) = footprint(object);
+    let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
+    let turns = |p: DVec2| prop.facing.is_some() && p.distance(prop.at) < 1e-9;
+    distance_to_segment(center, behind, shot.cue) < radius + SWEEP_HALF_WIDTH_M
+        || shot
+            .ways
+            .iter()
+            .filter(|(a, b)| !turns(*a) && !turns(*b))
+            .any(|(a, b)| distance_to_segment(center, *a, *b) < radius + BALL_RADIUS_M)
+        || shot.goal.distance(center) < radius + BALL_RADIUS_M
+}
+
+/// Places one more obstacle where it leaves all ways free.
+fn scatter(kind: AssetKind, shot: &Shot, placed: &[TruthObject], seed: Seed) -> Option<TruthObject> {
+    let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
+    let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
+    let mut object = make_asset(kind, DVec2::ZERO, yaw, 1.0, &mut seed.derive("asset").rng());
+    let radius = footprint_radius(&object);
+    let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
+    let reach = BilliardsSettings::default().reach_m;
+    let mut rng = seed.derive("place").rng();
+    for _ in 0..PLACES {
+        let p = DVec2::new(uniform(&mut rng, [0.2, reach]), uniform(&mut rng, [-0.4, 0.4]));
+        let free = p.length() + radius <= reach + 0.02
+            && p.x - radius >= 0.16
+            && in_wedge(p, radius)
+            && shot.ways.iter().all(|(a, b)| distance_to_segment(p, *a, *b) >= radius + WAY_M)
+            && p.distance(shot.goal) >= radius + WAY_M
+            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + GAP_M);
+        if free {
+            object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
+            return Some(object);
+        }
+    }
+    None
+}
