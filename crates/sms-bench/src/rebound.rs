@@ -121,7 +121,7 @@ pub fn rebound_scene(statue: StatueMaterial) -> Result<PlanScene, BenchError> {
     let (cue, target) = (Selector::by_name("white"), Selector::by_name("blue"));
     let task = Task::Billiards(Billiards::new(cue, target, [0.9, 0.0]));
     let task = task.resolve(&scene).map_err(PlanError::from)?;
-    Ok(PlanScene { seed: 0, scene, task })
+    Ok(PlanScene { robot: sms_robot::RobotConfig::default(), seed: 0, scene, task })
 }
 
 /// Plans the shot in both scenes.
