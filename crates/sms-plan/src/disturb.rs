@@ -232,12 +232,19 @@ fn disturb_radius(body: &mut Body, change_m: f64) {
 }
 
 fn sample_material(material: &mut Material, rng: &mut impl Rng) {
-    let mut sample = |p: &mut Property| p.value.best = p.value.at(symmetric(rng));
-    sample(&mut material.density);
-    sample(&mut material.friction);
-    sample(&mut material.restitution);
-    sample(&mut material.fill_factor);
-    sample(&mut material.rolling_m);
+    let mut sample = |p: &mut Property, by_factors: bool| {
+        let (t, v) = (symmetric(rng), p.value);
+        // What is known within a factor is as likely to be half as much as twice as much.
+        let end = if t < 0.0 { v.low } else { v.high };
+        let is_positive = v.best > 0.0 && end > 0.0;
+        p.value.best =
+            if by_factors && is_positive { v.best * (end / v.best).powf(t.abs()) } else { v.at(t) };
+    };
+    sample(&mut material.density, true);
+    sample(&mut material.friction, false);
+    sample(&mut material.restitution, false);
+    sample(&mut material.fill_factor, true);
+    sample(&mut material.rolling_m, true);
     material.restitution.value.best = material.restitution.value.best.clamp(0.0, 1.0);
     material.fill_factor.value.best = material.fill_factor.value.best.clamp(1e-3, 1.0);
     for p in [&mut material.friction, &mut material.rolling_m] {

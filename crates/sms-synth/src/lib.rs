@@ -41,6 +41,7 @@ mod texture;
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use depth_camera::DepthCamera;
+pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};
