@@ -311,8 +311,11 @@ mod tests {
     #[test]
     fn figures_are_complete_do_not_depend_on_threads_and_shards_make_the_whole() {
         let small = PlanConfig {
-            evaluations: 12,
-            candidates: 3,
+            robust_evaluations: 12,
+            scan: 8,
+            candidates: 4,
+            descents: 1,
+            descent: 2,
             finalists: 2,
             polish_starts: 0,
             forecast_worlds: 2,

@@ -31,6 +31,7 @@ fn true_scene(truth: &TruthScene) -> Scene {
         material: o.material.clone(),
         color: [128; 3],
         observed_share: 1.0,
+        fit_se_m: 0.0,
     };
     let floor = floor_body(0.0, truth.floor.material.clone());
     Scene {

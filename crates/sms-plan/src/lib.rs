@@ -26,6 +26,7 @@ mod plan;
 mod planner;
 mod prediction;
 mod robust;
+mod robust_search;
 mod screening;
 mod search;
 mod sensitivity;

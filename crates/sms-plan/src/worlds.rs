@@ -146,6 +146,33 @@ impl<'a> DisturbedWorlds<'a> {
         self.worlds.len()
     }
 
+    /// The objectives of pairs of a world (position) and an action, in their order.
+    pub(crate) fn each<A: std::borrow::Borrow<sms_task::Action> + Sync>(
+        &self,
+        jobs: &[(usize, A)],
+        counter: &Counter<'_>,
+    ) -> Result<Vec<f64>, PlanError> {
+        // World by world, so that each is built once per thread at most.
+        let mut order: Vec<usize> = (0..jobs.len()).collect();
+        order.sort_by_key(|&j| jobs[j].0);
+        let found: Vec<f64> = order
+            .par_iter()
+            .map(|&j| {
+                let (index, world) = &self.worlds[jobs[j].0];
+                let mut strike = self.task.strike(jobs[j].1.borrow());
+                if self.execution {
+                    strike = self.disturbances.strike(&strike, self.seed, *index);
+                }
+                counter.count(|| world.objective(&strike))
+            })
+            .collect::<Result<_, PlanError>>()?;
+        let mut values = vec![f64::INFINITY; jobs.len()];
+        for (j, value) in order.into_iter().zip(found) {
+            values[j] = value;
+        }
+        Ok(values)
+    }
+
     /// The objectives of each action in the worlds `range` (positions, not indices), in the worlds' order.
     pub(crate) fn objectives(
         &self,
@@ -154,20 +181,10 @@ impl<'a> DisturbedWorlds<'a> {
         counter: &Counter<'_>,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
         let (first, count) = (range.start, range.len());
-        // World by world, so that each is built once per thread at most.
         let pairs: Vec<(usize, usize)> =
             range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
-        let values: Vec<f64> = pairs
-            .par_iter()
-            .map(|&(w, a)| {
-                let (index, world) = &self.worlds[w];
-                let mut strike = self.task.strike(&actions[a]);
-                if self.execution {
-                    strike = self.disturbances.strike(&strike, self.seed, *index);
-                }
-                counter.count(|| world.objective(&strike))
-            })
-            .collect::<Result<_, PlanError>>()?;
+        let jobs: Vec<(usize, &sms_task::Action)> = pairs.iter().map(|&(w, a)| (w, &actions[a])).collect();
+        let values = self.each(&jobs, counter)?;
         let mut rows = vec![vec![f64::INFINITY; count]; actions.len()];
         for ((w, a), value) in pairs.into_iter().zip(values) {
             rows[a][w - first] = value;
