@@ -3,7 +3,7 @@
 use crate::robust_table::summarise;
 use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, thread_cpu_seconds};
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
 use sms_sim::RapierFactory;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -54,6 +54,25 @@ impl RobustBench {
         }
     }
 
+    /// What the keys of a job's figures begin with.
+    fn prefix(&self, job: Job, scenes: &[PlanScene]) -> String {
+        let (name, scene) = match job {
+            Job::Robust { scene, planner } => (self.planners[planner].0.as_str(), scene),
+            Job::Plain { scene } => (PLAIN, scene),
+            Job::Oracle { scene } => (ORACLE, scene),
+        };
+        format!("bench.robust.{name}.scene_{}.", scenes[scene].seed)
+    }
+
+    /// Rollouts of a plan for the world as told alone that costs as much as a robust one of so many.
+    fn cost(&self, rollouts: usize) -> usize {
+        let built = self.planners.first().map_or(0, |(_, config)| match config.disturbances.worlds {
+            0 => 0,
+            worlds => 2 * worlds + config.forecast_worlds,
+        });
+        rollouts + WORLD_ROLLOUTS * built
+    }
+
     /// Names of all planners in the order of the table.
     pub(crate) fn names(&self) -> Vec<&str> {
         std::iter::once(PLAIN).chain(self.planners.iter().map(|(name, _)| name.as_str())).collect()
@@ -73,151 +92,156 @@ enum Job {
 /// current number of threads works side by side. The figures but the CPU seconds depend on seeds alone.
 ///
 /// Plain planning gets as many rollouts as the first robust planner spends in all: search, choice and forecast, and two
-/// for each disturbed world that it builds. Keys: [`summarise`]; scenes whose figures `known` holds (an earlier run, or
-/// another shard's) are not run again.
+/// for each disturbed world that it builds. Keys are those of docs/metrics.md. What `known` holds (of an earlier run, or
+/// of another shard) is not run again; `keep` is given all figures of scenes so far whenever a job is done.
 ///
 /// # Errors
 /// [`BenchError`].
 pub fn run_robust(
     bench: &RobustBench,
     known: &Metrics,
+    keep: &(dyn Fn(&Metrics) -> Result<(), BenchError> + Sync),
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Metrics, BenchError> {
-    let mut metrics = Metrics::new();
-    let todo: Vec<u64> =
-        bench.seeds.iter().copied().filter(|&s| !take_known(bench, s, known, &mut metrics)).collect();
-    let scenes: Vec<PlanScene> =
-        todo.into_iter().map(|s| PlanScene::told(bench.family, s, bench.told)).collect::<Result<_, _>>()?;
+    let scenes: Vec<PlanScene> = bench
+        .seeds
+        .iter()
+        .map(|&s| PlanScene::told(bench.family, s, bench.told))
+        .collect::<Result<_, _>>()?;
     let all = 0..scenes.len();
-    // Plain jobs last: by then it is known what they may cost.
     let mut jobs: Vec<Job> = Vec::new();
-    for planner in 0..bench.planners.len() {
-        jobs.extend(all.clone().map(|scene| Job::Robust { scene, planner }));
+    for scene in all.clone() {
+        jobs.extend((0..bench.planners.len()).map(|planner| Job::Robust { scene, planner }));
+        jobs.push(Job::Plain { scene });
     }
     if bench.oracle_evaluations > 0 {
-        jobs.extend(all.clone().map(|scene| Job::Oracle { scene }));
+        jobs.extend(all.map(|scene| Job::Oracle { scene }));
     }
-    jobs.extend(all.map(|scene| Job::Plain { scene }));
-    let bench_state =
-        Running { bench, scenes: &scenes, costs: Mutex::new(vec![None; scenes.len()]), told: Condvar::new() };
-    let results = side_by_side(&jobs, progress, |job| bench_state.run(job, cancel))?;
-    for row in results {
-        metrics.merge(row);
-    }
+    let mut metrics = Metrics::new();
+    let mut costs = vec![None; scenes.len()];
+    jobs.retain(|&job| {
+        let prefix = bench.prefix(job, &scenes);
+        let is_known = known.number(&format!("{prefix}cpu_s")).is_some();
+        for (key, value) in known.iter().filter(|(key, _)| is_known && key.starts_with(&prefix)) {
+            metrics.set(key.clone(), value.clone());
+        }
+        let rollouts = metrics.number(&format!("{prefix}rollouts"));
+        if let (Job::Robust { scene, planner: 0 }, Some(n)) = (job, rollouts) {
+            costs[scene] = Some(bench.cost(n as usize));
+        }
+        !is_known
+    });
+    let queue = Queue { waiting: Mutex::new((jobs.clone(), costs)), changed: Condvar::new() };
+    let running = Running { bench, scenes: &scenes, queue: &queue };
+    progress.begin("bench robust", jobs.len() as u64);
+    let (done, found) = (AtomicUsize::new(0), Mutex::new(metrics));
+    let work = || -> Result<(), BenchError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(|e| {
+            InputError::new(format!("no thread can be started: {e}"), "bench robust", "use fewer threads")
+        })?;
+        while let Some((job, budget)) = queue.next() {
+            let row = pool.install(|| running.run(job, budget, cancel));
+            if row.is_err() {
+                queue.abandon();
+            }
+            let row = row?;
+            if let Ok(mut found) = found.lock() {
+                found.merge(row);
+                keep(&found)?;
+            }
+            progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "plans");
+        }
+        Ok(())
+    };
+    let outcomes: Vec<Result<(), BenchError>> = std::thread::scope(|scope| {
+        let count = rayon::current_num_threads().min(jobs.len());
+        let threads: Vec<_> = (0..count).map(|_| scope.spawn(work)).collect();
+        threads
+            .into_iter()
+            .map(|t| match t.join() {
+                Ok(outcome) => outcome,
+                Err(panic) => std::panic::resume_unwind(panic),
+            })
+            .collect()
+    });
+    outcomes.into_iter().collect::<Result<(), _>>()?;
+    progress.end("");
+    let mut metrics = found.into_inner().unwrap_or_default();
     summarise(bench, &mut metrics);
     Ok(metrics)
 }
 
-/// Copies the figures of a scene when all are there.
-fn take_known(bench: &RobustBench, seed: u64, known: &Metrics, into: &mut Metrics) -> bool {
-    let mut names = bench.names();
-    if bench.oracle_evaluations > 0 {
-        names.push(ORACLE);
-    }
-    let prefix = |name: &str| format!("bench.robust.{name}.scene_{seed}.");
-    let is_known = names.iter().all(|n| known.number(&format!("{}cpu_s", prefix(n))).is_some());
-    if is_known {
-        for (key, value) in known.iter() {
-            if names.iter().any(|n| key.starts_with(&prefix(n))) {
-                into.set(key.clone(), value.clone());
-            }
-        }
-    }
-    is_known
+/// What is still to do, in order, and the rollouts that plain planning may spend on each scene once that is known.
+struct Queue {
+    waiting: Mutex<(Vec<Job>, Vec<Option<usize>>)>,
+    changed: Condvar,
 }
 
-/// Runs jobs in their order on as many threads as rayon's pool has, each on a pool of its own with one thread. Results
-/// come in the order of the jobs.
-fn side_by_side(
-    jobs: &[Job],
-    progress: &dyn Progress,
-    run: impl Fn(Job) -> Result<Metrics, BenchError> + Sync,
-) -> Result<Vec<Metrics>, BenchError> {
-    let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let results: Mutex<Vec<(usize, Result<Metrics, BenchError>)>> = Mutex::default();
-    let failed = std::sync::atomic::AtomicBool::new(false);
-    progress.begin("bench robust", jobs.len() as u64);
-    std::thread::scope(|scope| {
-        for _ in 0..rayon::current_num_threads().min(jobs.len()) {
-            scope.spawn(|| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-                loop {
-                    let index = next.fetch_add(1, Ordering::SeqCst);
-                    if index >= jobs.len() || failed.load(Ordering::SeqCst) {
-                        break;
-                    }
-                    let outcome = match &pool {
-                        Ok(pool) => pool.install(|| run(jobs[index])),
-                        Err(e) => Err(CoreError::from(sms_core::InputError::new(
-                            format!("no thread can be started: {e}"),
-                            "bench robust",
-                            "use fewer threads",
-                        ))
-                        .into()),
-                    };
-                    failed.fetch_or(outcome.is_err(), Ordering::SeqCst);
-                    if let Ok(mut results) = results.lock() {
-                        results.push((index, outcome));
-                    }
-                    progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "plans");
-                }
+impl Queue {
+    /// The first job that need not wait for another, with its budget if it is plain planning. `None` when all is done
+    /// or being done.
+    fn next(&self) -> Option<(Job, usize)> {
+        let mut state = self.waiting.lock().ok()?;
+        loop {
+            let (jobs, costs) = &mut *state;
+            if jobs.is_empty() {
+                return None;
+            }
+            let ready = jobs.iter().position(|job| match job {
+                Job::Plain { scene } => costs[*scene].is_some(),
+                Job::Robust { .. } | Job::Oracle { .. } => true,
             });
+            if let Some(index) = ready {
+                let job = jobs.remove(index);
+                let budget = if let Job::Plain { scene } = job { costs[scene] } else { None };
+                return Some((job, budget.unwrap_or(0)));
+            }
+            state = self.changed.wait(state).ok()?;
         }
-    });
-    progress.end("");
-    let mut results = results.into_inner().unwrap_or_default();
-    results.sort_by_key(|r| r.0);
-    results.into_iter().map(|r| r.1).collect()
+    }
+
+    fn set_cost(&self, scene: usize, rollouts: usize) {
+        if let Ok(mut state) = self.waiting.lock() {
+            state.1[scene] = Some(rollouts);
+        }
+        self.changed.notify_all();
+    }
+
+    /// Nothing more is to be done.
+    fn abandon(&self) {
+        if let Ok(mut state) = self.waiting.lock() {
+            state.0.clear();
+        }
+        self.changed.notify_all();
+    }
 }
 
 struct Running<'a> {
     bench: &'a RobustBench,
     scenes: &'a [PlanScene],
-    /// Rollouts that plain planning may spend, by scene; 0 where the robust planner failed.
-    costs: Mutex<Vec<Option<usize>>>,
-    told: Condvar,
+    queue: &'a Queue,
 }
 
 impl Running<'_> {
-    fn run(&self, job: Job, cancel: &Cancel) -> Result<Metrics, BenchError> {
+    fn run(&self, job: Job, budget: usize, cancel: &Cancel) -> Result<Metrics, BenchError> {
+        let prefix = self.bench.prefix(job, self.scenes);
         match job {
             Job::Robust { scene, planner } => {
-                let (name, config) = &self.bench.planners[planner];
-                let outcome = self.plan(scene, name, config, cancel);
+                let (metrics, rollouts) =
+                    self.plan(scene, &prefix, &self.bench.planners[planner].1, cancel)?;
                 if planner == 0 {
-                    let d = config.disturbances.worlds;
-                    let built = if d == 0 { 0 } else { 2 * d + config.forecast_worlds };
-                    let spent = outcome.as_ref().map_or(0, |(_, rollouts)| rollouts + WORLD_ROLLOUTS * built);
-                    if let Ok(mut costs) = self.costs.lock() {
-                        costs[scene] = Some(spent);
-                    }
-                    self.told.notify_all();
+                    self.queue.set_cost(scene, self.bench.cost(rollouts));
                 }
-                Ok(outcome?.0)
+                Ok(metrics)
             }
             Job::Plain { scene } => {
-                let evaluations = self.cost(scene);
                 let base = self.bench.planners.first().map(|p| p.1.clone()).unwrap_or_default();
                 let disturbances = Disturbances { worlds: 0, ..base.disturbances.clone() };
-                let config = PlanConfig { evaluations: evaluations.max(1), disturbances, ..base };
-                Ok(self.plan(scene, PLAIN, &config, cancel)?.0)
+                let config = PlanConfig { evaluations: budget.max(1), disturbances, ..base };
+                Ok(self.plan(scene, &prefix, &config, cancel)?.0)
             }
-            Job::Oracle { scene } => self.oracle(scene, cancel),
-        }
-    }
-
-    /// Waits until it is known what plain planning may spend.
-    fn cost(&self, scene: usize) -> usize {
-        let Ok(mut costs) = self.costs.lock() else { return 0 };
-        loop {
-            if let Some(cost) = costs[scene] {
-                return cost;
-            }
-            match self.told.wait(costs) {
-                Ok(guard) => costs = guard,
-                Err(_) => return 0,
-            }
+            Job::Oracle { scene } => self.oracle(scene, &prefix, cancel),
         }
     }
 
@@ -225,7 +249,7 @@ impl Running<'_> {
     fn plan(
         &self,
         scene: usize,
-        name: &str,
+        prefix: &str,
         config: &PlanConfig,
         cancel: &Cancel,
     ) -> Result<(Metrics, usize), BenchError> {
@@ -246,7 +270,7 @@ impl Running<'_> {
         let mut metrics = Metrics::new();
         let mut set = |key: &str, value: f64| {
             if value.is_finite() {
-                metrics.set(format!("bench.robust.{name}.scene_{}.{key}", scene.seed), value);
+                metrics.set(format!("{prefix}{key}"), value);
             }
         };
         set("realised_m", values.iter().sum::<f64>() / n);
@@ -265,7 +289,7 @@ impl Running<'_> {
     }
 
     /// The best shot of a search in the first true world itself.
-    fn oracle(&self, scene: usize, cancel: &Cancel) -> Result<Metrics, BenchError> {
+    fn oracle(&self, scene: usize, prefix: &str, cancel: &Cancel) -> Result<Metrics, BenchError> {
         let scene = &self.scenes[scene];
         let worlds = TrueWorlds::new(scene, &self.bench.errors, 1)?;
         let budget = self.bench.oracle_evaluations;
@@ -276,10 +300,9 @@ impl Running<'_> {
             search_nominal(&scene.task, worlds.scene(0), &RapierFactory, &config, budget, seed, cancel)?;
         let best = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
         let mut metrics = Metrics::new();
-        let prefix = format!("bench.robust.{ORACLE}.scene_{}", scene.seed);
-        metrics.set(format!("{prefix}.best_m"), best);
-        metrics.set(format!("{prefix}.initial_m"), scene.task.initial_objective());
-        metrics.set(format!("{prefix}.cpu_s"), clock.seconds());
+        metrics.set(format!("{prefix}best_m"), best);
+        metrics.set(format!("{prefix}initial_m"), scene.task.initial_objective());
+        metrics.set(format!("{prefix}cpu_s"), clock.seconds());
         Ok(metrics)
     }
 }
@@ -326,13 +349,20 @@ mod tests {
         let mut bench = RobustBench::new(vec![1001, 1002], SceneFamily::Open);
         (bench.worlds, bench.oracle_evaluations, bench.chaos_runs) = (2, 10, 1);
         bench.planners = vec![("robust".to_owned(), small)];
+        let kept = AtomicUsize::new(0);
         let run = |bench: &RobustBench, known: &Metrics, threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| run_robust(bench, known, &NoProgress, &Cancel::new())).unwrap()
+            let keep = |_: &Metrics| {
+                kept.fetch_add(1, Ordering::SeqCst);
+                Ok(())
+            };
+            pool.install(|| run_robust(bench, known, &keep, &NoProgress, &Cancel::new())).unwrap()
         };
         let whole = run(&bench, &Metrics::new(), 2);
         let part = run(&RobustBench { seeds: vec![1002], ..bench.clone() }, &Metrics::new(), 1);
+        assert_eq!(kept.swap(0, Ordering::SeqCst), 9, "three jobs a scene");
         let merged = run(&bench, &part, 1);
+        assert_eq!(kept.load(Ordering::SeqCst), 3, "one scene is known");
         let is_time = |key: &str| key.ends_with("cpu_s");
         for (key, value) in whole.iter().filter(|(k, _)| !is_time(k)) {
             assert_eq!(merged.get(key), Some(value), "{key}");

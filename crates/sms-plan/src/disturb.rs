@@ -292,7 +292,7 @@ pub(crate) fn quantile(values: &[f64], q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::DPose3;
+    use glamx::{DPose3, DVec3};
     use sms_core::{Mesh, sphere_mass_properties};
     use sms_scene::{SCENE_VERSION, example_material, floor_body};
 

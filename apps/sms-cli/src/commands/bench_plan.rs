@@ -47,10 +47,10 @@ pub(crate) struct BenchRobust {
     /// Only every n-th scene, from the i-th (i/n, from 1).
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
-    /// Results of earlier runs or other shards: scenes that are in them are not run again.
+    /// Results of earlier runs, interrupted ones too, or of other shards: what is in them is not run again.
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
-    /// File for the results.
+    /// File for the results; written after every plan.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -135,7 +135,12 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
     for path in &a.with {
         known.merge(Metrics::load(path)?);
     }
-    let metrics = sms_bench::run_robust(&bench, &known, context.progress.as_ref(), &context.cancel)?;
+    // What is done is kept at once: an interrupted run goes on with `--with` this file.
+    let keep = |metrics: &Metrics| match &a.out {
+        Some(out) => Ok(metrics.save(out)?),
+        None => Ok(()),
+    };
+    let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
 }
 
