@@ -221,16 +221,19 @@ mod tests {
         let scene = scene_from_truth(&truth).unwrap();
         let mut told = scene.clone();
         tell_materials(&mut told, &truth, MaterialsTold::Class, Seed(1));
+        let mut solids = 0;
         for (a, b) in scene.bodies.iter().zip(&told.bodies) {
             assert_ne!(b.material.density.source, PropertySource::Prior, "{}", a.name);
-            assert_ne!(a.material, b.material);
-            if let (Some(a_mass), Some(b_mass)) = (a.mass, b.mass) {
-                // The handbook takes toy figures for hollow, which the generator makes solid.
-                let low =
-                    if a.description.contains("duck") || a.description.contains("toy") { 0.1 } else { 0.3 };
+            let off = b.material.friction.value.best - a.material.friction.value.best;
+            assert!(off.abs() < 0.3, "{}: friction off by {off}", a.name);
+            // Of hollow things and of figures the handbook guesses how full they are; of balls and blocks it need not.
+            let is_plain = matches!(a.shape, BodyShape::Sphere { .. }) || a.description.contains("block");
+            if let (Some(a_mass), Some(b_mass)) = (a.mass.filter(|_| is_plain), b.mass) {
                 let ratio = b_mass.mass() / a_mass.mass();
-                assert!((low..3.0).contains(&ratio), "{}: {ratio}", a.name);
+                assert!((0.7..1.4).contains(&ratio), "{}: {ratio}", a.name);
+                solids += 1;
             }
         }
+        assert!(solids >= 2);
     }
 }

@@ -63,7 +63,7 @@ pub struct PlanConfig {
     pub robust_evaluations: usize,
     /// Points of a scan of the disturbed worlds, each tried in one of them.
     pub scan: usize,
-    /// Distinct actions that are tried in the first few disturbed worlds: half of them from the nominal search, half
+    /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
     /// from the scan.
     pub candidates: usize,
     /// Simplex searches over the first few disturbed worlds, from the best candidates.
@@ -183,7 +183,7 @@ impl PlanConfig {
             return 0;
         }
         let few = FIRST_WORLDS.min(half);
-        let mut count = self.scan + self.candidates * few;
+        let mut count = self.scan + (self.candidates + self.candidates.div_ceil(2)) * few;
         let mut searches = self.descents;
         while searches > 0 {
             count += searches * self.descent * few;
