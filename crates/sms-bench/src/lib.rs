@@ -50,6 +50,7 @@ mod process;
 mod real;
 mod rebound;
 mod robust;
+mod robust_table;
 mod run;
 mod scenes;
 mod score;
@@ -57,6 +58,8 @@ mod solvability;
 mod steps;
 mod surface;
 mod table;
+mod told;
+mod true_worlds;
 mod truth;
 mod vessels;
 
@@ -75,9 +78,10 @@ pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
-pub use process::{cpu_seconds, peak_bytes};
+pub use process::{cpu_seconds, peak_bytes, thread_cpu_seconds};
 pub use rebound::{StatueMaterial, rebound_scene, run_rebound};
-pub use robust::{RobustBench, robust_table, run_robust};
+pub use robust::{RobustBench, run_robust};
+pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,
@@ -91,12 +95,16 @@ pub use surface::{
     score_cropped, score_labelled, score_surface, stray_share,
 };
 pub use table::{Target, add_means, table, targets};
+pub use told::{
+    DENSITY_LOG_SD, FRICTION_ERROR, MaterialsTold, RESTITUTION_ERROR, ROLLING_LOG_SD, tell_materials,
+};
+pub use true_worlds::TrueWorlds;
 pub use truth::{
     OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
     observed_surface_at_most, sample_true_surface, true_surfaces, true_views,
 };
 
-pub use vessels::{run_full_shots, vessel_scene};
+pub use vessels::{VesselScene, run_full_shots, vessel_scene};
 
 use sms_core::{CoreError, InputError};
 

@@ -1,6 +1,6 @@
 //! The scenes on which the planner is measured.
 
-use crate::BenchError;
+use crate::{BenchError, MaterialsTold, tell_materials};
 use serde::{Deserialize, Serialize};
 use sms_core::glamx::DVec3;
 use sms_core::{InputError, Seed};
@@ -39,13 +39,15 @@ impl SceneFamily {
     }
 }
 
-/// A task in the true geometry and materials of a generated scene: what a perfect scan would give.
+/// A task in the true geometry of a generated scene: what a perfect scan would give.
 #[derive(Debug, Clone)]
 pub struct PlanScene {
     /// Seed of the scene.
     pub seed: u64,
-    /// The scene.
+    /// The scene as the planner is told it.
     pub scene: Scene,
+    /// What is true; never shown to the planner.
+    pub truth: TruthScene,
     /// The task in it, carried out by a finger that gives no way.
     pub task: ResolvedTask,
     /// The robot that stands before it.
@@ -66,23 +68,26 @@ pub fn robot_of(truth: &TruthScene) -> RobotConfig {
 }
 
 impl PlanScene {
-    /// Generates the scene of a seed.
+    /// Generates the scene of a seed, with the true materials told.
     ///
     /// # Errors
     /// [`BenchError`] when the generator's masses or task are impossible.
     pub fn new(family: SceneFamily, seed: u64) -> Result<Self, BenchError> {
+        Self::told(family, seed, MaterialsTold::Truth)
+    }
+
+    /// Generates the scene of a seed, with something told of the materials.
+    ///
+    /// # Errors
+    /// As [`PlanScene::new`].
+    pub fn told(family: SceneFamily, seed: u64, told: MaterialsTold) -> Result<Self, BenchError> {
         let truth = generate_billiards(Seed(seed), &family.settings());
-        let scene = scene_from_truth(&truth).map_err(|e| {
-            InputError::new(
-                format!("the scene cannot be simulated: {e}"),
-                format!("seed {seed}"),
-                "use another seed",
-            )
-        })?;
+        let mut scene = true_scene(&truth, seed)?;
+        tell_materials(&mut scene, &truth, told, Seed(seed));
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
         let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
         let task = task.resolve(&scene).map_err(PlanError::from)?;
-        Ok(Self { seed, scene, task, robot: robot_of(&truth) })
+        Ok(Self { seed, robot: robot_of(&truth), scene, truth, task })
     }
 
     /// The task, carried out by the arm.
@@ -92,4 +97,15 @@ impl PlanScene {
     pub fn arm_task(&self) -> Result<ResolvedTask, BenchError> {
         Ok(self.task.clone().with_robot(&self.robot, &self.scene)?)
     }
+}
+
+/// The truth as a scene.
+pub(crate) fn true_scene(truth: &TruthScene, seed: u64) -> Result<Scene, BenchError> {
+    Ok(scene_from_truth(truth).map_err(|e| {
+        InputError::new(
+            format!("the scene cannot be simulated: {e}"),
+            format!("seed {seed}"),
+            "use another seed",
+        )
+    })?)
 }

@@ -17,3 +17,9 @@ pub fn cpu_seconds() -> Option<f64> {
     }
     Some(nanoseconds * 1e-9)
 }
+
+/// CPU seconds of the calling thread so far.
+pub fn thread_cpu_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-9)
+}

@@ -1,6 +1,6 @@
 //! The paper's Scene D in small: whether an object can be rebounded off depends on what it is made of.
 
-use crate::{BenchError, PlanScene};
+use crate::BenchError;
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{
@@ -10,7 +10,7 @@ use sms_core::{
 use sms_plan::{Plan, PlanConfig, PlanError, plan};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, floor_body};
 use sms_sim::RapierFactory;
-use sms_task::{Billiards, Selector, Task};
+use sms_task::{Billiards, ResolvedTask, Selector, Task};
 
 /// Radius of the balls, metres.
 const RADIUS: f64 = 0.0286;
@@ -97,7 +97,7 @@ fn body(name: &str, p_w: DVec3, shape: BodyShape, color: [u8; 3], material: Mate
 ///
 /// # Errors
 /// [`BenchError`] when the task cannot be resolved.
-pub fn rebound_scene(statue: StatueMaterial) -> Result<PlanScene, BenchError> {
+pub fn rebound_scene(statue: StatueMaterial) -> Result<(Scene, ResolvedTask), BenchError> {
     // Balls without friction: the target ball leaves along the line of centres.
     let resin = material("phenolic_resin", [1750.0, 1660.0, 1840.0], 1.0, [0.0, 0.0, 0.0], 0.92);
     let stuff = |friction: f64| material("wood", [700.0, 600.0, 800.0], 1.0, [friction; 3], 0.4);
@@ -121,7 +121,7 @@ pub fn rebound_scene(statue: StatueMaterial) -> Result<PlanScene, BenchError> {
     let (cue, target) = (Selector::by_name("white"), Selector::by_name("blue"));
     let task = Task::Billiards(Billiards::new(cue, target, [0.9, 0.0]));
     let task = task.resolve(&scene).map_err(PlanError::from)?;
-    Ok(PlanScene { robot: sms_robot::RobotConfig::default(), seed: 0, scene, task })
+    Ok((scene, task))
 }
 
 /// Plans the shot in both scenes.
@@ -134,7 +134,7 @@ pub fn run_rebound(
     cancel: &Cancel,
 ) -> Result<Vec<(StatueMaterial, Plan)>, BenchError> {
     let planned = |statue: StatueMaterial| {
-        let PlanScene { scene, task, .. } = rebound_scene(statue)?;
+        let (scene, task) = rebound_scene(statue)?;
         let warnings = Warnings::new();
         let outcome = plan(&task, &scene, &RapierFactory, config, seed, &NoProgress, cancel, &warnings)?;
         Ok((statue, outcome.plan))
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn what_the_reason_says_is_what_the_scene_with_that_mass_does() {
-        let PlanScene { mut scene, task, .. } = rebound_scene(StatueMaterial::Brass).unwrap();
+        let (mut scene, task) = rebound_scene(StatueMaterial::Brass).unwrap();
         let config =
             PlanConfig { evaluations: 200, starts: 6, sensitivity_rollouts: 40, ..PlanConfig::paper() };
         let config = PlanConfig { method: sms_plan::Method::Halving, ..config };

@@ -1,18 +1,21 @@
-//! `sms bench robust`: what plans are worth in worlds that are one more sample of what is not known.
+//! `sms bench robust`: what plans are worth in worlds other than the one that was told.
 
-use crate::{BenchError, PlanScene, SceneFamily, paired_difference};
-use rayon::prelude::*;
+use crate::robust_table::summarise;
+use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, thread_cpu_seconds};
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, NoProgress, Progress, Property, Seed, Warnings};
-use sms_plan::{Disturbances, PlanConfig, RobustObjective, plan, rehearse};
+use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
+use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
 use sms_sim::RapierFactory;
-use std::fmt::Write as _;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex};
+use std::time::Instant;
 
-/// How far the materials may be from what is believed: half widths, as a share of the value, of density, friction and
-/// rolling resistance; for restitution, absolute.
-const MATERIAL_SHARE: [f64; 3] = [0.25, 0.25, 0.5];
-const RESTITUTION: f64 = 0.08;
+/// What building and settling a disturbed world costs, in rollouts (`sms bench plan`: 35 ms to 21 ms, rounded up).
+const WORLD_ROLLOUTS: usize = 2;
+/// Name of the planner that the others are compared with: planning for the world as told alone.
+pub(crate) const PLAIN: &str = "plain";
+/// Name of the best shot in the true world.
+pub(crate) const ORACLE: &str = "oracle";
 
 /// What to compare.
 #[derive(Debug, Clone)]
@@ -21,168 +24,359 @@ pub struct RobustBench {
     pub seeds: Vec<u64>,
     /// How hard they are.
     pub family: SceneFamily,
+    /// What the planner is told of materials.
+    pub told: MaterialsTold,
     /// True worlds per scene.
     pub worlds: usize,
-    /// Planners: name and settings. The first is what the others are compared with.
-    pub entrants: Vec<(String, PlanConfig)>,
+    /// Robust planners: name and settings. Plain planning costs as much as the first.
+    pub planners: Vec<(String, PlanConfig)>,
+    /// Shots of the search in the true world, for the regret; 0 leaves it out.
+    pub oracle_evaluations: usize,
+    /// Runs with everything a micrometre elsewhere, for the chaos floor.
+    pub chaos_runs: usize,
+    /// How far poses, radii and strikes are off in the true worlds.
+    pub errors: Disturbances,
 }
 
 impl RobustBench {
-    /// Planning for the nominal world with as many rollouts as robust planning takes in all, and robust planning.
+    /// The planner's default settings against plain planning, told `noisy` materials.
     pub fn new(seeds: Vec<u64>, family: SceneFamily) -> Self {
-        let robust = PlanConfig { sensitivity_rollouts: 0, forecast_worlds: 1, ..PlanConfig::default() };
-        let plain = PlanConfig {
-            evaluations: 2 * robust.evaluations,
-            disturbances: Disturbances { worlds: 0, ..robust.disturbances.clone() },
-            ..robust.clone()
-        };
-        let mut entrants = vec![("plain".to_owned(), plain)];
-        for (name, objective) in [("mean", RobustObjective::Mean), ("q90", RobustObjective::Q90)] {
-            entrants.push((name.to_owned(), PlanConfig { objective, ..robust.clone() }));
+        let robust = PlanConfig { sensitivity_rollouts: 0, ..PlanConfig::default() };
+        Self {
+            seeds,
+            family,
+            told: MaterialsTold::Noisy,
+            worlds: 48,
+            errors: robust.disturbances.clone(),
+            planners: vec![("robust".to_owned(), robust)],
+            oracle_evaluations: 4000,
+            chaos_runs: 8,
         }
-        Self { seeds, family, worlds: 48, entrants }
     }
 
-    /// Sets the robust planners' nominal budget; plain planning gets twice as many rollouts.
-    pub fn set_evaluations(&mut self, evaluations: usize) {
-        for (_, config) in &mut self.entrants {
-            let twice = config.disturbances.worlds == 0;
-            config.evaluations = if twice { 2 * evaluations } else { evaluations };
-        }
+    /// What the keys of a job's figures begin with.
+    fn prefix(&self, job: Job, scenes: &[PlanScene]) -> String {
+        let (name, scene) = match job {
+            Job::Robust { scene, planner } => (self.planners[planner].0.as_str(), scene),
+            Job::Plain { scene } => (PLAIN, scene),
+            Job::Oracle { scene } => (ORACLE, scene),
+        };
+        format!("bench.robust.{name}.scene_{}.", scenes[scene].seed)
+    }
+
+    /// Rollouts of a plan for the world as told alone that costs as much as a robust one of so many.
+    fn cost(&self, rollouts: usize) -> usize {
+        let built = self.planners.first().map_or(0, |(_, config)| match config.disturbances.worlds {
+            0 => 0,
+            worlds => 2 * worlds + config.forecast_worlds,
+        });
+        rollouts + WORLD_ROLLOUTS * built
+    }
+
+    /// Names of all planners in the order of the table.
+    pub(crate) fn names(&self) -> Vec<&str> {
+        std::iter::once(PLAIN).chain(self.planners.iter().map(|(name, _)| name.as_str())).collect()
     }
 }
 
-/// A generated scene whose materials are known within intervals only.
-fn uncertain(family: SceneFamily, seed: u64) -> Result<PlanScene, BenchError> {
-    let mut scene = PlanScene::new(family, seed)?;
-    for body in &mut scene.scene.bodies {
-        let m = &mut body.material;
-        let widen = |p: &mut Property, half: f64, most: f64| {
-            let best = p.value.best;
-            p.value = sms_core::Interval::new(best, (best - half).max(0.0), (best + half).min(most));
-        };
-        let [density, friction, rolling] = MATERIAL_SHARE;
-        let (d, f, r) = (m.density.value.best, m.friction.value.best, m.rolling_m.value.best);
-        widen(&mut m.density, density * d, f64::INFINITY);
-        widen(&mut m.friction, friction * f, f64::INFINITY);
-        widen(&mut m.rolling_m, rolling * r, f64::INFINITY);
-        widen(&mut m.restitution, RESTITUTION, 1.0);
-    }
-    Ok(scene)
+/// One thing to do; jobs are independent but for plain planning, which waits to know what robust planning cost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Job {
+    Robust { scene: usize, planner: usize },
+    Plain { scene: usize },
+    Oracle { scene: usize },
 }
 
-/// Plans with every planner on every scene, and carries each plan out in `worlds` true worlds per scene, which are drawn
-/// as the planner's disturbed worlds are, from another seed. Keys are `bench.robust.{name}.{realised_mean_m,
-/// realised_median_m, success_share, predicted_mean_m, nominal_m, rollouts, change_share, change_low_share,
-/// change_high_share, scene_{seed}.realised_m, scene_{seed}.nominal_m}`; the change is that of the realised mean relative to the first planner, with a paired 95 %
-/// bootstrap interval over scenes of the difference, divided by the first planner's mean.
+/// Plans with every planner on every scene, carries each plan out in the same [`TrueWorlds`], and searches the first
+/// of them for the best shot that there is. Every job runs on one thread, so that its CPU seconds can be told; rayon's
+/// current number of threads works side by side. The figures but the CPU seconds depend on seeds alone.
+///
+/// Plain planning gets as many rollouts as the first robust planner spends in all: search, choice and forecast, and two
+/// for each disturbed world that it builds. Keys are those of docs/metrics.md. What `known` holds (of an earlier run, or
+/// of another shard) is not run again; `keep` is given all figures of scenes so far whenever a job is done.
 ///
 /// # Errors
 /// [`BenchError`].
 pub fn run_robust(
     bench: &RobustBench,
+    known: &Metrics,
+    keep: &(dyn Fn(&Metrics) -> Result<(), BenchError> + Sync),
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Metrics, BenchError> {
-    let scenes: Vec<PlanScene> =
-        bench.seeds.iter().map(|&s| uncertain(bench.family, s)).collect::<Result<_, _>>()?;
-    let jobs: Vec<(usize, usize)> =
-        (0..bench.entrants.len()).flat_map(|e| (0..scenes.len()).map(move |s| (e, s))).collect();
-    progress.begin("bench robust", jobs.len() as u64);
-    let done = AtomicUsize::new(0);
-    let rows: Vec<[f64; 6]> = jobs
-        .par_iter()
-        .map(|&(e, s)| {
-            let (scene, config) = (&scenes[s], &bench.entrants[e].1);
-            let (factory, warnings) = (RapierFactory, Warnings::new());
-            let seed = Seed(scene.seed).derive("bench robust");
-            let outcome =
-                plan(&scene.task, &scene.scene, &factory, config, seed, &NoProgress, cancel, &warnings)?;
-            let truth = rehearse(
-                &scene.task,
-                &scene.scene,
-                &factory,
-                &config.disturbances,
-                &outcome.plan.action,
-                Seed(scene.seed).derive("true worlds"),
-                bench.worlds,
-                cancel,
-            )?;
-            progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "plans");
-            // Where a true world cannot be believed, the shot is taken to have done nothing.
-            let initial = scene.task.initial_objective();
-            let truth: Vec<f64> =
-                truth.into_iter().map(|v| if v.is_finite() { v } else { initial }).collect();
-            let n = truth.len().max(1) as f64;
-            let mut sorted = truth.clone();
-            sorted.sort_by(f64::total_cmp);
-            Ok([
-                truth.iter().sum::<f64>() / n,
-                sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN),
-                truth.iter().filter(|&&v| scene.task.is_success(v)).count() as f64 / n,
-                outcome.plan.predicted.map_or(f64::NAN, |p| p.mean),
-                outcome.plan.objective,
-                outcome.plan.evaluations as f64,
-            ])
-        })
-        .collect::<Result<_, BenchError>>()?;
-    progress.end("");
-    let mut metrics = Metrics::new();
-    metrics.set("bench.robust.scenes", scenes.len());
-    let column = |e: usize, k: usize| -> Vec<f64> {
-        (0..scenes.len()).map(|s| rows[e * scenes.len() + s][k]).collect()
-    };
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    for (e, (name, _)) in bench.entrants.iter().enumerate() {
-        let mut set = |key: &str, value: f64| {
-            if value.is_finite() {
-                metrics.set(format!("bench.robust.{name}.{key}"), value);
-            }
-        };
-        set("realised_mean_m", mean(&column(e, 0)));
-        set("realised_median_m", mean(&column(e, 1)));
-        set("success_share", mean(&column(e, 2)));
-        set("predicted_mean_m", mean(&column(e, 3)));
-        set("nominal_m", mean(&column(e, 4)));
-        set("rollouts", mean(&column(e, 5)));
-        for (s, scene) in scenes.iter().enumerate() {
-            set(&format!("scene_{}.realised_m", scene.seed), column(e, 0)[s]);
-            set(&format!("scene_{}.nominal_m", scene.seed), column(e, 4)[s]);
-        }
-        let base = mean(&column(0, 0));
-        if let Some(d) = paired_difference(&column(e, 0), &column(0, 0)).filter(|_| e > 0) {
-            set("change_share", d.mean / base);
-            set("change_low_share", d.low / base);
-            set("change_high_share", d.high / base);
-        }
+    let scenes: Vec<PlanScene> = bench
+        .seeds
+        .iter()
+        .map(|&s| PlanScene::told(bench.family, s, bench.told))
+        .collect::<Result<_, _>>()?;
+    let all = 0..scenes.len();
+    let mut jobs: Vec<Job> = Vec::new();
+    for scene in all.clone() {
+        jobs.extend((0..bench.planners.len()).map(|planner| Job::Robust { scene, planner }));
+        jobs.push(Job::Plain { scene });
     }
+    if bench.oracle_evaluations > 0 {
+        jobs.extend(all.map(|scene| Job::Oracle { scene }));
+    }
+    let mut metrics = Metrics::new();
+    let mut costs = vec![None; scenes.len()];
+    jobs.retain(|&job| {
+        let prefix = bench.prefix(job, &scenes);
+        let is_known = known.number(&format!("{prefix}cpu_s")).is_some();
+        for (key, value) in known.iter().filter(|(key, _)| is_known && key.starts_with(&prefix)) {
+            metrics.set(key.clone(), value.clone());
+        }
+        let rollouts = metrics.number(&format!("{prefix}rollouts"));
+        if let (Job::Robust { scene, planner: 0 }, Some(n)) = (job, rollouts) {
+            costs[scene] = Some(bench.cost(n as usize));
+        }
+        !is_known
+    });
+    let queue = Queue { waiting: Mutex::new((jobs.clone(), costs)), changed: Condvar::new() };
+    let running = Running { bench, scenes: &scenes, queue: &queue };
+    progress.begin("bench robust", jobs.len() as u64);
+    let (done, found) = (AtomicUsize::new(0), Mutex::new(metrics));
+    let work = || -> Result<(), BenchError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(|e| {
+            InputError::new(format!("no thread can be started: {e}"), "bench robust", "use fewer threads")
+        })?;
+        while let Some((job, budget)) = queue.next() {
+            let row = pool.install(|| running.run(job, budget, cancel));
+            if row.is_err() {
+                queue.abandon();
+            }
+            let row = row?;
+            if let Ok(mut found) = found.lock() {
+                found.merge(row);
+                keep(&found)?;
+            }
+            progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "plans");
+        }
+        Ok(())
+    };
+    let outcomes: Vec<Result<(), BenchError>> = std::thread::scope(|scope| {
+        let count = rayon::current_num_threads().min(jobs.len());
+        let threads: Vec<_> = (0..count).map(|_| scope.spawn(work)).collect();
+        threads
+            .into_iter()
+            .map(|t| match t.join() {
+                Ok(outcome) => outcome,
+                Err(panic) => std::panic::resume_unwind(panic),
+            })
+            .collect()
+    });
+    outcomes.into_iter().collect::<Result<(), _>>()?;
+    progress.end("");
+    let mut metrics = found.into_inner().unwrap_or_default();
+    summarise(bench, &mut metrics);
     Ok(metrics)
 }
 
-/// The figures of [`run_robust`] as a table.
-pub fn robust_table(bench: &RobustBench, metrics: &Metrics) -> String {
-    let mut text = format!(
-        "mean over {} scenes of the distance to the goal, mm, in {} true worlds each\n  planner       realised  (median)  success  predicted  nominal  rollouts  change of the mean\n",
-        bench.seeds.len(),
-        bench.worlds
-    );
-    for (name, _) in &bench.entrants {
-        let get = |key: &str| metrics.number(&format!("bench.robust.{name}.{key}")).unwrap_or(f64::NAN);
-        let _ = write!(
-            text,
-            "  {name:<12} {:>9.1} {:>9.1} {:>7.0} % {:>9.1} {:>9.1} {:>9.0}",
-            1e3 * get("realised_mean_m"),
-            1e3 * get("realised_median_m"),
-            100.0 * get("success_share"),
-            1e3 * get("predicted_mean_m"),
-            1e3 * get("nominal_m"),
-            get("rollouts"),
-        );
-        if get("change_share").is_finite() {
-            let [c, l, h] = ["change_share", "change_low_share", "change_high_share"].map(|k| 100.0 * get(k));
-            let _ = write!(text, "  {c:+.0} % [{l:+.0}, {h:+.0}]");
+/// What is still to do, in order, and the rollouts that plain planning may spend on each scene once that is known.
+struct Queue {
+    waiting: Mutex<(Vec<Job>, Vec<Option<usize>>)>,
+    changed: Condvar,
+}
+
+impl Queue {
+    /// The first job that need not wait for another, with its budget if it is plain planning. `None` when all is done
+    /// or being done.
+    fn next(&self) -> Option<(Job, usize)> {
+        let mut state = self.waiting.lock().ok()?;
+        loop {
+            let (jobs, costs) = &mut *state;
+            if jobs.is_empty() {
+                return None;
+            }
+            let ready = jobs.iter().position(|job| match job {
+                Job::Plain { scene } => costs[*scene].is_some(),
+                Job::Robust { .. } | Job::Oracle { .. } => true,
+            });
+            if let Some(index) = ready {
+                let job = jobs.remove(index);
+                let budget = if let Job::Plain { scene } = job { costs[scene] } else { None };
+                return Some((job, budget.unwrap_or(0)));
+            }
+            state = self.changed.wait(state).ok()?;
         }
-        text.push('\n');
     }
-    text
+
+    fn set_cost(&self, scene: usize, rollouts: usize) {
+        if let Ok(mut state) = self.waiting.lock() {
+            state.1[scene] = Some(rollouts);
+        }
+        self.changed.notify_all();
+    }
+
+    /// Nothing more is to be done.
+    fn abandon(&self) {
+        if let Ok(mut state) = self.waiting.lock() {
+            state.0.clear();
+        }
+        self.changed.notify_all();
+    }
+}
+
+struct Running<'a> {
+    bench: &'a RobustBench,
+    scenes: &'a [PlanScene],
+    queue: &'a Queue,
+}
+
+impl Running<'_> {
+    fn run(&self, job: Job, budget: usize, cancel: &Cancel) -> Result<Metrics, BenchError> {
+        let prefix = self.bench.prefix(job, self.scenes);
+        match job {
+            Job::Robust { scene, planner } => {
+                let (metrics, rollouts) =
+                    self.plan(scene, &prefix, &self.bench.planners[planner].1, cancel)?;
+                if planner == 0 {
+                    self.queue.set_cost(scene, self.bench.cost(rollouts));
+                }
+                Ok(metrics)
+            }
+            Job::Plain { scene } => {
+                let base = self.bench.planners.first().map(|p| p.1.clone()).unwrap_or_default();
+                let disturbances = Disturbances { worlds: 0, ..base.disturbances.clone() };
+                let config = PlanConfig { evaluations: budget.max(1), disturbances, ..base };
+                Ok(self.plan(scene, &prefix, &config, cancel)?.0)
+            }
+            Job::Oracle { scene } => self.oracle(scene, &prefix, cancel),
+        }
+    }
+
+    /// Plans, and carries the plan out; the figures of the scene and the rollouts of the plan.
+    fn plan(
+        &self,
+        scene: usize,
+        prefix: &str,
+        config: &PlanConfig,
+        cancel: &Cancel,
+    ) -> Result<(Metrics, usize), BenchError> {
+        let scene = &self.scenes[scene];
+        let (seed, warnings) = (Seed(scene.seed).derive("bench robust"), Warnings::new());
+        let clock = Clock::start();
+        let outcome =
+            plan(&scene.task, &scene.scene, &RapierFactory, config, seed, &NoProgress, cancel, &warnings)?;
+        let cpu_s = clock.seconds();
+        let worlds = TrueWorlds::new(scene, &self.bench.errors, self.bench.worlds)?;
+        let action = &outcome.plan.action;
+        let realised = worlds.realise(action, cancel)?;
+        let invalid = realised.iter().filter(|v| v.is_none()).count();
+        // Where a true world cannot be believed, the shot is taken to have done nothing; the table counts such worlds.
+        let initial = scene.task.initial_objective();
+        let mut values: Vec<f64> = realised.iter().map(|v| v.unwrap_or(initial)).collect();
+        let n = values.len().max(1) as f64;
+        let mut metrics = Metrics::new();
+        let mut set = |key: &str, value: f64| {
+            if value.is_finite() {
+                metrics.set(format!("{prefix}{key}"), value);
+            }
+        };
+        set("realised_m", values.iter().sum::<f64>() / n);
+        set("first_m", values.first().copied().unwrap_or(f64::NAN));
+        set("success_share", values.iter().filter(|&&v| scene.task.is_success(v)).count() as f64 / n);
+        values.sort_by(f64::total_cmp);
+        set("realised_median_m", values.get(values.len() / 2).copied().unwrap_or(f64::NAN));
+        set("realised_q90_m", values.get(values.len() * 9 / 10).copied().unwrap_or(f64::NAN));
+        set("invalid", invalid as f64);
+        set("predicted_m", outcome.plan.predicted.map_or(f64::NAN, |p| p.mean));
+        set("nominal_m", outcome.plan.objective);
+        set("rollouts", outcome.plan.evaluations as f64);
+        set("cpu_s", cpu_s);
+        set("chaos_m", worlds.chaos(action, self.bench.chaos_runs, cancel)?.unwrap_or(f64::NAN));
+        Ok((metrics, outcome.plan.evaluations))
+    }
+
+    /// The best shot of a search in the first true world itself.
+    fn oracle(&self, scene: usize, prefix: &str, cancel: &Cancel) -> Result<Metrics, BenchError> {
+        let scene = &self.scenes[scene];
+        let worlds = TrueWorlds::new(scene, &self.bench.errors, 1)?;
+        let budget = self.bench.oracle_evaluations;
+        let config = PlanConfig { evaluations: budget, ..PlanConfig::default() };
+        let seed = Seed(scene.seed).derive("oracle");
+        let clock = Clock::start();
+        let found =
+            search_nominal(&scene.task, worlds.scene(0), &RapierFactory, &config, budget, seed, cancel)?;
+        let best = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
+        let mut metrics = Metrics::new();
+        metrics.set(format!("{prefix}best_m"), best);
+        metrics.set(format!("{prefix}initial_m"), scene.task.initial_objective());
+        metrics.set(format!("{prefix}cpu_s"), clock.seconds());
+        Ok(metrics)
+    }
+}
+
+/// CPU seconds of this thread; where the system does not tell, those of the clock on the wall.
+struct Clock {
+    cpu_s: Option<f64>,
+    began: Instant,
+}
+
+impl Clock {
+    fn start() -> Self {
+        Self { cpu_s: thread_cpu_seconds(), began: Instant::now() }
+    }
+
+    fn seconds(&self) -> f64 {
+        match (self.cpu_s, thread_cpu_seconds()) {
+            (Some(then), Some(now)) => now - then,
+            _ => self.began.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robust_table;
+
+    #[test]
+    fn figures_are_complete_do_not_depend_on_threads_and_shards_make_the_whole() {
+        let small = PlanConfig {
+            robust_evaluations: 12,
+            scan: 8,
+            candidates: 4,
+            descents: 1,
+            descent: 2,
+            finalists: 2,
+            polish_starts: 0,
+            forecast_worlds: 2,
+            sensitivity_rollouts: 0,
+            disturbances: Disturbances { worlds: 2, ..Disturbances::default() },
+            ..PlanConfig::draft()
+        };
+        let mut bench = RobustBench::new(vec![1001, 1002], SceneFamily::Open);
+        (bench.worlds, bench.oracle_evaluations, bench.chaos_runs) = (2, 10, 1);
+        bench.planners = vec![("robust".to_owned(), small)];
+        let kept = AtomicUsize::new(0);
+        let run = |bench: &RobustBench, known: &Metrics, threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let keep = |_: &Metrics| {
+                kept.fetch_add(1, Ordering::SeqCst);
+                Ok(())
+            };
+            pool.install(|| run_robust(bench, known, &keep, &NoProgress, &Cancel::new())).unwrap()
+        };
+        let whole = run(&bench, &Metrics::new(), 2);
+        let part = run(&RobustBench { seeds: vec![1002], ..bench.clone() }, &Metrics::new(), 1);
+        assert_eq!(kept.swap(0, Ordering::SeqCst), 9, "three jobs a scene");
+        let merged = run(&bench, &part, 1);
+        assert_eq!(kept.load(Ordering::SeqCst), 3, "one scene is known");
+        let is_time = |key: &str| key.ends_with("cpu_s");
+        for (key, value) in whole.iter().filter(|(k, _)| !is_time(k)) {
+            assert_eq!(merged.get(key), Some(value), "{key}");
+        }
+        for name in ["plain", "robust"] {
+            for key in ["realised_m", "rollouts", "cpu_s", "regret_m", "chaos_m", "invalid"] {
+                let value = whole.number(&format!("bench.robust.{name}.{key}"));
+                assert!(value.is_some_and(f64::is_finite), "{name} {key}: {value:?}");
+            }
+        }
+        let rollouts = |name: &str| whole.number(&format!("bench.robust.{name}.rollouts")).unwrap();
+        assert!(rollouts("plain") >= rollouts("robust"), "plain planning gets at least as much");
+        assert!(whole.number("bench.robust.robust.change_share").is_some());
+        let table = robust_table(&bench, &whole);
+        assert!(table.contains("1002") && table.contains("robust"), "{table}");
+    }
 }

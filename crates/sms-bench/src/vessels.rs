@@ -2,7 +2,7 @@
 //! seconds without ending early; and the same for another simulator.
 
 use crate::plan_scenes::STAND_BACK_M;
-use crate::{BenchError, PlanScene, cpu_seconds};
+use crate::{BenchError, cpu_seconds};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
@@ -15,7 +15,7 @@ use sms_plan::PlanError;
 use sms_robot::{FR3_URDF, RobotConfig};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
 use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
-use sms_task::{Action, Billiards, Selector, Task};
+use sms_task::{Action, Billiards, ResolvedTask, Selector, Task};
 use std::path::Path;
 use std::time::Instant;
 
@@ -23,11 +23,22 @@ use std::time::Instant;
 const STRIKES: usize = 15;
 const HORIZON_S: f64 = 4.0;
 
+/// The scene of eight vessels with its task.
+#[derive(Debug, Clone)]
+pub struct VesselScene {
+    /// The scene.
+    pub scene: Scene,
+    /// The task in it, carried out by a finger that gives no way.
+    pub task: ResolvedTask,
+    /// The robot that stands before it.
+    pub robot: RobotConfig,
+}
+
 /// The scene, its task and the arm.
 ///
 /// # Errors
 /// [`BenchError`]: never, unless a shape loses its volume.
-pub fn vessel_scene() -> Result<PlanScene, BenchError> {
+pub fn vessel_scene() -> Result<VesselScene, BenchError> {
     let impossible = |e: String| InputError::new(e, "(scene of vessels)", "report this");
     let mut bodies = vec![
         floor_body(0.0, material(0.4, 0.5)),
@@ -60,7 +71,7 @@ pub fn vessel_scene() -> Result<PlanScene, BenchError> {
     let x_world_robot =
         [[1.0, 0.0, 0.0, -STAND_BACK_M], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
     let robot = RobotConfig { x_world_robot: Some(x_world_robot), ..RobotConfig::default() };
-    Ok(PlanScene { seed: 0, scene, task, robot })
+    Ok(VesselScene { scene, task, robot })
 }
 
 fn material(friction: f64, restitution: f64) -> Material {
@@ -152,7 +163,7 @@ fn cpu() -> f64 {
 /// [`BenchError`]: files, or interruption.
 pub fn run_full_shots(folder: Option<&Path>, cancel: &Cancel) -> Result<Metrics, BenchError> {
     let bench = vessel_scene()?;
-    let task = bench.arm_task()?;
+    let task = bench.task.clone().with_robot(&bench.robot, &bench.scene)?;
     let options = task.world_options();
     let mut simulation = Simulation::new(&RapierFactory, &bench.scene, &options).map_err(PlanError::from)?;
     simulation.save();

@@ -26,6 +26,7 @@ fn body(name: &str, kind: BodyKind, x_wb: DPose3, shape: BodyShape, mass: Option
         description: format!("a <{name}>"),
         color: [200, 90, 40],
         observed_share: 0.7,
+        fit_se_m: 0.0,
         ..floor_body(0.0, material)
     }
 }

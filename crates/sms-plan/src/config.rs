@@ -59,8 +59,17 @@ pub struct PlanConfig {
     pub survivors: usize,
     /// Least population of [`Method::CmaEs`]; 0 leaves it to the number of parameters.
     pub population: usize,
-    /// Distinct actions that are tried in the first few disturbed worlds.
+    /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
+    pub robust_evaluations: usize,
+    /// Points of a scan of the disturbed worlds, each tried in one of them.
+    pub scan: usize,
+    /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
+    /// from the scan.
     pub candidates: usize,
+    /// Simplex searches over the first few disturbed worlds, from the best candidates.
+    pub descents: usize,
+    /// Points that each of them may try, each in all of these worlds, before the worse half of the searches ends.
+    pub descent: usize,
     /// Least number of them that are tried in all worlds, and how many of the best are tried in as many worlds again.
     pub finalists: usize,
     /// What is minimised over the disturbed worlds.
@@ -90,11 +99,15 @@ impl Default for PlanConfig {
             initial_step: 0.08,
             survivors: 4,
             population: 0,
-            candidates: 48,
-            finalists: 8,
+            robust_evaluations: 400,
+            scan: 800,
+            candidates: 72,
+            descents: 16,
+            descent: 8,
+            finalists: 12,
             objective: RobustObjective::Mean,
             polish_starts: 3,
-            polish: 16,
+            polish: 12,
             forecast_worlds: 32,
             sensitivity_rollouts: 160,
             disturbances: Disturbances::default(),
@@ -116,7 +129,11 @@ impl PlanConfig {
             ("evaluations", self.evaluations, 1, 1_000_000),
             ("survivors", self.survivors, 1, 1_000_000),
             ("population", self.population, 0, 1_000_000),
+            ("robust_evaluations", self.robust_evaluations, 1, 1_000_000),
+            ("scan", self.scan, 0, 1_000_000),
             ("candidates", self.candidates, 1, 1_000_000),
+            ("descents", self.descents, 0, 1_000_000),
+            ("descent", self.descent, 1, 1_000_000),
             ("finalists", self.finalists, 1, 1_000_000),
             ("disturbances.worlds", d.worlds, 0, 1_000_000),
             ("polish_starts", self.polish_starts, 0, 1_000_000),
@@ -150,26 +167,37 @@ impl PlanConfig {
         Ok(())
     }
 
+    /// Rollouts in the nominal world.
+    pub(crate) fn nominal_evaluations(&self) -> usize {
+        if self.disturbances.worlds == 0 { self.evaluations } else { self.robust_evaluations }
+    }
+
     /// Most rollouts of the nominal search.
     pub(crate) fn budget(&self) -> usize {
-        if self.method == Method::MultiStart { usize::MAX } else { self.evaluations }
+        if self.method == Method::MultiStart { usize::MAX } else { self.nominal_evaluations() }
     }
 
     /// About how many rollouts the choice and the forecast take.
     pub(crate) fn disturbed_rollouts(&self) -> usize {
-        let worlds = self.disturbances.worlds;
-        if worlds == 0 {
+        let half = self.disturbances.worlds;
+        if half == 0 {
             return 0;
         }
-        let (mut alive, mut seen, mut next) = (self.candidates, 0, FIRST_WORLDS.min(worlds));
-        let mut count = 0;
-        while seen < worlds {
-            count += alive * (next - seen);
-            alive = alive.div_ceil(2).max(self.finalists.min(alive));
-            seen = next;
-            next = (2 * seen).min(worlds);
+        let few = FIRST_WORLDS.min(half);
+        let mut count = self.scan + (self.candidates + self.candidates.div_ceil(2)) * few;
+        let mut searches = self.descents;
+        while searches > 0 {
+            count += searches * self.descent * few;
+            searches = if searches > 4 { searches.div_ceil(2).max(4) } else { 0 };
         }
-        count + worlds * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
+        let (mut alive, mut seen) = (self.candidates.div_ceil(2).max(self.finalists), few);
+        while seen < half {
+            let next = (2 * seen).min(half);
+            count += alive * (next - seen);
+            alive = alive.div_ceil(2).max(self.finalists);
+            seen = next;
+        }
+        count + half * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
     }
 
     /// A quick plan: about a third of the rollouts.
@@ -177,8 +205,12 @@ impl PlanConfig {
         Self {
             starts: 12,
             evaluations: 480,
+            robust_evaluations: 240,
+            scan: 240,
             candidates: 24,
-            finalists: 4,
+            descents: 8,
+            descent: 8,
+            finalists: 6,
             polish_starts: 2,
             polish: 8,
             forecast_worlds: 16,
@@ -192,8 +224,12 @@ impl PlanConfig {
     pub fn fine() -> Self {
         Self {
             evaluations: 6000,
-            candidates: 128,
-            finalists: 16,
+            robust_evaluations: 2400,
+            scan: 4000,
+            candidates: 256,
+            descents: 64,
+            descent: 12,
+            finalists: 24,
             polish_starts: 6,
             polish: 24,
             forecast_worlds: 64,

@@ -1,6 +1,6 @@
 //! Disturbed worlds: what the planner does not know for certain, sampled.
 
-use glamx::{DQuat, DVec3};
+use glamx::DQuat;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, MassProperties, Material, Property, Seed};
@@ -15,12 +15,13 @@ pub struct Disturbances {
     pub worlds: usize,
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
-    /// Horizontal error of where the scan put a ball, metres.
+    /// Least horizontal error of where the scan put a ball, metres; twice the body's standard error
+    /// ([`Body::fit_se_m`]) where that is more. 0 switches it off. Balls that touch something stay where they are.
     pub position_m: f64,
-    /// Error of a ball's radius, metres. A ball that rests on something goes on resting on it.
+    /// Least error of a ball's radius, metres, likewise. A ball that rests on something goes on resting on it.
     pub radius_m: f64,
-    /// Horizontal error of where the scan put another object, metres. Objects that stand against each other stay where
-    /// they are: they would be pushed into one another.
+    /// Least horizontal error of where the scan put another object, metres, likewise. Objects that stand against each
+    /// other stay where they are: they would be pushed into one another.
     pub object_m: f64,
     /// Error of such an object's turn about the vertical, radians.
     pub object_rad: f64,
@@ -35,8 +36,8 @@ pub struct Disturbances {
 impl Default for Disturbances {
     fn default() -> Self {
         // A scan places a ball within about a millimetre, finds its radius within a few tenths of one, and other
-        // objects, of which it sees one side less, within two (docs/objects.md). The scene does not carry the residuals
-        // of its entities. A torque-controlled arm repeats a path within a few tenths of a millimetre: over the sweep
+        // objects, of which it sees one side less, within two (docs/objects.md): what the residuals of one entity
+        // do not show, because it is common to all. A torque-controlled arm repeats a path within a few tenths of a millimetre: over the sweep
         // of 0.1 m that is 2 mrad.
         Self {
             worlds: 16,
@@ -89,22 +90,17 @@ impl std::fmt::Display for Unknown {
 impl Disturbances {
     /// Everything that is disturbed in a scene.
     pub fn unknowns(&self, scene: &Scene) -> Vec<Unknown> {
-        let free = free_objects(scene, self.object_m);
         let mut all = Vec::new();
-        for (body, is_free) in scene.bodies.iter().zip(free) {
+        for (body, is_free) in scene.bodies.iter().zip(self.free(scene)) {
             let name = || body.name.clone();
             if self.materials && has_intervals(&body.material) {
                 all.push(Unknown::Material { body: name() });
             }
-            if is_ball(body) {
-                if self.position_m > 0.0 {
-                    all.push(Unknown::Pose { body: name() });
-                }
-                if self.radius_m > 0.0 {
-                    all.push(Unknown::Radius { body: name() });
-                }
-            } else if is_free && (self.object_m > 0.0 || self.object_rad > 0.0) {
+            if is_free && (self.shift(body) > 0.0 || (!is_ball(body) && self.object_rad > 0.0)) {
                 all.push(Unknown::Pose { body: name() });
+            }
+            if is_free && self.swell(body) > 0.0 {
+                all.push(Unknown::Radius { body: name() });
             }
         }
         if self.contact_m > 0.0 || self.angle_rad > 0.0 || self.speed_share > 0.0 {
@@ -129,8 +125,7 @@ impl Disturbances {
     ) -> Scene {
         let seed = seed.derive_index("world", index as u64);
         let mut disturbed = scene.clone();
-        let free = free_objects(scene, self.object_m);
-        for (body, is_free) in disturbed.bodies.iter_mut().zip(free) {
+        for (body, is_free) in disturbed.bodies.iter_mut().zip(self.free(scene)) {
             let name = body.name.clone();
             let rng = |what: &str| seed.derive(what).derive(&name).rng();
             if self.materials && which(&Unknown::Material { body: name.clone() }) {
@@ -138,12 +133,12 @@ impl Disturbances {
                 sample_material(&mut body.material, &mut rng("material"));
                 scale_mass(body, body.material.effective_density() / density, 1.0);
             }
-            if is_ball(body) && which(&Unknown::Radius { body: name.clone() }) {
-                disturb_radius(body, self.radius_m * symmetric(&mut rng("radius")));
+            let (shift, swell) = (self.shift(body), self.swell(body));
+            if is_free && swell > 0.0 && which(&Unknown::Radius { body: name.clone() }) {
+                disturb_radius(body, swell * symmetric(&mut rng("radius")));
             }
-            if (is_ball(body) || is_free) && which(&Unknown::Pose { body: name.clone() }) {
+            if is_free && which(&Unknown::Pose { body: name.clone() }) {
                 let mut rng = rng("pose");
-                let shift = if is_ball(body) { self.position_m } else { self.object_m };
                 body.x_wb.translation.x += shift * symmetric(&mut rng);
                 body.x_wb.translation.y += shift * symmetric(&mut rng);
                 if !is_ball(body) {
@@ -153,6 +148,38 @@ impl Disturbances {
             }
         }
         disturbed
+    }
+
+    /// Half width of the error of where a body is.
+    fn shift(&self, body: &Body) -> f64 {
+        at_least(if is_ball(body) { self.position_m } else { self.object_m }, 2.0 * body.fit_se_m)
+    }
+
+    /// Half width of the error of a ball's radius; 0 for other bodies.
+    fn swell(&self, body: &Body) -> f64 {
+        // All points of the surface tell the radius, a third of them a coordinate of the centre.
+        if is_ball(body) { at_least(self.radius_m, 2.0 * body.fit_se_m / 3f64.sqrt()) } else { 0.0 }
+    }
+
+    /// Which dynamic bodies stand apart from all others by more than both can be off, in the scene's order.
+    fn free(&self, scene: &Scene) -> Vec<bool> {
+        let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(aabb_w).collect();
+        let reach: Vec<f64> = scene.bodies.iter().map(|b| self.shift(b) + self.swell(b)).collect();
+        (0..boxes.len())
+            .map(|i| {
+                let Some(own) = boxes[i].as_ref().filter(|_| scene.bodies[i].kind == BodyKind::Dynamic)
+                else {
+                    return false;
+                };
+                boxes.iter().enumerate().all(|(k, other)| {
+                    let Some(other) = other.as_ref().filter(|_| k != i) else { return true };
+                    // What it stands on does not hold it in place.
+                    let is_static = scene.bodies[k].kind == BodyKind::Static;
+                    let carries = is_static && other.max.z < own.min.z + 0.005;
+                    carries || gap(&scene.bodies[i], own, &scene.bodies[k], other) > reach[i] + reach[k]
+                })
+            })
+            .collect()
     }
 
     /// The strike as it is carried out in the `index`-th disturbed world.
@@ -171,37 +198,30 @@ fn is_ball(body: &Body) -> bool {
     body.kind == BodyKind::Dynamic && matches!(body.shape, BodyShape::Sphere { .. })
 }
 
-/// Dynamic bodies other than balls that stand apart from all others by more than two disturbances, in the scene's
-/// order.
-fn free_objects(scene: &Scene, object_m: f64) -> Vec<bool> {
-    let boxes: Vec<Option<Aabb>> = scene
-        .bodies
-        .iter()
-        .map(|b| {
-            let corners = b.shape.meshes().into_iter().flat_map(|m| m.vertices);
-            let corners: Vec<DVec3> = corners.map(|p| b.x_wb.transform_point(p)).collect();
-            Aabb::of_points(corners)
-        })
-        .collect();
-    let apart = |a: &Aabb, b: &Aabb| {
-        let gap = (a.min - b.max).max(b.min - a.max);
-        gap.max_element() > 2.0 * object_m
-    };
-    (0..boxes.len())
-        .map(|i| {
-            let body = &scene.bodies[i];
-            let Some(own) = boxes[i].as_ref().filter(|_| body.kind == BodyKind::Dynamic && !is_ball(body))
-            else {
-                return false;
-            };
-            boxes.iter().enumerate().all(|(k, other)| {
-                let Some(other) = other.as_ref().filter(|_| k != i) else { return true };
-                // What it stands on does not hold it in place.
-                let carries = scene.bodies[k].kind == BodyKind::Static && other.max.z < own.min.z + 0.005;
-                carries || apart(own, other)
-            })
-        })
-        .collect()
+/// `least`, or `known` where that is more; nothing where `least` says so.
+fn at_least(least: f64, known: f64) -> f64 {
+    if least > 0.0 { least.max(known) } else { 0.0 }
+}
+
+/// The box around a body in the world; `None` for a half space.
+fn aabb_w(body: &Body) -> Option<Aabb> {
+    if let BodyShape::Sphere { radius } = body.shape {
+        let center = body.x_wb.translation;
+        return Some(Aabb { min: center - radius, max: center + radius });
+    }
+    let corners = body.shape.meshes().into_iter().flat_map(|m| m.vertices);
+    Aabb::of_points(corners.map(|p| body.x_wb.transform_point(p)))
+}
+
+/// Distance between two bodies, or less: between balls exactly, else along the axis in which their boxes are farthest
+/// apart. Negative where boxes overlap.
+fn gap(a: &Body, of_a: &Aabb, b: &Body, of_b: &Aabb) -> f64 {
+    match (&a.shape, &b.shape) {
+        (BodyShape::Sphere { radius: r }, BodyShape::Sphere { radius: s }) => {
+            a.x_wb.translation.distance(b.x_wb.translation) - r - s
+        }
+        _ => (of_a.min - of_b.max).max(of_b.min - of_a.max).max_element(),
+    }
 }
 
 fn has_intervals(material: &Material) -> bool {
@@ -232,12 +252,19 @@ fn disturb_radius(body: &mut Body, change_m: f64) {
 }
 
 fn sample_material(material: &mut Material, rng: &mut impl Rng) {
-    let mut sample = |p: &mut Property| p.value.best = p.value.at(symmetric(rng));
-    sample(&mut material.density);
-    sample(&mut material.friction);
-    sample(&mut material.restitution);
-    sample(&mut material.fill_factor);
-    sample(&mut material.rolling_m);
+    let mut sample = |p: &mut Property, by_factors: bool| {
+        let (t, v) = (symmetric(rng), p.value);
+        // What is known within a factor is as likely to be half as much as twice as much.
+        let end = if t < 0.0 { v.low } else { v.high };
+        let is_positive = v.best > 0.0 && end > 0.0;
+        p.value.best =
+            if by_factors && is_positive { v.best * (end / v.best).powf(t.abs()) } else { v.at(t) };
+    };
+    sample(&mut material.density, true);
+    sample(&mut material.friction, false);
+    sample(&mut material.restitution, false);
+    sample(&mut material.fill_factor, true);
+    sample(&mut material.rolling_m, true);
     material.restitution.value.best = material.restitution.value.best.clamp(0.0, 1.0);
     material.fill_factor.value.best = material.fill_factor.value.best.clamp(1e-3, 1.0);
     for p in [&mut material.friction, &mut material.rolling_m] {
@@ -265,7 +292,7 @@ pub(crate) fn quantile(values: &[f64], q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::DPose3;
+    use glamx::{DPose3, DVec3};
     use sms_core::{Mesh, sphere_mass_properties};
     use sms_scene::{SCENE_VERSION, example_material, floor_body};
 
@@ -285,6 +312,7 @@ mod tests {
             material: material.clone(),
             color: [200, 0, 0],
             observed_share: 0.8,
+            fit_se_m: 0.0,
         };
         Scene {
             version: SCENE_VERSION,
@@ -382,6 +410,56 @@ mod tests {
         let c = moved.body("c").unwrap().x_wb;
         assert_eq!(c.translation.z, 0.02);
         assert!(c.rotation.angle_between(DQuat::IDENTITY) > 1e-4);
+    }
+
+    #[test]
+    fn balls_that_touch_something_stay_and_no_disturbed_balls_overlap() {
+        let mut scene = scene();
+        let ball = |name: &str, x: f64| Body {
+            name: name.into(),
+            x_wb: DPose3::from_translation(DVec3::new(x, 0.1, 0.03)),
+            ..scene.bodies[1].clone()
+        };
+        // 0.1 mm and 10 mm from the next.
+        let others = [ball("touching", 0.3601), ball("apart", 0.4301)];
+        scene.bodies.extend(others);
+        let disturbances = Disturbances::default();
+        let radius =
+            |b: &Body| if let BodyShape::Sphere { radius } = b.shape { radius } else { panic!("a ball") };
+        for i in 0..50 {
+            let moved = disturbances.scene(&scene, Seed(1), i);
+            for name in ["ball", "touching"] {
+                let (was, is) = (scene.body(name).unwrap(), moved.body(name).unwrap());
+                assert_eq!((was.x_wb, radius(was)), (is.x_wb, radius(is)));
+            }
+            assert_ne!(scene.body("apart").unwrap().x_wb, moved.body("apart").unwrap().x_wb);
+            for (k, a) in moved.bodies.iter().enumerate().skip(1) {
+                for b in &moved.bodies[k + 1..] {
+                    assert!(a.x_wb.translation.distance(b.x_wb.translation) >= radius(a) + radius(b));
+                }
+            }
+        }
+        let unknowns = disturbances.unknowns(&scene);
+        assert!(!unknowns.contains(&Unknown::Radius { body: "touching".into() }));
+        assert!(unknowns.contains(&Unknown::Pose { body: "apart".into() }));
+    }
+
+    #[test]
+    fn bodies_that_the_scan_fitted_badly_are_farther_off() {
+        let mut scene = scene();
+        scene.bodies[1].fit_se_m = 0.003;
+        let d = Disturbances { materials: false, ..Disturbances::default() };
+        let mut most = (0.0f64, 0.0f64);
+        for i in 0..100 {
+            let ball = &d.scene(&scene, Seed(2), i).bodies[1];
+            let BodyShape::Sphere { radius } = ball.shape else { panic!("still a ball") };
+            let off = ball.x_wb.translation - scene.bodies[1].x_wb.translation;
+            most = (most.0.max(off.x.abs()), most.1.max((radius - 0.03).abs()));
+            assert!(off.x.abs() <= 0.006 && (radius - 0.03).abs() <= 0.006 / 3f64.sqrt());
+        }
+        assert!(most.0 > 0.005 && most.1 > 0.003, "{most:?}");
+        let off = Disturbances { position_m: 0.0, radius_m: 0.0, ..d };
+        assert_eq!(off.scene(&scene, Seed(2), 0).bodies[1].x_wb, scene.bodies[1].x_wb);
     }
 
     #[test]

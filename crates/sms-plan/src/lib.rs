@@ -28,6 +28,7 @@ mod planner;
 mod prediction;
 mod reason;
 mod robust;
+mod robust_search;
 mod screening;
 mod search;
 mod sensitivity;

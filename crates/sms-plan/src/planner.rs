@@ -56,9 +56,9 @@ pub enum PlanError {
 /// Plans: searches the actions in the nominal world, then chooses by how they fare in disturbed worlds (materials
 /// sampled within their intervals, objects, radii and strike a little off; the same worlds for every candidate).
 ///
-/// Choice: distinct actions that do better than nothing, of every strategy (who touches whom), are tried in a few of the
-/// worlds, the better half of them in twice as many, and so on; from the best ones a simplex search goes on over all
-/// worlds. The best few are tried in as many worlds again, and the one with the smallest [`PlanConfig::objective`] over
+/// Choice: distinct actions that do better than nothing, from the nominal search and from a scan in the disturbed worlds,
+/// are tried in a few of these; simplex searches go on over them from the best, the better half is tried in twice as many
+/// worlds, and so on. The best few are tried in as many worlds again, and the one with the smallest [`PlanConfig::objective`] over
 /// both wins. What it is predicted to do is measured in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
 /// scan made, is looked at.
 ///
@@ -79,10 +79,11 @@ pub fn plan(
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(progress, cancel);
 
-    counter.begin("plan: search", config.evaluations);
+    counter.begin("plan: search", config.budget());
     // What each shot touches, by its point: the order in which threads note it does not matter.
     let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
-    let mut found = search(&space, config, seed.derive("search"), config.budget(), &|x| {
+    let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
+    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &|x| {
         let mut seen = None;
         let objective = counter.count(|| {
             let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
@@ -122,7 +123,7 @@ pub fn plan(
             counter: &counter,
             known: &known,
         };
-        let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?)?;
+        let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?, seed.derive("robust scan"))?;
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
         let fresh = family(2 * d.worlds..2 * d.worlds + fresh)?;

@@ -1,12 +1,14 @@
 //! Which action to choose: the one that fares best when the world is a little different.
 
 use crate::prediction::compare;
+use crate::robust_search::Searches;
 use crate::search::{Found, Scored};
 use crate::space::{Space, is_near};
 use crate::strategy::strategy_of;
 use crate::worlds::{Counter, DisturbedWorlds, Worlds};
-use crate::{LocalSearch, NelderMead, Phase, PlanConfig, PlanError, Trial};
+use crate::{Phase, PlanConfig, PlanError, Trial};
 use rayon::prelude::*;
+use sms_core::Seed;
 use sms_scene::Scene;
 use sms_task::{Action, ResolvedTask};
 use std::collections::BTreeMap;
@@ -48,37 +50,63 @@ pub(crate) fn key(x: &[f64]) -> Vec<u64> {
 }
 
 impl Choice<'_> {
-    /// The best action of each strategy, best strategy first. With disturbed worlds: many candidates are tried in few
-    /// worlds, the better half in twice as many, and so on; then the search goes on over the first half of all worlds
-    /// from the best of them. In those worlds the survivors look better than they are, and those that were searched for
-    /// there more so: the best few and the best of each strategy are tried in the other half too, and both halves decide.
+    /// The best action of each strategy, best strategy first. With disturbed worlds:
+    ///
+    /// 1. Candidates are the nominally best actions and the best of a scan, each point of which is tried in one
+    ///    disturbed world: what works in the world as told alone does not get through.
+    /// 2. They are tried in few worlds; from the best that differ, simplex searches go on over these worlds, fewer and
+    ///    fewer of them.
+    /// 3. The best are tried in more worlds, the better half of them in twice as many, and so on; from the best of these
+    ///    the search goes on once more, over the first half of all worlds.
+    /// 4. In those worlds the survivors look better than they are, and those that were searched for there more so: the
+    ///    best few and the best of each strategy are tried in the other half too, and both halves decide.
     pub(crate) fn choose(
         &self,
         found: &mut Found,
         worlds: &DisturbedWorlds<'_>,
+        seed: Seed,
     ) -> Result<Vec<Candidate>, PlanError> {
+        let config = self.config;
         let mut all = self.candidates(&found.scored);
         let mut alive: Vec<usize> = (0..all.len()).collect();
         if worlds.len() > 0 {
             let half = worlds.len().div_ceil(2);
-            let (mut seen, mut next) = (0, FIRST_WORLDS.min(half));
-            loop {
-                self.run(&mut all, &alive, worlds, seen..next, &mut found.trials)?;
+            let few = FIRST_WORLDS.min(half);
+            let trials = &mut found.trials;
+            all.extend(self.scan(worlds, seed, trials)?);
+            alive.extend(alive.len()..all.len());
+            self.run(&mut all, &alive, worlds, 0..few, trials)?;
+            alive = self.ranked(&all, &alive);
+            let searches =
+                Searches { starts: config.descents, survivors: 4, points: config.descent, worlds: few };
+            let added = self.descend(&mut all, &alive, worlds, &searches, trials)?;
+            alive.extend(added);
+            alive = self.ranked(&all, &alive);
+            alive = self.apart(&all, &alive, config.candidates.div_ceil(2).max(config.finalists));
+            alive = self.looked_at(&mut all, &alive, trials)?;
+            let mut seen = few;
+            while seen < half {
+                let next = (2 * seen).min(half);
+                self.run(&mut all, &alive, worlds, seen..next, trials)?;
                 seen = next;
                 alive = self.ranked(&all, &alive);
-                if seen == half {
-                    break;
-                }
-                let count = alive.len().div_ceil(2).max(self.config.finalists);
+                let count = alive.len().div_ceil(2).max(config.finalists);
                 alive = self.best_with_strategies(&all, &alive, count);
-                next = (2 * seen).min(half);
             }
-            let polished = self.polish(&mut all, &alive, worlds, half, &mut found.trials)?;
-            // What cannot be believed in the scanned world is no plan, however it fares in others.
-            alive.extend(polished.into_iter().filter(|&i| all[i].objective.is_finite()));
+            let searches = Searches {
+                starts: config.polish_starts,
+                survivors: config.polish_starts,
+                points: config.polish,
+                worlds: half,
+            };
+            let polished = self.descend(&mut all, &alive, worlds, &searches, trials)?;
+            // Only the best of them can be chosen: the others are not looked at more closely.
+            let polished: Vec<usize> =
+                self.ranked(&all, &polished).into_iter().take(2 * STRATEGIES).collect();
+            alive.extend(self.looked_at(&mut all, &polished, trials)?);
             alive = self.ranked(&all, &alive);
-            alive = self.best_with_strategies(&all, &alive, self.config.finalists);
-            self.run(&mut all, &alive, worlds, half..worlds.len(), &mut found.trials)?;
+            alive = self.best_with_strategies(&all, &alive, config.finalists);
+            self.run(&mut all, &alive, worlds, half..worlds.len(), trials)?;
             alive = self.ranked(&all, &alive);
         }
         let mut best: Vec<Candidate> = Vec::new();
@@ -101,33 +129,43 @@ impl Choice<'_> {
         spread(pool, count)
     }
 
-    fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
+    pub(crate) fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
         let action = self.space.action(&x);
         let strategy = self.known.get(&key(&x)).cloned().unwrap_or_default();
         Candidate { x, action, objective, strategy, outcomes: Vec::new() }
     }
 
-    /// Carries out each shot in the nominal world and looks at what touches what. Not counted: a handful.
-    fn name_strategies(&self, candidates: &mut [Candidate]) -> Result<(), PlanError> {
-        let names: Vec<(String, f64)> = candidates
+    /// Carries out the shots that have not been in the nominal world there, and looks at what touches what. Without those
+    /// that cannot be believed there: what is invalid in the scanned world is no plan, however it fares in others.
+    fn looked_at(
+        &self,
+        all: &mut [Candidate],
+        who: &[usize],
+        trials: &mut Vec<Trial>,
+    ) -> Result<Vec<usize>, PlanError> {
+        let unknown: Vec<usize> = who.iter().copied().filter(|&i| !all[i].objective.is_finite()).collect();
+        let seen: Vec<(String, f64)> = unknown
             .par_iter()
-            .map(|c| {
-                let strike = self.task.strike(&c.action);
-                Ok(match self.nominal.rollout(&strike, None) {
-                    Ok(rollout) => (strategy_of(&rollout, self.scene, self.task), rollout.objective),
-                    Err(e) if e.is_invalid_rollout() => ("not valid".to_owned(), f64::INFINITY),
-                    Err(e) => return Err(e.into()),
-                })
+            .map(|&i| {
+                let strike = self.task.strike(&all[i].action);
+                let mut name = String::new();
+                let objective = self.counter.count(|| {
+                    let rollout = self.nominal.rollout(&strike, None)?;
+                    name = strategy_of(&rollout, self.scene, self.task);
+                    Ok(rollout.objective)
+                })?;
+                Ok((name, objective))
             })
             .collect::<Result<_, PlanError>>()?;
-        for (c, (name, objective)) in candidates.iter_mut().zip(names) {
-            (c.strategy, c.objective) = (name, objective);
+        for (&i, (name, objective)) in unknown.iter().zip(seen) {
+            (all[i].strategy, all[i].objective) = (name, objective);
+            trials.push(Trial::new(Phase::Disturbed, i as i32, -1, all[i].action.clone(), objective));
         }
-        Ok(())
+        Ok(who.iter().copied().filter(|&i| all[i].objective.is_finite()).collect())
     }
 
     /// Tries the candidates `who` in the given worlds; outcomes are appended in the worlds' order.
-    fn run(
+    pub(crate) fn run(
         &self,
         all: &mut [Candidate],
         who: &[usize],
@@ -148,7 +186,7 @@ impl Choice<'_> {
     }
 
     /// In order of the stated objective over the worlds; ties keep the nominally better one first.
-    fn ranked(&self, all: &[Candidate], who: &[usize]) -> Vec<usize> {
+    pub(crate) fn ranked(&self, all: &[Candidate], who: &[usize]) -> Vec<usize> {
         let objective = self.config.objective;
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
@@ -175,64 +213,6 @@ impl Choice<'_> {
             })
             .map(|(_, &i)| i)
             .collect()
-    }
-
-    /// Simplex searches over the first `count` worlds from the best candidates that differ; the points that were tried
-    /// become candidates. Returns the best of them.
-    fn polish(
-        &self,
-        all: &mut Vec<Candidate>,
-        ranked: &[usize],
-        worlds: &DisturbedWorlds<'_>,
-        count: usize,
-        trials: &mut Vec<Trial>,
-    ) -> Result<Vec<usize>, PlanError> {
-        let config = self.config;
-        let settings = NelderMead { restarts: 0, ..config.nelder_mead };
-        let statistic = |c: &Candidate| {
-            let (invalid, value) = config.objective.rank(&c.outcomes);
-            if invalid == 0 { value } else { f64::INFINITY }
-        };
-        let mut searches: Vec<LocalSearch> = Vec::new();
-        let mut begun: Vec<usize> = Vec::new();
-        for &i in ranked {
-            let steps = self.space.steps(0.5 * config.initial_step, self.space.is_promising(&all[i].x));
-            if searches.len() == config.polish_starts {
-                break;
-            }
-            if begun.iter().all(|&b| !is_near(&all[b].x, &all[i].x, &steps)) {
-                begun.push(i);
-                let start = [all[i].x.clone()];
-                searches.push(LocalSearch::new(&settings, &start, &steps, Some(statistic(&all[i]))));
-            }
-        }
-        let first = all.len();
-        for _ in 0..config.polish {
-            let mut asked: Vec<(usize, usize)> = Vec::new();
-            for (s, search) in searches.iter().enumerate() {
-                if let Some(x) = search.next_point() {
-                    asked.push((s, all.len()));
-                    all.push(self.candidate(x.to_vec(), f64::INFINITY));
-                }
-            }
-            if asked.is_empty() {
-                break;
-            }
-            let who: Vec<usize> = asked.iter().map(|a| a.1).collect();
-            self.run(all, &who, worlds, 0..count, trials)?;
-            for (s, i) in asked {
-                searches[s].tell(statistic(&all[i]));
-            }
-        }
-        let added: Vec<usize> = (first..all.len()).collect();
-        // Only the best of them can be chosen: the others are not looked at more closely.
-        let kept: Vec<usize> = self.ranked(all, &added).into_iter().take(2 * STRATEGIES).collect();
-        let mut looked: Vec<Candidate> = kept.iter().map(|&i| all[i].clone()).collect();
-        self.name_strategies(&mut looked)?;
-        for (&i, c) in kept.iter().zip(looked) {
-            all[i] = c;
-        }
-        Ok(kept)
     }
 }
 

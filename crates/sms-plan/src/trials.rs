@@ -14,7 +14,7 @@ pub enum Phase {
     Screen,
     /// A point of a local search.
     Search,
-    /// A candidate in a disturbed world.
+    /// A candidate, or a point of the scan, in a disturbed world.
     Disturbed,
     /// A strategy's action in a disturbed world that played no part in choosing it.
     Forecast,
@@ -44,9 +44,9 @@ pub struct Trial {
     /// What it was for.
     pub phase: Phase,
     /// Index of the start (search), candidate (disturbed), strategy (forecast), unknown (sensitivity) or world with another
-    /// body (reason); −1 in the screening.
+    /// body (reason); −1 in the screening and in the scan of the disturbed worlds.
     pub start: i32,
-    /// Number of the evaluation within the phase and start; the world's for disturbed ones.
+    /// Number of the evaluation within the phase and start; the world's for disturbed ones, where −1 is the nominal world.
     pub iteration: i32,
     /// The action.
     pub action: Action,

@@ -169,6 +169,53 @@ impl<'a> DisturbedWorlds<'a> {
         self.worlds.len()
     }
 
+    /// The objectives of pairs of a world (position) and an action, in their order.
+    pub(crate) fn each<A: std::borrow::Borrow<sms_task::Action> + Sync>(
+        &self,
+        jobs: &[(usize, A)],
+        counter: &Counter<'_>,
+    ) -> Result<Vec<f64>, PlanError> {
+        Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|shot| shot.0).collect())
+    }
+
+    /// As [`DisturbedWorlds::each`], with what `look` sees in each rollout; `None` where it cannot be believed.
+    fn look_each<A: std::borrow::Borrow<sms_task::Action> + Sync, T: Send>(
+        &self,
+        jobs: &[(usize, A)],
+        counter: &Counter<'_>,
+        look: &(dyn Fn(&Rollout) -> T + Sync),
+    ) -> Result<Vec<(f64, Option<T>)>, PlanError> {
+        // World by world, so that each is built once per thread at most.
+        let mut order: Vec<usize> = (0..jobs.len()).collect();
+        order.sort_by_key(|&j| jobs[j].0);
+        let found: Vec<(f64, Option<T>)> = order
+            .par_iter()
+            .map(|&j| {
+                let (index, world) = &self.worlds[jobs[j].0];
+                let asked = self.task.strike(jobs[j].1.borrow());
+                let mut seen = None;
+                let objective = counter.count(|| {
+                    let striker = if self.execution {
+                        let strike = self.disturbances.strike(&asked, self.seed, *index);
+                        self.task.striker_near(&asked, &strike)?
+                    } else {
+                        self.task.striker(&asked)?
+                    };
+                    let rollout = world.carry_out(&striker, None)?;
+                    seen = Some(look(&rollout));
+                    Ok(rollout.objective)
+                })?;
+                Ok((objective, seen))
+            })
+            .collect::<Result<_, PlanError>>()?;
+        let mut values: Vec<(f64, Option<T>)> =
+            std::iter::repeat_with(|| (f64::INFINITY, None)).take(jobs.len()).collect();
+        for (j, value) in order.into_iter().zip(found) {
+            values[j] = value;
+        }
+        Ok(values)
+    }
+
     /// The objectives of each action in the worlds `range` (positions, not indices), in the worlds' order.
     pub(crate) fn objectives(
         &self,
@@ -189,29 +236,10 @@ impl<'a> DisturbedWorlds<'a> {
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<Vec<(f64, Option<T>)>>, PlanError> {
         let (first, count) = (range.start, range.len());
-        // World by world, so that each is built once per thread at most.
         let pairs: Vec<(usize, usize)> =
             range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
-        let values: Vec<(f64, Option<T>)> = pairs
-            .par_iter()
-            .map(|&(w, a)| {
-                let (index, world) = &self.worlds[w];
-                let asked = self.task.strike(&actions[a]);
-                let mut seen = None;
-                let objective = counter.count(|| {
-                    let striker = if self.execution {
-                        let strike = self.disturbances.strike(&asked, self.seed, *index);
-                        self.task.striker_near(&asked, &strike)?
-                    } else {
-                        self.task.striker(&asked)?
-                    };
-                    let rollout = world.carry_out(&striker, None)?;
-                    seen = Some(look(&rollout));
-                    Ok(rollout.objective)
-                })?;
-                Ok((objective, seen))
-            })
-            .collect::<Result<_, PlanError>>()?;
+        let jobs: Vec<(usize, &sms_task::Action)> = pairs.iter().map(|&(w, a)| (w, &actions[a])).collect();
+        let values = self.look_each(&jobs, counter, look)?;
         let nothing = || std::iter::repeat_with(|| (f64::INFINITY, None)).take(count).collect();
         let mut rows: Vec<Vec<(f64, Option<T>)>> =
             std::iter::repeat_with(nothing).take(actions.len()).collect();

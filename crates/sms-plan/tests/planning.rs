@@ -19,7 +19,11 @@ fn config() -> PlanConfig {
     PlanConfig {
         starts: 4,
         evaluations: 120,
+        robust_evaluations: 120,
+        scan: 24,
         candidates: 6,
+        descents: 2,
+        descent: 4,
         finalists: 2,
         polish_starts: 1,
         polish: 4,

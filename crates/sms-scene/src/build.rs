@@ -50,6 +50,7 @@ pub fn floor_body(z_w: f64, material: Material) -> Body {
         material,
         color: [170, 165, 155],
         observed_share: 1.0,
+        fit_se_m: 0.0,
     }
 }
 
@@ -129,6 +130,7 @@ fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError>
         material,
         color: entity.mean_color,
         observed_share: entity.observed_share,
+        fit_se_m: fit_se_m(entity),
     })
 }
 
@@ -149,6 +151,16 @@ fn primitive(shape: &EntityShape) -> Option<BodyShape> {
         }
         EntityShape::Convex | EntityShape::TriMesh => None,
     }
+}
+
+/// Standard error of a coordinate of an entity's place from the scatter of its surface points. Errors of neighbouring
+/// points go together: each patch of that size counts once, and a third of the patches faces either way along an axis.
+fn fit_se_m(entity: &Entity) -> f64 {
+    const PATCH_M2: f64 = 1e-4;
+    // The residual is a median of absolute values; this is the ratio of a normal distribution's deviation to it.
+    let deviation = 1.4826 * entity.residual_m.max(0.0);
+    let patches = (entity.mesh.area() * entity.observed_share / PATCH_M2).max(1.0);
+    deviation * (3.0 / patches).min(1.0).sqrt()
 }
 
 fn static_body(entity: &Entity, material: Material) -> Body {
@@ -177,6 +189,7 @@ fn static_body(entity: &Entity, material: Material) -> Body {
         material,
         color: entity.mean_color,
         observed_share: entity.observed_share,
+        fit_se_m: fit_se_m(entity),
     }
 }
 
@@ -270,6 +283,19 @@ mod tests {
         // A void of 0.9 of the size: outer minus inner moment, about the axis.
         let axial = 0.5 * 700.0 * volume * 9e-4 * (1.0 - 0.9f64.powi(5));
         assert!((mass.inertia().z_axis.z / axial - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_fits_badly_or_was_hardly_seen_is_less_certainly_placed() {
+        let se = |half: f64, residual_m: f64, observed_share: f64| {
+            let mesh = Mesh::cuboid(DVec3::splat(half));
+            fit_se_m(&Entity { residual_m, observed_share, ..entity("box", mesh, EntityShape::Convex) })
+        };
+        // A cube of 4 cm has 96 patches of a square centimetre.
+        let expected = 1.4826e-3 * (3.0f64 / 48.0).sqrt();
+        assert!((se(0.02, 1e-3, 0.5) - expected).abs() < 1e-9);
+        assert!(se(0.02, 1e-3, 0.1) > se(0.02, 1e-3, 0.5) && se(0.02, 2e-3, 0.5) > se(0.02, 1e-3, 0.5));
+        assert_eq!((se(0.02, 0.0, 0.5), se(0.001, 1e-3, 0.5)), (0.0, 1.4826e-3));
     }
 
     #[test]

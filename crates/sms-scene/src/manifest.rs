@@ -50,6 +50,9 @@ struct BodyEntry {
     material: Material,
     color: [u8; 3],
     observed_share: f64,
+    /// Not in scenes of earlier programs.
+    #[serde(default)]
+    fit_se_m: f64,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -146,6 +149,7 @@ pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
         material: body.material.clone(),
         color: body.color,
         observed_share: body.observed_share,
+        fit_se_m: body.fit_se_m,
     };
     let file = ManifestFile {
         version: scene.version,
@@ -206,6 +210,7 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
             material: entry.material,
             color: entry.color,
             observed_share: entry.observed_share,
+            fit_se_m: entry.fit_se_m,
         });
     }
     let scene = Scene {

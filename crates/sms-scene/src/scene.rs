@@ -114,6 +114,9 @@ pub struct Body {
     pub color: [u8; 3],
     /// Share of the surface that cameras observed.
     pub observed_share: f64,
+    /// Standard error of a coordinate of its place, as the residuals of its reconstruction show it, metres; 0 where it
+    /// is not known. Errors that are common to all bodies (scale, the recording's pose) are not in it.
+    pub fit_se_m: f64,
 }
 
 impl Scene {

@@ -21,6 +21,7 @@
 //!     material: example_material(),
 //!     color: [250, 250, 240],
 //!     observed_share: 1.0,
+//!     fit_se_m: 0.0,
 //! };
 //! let scene = Scene {
 //!     version: sms_scene::SCENE_VERSION,

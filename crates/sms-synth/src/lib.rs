@@ -45,6 +45,7 @@ pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::DepthCamera;
 pub use eighteen::{FIXED_SCENES, FixedScene};
+pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};

@@ -1,8 +1,9 @@
 //! True materials: drawn per object around the published ranges of its class (`true_materials.toml`).
 
+use crate::scene::{Hollow, TruthScene};
 use rand::RngExt;
 use serde::Deserialize;
-use sms_core::{Interval, Material, Property, PropertySource, StageRng};
+use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed, StageRng};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
@@ -32,7 +33,10 @@ static TABLE: LazyLock<BTreeMap<String, ClassRanges>> = LazyLock::new(|| {
 /// # Panics
 /// If `class` is not a key of the built-in table: a mistake in this crate, not in a user's input.
 pub(crate) fn draw_material(class: &str, rng: &mut StageRng) -> Material {
-    let ranges = TABLE.get(class).unwrap_or_else(|| panic!("no true material class `{class}`"));
+    draw_from(TABLE.get(class).unwrap_or_else(|| panic!("no true material class `{class}`")), rng)
+}
+
+fn draw_from(ranges: &ClassRanges, rng: &mut StageRng) -> Material {
     let mut draw = |[low, high]: [f64; 2]| truth(low + (high - low) * rng.random::<f64>());
     Material {
         class: ranges.name.clone(),
@@ -49,6 +53,37 @@ pub(crate) fn draw_material(class: &str, rng: &mut StageRng) -> Material {
 /// The same material with the density over the closed outer volume, kg/m³.
 pub(crate) fn with_effective_density(material: Material, density: f64) -> Material {
     Material { density: truth(density), ..material }
+}
+
+/// The same scene with every object's and the floor's material drawn once more from the ranges of its class, masses with
+/// them: another world that a good guess of the classes cannot tell from this one. What is of no class of the table keeps
+/// its material.
+pub fn redraw_materials(truth: &TruthScene, seed: Seed) -> TruthScene {
+    let seed = seed.derive("redrawn materials");
+    let class = |name: &str| TABLE.values().find(|r| r.name == name);
+    let mut redrawn = truth.clone();
+    for object in &mut redrawn.objects {
+        let Some(ranges) = class(&object.material.class) else { continue };
+        let material = draw_from(ranges, &mut seed.derive(&object.name).rng());
+        let effective = object.material.density.value.best;
+        let substance = match object.hollow {
+            Hollow::Shell { wall_density, .. } => wall_density,
+            Hollow::Solid | Hollow::Vessel { .. } => effective,
+        };
+        let ratio = material.density.value.best / substance;
+        let (mass, com, inertia) = (object.mass.mass(), object.mass.com(), object.mass.inertia());
+        // A positive multiple of a possible inertia is possible.
+        let Ok(mass) = MassProperties::new(mass * ratio, com, inertia * ratio) else { continue };
+        if let Hollow::Shell { wall_density, .. } = &mut object.hollow {
+            *wall_density *= ratio;
+        }
+        object.mass = mass;
+        object.material = with_effective_density(material, effective * ratio);
+    }
+    if let Some(ranges) = class(&redrawn.floor.material.class) {
+        redrawn.floor.material = draw_from(ranges, &mut seed.derive("(floor)").rng());
+    }
+    redrawn
 }
 
 fn truth(value: f64) -> Property {
@@ -75,6 +110,34 @@ mod tests {
             ] {
                 assert!(low <= high && low >= floor && high <= ceiling, "{key}: {low}..{high}");
             }
+        }
+    }
+
+    #[test]
+    fn redrawn_materials_stay_in_their_class_and_masses_go_with_them() {
+        let names: Vec<&str> = TABLE.values().map(|r| r.name.as_str()).collect();
+        let distinct: std::collections::BTreeSet<&str> = names.iter().copied().collect();
+        assert_eq!(names.len(), distinct.len(), "classes are told apart by name");
+        let scene = crate::generate_billiards(Seed(3), &crate::BilliardsSettings::default());
+        let other = redraw_materials(&scene, Seed(1));
+        assert_eq!(other, redraw_materials(&scene, Seed(1)));
+        assert_ne!(scene.floor.material, other.floor.material);
+        for (a, b) in scene.objects.iter().zip(&other.objects) {
+            assert_ne!(a.material.friction, b.material.friction);
+            let ranges = TABLE.values().find(|r| r.name == b.material.class).unwrap();
+            let friction = b.material.friction.value.best;
+            assert!((ranges.friction[0]..=ranges.friction[1]).contains(&friction));
+            let substance = match b.hollow {
+                Hollow::Shell { wall_density, .. } => wall_density,
+                _ => b.material.density.value.best,
+            };
+            let [low, high] = ranges.density_kg_m3;
+            assert!(substance > low - 1e-6 && substance < high + 1e-6, "{}: {substance}", b.name);
+            let (mass, density) = (
+                b.mass.mass() / a.mass.mass(),
+                b.material.density.value.best / a.material.density.value.best,
+            );
+            assert!((mass / density - 1.0).abs() < 1e-12);
         }
     }
 

@@ -58,6 +58,7 @@ fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
         material: object.material.clone(),
         color: mean_color(&object.mesh),
         observed_share: 1.0,
+        fit_se_m: 0.0,
     })
 }
 

@@ -527,6 +527,7 @@ mod tests {
             material: example_material(),
             color: [200, 0, 0],
             observed_share: 1.0,
+            fit_se_m: 0.0,
         }
     }
 

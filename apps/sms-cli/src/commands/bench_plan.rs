@@ -3,11 +3,12 @@
 use super::bench_optimisers::{Family, finish, parse_seeds};
 use super::plan::summary;
 use crate::context::Context;
-use clap::Args;
-use sms_bench::{PlanScene, RobustBench, robust_table, run_full_shots, run_plan_speed};
-use sms_core::Seed;
+use clap::{Args, ValueEnum};
+use sms_bench::{MaterialsTold, PlanScene, RobustBench, robust_table, run_full_shots, run_plan_speed};
 use sms_core::metrics::Metrics;
+use sms_core::{InputError, Seed, atomic};
 use sms_plan::PlanConfig;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
@@ -35,14 +36,26 @@ pub(crate) struct BenchRobust {
     /// How hard they are.
     #[arg(long, value_enum, default_value = "crowded")]
     pub family: Family,
+    /// What the planner is told of the true materials.
+    #[arg(long, value_enum, default_value = "noisy")]
+    pub materials: Told,
     /// True worlds per scene in which each plan is carried out.
     #[arg(long, value_name = "N", default_value_t = 48)]
     pub worlds: usize,
-    /// Simulated shots of the search before disturbed worlds are looked at (default: the planner's); planning for the
-    /// scanned world alone gets twice as many.
-    #[arg(long, value_name = "N")]
-    pub evaluations: Option<usize>,
-    /// File for the results.
+    /// Shots of the search in the true world itself, for the regret; 0 leaves it out.
+    #[arg(long, value_name = "N", default_value_t = 4000)]
+    pub oracle: usize,
+    /// Robust planners to compare: a TOML file with one table a planner, each with keys of `[plan]` (default: the
+    /// planner's settings). Planning for the scanned world alone costs as much as the first.
+    #[arg(long, value_name = "FILE")]
+    pub planners: Option<PathBuf>,
+    /// Only every n-th scene, from the i-th (i/n, from 1).
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<String>,
+    /// Results of earlier runs, interrupted ones too, or of other shards: what is in them is not run again.
+    #[arg(long, value_name = "FILES", value_delimiter = ',')]
+    pub with: Vec<PathBuf>,
+    /// File for the results; written after every plan.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -55,6 +68,30 @@ pub(crate) struct BenchRebound {
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+}
+
+/// What the planner is told of materials.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Told {
+    /// The true class with the handbook's values.
+    Class,
+    /// The true values with the errors that vision-language models make.
+    Noisy,
+    /// Nothing.
+    Prior,
+    /// The truth.
+    Truth,
+}
+
+impl Told {
+    fn told(self) -> MaterialsTold {
+        match self {
+            Self::Class => MaterialsTold::Class,
+            Self::Noisy => MaterialsTold::Noisy,
+            Self::Prior => MaterialsTold::Prior,
+            Self::Truth => MaterialsTold::Truth,
+        }
+    }
 }
 
 /// Plans with the settings of `[plan]`.
@@ -108,12 +145,38 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
 }
 
 pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {
-    let mut bench = RobustBench::new(parse_seeds(&a.seeds)?, a.family.family());
+    let seeds = match &a.shard {
+        None => parse_seeds(&a.seeds)?,
+        Some(shard) => {
+            let (i, n) = parse_shard(shard)?;
+            parse_seeds(&a.seeds)?.into_iter().skip(i - 1).step_by(n).collect()
+        }
+    };
+    let mut bench = RobustBench::new(seeds, a.family.family());
+    bench.told = a.materials.told();
     bench.worlds = a.worlds.max(1);
-    if let Some(evaluations) = a.evaluations {
-        bench.set_evaluations(evaluations.max(1));
+    bench.oracle_evaluations = a.oracle;
+    if let Some(path) = &a.planners {
+        let planners: BTreeMap<String, PlanConfig> = atomic::read_toml(path)?;
+        for config in planners.values() {
+            config.validate(path)?;
+        }
+        if planners.is_empty() || planners.contains_key("plain") || planners.contains_key("oracle") {
+            let what = "the file needs a table for each planner, none called `plain` or `oracle`";
+            return Err(InputError::new(what, path, "write for example [mean] and [q90]").into());
+        }
+        bench.planners = planners.into_iter().collect();
     }
-    let metrics = sms_bench::run_robust(&bench, context.progress.as_ref(), &context.cancel)?;
+    let mut known = Metrics::new();
+    for path in &a.with {
+        known.merge(Metrics::load(path)?);
+    }
+    // What is done is kept at once: an interrupted run goes on with `--with` this file.
+    let keep = |metrics: &Metrics| match &a.out {
+        Some(out) => Ok(metrics.save(out)?),
+        None => Ok(()),
+    };
+    let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
 }
 
@@ -132,4 +195,27 @@ pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result
         text.extend(summary(&plan));
     }
     finish(context, &metrics, a.out.as_ref(), &text.join("\n"))
+}
+
+/// `2/4`: the second of four parts.
+fn parse_shard(text: &str) -> anyhow::Result<(usize, usize)> {
+    let parts =
+        text.split_once('/').and_then(|(i, n)| Some((i.trim().parse().ok()?, n.trim().parse().ok()?)));
+    match parts {
+        Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
+        _ => Err(InputError::new(format!("`{text}` is no shard"), "--shard", "write for example 2/4").into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_are_counted_from_one() {
+        assert_eq!(parse_shard("2/4").unwrap(), (2, 4));
+        for bad in ["0/2", "3/2", "2", "a/b"] {
+            assert!(parse_shard(bad).is_err(), "{bad}");
+        }
+    }
 }

@@ -37,6 +37,7 @@ pub(crate) fn ball(name: &str, x: f64, y: f64, color: [u8; 3], material: Materia
         material,
         color,
         observed_share: 1.0,
+        fit_se_m: 0.0,
     }
 }
 

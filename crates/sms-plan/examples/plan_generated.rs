@@ -1,7 +1,7 @@
 //! Plans shots on generated scenes with their true geometry, and carries them out in a finer world with the true
 //! materials: what the planner can reach when the scan is perfect up to a millimetre.
 //!
-//! `cargo run --release -p sms-plan --example generated_scenes -- [first seed] [number] [draft|standard|fine|paper]
+//! `cargo run --release -p sms-plan --example plan_generated -- [first seed] [number] [draft|standard|fine|paper]
 //! [speed_angle_contact|speed_angle] [free|blocked]`; `blocked` puts obstacles anywhere and asks for any cut.
 //! Tune on seeds from 1000 on; the ones below are for reported figures.
 
@@ -31,6 +31,7 @@ fn true_scene(truth: &TruthScene) -> Scene {
         material: o.material.clone(),
         color: [128; 3],
         observed_share: 1.0,
+        fit_se_m: 0.0,
     };
     let floor = floor_body(0.0, truth.floor.material.clone());
     Scene {

@@ -1,0 +1,241 @@
+//! What the planner is told of the true materials of a generated scene.
+
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed};
+use sms_materials::{MaterialTable, ObjectQuery, without_override};
+use sms_scene::{Body, BodyShape, Scene};
+use sms_synth::{Hollow, TruthObject, TruthScene};
+
+/// Standard deviation of the natural logarithm of what a vision-language model says of a mass (here: of the density, the
+/// volume being measured): a factor of two, as published tests of such models find.
+pub const DENSITY_LOG_SD: f64 = std::f64::consts::LN_2;
+/// The same of the rolling lever arm, of which nothing is published: no better known than a mass.
+pub const ROLLING_LOG_SD: f64 = std::f64::consts::LN_2;
+/// Half width of the interval that holds 90 % of the errors of friction.
+pub const FRICTION_ERROR: f64 = 0.2;
+/// The same of restitution, of which nothing is published: as for friction, in proportion to its smaller spread.
+pub const RESTITUTION_ERROR: f64 = 0.15;
+/// Standard deviations in that half width, for normal errors.
+const Z90: f64 = 1.645;
+/// Volume over that of the convex hull of an open vessel whose inside was seen; see [`ObjectQuery::hull_fill`].
+const VESSEL_FILL: f64 = 0.3;
+
+/// What the planner is told of materials (every table names it).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MaterialsTold {
+    /// The true class with the handbook's values: what a good vision-language model gives.
+    Class,
+    /// The true values with the errors that such models make: density log-normal by [`DENSITY_LOG_SD`], rolling
+    /// resistance by [`ROLLING_LOG_SD`], friction and restitution with normal errors of which 90 % are within
+    /// [`FRICTION_ERROR`] and [`RESTITUTION_ERROR`]. The intervals are those of these errors (90 %).
+    Noisy,
+    /// Nothing: the handbook's prior.
+    Prior,
+    /// The truth, for ablations.
+    Truth,
+}
+
+impl MaterialsTold {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Class, Self::Noisy, Self::Prior, Self::Truth];
+
+    /// The word in tables and options.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Class => "class",
+            Self::Noisy => "noisy",
+            Self::Prior => "prior",
+            Self::Truth => "truth",
+        }
+    }
+
+    /// What is told of an object. The errors of `noisy` depend on the seed and the object's name alone.
+    pub fn of_object(self, object: &TruthObject, seed: Seed) -> Material {
+        let hull_fill = match object.hollow {
+            Hollow::Vessel { .. } => VESSEL_FILL,
+            Hollow::Solid | Hollow::Shell { .. } => 1.0,
+        };
+        let query = ObjectQuery {
+            name: object.name.clone(),
+            // Balls are called after their game.
+            description: if object.sphere_radius.is_some() {
+                object.material.class.clone()
+            } else {
+                object.class.clone()
+            },
+            is_sphere: object.sphere_radius.is_some(),
+            hull_fill,
+            ..ObjectQuery::default()
+        };
+        self.tell(&object.material, query, seed)
+    }
+
+    /// What is told of the floor.
+    pub fn of_floor(self, material: &Material, seed: Seed) -> Material {
+        let query = ObjectQuery {
+            name: "(floor)".into(),
+            description: material.class.clone(),
+            ..ObjectQuery::default()
+        };
+        self.tell(material, query, seed)
+    }
+
+    fn tell(self, truth: &Material, query: ObjectQuery, seed: Seed) -> Material {
+        match self {
+            Self::Truth => truth.clone(),
+            Self::Noisy => noisy(truth, seed.derive("materials told").derive(&query.name)),
+            Self::Class => without_override(&query, &MaterialTable::builtin()),
+            Self::Prior => MaterialTable::builtin().prior(query.is_sphere),
+        }
+    }
+}
+
+/// Tells the planner's `scene`, whose bodies have the names and volumes of the truth's, the materials; masses follow the
+/// effective densities.
+pub fn tell_materials(scene: &mut Scene, truth: &TruthScene, told: MaterialsTold, seed: Seed) {
+    for body in &mut scene.bodies {
+        let material = match truth.object(&body.name) {
+            Some(object) => told.of_object(object, seed),
+            None if matches!(body.shape, BodyShape::HalfSpace) => told.of_floor(&truth.floor.material, seed),
+            None => continue,
+        };
+        set_material(body, material);
+    }
+}
+
+/// Gives a body another material; its mass goes with the effective density.
+fn set_material(body: &mut Body, material: Material) {
+    let ratio = material.effective_density() / body.material.effective_density();
+    if let Some(was) = body.mass.filter(|_| ratio.is_finite() && ratio > 0.0) {
+        body.mass =
+            MassProperties::new(was.mass() * ratio, was.com(), was.inertia() * ratio).ok().or(Some(was));
+    }
+    body.material = material;
+}
+
+/// The values with the errors of a vision-language model, and the intervals of these errors.
+fn noisy(truth: &Material, seed: Seed) -> Material {
+    let mut told = truth.clone();
+    let rng = |what: &str| seed.derive(what).rng();
+    let factor = |p: &mut Property, log_sd: f64, mut rng: sms_core::StageRng| {
+        let best = p.value.best * (log_sd * normal(&mut rng)).exp();
+        let width = (Z90 * log_sd).exp();
+        *p = Property::new(Interval::new(best, best / width, best * width), PropertySource::Vlm);
+    };
+    factor(&mut told.density, DENSITY_LOG_SD, rng("density"));
+    factor(&mut told.rolling_m, ROLLING_LOG_SD, rng("rolling"));
+    let shift = |p: &mut Property, error: f64, high: f64, mut rng: sms_core::StageRng| {
+        let best = (p.value.best + error / Z90 * normal(&mut rng)).clamp(0.0, high);
+        let interval = Interval::new(best, (best - error).max(0.0), (best + error).min(high));
+        *p = Property::new(interval, PropertySource::Vlm);
+    };
+    shift(&mut told.friction, FRICTION_ERROR, 2.0, rng("friction"));
+    shift(&mut told.restitution, RESTITUTION_ERROR, 1.0, rng("restitution"));
+    told
+}
+
+/// Standard normal (Box and Muller 1958).
+fn normal(rng: &mut impl Rng) -> f64 {
+    let u: f64 = 1.0 - rng.random::<f64>();
+    let v: f64 = rng.random();
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_synth::{BilliardsSettings, generate_billiards};
+    use sms_target::scene_from_truth;
+
+    fn truth() -> TruthScene {
+        generate_billiards(Seed(1003), &BilliardsSettings { objects: 9, ..BilliardsSettings::default() })
+    }
+
+    #[test]
+    fn noise_has_the_stated_spread_and_its_intervals_hold_nine_truths_of_ten() {
+        let truth = truth();
+        let material = &truth.objects.iter().find(|o| o.sphere_radius.is_none()).unwrap().material;
+        let mut logs = Vec::new();
+        let mut held = [0usize; 3];
+        let n = 4000;
+        for i in 0..n {
+            let told = noisy(material, Seed(i));
+            logs.push((told.density.value.best / material.density.value.best).ln());
+            let pairs = [
+                (told.density, material.density),
+                (told.friction, material.friction),
+                (told.restitution, material.restitution),
+            ];
+            for (k, (told, truth)) in pairs.into_iter().enumerate() {
+                let v = told.value;
+                held[k] += usize::from(v.low <= truth.value.best && truth.value.best <= v.high);
+                assert!(v.low <= v.best && v.best <= v.high && v.low >= 0.0);
+            }
+        }
+        let mean = logs.iter().sum::<f64>() / n as f64;
+        let sd = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / n as f64).sqrt();
+        // Five standard errors of a mean and of a standard deviation of so many.
+        assert!(mean.abs() < 5.0 * DENSITY_LOG_SD / (n as f64).sqrt(), "{mean}");
+        assert!((sd / DENSITY_LOG_SD - 1.0).abs() < 5.0 / (2.0 * n as f64).sqrt(), "{sd}");
+        for held in held {
+            let share = held as f64 / n as f64;
+            assert!((share - 0.9).abs() < 0.025, "{share}");
+        }
+    }
+
+    #[test]
+    fn each_object_has_its_own_error_which_the_seed_repeats() {
+        let truth = truth();
+        let scene = scene_from_truth(&truth).unwrap();
+        let tell = |told, seed| {
+            let mut scene = scene.clone();
+            tell_materials(&mut scene, &truth, told, seed);
+            scene
+        };
+        assert_eq!(tell(MaterialsTold::Truth, Seed(1)), scene);
+        let noisy = tell(MaterialsTold::Noisy, Seed(1));
+        assert_eq!(noisy, tell(MaterialsTold::Noisy, Seed(1)));
+        let ratios: Vec<f64> = scene
+            .bodies
+            .iter()
+            .zip(&noisy.bodies)
+            .filter_map(|(a, b)| Some(b.mass?.mass() / a.mass?.mass()))
+            .collect();
+        assert_eq!(ratios.len(), truth.objects.len());
+        for (i, a) in ratios.iter().enumerate() {
+            assert!(ratios[..i].iter().all(|b| a != b));
+        }
+        for (a, b) in scene.bodies.iter().zip(&noisy.bodies) {
+            if let (Some(a_mass), Some(b_mass)) = (a.mass, b.mass) {
+                let density = b.material.effective_density() / a.material.effective_density();
+                assert!((b_mass.mass() / a_mass.mass() / density - 1.0).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn the_class_gives_the_handbook_s_values_near_the_truth() {
+        let truth = truth();
+        let scene = scene_from_truth(&truth).unwrap();
+        let mut told = scene.clone();
+        tell_materials(&mut told, &truth, MaterialsTold::Class, Seed(1));
+        let mut solids = 0;
+        for (a, b) in scene.bodies.iter().zip(&told.bodies) {
+            assert_ne!(b.material.density.source, PropertySource::Prior, "{}", a.name);
+            let off = b.material.friction.value.best - a.material.friction.value.best;
+            assert!(off.abs() < 0.3, "{}: friction off by {off}", a.name);
+            // Of hollow things and of figures the handbook guesses how full they are; of solid balls and blocks not.
+            let is_solid = truth.object(&a.name).is_some_and(|o| o.hollow == Hollow::Solid);
+            let is_plain =
+                is_solid && (matches!(a.shape, BodyShape::Sphere { .. }) || a.description.contains("block"));
+            if let (Some(a_mass), Some(b_mass)) = (a.mass.filter(|_| is_plain), b.mass) {
+                let ratio = b_mass.mass() / a_mass.mass();
+                assert!((0.7..1.4).contains(&ratio), "{}: {ratio}", a.name);
+                solids += 1;
+            }
+        }
+        assert!(solids >= 2);
+    }
+}

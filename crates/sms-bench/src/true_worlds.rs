@@ -1,0 +1,134 @@
+//! Worlds in which a plan may really have to work.
+
+use crate::plan_scenes::true_scene;
+use crate::{BenchError, PlanScene};
+use rayon::prelude::*;
+use sms_core::{Cancel, Mesh, Seed};
+use sms_plan::{Disturbances, PlanError};
+use sms_scene::Scene;
+use sms_sim::{RapierFactory, SimError, StrikerMotion};
+use sms_synth::redraw_materials;
+use sms_task::{Action, ResolvedTask};
+
+/// Half width of the disturbances that show what chaos alone does, metres.
+const CHAOS_M: f64 = 1e-6;
+
+/// True worlds of a scene: the materials of every object drawn from the ranges of its class, bodies and strike off by what
+/// scan and robot are off by. The planner was told other materials, and that the bodies are where the scene says.
+#[derive(Debug, Clone)]
+pub struct TrueWorlds<'a> {
+    task: &'a ResolvedTask,
+    errors: Disturbances,
+    seed: Seed,
+    scenes: Vec<Scene>,
+}
+
+impl<'a> TrueWorlds<'a> {
+    /// The first `count` worlds of a scene. `errors` says how far poses, radii and strikes are off; they are drawn from
+    /// other seeds than the planner's.
+    ///
+    /// # Errors
+    /// [`BenchError`] when the drawn masses are impossible.
+    pub fn new(scene: &'a PlanScene, errors: &Disturbances, count: usize) -> Result<Self, BenchError> {
+        let seed = Seed(scene.seed).derive("true worlds");
+        let errors = Disturbances { materials: false, ..errors.clone() };
+        let scenes = (0..count)
+            .map(|index| {
+                let truth = redraw_materials(&scene.truth, seed.derive_index("materials", index as u64));
+                let mut bare = true_scene(&truth, scene.seed)?;
+                for body in &mut bare.bodies {
+                    (body.visual, body.texture) = (Mesh::default(), None);
+                }
+                Ok(errors.scene(&bare, seed, index))
+            })
+            .collect::<Result<_, BenchError>>()?;
+        Ok(Self { task: &scene.task, errors, seed, scenes })
+    }
+
+    /// The `index`-th world.
+    pub fn scene(&self, index: usize) -> &Scene {
+        &self.scenes[index]
+    }
+
+    /// Carries out an action in every world: objectives in the worlds' order, `None` where the simulation cannot be
+    /// believed.
+    ///
+    /// # Errors
+    /// [`BenchError`]: a world that cannot be simulated, or interruption.
+    pub fn realise(&self, action: &Action, cancel: &Cancel) -> Result<Vec<Option<f64>>, BenchError> {
+        let motion = self.task.strike(action);
+        let run = |(index, scene): (usize, &Scene)| {
+            cancel.check()?;
+            rollout(self.task, scene, &self.errors.strike(&motion, self.seed, index))
+        };
+        self.scenes.par_iter().enumerate().map(run).collect()
+    }
+
+    /// How far the objective of an action in the first world is from itself when the bodies stand a micrometre
+    /// elsewhere: the mean over `runs`. `None` when no run can be believed.
+    ///
+    /// # Errors
+    /// As [`TrueWorlds::realise`].
+    pub fn chaos(&self, action: &Action, runs: usize, cancel: &Cancel) -> Result<Option<f64>, BenchError> {
+        let motion = self.errors.strike(&self.task.strike(action), self.seed, 0);
+        let jitter = Disturbances {
+            materials: false,
+            position_m: CHAOS_M,
+            radius_m: 0.0,
+            object_m: CHAOS_M,
+            object_rad: 0.0,
+            ..self.errors.clone()
+        };
+        let Some(first) = self.scenes.first() else { return Ok(None) };
+        let Some(reference) = rollout(self.task, first, &motion)? else { return Ok(None) };
+        let seed = self.seed.derive("chaos");
+        let runs: Vec<Option<f64>> = (0..runs)
+            .into_par_iter()
+            .map(|k| {
+                cancel.check()?;
+                rollout(self.task, &jitter.scene(first, seed, k), &motion)
+            })
+            .collect::<Result<_, BenchError>>()?;
+        let off: Vec<f64> = runs.into_iter().flatten().map(|v| (v - reference).abs()).collect();
+        Ok((!off.is_empty()).then(|| off.iter().sum::<f64>() / off.len() as f64))
+    }
+}
+
+fn rollout(task: &ResolvedTask, scene: &Scene, motion: &StrikerMotion) -> Result<Option<f64>, BenchError> {
+    let bodies = task.bodies_in(scene, &task.target().name).map_err(PlanError::from)?;
+    let outcome: Result<f64, SimError> = task
+        .prepare(&RapierFactory, scene, &task.world_options(), &bodies)
+        .and_then(|mut simulation| Ok(task.rollout(&mut simulation, motion, &bodies, None)?.objective));
+    match outcome {
+        Ok(objective) => Ok(Some(objective)),
+        Err(e) if e.is_invalid_rollout() => Ok(None),
+        Err(e) => Err(PlanError::from(e).into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{MaterialsTold, SceneFamily};
+
+    #[test]
+    fn true_worlds_differ_by_what_is_not_known_and_repeat() {
+        let scene = PlanScene::told(SceneFamily::Open, 1001, MaterialsTold::Noisy).unwrap();
+        let errors = Disturbances::default();
+        let worlds = TrueWorlds::new(&scene, &errors, 3).unwrap();
+        let again = TrueWorlds::new(&scene, &errors, 2).unwrap();
+        assert_eq!(worlds.scene(1), again.scene(1));
+        assert_ne!(worlds.scene(0).bodies[1].x_wb, worlds.scene(1).bodies[1].x_wb);
+        let (a, b) = (&worlds.scene(0).bodies[1], &scene.scene.bodies[1]);
+        assert_eq!(a.name, b.name);
+        assert!(a.x_wb.translation.distance(b.x_wb.translation) < 0.002);
+        assert_ne!(a.material.friction, b.material.friction);
+        let action = scene.task.suggestions().swap_remove(0);
+        let cancel = Cancel::new();
+        let realised = worlds.realise(&action, &cancel).unwrap();
+        assert_eq!(realised[..2], again.realise(&action, &cancel).unwrap());
+        assert!(realised.iter().flatten().any(|v| *v < 0.05), "{realised:?}");
+        let chaos = worlds.chaos(&action, 2, &cancel).unwrap().unwrap();
+        assert!((0.0..0.01).contains(&chaos), "{chaos}");
+    }
+}
