@@ -210,7 +210,7 @@ mod tests {
         statue.mass = box_mass_properties(half, c.values[1] / (8.0 * half.element_product())).ok();
         let bodies = task.bodies_in(&scene, "blue").unwrap();
         let mut simulation = task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).unwrap();
-        let rollout = task.rollout(&mut simulation, &task.strike(&plan.action), &bodies, None).unwrap();
+        let rollout = task.rollout(&mut simulation, task.strike(&plan.action), &bodies, None).unwrap();
         assert!((rollout.objective - c.objectives[1]).abs() < 1e-6, "{} {c:?}", rollout.objective);
     }
 }

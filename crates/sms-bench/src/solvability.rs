@@ -102,7 +102,7 @@ fn look(
             points.point(i).iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect();
         let action = Action(values);
         simulation.restore();
-        let rollout = match task.rollout(&mut simulation, &task.strike(&action), &bodies, None) {
+        let rollout = match task.rollout(&mut simulation, task.strike(&action), &bodies, None) {
             Ok(rollout) => rollout,
             Err(e) if e.is_invalid_rollout() => continue,
             Err(e) => return Err(PlanError::from(e).into()),

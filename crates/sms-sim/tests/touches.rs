@@ -38,7 +38,7 @@ fn a_row_of_boxes_is_pushed_in_order_and_what_stood_together_is_no_event() {
         };
         for _ in 0..2 {
             assert!(simulation.restore());
-            let finger = simulation.strike(&motion, 0.5, 0.2);
+            let finger = simulation.strike(motion, 0.5, 0.2);
             run(&mut simulation, 1.5);
             let engine = factory.engine();
             assert_eq!(pairs(&simulation), [(finger, 1), (1, 2)], "{engine}: {:?}", simulation.contacts());
