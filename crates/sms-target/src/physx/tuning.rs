@@ -1,0 +1,73 @@
+//! What sets the two PhysX targets apart.
+
+use physx_sys::{PxMaterialFlags, PxSceneFlags, PxSolverType};
+
+/// Parameters of a world. `None` leaves PhysX's default.
+#[derive(Debug)]
+pub(super) struct Tuning {
+    pub(super) engine: &'static str,
+    /// Whether steps are split at the balls' impacts.
+    pub(super) splits_steps: bool,
+    pub(super) solver: PxSolverType,
+    pub(super) scene_flags: PxSceneFlags,
+    pub(super) material_flags: PxMaterialFlags,
+    /// Gap at which contacts are made, metres; PhysX's default is 20 mm.
+    pub(super) contact_offset: Option<f32>,
+    /// Gap up to which a contact has friction and distance at which contacts share a friction anchor, metres; PhysX's
+    /// defaults are 40 mm and 25 mm.
+    pub(super) friction_offset: Option<f32>,
+    pub(super) friction_correlation: Option<f32>,
+    /// Position and velocity iterations; PhysX's default is 4 and 1.
+    pub(super) iterations: Option<(u32, u32)>,
+    /// Approach speed from which contacts bounce, m/s, at least.
+    pub(super) bounce_speed: f64,
+    /// The same, as a multiple of what gravity adds in a step: a body at rest approaches at one such speed.
+    pub(super) bounce_gravity_steps: f64,
+    /// Whether bodies move without the engine's damping (PhysX's default slows spins by 5 % a second), as fast as they
+    /// like and with gyroscopic torques.
+    pub(super) free_motion: bool,
+    /// Largest speed at which overlapping bodies are pushed apart, m/s.
+    pub(super) push_out_speed: Option<f32>,
+    /// Speeds below which balls and other bodies fall asleep, m/s. PhysX's default, 0.1, is a ball that still rolls.
+    pub(super) sleep_speeds: Option<(f64, f64)>,
+}
+
+/// The defaults of PhysX 5.1, but for the threshold of bouncing: with its 2 m/s nothing on a table bounces.
+pub(super) const STOCK: Tuning = Tuning {
+    engine: "physx 5.1 stock",
+    splits_steps: false,
+    solver: PxSolverType::Pgs,
+    scene_flags: PxSceneFlags::EnablePcm,
+    material_flags: PxMaterialFlags::empty(),
+    contact_offset: None,
+    friction_offset: None,
+    friction_correlation: None,
+    iterations: None,
+    bounce_speed: 0.05,
+    bounce_gravity_steps: 0.0,
+    free_motion: false,
+    push_out_speed: None,
+    sleep_speeds: None,
+};
+
+/// As near to a real table as the engine comes.
+pub(super) const PRECISE: Tuning = Tuning {
+    engine: "physx 5.1 precise",
+    splits_steps: true,
+    solver: PxSolverType::Pgs,
+    scene_flags: PxSceneFlags::from_bits_truncate(
+        PxSceneFlags::EnablePcm.bits()
+            | PxSceneFlags::EnableEnhancedDeterminism.bits()
+            | PxSceneFlags::EnableFrictionEveryIteration.bits(),
+    ),
+    material_flags: PxMaterialFlags::ImprovedPatchFriction,
+    contact_offset: Some(1e-4),
+    friction_offset: Some(5e-4),
+    friction_correlation: Some(2e-3),
+    iterations: Some((32, 4)),
+    bounce_speed: 2e-3,
+    bounce_gravity_steps: 2.0,
+    free_motion: true,
+    push_out_speed: Some(0.1),
+    sleep_speeds: Some((1e-3, 5e-3)),
+};
