@@ -134,6 +134,10 @@ impl World for MujocoWorld {
     }
 
     fn step(&mut self, dt: f64) {
+        // MuJoCo's search for contacts need not end for what is not finite; the state says what is wrong.
+        if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
+            return;
+        }
         let steps = (dt / LONGEST_STEP_S - 1e-9).ceil().max(1.0);
         let h = dt / steps;
         let motions: Vec<(BodyId, DPose3, DVec3, DVec3)> = self

@@ -90,7 +90,6 @@ impl Instance {
             d.gravity = vector(gravity_w);
             d.cpuDispatcher = dispatcher.cast();
             d.filterShader = get_default_simulation_filter_shader();
-            d.solverType = tuning.solver;
             d.flags = tuning.scene_flags;
             d.bounceThresholdVelocity = tuning.bounce_speed as f32;
             if let Some(offset) = tuning.friction_offset {

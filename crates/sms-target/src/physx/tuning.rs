@@ -1,6 +1,6 @@
 //! What sets the two PhysX targets apart.
 
-use physx_sys::{PxMaterialFlags, PxSceneFlags, PxSolverType};
+use physx_sys::{PxMaterialFlags, PxSceneFlags};
 
 /// Parameters of a world. `None` leaves PhysX's default.
 #[derive(Debug)]
@@ -8,15 +8,20 @@ pub(super) struct Tuning {
     pub(super) engine: &'static str,
     /// Whether steps are split at the balls' impacts.
     pub(super) splits_steps: bool,
-    pub(super) solver: PxSolverType,
+    /// PhysX's default solver (PGS) in both. The other (TGS) puts friction's displacement back within a step, which turns
+    /// a ball that is struck obliquely by up to 7°.
     pub(super) scene_flags: PxSceneFlags,
     pub(super) material_flags: PxMaterialFlags,
-    /// Gap at which contacts are made, metres; PhysX's default is 20 mm.
+    /// Gap at which a shape makes contacts, metres; PhysX's default is 20 mm. That of a pair is the sum. What approaches
+    /// through such a gap is let close four fifths of it in a step, so it loses speed before an impact: the gap is the
+    /// one at which a step is split for the impact, and little more.
     pub(super) contact_offset: Option<f32>,
     /// Gap up to which a contact has friction and distance at which contacts share a friction anchor, metres; PhysX's
     /// defaults are 40 mm and 25 mm.
     pub(super) friction_offset: Option<f32>,
     pub(super) friction_correlation: Option<f32>,
+    /// Steps are made of steps of at most this length, seconds.
+    pub(super) longest_step_s: Option<f64>,
     /// Position and velocity iterations; PhysX's default is 4 and 1.
     pub(super) iterations: Option<(u32, u32)>,
     /// Approach speed from which contacts bounce, m/s, at least.
@@ -36,12 +41,12 @@ pub(super) struct Tuning {
 pub(super) const STOCK: Tuning = Tuning {
     engine: "physx 5.1 stock",
     splits_steps: false,
-    solver: PxSolverType::Pgs,
     scene_flags: PxSceneFlags::EnablePcm,
     material_flags: PxMaterialFlags::empty(),
     contact_offset: None,
     friction_offset: None,
     friction_correlation: None,
+    longest_step_s: None,
     iterations: None,
     bounce_speed: 0.05,
     bounce_gravity_steps: 0.0,
@@ -50,20 +55,23 @@ pub(super) const STOCK: Tuning = Tuning {
     sleep_speeds: None,
 };
 
-/// As near to a real table as the engine comes.
+/// As near to a real table as the engine comes. Contacts are determined anew in each step (no PCM): kept ones miss a ball
+/// that is within micrometres of a mesh.
+///
+/// One probe of the closed-form suite is missed: friction's two axes lie along and across the velocity of the centres,
+/// not of the slip, and are bounded one by one, so the friction of a ball whose spin is not that of its motion is up to √2
+/// too large and turned (`curved_path`). The rolling velocity in which it ends does not depend on that.
 pub(super) const PRECISE: Tuning = Tuning {
     engine: "physx 5.1 precise",
     splits_steps: true,
-    solver: PxSolverType::Pgs,
     scene_flags: PxSceneFlags::from_bits_truncate(
-        PxSceneFlags::EnablePcm.bits()
-            | PxSceneFlags::EnableEnhancedDeterminism.bits()
-            | PxSceneFlags::EnableFrictionEveryIteration.bits(),
+        PxSceneFlags::EnableEnhancedDeterminism.bits() | PxSceneFlags::EnableFrictionEveryIteration.bits(),
     ),
     material_flags: PxMaterialFlags::ImprovedPatchFriction,
-    contact_offset: Some(1e-4),
+    contact_offset: Some(3e-6),
     friction_offset: Some(5e-4),
     friction_correlation: Some(2e-3),
+    longest_step_s: Some(0.000_625),
     iterations: Some((32, 4)),
     bounce_speed: 2e-3,
     bounce_gravity_steps: 2.0,

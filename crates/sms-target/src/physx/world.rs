@@ -17,6 +17,9 @@ pub(super) struct PhysxWorld {
     instance: Instance,
     blueprints: Vec<Blueprint>,
     kinematics: Vec<Kinematic>,
+    pushes: Vec<Push>,
+    /// A body that was given a state that is not finite. PhysX must not see it, and steps no more.
+    failed: Option<BodyId>,
     saved: Option<Saved>,
 }
 
@@ -25,7 +28,33 @@ struct Kinematic {
     body: BodyId,
     x_wk: DPose3,
     target_x_wk: DPose3,
+    /// In the present step.
+    v_w: DVec3,
+    w_w: DVec3,
     enabled: bool,
+}
+
+impl Kinematic {
+    fn is_moving(&self) -> bool {
+        self.v_w != DVec3::ZERO || self.w_w != DVec3::ZERO
+    }
+
+    /// Where it is `left` seconds before it is at its target.
+    fn pose_before_target(&self, left: f64) -> DPose3 {
+        let x = &self.target_x_wk;
+        DPose3::from_parts(
+            x.translation - left * self.v_w,
+            DQuat::from_scaled_axis(-left * self.w_w) * x.rotation,
+        )
+    }
+}
+
+/// A force (N) and a torque (N·m) for the next step.
+struct Push {
+    body: BodyId,
+    force_w: DVec3,
+    torque_w: DVec3,
+    wake: bool,
 }
 
 struct Saved {
@@ -48,6 +77,8 @@ impl PhysxWorld {
             instance,
             blueprints: Vec::with_capacity(scene.bodies.len() + 1),
             kinematics: Vec::new(),
+            pushes: Vec::new(),
+            failed: None,
             saved: None,
         };
         for body in &scene.bodies {
@@ -97,6 +128,8 @@ impl PhysxWorld {
             instance.set_present(k.body, false);
         }
         self.instance = instance;
+        self.pushes.clear();
+        self.failed = None;
         self.kinematics.clone_from(&saved.kinematics);
         Ok(())
     }
@@ -112,20 +145,35 @@ impl World for PhysxWorld {
     }
 
     fn step(&mut self, dt: f64) {
-        let gained = self.tuning.bounce_gravity_steps * self.gravity_w.length() * dt;
-        self.instance.set_bounce_speed(self.tuning.bounce_speed.max(gained));
-        for k in self.kinematics.iter().filter(|k| k.enabled) {
-            let turn = k.target_x_wk.rotation * k.x_wk.rotation.inverse();
-            let v_w = (k.target_x_wk.translation - k.x_wk.translation) / dt;
-            self.instance.set_velocity(k.body, v_w, turn.to_scaled_axis() / dt);
+        let pushes = std::mem::take(&mut self.pushes);
+        if self.failed.is_some() {
+            return;
         }
-        self.instance.step(dt);
-        for k in &mut self.kinematics {
-            let moved = k.x_wk != k.target_x_wk;
-            k.x_wk = k.target_x_wk;
-            if moved {
-                self.instance.set_pose(k.body, &transform(&k.x_wk), false);
+        let longest = self.tuning.longest_step_s.unwrap_or(dt);
+        let steps = (dt / longest - 1e-9).ceil().max(1.0);
+        let h = dt / steps;
+        let gained = self.tuning.bounce_gravity_steps * self.gravity_w.length() * h;
+        self.instance.set_bounce_speed(self.tuning.bounce_speed.max(gained));
+        for k in self.kinematics.iter_mut().filter(|k| k.enabled) {
+            let turn = k.target_x_wk.rotation * k.x_wk.rotation.inverse();
+            k.v_w = (k.target_x_wk.translation - k.x_wk.translation) / dt;
+            k.w_w = turn.to_scaled_axis() / dt;
+        }
+        for part in 1..=steps as usize {
+            for push in &pushes {
+                self.instance.push(push.body, push.force_w, push.torque_w, push.wake);
             }
+            for k in self.kinematics.iter().filter(|k| k.enabled) {
+                self.instance.set_velocity(k.body, k.v_w, k.w_w);
+            }
+            self.instance.step(h);
+            let left = dt - h * part as f64;
+            for k in self.kinematics.iter().filter(|k| k.enabled && k.is_moving()) {
+                self.instance.set_pose(k.body, &transform(&k.pose_before_target(left)), false);
+            }
+        }
+        for k in &mut self.kinematics {
+            k.x_wk = k.target_x_wk;
         }
     }
 
@@ -143,6 +191,10 @@ impl World for PhysxWorld {
     }
 
     fn set_state(&mut self, body: BodyId, state: &BodyState) {
+        if !(state.x_wb.is_finite() && state.v_w.is_finite() && state.w_w.is_finite()) {
+            self.failed = Some(body);
+            return;
+        }
         if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
             (k.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
         }
@@ -154,8 +206,10 @@ impl World for PhysxWorld {
     }
 
     fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool) {
-        if self.is_dynamic(body) {
-            self.instance.push(body, force_w, torque_w, wake);
+        if !(force_w.is_finite() && torque_w.is_finite()) {
+            self.failed = Some(body);
+        } else if self.is_dynamic(body) {
+            self.pushes.push(Push { body, force_w, torque_w, wake });
         }
     }
 
@@ -176,7 +230,14 @@ impl World for PhysxWorld {
         let body = self.blueprints.len();
         let added = self.add(Blueprint { shapes, role: Role::Kinematic }, &Kept::at(&x_wk));
         debug_assert!(added.is_ok(), "PhysX refuses a kinematic body: {added:?}");
-        self.kinematics.push(Kinematic { body, x_wk, target_x_wk: x_wk, enabled: true });
+        self.kinematics.push(Kinematic {
+            body,
+            x_wk,
+            target_x_wk: x_wk,
+            v_w: DVec3::ZERO,
+            w_w: DVec3::ZERO,
+            enabled: true,
+        });
         body
     }
 
@@ -211,6 +272,10 @@ impl World for PhysxWorld {
         }
         self.saved = Some(saved);
         is_restored
+    }
+
+    fn first_failed(&self) -> Option<BodyId> {
+        self.failed
     }
 }
 
