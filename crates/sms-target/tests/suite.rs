@@ -1,33 +1,46 @@
 //! The target engines through the closed-form suite. Run with `--nocapture` for the figures.
+#![cfg(any(feature = "physx", feature = "mujoco"))]
 
 use sms_sim::suite::probes;
-use sms_target::engine_factories;
+use sms_target::TargetEngine;
+
+/// Probes that an engine misses, with how far: the reasons are in `docs/target-study.md`. Every other probe is held to its
+/// limit.
+fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
+    match engine {
+        TargetEngine::Physx => &[("curved_path", 0.12)],
+        _ => &[],
+    }
+}
+
+fn measure(engine: TargetEngine) {
+    let factory = match engine.factory() {
+        Ok(factory) => factory,
+        Err(e) => return println!("skipped: {e}"),
+    };
+    let mut missed = Vec::new();
+    for probe in probes() {
+        let measured = probe.measure(&*factory).unwrap();
+        let figure = probe.figure(&measured);
+        let allowed = known_misses(engine).iter().find(|m| m.0 == probe.name).map_or(probe.limit, |m| m.1);
+        println!("{:>17} {:>22}: {figure:.6} of {}", factory.engine(), probe.name, probe.limit);
+        if figure > allowed {
+            missed.push(format!("{}: {figure} of {allowed}", probe.name));
+        }
+    }
+    assert!(missed.is_empty(), "{missed:#?}");
+}
 
 #[test]
-fn figures_of_every_engine() {
-    for (key, factory) in engine_factories() {
-        let Ok(factory) = factory else { continue };
-        if std::env::var("ENGINE").is_ok_and(|e| !key.contains(&e)) {
-            continue;
-        }
-        for probe in probes() {
-            if std::env::var("PROBE").is_ok_and(|e| !probe.name.contains(&e)) {
-                continue;
-            }
-            let t = std::time::Instant::now();
-            match probe.measure(&*factory) {
-                Ok(m) => println!(
-                    "{key:>14} {:>22} limit {:>8} figure {:.6} worst {:.6} rms {:.6} {:.2}s {}",
-                    probe.name,
-                    probe.limit,
-                    probe.figure(&m),
-                    m.worst,
-                    m.rms,
-                    t.elapsed().as_secs_f64(),
-                    if probe.figure(&m) > probe.limit { "MISS" } else { "" }
-                ),
-                Err(e) => println!("{key:>14} {:>22} {e}", probe.name),
-            }
-        }
+fn physx_precise_passes_the_closed_form_suite() {
+    if TargetEngine::Physx.is_built_in() {
+        measure(TargetEngine::Physx);
+    }
+}
+
+#[test]
+fn mujoco_passes_the_closed_form_suite() {
+    if TargetEngine::Mujoco.is_built_in() {
+        measure(TargetEngine::Mujoco);
     }
 }

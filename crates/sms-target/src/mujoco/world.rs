@@ -3,7 +3,7 @@
 use super::library::{Data, Library};
 use super::model::{KinematicSpec, LONGEST_STEP_S, text};
 use glamx::{DPose3, DQuat, DVec3};
-use sms_scene::{BodyKind, Scene};
+use sms_scene::{Body, BodyKind, Scene};
 use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 use std::sync::Arc;
 
@@ -72,7 +72,8 @@ impl MujocoWorld {
             }
             bodies.push(info);
         }
-        let data = compile(library, scene, &[]).map_err(|why| refuse("scene", &why))?;
+        let data = compile(library, scene, &[])
+            .map_err(|why| refuse(culprit(library, scene).unwrap_or(&scene.name), &why))?;
         let mut world = Self {
             engine,
             library,
@@ -126,6 +127,13 @@ impl MujocoWorld {
 fn compile(library: &'static Library, scene: &Scene, kinematics: &[KinematicSpec]) -> Result<Data, String> {
     let model = library.model(&text(scene, kinematics))?;
     Data::new(Arc::new(model), scene.bodies.len() + kinematics.len() + 1)
+}
+
+/// The body of a refused scene that is refused alone, if one is.
+fn culprit<'a>(library: &'static Library, scene: &'a Scene) -> Option<&'a str> {
+    let alone = |body: &Body| Scene { bodies: vec![body.clone()], ..scene.clone() };
+    let refused = scene.bodies.iter().find(|b| compile(library, &alone(b), &[]).is_err());
+    refused.map(|b| b.name.as_str())
 }
 
 impl World for MujocoWorld {
