@@ -34,7 +34,7 @@ mod scene;
 mod target;
 
 pub use engines::{TargetEngine, engine_factories};
-pub use execute::{TargetError, TargetOptions, execute, execute_on};
+pub use execute::{TargetError, TargetOptions, disturbed, execute, execute_on};
 pub use matching::match_bodies;
 #[cfg(feature = "mujoco")]
 pub use mujoco::{MUJOCO_VARIABLE, MujocoFactory};

@@ -20,8 +20,10 @@ pub(super) const LONGEST_STEP_S: f64 = 5e-5;
 const MOST_DAMPED: f64 = 2.0;
 /// Share of the contact's equation that is solved exactly; the rest is regularisation.
 const IMPEDANCE: f64 = 0.999;
-/// Rate at which friction takes slip away where it can, 1/s.
-const FRICTION_RATE: f64 = 0.5 / LONGEST_STEP_S;
+/// Rate at which friction takes slip away where it can, 1/s. In MuJoCo's cone slip pushes bodies apart: a rate of 4e4 takes a
+/// third of the rebound of an oblique impact between rough balls and turns them by 7°; at 1e3 they leave before they
+/// stick, as far off to the other side. In between errors are below 1.5°.
+const FRICTION_RATE: f64 = 5000.0;
 /// The slab that stands for a half space, metres: it reaches this much beyond every body. Against a plane MuJoCo finds at
 /// most three contacts of a mesh.
 const SLAB_MARGIN: f64 = 6.0;
