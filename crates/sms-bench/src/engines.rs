@@ -7,7 +7,7 @@ use sms_plan::PlanError;
 use sms_scene::{BodyKind, BodyShape};
 use sms_sim::{RapierFactory, Simulation, WorldFactory, WorldOptions};
 use sms_target::{Target, TargetEngine, TargetOptions, disturbed};
-use sms_task::{Action, TaskError};
+use sms_task::Action;
 use std::time::Instant;
 
 /// The planner's engine, as a row beside the targets.
@@ -111,7 +111,7 @@ fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Opti
     let began = Instant::now();
     let rollout = match task.rollout(&mut simulation, &task.strike(action), &bodies, None) {
         Ok(rollout) => rollout,
-        Err(TaskError::Sim(e)) if e.is_invalid_rollout() => return Ok(None),
+        Err(e) if e.is_invalid_rollout() => return Ok(None),
         Err(e) => return Err(PlanError::from(e).into()),
     };
     let seconds = began.elapsed().as_secs_f64();
