@@ -149,7 +149,16 @@ impl World for PhysxWorld {
         if self.failed.is_some() {
             return;
         }
-        let longest = self.tuning.longest_step_s.unwrap_or(dt);
+        let longest = match self.tuning.step_lengths_s {
+            Some((short, long)) => {
+                if dt < long {
+                    short
+                } else {
+                    long
+                }
+            }
+            None => dt,
+        };
         let steps = (dt / longest - 1e-9).ceil().max(1.0);
         let h = dt / steps;
         let gained = self.tuning.bounce_gravity_steps * self.gravity_w.length() * h;
