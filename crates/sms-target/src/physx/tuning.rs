@@ -61,9 +61,10 @@ pub(super) const STOCK: Tuning = Tuning {
 /// As near to a real table as the engine comes. Contacts are determined anew in each step (no PCM): kept ones miss a ball
 /// that is within micrometres of a mesh.
 ///
-/// One probe of the closed-form suite is missed: friction's two axes lie along and across the velocity of the centres,
-/// not of the slip, and are bounded one by one, so the friction of a ball whose spin is not that of its motion is up to √2
-/// too large and turned (`curved_path`). The rolling velocity in which it ends does not depend on that.
+/// Two probes of the closed-form suite are missed, for one reason: friction's two axes lie along and across the velocity of
+/// the centres, not of the slip, and are bounded one by one. Where the slip is not along that velocity friction is up to
+/// √2 too large and turned by up to 45°: on the cloth (`curved_path`; the rolling velocity in which the ball ends does not
+/// depend on that), and between a ball that rolls and the one it strikes at a cut (`topspin_throw_deg`).
 pub(super) const PRECISE: Tuning = Tuning {
     engine: "physx 5.1 precise",
     splits_steps: true,
