@@ -70,6 +70,41 @@ fn the_finger_gives_the_ball_one_plus_e_times_its_speed() {
     }
 }
 
+/// Solvers take contacts of one kind in groups of four; a shot must not depend on whether others happen at the same time.
+#[test]
+fn shots_at_the_same_time_do_not_disturb_each_other() {
+    let (e, mu, speed, gap) = (0.9, 0.1, 0.8, 0.02);
+    for (engine, factory) in engines() {
+        if engine != TargetEngine::Physx {
+            continue;
+        }
+        for count in [1, 4, 8] {
+            let mut bodies = Vec::new();
+            let cut = 0.7f64;
+            let line = DVec3::new(cut.cos(), -cut.sin(), 0.0);
+            for k in 0..count {
+                let target = DVec3::new(0.0, 0.3 * f64::from(k), 0.0);
+                let start = target - 2.0 * R * line - DVec3::X * gap;
+                bodies.push(ball(&format!("cue{k}"), start, material(mu, e, 0.0)));
+                bodies.push(ball(&format!("target{k}"), target, material(mu, e, 0.0)));
+            }
+            let mut simulation = simulate(&*factory, &scene(0.0, bodies), &awake());
+            let (v_w, w_w) = (DVec3::X * speed, DVec3::Y * (speed / R));
+            for k in 0..count as usize {
+                launch(&mut simulation, 2 * k, v_w, w_w);
+            }
+            run(&mut simulation, gap / speed + 0.1);
+            let slip = v_w + w_w.cross(R * line) - line * v_w.dot(line);
+            let normal = 0.5 * (1.0 + e) * speed * cut.cos();
+            let expected = normal * line + (mu * normal).min(slip.length() / 7.0) * slip.normalize();
+            for k in 0..count as usize {
+                let off = simulation.state(2 * k + 1).v_w.angle_between(expected).to_degrees();
+                assert!(off < 0.1, "{}: shot {k} of {count} is off by {off}°", factory.engine());
+            }
+        }
+    }
+}
+
 /// A torque about a skew axis accelerates a skew body as its inertia says: the whole tensor reaches the engine.
 #[test]
 fn the_whole_inertia_tensor_counts() {

@@ -8,7 +8,6 @@ use sms_target::TargetEngine;
 /// other probe is held to its limit.
 fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
     match engine {
-        TargetEngine::Physx => &[("curved_path", 0.12), ("topspin_throw_deg", 4.0)],
         TargetEngine::Mujoco => &[
             ("oblique_deg", 0.16),
             ("oblique_friction_deg", 0.7),
@@ -20,7 +19,7 @@ fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
             ("drop_restitution", 0.018),
             ("follow_through_deg", 0.18),
         ],
-        TargetEngine::Rapier | TargetEngine::PhysxStock => &[],
+        _ => &[],
     }
 }
 

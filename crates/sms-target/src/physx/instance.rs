@@ -1,6 +1,7 @@
 //! A scene of PhysX with its actors: what is thrown away and made again when a world is restored.
 
-use super::sdk::{GROUP_DYNAMIC, Sdk, take_error};
+use super::contacts::{self, GROUP_DYNAMIC, GROUP_KINEMATIC, GROUP_STATIC};
+use super::sdk::{Sdk, take_error};
 use super::shapes::{Shape, transform, vector};
 use super::tuning::Tuning;
 use crate::principal::principal;
@@ -89,8 +90,9 @@ impl Instance {
             let mut d = PxSceneDesc_new(sdk.scale());
             d.gravity = vector(gravity_w);
             d.cpuDispatcher = dispatcher.cast();
-            d.filterShader = get_default_simulation_filter_shader();
             d.flags = tuning.scene_flags;
+            d.solverType = tuning.solver;
+            contacts::install(&mut d);
             d.bounceThresholdVelocity = tuning.bounce_speed as f32;
             if let Some(offset) = tuning.friction_offset {
                 d.frictionOffsetThreshold = offset;
@@ -296,8 +298,8 @@ impl Drop for Instance {
 /// The collision group of a role.
 pub(super) fn group(role: &Role) -> u16 {
     match role {
-        Role::Static => super::sdk::GROUP_STATIC,
+        Role::Static => GROUP_STATIC,
         Role::Dynamic { .. } => GROUP_DYNAMIC,
-        Role::Kinematic => super::sdk::GROUP_KINEMATIC,
+        Role::Kinematic => GROUP_KINEMATIC,
     }
 }

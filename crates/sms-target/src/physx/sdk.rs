@@ -9,11 +9,6 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 /// `PX_PHYSICS_VERSION` of the sources that `physx-sys` 0.11 carries.
 const PHYSX_VERSION: u32 = version(5, 1, 3);
 
-/// Groups of the default filter shader: what moves as it is told collides neither with its like nor with what stands.
-pub(super) const GROUP_STATIC: u16 = 1;
-pub(super) const GROUP_DYNAMIC: u16 = 2;
-pub(super) const GROUP_KINEMATIC: u16 = 3;
-
 /// The SDK: one foundation a process, which is never released (worlds on other threads may outlive any owner).
 pub(super) struct Sdk {
     physics: *mut PxPhysics,
@@ -72,10 +67,6 @@ impl Sdk {
                 phys_PxCreatePhysics(PHYSX_VERSION, foundation, &scale, false, null_mut(), null_mut())
             };
             assert!(!physics.is_null(), "PhysX has another version than its headers");
-            for group in [GROUP_STATIC, GROUP_KINEMATIC] {
-                // SAFETY: writes a static table before any scene exists.
-                unsafe { phys_PxSetGroupCollisionFlag(GROUP_KINEMATIC, group, false) };
-            }
             Self { physics, objects: Mutex::new(()) }
         })
     }

@@ -1,5 +1,6 @@
 //! Collision shapes, cooked once for a world.
 
+use super::contacts::MODIFIED;
 use super::sdk::{Sdk, take_error};
 use super::tuning::Tuning;
 use glamx::{DPose3, DQuat, DVec3};
@@ -56,6 +57,7 @@ pub(super) fn transform(x: &DPose3) -> PxTransform {
 pub(super) struct Shaper<'a> {
     pub(super) surface: Surface,
     pub(super) group: u16,
+    pub(super) is_ball: bool,
     pub(super) tuning: &'a Tuning,
 }
 
@@ -226,12 +228,16 @@ impl Shaper<'_> {
             if shape.is_null() {
                 return Err(take_error().unwrap_or_else(|| "PhysX refuses its shape".to_owned()));
             }
+            let modified = if self.is_ball && self.tuning.velocity_friction { MODIFIED } else { 0 };
             PxShape_setLocalPose_mut(shape, &transform(x_bs));
             if let Some(offset) = self.tuning.contact_offset {
                 PxShape_setRestOffset_mut(shape, 0.0);
                 PxShape_setContactOffset_mut(shape, offset);
             }
-            PxShape_setSimulationFilterData_mut(shape, &PxFilterData_new_2(u32::from(self.group), 0, 0, 0));
+            PxShape_setSimulationFilterData_mut(
+                shape,
+                &PxFilterData_new_2(u32::from(self.group), modified, 0, 0),
+            );
             Ok(Shape(shape))
         }
     }

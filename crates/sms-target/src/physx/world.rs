@@ -106,7 +106,7 @@ impl PhysxWorld {
             friction: body.material.friction.value.best,
             restitution: body.material.restitution.value.best,
         };
-        let shaper = Shaper { surface, group: group(&role), tuning: self.tuning };
+        let shaper = Shaper { surface, group: group(&role), is_ball, tuning: self.tuning };
         Ok(Blueprint { shapes: shaper.body(&body.shape)?, role })
     }
 
@@ -234,7 +234,7 @@ impl World for PhysxWorld {
         restitution: f64,
     ) -> BodyId {
         let surface = Surface { friction, restitution };
-        let shaper = Shaper { surface, group: group(&Role::Kinematic), tuning: self.tuning };
+        let shaper = Shaper { surface, group: group(&Role::Kinematic), is_ball: false, tuning: self.tuning };
         let shapes = shaper.kinematic(shape).into_iter().collect();
         let body = self.blueprints.len();
         let added = self.add(Blueprint { shapes, role: Role::Kinematic }, &Kept::at(&x_wk));
