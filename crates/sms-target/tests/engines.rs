@@ -229,10 +229,7 @@ fn what_rests_falls_asleep_and_what_is_hit_wakes() {
         }
         let options = WorldOptions { dt: DT, ..WorldOptions::default() };
         let mut simulation = simulate(&*factory, &busy_scene(), &options);
-        // The balls at once; of boxes PhysX's finer settings wake one or another for a while.
         run(&mut simulation, 1.0);
-        assert!((0..3).all(|b| simulation.is_asleep(b)), "{}", factory.engine());
-        run(&mut simulation, 2.0);
         assert!((0..7).all(|b| simulation.is_asleep(b)), "{}", factory.engine());
         launch(&mut simulation, 1, DVec3::new(0.8, 0.0, 0.0), DVec3::new(0.0, 0.8 / R, 0.0));
         assert!(!simulation.is_asleep(1));
