@@ -82,7 +82,7 @@ pub(super) const PRECISE: Tuning = Tuning {
     friction_offset: Some(5e-4),
     friction_correlation: Some(2e-3),
     step_lengths_s: Some((5e-5, 0.000_625)),
-    iterations: Some((32, 4)),
+    iterations: Some((16, 4)),
     bounce_speed: 2e-3,
     bounce_gravity_steps: 4.5,
     free_motion: true,
