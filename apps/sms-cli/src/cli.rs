@@ -2,6 +2,7 @@
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_gaussians::Preset;
+use sms_target::TargetEngine;
 use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
@@ -250,6 +251,33 @@ pub(crate) struct Plan {
 pub(crate) struct Execute {
     /// Folder of the run.
     pub run: PathBuf,
+    /// The world to execute in (default: physx where it is built in, else rapier, which is the planner's own engine).
+    #[arg(long, value_enum)]
+    pub engine: Option<EngineName>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum EngineName {
+    /// The planner's engine in double precision at a quarter of the step: "same engine" in every table.
+    Rapier,
+    /// PhysX, precise: small offsets, split steps (feature physx).
+    Physx,
+    /// PhysX with the engine's defaults (feature physx).
+    PhysxStock,
+    /// MuJoCo (feature mujoco; SMS_MUJOCO names its library).
+    Mujoco,
+}
+
+impl EngineName {
+    /// The library's engine.
+    pub(crate) fn engine(self) -> TargetEngine {
+        match self {
+            Self::Rapier => TargetEngine::Rapier,
+            Self::Physx => TargetEngine::Physx,
+            Self::PhysxStock => TargetEngine::PhysxStock,
+            Self::Mujoco => TargetEngine::Mujoco,
+        }
+    }
 }
 
 #[derive(Debug, Args, Clone)]

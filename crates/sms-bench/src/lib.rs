@@ -37,6 +37,7 @@
 mod align;
 mod bootstrap;
 mod disturb;
+mod engines;
 mod export;
 mod images;
 mod matching;
@@ -66,6 +67,7 @@ mod vessels;
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use bootstrap::{Paired, paired_difference};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
+pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use matching::{Overlaps, match_labels};

@@ -134,9 +134,11 @@ impl Simulation {
         let world = factory.build(scene, options)?;
         let bodies = scene.bodies.iter().map(SimBody::new).collect::<Result<Vec<_>, _>>()?;
         let states = (0..bodies.len()).map(|b| world.state(b)).collect();
+        let options =
+            WorldOptions { contact_timing: options.contact_timing && factory.splits_steps(), ..*options };
         Ok(Self {
             world,
-            options: *options,
+            options,
             gravity_w: scene.gravity_w,
             names: scene.bodies.iter().map(|b| b.name.clone()).collect(),
             bodies,

@@ -176,4 +176,10 @@ pub trait WorldFactory: Sync {
     /// # Errors
     /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
+
+    /// Whether [`WorldOptions::contact_timing`] has any effect: `false` for an engine that is to be shown in whole steps, with
+    /// the errors that come of them.
+    fn splits_steps(&self) -> bool {
+        true
+    }
 }

@@ -131,8 +131,9 @@ fn rollout(
     Ok(task.rollout(&mut simulation, striker, &bodies, recording)?)
 }
 
-/// The scene with every dynamic body moved by up to `chaos_m` along x and y.
-fn disturbed(scene: &Scene, options: &TargetOptions, index: usize) -> Scene {
+/// The scene with every dynamic body moved by up to [`TargetOptions::chaos_m`] along x and y, as the chaos floor's run
+/// `index` has it.
+pub fn disturbed(scene: &Scene, options: &TargetOptions, index: usize) -> Scene {
     let mut rng = options.seed.derive_index("chaos floor", index as u64).rng();
     let mut offset = || options.chaos_m * rng.random_range(-1.0..=1.0f64);
     let mut scene = scene.clone();

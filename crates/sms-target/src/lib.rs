@@ -1,7 +1,8 @@
 //! Target worlds in which a plan is carried out; the planner never reads them.
 //!
 //! [`execute`] takes a task, the planned action, the planner's scene and the truth of a generated scene, and says what
-//! really happens. The target of this crate is [`SameEngineTarget`]; other engines come behind the [`Target`] trait.
+//! really happens, on [`SameEngineTarget`]. [`execute_on`] takes any [`Target`]; [`TargetEngine`] lists those that there
+//! are: PhysX with the feature `physx`, MuJoCo with the feature `mujoco`.
 //!
 //! ```
 //! use sms_core::Seed;
@@ -20,12 +21,24 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod engines;
 mod execute;
 mod matching;
+#[cfg(feature = "mujoco")]
+mod mujoco;
+#[cfg(feature = "physx")]
+mod physx;
+#[cfg(any(feature = "physx", feature = "mujoco"))]
+mod principal;
 mod scene;
 mod target;
 
-pub use execute::{TargetError, TargetOptions, execute, execute_on};
+pub use engines::{TargetEngine, engine_factories};
+pub use execute::{TargetError, TargetOptions, disturbed, execute, execute_on};
 pub use matching::match_bodies;
+#[cfg(feature = "mujoco")]
+pub use mujoco::{MUJOCO_VARIABLE, MujocoFactory};
+#[cfg(feature = "physx")]
+pub use physx::{PhysxFactory, physx_live_objects};
 pub use scene::scene_from_truth;
 pub use target::{SAME_ENGINE, SameEngineTarget, Target};

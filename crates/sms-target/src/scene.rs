@@ -1,12 +1,18 @@
 //! A generated scene's truth as a physics scene.
 
 use glamx::{DPose3, DVec3};
-use sms_core::{InertiaError, MassProperties, Mesh};
+use sms_convex::{ConvexConfig, convex_parts};
+use sms_core::{Hash, InertiaError, MassProperties, Mesh, hash_serializable};
 use sms_scene::{Body, BodyKind, BodyShape, GRAVITY, SCENE_VERSION, Scene, floor_body};
 use sms_synth::{TruthObject, TruthScene};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// The truth as a scene in the world of the recording: exact spheres, the exact convex parts of every other object,
-/// true masses and materials, and a half space as floor. Bodies have the names of the truth's objects.
+/// The truth as a scene in the world of the recording: exact spheres, the exact convex parts of objects that are made of
+/// such, a finer decomposition than the planner's of every other mesh (a scanned model), true masses and materials, and
+/// a half space as floor. Bodies have the names of the truth's objects.
+///
+/// Decompositions take seconds and are kept in memory for the life of the process.
 ///
 /// # Errors
 /// [`InertiaError`] when a truth file names masses that no body has.
@@ -42,6 +48,7 @@ pub(crate) fn carried(mut scene: Scene, x_vw: &DPose3) -> Scene {
 fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
     let shape = match object.sphere_radius {
         Some(radius) => BodyShape::Sphere { radius },
+        None if object.parts.is_empty() => BodyShape::Hulls { hulls: fine_parts(&object.mesh).to_vec() },
         None => BodyShape::Hulls { hulls: object.parts.clone() },
     };
     Ok(Body {
@@ -62,10 +69,81 @@ fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
     })
 }
 
+/// How meshes without parts are decomposed: four times the planner's number of parts, a quarter of its concavity.
+fn fine() -> ConvexConfig {
+    let planner = ConvexConfig::default();
+    ConvexConfig {
+        max_parts: 4 * planner.max_parts,
+        threshold: 0.25 * planner.threshold,
+        floor: 0.25 * planner.floor,
+        ..planner
+    }
+}
+
+fn fine_parts(mesh: &Mesh) -> Arc<Vec<Mesh>> {
+    static KEPT: OnceLock<Mutex<BTreeMap<String, Arc<Vec<Mesh>>>>> = OnceLock::new();
+    let kept = || KEPT.get_or_init(Mutex::default).lock().unwrap_or_else(PoisonError::into_inner);
+    let Hash(key) = hash_serializable(&(&mesh.vertices, &mesh.triangles));
+    let found = kept().get(&key).cloned();
+    found.unwrap_or_else(|| {
+        // Not under the lock: two threads that ask for the same mesh get the same parts.
+        let parts = Arc::new(convex_parts(mesh, &fine()));
+        kept().insert(key, parts.clone());
+        parts
+    })
+}
+
 fn mean_color(mesh: &Mesh) -> [u8; 3] {
     let count = mesh.colors.len().max(1) as f64;
     [0, 1, 2].map(|c| {
         let sum: f64 = mesh.colors.iter().map(|color| f64::from(color[c])).sum();
         (sum / count).round() as u8
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DQuat;
+    use sms_convex::convex_hull;
+
+    /// Volume between the parts' union and the mesh where parts do not overlap.
+    fn excess(parts: &[Mesh], mesh: &Mesh) -> f64 {
+        parts.iter().map(Mesh::volume).sum::<f64>() / mesh.volume() - 1.0
+    }
+
+    /// A bent bar: an arc of a ring with a square section, closed and not convex.
+    fn bent_bar() -> Mesh {
+        let (steps, half) = (24, 0.01);
+        let mut vertices = Vec::new();
+        for k in 0..=steps {
+            let turn = DQuat::from_rotation_z(std::f64::consts::PI * f64::from(k) / f64::from(steps));
+            for (r, z) in [(-half, -half), (half, -half), (half, half), (-half, half)] {
+                vertices.push(turn * DVec3::new(0.06 + r, 0.0, z));
+            }
+        }
+        let mut triangles = vec![[0, 1, 2], [0, 2, 3]];
+        let last = 4 * steps as u32;
+        triangles.extend([[last, last + 2, last + 1], [last, last + 3, last + 2]]);
+        for k in 0..steps as u32 {
+            for side in 0..4 {
+                let (a, b) = (4 * k + side, 4 * k + (side + 1) % 4);
+                triangles.extend([[a, a + 4, b + 4], [a, b + 4, b]]);
+            }
+        }
+        Mesh::new(vertices, triangles)
+    }
+
+    #[test]
+    fn a_mesh_without_parts_is_followed_more_closely_than_by_the_planner() {
+        let mesh = bent_bar();
+        assert!(mesh.is_closed_oriented() && mesh.volume() > 0.0);
+        let (planner, target) = (convex_parts(&mesh, &ConvexConfig::default()), fine_parts(&mesh));
+        assert!(target.len() > planner.len(), "{} parts, {} of the planner's", target.len(), planner.len());
+        let (coarse, finer) = (excess(&planner, &mesh), excess(&target, &mesh));
+        assert!(finer < 0.6 * coarse, "{finer} {coarse}");
+        let hull = convex_hull(&mesh.vertices, 64, 0.0).unwrap();
+        assert!(excess(&[hull], &mesh) > 1.0, "one hull would be far off");
+        assert!(Arc::ptr_eq(&target, &fine_parts(&mesh)), "kept");
+    }
 }

@@ -1,5 +1,6 @@
 //! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
+use super::bench_engines::{self, BenchEngines};
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_optimisers::{self, BenchOptimisers};
 use super::bench_physics::{self, BenchPhysics};
@@ -47,6 +48,8 @@ pub(crate) enum BenchCommand {
     /// world alone against robust planning with about as many simulated shots. True geometry of generated scenes, materials
     /// known within intervals.
     Robust(BenchRobust),
+    /// The same shots in every engine that is built in: how far apart they end.
+    Engines(BenchEngines),
     /// Measure how fast shots are simulated and planned, and where the time goes.
     Plan(BenchPlan),
     /// Which way a shot goes, and why, when a statue beside its way is of brass and when it is of cardboard.
@@ -127,6 +130,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Score(score) => run_score(context, score),
         BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
         BenchCommand::Robust(robust) => bench_plan::run_robust(context, robust),
+        BenchCommand::Engines(engines) => bench_engines::run(context, engines),
         BenchCommand::Plan(plan) => bench_plan::run(context, plan),
         BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
         BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),

@@ -1,42 +1,64 @@
-//! `sms bench physics`: the closed-form suite in every engine that is built.
+//! `sms bench physics`: the closed-form suite in every engine that is built in.
 
 use crate::context::Context;
 use clap::Args;
 use sms_core::metrics::Metrics;
+use sms_sim::WorldFactory;
 use sms_sim::suite::{Statistic, probes};
-use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory};
+use sms_target::engine_factories;
+
+/// The planner's engine: its figures must be within the limits. Those of the targets are shown as they are
+/// (docs/target-study.md says why which is missed).
+const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BenchPhysics {
     /// Only the probes whose names contain this.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub only: String,
+    /// Only the engines whose names contain this.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub engine: String,
 }
 
 pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
-    let engines: [(&str, &dyn WorldFactory); 2] =
-        [("rapier_f32", &RapierFactory), ("rapier_f64", &RapierF64Factory)];
+    let mut engines: Vec<(&str, Box<dyn WorldFactory>)> = Vec::new();
+    for (key, factory) in engine_factories().into_iter().filter(|e| e.0.contains(&a.engine)) {
+        match factory {
+            Ok(factory) => engines.push((key, factory)),
+            Err(e) => context.say(format!("{key} is not run: {e}")),
+        }
+    }
     let mut metrics = Metrics::new();
     let chosen: Vec<_> = probes().iter().filter(|p| p.name.contains(&a.only)).collect();
-    if chosen.is_empty() {
+    if chosen.is_empty() || engines.is_empty() {
         let names: Vec<&str> = probes().iter().map(|p| p.name).collect();
+        let (what, option) = if chosen.is_empty() { (&a.only, "--only") } else { (&a.engine, "--engine") };
+        let keys: Vec<&str> = engine_factories().into_iter().map(|e| e.0).collect();
+        let there = if chosen.is_empty() { names } else { keys };
         return Err(sms_core::InputError::new(
-            format!("no probe has `{}` in its name", a.only),
-            "--only",
-            format!("there are {}", names.join(", ")),
+            format!("nothing has `{what}` in its name"),
+            option,
+            format!("there are {}", there.join(", ")),
         )
         .into());
     }
-    context.say(format!("{:>22}  {:>10} {:>10} {:>10}", "probe", "limit", engines[0].0, engines[1].0));
-    let mut missed = 0;
+    let heads: String = engines.iter().map(|(key, _)| format!(" {key:>14}")).collect();
+    context.say(format!("{:>22}  {:>10}{heads}", "probe", "limit"));
+    let (mut missed, mut shown) = (0, 0);
     for probe in chosen {
-        context.cancel.check()?;
         let mut row = format!("{:>22}  {:>10}", probe.name, probe.limit);
-        for (name, factory) in engines {
-            let figure = probe.figure(&probe.measure(factory)?);
-            metrics.set(format!("bench.physics.{name}.{}", probe.name), figure);
-            missed += usize::from(figure > probe.limit);
-            row += &format!(" {figure:>9.5}{}", if figure > probe.limit { "!" } else { " " });
+        for (key, factory) in &engines {
+            context.cancel.check()?;
+            let figure = probe.figure(&probe.measure(&**factory)?);
+            metrics.set(format!("bench.physics.{key}.{}", probe.name), figure);
+            let is_beyond = figure > probe.limit;
+            if key.starts_with(PLANNER) {
+                missed += usize::from(is_beyond)
+            } else {
+                shown += usize::from(is_beyond)
+            }
+            row += &format!(" {figure:>13.6}{}", if is_beyond { "!" } else { " " });
         }
         let which = if probe.statistic == Statistic::Rms { "rms" } else { "worst" };
         context.say(format!("{row} {which}: {}", probe.what));
@@ -44,7 +66,12 @@ pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
     if context.json {
         context.print_json(&metrics)?;
     }
-    anyhow::ensure!(missed == 0, "{missed} figures are beyond their limits");
-    context.say("all within their limits");
+    anyhow::ensure!(missed == 0, "{missed} figures of the planner's engine are beyond their limits");
+    context.say(match shown {
+        0 => "all within their limits".to_owned(),
+        n => format!(
+            "the planner's engine is within its limits; {n} figures of target engines are beyond them (!)"
+        ),
+    });
     Ok(())
 }

@@ -2,14 +2,14 @@
 
 use super::materialize::run_settings;
 use super::{inputs_hash, length_text, of_what, run_stage, shown};
-use crate::cli::Execute;
+use crate::cli::{EngineName, Execute};
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder};
 use sms_plan::load_plan;
 use sms_scene::load_scene;
 use sms_synth::read_truth;
-use sms_target::{TargetOptions, execute};
+use sms_target::{TargetEngine, TargetOptions, execute_on};
 use sms_task::{Execution, Task};
 use std::path::Path;
 
@@ -33,12 +33,14 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let task = Task::read(&plan_dir.join("task.toml"))?;
     // The same robot as in the plan, wherever it would stand now.
     let options = TargetOptions { robot: plan.robot.clone().unwrap_or_default(), ..TargetOptions::default() };
+    let target = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine).target()?;
     let mut read = Hasher::new();
     read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
+    read.text(target.label());
     let hash = inputs_hash(&[&read.finish()], &options)?;
     let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, warnings| {
         let truth = read_truth(Path::new(&recording))?;
-        let mut execution = execute(&task, &plan.action, &scene, &truth, &options)?;
+        let mut execution = execute_on(&*target, &task, &plan.action, &scene, &truth, &options)?;
         execution.predicted = plan.against(execution.objective);
         execution.save(stage.dir())?;
         let planned = task.resolve(&scene)?.target().name.clone();

@@ -97,6 +97,34 @@ pub(super) fn spin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimErro
     Ok(errors)
 }
 
+/// At a cut, with the spin of rolling or of draw: the slip has a part along the table and one across it, and friction, which
+/// is against the slip, throws the object ball the less the more the ball spins.
+pub(super) fn topspin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
+    let mut errors = Vec::new();
+    for (mu, e) in ROUGH {
+        for cut in CUTS_DEG.map(f64::to_radians) {
+            for spin in [-0.5, 0.5, 1.0] {
+                let speed = 0.8;
+                let gap = 0.02;
+                let line = DVec3::new(cut.cos(), -cut.sin(), 0.0);
+                let start = -2.0 * R * line - DVec3::new(gap, 0.0, 0.0);
+                let cue = ball("cue", start, material(mu, e, 0.0))?;
+                let target = ball("target", DVec3::ZERO, material(mu, e, 0.0))?;
+                let mut simulation = simulate(factory, 0.0, vec![cue, target])?;
+                let (v_w, w_w) = (DVec3::X * speed, DVec3::Y * (spin * speed / R));
+                launch(&mut simulation, 0, v_w, w_w);
+                run(&mut simulation, gap / speed + 0.1)?;
+                let normal = 0.5 * (1.0 + e) * speed * cut.cos();
+                let slip = v_w + w_w.cross(R * line) - line * v_w.dot(line);
+                let tangential = (mu * normal).min(slip.length() / 7.0);
+                let expected = normal * line + tangential * slip.normalize_or_zero();
+                errors.push(simulation.state(1).v_w.angle_between(expected).to_degrees());
+            }
+        }
+    }
+    Ok(errors)
+}
+
 pub(super) fn head_on(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     Ok(head_on_all(factory)?.into_iter().map(|e| e.0).collect())
 }

@@ -110,6 +110,13 @@ pub fn probes() -> &'static [Probe] {
             impacts::spin_throw,
         ),
         probe(
+            "topspin_throw_deg",
+            "direction of a ball struck at a cut by one that rolls or is drawn, in free space, degrees",
+            0.1,
+            Worst,
+            impacts::topspin_throw,
+        ),
+        probe(
             "head_on_restitution",
             "restitution of two balls head on, absolute",
             0.002,

@@ -1,0 +1,32 @@
+//! `sms bench engines`: the same shots in every engine.
+
+use super::bench_optimisers::{Family, finish, parse_seeds};
+use crate::context::Context;
+use clap::Args;
+use sms_bench::{PlanScene, engines_table, run_engines};
+use std::path::PathBuf;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchEngines {
+    /// Seeds of the generated billiards scenes.
+    #[arg(long, value_name = "SEEDS", default_value = "1001..1006")]
+    pub seeds: String,
+    /// How hard they are.
+    #[arg(long, value_enum, default_value = "open")]
+    pub family: Family,
+    /// Shots a scene, the best of those that geometry suggests.
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub shots: usize,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchEngines) -> anyhow::Result<()> {
+    let scenes: Vec<PlanScene> = parse_seeds(&a.seeds)?
+        .into_iter()
+        .map(|seed| PlanScene::new(a.family.family(), seed))
+        .collect::<Result<_, _>>()?;
+    let metrics = run_engines(&scenes, a.shots.max(1), context.progress.as_ref(), &context.cancel)?;
+    finish(context, &metrics, a.out.as_ref(), engines_table(&metrics).trim_end())
+}

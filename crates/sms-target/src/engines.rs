@@ -1,0 +1,166 @@
+//! The engines that are built in, by the names that the command line and the tables use.
+
+use crate::{SameEngineTarget, Target};
+use sms_core::InputError;
+use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory};
+
+#[cfg(feature = "mujoco")]
+use crate::mujoco::MujocoFactory;
+#[cfg(feature = "physx")]
+use crate::physx::PhysxFactory;
+#[cfg(any(feature = "physx", feature = "mujoco"))]
+use {
+    sms_scene::Scene,
+    sms_sim::{SimError, Simulation, WorldOptions},
+};
+
+/// A world in which plans are carried out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum TargetEngine {
+    /// The planner's own engine in double precision at a quarter of the step.
+    Rapier,
+    /// PhysX, as near to a real table as it comes.
+    Physx,
+    /// PhysX with the engine's defaults.
+    PhysxStock,
+    /// MuJoCo.
+    Mujoco,
+}
+
+impl TargetEngine {
+    /// All of them, whether built in or not.
+    pub const ALL: [Self; 4] = [Self::Rapier, Self::Physx, Self::PhysxStock, Self::Mujoco];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rapier => "rapier",
+            Self::Physx => "physx",
+            Self::PhysxStock => "physx-stock",
+            Self::Mujoco => "mujoco",
+        }
+    }
+
+    /// Its name in metrics.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Rapier => "rapier_f64",
+            Self::Physx => "physx_precise",
+            Self::PhysxStock => "physx_stock",
+            Self::Mujoco => "mujoco",
+        }
+    }
+
+    /// Whether this program has it. MuJoCo's library is still to be found then.
+    pub fn is_built_in(self) -> bool {
+        match self {
+            Self::Rapier => true,
+            Self::Physx | Self::PhysxStock => cfg!(feature = "physx"),
+            Self::Mujoco => cfg!(feature = "mujoco"),
+        }
+    }
+
+    /// What plans are executed in where nothing else is asked for: PhysX (precise), else Rapier.
+    pub fn preferred() -> Self {
+        if Self::Physx.is_built_in() { Self::Physx } else { Self::Rapier }
+    }
+
+    /// The target.
+    ///
+    /// # Errors
+    /// [`InputError`] when it is not built in, or its library is not found.
+    pub fn target(self) -> Result<Box<dyn Target>, InputError> {
+        match self {
+            Self::Rapier => Ok(Box::new(SameEngineTarget)),
+            #[cfg(feature = "physx")]
+            Self::Physx => Ok(Box::new(EngineTarget { factory: PhysxFactory::Precise, step: 0.25 })),
+            #[cfg(feature = "physx")]
+            Self::PhysxStock => Ok(Box::new(EngineTarget { factory: PhysxFactory::Stock, step: 1.0 })),
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => Ok(Box::new(EngineTarget { factory: MujocoFactory::new()?, step: 1.0 })),
+            #[allow(unreachable_patterns, reason = "reached where a feature is off")]
+            _ => Err(self.not_built_in()),
+        }
+    }
+
+    /// Builds its worlds.
+    ///
+    /// # Errors
+    /// [`InputError`] when it is not built in, or its library is not found.
+    pub fn factory(self) -> Result<Box<dyn WorldFactory>, InputError> {
+        match self {
+            Self::Rapier => Ok(Box::new(RapierF64Factory)),
+            #[cfg(feature = "physx")]
+            Self::Physx => Ok(Box::new(PhysxFactory::Precise)),
+            #[cfg(feature = "physx")]
+            Self::PhysxStock => Ok(Box::new(PhysxFactory::Stock)),
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => Ok(Box::new(MujocoFactory::new()?)),
+            #[allow(unreachable_patterns, reason = "reached where a feature is off")]
+            _ => Err(self.not_built_in()),
+        }
+    }
+
+    #[allow(dead_code, reason = "used where a feature is off")]
+    fn not_built_in(self) -> InputError {
+        let feature = if self == Self::Mujoco { "mujoco" } else { "physx" };
+        InputError::new(
+            format!("this program was built without the engine `{}`", self.name()),
+            "--engine",
+            format!("build with `--features {feature}` (README, \"Target engines\"), or take `rapier`"),
+        )
+    }
+}
+
+/// The factories of all engines that can be used here, with their names in metrics: the planner's first. An engine that is
+/// built in and cannot be used comes with the reason instead.
+pub fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> {
+    let mut all: Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> =
+        vec![("rapier_f32", Ok(Box::new(RapierFactory)))];
+    let built_in = TargetEngine::ALL.into_iter().filter(|e| e.is_built_in());
+    all.extend(built_in.map(|engine| (engine.key(), engine.factory())));
+    all
+}
+
+/// An engine at a share of the planner's step.
+#[cfg(any(feature = "physx", feature = "mujoco"))]
+struct EngineTarget<F> {
+    factory: F,
+    step: f64,
+}
+
+#[cfg(any(feature = "physx", feature = "mujoco"))]
+impl<F: WorldFactory> Target for EngineTarget<F> {
+    fn label(&self) -> &'static str {
+        self.factory.engine()
+    }
+
+    fn simulation(&self, scene: &Scene, planner: &WorldOptions) -> Result<Simulation, SimError> {
+        Simulation::new(&self.factory, scene, &WorldOptions { dt: self.step * planner.dt, ..*planner })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_built_in_says_how_to_get_it() {
+        for engine in TargetEngine::ALL {
+            match engine.target() {
+                Ok(target) => assert!(engine.is_built_in() && !target.label().is_empty()),
+                Err(e) if engine.is_built_in() => assert_eq!(engine, TargetEngine::Mujoco, "{e}"),
+                Err(e) => assert!(e.to_string().contains("--features"), "{e}"),
+            }
+        }
+    }
+
+    #[test]
+    fn only_rapier_is_labelled_as_the_same_engine() {
+        for engine in TargetEngine::ALL {
+            if let Ok(target) = engine.target() {
+                assert_eq!(target.label().contains("same engine"), engine == TargetEngine::Rapier);
+            }
+        }
+    }
+}

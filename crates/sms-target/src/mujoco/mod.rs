@@ -1,0 +1,53 @@
+//! MuJoCo (feature `mujoco`), a second opinion: soft contacts, solved implicitly, in double precision.
+//!
+//! The library is loaded at run time from where [`MUJOCO_VARIABLE`] says, which PyPI's wheel `mujoco` brings; every
+//! version from 3.2 on will do. Steps are made of steps of at most 50 µs, so that the impact of a ball takes several.
+#![allow(unsafe_code, reason = "MuJoCo is C; every call is wrapped in `library`")]
+
+mod library;
+mod model;
+mod world;
+
+pub use library::MUJOCO_VARIABLE;
+
+use library::Library;
+use sms_core::InputError;
+use sms_scene::Scene;
+use sms_sim::{SimError, World, WorldFactory, WorldOptions};
+use std::sync::OnceLock;
+
+/// Builds worlds of MuJoCo.
+#[derive(Clone, Copy)]
+pub struct MujocoFactory {
+    library: &'static Library,
+    engine: &'static str,
+}
+
+impl MujocoFactory {
+    /// Finds the library.
+    ///
+    /// # Errors
+    /// [`InputError`] where [`MUJOCO_VARIABLE`] names none that can be used.
+    pub fn new() -> Result<Self, InputError> {
+        static NAME: OnceLock<String> = OnceLock::new();
+        let library = Library::get()?;
+        let engine = NAME.get_or_init(|| format!("mujoco {}", library.version()));
+        Ok(Self { library, engine })
+    }
+}
+
+impl std::fmt::Debug for MujocoFactory {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("MujocoFactory").field("engine", &self.engine).finish()
+    }
+}
+
+impl WorldFactory for MujocoFactory {
+    fn engine(&self) -> &'static str {
+        self.engine
+    }
+
+    fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError> {
+        Ok(Box::new(world::MujocoWorld::build(self.engine, self.library, scene, options)?))
+    }
+}

@@ -1,0 +1,317 @@
+//! The adapter between the seam and MuJoCo.
+
+use super::library::{Data, Library};
+use super::model::{KinematicSpec, LONGEST_STEP_S, text};
+use glamx::{DPose3, DQuat, DVec3};
+use sms_scene::{Body, BodyKind, Scene};
+use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
+use std::sync::Arc;
+
+/// Share by which a tool's mass may differ from that of the model, which has to be compiled for another one.
+const MASS_TOLERANCE: f64 = 1e-3;
+
+/// A world of MuJoCo. Its bodies never sleep.
+pub(super) struct MujocoWorld {
+    engine: &'static str,
+    library: &'static Library,
+    scene: Scene,
+    data: Data,
+    /// Positions and velocities of the free joints, 7 and 6 of each, and the last accelerations.
+    q: Vec<f64>,
+    v: Vec<f64>,
+    a: Vec<f64>,
+    /// Six of each body, the world's first.
+    wrenches: Vec<f64>,
+    bodies: Vec<BodyInfo>,
+    kinematics: Vec<Kinematic>,
+    saved: Option<Saved>,
+}
+
+#[derive(Clone, Copy)]
+struct BodyInfo {
+    /// Index of its free joint; none for what stands.
+    joint: Option<usize>,
+    /// Centre of mass in the body's frame.
+    com: DVec3,
+    /// Where it stands, if it does.
+    x_wb: DPose3,
+}
+
+#[derive(Clone)]
+struct Kinematic {
+    body: BodyId,
+    spec: KinematicSpec,
+    target_x_wk: DPose3,
+}
+
+struct Saved {
+    q: Vec<f64>,
+    v: Vec<f64>,
+    a: Vec<f64>,
+    kinematics: Vec<Kinematic>,
+}
+
+impl MujocoWorld {
+    pub(super) fn build(
+        engine: &'static str,
+        library: &'static Library,
+        scene: &Scene,
+        _options: &WorldOptions,
+    ) -> Result<Self, SimError> {
+        let refuse = |body: &str, why: &str| SimError::Body { body: body.to_owned(), why: why.to_owned() };
+        let mut bodies: Vec<BodyInfo> = Vec::with_capacity(scene.bodies.len() + 1);
+        let mut joints = 0;
+        for body in &scene.bodies {
+            if !body.x_wb.is_finite() {
+                return Err(refuse(&body.name, "its pose is not finite"));
+            }
+            let mut info = BodyInfo { joint: None, com: DVec3::ZERO, x_wb: body.x_wb };
+            if body.kind == BodyKind::Dynamic {
+                let mass =
+                    body.mass.as_ref().ok_or_else(|| refuse(&body.name, "it is dynamic and has no mass"))?;
+                info.com = mass.com();
+                info.joint = Some(joints);
+                joints += 1;
+            }
+            bodies.push(info);
+        }
+        let data = compile(library, scene, &[])
+            .map_err(|why| refuse(culprit(library, scene).unwrap_or(&scene.name), &why))?;
+        let mut world = Self {
+            engine,
+            library,
+            scene: scene.clone(),
+            data,
+            q: vec![0.0; 7 * joints],
+            v: vec![0.0; 6 * joints],
+            a: vec![0.0; 6 * joints],
+            wrenches: vec![0.0; 6 * (bodies.len() + 1)],
+            bodies,
+            kinematics: Vec::new(),
+            saved: None,
+        };
+        for (body, from) in scene.bodies.iter().enumerate() {
+            world.put(body, &BodyState { x_wb: from.x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
+        }
+        Ok(world)
+    }
+
+    /// Compiles the model anew, for other kinematic bodies or collisions.
+    fn recompile(&mut self) -> Result<(), String> {
+        let specs: Vec<KinematicSpec> = self.kinematics.iter().map(|k| k.spec).collect();
+        self.data = compile(self.library, &self.scene, &specs)?;
+        self.data.set_warm_start(&self.a);
+        Ok(())
+    }
+
+    /// Writes a state into the free joint of a body, if it has one.
+    fn put(&mut self, body: BodyId, state: &BodyState) {
+        let BodyInfo { joint: Some(joint), com, .. } = self.bodies[body] else { return };
+        let r = state.x_wb.rotation;
+        let p = state.x_wb.translation;
+        self.q[7 * joint..7 * joint + 7].copy_from_slice(&[p.x, p.y, p.z, r.w, r.x, r.y, r.z]);
+        // The joint's velocity is that of the frame's origin, the angular one is in the frame.
+        let v = state.v_w - state.w_w.cross(r * com);
+        let w = r.inverse() * state.w_w;
+        self.v[6 * joint..6 * joint + 6].copy_from_slice(&[v.x, v.y, v.z, w.x, w.y, w.z]);
+    }
+
+    /// Adds a body that strikes.
+    fn add_striker(&mut self, spec: KinematicSpec) -> BodyId {
+        let body = self.bodies.len();
+        let joint = self.q.len() / 7;
+        self.q.extend([0.0; 7]);
+        self.v.extend([0.0; 6]);
+        self.a.extend([0.0; 6]);
+        self.wrenches.extend([0.0; 6]);
+        let x_wb = spec.x_wk;
+        self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
+        self.kinematics.push(Kinematic { body, spec, target_x_wk: x_wb });
+        self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
+        let compiled = self.recompile();
+        debug_assert!(compiled.is_ok(), "MuJoCo refuses a body that strikes: {compiled:?}");
+        body
+    }
+
+    fn step_once(&mut self, dt: f64) {
+        self.data.set_motion(&self.q, &self.v);
+        self.data.set_wrenches(&self.wrenches);
+        self.data.accelerations(&mut self.a);
+        for (v, a) in self.v.iter_mut().zip(&self.a) {
+            *v += dt * a;
+        }
+        self.data.model().integrate(&mut self.q, &self.v, dt);
+    }
+}
+
+fn compile(library: &'static Library, scene: &Scene, kinematics: &[KinematicSpec]) -> Result<Data, String> {
+    let model = library.model(&text(scene, kinematics))?;
+    Data::new(Arc::new(model), scene.bodies.len() + kinematics.len() + 1)
+}
+
+/// The body of a refused scene that is refused alone, if one is.
+fn culprit<'a>(library: &'static Library, scene: &'a Scene) -> Option<&'a str> {
+    let alone = |body: &Body| Scene { bodies: vec![body.clone()], ..scene.clone() };
+    let refused = scene.bodies.iter().find(|b| compile(library, &alone(b), &[]).is_err());
+    refused.map(|b| b.name.as_str())
+}
+
+impl World for MujocoWorld {
+    fn engine(&self) -> &'static str {
+        self.engine
+    }
+
+    fn step(&mut self, dt: f64) {
+        // MuJoCo's search for contacts need not end for what is not finite; the state says what is wrong.
+        if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
+            return;
+        }
+        let steps = (dt / LONGEST_STEP_S - 1e-9).ceil().max(1.0);
+        let h = dt / steps;
+        // None for tools, which contacts push.
+        let motions: Vec<Option<(BodyId, DPose3, DVec3, DVec3)>> = self
+            .kinematics
+            .iter()
+            .map(|k| {
+                if k.spec.mass.is_some() {
+                    return None;
+                }
+                let turn = k.target_x_wk.rotation * k.spec.x_wk.rotation.inverse();
+                let v_w = (k.target_x_wk.translation - k.spec.x_wk.translation) / dt;
+                Some((k.body, k.spec.x_wk, v_w, turn.to_scaled_axis() / dt))
+            })
+            .collect();
+        for index in 0..steps as usize {
+            for &(body, x_wk, v_w, w_w) in motions.iter().flatten() {
+                let t = h * index as f64;
+                let rotation = DQuat::from_scaled_axis(t * w_w) * x_wk.rotation;
+                let x_wb = DPose3::from_parts(x_wk.translation + t * v_w, rotation);
+                self.put(body, &BodyState { x_wb, v_w, w_w });
+            }
+            self.step_once(h);
+        }
+        for index in 0..self.kinematics.len() {
+            let k = &mut self.kinematics[index];
+            if k.spec.mass.is_some() {
+                continue;
+            }
+            k.spec.x_wk = k.target_x_wk;
+            let (body, x_wb) = (k.body, k.target_x_wk);
+            let Some((_, _, v_w, w_w)) = motions[index] else { continue };
+            self.put(body, &BodyState { x_wb, v_w, w_w });
+        }
+        self.wrenches.fill(0.0);
+    }
+
+    fn body_count(&self) -> usize {
+        self.bodies.len()
+    }
+
+    fn state(&self, body: BodyId) -> BodyState {
+        let BodyInfo { joint, com, x_wb } = self.bodies[body];
+        let Some(joint) = joint else {
+            return BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
+        };
+        let (q, v) = (&self.q[7 * joint..], &self.v[6 * joint..]);
+        let rotation = DQuat::from_xyzw(q[4], q[5], q[6], q[3]);
+        let w_w = rotation * DVec3::new(v[3], v[4], v[5]);
+        BodyState {
+            x_wb: DPose3::from_parts(DVec3::new(q[0], q[1], q[2]), rotation),
+            v_w: DVec3::new(v[0], v[1], v[2]) + w_w.cross(rotation * com),
+            w_w,
+        }
+    }
+
+    fn set_state(&mut self, body: BodyId, state: &BodyState) {
+        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
+            (k.spec.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
+        }
+        self.put(body, state);
+    }
+
+    fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, _wake: bool) {
+        // The world is MuJoCo's first body.
+        let at = 6 * (body + 1);
+        let six = [force_w.x, force_w.y, force_w.z, torque_w.x, torque_w.y, torque_w.z];
+        for (sum, one) in self.wrenches[at..at + 6].iter_mut().zip(six) {
+            *sum += one;
+        }
+    }
+
+    fn is_asleep(&self, body: BodyId) -> bool {
+        self.bodies[body].joint.is_none()
+    }
+
+    fn add_kinematic(
+        &mut self,
+        shape: KinematicShape,
+        x_wk: DPose3,
+        friction: f64,
+        restitution: f64,
+    ) -> BodyId {
+        self.add_striker(KinematicSpec { shape, x_wk, friction, restitution, enabled: true, mass: None })
+    }
+
+    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
+        let mass = Some(1.0);
+        self.add_striker(KinematicSpec { shape, x_wk: x_wt, friction, restitution, enabled: true, mass })
+    }
+
+    fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {
+        self.put(body, state);
+        let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
+        if k.spec.mass.is_some_and(|m| (m - mass).abs() > MASS_TOLERANCE * mass) && mass > 0.0 {
+            k.spec.mass = Some(mass);
+            let compiled = self.recompile();
+            debug_assert!(compiled.is_ok(), "MuJoCo refuses a tool of {mass} kg: {compiled:?}");
+        }
+    }
+
+    fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3) {
+        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
+            k.target_x_wk = x_wk;
+        }
+    }
+
+    fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool) {
+        let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
+        if k.spec.enabled != enabled {
+            k.spec.enabled = enabled;
+            let compiled = self.recompile();
+            debug_assert!(compiled.is_ok(), "MuJoCo refuses a kinematic body: {compiled:?}");
+        }
+    }
+
+    fn save(&mut self) -> bool {
+        self.saved = Some(Saved {
+            q: self.q.clone(),
+            v: self.v.clone(),
+            a: self.a.clone(),
+            kinematics: self.kinematics.clone(),
+        });
+        true
+    }
+
+    fn restore(&mut self) -> bool {
+        let Some(saved) = self.saved.take() else { return false };
+        self.q.clone_from(&saved.q);
+        self.v.clone_from(&saved.v);
+        self.a.clone_from(&saved.a);
+        let others = self.kinematics.len() != saved.kinematics.len()
+            || self
+                .kinematics
+                .iter()
+                .zip(&saved.kinematics)
+                .any(|(a, b)| (a.spec.enabled, a.spec.mass) != (b.spec.enabled, b.spec.mass));
+        self.kinematics.clone_from(&saved.kinematics);
+        self.bodies.truncate(self.scene.bodies.len() + self.kinematics.len());
+        self.wrenches.resize(6 * (self.bodies.len() + 1), 0.0);
+        self.wrenches.fill(0.0);
+        self.saved = Some(saved);
+        if others {
+            return self.recompile().is_ok();
+        }
+        self.data.set_warm_start(&self.a);
+        true
+    }
+}

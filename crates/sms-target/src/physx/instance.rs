@@ -1,0 +1,316 @@
+//! A scene of PhysX with its actors: what is thrown away and made again when a world is restored.
+
+use super::contacts::{self, GROUP_DYNAMIC, GROUP_KINEMATIC, GROUP_STATIC, GROUP_TOOL};
+use super::sdk::{Sdk, take_error};
+use super::shapes::{Shape, transform, vector};
+use super::tuning::Tuning;
+use crate::principal::principal;
+use glamx::{DPose3, DVec3};
+use physx_sys::*;
+use sms_core::MassProperties;
+use std::ptr::{null, null_mut};
+
+/// What a body is made of, apart from its state.
+pub(super) struct Blueprint {
+    pub(super) shapes: Vec<Shape>,
+    pub(super) role: Role,
+}
+
+pub(super) enum Role {
+    Static,
+    Dynamic {
+        /// Centre of mass and principal axes in the body's frame.
+        x_bp: PxTransform,
+        mass: f32,
+        moments: PxVec3,
+        is_ball: bool,
+    },
+    /// A dynamic body of infinite mass that is given its velocity. PhysX's own kinematic bodies derive it from two poses,
+    /// which in single precision and at the short steps of impacts is off by percents.
+    Kinematic,
+    /// A dynamic body without weight that contacts push and do not turn. Its mass is given before each step.
+    Tool,
+}
+
+impl Role {
+    pub(super) fn dynamic(mass: &MassProperties, is_ball: bool) -> Self {
+        let (moments, axes) = principal(mass);
+        Self::Dynamic {
+            x_bp: transform(&DPose3::from_parts(mass.com(), axes)),
+            mass: mass.mass() as f32,
+            moments: vector(moments),
+            is_ball,
+        }
+    }
+}
+
+/// The state of a body, in the engine's own precision.
+#[derive(Clone, Copy)]
+pub(super) struct Kept {
+    pub(super) x_wb: PxTransform,
+    pub(super) v_w: PxVec3,
+    pub(super) w_w: PxVec3,
+    /// Seconds until it may sleep; zero or below: it sleeps.
+    pub(super) awake_s: Option<f32>,
+}
+
+impl Kept {
+    pub(super) fn at(x_wb: &DPose3) -> Self {
+        let zero = vector(DVec3::ZERO);
+        Self { x_wb: transform(x_wb), v_w: zero, w_w: zero, awake_s: None }
+    }
+}
+
+/// A scene and its actors, in the order of the bodies.
+pub(super) struct Instance {
+    scene: *mut PxScene,
+    dispatcher: *mut PxDefaultCpuDispatcher,
+    actors: Vec<*mut PxRigidActor>,
+}
+
+// SAFETY: a scene and its actors are used by the one thread that owns the instance; PhysX keeps nothing of a scene in
+// thread-local storage between calls, and the dispatcher has no threads of its own.
+unsafe impl Send for Instance {}
+
+impl Instance {
+    /// An empty scene.
+    ///
+    /// # Errors
+    /// What PhysX says.
+    pub(super) fn new(tuning: &Tuning, gravity_w: DVec3) -> Result<Self, String> {
+        let sdk = Sdk::get();
+        let _lock = sdk.lock();
+        take_error();
+        // SAFETY: the descriptor is a plain value whose pointers, dispatcher and filter shader, outlive the scene.
+        unsafe {
+            let dispatcher = phys_PxDefaultCpuDispatcherCreate(
+                0,
+                null_mut(),
+                PxDefaultCpuDispatcherWaitForWorkMode::WaitForWork,
+                0,
+            );
+            let mut d = PxSceneDesc_new(sdk.scale());
+            d.gravity = vector(gravity_w);
+            d.cpuDispatcher = dispatcher.cast();
+            d.flags = tuning.scene_flags;
+            d.solverType = tuning.solver;
+            contacts::install(&mut d);
+            d.bounceThresholdVelocity = tuning.bounce_speed as f32;
+            if let Some(offset) = tuning.friction_offset {
+                d.frictionOffsetThreshold = offset;
+            }
+            if let Some(distance) = tuning.friction_correlation {
+                d.frictionCorrelationDistance = distance;
+            }
+            let scene = PxPhysics_createScene_mut(sdk.physics(), &d);
+            if scene.is_null() {
+                PxDefaultCpuDispatcher_release_mut(dispatcher);
+                return Err(take_error().unwrap_or_else(|| "PhysX makes no scene".to_owned()));
+            }
+            Ok(Self { scene, dispatcher, actors: Vec::new() })
+        }
+    }
+
+    /// Adds a body.
+    ///
+    /// # Errors
+    /// What PhysX says.
+    pub(super) fn add(
+        &mut self,
+        blueprint: &Blueprint,
+        kept: &Kept,
+        tuning: &Tuning,
+        may_sleep: bool,
+    ) -> Result<(), String> {
+        let sdk = Sdk::get();
+        let _lock = sdk.lock();
+        take_error();
+        // SAFETY: creates an actor, which this instance owns from then on, and sets it up before it is in a scene.
+        let actor: *mut PxRigidActor = unsafe {
+            match blueprint.role {
+                Role::Static => PxPhysics_createRigidStatic_mut(sdk.physics(), &kept.x_wb).cast(),
+                _ => PxPhysics_createRigidDynamic_mut(sdk.physics(), &kept.x_wb).cast(),
+            }
+        };
+        if actor.is_null() {
+            return Err(take_error().unwrap_or_else(|| "PhysX makes no body of it".to_owned()));
+        }
+        self.actors.push(actor);
+        for shape in &blueprint.shapes {
+            // SAFETY: both are alive; the actor takes a reference of its own.
+            if !unsafe { PxRigidActor_attachShape_mut(actor, shape.as_ptr()) } {
+                return Err(take_error().unwrap_or_else(|| "PhysX refuses a shape of it".to_owned()));
+            }
+        }
+        let body: *mut PxRigidDynamic = actor.cast();
+        // SAFETY: `body` is used where the role says that the actor is dynamic.
+        unsafe {
+            match &blueprint.role {
+                Role::Static => {}
+                Role::Dynamic { x_bp, mass, moments, is_ball } => {
+                    PxRigidBody_setCMassLocalPose_mut(body.cast(), x_bp);
+                    PxRigidBody_setMass_mut(body.cast(), *mass);
+                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), moments);
+                    if tuning.free_motion {
+                        PxRigidBody_setAngularDamping_mut(body.cast(), 0.0);
+                        PxRigidBody_setMaxAngularVelocity_mut(body.cast(), 1e4);
+                        let gyroscopic = PxRigidBodyFlag::EnableGyroscopicForces;
+                        PxRigidBody_setRigidBodyFlag_mut(body.cast(), gyroscopic, true);
+                    }
+                    if let Some((positions, velocities)) = tuning.iterations {
+                        PxRigidDynamic_setSolverIterationCounts_mut(body, positions, velocities);
+                    }
+                    if let Some(speed) = tuning.push_out_speed {
+                        PxRigidBody_setMaxDepenetrationVelocity_mut(body.cast(), speed);
+                    }
+                    // Kinetic energy by mass.
+                    if !may_sleep {
+                        PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
+                    } else if let Some((ball, other)) = tuning.sleep_speeds {
+                        let speed = if *is_ball { ball } else { other };
+                        PxRigidDynamic_setSleepThreshold_mut(body, (0.5 * speed * speed) as f32);
+                    }
+                }
+                Role::Kinematic | Role::Tool => {
+                    // To PhysX no mass is an infinite one, and no moment of inertia an infinite one.
+                    let mass = if matches!(blueprint.role, Role::Tool) { 1.0 } else { 0.0 };
+                    PxRigidBody_setMass_mut(body.cast(), mass);
+                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::ZERO));
+                    PxRigidBody_setAngularDamping_mut(body.cast(), 0.0);
+                    PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
+                    PxActor_setActorFlag_mut(actor.cast(), PxActorFlag::DisableGravity, true);
+                    if let Some((positions, velocities)) = tuning.iterations {
+                        PxRigidDynamic_setSolverIterationCounts_mut(body, positions, velocities);
+                    }
+                }
+            }
+            PxScene_addActor_mut(self.scene, actor.cast(), null());
+            if !matches!(blueprint.role, Role::Static) {
+                PxRigidDynamic_setLinearVelocity_mut(body, &kept.v_w, false);
+                PxRigidDynamic_setAngularVelocity_mut(body, &kept.w_w, false);
+                match kept.awake_s {
+                    None => PxRigidDynamic_wakeUp_mut(body),
+                    Some(left) if left > 0.0 => PxRigidDynamic_setWakeCounter_mut(body, left),
+                    Some(_) => PxRigidDynamic_putToSleep_mut(body),
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The state of a body that is no static one.
+    pub(super) fn kept(&self, index: usize, role: &Role) -> Kept {
+        let actor = self.actors[index];
+        // SAFETY: getters of a living actor; velocities are asked of dynamic ones only.
+        unsafe {
+            let x_wb = PxRigidActor_getGlobalPose(actor);
+            if matches!(role, Role::Static) {
+                return Kept { x_wb, v_w: vector(DVec3::ZERO), w_w: vector(DVec3::ZERO), awake_s: None };
+            }
+            Kept {
+                x_wb,
+                v_w: PxRigidBody_getLinearVelocity(actor.cast()),
+                w_w: PxRigidBody_getAngularVelocity(actor.cast()),
+                awake_s: Some(if PxRigidDynamic_isSleeping(actor.cast()) {
+                    0.0
+                } else {
+                    PxRigidDynamic_getWakeCounter(actor.cast()).max(f32::MIN_POSITIVE)
+                }),
+            }
+        }
+    }
+
+    pub(super) fn set_pose(&mut self, index: usize, x_wb: &PxTransform, wake: bool) {
+        // SAFETY: the actor is alive and no step is under way.
+        unsafe { PxRigidActor_setGlobalPose_mut(self.actors[index], x_wb, wake) };
+    }
+
+    /// Sets the velocities of a body that is no static one.
+    pub(super) fn set_velocity(&mut self, index: usize, v_w: DVec3, w_w: DVec3) {
+        let body: *mut PxRigidDynamic = self.actors[index].cast();
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe {
+            PxRigidDynamic_setLinearVelocity_mut(body, &vector(v_w), true);
+            PxRigidDynamic_setAngularVelocity_mut(body, &vector(w_w), true);
+        }
+    }
+
+    /// Sets the mass of a dynamic body; its moments of inertia stay.
+    pub(super) fn set_mass(&mut self, index: usize, mass: f64) {
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe { PxRigidBody_setMass_mut(self.actors[index].cast(), mass as f32) };
+    }
+
+    /// Adds a force and a torque about the centre of mass to a dynamic body, for the next step.
+    pub(super) fn push(&mut self, index: usize, force_w: DVec3, torque_w: DVec3, wake: bool) {
+        let body: *mut PxRigidBody = self.actors[index].cast();
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe {
+            if !wake && PxRigidDynamic_isSleeping(body.cast()) {
+                return;
+            }
+            PxRigidBody_addForce_mut(body, &vector(force_w), PxForceMode::Force, wake);
+            PxRigidBody_addTorque_mut(body, &vector(torque_w), PxForceMode::Force, wake);
+        }
+    }
+
+    pub(super) fn is_asleep(&self, index: usize, role: &Role) -> bool {
+        // SAFETY: a getter of a living actor that is dynamic.
+        matches!(role, Role::Static) || unsafe { PxRigidDynamic_isSleeping(self.actors[index].cast()) }
+    }
+
+    /// Takes a body out of the scene, or puts it back; it stays alive.
+    pub(super) fn set_present(&mut self, index: usize, present: bool) {
+        let actor: *mut PxActor = self.actors[index].cast();
+        // SAFETY: the actor is alive, in no other scene, and no step is under way.
+        unsafe {
+            let is_present = !PxActor_getScene(actor).is_null();
+            match (is_present, present) {
+                (true, false) => PxScene_removeActor_mut(self.scene, actor, true),
+                (false, true) => {
+                    PxScene_addActor_mut(self.scene, actor, null());
+                }
+                _ => {}
+            }
+        }
+    }
+
+    pub(super) fn set_bounce_speed(&mut self, speed: f64) {
+        // SAFETY: the scene is alive and no step is under way.
+        unsafe { PxScene_setBounceThresholdVelocity_mut(self.scene, speed as f32) };
+    }
+
+    pub(super) fn step(&mut self, dt: f64) {
+        let mut error = 0u32;
+        // SAFETY: the scene is alive; with no scratch memory and no completion task, and a dispatcher without threads, the
+        // whole step happens in these calls.
+        unsafe {
+            PxScene_simulate_mut(self.scene, dt as f32, null_mut(), null_mut(), 0, true);
+            PxScene_fetchResults_mut(self.scene, true, &mut error);
+        }
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        let _lock = Sdk::get().lock();
+        // SAFETY: this owns the actors, the scene and the dispatcher, and releases what depends on others first.
+        unsafe {
+            for &actor in &self.actors {
+                PxActor_release_mut(actor.cast());
+            }
+            PxScene_release_mut(self.scene);
+            PxDefaultCpuDispatcher_release_mut(self.dispatcher);
+        }
+    }
+}
+
+/// The collision group of a role.
+pub(super) fn group(role: &Role) -> u16 {
+    match role {
+        Role::Static => GROUP_STATIC,
+        Role::Dynamic { .. } => GROUP_DYNAMIC,
+        Role::Kinematic => GROUP_KINEMATIC,
+        Role::Tool => GROUP_TOOL,
+    }
+}

@@ -1,0 +1,244 @@
+//! Collision shapes, cooked once for a world.
+
+use super::contacts::MODIFIED;
+use super::sdk::{Sdk, take_error};
+use super::tuning::Tuning;
+use glamx::{DPose3, DQuat, DVec3};
+use physx_sys::*;
+use sms_core::Mesh;
+use sms_scene::BodyShape;
+use sms_sim::KinematicShape;
+use std::ptr::{from_ref, null_mut};
+
+/// Corners of the prism that stands for a cylinder: PhysX 5.1 has none, and a hull may have 255.
+const CYLINDER_SEGMENTS: usize = 96;
+
+/// Surface of a shape.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    pub(super) friction: f64,
+    pub(super) restitution: f64,
+}
+
+/// A shape that actors share; holds one reference.
+pub(super) struct Shape(*mut PxShape);
+
+// SAFETY: shapes are changed before they are first attached only; afterwards their count of references alone changes,
+// under the SDK's lock.
+unsafe impl Send for Shape {}
+
+impl Shape {
+    pub(super) fn as_ptr(&self) -> *mut PxShape {
+        self.0
+    }
+}
+
+impl Drop for Shape {
+    fn drop(&mut self) {
+        let _lock = Sdk::get().lock();
+        // SAFETY: this owns one reference; actors hold their own.
+        unsafe { PxShape_release_mut(self.0) };
+    }
+}
+
+pub(super) fn vector(v: DVec3) -> PxVec3 {
+    PxVec3 { x: v.x as f32, y: v.y as f32, z: v.z as f32 }
+}
+
+pub(super) fn transform(x: &DPose3) -> PxTransform {
+    let q = x.rotation.normalize();
+    PxTransform {
+        q: PxQuat { x: q.x as f32, y: q.y as f32, z: q.z as f32, w: q.w as f32 },
+        p: vector(x.translation),
+    }
+}
+
+/// Makes shapes of one surface in one collision group.
+pub(super) struct Shaper<'a> {
+    pub(super) surface: Surface,
+    pub(super) group: u16,
+    pub(super) is_ball: bool,
+    pub(super) tuning: &'a Tuning,
+}
+
+impl Shaper<'_> {
+    /// The shapes of a body, in its frame.
+    ///
+    /// # Errors
+    /// Why it cannot be simulated.
+    pub(super) fn body(&self, shape: &BodyShape) -> Result<Vec<Shape>, String> {
+        match shape {
+            BodyShape::Sphere { radius } => self.sphere(*radius).map(|s| vec![s]),
+            BodyShape::Box { half_extents } => self.cuboid(*half_extents).map(|s| vec![s]),
+            BodyShape::Cylinder { radius, half_length } => {
+                self.hull(0, &Mesh::cylinder(*radius, *half_length, CYLINDER_SEGMENTS)).map(|s| vec![s])
+            }
+            BodyShape::HalfSpace => self.half_space().map(|s| vec![s]),
+            BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
+            BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(|(i, h)| self.hull(i, h)).collect(),
+            BodyShape::TriMesh { mesh } => self.mesh(mesh).map(|s| vec![s]),
+        }
+    }
+
+    /// The shape of a kinematic body.
+    ///
+    /// # Errors
+    /// Why it cannot be simulated.
+    pub(super) fn kinematic(&self, shape: KinematicShape) -> Result<Shape, String> {
+        match shape {
+            KinematicShape::Cuboid { half } => self.cuboid(half),
+            KinematicShape::Capsule { half_length, radius } => {
+                // PhysX's capsules lie along x.
+                let upright = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_arc(DVec3::X, DVec3::Z));
+                // SAFETY: a constructor of plain data.
+                let capsule = unsafe { PxCapsuleGeometry_new(radius as f32, half_length as f32) };
+                self.shape(from_ref(&capsule).cast(), &upright)
+            }
+        }
+    }
+
+    fn sphere(&self, radius: f64) -> Result<Shape, String> {
+        // SAFETY: a constructor of plain data.
+        let sphere = unsafe { PxSphereGeometry_new(radius as f32) };
+        self.shape(from_ref(&sphere).cast(), &DPose3::IDENTITY)
+    }
+
+    fn cuboid(&self, half: DVec3) -> Result<Shape, String> {
+        // SAFETY: a constructor of plain data.
+        let cuboid = unsafe { PxBoxGeometry_new_1(vector(half)) };
+        self.shape(from_ref(&cuboid).cast(), &DPose3::IDENTITY)
+    }
+
+    fn half_space(&self) -> Result<Shape, String> {
+        // PhysX's planes face x.
+        let upward = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_arc(DVec3::X, DVec3::Z));
+        // SAFETY: a constructor of plain data.
+        let plane = unsafe { PxPlaneGeometry_new() };
+        self.shape(from_ref(&plane).cast(), &upward)
+    }
+
+    fn hull(&self, index: usize, mesh: &Mesh) -> Result<Shape, String> {
+        let points: Vec<PxVec3> = mesh.vertices.iter().map(|&v| vector(v)).collect();
+        if points.len() < 4 || !mesh.vertices.iter().all(|v| v.is_finite()) {
+            return Err(format!("hull {index} has no volume"));
+        }
+        let sdk = Sdk::get();
+        // SAFETY: the descriptor points to `points`, which outlives the call; the mesh's reference is given up after the
+        // shape has taken its own.
+        let cooked = {
+            let _lock = sdk.lock();
+            take_error();
+            unsafe {
+                let parameters = PxCookingParams_new(sdk.scale());
+                let mut description = PxConvexMeshDesc_new();
+                description.points.count = points.len() as u32;
+                description.points.stride = size_of::<PxVec3>() as u32;
+                description.points.data = points.as_ptr().cast();
+                description.flags = PxConvexFlags::ComputeConvex;
+                phys_PxCreateConvexMesh(
+                    &parameters,
+                    &description,
+                    phys_PxGetStandaloneInsertionCallback(),
+                    null_mut(),
+                )
+            }
+        };
+        if cooked.is_null() {
+            let why = take_error().unwrap_or_else(|| "it has no volume".to_owned());
+            return Err(format!("hull {index} cannot be used: {why}"));
+        }
+        // SAFETY: `cooked` is a mesh that this function owns.
+        let geometry = unsafe {
+            PxConvexMeshGeometry_new(cooked, &PxMeshScale_new(), PxConvexMeshGeometryFlags::empty())
+        };
+        let shape = self.shape(from_ref(&geometry).cast(), &DPose3::IDENTITY);
+        let _lock = sdk.lock();
+        // SAFETY: gives up this function's reference.
+        unsafe { PxConvexMesh_release_mut(cooked) };
+        shape
+    }
+
+    fn mesh(&self, mesh: &Mesh) -> Result<Shape, String> {
+        let points: Vec<PxVec3> = mesh.vertices.iter().map(|&v| vector(v)).collect();
+        let is_sound = mesh.vertices.iter().all(|v| v.is_finite())
+            && mesh.triangles.iter().flatten().all(|&i| (i as usize) < points.len());
+        if mesh.triangles.is_empty() || !is_sound {
+            return Err("its mesh cannot be used: it has no triangles, or not of its own vertices".to_owned());
+        }
+        let sdk = Sdk::get();
+        let cooked = {
+            let _lock = sdk.lock();
+            take_error();
+            // SAFETY: the descriptor points to `points` and the triangles, which outlive the call, and indices are in range.
+            unsafe {
+                let parameters = PxCookingParams_new(sdk.scale());
+                let mut description = PxTriangleMeshDesc_new();
+                description.points.count = points.len() as u32;
+                description.points.stride = size_of::<PxVec3>() as u32;
+                description.points.data = points.as_ptr().cast();
+                description.triangles.count = mesh.triangles.len() as u32;
+                description.triangles.stride = size_of::<[u32; 3]>() as u32;
+                description.triangles.data = mesh.triangles.as_ptr().cast();
+                phys_PxCreateTriangleMesh(
+                    &parameters,
+                    &description,
+                    phys_PxGetStandaloneInsertionCallback(),
+                    null_mut(),
+                )
+            }
+        };
+        if cooked.is_null() {
+            let why = take_error().unwrap_or_else(|| "PhysX refuses it".to_owned());
+            return Err(format!("its mesh cannot be used: {why}"));
+        }
+        // A reconstructed surface may face either way.
+        // SAFETY: `cooked` is a mesh that this function owns.
+        let geometry = unsafe {
+            PxTriangleMeshGeometry_new(cooked, &PxMeshScale_new(), PxMeshGeometryFlags::DoubleSided)
+        };
+        let shape = self.shape(from_ref(&geometry).cast(), &DPose3::IDENTITY);
+        let _lock = sdk.lock();
+        // SAFETY: gives up this function's reference.
+        unsafe { PxTriangleMesh_release_mut(cooked) };
+        shape
+    }
+
+    fn shape(&self, geometry: *const PxGeometry, x_bs: &DPose3) -> Result<Shape, String> {
+        let sdk = Sdk::get();
+        let _lock = sdk.lock();
+        take_error();
+        let (friction, restitution) = (self.surface.friction as f32, self.surface.restitution as f32);
+        // SAFETY: `geometry` points to a geometry of the caller's; PhysX copies it. The shape takes its own reference to the
+        // material, so that this one is given up. The shape is not attached yet and may be changed.
+        unsafe {
+            let material = PxPhysics_createMaterial_mut(sdk.physics(), friction, friction, restitution);
+            if material.is_null() {
+                return Err("PhysX has no room for another material".to_owned());
+            }
+            // Its combine rule is the mean, as ours.
+            PxMaterial_setFlags_mut(material, self.tuning.material_flags);
+            let shape = PxPhysics_createShape_mut(
+                sdk.physics(),
+                geometry,
+                material,
+                false,
+                PxShapeFlags::SimulationShape,
+            );
+            PxRefCounted_release_mut(material.cast());
+            if shape.is_null() {
+                return Err(take_error().unwrap_or_else(|| "PhysX refuses its shape".to_owned()));
+            }
+            let modified = if self.is_ball && self.tuning.velocity_friction { MODIFIED } else { 0 };
+            PxShape_setLocalPose_mut(shape, &transform(x_bs));
+            if let Some(offset) = self.tuning.contact_offset {
+                PxShape_setRestOffset_mut(shape, 0.0);
+                PxShape_setContactOffset_mut(shape, offset);
+            }
+            PxShape_setSimulationFilterData_mut(
+                shape,
+                &PxFilterData_new_2(u32::from(self.group), modified, 0, 0),
+            );
+            Ok(Shape(shape))
+        }
+    }
+}
