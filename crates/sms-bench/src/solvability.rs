@@ -1,12 +1,12 @@
 //! How a scene can be solved, found out by brute force in a target world: by a straight shot, or only by rebounds.
 
-use crate::BenchError;
+use crate::{BenchError, robot_of};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, Progress, Seed};
 use sms_plan::{Halton, PlanError};
 use sms_scene::{BodyShape, Scene};
-use sms_sim::{ContactEvent, RapierFactory};
+use sms_sim::{ContactEvent, RapierFactory, SimError};
 use sms_synth::{Layout, generate_challenge};
 use sms_target::scene_from_truth;
 use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task};
@@ -39,8 +39,10 @@ pub struct Solvability {
     pub best_m: [f64; 3],
     /// Share of all shots that end within 5 cm, by number of rebounds.
     pub success_share: [f64; 3],
-    /// The nearest to the goal that any shot came, and the strike that did it: speed (m/s), angle (rad).
+    /// The strike that came nearest to the goal: speed (m/s), angle (rad).
     pub best_action: Vec<f64>,
+    /// Share of the shots that the arm cannot make.
+    pub refused_share: f64,
 }
 
 impl Solvability {
@@ -69,7 +71,7 @@ fn rebounds(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &Resol
     reached.then_some(count)
 }
 
-/// Simulates `shots` shots in the true scene.
+/// Simulates `shots` shots of the arm in the true scene.
 fn look(
     bench: &SolvabilityBench,
     layout: Layout,
@@ -83,6 +85,7 @@ fn look(
     let mut billiards = Billiards::new(cue, target, truth.goal_w);
     billiards.form = ActionForm::SpeedAngle;
     let task = Task::Billiards(billiards).resolve(&scene).map_err(PlanError::from)?;
+    let task = task.with_robot(&robot_of(&truth), &scene)?;
     let bodies = task.bodies_in(&scene, &task.target().name).map_err(PlanError::from)?;
     let mut simulation =
         task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).map_err(PlanError::from)?;
@@ -95,6 +98,7 @@ fn look(
         best_m: [f64::INFINITY; 3],
         success_share: [0.0; 3],
         best_action: Vec::new(),
+        refused_share: 0.0,
     };
     for i in 0..bench.shots {
         cancel.check()?;
@@ -102,8 +106,13 @@ fn look(
             points.point(i).iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect();
         let action = Action(values);
         simulation.restore();
-        let rollout = match task.rollout(&mut simulation, task.strike(&action), &bodies, None) {
+        let struck = task.striker(&task.strike(&action));
+        let rollout = match struck.and_then(|s| task.rollout(&mut simulation, s, &bodies, None)) {
             Ok(rollout) => rollout,
+            Err(SimError::Refused(_)) => {
+                found.refused_share += 1.0 / bench.shots as f64;
+                continue;
+            }
             Err(e) if e.is_invalid_rollout() => continue,
             Err(e) => return Err(PlanError::from(e).into()),
         };

@@ -60,7 +60,7 @@ fn layout_of(word: &str) -> Result<Layout, InputError> {
 
 fn table(found: &[Solvability]) -> String {
     let mut text = String::from(
-        "best distance to the goal, mm (share of shots within 5 cm), by rebounds\n  layout       seed  objects      none           one            two or more\n",
+        "best distance to the goal, mm (share of shots within 5 cm), by rebounds; shots that the arm cannot make\n  layout       seed  objects      none           one            two or more     refused\n",
     );
     for s in found {
         let _ = write!(text, "  {:<10} {:>6} {:>6}  ", s.layout.as_str(), s.seed, s.obstacles);
@@ -69,7 +69,7 @@ fn table(found: &[Solvability]) -> String {
                 if s.best_m[k].is_finite() { format!("{:.0}", 1e3 * s.best_m[k]) } else { "-".to_owned() };
             let _ = write!(text, " {best:>5} ({:>4.1} %)", 100.0 * s.success_share[k]);
         }
-        text.push('\n');
+        let _ = writeln!(text, "   {:>4.0} %", 100.0 * s.refused_share);
     }
     text
 }
