@@ -33,7 +33,7 @@ fn two_hundred_worlds_leave_nothing_behind() {
         assert!(simulation.save());
         for speed in [0.3, 0.5] {
             let contact_w = DVec3::new(0.0, 0.0, R);
-            simulation.strike(&StrikerMotion { contact_w, angle: 0.0, speed, ball_radius: R }, 0.5, 0.5);
+            simulation.strike(StrikerMotion { contact_w, angle: 0.0, speed, ball_radius: R }, 0.5, 0.5);
             simulation.advance(10.0 * DT).unwrap();
             assert!(simulation.restore());
         }
