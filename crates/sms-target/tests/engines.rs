@@ -36,7 +36,7 @@ fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64)
     let mut simulation = simulate(factory, &scene(G, bodies), &awake());
     let across = DVec3::new(-angle.sin(), angle.cos(), 0.0);
     let motion = StrikerMotion { contact_w: center + offset * across, angle, speed, ball_radius: R };
-    let striker = simulation.strike(&motion, 0.0, 0.75);
+    let striker = simulation.strike(motion, 0.0, 0.75);
     run(&mut simulation, motion.contact_s() + 0.02);
     let v = simulation.state(1).v_w;
     let direction = (v.y.atan2(v.x) - angle).to_degrees();
@@ -173,7 +173,7 @@ fn busy_scene() -> Scene {
 
 fn strike(simulation: &mut Simulation, speed: f64) {
     let contact_w = DVec3::new(0.0, 0.0, R);
-    simulation.strike(&StrikerMotion { contact_w, angle: 0.05, speed, ball_radius: R }, 0.6, 0.7);
+    simulation.strike(StrikerMotion { contact_w, angle: 0.05, speed, ball_radius: R }, 0.6, 0.7);
 }
 
 #[test]
