@@ -25,7 +25,8 @@ pub struct RobotConfig {
     /// recording's with the floor level. One of the two.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_recording_robot: Option<[[f64; 4]; 4]>,
-    /// Distance from the tool's origin to its front face, metres.
+    /// Distance from the tool's origin to its front face, metres. What strikes is a box of that half length with the width
+    /// and height of the FR3's closed fingertips, whatever robot carries it.
     pub front_m: f64,
     /// Time between points of the written motion, seconds.
     pub period_s: f64,
@@ -52,7 +53,7 @@ impl RobotConfig {
     /// [`InputError`] that names the key.
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("robot");
-        r.within("front_m", self.front_m, 0.0, 1.0)?;
+        r.within("front_m", self.front_m, 1e-3, 1.0)?;
         r.within("period_s", self.period_s, 1e-4, 0.1)?;
         for (key, matrix) in
             [("x_world_robot", &self.x_world_robot), ("x_recording_robot", &self.x_recording_robot)]

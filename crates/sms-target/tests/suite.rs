@@ -41,19 +41,23 @@ fn measure(engine: TargetEngine) {
         if figure > allowed {
             missed.push(format!("{}: {figure} of {allowed}", probe.name));
         }
+        // What is missed no more has no place in the list.
+        if allowed > probe.limit && figure <= probe.limit {
+            missed.push(format!("{} is within its limit now: {figure}", probe.name));
+        }
     }
     assert!(missed.is_empty(), "{missed:#?}");
 }
 
 #[test]
-fn physx_precise_passes_the_closed_form_suite() {
+fn physx_precise_misses_only_what_is_known() {
     if TargetEngine::Physx.is_built_in() {
         measure(TargetEngine::Physx);
     }
 }
 
 #[test]
-fn mujoco_passes_the_closed_form_suite() {
+fn mujoco_misses_only_what_is_known() {
     if TargetEngine::Mujoco.is_built_in() {
         measure(TargetEngine::Mujoco);
     }

@@ -44,9 +44,9 @@ pub(crate) enum BenchCommand {
     /// Compare search methods of the planner at equal numbers of simulated shots. The planner is given the true geometry
     /// and materials of generated scenes: this measures search, not reconstruction.
     Optimisers(BenchOptimisers),
-    /// Measure what plans are worth when the true world is one more sample of what is not known: planning for the scanned
-    /// world alone against robust planning with about as many simulated shots. True geometry of generated scenes, materials
-    /// known within intervals.
+    /// Measure what plans are worth in true worlds whose materials the planner was told wrongly (`--materials noisy`) and
+    /// whose bodies stand a little elsewhere: planning for the world as told against robust planning at equal cost. True
+    /// geometry of generated scenes, a finger that gives no way, the planner's engine.
     Robust(BenchRobust),
     /// The same shots in every engine that is built in: how far apart they end.
     Engines(BenchEngines),

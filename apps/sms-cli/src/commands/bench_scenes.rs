@@ -1,10 +1,11 @@
 //! `sms bench scenes`: which generated scenes can be solved, and how.
 
-use super::bench_optimisers::parse_seeds;
+use super::bench_optimisers::{finish, parse_seeds};
 use crate::context::Context;
 use clap::Args;
 use sms_bench::{Solvability, SolvabilityBench, run_solvability};
-use sms_core::{InputError, atomic};
+use sms_core::InputError;
+use sms_core::metrics::Metrics;
 use sms_synth::Layout;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -40,11 +41,23 @@ pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
         shots: a.shots.max(1),
     };
     let found = run_solvability(&bench, context.progress.as_ref(), &context.cancel)?;
-    if let Some(out) = &a.out {
-        atomic::write_json(out, &found)?;
+    finish(context, &metrics(&found), a.out.as_ref(), table(&found).trim_end())
+}
+
+fn metrics(found: &[Solvability]) -> Metrics {
+    let mut metrics = Metrics::new();
+    metrics.set("bench.scenes.scenes", found.len());
+    for s in found {
+        let key = |name: &str| format!("bench.scenes.{}.{}.{name}", s.layout.as_str(), s.seed);
+        for (k, kind) in ["none", "one", "more"].into_iter().enumerate() {
+            if s.best_m[k].is_finite() {
+                metrics.set(key(&format!("best_{kind}_m")), s.best_m[k]);
+            }
+            metrics.set(key(&format!("success_{kind}_share")), s.success_share[k]);
+        }
+        metrics.set(key("refused_share"), s.refused_share);
     }
-    context.say(table(&found).trim_end());
-    Ok(())
+    metrics
 }
 
 fn layout_of(word: &str) -> Result<Layout, InputError> {

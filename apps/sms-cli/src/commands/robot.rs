@@ -58,7 +58,14 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         let mut ws = Workspace::default();
         let around = obstacles(&scene, task.cue().index);
         let strike = plan_strike(&robot, &sweep, &around, &settings, &mut ws)
-            .map_err(|e| anyhow::anyhow!("the arm cannot make this strike: {e}"))?;
+            .map_err(|e| {
+                InputError::new(
+                    format!("the arm cannot make this strike: {e}"),
+                    "[robot]",
+                    "check where the robot stands (`x_world_robot`, or --at), or plan again with its place known, so that \
+                     only strikes that it can make are looked at",
+                )
+            })?;
         let check = check_strike(&robot, &strike, &around, &settings, &mut ws);
         let program = JointProgram::of_strike(&robot, &strike, config.period_s, &mut ws);
         atomic::write_json(&stage.dir().join("check.json"), &check)?;

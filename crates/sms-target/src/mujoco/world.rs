@@ -24,6 +24,8 @@ pub(super) struct MujocoWorld {
     wrenches: Vec<f64>,
     bodies: Vec<BodyInfo>,
     kinematics: Vec<Kinematic>,
+    /// A body that strikes and that MuJoCo refuses; nothing moves any more then.
+    failed: Option<BodyId>,
     saved: Option<Saved>,
 }
 
@@ -88,6 +90,7 @@ impl MujocoWorld {
             wrenches: vec![0.0; 6 * (bodies.len() + 1)],
             bodies,
             kinematics: Vec::new(),
+            failed: None,
             saved: None,
         };
         for (body, from) in scene.bodies.iter().enumerate() {
@@ -102,6 +105,13 @@ impl MujocoWorld {
         self.data = compile(self.library, &self.scene, &specs)?;
         self.data.set_warm_start(&self.a);
         Ok(())
+    }
+
+    /// Compiles the model anew for a body that strikes.
+    fn recompile_for(&mut self, body: BodyId) {
+        if self.recompile().is_err() {
+            self.failed = self.failed.or(Some(body));
+        }
     }
 
     /// Writes a state into the free joint of a body, if it has one.
@@ -128,8 +138,7 @@ impl MujocoWorld {
         self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
         self.kinematics.push(Kinematic { body, spec, target_x_wk: x_wb });
         self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
-        let compiled = self.recompile();
-        debug_assert!(compiled.is_ok(), "MuJoCo refuses a body that strikes: {compiled:?}");
+        self.recompile_for(body);
         body
     }
 
@@ -162,6 +171,9 @@ impl World for MujocoWorld {
     }
 
     fn step(&mut self, dt: f64) {
+        if self.failed.is_some() {
+            return;
+        }
         // MuJoCo's search for contacts need not end for what is not finite; the state says what is wrong.
         if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
             return;
@@ -262,8 +274,7 @@ impl World for MujocoWorld {
         let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
         if k.spec.mass.is_some_and(|m| (m - mass).abs() > MASS_TOLERANCE * mass) && mass > 0.0 {
             k.spec.mass = Some(mass);
-            let compiled = self.recompile();
-            debug_assert!(compiled.is_ok(), "MuJoCo refuses a tool of {mass} kg: {compiled:?}");
+            self.recompile_for(body);
         }
     }
 
@@ -277,8 +288,7 @@ impl World for MujocoWorld {
         let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
         if k.spec.enabled != enabled {
             k.spec.enabled = enabled;
-            let compiled = self.recompile();
-            debug_assert!(compiled.is_ok(), "MuJoCo refuses a kinematic body: {compiled:?}");
+            self.recompile_for(body);
         }
     }
 
@@ -308,10 +318,15 @@ impl World for MujocoWorld {
         self.wrenches.resize(6 * (self.bodies.len() + 1), 0.0);
         self.wrenches.fill(0.0);
         self.saved = Some(saved);
+        let others = others || self.failed.take().is_some();
         if others {
             return self.recompile().is_ok();
         }
         self.data.set_warm_start(&self.a);
         true
+    }
+
+    fn first_failed(&self) -> Option<BodyId> {
+        self.failed
     }
 }

@@ -158,10 +158,15 @@ impl PhysxWorld {
     ) -> BodyId {
         let surface = Surface { friction, restitution };
         let shaper = Shaper { surface, group: group(&role), is_ball: false, tuning: self.tuning };
-        let shapes = shaper.kinematic(shape).into_iter().collect();
-        let added = self.add(Blueprint { shapes, role }, &Kept::at(x_wb));
-        debug_assert!(added.is_ok(), "PhysX refuses a body that strikes: {added:?}");
-        self.blueprints.len() - 1
+        let shape = shaper.kinematic(shape);
+        let is_shaped = shape.is_ok();
+        let blueprint = Blueprint { shapes: shape.into_iter().collect(), role };
+        let is_added = self.add(blueprint, &Kept::at(x_wb)).is_ok();
+        let body = self.blueprints.len() - 1;
+        if !(is_shaped && is_added) {
+            self.failed = self.failed.or(Some(body));
+        }
+        body
     }
 
     fn is_dynamic(&self, body: BodyId) -> bool {
