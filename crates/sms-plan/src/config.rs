@@ -47,7 +47,8 @@ pub struct PlanConfig {
     pub starts: usize,
     /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit counts instead.
     pub evaluations: usize,
-    /// Share of them spent on screening.
+    /// Share of them spent on screening: points whose strikes the robot can make. Others that are drawn (at most eight for
+    /// each) cost nothing.
     pub screening_share: f64,
     /// Whether the task may suggest points to try first (for billiards: aim at the ghost ball).
     pub suggestions: bool,
@@ -61,7 +62,7 @@ pub struct PlanConfig {
     pub population: usize,
     /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
     pub robust_evaluations: usize,
-    /// Points of a scan of the disturbed worlds, each tried in one of them.
+    /// Points of a scan of the disturbed worlds, each tried in one of them; only such as the robot can make.
     pub scan: usize,
     /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
     /// from the scan.

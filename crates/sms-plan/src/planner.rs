@@ -83,7 +83,8 @@ pub fn plan(
     // What each shot touches, by its point: the order in which threads note it does not matter.
     let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
     let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
-    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &|x| {
+    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
+    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &feasible, &|x| {
         let mut seen = None;
         let objective = counter.count(|| {
             let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
@@ -98,10 +99,12 @@ pub fn plan(
     let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
     let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
-    let refused = counter.refusals();
+    let struck = counter.refused();
     if !best.is_finite() {
-        if refused.iter().map(|r| r.count).sum::<usize>() == evaluations {
-            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, evaluations)));
+        let refused = counter.refusals(&struck);
+        let looked_at = evaluations + total(&refused) - struck.values().sum::<usize>();
+        if total(&refused) == looked_at {
+            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, looked_at)));
         }
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     }
@@ -131,6 +134,11 @@ pub fn plan(
         let forecast = forecast(&chosen, &fresh, &counter, &see, &mut found.trials)?;
         (chosen, forecast)
     };
+    // Points of the scan, and draws that were refused, are looked at, too.
+    let is_scan = |t: &&Trial| t.phase == Phase::Disturbed && t.start == -1;
+    let scanned = found.trials.iter().filter(is_scan).count();
+    let refused = counter.refusals(&struck);
+    let searched = evaluations + scanned + total(&refused) - struck.values().sum::<usize>();
     let predictions: Vec<Option<Prediction>> =
         forecast.iter().map(|row| Prediction::of(&objectives(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
@@ -204,7 +212,7 @@ pub fn plan(
         objective_q90,
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
-        searched: evaluations,
+        searched,
         refused,
         striker: task.striker_name(),
         robot: task.arm().map(|a| a.settings().clone()),
@@ -278,10 +286,16 @@ pub fn search_nominal(
     let space = Space::new(task);
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(&NoProgress, cancel);
-    let found = search(&space, config, seed.derive("search"), budget, &|x| {
+    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
+    let found = search(&space, config, seed.derive("search"), budget, &feasible, &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     Ok(NominalSearch { trials: found.trials, starts: found.starts })
+}
+
+/// How many strikes are refused.
+fn total(refusals: &[Refusal]) -> usize {
+    refusals.iter().map(|r| r.count).sum()
 }
 
 /// The robot can make none of the strikes.
@@ -323,7 +337,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "narrow the material intervals, or choose a goal that is easier to reach",
         );
     }
-    let refused: usize = plan.refused.iter().map(|r| r.count).sum();
+    let refused = total(&plan.refused);
     if let Some(text) = plan.refused_text().filter(|_| 2 * refused > plan.searched) {
         warnings.add(
             "plan",

@@ -18,9 +18,14 @@ pub(crate) struct Counter<'a> {
     /// Of these, before the current part of the work.
     before: AtomicUsize,
     invalid: AtomicUsize,
-    /// Strikes that the robot cannot make, by reason.
-    refused: Mutex<BTreeMap<String, usize>>,
+    /// Strikes that the robot cannot make, by reason, that took the place of a rollout.
+    refused: Mutex<Reasons>,
+    /// The same of points of a scan: others were drawn in their place.
+    passed_over: Mutex<Reasons>,
 }
+
+/// Reasons why the robot cannot make strikes, with the number of strikes.
+pub(crate) type Reasons = BTreeMap<String, usize>;
 
 impl<'a> Counter<'a> {
     pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
@@ -31,6 +36,7 @@ impl<'a> Counter<'a> {
             before: AtomicUsize::new(0),
             invalid: AtomicUsize::new(0),
             refused: Mutex::default(),
+            passed_over: Mutex::default(),
         }
     }
 
@@ -48,9 +54,32 @@ impl<'a> Counter<'a> {
         self.invalid.load(Ordering::SeqCst)
     }
 
-    /// The reasons why the robot cannot make strikes that were asked for, the most frequent first.
-    pub(crate) fn refusals(&self) -> Vec<Refusal> {
-        let counted = self.refused.lock().map(|r| r.clone()).unwrap_or_default();
+    /// Whether the robot can make the strike of a point that was drawn for a scan; counted where it cannot. Nothing is
+    /// simulated, and it is no rollout.
+    pub(crate) fn draw(&self, task: &ResolvedTask, action: &sms_task::Action) -> Result<bool, PlanError> {
+        self.cancel.check()?;
+        match task.striker(&task.strike(action)) {
+            Err(SimError::Refused(e)) => {
+                if let Ok(mut passed_over) = self.passed_over.lock() {
+                    *passed_over.entry(e.reason()).or_default() += 1;
+                }
+                Ok(false)
+            }
+            other => Ok(other.map(|_| true)?),
+        }
+    }
+
+    /// Strikes refused so far in the place of a rollout.
+    pub(crate) fn refused(&self) -> Reasons {
+        self.refused.lock().map(|r| r.clone()).unwrap_or_default()
+    }
+
+    /// Draws for scans that were refused so far, together with `refused`, the most frequent reason first.
+    pub(crate) fn refusals(&self, refused: &Reasons) -> Vec<Refusal> {
+        let mut counted = self.passed_over.lock().map(|r| r.clone()).unwrap_or_default();
+        for (reason, count) in refused {
+            *counted.entry(reason.clone()).or_default() += count;
+        }
         let mut all: Vec<Refusal> =
             counted.into_iter().map(|(reason, count)| Refusal { reason, count }).collect();
         all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
