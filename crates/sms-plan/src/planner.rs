@@ -6,7 +6,7 @@ use crate::search::search;
 use crate::sensitivity::Sensing;
 use crate::space::Space;
 use crate::strategy::{strategy_of, touched};
-use crate::worlds::{Counter, DisturbedWorlds, Worlds};
+use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
 use crate::{
     Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
 };
@@ -140,7 +140,7 @@ pub fn plan(
     let refused = counter.refusals(&struck);
     let searched = evaluations + scanned + total(&refused) - struck.values().sum::<usize>();
     let predictions: Vec<Option<Prediction>> =
-        forecast.iter().map(|row| Prediction::of(&objectives(row), |v| task.is_success(v))).collect();
+        forecast.iter().map(|row| Prediction::of(&shots(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
     if let Some(p) = predicted {
@@ -178,7 +178,8 @@ pub fn plan(
             action: c.action.clone(),
             objective: c.objective,
             prediction: *prediction,
-            outcomes: row.iter().map(|shot| Some(shot.0).filter(|v| v.is_finite())).collect(),
+            outcomes: shots(row).into_iter().map(|s| Some(s.objective()).filter(|v| v.is_finite())).collect(),
+            refused: shots(row).into_iter().filter(|s| *s == Shot::Refused).count(),
             as_named_share: (!row.is_empty()).then(|| {
                 let is_so = |shot: &&Seen| shot.1.as_ref().is_some_and(|s| s.0 == c.strategy);
                 row.iter().filter(is_so).count() as f64 / row.len() as f64
@@ -228,11 +229,11 @@ pub fn plan(
     Ok(PlanOutcome { plan, trials: found.trials })
 }
 
-/// Objective of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
-type Seen = (f64, Option<(String, BTreeSet<BodyId>)>);
+/// What comes of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
+type Seen = (Shot, Option<(String, BTreeSet<BodyId>)>);
 
-fn objectives(row: &[Seen]) -> Vec<f64> {
-    row.iter().map(|shot| shot.0).collect()
+fn shots(row: &[Seen]) -> Vec<Shot> {
+    row.iter().map(|seen| seen.0).collect()
 }
 
 /// Tries the chosen actions in worlds that played no part in choosing them.
@@ -246,7 +247,7 @@ fn forecast(
     let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
     let rows = worlds.look(&actions, 0..worlds.len(), counter, see)?;
     for (i, row) in rows.iter().enumerate() {
-        for (w, objective) in objectives(row).into_iter().enumerate() {
+        for (w, objective) in shots(row).into_iter().map(Shot::objective).enumerate() {
             trials.push(Trial::new(Phase::Forecast, i as i32, w as i32, actions[i].clone(), objective));
         }
     }
@@ -351,7 +352,11 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "forecast_failed",
             format!("what the chosen shot does in disturbed worlds is not known: it {why}"),
-            "look for interpenetrating or very light bodies in the scene; do not carry the shot out",
+            if plan.strategies[0].refused == plan.strategies[0].outcomes.len() {
+                "the strike is at the edge of what the robot can do: look at where it stands (`x_world_robot`)"
+            } else {
+                "look for interpenetrating or very light bodies in the scene; do not carry the shot out"
+            },
         );
     }
     if plan.invalid > 0 {
