@@ -65,7 +65,7 @@ mod truth;
 mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
-pub use bootstrap::{Paired, paired_difference};
+pub use bootstrap::{Paired, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};

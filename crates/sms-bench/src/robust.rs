@@ -5,7 +5,7 @@ use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, threa
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
-use sms_sim::RapierFactory;
+use sms_sim::{RapierFactory, WorldFactory};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::time::Instant;
@@ -168,6 +168,10 @@ pub fn run_robust(
     outcomes.into_iter().collect::<Result<(), _>>()?;
     progress.end("");
     let mut metrics = found.into_inner().unwrap_or_default();
+    metrics.set("bench.robust.engine", RapierFactory.engine());
+    if let Some(scene) = scenes.first() {
+        metrics.set("bench.robust.striker", scene.task.striker_name());
+    }
     summarise(bench, &mut metrics);
     Ok(metrics)
 }
@@ -378,5 +382,9 @@ mod tests {
         assert!(whole.number("bench.robust.robust.change_share").is_some());
         let table = robust_table(&bench, &whole);
         assert!(table.contains("1002") && table.contains("robust"), "{table}");
+        for key in ["bench.robust.engine", "bench.robust.striker"] {
+            let told = whole.get(key).and_then(|v| v.as_str()).unwrap();
+            assert!(!told.is_empty() && table.contains(told), "{key}: {told}; {table}");
+        }
     }
 }

@@ -203,17 +203,11 @@ pub(crate) struct CmaSearch {
 }
 
 impl CmaSearch {
-    pub(crate) fn new(
-        space: &Space,
-        settings: CmaSettings,
-        suggestions: bool,
-        seed: Seed,
-        screening: usize,
-    ) -> Self {
+    pub(crate) fn new(space: &Space, settings: CmaSettings, screen: Vec<Screened>, seed: Seed) -> Self {
         Self {
             population: settings.population,
             settings,
-            screen: screening::points(space, suggestions, seed, screening.max(1)),
+            screen,
             space: space.clone(),
             rng: seed.derive("cma").rng(),
             screened: false,

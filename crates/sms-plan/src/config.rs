@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use std::path::Path;
 
+/// Most disturbed worlds: each is a simulation of the whole scene that is kept, twice as many as are set.
+const MOST_WORLDS: usize = 1024;
+
 /// How starts are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -47,7 +50,8 @@ pub struct PlanConfig {
     pub starts: usize,
     /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit counts instead.
     pub evaluations: usize,
-    /// Share of them spent on screening.
+    /// Share of them spent on screening: points whose strikes the robot can make. Others that are drawn (at most eight for
+    /// each) cost nothing.
     pub screening_share: f64,
     /// Whether the task may suggest points to try first (for billiards: aim at the ghost ball).
     pub suggestions: bool,
@@ -61,7 +65,7 @@ pub struct PlanConfig {
     pub population: usize,
     /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
     pub robust_evaluations: usize,
-    /// Points of a scan of the disturbed worlds, each tried in one of them.
+    /// Points of a scan of the disturbed worlds, each tried in one of them; only such as the robot can make.
     pub scan: usize,
     /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
     /// from the scan.
@@ -135,7 +139,6 @@ impl PlanConfig {
             ("descents", self.descents, 0, 1_000_000),
             ("descent", self.descent, 1, 1_000_000),
             ("finalists", self.finalists, 1, 1_000_000),
-            ("disturbances.worlds", d.worlds, 0, 1_000_000),
             ("polish_starts", self.polish_starts, 0, 1_000_000),
             ("polish", self.polish, 0, 1_000_000),
             ("forecast_worlds", self.forecast_worlds, 1, 1_000_000),
@@ -145,6 +148,9 @@ impl PlanConfig {
         ] {
             r.count(key, value, low, high).map_err(named)?;
         }
+        // The command line sets it, too.
+        r.count("disturbances.worlds", d.worlds, 0, MOST_WORLDS)
+            .map_err(|e| named(InputError { what: format!("{} (`--robust` sets it)", e.what), ..e }))?;
         for (key, value, low, high) in [
             ("screening_share", self.screening_share, 0.0, 1.0),
             ("initial_step", self.initial_step, 1e-6, 1.0),
@@ -264,5 +270,14 @@ mod tests {
         assert!(message.contains("`plan.starts`") && message.contains("plan.toml"), "{message}");
         let nan = PlanConfig { initial_step: f64::NAN, ..PlanConfig::default() };
         assert!(nan.validate(path).is_err());
+        let worlds = |worlds| PlanConfig {
+            disturbances: Disturbances { worlds, ..Disturbances::default() },
+            ..PlanConfig::default()
+        };
+        worlds(1024).validate(path).unwrap();
+        let message = worlds(1_000_000).validate(path).unwrap_err().to_string();
+        for part in ["`plan.disturbances.worlds`", "--robust", "1000000", "1024"] {
+            assert!(message.contains(part), "{message}");
+        }
     }
 }

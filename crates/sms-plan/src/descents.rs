@@ -50,15 +50,8 @@ pub(crate) struct Descents {
 }
 
 impl Descents {
-    /// Searches from the best points of a scan of `screening` points.
-    pub(crate) fn screened(
-        space: &Space,
-        settings: DescentSettings,
-        suggestions: bool,
-        seed: Seed,
-        screening: usize,
-    ) -> Self {
-        let screen = screening::points(space, suggestions, seed, screening.max(1));
+    /// Searches from the best points of a scan.
+    pub(crate) fn screened(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
         Self::new(space, settings, screen)
     }
 

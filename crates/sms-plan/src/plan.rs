@@ -58,13 +58,15 @@ pub struct Plan {
     pub objective_unit: String,
     /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
     pub objective_q90: f64,
-    /// Rollouts in all, but for up to eight in which shots that were found over disturbed worlds are looked at in the
-    /// nominal one.
+    /// Shots that were tried in some world, as many as trials in the log and one for the recorded motion. A strike that a
+    /// local search asks for and the robot cannot make counts, although nothing is simulated for it: it takes the place of
+    /// a rollout. Points that a scan draws and the robot cannot make do not: others are drawn in their place.
     pub evaluations: usize,
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]
     pub invalid: usize,
-    /// Actions that were looked at in the scanned world.
+    /// Actions that were looked at in the search of the scanned world and in the scan of disturbed worlds, points that were
+    /// drawn for a scan and that the robot cannot make included.
     #[serde(default)]
     pub searched: usize,
     /// Those among them that the robot cannot make, by reason, the most frequent first; nothing was simulated for them,

@@ -6,7 +6,7 @@ use crate::search::search;
 use crate::sensitivity::Sensing;
 use crate::space::Space;
 use crate::strategy::{strategy_of, touched};
-use crate::worlds::{Counter, DisturbedWorlds, Worlds};
+use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
 use crate::{
     Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
 };
@@ -83,7 +83,8 @@ pub fn plan(
     // What each shot touches, by its point: the order in which threads note it does not matter.
     let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
     let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
-    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &|x| {
+    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
+    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &feasible, &|x| {
         let mut seen = None;
         let objective = counter.count(|| {
             let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
@@ -98,10 +99,12 @@ pub fn plan(
     let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
     let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
-    let refused = counter.refusals();
+    let struck = counter.refused();
     if !best.is_finite() {
-        if refused.iter().map(|r| r.count).sum::<usize>() == evaluations {
-            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, evaluations)));
+        let refused = counter.refusals(&struck);
+        let looked_at = evaluations + total(&refused) - struck.values().sum::<usize>();
+        if total(&refused) == looked_at {
+            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, looked_at)));
         }
         return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
     }
@@ -131,8 +134,13 @@ pub fn plan(
         let forecast = forecast(&chosen, &fresh, &counter, &see, &mut found.trials)?;
         (chosen, forecast)
     };
+    // Points of the scan, and draws that were refused, are looked at, too.
+    let is_scan = |t: &&Trial| t.phase == Phase::Disturbed && t.start == -1;
+    let scanned = found.trials.iter().filter(is_scan).count();
+    let refused = counter.refusals(&struck);
+    let searched = evaluations + scanned + total(&refused) - struck.values().sum::<usize>();
     let predictions: Vec<Option<Prediction>> =
-        forecast.iter().map(|row| Prediction::of(&objectives(row), |v| task.is_success(v))).collect();
+        forecast.iter().map(|row| Prediction::of(&shots(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
     if let Some(p) = predicted {
@@ -170,7 +178,8 @@ pub fn plan(
             action: c.action.clone(),
             objective: c.objective,
             prediction: *prediction,
-            outcomes: row.iter().map(|shot| Some(shot.0).filter(|v| v.is_finite())).collect(),
+            outcomes: shots(row).into_iter().map(|s| Some(s.objective()).filter(|v| v.is_finite())).collect(),
+            refused: shots(row).into_iter().filter(|s| *s == Shot::Refused).count(),
             as_named_share: (!row.is_empty()).then(|| {
                 let is_so = |shot: &&Seen| shot.1.as_ref().is_some_and(|s| s.0 == c.strategy);
                 row.iter().filter(is_so).count() as f64 / row.len() as f64
@@ -204,7 +213,7 @@ pub fn plan(
         objective_q90,
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
-        searched: evaluations,
+        searched,
         refused,
         striker: task.striker_name(),
         robot: task.arm().map(|a| a.settings().clone()),
@@ -220,11 +229,11 @@ pub fn plan(
     Ok(PlanOutcome { plan, trials: found.trials })
 }
 
-/// Objective of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
-type Seen = (f64, Option<(String, BTreeSet<BodyId>)>);
+/// What comes of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
+type Seen = (Shot, Option<(String, BTreeSet<BodyId>)>);
 
-fn objectives(row: &[Seen]) -> Vec<f64> {
-    row.iter().map(|shot| shot.0).collect()
+fn shots(row: &[Seen]) -> Vec<Shot> {
+    row.iter().map(|seen| seen.0).collect()
 }
 
 /// Tries the chosen actions in worlds that played no part in choosing them.
@@ -238,7 +247,7 @@ fn forecast(
     let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
     let rows = worlds.look(&actions, 0..worlds.len(), counter, see)?;
     for (i, row) in rows.iter().enumerate() {
-        for (w, objective) in objectives(row).into_iter().enumerate() {
+        for (w, objective) in shots(row).into_iter().map(Shot::objective).enumerate() {
             trials.push(Trial::new(Phase::Forecast, i as i32, w as i32, actions[i].clone(), objective));
         }
     }
@@ -278,10 +287,16 @@ pub fn search_nominal(
     let space = Space::new(task);
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(&NoProgress, cancel);
-    let found = search(&space, config, seed.derive("search"), budget, &|x| {
+    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
+    let found = search(&space, config, seed.derive("search"), budget, &feasible, &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     Ok(NominalSearch { trials: found.trials, starts: found.starts })
+}
+
+/// How many strikes are refused.
+fn total(refusals: &[Refusal]) -> usize {
+    refusals.iter().map(|r| r.count).sum()
 }
 
 /// The robot can make none of the strikes.
@@ -323,7 +338,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "narrow the material intervals, or choose a goal that is easier to reach",
         );
     }
-    let refused: usize = plan.refused.iter().map(|r| r.count).sum();
+    let refused = total(&plan.refused);
     if let Some(text) = plan.refused_text().filter(|_| 2 * refused > plan.searched) {
         warnings.add(
             "plan",
@@ -337,7 +352,11 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "forecast_failed",
             format!("what the chosen shot does in disturbed worlds is not known: it {why}"),
-            "look for interpenetrating or very light bodies in the scene; do not carry the shot out",
+            if plan.strategies[0].refused == plan.strategies[0].outcomes.len() {
+                "the strike is at the edge of what the robot can do: look at where it stands (`x_world_robot`)"
+            } else {
+                "look for interpenetrating or very light bodies in the scene; do not carry the shot out"
+            },
         );
     }
     if plan.invalid > 0 {

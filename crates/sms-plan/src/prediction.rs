@@ -1,6 +1,7 @@
 //! What a shot is predicted to do in a world that is not exactly the scanned one.
 
 use crate::disturb::quantile;
+use crate::worlds::Shot;
 use serde::{Deserialize, Serialize};
 
 /// What is minimised over disturbed worlds.
@@ -56,18 +57,22 @@ pub struct Prediction {
     pub q50: f64,
     /// 90 % quantile.
     pub q90: f64,
-    /// Share of the worlds in which the task succeeds; invalid rollouts count as failures.
+    /// Share of the worlds in which the task succeeds; invalid rollouts and refused strikes count as failures.
     pub success_share: f64,
-    /// Number of worlds, invalid rollouts included.
+    /// Number of worlds, those with invalid rollouts or refused strikes included.
     pub worlds: usize,
     /// Rollouts that could not be believed and are in none of the figures above but the share.
     pub invalid: usize,
+    /// Worlds in which the robot cannot make the strike as it would be carried out there; treated likewise.
+    #[serde(default)]
+    pub refused: usize,
 }
 
 impl Prediction {
-    /// The distribution of values, of which infinite ones are invalid rollouts. `None` when none is valid.
-    pub(crate) fn of(values: &[f64], is_success: impl Fn(f64) -> bool) -> Option<Self> {
-        let valid: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    /// The distribution of what comes of the same shot in several worlds. `None` when it was simulated well in none.
+    pub(crate) fn of(shots: &[Shot], is_success: impl Fn(f64) -> bool) -> Option<Self> {
+        let valid: Vec<f64> = shots.iter().map(|s| s.objective()).filter(|v| v.is_finite()).collect();
+        let refused = shots.iter().filter(|s| **s == Shot::Refused).count();
         if valid.is_empty() {
             return None;
         }
@@ -76,9 +81,10 @@ impl Prediction {
             q10: quantile(&valid, 0.1),
             q50: quantile(&valid, 0.5),
             q90: quantile(&valid, 0.9),
-            success_share: valid.iter().filter(|&&v| is_success(v)).count() as f64 / values.len() as f64,
-            worlds: values.len(),
-            invalid: values.len() - valid.len(),
+            success_share: valid.iter().filter(|&&v| is_success(v)).count() as f64 / shots.len() as f64,
+            worlds: shots.len(),
+            invalid: shots.len() - valid.len() - refused,
+            refused,
         })
     }
 }
@@ -89,16 +95,22 @@ mod tests {
 
     #[test]
     fn figures_are_those_of_a_ladder_and_invalid_rollouts_are_no_values() {
-        let mut values: Vec<f64> = (0..=10).map(|i| 0.01 * f64::from(i)).collect();
+        let mut values: Vec<Shot> = (0..=10).map(|i| Shot::Done(0.01 * f64::from(i))).collect();
         let p = Prediction::of(&values, |v| v < 0.045).unwrap();
         let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
         assert!(close(p.mean, 0.05) && close(p.q10, 0.01) && close(p.q50, 0.05) && close(p.q90, 0.09));
         assert!(close(p.success_share, 5.0 / 11.0) && (p.worlds, p.invalid) == (11, 0));
-        values.push(f64::INFINITY);
+        values.push(Shot::Unbelievable);
         let q = Prediction::of(&values, |v| v < 0.045).unwrap();
         assert_eq!((q.mean, q.q90), (p.mean, p.q90));
         assert!(close(q.success_share, 5.0 / 12.0) && (q.worlds, q.invalid) == (12, 1));
-        assert!(Prediction::of(&[f64::INFINITY], |_| true).is_none());
+        assert_eq!(q.refused, 0);
+        // A refused strike is no simulation that cannot be believed, and no success either.
+        values.push(Shot::Refused);
+        let r = Prediction::of(&values, |v| v < 0.045).unwrap();
+        assert_eq!((r.mean, r.worlds, r.invalid, r.refused), (p.mean, 13, 1, 1));
+        assert!(close(r.success_share, 5.0 / 13.0));
+        assert!(Prediction::of(&[Shot::Unbelievable, Shot::Refused], |_| true).is_none());
     }
 
     #[test]

@@ -20,7 +20,7 @@ pub(crate) struct Searches {
 }
 
 impl Choice<'_> {
-    /// Points spread over all actions, each tried in one of the disturbed worlds in turn; the best that differ, half as
+    /// Points spread over all actions that the robot can make, each tried in one of the disturbed worlds in turn; the best that differ, half as
     /// many as there are candidates. What they did in that world is not kept: they were chosen for it.
     pub(crate) fn scan(
         &self,
@@ -29,7 +29,9 @@ impl Choice<'_> {
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<Candidate>, PlanError> {
         let config = self.config;
-        let scanned = points(self.space, config.suggestions, seed, config.scan);
+        let scanned = points(self.space, config.suggestions, seed, config.scan, &|x| {
+            self.counter.draw(self.task, &self.space.action(x))
+        })?;
         let jobs: Vec<_> =
             scanned.iter().enumerate().map(|(i, s)| (i % worlds.len(), self.space.action(&s.x))).collect();
         let values = worlds.each(&jobs, self.counter)?;

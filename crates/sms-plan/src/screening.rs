@@ -1,8 +1,15 @@
 //! The coarse scan that methods begin with.
 
-use crate::Halton;
 use crate::space::{Space, is_near};
+use crate::{Halton, PlanError};
+use rayon::prelude::*;
 use sms_core::Seed;
+
+/// Points drawn at most for each that is asked for.
+const MOST_DRAWS: usize = 8;
+
+/// Whether the robot can make the strike of a unit point; called from many threads.
+pub(crate) type Feasible<'a> = &'a (dyn Fn(&[f64]) -> Result<bool, PlanError> + Sync);
 
 /// A point of the scan and, later, its value.
 #[derive(Debug, Clone)]
@@ -13,12 +20,20 @@ pub(crate) struct Screened {
     pub(crate) objective: f64,
 }
 
-/// What the task suggests, then Halton points: every other one in the promising ranges, where there are any.
-pub(crate) fn points(space: &Space, suggestions: bool, seed: Seed, budget: usize) -> Vec<Screened> {
+/// What the task suggests, then Halton points: every other one in the promising ranges, where there are any. Only points
+/// that are `feasible`, `budget` of them; fewer where eight times as many draws do not have so many. The same for any
+/// number of threads.
+pub(crate) fn points(
+    space: &Space,
+    suggestions: bool,
+    seed: Seed,
+    budget: usize,
+    feasible: Feasible<'_>,
+) -> Result<Vec<Screened>, PlanError> {
     let n = space.dimensions();
     let (everywhere, direct) = (Halton::new(n, seed.derive("box")), Halton::new(n, seed.derive("promising")));
     let unknown = |x: Vec<f64>, promising| Screened { x, promising, objective: f64::INFINITY };
-    space
+    let mut draws = space
         .suggestions
         .iter()
         .filter(|_| suggestions)
@@ -30,8 +45,17 @@ pub(crate) fn points(space: &Space, suggestions: bool, seed: Seed, budget: usize
                 unknown(everywhere.point(i), false)
             }
         }))
-        .take(budget)
-        .collect()
+        .take(budget.saturating_mul(MOST_DRAWS));
+    let mut found: Vec<Screened> = Vec::new();
+    while found.len() < budget {
+        let block: Vec<Screened> = draws.by_ref().take(budget - found.len()).collect();
+        if block.is_empty() {
+            break;
+        }
+        let can: Vec<bool> = block.par_iter().map(|s| feasible(&s.x)).collect::<Result<_, _>>()?;
+        found.extend(block.into_iter().zip(can).filter_map(|(s, can)| can.then_some(s)));
+    }
+    Ok(found)
 }
 
 /// Up to `count` points, best first, that differ from each other by more than half of their first steps in some
@@ -57,4 +81,55 @@ pub(crate) fn distinct(
         }
     }
     chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_task::Parameter;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    fn space() -> Space {
+        let parameter = |name: &str| Parameter { name: name.into(), unit: "1".into(), low: 0.0, high: 1.0 };
+        Space::of(["speed", "angle"].map(parameter).to_vec(), vec![[0.0, 1.0]; 2])
+    }
+
+    /// Unit points of the scan with their number of draws.
+    fn drawn(share: f64, budget: usize, threads: usize) -> (Vec<Vec<f64>>, usize) {
+        let draws = AtomicUsize::new(0);
+        let feasible = |x: &[f64]| {
+            draws.fetch_add(1, Ordering::SeqCst);
+            Ok(x[0] < share)
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let found = pool.install(|| points(&space(), false, Seed(4), budget, &feasible)).unwrap();
+        (found.into_iter().map(|s| s.x).collect(), draws.into_inner())
+    }
+
+    #[test]
+    fn points_are_drawn_until_so_many_are_feasible() {
+        let (all, draws) = drawn(1.0, 90, 1);
+        assert_eq!((all.len(), draws), (90, 90));
+        let (third, draws) = drawn(1.0 / 3.0, 90, 1);
+        assert!(third.len() == 90 && third.iter().all(|x| x[0] < 1.0 / 3.0));
+        assert!((250..290).contains(&draws), "{draws}");
+        // In the order of drawing, those that can be made.
+        let many = drawn(1.0, draws, 1).0;
+        assert_eq!(third, many.into_iter().filter(|x| x[0] < 1.0 / 3.0).collect::<Vec<_>>());
+        assert_eq!(drawn(1.0 / 3.0, 90, 4), (third, draws));
+    }
+
+    #[test]
+    fn where_hardly_any_are_feasible_the_drawing_ends() {
+        let (none, draws) = drawn(0.0, 30, 2);
+        assert_eq!((none.len(), draws), (0, 240));
+        let (few, draws) = drawn(0.05, 30, 2);
+        assert!((6..=18).contains(&few.len()) && draws == 240, "{} of {draws}", few.len());
+    }
+
+    #[test]
+    fn the_first_error_ends_the_drawing() {
+        let result = points(&space(), false, Seed(4), 30, &|_| Err(sms_core::CoreError::Interrupted.into()));
+        assert!(matches!(result, Err(PlanError::Core(sms_core::CoreError::Interrupted))));
+    }
 }

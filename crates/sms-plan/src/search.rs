@@ -3,6 +3,7 @@
 use crate::batch::drive;
 use crate::cma_es::{CmaSearch, CmaSettings};
 use crate::descents::{DescentSettings, Descents, Sharing};
+use crate::screening::{Feasible, points};
 use crate::space::Space;
 use crate::{BatchOptimiser, Method, Phase, PlanConfig, PlanError, StartSummary, Trial};
 use sms_core::Seed;
@@ -26,8 +27,13 @@ pub(crate) struct Found {
     pub(crate) trials: Vec<Trial>,
 }
 
-/// The optimiser that the settings name.
-pub(crate) fn optimiser(space: &Space, config: &PlanConfig, seed: Seed) -> Box<dyn BatchOptimiser> {
+/// The optimiser that the settings name. Its scan has only points whose strikes the robot can make.
+fn optimiser(
+    space: &Space,
+    config: &PlanConfig,
+    seed: Seed,
+    feasible: Feasible<'_>,
+) -> Result<Box<dyn BatchOptimiser>, PlanError> {
     let screening = (config.evaluations as f64 * config.screening_share).round() as usize;
     let descents = |name, sharing| DescentSettings {
         name,
@@ -36,10 +42,11 @@ pub(crate) fn optimiser(space: &Space, config: &PlanConfig, seed: Seed) -> Box<d
         starts: config.starts,
         sharing,
     };
-    let screened = |settings| Descents::screened(space, settings, config.suggestions, seed, screening);
-    match config.method {
-        Method::Screen => Box::new(screened(descents("screen", Sharing::Even))),
-        Method::Halving => Box::new(screened(descents("halving", Sharing::Halving(config.survivors)))),
+    let screen = || points(space, config.suggestions, seed, screening.max(1), feasible);
+    let screened = |settings| Ok::<_, PlanError>(Descents::screened(space, settings, screen()?));
+    Ok(match config.method {
+        Method::Screen => Box::new(screened(descents("screen", Sharing::Even))?),
+        Method::Halving => Box::new(screened(descents("halving", Sharing::Halving(config.survivors)))?),
         Method::MultiStart => Box::new(Descents::random(space, descents("multi_start", Sharing::Even), seed)),
         Method::CmaEs => {
             let settings = CmaSettings {
@@ -49,20 +56,22 @@ pub(crate) fn optimiser(space: &Space, config: &PlanConfig, seed: Seed) -> Box<d
                 x_tolerance: config.nelder_mead.x_tolerance,
                 f_tolerance: config.nelder_mead.f_tolerance,
             };
-            Box::new(CmaSearch::new(space, settings, config.suggestions, seed, screening))
+            Box::new(CmaSearch::new(space, settings, screen()?, seed))
         }
-    }
+    })
 }
 
-/// Searches as `config` says, with at most `budget` evaluations.
+/// Searches as `config` says, with at most `budget` evaluations. Strikes that the robot cannot make cost nothing in the
+/// scan, which draws others in their place, and one evaluation where a local search asks for them.
 pub(crate) fn search(
     space: &Space,
     config: &PlanConfig,
     seed: Seed,
     budget: usize,
+    feasible: Feasible<'_>,
     objective: Objective<'_>,
 ) -> Result<Found, PlanError> {
-    let mut optimiser = optimiser(space, config, seed);
+    let mut optimiser = optimiser(space, config, seed, feasible)?;
     let mut log = drive(optimiser.as_mut(), budget, objective)?;
     // Stable: within a search, points stay in the order of asking.
     log.sort_by_key(|(p, _)| (p.phase != Phase::Screen, p.start));
@@ -127,7 +136,7 @@ mod tests {
         ] {
             let config = PlanConfig { method, evaluations: 400, ..PlanConfig::draft() };
             let count = AtomicUsize::new(0);
-            let found = search(&space(), &config, Seed(3), limit, &|x| {
+            let found = search(&space(), &config, Seed(3), limit, &|_| Ok(true), &|x| {
                 assert!(x.iter().all(|v| (0.0..=1.0).contains(v)));
                 count.fetch_add(1, Ordering::SeqCst);
                 valley(x)
@@ -151,7 +160,9 @@ mod tests {
             let config = PlanConfig { method, ..PlanConfig::draft() };
             let run = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| search(&space(), &config, Seed(1), 480, &valley)).unwrap().trials
+                pool.install(|| search(&space(), &config, Seed(1), 480, &|_| Ok(true), &valley))
+                    .unwrap()
+                    .trials
             };
             assert_eq!(run(1), run(4), "{method:?}");
         }
@@ -159,7 +170,7 @@ mod tests {
 
     #[test]
     fn the_first_error_ends_the_search() {
-        let result = search(&space(), &PlanConfig::draft(), Seed(1), 100, &|_| {
+        let result = search(&space(), &PlanConfig::draft(), Seed(1), 100, &|_| Ok(true), &|_| {
             Err(PlanError::Core(sms_core::CoreError::Interrupted))
         });
         assert!(matches!(result, Err(PlanError::Core(sms_core::CoreError::Interrupted))));

@@ -22,21 +22,34 @@ pub struct Strategy {
     /// What it is predicted to do in worlds that played no part in choosing it; `None` where there are none or no rollout
     /// in them can be believed.
     pub prediction: Option<Prediction>,
-    /// Objective in each of those worlds, in their order; `None` where the rollout cannot be believed.
+    /// Objective in each of those worlds, in their order; `None` where the rollout cannot be believed or the robot cannot
+    /// make the strike.
     #[serde(default)]
     pub outcomes: Vec<Option<f64>>,
+    /// In how many of them the robot cannot make the strike as it would be carried out there.
+    #[serde(default)]
+    pub refused: usize,
     /// Share of those worlds in which what happens is what the name says.
     #[serde(default)]
     pub as_named_share: Option<f64>,
 }
 
 impl Strategy {
-    /// What to say where worlds were looked at and no rollout in them can be believed: "could not be believed: 32 of 32
-    /// rollouts".
+    /// What to say where worlds were looked at and nothing is known of any of them: "could not be believed: 32 of 32
+    /// rollouts", or "could not be made by the robot: 32 of 32 strikes".
     pub fn unbelievable_text(&self) -> Option<String> {
-        let all = self.outcomes.len();
-        (all > 0 && self.outcomes.iter().all(Option::is_none))
-            .then(|| format!("could not be believed: {all} of {all} rollouts"))
+        let (all, refused) = (self.outcomes.len(), self.refused.min(self.outcomes.len()));
+        if all == 0 || self.outcomes.iter().any(Option::is_some) {
+            return None;
+        }
+        let mut parts = Vec::new();
+        if refused < all {
+            parts.push(format!("could not be believed: {} of {all} rollouts", all - refused));
+        }
+        if refused > 0 {
+            parts.push(format!("could not be made by the robot: {refused} of {all} strikes"));
+        }
+        Some(parts.join("; "))
     }
 }
 
@@ -262,6 +275,20 @@ mod tests {
             |(k, &(body, other)): (usize, &(BodyId, BodyId))| ContactEvent { time_s: k as f64, body, other };
         let contacts: Vec<ContactEvent> = touches.iter().enumerate().map(event).collect();
         story_of(&contacts, 9.5, &scene, &task)
+    }
+
+    #[test]
+    fn refusals_are_not_told_as_simulations_that_cannot_be_believed() {
+        let text = |outcomes: Vec<Option<f64>>, refused: usize| {
+            let (name, action, prediction) = (String::new(), Action(Vec::new()), None);
+            Strategy { name, action, objective: 0.0, prediction, outcomes, refused, as_named_share: None }
+                .unbelievable_text()
+        };
+        assert_eq!(text(vec![None; 4], 0).unwrap(), "could not be believed: 4 of 4 rollouts");
+        assert_eq!(text(vec![None; 4], 4).unwrap(), "could not be made by the robot: 4 of 4 strikes");
+        let both = text(vec![None; 4], 1).unwrap();
+        assert!(both.contains("believed: 3 of 4") && both.contains("robot: 1 of 4"), "{both}");
+        assert!(text(vec![None, Some(0.1)], 1).is_none() && text(Vec::new(), 0).is_none());
     }
 
     #[test]

@@ -10,6 +10,27 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// What comes of a shot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Shot {
+    /// It was simulated: its objective.
+    Done(f64),
+    /// Its simulation cannot be believed.
+    Unbelievable,
+    /// The robot cannot make it; nothing was simulated.
+    Refused,
+}
+
+impl Shot {
+    /// What searches minimise: infinite where there is no objective.
+    pub(crate) fn objective(self) -> f64 {
+        match self {
+            Self::Done(objective) => objective,
+            Self::Unbelievable | Self::Refused => f64::INFINITY,
+        }
+    }
+}
+
 /// Counts rollouts, reports them, and stops when asked to.
 pub(crate) struct Counter<'a> {
     progress: &'a dyn Progress,
@@ -18,9 +39,14 @@ pub(crate) struct Counter<'a> {
     /// Of these, before the current part of the work.
     before: AtomicUsize,
     invalid: AtomicUsize,
-    /// Strikes that the robot cannot make, by reason.
-    refused: Mutex<BTreeMap<String, usize>>,
+    /// Strikes that the robot cannot make, by reason, that took the place of a rollout.
+    refused: Mutex<Reasons>,
+    /// The same of points of a scan: others were drawn in their place.
+    passed_over: Mutex<Reasons>,
 }
+
+/// Reasons why the robot cannot make strikes, with the number of strikes.
+pub(crate) type Reasons = BTreeMap<String, usize>;
 
 impl<'a> Counter<'a> {
     pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
@@ -31,6 +57,7 @@ impl<'a> Counter<'a> {
             before: AtomicUsize::new(0),
             invalid: AtomicUsize::new(0),
             refused: Mutex::default(),
+            passed_over: Mutex::default(),
         }
     }
 
@@ -48,9 +75,32 @@ impl<'a> Counter<'a> {
         self.invalid.load(Ordering::SeqCst)
     }
 
-    /// The reasons why the robot cannot make strikes that were asked for, the most frequent first.
-    pub(crate) fn refusals(&self) -> Vec<Refusal> {
-        let counted = self.refused.lock().map(|r| r.clone()).unwrap_or_default();
+    /// Whether the robot can make the strike of a point that was drawn for a scan; counted where it cannot. Nothing is
+    /// simulated, and it is no rollout.
+    pub(crate) fn draw(&self, task: &ResolvedTask, action: &sms_task::Action) -> Result<bool, PlanError> {
+        self.cancel.check()?;
+        match task.striker(&task.strike(action)) {
+            Err(SimError::Refused(e)) => {
+                if let Ok(mut passed_over) = self.passed_over.lock() {
+                    *passed_over.entry(e.reason()).or_default() += 1;
+                }
+                Ok(false)
+            }
+            other => Ok(other.map(|_| true)?),
+        }
+    }
+
+    /// Strikes refused so far in the place of a rollout.
+    pub(crate) fn refused(&self) -> Reasons {
+        self.refused.lock().map(|r| r.clone()).unwrap_or_default()
+    }
+
+    /// Draws for scans that were refused so far, together with `refused`, the most frequent reason first.
+    pub(crate) fn refusals(&self, refused: &Reasons) -> Vec<Refusal> {
+        let mut counted = self.passed_over.lock().map(|r| r.clone()).unwrap_or_default();
+        for (reason, count) in refused {
+            *counted.entry(reason.clone()).or_default() += count;
+        }
         let mut all: Vec<Refusal> =
             counted.into_iter().map(|(reason, count)| Refusal { reason, count }).collect();
         all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
@@ -59,24 +109,29 @@ impl<'a> Counter<'a> {
 
     /// The objective of a rollout; infinite where the simulation cannot be believed, or the robot cannot make the strike.
     pub(crate) fn count(&self, rollout: impl FnOnce() -> Result<f64, SimError>) -> Result<f64, PlanError> {
+        Ok(self.shot(rollout)?.objective())
+    }
+
+    /// As [`Counter::count`], with what became of it.
+    pub(crate) fn shot(&self, rollout: impl FnOnce() -> Result<f64, SimError>) -> Result<Shot, PlanError> {
         self.cancel.check()?;
-        let objective = match rollout() {
+        let shot = match rollout() {
             Err(SimError::Refused(e)) => {
                 if let Ok(mut refused) = self.refused.lock() {
                     *refused.entry(e.reason()).or_default() += 1;
                 }
-                f64::INFINITY
+                Shot::Refused
             }
             Err(SimError::Diverged { .. } | SimError::Unphysical { .. }) => {
                 self.invalid.fetch_add(1, Ordering::SeqCst);
-                f64::INFINITY
+                Shot::Unbelievable
             }
-            other => other?,
+            other => Shot::Done(other?),
         };
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
         let before = self.before.load(Ordering::SeqCst);
         self.progress.update(done.saturating_sub(before) as u64, "shots simulated");
-        Ok(objective)
+        Ok(shot)
     }
 }
 
@@ -175,26 +230,26 @@ impl<'a> DisturbedWorlds<'a> {
         jobs: &[(usize, A)],
         counter: &Counter<'_>,
     ) -> Result<Vec<f64>, PlanError> {
-        Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|shot| shot.0).collect())
+        Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
     }
 
-    /// As [`DisturbedWorlds::each`], with what `look` sees in each rollout; `None` where it cannot be believed.
+    /// What comes of each, with what `look` sees in it where it was simulated.
     fn look_each<A: std::borrow::Borrow<sms_task::Action> + Sync, T: Send>(
         &self,
         jobs: &[(usize, A)],
         counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
-    ) -> Result<Vec<(f64, Option<T>)>, PlanError> {
+    ) -> Result<Vec<(Shot, Option<T>)>, PlanError> {
         // World by world, so that each is built once per thread at most.
         let mut order: Vec<usize> = (0..jobs.len()).collect();
         order.sort_by_key(|&j| jobs[j].0);
-        let found: Vec<(f64, Option<T>)> = order
+        let found: Vec<(Shot, Option<T>)> = order
             .par_iter()
             .map(|&j| {
                 let (index, world) = &self.worlds[jobs[j].0];
                 let asked = self.task.strike(jobs[j].1.borrow());
                 let mut seen = None;
-                let objective = counter.count(|| {
+                let shot = counter.shot(|| {
                     let striker = if self.execution {
                         let strike = self.disturbances.strike(&asked, self.seed, *index);
                         self.task.striker_near(&asked, &strike)?
@@ -205,11 +260,11 @@ impl<'a> DisturbedWorlds<'a> {
                     seen = Some(look(&rollout));
                     Ok(rollout.objective)
                 })?;
-                Ok((objective, seen))
+                Ok((shot, seen))
             })
             .collect::<Result<_, PlanError>>()?;
-        let mut values: Vec<(f64, Option<T>)> =
-            std::iter::repeat_with(|| (f64::INFINITY, None)).take(jobs.len()).collect();
+        let mut values: Vec<(Shot, Option<T>)> =
+            std::iter::repeat_with(|| (Shot::Unbelievable, None)).take(jobs.len()).collect();
         for (j, value) in order.into_iter().zip(found) {
             values[j] = value;
         }
@@ -224,24 +279,24 @@ impl<'a> DisturbedWorlds<'a> {
         counter: &Counter<'_>,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
         let rows = self.look(actions, range, counter, &|_| ())?;
-        Ok(rows.into_iter().map(|row| row.into_iter().map(|shot| shot.0).collect()).collect())
+        Ok(rows.into_iter().map(|row| row.into_iter().map(|seen| seen.0.objective()).collect()).collect())
     }
 
-    /// As [`DisturbedWorlds::objectives`], with what `look` sees in each rollout; `None` where it cannot be believed.
+    /// What comes of each action in the worlds `range`, with what `look` sees in it where it was simulated.
     pub(crate) fn look<T: Send>(
         &self,
         actions: &[sms_task::Action],
         range: std::ops::Range<usize>,
         counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
-    ) -> Result<Vec<Vec<(f64, Option<T>)>>, PlanError> {
+    ) -> Result<Vec<Vec<(Shot, Option<T>)>>, PlanError> {
         let (first, count) = (range.start, range.len());
         let pairs: Vec<(usize, usize)> =
             range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
         let jobs: Vec<(usize, &sms_task::Action)> = pairs.iter().map(|&(w, a)| (w, &actions[a])).collect();
         let values = self.look_each(&jobs, counter, look)?;
-        let nothing = || std::iter::repeat_with(|| (f64::INFINITY, None)).take(count).collect();
-        let mut rows: Vec<Vec<(f64, Option<T>)>> =
+        let nothing = || std::iter::repeat_with(|| (Shot::Unbelievable, None)).take(count).collect();
+        let mut rows: Vec<Vec<(Shot, Option<T>)>> =
             std::iter::repeat_with(nothing).take(actions.len()).collect();
         for ((w, a), value) in pairs.into_iter().zip(values) {
             rows[a][w - first] = value;

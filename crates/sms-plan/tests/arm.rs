@@ -6,7 +6,9 @@ mod common;
 use common::{material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::{Cancel, Mesh, NoProgress, Seed, Warnings};
-use sms_plan::{Disturbances, PlanConfig, PlanError, PlanOutcome, plan, rehearse};
+use sms_plan::{
+    Disturbances, Halton, Method, Phase, PlanConfig, PlanError, PlanOutcome, plan, rehearse, search_nominal,
+};
 use sms_robot::{RobotConfig, ToolPath};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{RapierFactory, Striker};
@@ -46,6 +48,7 @@ fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome
     let config = PlanConfig {
         starts: 4,
         evaluations: 80,
+        scan: 100,
         candidates: 4,
         finalists: 2,
         polish_starts: 1,
@@ -74,8 +77,22 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
     assert!(p.striker.contains("fr3") && p.robot.is_some());
     assert!(refused > 0 && refused < p.searched, "{refused} of {}", p.searched);
     assert!(p.refused.iter().any(|r| r.reason.contains("post")), "{:?}", p.refused);
-    let invalid = outcome.trials.iter().filter(|t| !t.valid).count();
-    assert_eq!(invalid, refused + p.invalid);
+    // What a scan draws and the arm cannot make is not charged to it: it gets all of its rollouts.
+    let screened: Vec<_> = outcome.trials.iter().filter(|t| t.phase == Phase::Screen).collect();
+    let scanned: Vec<_> =
+        outcome.trials.iter().filter(|t| t.phase == Phase::Disturbed && t.start == -1).collect();
+    assert_eq!((screened.len(), scanned.len()), (120, 100), "30 % of 400, and the scan");
+    for t in screened.iter().chain(&scanned) {
+        assert!(task.striker(&task.strike(&t.action)).is_ok(), "{:?}", t.action);
+    }
+    assert_eq!(outcome.trials.len() + 1, p.evaluations);
+    let in_search = outcome.trials.iter().filter(|t| matches!(t.phase, Phase::Screen | Phase::Search));
+    let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
+    let passed_over = refused - struck;
+    assert_eq!(p.searched, in_search.count() + scanned.len() + passed_over);
+    let drawn = screened.len() + scanned.len() + passed_over;
+    println!("{passed_over} of {drawn} draws passed over, {struck} refused in searches");
+    assert!(passed_over > 0 && drawn <= 8 * 220, "{passed_over} of {drawn}");
     let strike = task.strike(&p.action);
     assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
     assert!(p.objective < 0.03, "{}", p.objective);
@@ -89,6 +106,40 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
     let cancel = Cancel::new();
     let values = rehearse(&task, &scene, &RapierFactory, &worlds, &p.action, Seed(1), 4, &cancel).unwrap();
     assert!(values.iter().all(|v| v.is_finite()), "{values:?}");
+}
+
+#[test]
+fn where_the_arm_can_make_a_third_of_the_strikes_as_many_are_simulated() {
+    let scene = scene();
+    let share = |task: &ResolvedTask| {
+        let halton = Halton::new(4, Seed(8));
+        let p = task.parameters();
+        let can = |i: &u64| {
+            let unit = halton.point(*i);
+            let values = unit.iter().zip(&p).map(|(v, p)| p.low + v * (p.high - p.low)).collect();
+            task.striker(&task.strike(&Action(values))).is_ok()
+        };
+        (0..48).filter(can).count() as f64 / 48.0
+    };
+    // The farther the robot stands, the less it can do.
+    let (task, share) = (0..30)
+        .map(|k| task(&scene, -0.1 - 0.02 * f64::from(k)))
+        .map(|task| (task.clone(), share(&task)))
+        .find(|(_, share)| *share <= 0.4)
+        .unwrap();
+    println!("{share:.2} of the strikes can be made");
+    assert!(share > 0.15, "{share}");
+    let config = PlanConfig {
+        method: Method::Screen,
+        evaluations: 40,
+        screening_share: 1.0,
+        suggestions: false,
+        ..PlanConfig::default()
+    };
+    let cancel = Cancel::new();
+    let found = search_nominal(&task, &scene, &RapierFactory, &config, 40, Seed(3), &cancel).unwrap();
+    let simulated = found.trials.iter().filter(|t| t.phase == Phase::Screen && t.valid);
+    assert_eq!(simulated.count(), 40);
 }
 
 #[test]

@@ -282,7 +282,8 @@ fn plans_of_earlier_versions_read() {
     let outcome = run(&task, &config(), &Warnings::new()).unwrap();
     let mut json = serde_json::to_value(&outcome.plan).unwrap();
     let map = json.as_object_mut().unwrap();
-    for key in ["invalid", "chosen_by", "predicted", "strategies", "sensitivities"] {
+    let newer = ["invalid", "chosen_by", "predicted", "strategies", "sensitivities", "refused", "searched"];
+    for key in newer.into_iter().chain(["striker", "robot", "reasons"]) {
         assert!(map.remove(key).is_some(), "{key}");
     }
     let dir = tempfile::tempdir().unwrap();
@@ -290,4 +291,18 @@ fn plans_of_earlier_versions_read() {
     let read = load_plan(dir.path()).unwrap();
     assert_eq!(read.action, outcome.plan.action);
     assert!(read.predicted.is_none() && read.strategies.is_empty() && !read.is_nominal_only());
+    assert!(read.refused.is_empty() && read.reasons.is_empty() && read.robot.is_none());
+    assert_eq!((read.searched, read.striker.as_str()), (0, ""));
+    assert!(read.refused_text().is_none());
+    // Of the version before this one: predictions and strategies without refused strikes.
+    let mut json = serde_json::to_value(&outcome.plan).unwrap();
+    assert!(json["predicted"].as_object_mut().unwrap().remove("refused").is_some());
+    for strategy in json["strategies"].as_array_mut().unwrap() {
+        assert!(strategy.as_object_mut().unwrap().remove("refused").is_some());
+        if let Some(p) = strategy["prediction"].as_object_mut() {
+            p.remove("refused");
+        }
+    }
+    std::fs::write(dir.path().join("plan.json"), json.to_string()).unwrap();
+    assert_eq!(load_plan(dir.path()).unwrap(), outcome.plan);
 }

@@ -343,6 +343,7 @@ mod tests {
             objective: 0.01,
             prediction,
             outcomes,
+            refused: 0,
             as_named_share: Some(0.75),
         }
     }
@@ -356,6 +357,7 @@ mod tests {
             success_share: 0.75,
             worlds: 4,
             invalid: 1,
+            refused: 0,
         };
         let outcomes = vec![Some(0.01), Some(0.02), None, Some(0.03)];
         Plan {
