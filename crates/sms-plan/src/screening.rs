@@ -39,10 +39,13 @@ pub(crate) fn points(
         .filter(|_| suggestions)
         .map(|x| unknown(x.clone(), true))
         .chain((0..).map(|i: u64| {
-            if space.has_promising() && i.is_multiple_of(2) {
+            // Each sequence goes on by one: every other index alone would cover half of the first parameter's range.
+            if !space.has_promising() {
+                unknown(everywhere.point(i), false)
+            } else if i.is_multiple_of(2) {
                 unknown(space.in_promising(&direct.point(i / 2)), true)
             } else {
-                unknown(everywhere.point(i), false)
+                unknown(everywhere.point(i / 2), false)
             }
         }))
         .take(budget.saturating_mul(MOST_DRAWS));

@@ -256,18 +256,19 @@ fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
 }
 
 #[test]
-fn over_the_disturbed_worlds_the_choice_beats_the_nominally_best_shot() {
+fn in_its_worlds_the_choice_beats_the_nominally_best_shot() {
     // Off the wall, errors grow with every touch: what is best in one world is not in many.
     let (scene, task) = behind_the_post();
     let wide = Disturbances { position_m: 0.002, worlds: 12, ..Disturbances::default() };
     let robust =
         PlanConfig { evaluations: 200, starts: 8, candidates: 24, disturbances: wide.clone(), ..config() };
     let nominal = PlanConfig { disturbances: Disturbances { worlds: 0, ..wide.clone() }, ..robust.clone() };
+    // In the worlds in which the planner with this seed chose: 12, and 12 again for the best. That is what the choice is
+    // for; what it is worth in unseen worlds takes more than one scene and is measured by `sms bench robust`.
     let mean = |config: &PlanConfig| {
         let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
         let factory = RapierFactory;
         let found = plan(&task, &scene, &factory, config, Seed(11), &progress, &cancel, &warnings).unwrap();
-        // The family of worlds in which the planner with this seed chose: 12, and 12 again for the best.
         let seed = Seed(11).derive("disturbed");
         let values = rehearse(&task, &scene, &factory, &wide, &found.plan.action, seed, 24, &cancel).unwrap();
         values.iter().sum::<f64>() / values.len() as f64
