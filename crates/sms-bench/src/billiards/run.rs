@@ -41,7 +41,7 @@ fn run_scene(
     cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
     let path = bench.file(fixed, told);
-    let before = kept(bench, fixed, told)?;
+    let before = if bench.scan.rescan { None } else { kept(bench, fixed, told)? };
     let missing = |r: &BilliardsScene| {
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
@@ -94,6 +94,7 @@ fn run_scene(
             Ok(target) => target,
             Err(why) => {
                 result.not_run.insert(engine.key().to_owned(), why.to_string());
+                atomic::write_json(&path, &result)?;
                 continue;
             }
         };
