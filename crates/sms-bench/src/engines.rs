@@ -109,7 +109,7 @@ fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Opti
         .simulation(&scene.scene, &task.world_options())
         .map_err(|e| InputError::new(e.to_string(), target.label(), "take another engine or seed"))?;
     let began = Instant::now();
-    let rollout = match task.rollout(&mut simulation, &task.strike(action), &bodies, None) {
+    let rollout = match task.rollout(&mut simulation, task.strike(action), &bodies, None) {
         Ok(rollout) => rollout,
         Err(e) if e.is_invalid_rollout() => return Ok(None),
         Err(e) => return Err(PlanError::from(e).into()),
