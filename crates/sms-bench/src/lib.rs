@@ -22,6 +22,10 @@
 //! true world is one more sample of what is not known. [`run_rebound`] plans one shot twice, with a statue of brass and of
 //! cardboard beside its way.
 //!
+//! # The whole experiment
+//! [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, and carry out in the target
+//! worlds.
+//!
 //! ```
 //! use sms_bench::{F1_M, SurfacePoint, score_surface};
 //! use sms_core::glamx::DVec3;
@@ -35,6 +39,7 @@
 //! ```
 
 mod align;
+mod billiards;
 mod bootstrap;
 mod disturb;
 mod engines;
@@ -65,6 +70,10 @@ mod truth;
 mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
+pub use billiards::{
+    BilliardsBench, BilliardsGeometry, BilliardsScene, Row, Shot, billiards_metrics, billiards_table,
+    read_billiards, run_billiards, write_shots,
+};
 pub use bootstrap::{Paired, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
@@ -131,6 +140,15 @@ pub enum BenchError {
     /// The planner failed.
     #[error(transparent)]
     Plan(#[from] sms_plan::PlanError),
+    /// The entities make no scene.
+    #[error(transparent)]
+    Build(#[from] sms_scene::BuildError),
+    /// A scene could not be kept.
+    #[error(transparent)]
+    Scene(#[from] sms_scene::SceneError),
+    /// A target world could not be built.
+    #[error(transparent)]
+    Target(#[from] sms_target::TargetError),
     /// A comparison with a scanned model failed.
     #[error(transparent)]
     Evaluate(#[from] sms_report::EvaluateError),

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    BilliardsSettings, ModelScene, RecordingSettings, Skin, TruthScene, generate_billiards, model_scene,
-    orbit_poses, read_model, record_views, write_recording,
+    BilliardsSettings, FIXED_SCENES, ModelScene, RecordingSettings, Skin, TruthScene, generate_billiards,
+    model_scene, orbit_poses, read_model, record_views, write_recording,
 };
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -56,6 +56,8 @@ pub enum BenchScene {
     Ten(u64),
     /// A scanned model alone on a floor, seen from an orbit; its folder name (`ycb_025_mug`).
     Model(String),
+    /// One of the eighteen fixed billiards scenes, by its number (`fixed_08`).
+    Fixed(usize),
 }
 
 impl fmt::Display for BenchScene {
@@ -64,6 +66,7 @@ impl fmt::Display for BenchScene {
             Self::Billiards(seed) => write!(f, "billiards_{seed}"),
             Self::Ten(seed) => write!(f, "scene_{seed}"),
             Self::Real(name) | Self::Model(name) => f.write_str(name),
+            Self::Fixed(number) => write!(f, "fixed_{number:02}"),
         }
     }
 }
@@ -129,6 +132,10 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             }
             Ok(Some(model_scene(name, &read_model(&path)?, Seed(0))))
         }
+        BenchScene::Fixed(number) => match FIXED_SCENES.iter().find(|s| s.number == *number) {
+            Some(fixed) => plain(fixed.generate()),
+            None => Ok(None),
+        },
         BenchScene::Real(_) => Ok(None),
     }
 }

@@ -106,7 +106,7 @@ pub fn tell_materials(scene: &mut Scene, truth: &TruthScene, told: MaterialsTold
 }
 
 /// Gives a body another material; its mass goes with the effective density.
-fn set_material(body: &mut Body, material: Material) {
+pub(crate) fn set_material(body: &mut Body, material: Material) {
     let ratio = material.effective_density() / body.material.effective_density();
     if let Some(was) = body.mass.filter(|_| ratio.is_finite() && ratio > 0.0) {
         body.mass =

@@ -1,5 +1,6 @@
 //! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
 
+use super::bench_billiards::{self, BenchBilliards};
 use super::bench_engines::{self, BenchEngines};
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_optimisers::{self, BenchOptimisers};
@@ -56,6 +57,9 @@ pub(crate) enum BenchCommand {
     Rebound(BenchRebound),
     /// Find out by brute force whether generated challenge scenes can be solved by a straight shot, or only by rebounds.
     Scenes(BenchScenes),
+    /// The paper's billiards experiment: eighteen scenes are scanned, planned in from many starts, and every plan is carried
+    /// out in the target engines. Run again on the same folder, it goes on where it was, and shards meet there.
+    Billiards(Box<BenchBilliards>),
 }
 
 #[derive(Debug, Args, Clone)]
@@ -134,6 +138,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Plan(plan) => bench_plan::run(context, plan),
         BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
         BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
+        BenchCommand::Billiards(billiards) => bench_billiards::run(context, billiards),
     }
 }
 
@@ -194,7 +199,7 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
 /// Whether it is a real recording that is not here.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
-        BenchScene::Billiards(_) | BenchScene::Ten(_) => false,
+        BenchScene::Billiards(_) | BenchScene::Ten(_) | BenchScene::Fixed(_) => false,
         BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
         BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
     }

@@ -84,7 +84,7 @@ pub(crate) enum Told {
 }
 
 impl Told {
-    fn told(self) -> MaterialsTold {
+    pub(crate) fn told(self) -> MaterialsTold {
         match self {
             Self::Class => MaterialsTold::Class,
             Self::Noisy => MaterialsTold::Noisy,
@@ -198,7 +198,7 @@ pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result
 }
 
 /// `2/4`: the second of four parts.
-fn parse_shard(text: &str) -> anyhow::Result<(usize, usize)> {
+pub(crate) fn parse_shard(text: &str) -> anyhow::Result<(usize, usize)> {
     let parts =
         text.split_once('/').and_then(|(i, n)| Some((i.trim().parse().ok()?, n.trim().parse().ok()?)));
     match parts {

@@ -1,6 +1,7 @@
 //! One file a command. Each opens the run, runs its stages where something has changed, and prints what was made.
 
 pub(crate) mod bench;
+mod bench_billiards;
 mod bench_engines;
 mod bench_materialize;
 mod bench_optimisers;

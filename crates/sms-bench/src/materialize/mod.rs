@@ -13,6 +13,7 @@ pub use overlap::parts_overlap;
 pub use table::{
     MaterializeTarget, add_materialize_means, materialize_markdown, materialize_table, materialize_targets,
 };
+pub(crate) use trained::scan_key;
 pub use trained::{Inputs, Trained, train};
 
 use crate::prepare::BenchOptions;

@@ -94,7 +94,7 @@ pub fn train(
         }
     };
     let bench = BenchOptions { true_masks, ..options.bench.clone() };
-    let dir = options.keep.join("scans").join(format!("{scene}-{}", &key(scene, &bench)?[..12]));
+    let dir = options.keep.join("scans").join(format!("{scene}-{}", &scan_key(scene, &bench)?[..12]));
     let record_path = dir.join("scan.json");
     if options.rescan || !record_path.is_file() {
         if dir.exists() {
@@ -120,7 +120,7 @@ pub fn train(
 
 /// Names a scan by everything that it was made from but the code: the model's files or the scene's seed, and all settings
 /// up to the scan.
-fn key(scene: &BenchScene, bench: &BenchOptions) -> Result<String, CoreError> {
+pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<String, CoreError> {
     let mut hasher = Hasher::new();
     if let BenchScene::Model(name) = scene {
         let folder = model_path(name);

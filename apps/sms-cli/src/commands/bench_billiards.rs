@@ -1,0 +1,222 @@
+//! `sms bench billiards`: the paper's billiards experiment.
+
+use super::bench_optimisers::finish;
+use super::bench_plan::{Told, parse_shard};
+use super::length_text;
+use crate::cli::{EngineName, PresetName};
+use crate::context::Context;
+use clap::{Args, ValueEnum};
+use sms_bench::{
+    BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row,
+    billiards_metrics, billiards_table, read_billiards, run_billiards, write_shots,
+};
+use sms_core::{InputError, Seed};
+use sms_entities::EntitiesConfig;
+use sms_frames::ReadOptions;
+use sms_masks::GeometryConfig;
+use sms_plan::PlanConfig;
+use sms_synth::{FIXED_SCENES, FixedScene};
+use std::path::PathBuf;
+
+/// Scenes of `--quick`: the one without obstacles, one with a far goal, and the one with two rebounds.
+const QUICK: [usize; 3] = [1, 8, 18];
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchBilliards {
+    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18).
+    #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
+    pub scenes: Vec<usize>,
+    /// Only every n-th of them, from the i-th (i/n, from 1).
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<String>,
+    /// What the planner is told of the true materials, one after another.
+    #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', default_value = "class")]
+    pub materials: Vec<Told>,
+    /// Where the planner's geometry comes from.
+    #[arg(long, value_enum, default_value = "scan")]
+    pub geometry: Geometry,
+    /// Masks that the scans are given.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: Masks,
+    /// How much work the scans are given (default: standard, with --quick draft).
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Frames that are recorded of each scene (default: 60, with --quick 24).
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Target engines (default: all that are built in).
+    #[arg(long, value_enum, value_name = "ENGINES", value_delimiter = ',')]
+    pub engines: Vec<EngineName>,
+    /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 10).
+    #[arg(long, value_name = "N")]
+    pub starts: Option<usize>,
+    /// Seed of all plans.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Three scenes, draft scans and plans: at most ten minutes.
+    #[arg(long)]
+    pub quick: bool,
+    /// Folder of the results: a file for each scene, shots.parquet and results.json.
+    #[arg(long, value_name = "DIR", default_value = "runs/bench-billiards")]
+    pub out: PathBuf,
+    /// Where recordings and scans are kept (default: the folder of the results).
+    #[arg(long, value_name = "DIR")]
+    pub keep: Option<PathBuf>,
+    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    #[arg(long)]
+    pub rescan: bool,
+    /// Run nothing: print what the folder holds.
+    #[arg(long)]
+    pub table: bool,
+}
+
+/// Where geometry comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Geometry {
+    /// A scan of a generated recording.
+    Scan,
+    /// The truth, for ablations and quick tests.
+    Truth,
+}
+
+/// Masks of scans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Masks {
+    /// By geometry, as `sms scan` makes them.
+    Geometry,
+    /// The true ones.
+    Truth,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
+    let bench = bench(context, a)?;
+    if !a.table {
+        let line = |s: &BilliardsScene| context.say(scene_line(s));
+        run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+    }
+    let found = read_billiards(&bench)?;
+    if found.is_empty() {
+        return Err(InputError::new(
+            "nothing in this folder was made with these settings",
+            &a.out,
+            "run it without --table, or with the settings that it was made with",
+        )
+        .into());
+    }
+    let mut metrics = billiards_metrics(&found);
+    metrics.set("bench.billiards.geometry", bench.geometry.as_str());
+    metrics.set("bench.billiards.preset", bench.scan.bench.preset_name());
+    metrics.set("bench.billiards.starts", bench.starts);
+    write_shots(&bench.out.join("shots.parquet"), &found)?;
+    finish(context, &metrics, Some(&bench.out.join("results.json")), billiards_table(&found).trim_end())
+}
+
+fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
+    let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
+    let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
+    let mut bench = BilliardsBench::new(scenes(a)?, &keep, &a.out);
+    let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
+    bench.scan.bench = BenchOptions {
+        load: context.settings.section("frames", base.load.clone())?,
+        read: context.settings.section("read", ReadOptions::default())?,
+        masks: context.settings.section("masks", GeometryConfig::default())?,
+        scan: context.settings.section("scan", base.scan.clone())?,
+        entities: context.settings.section("entities", EntitiesConfig::default())?,
+        frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
+        ..base
+    };
+    bench.scan.rescan = a.rescan;
+    bench.scan.masks = match a.masks {
+        Masks::Geometry => MaskChoice::Geometry,
+        Masks::Truth => MaskChoice::Truth,
+    };
+    bench.geometry = match a.geometry {
+        Geometry::Scan => BilliardsGeometry::Scan,
+        Geometry::Truth => BilliardsGeometry::Truth,
+    };
+    bench.told = a.materials.iter().map(|t| t.told()).collect();
+    if !a.engines.is_empty() {
+        bench.engines = a.engines.iter().map(|e| e.engine()).collect();
+        for engine in &bench.engines {
+            // Said at once, not after an hour.
+            engine.target()?;
+        }
+    }
+    bench.starts = a.starts.unwrap_or(if a.quick { 10 } else { bench.starts }).max(1);
+    bench.seed = Seed(a.seed);
+    let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
+    bench.robust = context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
+    Ok(bench)
+}
+
+fn scenes(a: &BenchBilliards) -> anyhow::Result<Vec<FixedScene>> {
+    let numbers = match (&a.scenes[..], a.quick) {
+        ([], true) => QUICK.to_vec(),
+        ([], false) => FIXED_SCENES.iter().map(|s| s.number).collect(),
+        (numbers, _) => numbers.to_vec(),
+    };
+    let scene = |number: usize| {
+        FIXED_SCENES.iter().find(|s| s.number == number).copied().ok_or_else(|| {
+            InputError::new(
+                format!("there is no scene {number}"),
+                "--scenes",
+                "give numbers from 1 to 18, such as 1,8,18",
+            )
+        })
+    };
+    let mut scenes = numbers.into_iter().map(scene).collect::<Result<Vec<_>, _>>()?;
+    if let Some(shard) = &a.shard {
+        let (i, n) = parse_shard(shard)?;
+        scenes = scenes.into_iter().skip(i - 1).step_by(n).collect();
+    }
+    Ok(scenes)
+}
+
+/// What became of one scene.
+fn scene_line(s: &BilliardsScene) -> String {
+    let mean = |values: Vec<f64>| length_text(values.iter().sum::<f64>() / values.len().max(1) as f64);
+    let mut line = format!(
+        "scene {:>2} ({}, {}): {} of {} objects seen; predicted {}",
+        s.number,
+        s.layout.as_str(),
+        s.told.as_str(),
+        s.matched,
+        s.objects,
+        mean(s.predicted_m(Row::Ours))
+    );
+    for engine in s.realised.keys() {
+        let of = |row| s.realised_m(engine, row).map_or_else(|| "?".to_owned(), mean);
+        line.push_str(&format!("; {engine} ours {}, one plan {}", of(Row::Ours), of(Row::Robust)));
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        billiards: BenchBilliards,
+    }
+
+    fn numbers(arguments: &[&str]) -> anyhow::Result<Vec<usize>> {
+        let command = Command::parse_from(std::iter::once(&"bench").chain(arguments));
+        Ok(scenes(&command.billiards)?.iter().map(|s| s.number).collect())
+    }
+
+    #[test]
+    fn shards_part_the_scenes() {
+        assert_eq!(numbers(&[]).unwrap().len(), 18);
+        assert_eq!(numbers(&["--quick"]).unwrap(), QUICK);
+        assert_eq!(numbers(&["--scenes", "3,1,2", "--shard", "2/2"]).unwrap(), [1]);
+        let mut all: Vec<usize> =
+            ["1/3", "2/3", "3/3"].iter().flat_map(|s| numbers(&["--shard", s]).unwrap()).collect();
+        all.sort_unstable();
+        assert_eq!(all, (1..=18).collect::<Vec<_>>());
+        assert!(numbers(&["--scenes", "19"]).unwrap_err().to_string().contains("19"));
+        assert!(numbers(&["--shard", "3/2"]).is_err());
+    }
+}

@@ -1,0 +1,123 @@
+//! The figures of the table.
+
+use super::{BilliardsScene, Row};
+use crate::MaterialsTold;
+use sms_core::metrics::Metrics;
+use std::collections::BTreeSet;
+
+/// Mean and standard deviation (n − 1; zero for a single value). Not a number without values.
+pub(super) fn mean_sd(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (mean, if values.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 })
+}
+
+fn best(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+fn worst(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// The figures of results, with the keys of docs/metrics.md: for every engine, row and what was told, over the scenes that
+/// are there. Overall means and deviations pool all starts of all scenes; `best` and `worst` are those of each scene's
+/// starts, as means and deviations over the scenes.
+pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
+    let mut metrics = Metrics::new();
+    let engines: BTreeSet<&String> = scenes.iter().flat_map(|s| s.realised.keys()).collect();
+    for told in MaterialsTold::ALL {
+        let of_told: Vec<&BilliardsScene> = scenes.iter().filter(|s| s.told == told).collect();
+        for engine in &engines {
+            let there: Vec<&BilliardsScene> =
+                of_told.iter().copied().filter(|s| s.realised.contains_key(*engine)).collect();
+            if there.is_empty() {
+                continue;
+            }
+            let engine_prefix = format!("bench.billiards.{engine}");
+            for row in [Row::Paper, Row::Ours, Row::Grid] {
+                let prefix = format!("{engine_prefix}.{}.{}", row.as_str(), told.as_str());
+                metrics.set(format!("{prefix}.scenes"), there.len());
+                add_row(&mut metrics, &prefix, engine, row, &there);
+            }
+            let prefix = format!("{engine_prefix}.ours.{}", told.as_str());
+            add_single(&mut metrics, &prefix, engine, &there);
+        }
+        for s in &of_told {
+            let prefix = format!("bench.billiards.scene_{:02}.{}", s.number, told.as_str());
+            metrics.set(format!("{prefix}.objects"), s.objects);
+            metrics.set(format!("{prefix}.matched"), s.matched);
+            metrics.set(format!("{prefix}.strays"), s.strays);
+            metrics.set(format!("{prefix}.idle_m"), s.idle_m);
+            for (row, seconds) in &s.seconds {
+                metrics.set(format!("{prefix}.{}_plan_s", row.as_str()), *seconds);
+            }
+        }
+    }
+    for (engine, why) in scenes.iter().flat_map(|s| &s.not_run) {
+        metrics.set(format!("bench.billiards.{engine}.not_run"), why.clone());
+    }
+    metrics
+}
+
+fn add_row(metrics: &mut Metrics, prefix: &str, engine: &str, row: Row, scenes: &[&BilliardsScene]) {
+    let mut spent = Vec::new();
+    let mut iterations = Vec::new();
+    let mut unfinished = 0usize;
+    for what in ["predicted", "realised"] {
+        let values: Vec<Vec<f64>> = scenes
+            .iter()
+            .filter_map(|s| {
+                if what == "predicted" { Some(s.predicted_m(row)) } else { s.realised_m(engine, row) }
+            })
+            .collect();
+        for (s, values) in scenes.iter().zip(&values) {
+            let key = format!("{prefix}.scene_{:02}.{what}", s.number);
+            let (mean, sd) = mean_sd(values);
+            metrics.set(format!("{key}_mean_m"), mean).set(format!("{key}_sd_m"), sd);
+            metrics.set(format!("{key}_best_m"), best(values)).set(format!("{key}_worst_m"), worst(values));
+        }
+        let bests: Vec<f64> = values.iter().map(|v| best(v)).collect();
+        let worsts: Vec<f64> = values.iter().map(|v| worst(v)).collect();
+        let all = mean_sd(&values.concat());
+        for (name, (mean, sd)) in [("", all), ("best_", mean_sd(&bests)), ("worst_", mean_sd(&worsts))] {
+            metrics.set(format!("{prefix}.{what}_{name}mean_m"), mean);
+            metrics.set(format!("{prefix}.{what}_{name}sd_m"), sd);
+        }
+    }
+    for s in scenes {
+        for shot in s.plans.get(&row).into_iter().flatten() {
+            spent.push(shot.evaluations as f64);
+            iterations.push(shot.iterations as f64);
+        }
+        let outcomes = s.realised.get(engine).and_then(|of| of.get(&row));
+        unfinished += outcomes.map_or(0, |v| v.iter().filter(|v| v.is_none()).count());
+    }
+    metrics.set(format!("{prefix}.unfinished"), unfinished);
+    metrics.set(format!("{prefix}.evaluations"), mean_sd(&spent).0);
+    if row == Row::Paper {
+        metrics.set(format!("{prefix}.iterations"), mean_sd(&iterations).0);
+    }
+}
+
+/// The one robust plan of each scene.
+fn add_single(metrics: &mut Metrics, prefix: &str, engine: &str, scenes: &[&BilliardsScene]) {
+    let (mut realised, mut predicted) = (Vec::new(), Vec::new());
+    for s in scenes {
+        let Some(value) = s.realised_m(engine, Row::Robust).and_then(|v| v.first().copied()) else {
+            continue;
+        };
+        metrics.set(format!("{prefix}.scene_{:02}.robust_single_m", s.number), value);
+        realised.push(value);
+        if let Some(shot) = s.plans.get(&Row::Robust).and_then(|v| v.first()) {
+            let expected = shot.predicted_mean_m.unwrap_or(shot.predicted_m);
+            metrics.set(format!("{prefix}.scene_{:02}.robust_single_predicted_m", s.number), expected);
+            predicted.push(expected);
+        }
+    }
+    let (mean, sd) = mean_sd(&realised);
+    metrics.set(format!("{prefix}.robust_single_mean_m"), mean);
+    metrics.set(format!("{prefix}.robust_single_sd_m"), sd);
+    metrics.set(format!("{prefix}.robust_single_predicted_mean_m"), mean_sd(&predicted).0);
+}

@@ -1,0 +1,22 @@
+//! The paper's billiards experiment (section "Experiments", Table 1) on the eighteen fixed scenes: scan, materialize, plan
+//! from many starts, and carry every plan out in the target worlds.
+//!
+//! What the planner sees is made in `seen.rs` from the recording and the materials it is told; plans in `rows.rs` are made
+//! of that alone. `realise.rs` is the only place where the truth decides anything. Every scene is a file that is written
+//! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
+//! in one folder.
+
+mod figures;
+mod options;
+mod realise;
+mod result;
+mod rows;
+mod run;
+mod seen;
+mod table;
+
+pub use figures::billiards_metrics;
+pub use options::{BilliardsBench, BilliardsGeometry};
+pub use result::{BilliardsScene, Row, Shot, read_billiards, write_shots};
+pub use run::run_billiards;
+pub use table::billiards_table;

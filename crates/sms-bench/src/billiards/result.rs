@@ -1,0 +1,191 @@
+//! What is kept of a scene.
+
+use super::{BilliardsBench, BilliardsGeometry};
+use crate::{BenchError, MaterialsTold};
+use serde::{Deserialize, Serialize};
+use sms_core::table::{Column, write_table};
+use sms_core::{CoreError, Hash, atomic};
+use sms_synth::{FIXED_SCENES, FixedScene, Layout};
+use sms_task::Action;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A planner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Row {
+    /// The paper's: plain Nelder-Mead from random starts, each its own plan.
+    Paper,
+    /// Ours: a small plan from each of as many seeds.
+    Ours,
+    /// Ours: one plan with the planner's default settings, which a user would carry out.
+    Robust,
+    /// The grid baseline.
+    Grid,
+}
+
+impl Row {
+    /// All of them, in the order of the table.
+    pub const ALL: [Self; 4] = [Self::Paper, Self::Ours, Self::Robust, Self::Grid];
+
+    /// The word in tables and keys.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Ours => "ours",
+            Self::Robust => "robust",
+            Self::Grid => "grid",
+        }
+    }
+}
+
+/// One plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shot {
+    /// What is done; `None` where the planner found no strike that the robot can make: nothing is done then.
+    pub action: Option<Action>,
+    /// Objective in the scanned world, metres; the distance of target ball and goal in it where nothing is done.
+    pub predicted_m: f64,
+    /// Mean over worlds that played no part in the choice, where the plan has one.
+    pub predicted_mean_m: Option<f64>,
+    /// Rollouts.
+    pub evaluations: usize,
+    /// Iterations of the local search, of one that has a single one.
+    pub iterations: usize,
+    /// Whether the arm can make the strike; else a finger that gives no way makes it (the baseline knows no arm).
+    pub by_arm: bool,
+}
+
+/// A scene's plans and what became of them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BilliardsScene {
+    /// What the plans were made from, as a hash.
+    pub key: Hash,
+    /// 1 to 18.
+    pub number: usize,
+    /// What the scene asks for.
+    pub layout: Layout,
+    /// What the planner was told of materials.
+    pub told: MaterialsTold,
+    /// Where its geometry came from.
+    pub geometry: BilliardsGeometry,
+    /// Distance of the target ball from the goal when nothing is done, metres (truth).
+    pub idle_m: f64,
+    /// Objects of the true scene.
+    pub objects: usize,
+    /// Those among them in whose place the planner's scene has a body.
+    pub matched: usize,
+    /// Bodies of the planner's scene, fixed ones included, in whose place nothing is.
+    pub strays: usize,
+    /// Why nothing could be planned.
+    pub problem: Option<String>,
+    /// Plans of every row.
+    pub plans: BTreeMap<Row, Vec<Shot>>,
+    /// Seconds of planning, by row.
+    pub seconds: BTreeMap<Row, f64>,
+    /// Realised objectives, metres, by the engine's name in metrics, in the order of `plans`; `None` where the engine could
+    /// not finish the shot.
+    pub realised: BTreeMap<String, BTreeMap<Row, Vec<Option<f64>>>>,
+    /// Engines that could not be used, with the reason.
+    #[serde(default)]
+    pub not_run: BTreeMap<String, String>,
+}
+
+impl BilliardsScene {
+    /// Realised objectives of a row, metres. A shot that the engine could not finish counts as one that does nothing.
+    pub fn realised_m(&self, engine: &str, row: Row) -> Option<Vec<f64>> {
+        let values = self.realised.get(engine)?.get(&row)?;
+        Some(values.iter().map(|v| v.unwrap_or(self.idle_m)).collect())
+    }
+
+    /// Predicted objectives of a row, metres.
+    pub fn predicted_m(&self, row: Row) -> Vec<f64> {
+        self.plans.get(&row).map_or_else(Vec::new, |shots| shots.iter().map(|s| s.predicted_m).collect())
+    }
+}
+
+/// What is kept of a scene; `None` where nothing is, or where it was made from something else.
+pub(super) fn kept(
+    bench: &BilliardsBench,
+    scene: &FixedScene,
+    told: MaterialsTold,
+) -> Result<Option<BilliardsScene>, CoreError> {
+    let path = bench.file(scene, told);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    // A file of an earlier version is made again.
+    let Ok(found) = atomic::read_json::<BilliardsScene>(&path) else { return Ok(None) };
+    Ok(Some(found).filter(|f| f.key == bench.key(scene, told)))
+}
+
+/// All results in the folder that were made with the settings of `bench`, of this run and of others, in the order of
+/// materials and scenes.
+///
+/// # Errors
+/// [`BenchError`] of a file that cannot be read.
+pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, BenchError> {
+    let mut all = Vec::new();
+    for told in MaterialsTold::ALL {
+        for scene in &FIXED_SCENES {
+            all.extend(kept(bench, scene, told)?);
+        }
+    }
+    Ok(all)
+}
+
+/// Writes one row for every shot and engine as Parquet: `scene`, `layout`, `geometry`, `materials`, `engine`, `row`,
+/// `start`, `predicted_m`, `realised_m`, `finished`, `evaluations`, `iterations`, `by_arm`, `speed_mps`, `angle_rad`.
+///
+/// # Errors
+/// [`CoreError::Write`].
+pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreError> {
+    let (mut scene, mut start, mut evaluations, mut iterations) = (vec![], vec![], vec![], vec![]);
+    let (mut finished, mut by_arm) = (vec![], vec![]);
+    let (mut layout, mut geometry, mut told, mut engines, mut rows) =
+        (vec![], vec![], vec![], vec![], vec![]);
+    let (mut predicted, mut realised, mut speed, mut angle) = (vec![], vec![], vec![], vec![]);
+    for s in scenes {
+        for (engine, of_engine) in &s.realised {
+            for (row, values) in of_engine {
+                for (i, (shot, value)) in s.plans[row].iter().zip(values).enumerate() {
+                    let parameter =
+                        |k: usize| shot.action.as_ref().and_then(|a| a.0.get(k).copied()).unwrap_or(f64::NAN);
+                    scene.push(s.number as i32);
+                    layout.push(s.layout.as_str().to_owned());
+                    geometry.push(s.geometry.as_str().to_owned());
+                    told.push(s.told.as_str().to_owned());
+                    engines.push(engine.clone());
+                    rows.push(row.as_str().to_owned());
+                    start.push(i as i32);
+                    predicted.push(shot.predicted_m);
+                    realised.push(value.unwrap_or(s.idle_m));
+                    finished.push(i32::from(value.is_some()));
+                    evaluations.push(shot.evaluations as i32);
+                    iterations.push(shot.iterations as i32);
+                    by_arm.push(i32::from(shot.by_arm));
+                    speed.push(parameter(0));
+                    angle.push(parameter(1));
+                }
+            }
+        }
+    }
+    let columns = [
+        ("scene", Column::I32(scene)),
+        ("layout", Column::Text(layout)),
+        ("geometry", Column::Text(geometry)),
+        ("materials", Column::Text(told)),
+        ("engine", Column::Text(engines)),
+        ("row", Column::Text(rows)),
+        ("start", Column::I32(start)),
+        ("predicted_m", Column::F64(predicted)),
+        ("realised_m", Column::F64(realised)),
+        ("finished", Column::I32(finished)),
+        ("evaluations", Column::I32(evaluations)),
+        ("iterations", Column::I32(iterations)),
+        ("by_arm", Column::I32(by_arm)),
+        ("speed_mps", Column::F64(speed)),
+        ("angle_rad", Column::F64(angle)),
+    ];
+    write_table(path, &columns)
+}

@@ -1,0 +1,239 @@
+//! Scene by scene.
+
+use super::result::kept;
+use super::rows::make;
+use super::seen::see;
+use super::{BilliardsBench, BilliardsScene};
+use crate::{BenchError, MaterialsTold, robot_of};
+use glamx::DVec2;
+use sms_core::{Cancel, Progress, atomic};
+use sms_plan::PlanError;
+use sms_synth::{FixedScene, TruthScene};
+use sms_target::TargetEngine;
+use sms_task::TaskError;
+use std::collections::BTreeMap;
+
+/// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they have not been carried out in.
+/// `done` is told of every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
+///
+/// # Errors
+/// [`BenchError`]. A scene in which the planner finds no cue or target ball is no error: nothing is done in it then.
+pub fn run_billiards(
+    bench: &BilliardsBench,
+    done: &dyn Fn(&BilliardsScene),
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(), BenchError> {
+    for &told in &bench.told {
+        for scene in &bench.scenes {
+            cancel.check()?;
+            done(&run_scene(bench, scene, told, progress, cancel)?);
+        }
+    }
+    Ok(())
+}
+
+fn run_scene(
+    bench: &BilliardsBench,
+    fixed: &FixedScene,
+    told: MaterialsTold,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<BilliardsScene, BenchError> {
+    let path = bench.file(fixed, told);
+    let before = if bench.scan.rescan { None } else { kept(bench, fixed, told)? };
+    let missing = |r: &BilliardsScene| {
+        let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
+        bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
+    };
+    if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty()) {
+        return Ok(result.clone());
+    }
+    let truth = fixed.generate();
+    let robot = robot_of(&truth);
+    let seen = see(bench, fixed, &truth, told, progress, cancel)?;
+    let mut result = match before {
+        Some(result) => result,
+        None => {
+            let mut result = BilliardsScene {
+                key: bench.key(fixed, told),
+                number: fixed.number,
+                layout: fixed.layout,
+                told,
+                geometry: bench.geometry,
+                idle_m: idle_m(&truth),
+                objects: truth.objects.len(),
+                matched: seen.matched,
+                strays: seen.strays,
+                problem: None,
+                plans: BTreeMap::new(),
+                seconds: BTreeMap::new(),
+                realised: BTreeMap::new(),
+                not_run: BTreeMap::new(),
+            };
+            let seed = bench.seed.derive_index("billiards", fixed.number as u64);
+            match make(bench, &seen, &robot, seed, progress, cancel) {
+                Ok(plans) => {
+                    for (row, (shots, seconds)) in plans {
+                        result.plans.insert(row, shots);
+                        result.seconds.insert(row, seconds);
+                    }
+                }
+                // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
+                Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
+                    result.do_nothing(bench, &e.to_string())
+                }
+                Err(e) => return Err(e),
+            }
+            atomic::write_json(&path, &result)?;
+            result
+        }
+    };
+    for engine in missing(&result) {
+        let target = match engine.target() {
+            Ok(target) => target,
+            Err(why) => {
+                result.not_run.insert(engine.key().to_owned(), why.to_string());
+                atomic::write_json(&path, &result)?;
+                continue;
+            }
+        };
+        result.not_run.remove(engine.key());
+        let realised = super::realise::realise(
+            &*target,
+            &seen,
+            &truth,
+            &robot,
+            &result.plans,
+            result.idle_m,
+            progress,
+            cancel,
+        )?;
+        result.realised.insert(engine.key().to_owned(), realised);
+        atomic::write_json(&path, &result)?;
+    }
+    Ok(result)
+}
+
+impl BilliardsScene {
+    /// Nothing could be planned.
+    fn do_nothing(&mut self, bench: &BilliardsBench, why: &str) {
+        use super::{Row, Shot};
+        self.problem = Some(why.to_owned());
+        let nothing = Shot {
+            action: None,
+            predicted_m: self.idle_m,
+            predicted_mean_m: None,
+            evaluations: 0,
+            iterations: 0,
+            by_arm: true,
+        };
+        for row in Row::ALL {
+            let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
+            self.plans.insert(row, vec![nothing.clone(); count]);
+        }
+    }
+}
+
+fn idle_m(truth: &TruthScene) -> f64 {
+    let ball = truth.object(&truth.target).map_or(DVec2::ZERO, |o| o.x_wb.translation.truncate());
+    ball.distance(DVec2::from_array(truth.goal_w))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::billiards::rows;
+    use crate::{BilliardsGeometry, Row, billiards_metrics, billiards_table, read_billiards, write_shots};
+    use sms_core::table::read_table;
+    use sms_core::{NoProgress, Seed};
+    use sms_plan::PlanConfig;
+    use sms_synth::{FIXED_SCENES, redraw_materials};
+    use std::path::Path;
+    use std::sync::Mutex;
+
+    /// Two starts with next to no rollouts, on the truth's geometry.
+    fn tiny(out: &Path, scenes: &[usize]) -> BilliardsBench {
+        let scenes = scenes.iter().map(|n| FIXED_SCENES[n - 1]).collect();
+        let mut bench = BilliardsBench::new(scenes, out, out);
+        bench.geometry = BilliardsGeometry::Truth;
+        bench.engines = vec![TargetEngine::Rapier];
+        bench.starts = 2;
+        bench.paper.nelder_mead.max_iterations = 4;
+        bench.ours = PlanConfig { robust_evaluations: 24, candidates: 2, finalists: 1, ..bench.ours };
+        bench.ours.disturbances.worlds = 1;
+        bench.robust = bench.ours.clone();
+        bench
+    }
+
+    #[test]
+    fn runs_go_on_where_they_were_and_shards_meet() {
+        let dir = tempfile::tempdir().unwrap();
+        let told = Mutex::new(Vec::new());
+        let run = |bench: &BilliardsBench| {
+            let note = |s: &BilliardsScene| told.lock().unwrap().push(s.clone());
+            run_billiards(bench, &note, &NoProgress, &Cancel::new()).unwrap();
+            told.lock().unwrap().drain(..).collect::<Vec<_>>()
+        };
+        let (one, two) = (tiny(dir.path(), &[1]), tiny(dir.path(), &[3]));
+        let first = run(&one);
+        run(&two);
+        assert_eq!(read_billiards(&one).unwrap().iter().map(|s| s.number).collect::<Vec<_>>(), [1, 3]);
+
+        // A finished scene is not run again: what the file says is what comes back.
+        let path = one.file(&one.scenes[0], MaterialsTold::Class);
+        let mut marked = first[0].clone();
+        marked.seconds.insert(Row::Grid, 77.0);
+        atomic::write_json(&path, &marked).unwrap();
+        assert_eq!(run(&one)[0].seconds[&Row::Grid], 77.0);
+        // Without its engine, it is carried out again and not planned again.
+        marked.realised.clear();
+        atomic::write_json(&path, &marked).unwrap();
+        let again = run(&one);
+        assert_eq!((again[0].seconds[&Row::Grid], &again[0].realised), (77.0, &first[0].realised));
+        // Other settings are another experiment.
+        let other = BilliardsBench { seed: Seed(1), ..tiny(dir.path(), &[1]) };
+        assert!(read_billiards(&other).unwrap().is_empty());
+
+        let all = read_billiards(&one).unwrap();
+        for s in &all {
+            let count = |row| s.realised["rapier_f64"][&row].len();
+            assert_eq!(
+                (count(Row::Paper), count(Row::Ours), count(Row::Robust), count(Row::Grid)),
+                (2, 2, 1, 1)
+            );
+        }
+        let metrics = billiards_metrics(&all);
+        let get = |key: &str| metrics.number(&format!("bench.billiards.rapier_f64.{key}")).unwrap();
+        let single = [1, 3].map(|n| get(&format!("ours.class.scene_{n:02}.robust_single_m")));
+        assert!((get("ours.class.robust_single_mean_m") - 0.5 * (single[0] + single[1])).abs() < 1e-12);
+        assert_eq!(get("grid.class.realised_mean_m"), get("grid.class.realised_best_mean_m"));
+        assert!(get("paper.class.predicted_best_mean_m") <= get("paper.class.predicted_mean_m"));
+        let text = billiards_table(&all);
+        assert!(
+            text.contains("20.5 (17.9)") && text.contains("same engine") && text.contains("vlm: not run")
+        );
+
+        let parquet = dir.path().join("shots.parquet");
+        write_shots(&parquet, &all).unwrap();
+        let rows = read_table(&parquet).unwrap();
+        assert!(rows.iter().all(|(_, column)| column.len() == 2 * 6));
+    }
+
+    #[test]
+    fn plans_do_not_depend_on_true_materials_that_are_not_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let bench = tiny(dir.path(), &[8]);
+        let fixed = bench.scenes[0];
+        let plans = |truth: &TruthScene, told| {
+            let seen = see(&bench, &fixed, truth, told, &NoProgress, &Cancel::new()).unwrap();
+            let robot = robot_of(truth);
+            let plans = rows::make(&bench, &seen, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap();
+            plans.into_iter().map(|(row, (shots, _))| (row, shots)).collect::<Vec<_>>()
+        };
+        let truth = fixed.generate();
+        let other = redraw_materials(&truth, Seed(9));
+        assert_eq!(plans(&truth, MaterialsTold::Class), plans(&other, MaterialsTold::Class));
+        assert_ne!(plans(&truth, MaterialsTold::Truth), plans(&other, MaterialsTold::Truth));
+    }
+}

@@ -1,0 +1,225 @@
+//! The scene that the planner sees.
+
+use super::{BilliardsBench, BilliardsGeometry};
+use crate::materialize::scan_key;
+use crate::told::set_material;
+use crate::{BenchError, BenchOptions, BenchScene, MaskChoice, MaterialsTold, train};
+use glamx::DMat3;
+use sms_core::{
+    Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, Warnings, hash_serializable,
+};
+use sms_entities::build_entities;
+use sms_materials::MaterialTable;
+use sms_plan::PlanError;
+use sms_scene::{Body, BodyKind, BodyShape, Scene, build_scene, load_scene, save_scene};
+use sms_sim::{RapierFactory, RestLimits, fix_restless};
+use sms_synth::{FixedScene, TruthScene};
+use sms_target::{match_bodies, scene_from_truth};
+use sms_task::{Billiards, Selector, Task};
+
+/// Seed of the entities stage; `sms materialize` has the same default.
+const SEED: Seed = Seed(0);
+
+/// A scene as the planner sees it, with the task in it.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) scene: Scene,
+    pub(super) task: Task,
+    /// True objects in whose place a body is.
+    pub(super) matched: usize,
+    /// Bodies in whose place no object is.
+    pub(super) strays: usize,
+}
+
+/// Makes it, or finds it where it was kept: the geometry with the prior's materials, then what is told.
+pub(super) fn see(
+    bench: &BilliardsBench,
+    fixed: &FixedScene,
+    truth: &TruthScene,
+    told: MaterialsTold,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Seen, BenchError> {
+    let mut scene = match bench.geometry {
+        BilliardsGeometry::Truth => {
+            let mut scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
+            scene.bodies.iter_mut().for_each(forget_material);
+            scene
+        }
+        BilliardsGeometry::Scan => scanned(bench, fixed, progress, cancel)?,
+    };
+    let pairs = tell_matched(&mut scene, truth, told, Seed(fixed.seed))?;
+    let goal = truth.goal_w;
+    let goal_w = scene
+        .x_world_recording
+        .transform_point(glamx::DVec3::new(goal[0], goal[1], 0.0))
+        .truncate()
+        .to_array();
+    let task = match bench.geometry {
+        BilliardsGeometry::Truth => {
+            Billiards::new(Selector::by_name(&truth.cue), Selector::by_name(&truth.target), goal_w)
+        }
+        // What a user would say.
+        BilliardsGeometry::Scan => {
+            Billiards::new(Selector::sphere_of_color("white"), Selector::sphere_of_color("blue"), goal_w)
+        }
+    };
+    let bodies = scene.bodies.iter().filter(|b| is_object(b)).count();
+    Ok(Seen { task: Task::Billiards(task), matched: pairs, strays: bodies - pairs, scene })
+}
+
+/// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
+/// is rounded, because the last bits of a quotient tell of the divisor.
+fn forget_material(body: &mut Body) {
+    let is_sphere = matches!(body.shape, BodyShape::Sphere { .. });
+    let prior = MaterialTable::builtin().prior(is_sphere);
+    let density = body.material.effective_density();
+    if let Some(was) = body.mass.filter(|_| density > 0.0) {
+        let rounded = |v: f64| f64::from((v / density) as f32) * prior.effective_density();
+        let inertia = DMat3::from_cols_array(&was.inertia().to_cols_array().map(rounded));
+        // As possible an inertia as before, up to rounding.
+        body.mass = MassProperties::new(rounded(was.mass()), was.com(), inertia).ok();
+    }
+    body.material = prior;
+}
+
+/// The scene that scan and materialize make of the recording. Materials are the prior's.
+fn scanned(
+    bench: &BilliardsBench,
+    fixed: &FixedScene,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Scene, BenchError> {
+    let which = BenchScene::Fixed(fixed.number);
+    let true_masks = bench.scan.masks == MaskChoice::Truth;
+    let options = BenchOptions { true_masks, ..bench.scan.bench.clone() };
+    let key = hash_serializable(&(scan_key(&which, &options)?, fixed.generate(), &options.entities, SEED)).0;
+    let dir = bench.scan.keep.join("scenes").join(format!("{which}-{}", &key[..12]));
+    if !bench.scan.rescan && dir.join("scene.json").is_file() {
+        return Ok(load_scene(&dir)?);
+    }
+    let warnings = Warnings::new();
+    let missing = || {
+        sms_core::InputError::new(
+            format!("there is no scene {}", fixed.number),
+            "--scenes",
+            "give numbers from 1 to 18",
+        )
+    };
+    let trained = train(&which, &bench.scan, progress, cancel, &warnings)?.ok_or_else(missing)?;
+    let set = build_entities(
+        &trained.model,
+        &trained.sequence,
+        &trained.labels,
+        &options.entities,
+        SEED,
+        progress,
+        cancel,
+        &warnings,
+    )?;
+    let table = MaterialTable::builtin();
+    let materials: Vec<_> =
+        set.entities.iter().map(|e| table.prior(matches!(e.shape, EntityShape::Sphere { .. }))).collect();
+    let support = set.support_height.map(|z_w| (z_w, table.prior(false)));
+    let x_world_recording = trained.sequence.x_world_recording;
+    let mut scene = build_scene(&which.to_string(), &set.entities, &materials, support, x_world_recording)?;
+    if trained.labels.source == MaskSource::Geometry {
+        fix_restless(&RapierFactory, &mut scene, &RestLimits::default()).map_err(PlanError::from)?;
+    }
+    save_scene(&dir, &scene)?;
+    Ok(scene)
+}
+
+/// Whether it is a thing of some size, and not the floor or the background.
+fn is_object(body: &Body) -> bool {
+    !matches!(body.shape, BodyShape::HalfSpace) && body.mass.is_some()
+}
+
+/// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
+/// are. Names of the two scenes have nothing to do with each other.
+fn tell_matched(
+    scene: &mut Scene,
+    truth: &TruthScene,
+    told: MaterialsTold,
+    seed: Seed,
+) -> Result<usize, BenchError> {
+    let mut true_scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
+    for body in &mut true_scene.bodies {
+        body.x_wb = scene.x_world_recording * body.x_wb;
+    }
+    // What did not rest by itself was fixed, and is still made of something.
+    let mut own = scene.clone();
+    for body in own.bodies.iter_mut().filter(|b| is_object(b)) {
+        body.kind = BodyKind::Dynamic;
+    }
+    let pairs = match_bodies(&own, &true_scene);
+    for body in &mut scene.bodies {
+        if matches!(body.shape, BodyShape::HalfSpace) {
+            set_material(body, told.of_floor(&truth.floor.material, seed));
+        } else if let Some(object) = pairs.iter().find(|p| p.0 == body.name).and_then(|p| truth.object(&p.1))
+        {
+            set_material(body, told.of_object(object, seed));
+        }
+    }
+    Ok(pairs.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::NoProgress;
+    use sms_synth::{FIXED_SCENES, redraw_materials};
+
+    fn seen(truth: &TruthScene, told: MaterialsTold) -> Seen {
+        let mut bench = BilliardsBench::new(vec![], std::path::Path::new("keep"), "out");
+        bench.geometry = BilliardsGeometry::Truth;
+        see(&bench, &FIXED_SCENES[7], truth, told, &NoProgress, &Cancel::new()).unwrap()
+    }
+
+    #[test]
+    fn true_materials_are_seen_only_where_they_are_told() {
+        let truth = FIXED_SCENES[7].generate();
+        let other = redraw_materials(&truth, Seed(5));
+        assert!(truth.objects.iter().zip(&other.objects).all(|(a, b)| a.mass.mass() != b.mass.mass()));
+        for told in [MaterialsTold::Class, MaterialsTold::Prior] {
+            let (a, b) = (seen(&truth, told), seen(&other, told));
+            assert_eq!((a.scene.bodies, a.task), (b.scene.bodies, b.task));
+        }
+        for told in [MaterialsTold::Noisy, MaterialsTold::Truth] {
+            assert_ne!(seen(&truth, told).scene.bodies, seen(&other, told).scene.bodies);
+        }
+    }
+
+    #[test]
+    fn the_truth_told_is_the_truth() {
+        let truth = FIXED_SCENES[7].generate();
+        let told = seen(&truth, MaterialsTold::Truth);
+        assert_eq!((told.matched, told.strays), (truth.objects.len(), 0));
+        for object in &truth.objects {
+            let body = told.scene.bodies.iter().find(|b| b.name == object.name).unwrap();
+            assert_eq!(body.material, object.material);
+            assert!((body.mass.unwrap().mass() / object.mass.mass() - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn what_lies_elsewhere_or_is_called_otherwise_is_told_by_its_place() {
+        let truth = FIXED_SCENES[7].generate();
+        let mut scene = scene_from_truth(&truth).unwrap();
+        scene.bodies.iter_mut().for_each(forget_material);
+        let names: Vec<String> = scene.bodies.iter().map(|b| b.name.clone()).collect();
+        for (i, body) in scene.bodies.iter_mut().enumerate() {
+            body.name = format!("object_{i:02}");
+        }
+        // The last one is not where any object is.
+        let last = scene.bodies.len() - 1;
+        scene.bodies[last].x_wb.translation.x += 3.0;
+        let prior = scene.bodies[last].material.clone();
+        let pairs = tell_matched(&mut scene, &truth, MaterialsTold::Truth, Seed(0)).unwrap();
+        assert_eq!(pairs, truth.objects.len() - 1);
+        assert_eq!(scene.bodies[last].material, prior);
+        for (body, name) in scene.bodies[1..last].iter().zip(&names[1..]) {
+            assert_eq!(body.material, truth.object(name).unwrap().material);
+        }
+    }
+}
