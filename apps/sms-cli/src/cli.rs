@@ -359,7 +359,7 @@ pub(crate) struct Demo {
     /// Folder of the run (default: runs/billiards-SEED).
     #[arg(long, value_name = "RUN")]
     pub out: Option<PathBuf>,
-    /// A smaller recording and less search: about a minute and a half.
+    /// A smaller recording and less search: about half a minute.
     #[arg(long)]
     pub quick: bool,
     /// How much work to spend on the scan.
