@@ -3,7 +3,7 @@
 use crate::plan_scenes::true_scene;
 use crate::{BenchError, PlanScene};
 use rayon::prelude::*;
-use sms_core::{Cancel, Mesh, Seed};
+use sms_core::{Cancel, Seed};
 use sms_plan::{Disturbances, PlanError};
 use sms_scene::Scene;
 use sms_sim::{RapierFactory, SimError, StrikerMotion};
@@ -35,10 +35,7 @@ impl<'a> TrueWorlds<'a> {
         let scenes = (0..count)
             .map(|index| {
                 let truth = redraw_materials(&scene.truth, seed.derive_index("materials", index as u64));
-                let mut bare = true_scene(&truth, scene.seed)?;
-                for body in &mut bare.bodies {
-                    (body.visual, body.texture) = (Mesh::default(), None);
-                }
+                let bare = true_scene(&truth, scene.seed)?.without_pictures();
                 Ok(errors.scene(&bare, seed, index))
             })
             .collect::<Result<_, BenchError>>()?;

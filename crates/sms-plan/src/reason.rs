@@ -7,7 +7,7 @@ use crate::strategy::{Story, story_of};
 use crate::worlds::{Counter, Worlds};
 use crate::{LocalSearch, NelderMead, Phase, PlanConfig, PlanError, Strategy, Trial};
 use serde::{Deserialize, Serialize};
-use sms_core::{MassProperties, Mesh, length_text};
+use sms_core::{MassProperties, length_text};
 use sms_scene::{Body, BodyKind, Scene};
 use sms_sim::{BodyId, SimError, WorldFactory};
 use sms_task::{Action, Recording, ResolvedTask, Rollout};
@@ -352,10 +352,7 @@ impl Explaining<'_> {
     }
 
     fn world(&self, change: &Change) -> Result<Worlds<'_>, PlanError> {
-        let mut scene = self.scene.clone();
-        for body in &mut scene.bodies {
-            (body.visual, body.texture) = (Mesh::default(), None);
-        }
+        let mut scene = self.scene.without_pictures();
         change.apply(&mut scene.bodies[change.body]);
         Worlds::new(self.task, Cow::Owned(scene), self.factory)
     }

@@ -129,10 +129,7 @@ impl Sensing<'_> {
         let (seed, action) = (self.seed.derive("sensitivity"), &self.winner.action);
         let Some(index) = self.scene.body_index(name) else { return Ok(None) };
         let material = |u: &Unknown| matches!(u, Unknown::Material { body } if body == name);
-        let mut bare = self.scene.clone();
-        for body in &mut bare.bodies {
-            (body.visual, body.texture) = (sms_core::Mesh::default(), None);
-        }
+        let bare = self.scene.without_pictures();
         let mut most: Option<(f64, BodyProperty)> = None;
         for (k, property) in BodyProperty::ALL.into_iter().enumerate() {
             let row: Vec<f64> = (0..each)

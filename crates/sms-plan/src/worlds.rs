@@ -204,11 +204,7 @@ impl<'a> DisturbedWorlds<'a> {
         indices: std::ops::Range<usize>,
         which: &(dyn Fn(&Unknown) -> bool + Sync),
     ) -> Result<Self, PlanError> {
-        // Pictures of every world at once would fill the memory.
-        let mut bare = scene.clone();
-        for body in &mut bare.bodies {
-            (body.visual, body.texture) = (sms_core::Mesh::default(), None);
-        }
+        let bare = scene.without_pictures();
         let worlds = indices
             .into_par_iter()
             .map(|index| {

@@ -125,6 +125,33 @@ impl Scene {
         self.bodies.iter().find(|b| b.name == name)
     }
 
+    /// The scene as physics needs it: bodies without visual meshes and pictures, which are never copied. Of a hundred
+    /// disturbed scenes they would fill the memory.
+    pub fn without_pictures(&self) -> Self {
+        let bare = |b: &Body| Body {
+            name: b.name.clone(),
+            label: b.label,
+            description: b.description.clone(),
+            kind: b.kind,
+            x_wb: b.x_wb,
+            shape: b.shape.clone(),
+            visual: Mesh::default(),
+            texture: None,
+            mass: b.mass,
+            material: b.material.clone(),
+            color: b.color,
+            observed_share: b.observed_share,
+            fit_se_m: b.fit_se_m,
+        };
+        Self {
+            version: self.version,
+            name: self.name.clone(),
+            gravity_w: self.gravity_w,
+            x_world_recording: self.x_world_recording,
+            bodies: self.bodies.iter().map(bare).collect(),
+        }
+    }
+
     /// Index of the body of this name.
     pub fn body_index(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|b| b.name == name)
