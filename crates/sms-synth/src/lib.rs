@@ -22,8 +22,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod ambient;
 mod assets;
 mod billiards;
+mod brdf;
 mod bvh;
 mod challenge;
 mod depth_camera;
@@ -38,12 +40,13 @@ mod scene;
 mod shading;
 mod shapes;
 mod skin;
+mod stage;
 mod texture;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
-pub use depth_camera::DepthCamera;
+pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIXED_SCENES, FixedScene};
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};

@@ -189,7 +189,8 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
         accent: model.color,
         scale_m: 0.02,
         seed: rng.random::<u32>(),
-        gloss: 0.1,
+        gloss: 0.3,
+        metalness: 0.0,
         spots: Vec::new(),
     };
     let mesh = turned.transformed(&DPose3::from_translation(-com));
