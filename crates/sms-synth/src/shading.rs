@@ -33,7 +33,7 @@ impl Lamp {
 /// The lamps of the studio: a warm key light, a cooler fill light from the other side, and one behind.
 pub(crate) fn lamps() -> [Lamp; LAMPS] {
     [
-        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.20, color: Vec3::new(1.32, 1.24, 1.12) },
+        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.20, color: Vec3::new(1.28, 1.24, 1.17) },
         Lamp { center: Vec3::new(1.9, 1.5, 1.9), radius: 0.35, color: Vec3::new(0.30, 0.34, 0.40) },
         Lamp { center: Vec3::new(-0.9, 1.3, 2.4), radius: 0.28, color: Vec3::new(0.24, 0.24, 0.23) },
     ]
