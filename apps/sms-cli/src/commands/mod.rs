@@ -22,6 +22,7 @@ pub(crate) mod sample;
 pub(crate) mod scan;
 pub(crate) mod settings;
 pub(crate) mod simulate;
+pub(crate) mod synth;
 pub(crate) mod view;
 pub(crate) mod vlm;
 
