@@ -71,8 +71,9 @@ mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use billiards::{
-    BilliardsBench, BilliardsGeometry, BilliardsScene, Row, Shot, billiards_metrics, billiards_table,
-    read_billiards, run_billiards, write_shots,
+    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot, Way,
+    billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, write_pictures,
+    write_shots,
 };
 pub use bootstrap::{Paired, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};

@@ -8,7 +8,7 @@ use crate::context::Context;
 use clap::{Args, ValueEnum};
 use sms_bench::{
     BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row,
-    billiards_metrics, billiards_table, read_billiards, run_billiards, write_shots,
+    billiards_metrics, billiards_table, read_billiards, run_billiards, write_pictures, write_shots,
 };
 use sms_core::{InputError, Seed};
 use sms_entities::EntitiesConfig;
@@ -50,6 +50,10 @@ pub(crate) struct BenchBilliards {
     /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 10).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
+    /// Tell where the loss between predicted and realised comes from: shapes, poses, materials and engine are replaced by
+    /// the truth one at a time, and as many starts (default: 8) are planned again with each.
+    #[arg(long, value_name = "STARTS", num_args = 0..=1, default_missing_value = "8")]
+    pub ablation: Option<usize>,
     /// Seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
@@ -108,7 +112,9 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
     metrics.set("bench.billiards.preset", bench.scan.bench.preset_name());
     metrics.set("bench.billiards.starts", bench.starts);
     write_shots(&bench.out.join("shots.parquet"), &found)?;
-    finish(context, &metrics, Some(&bench.out.join("results.json")), billiards_table(&found).trim_end())
+    let text = billiards_table(&found);
+    write_pictures(&bench.out, &found, &text)?;
+    finish(context, &metrics, Some(&bench.out.join("results.json")), text.trim_end())
 }
 
 fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
@@ -144,6 +150,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     }
     bench.starts = a.starts.unwrap_or(if a.quick { 10 } else { bench.starts }).max(1);
     bench.seed = Seed(a.seed);
+    bench.ablation_starts = a.ablation.map_or(0, |starts| starts.max(1));
     let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     bench.robust = context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
     Ok(bench)

@@ -1,15 +1,19 @@
 //! Scene by scene.
 
+use super::ablation::ablate;
+use super::drawing::{outlines, ways};
+use super::realise::Table;
 use super::result::kept;
-use super::rows::make;
-use super::seen::see;
-use super::{BilliardsBench, BilliardsScene};
-use crate::{BenchError, MaterialsTold, robot_of};
+use super::rows::{View, make};
+use super::seen::{Seen, see};
+use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
+use crate::{BenchError, MaterialsTold, cpu_seconds, robot_of};
 use glamx::DVec2;
-use sms_core::{Cancel, Progress, atomic};
+use sms_core::{Cancel, Progress, Seed, atomic};
 use sms_plan::PlanError;
+use sms_robot::RobotConfig;
 use sms_synth::{FixedScene, TruthScene};
-use sms_target::TargetEngine;
+use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::TaskError;
 use std::collections::BTreeMap;
 
@@ -46,49 +50,29 @@ fn run_scene(
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
     };
-    if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty()) {
+    let ablated = |r: &BilliardsScene| {
+        bench.ablation_starts == 0
+            || r.ablation.as_ref().is_some_and(|a| a.starts == bench.ablation_starts.min(bench.starts))
+    };
+    if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty() && ablated(r)) {
         return Ok(result.clone());
     }
     let truth = fixed.generate();
     let robot = robot_of(&truth);
+    let clock = Clock::start();
     let seen = see(bench, fixed, &truth, told, progress, cancel)?;
+    let see_s = clock.cpu_s();
+    let seed = bench.seed.derive_index("billiards", fixed.number as u64);
     let mut result = match before {
         Some(result) => result,
         None => {
-            let mut result = BilliardsScene {
-                key: bench.key(fixed, told),
-                number: fixed.number,
-                layout: fixed.layout,
-                told,
-                geometry: bench.geometry,
-                idle_m: idle_m(&truth),
-                objects: truth.objects.len(),
-                matched: seen.matched,
-                strays: seen.strays,
-                problem: None,
-                plans: BTreeMap::new(),
-                seconds: BTreeMap::new(),
-                realised: BTreeMap::new(),
-                not_run: BTreeMap::new(),
-            };
-            let seed = bench.seed.derive_index("billiards", fixed.number as u64);
-            match make(bench, &seen, &robot, seed, progress, cancel) {
-                Ok(plans) => {
-                    for (row, (shots, seconds)) in plans {
-                        result.plans.insert(row, shots);
-                        result.seconds.insert(row, seconds);
-                    }
-                }
-                // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
-                Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
-                    result.do_nothing(bench, &e.to_string())
-                }
-                Err(e) => return Err(e),
-            }
+            let mut result = plan_all(bench, fixed, told, &seen, &truth, &robot, seed, progress, cancel)?;
+            result.cpu_s.extend(see_s.map(|s| ("see".to_owned(), s)));
             atomic::write_json(&path, &result)?;
             result
         }
     };
+    let view_of = |row: Row| View { task: &seen.task, scene: seen.scene_of(row) };
     for engine in missing(&result) {
         let target = match engine.target() {
             Ok(target) => target,
@@ -99,39 +83,111 @@ fn run_scene(
             }
         };
         result.not_run.remove(engine.key());
-        let realised = super::realise::realise(
-            &*target,
-            &seen,
-            &truth,
-            &robot,
-            &result.plans,
-            result.idle_m,
-            progress,
-            cancel,
-        )?;
-        result.realised.insert(engine.key().to_owned(), realised);
+        let clock = Clock::start();
+        let table = Table { target: &*target, truth: &truth, robot: &robot, idle_m: result.idle_m };
+        let realised = table.realise(&view_of, &result.plans, progress, cancel)?;
+        result.realised.insert(engine.key().to_owned(), realised.rows);
+        if let Some(motion) = &realised.motion {
+            result.drawing.realised.insert(engine.key().to_owned(), ways(motion));
+        }
+        result.cpu_s.extend(clock.cpu_s().map(|s| (engine.key().to_owned(), s)));
+        atomic::write_json(&path, &result)?;
+    }
+    if !ablated(&result) {
+        let clock = Clock::start();
+        let ablation = ablate(bench, &result, &seen, &truth, &robot, seed, progress, cancel)?;
+        result.ablation = Some(ablation);
+        result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
         atomic::write_json(&path, &result)?;
     }
     Ok(result)
 }
 
-impl BilliardsScene {
-    /// Nothing could be planned.
-    fn do_nothing(&mut self, bench: &BilliardsBench, why: &str) {
-        use super::{Row, Shot};
-        self.problem = Some(why.to_owned());
-        let nothing = Shot {
-            action: None,
-            predicted_m: self.idle_m,
-            predicted_mean_m: None,
-            evaluations: 0,
-            iterations: 0,
-            by_arm: true,
-        };
-        for row in Row::ALL {
-            let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
-            self.plans.insert(row, vec![nothing.clone(); count]);
+/// All plans of a scene.
+fn plan_all(
+    bench: &BilliardsBench,
+    fixed: &FixedScene,
+    told: MaterialsTold,
+    seen: &Seen,
+    truth: &TruthScene,
+    robot: &RobotConfig,
+    seed: Seed,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<BilliardsScene, BenchError> {
+    let mut result = BilliardsScene {
+        key: bench.key(fixed, told),
+        number: fixed.number,
+        layout: fixed.layout,
+        told,
+        geometry: bench.geometry,
+        idle_m: idle_m(truth),
+        objects: truth.objects.len(),
+        matched: seen.matched,
+        strays: seen.strays,
+        problem: None,
+        plans: BTreeMap::new(),
+        seconds: BTreeMap::new(),
+        realised: BTreeMap::new(),
+        not_run: BTreeMap::new(),
+        cpu_s: BTreeMap::new(),
+        drawing: drawing(seen, truth)?,
+        ablation: None,
+    };
+    for row in [Row::Grid, Row::Robust, Row::Ours, Row::Paper] {
+        let view = View { task: &seen.task, scene: seen.scene_of(row) };
+        match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
+            Ok(planned) => {
+                result.plans.insert(row, planned.shots);
+                result.seconds.insert(row, planned.seconds);
+                result.cpu_s.extend(planned.cpu_s.map(|s| (format!("plan_{}", row.as_str()), s)));
+                if let Some(motion) = planned.motion {
+                    result.drawing.predicted = ways(&motion);
+                }
+            }
+            // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
+            Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
+                if row != Row::Paper {
+                    result.problem = Some(e.to_string());
+                }
+                let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
+                result.plans.insert(row, vec![Shot::nothing(result.idle_m); count]);
+            }
+            Err(e) => return Err(e),
         }
+    }
+    Ok(result)
+}
+
+/// What stands there, as planned and in truth.
+fn drawing(seen: &Seen, truth: &TruthScene) -> Result<Drawing, BenchError> {
+    let mut real = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
+    let x_wt = seen.scene.x_world_recording;
+    for body in &mut real.bodies {
+        body.x_wb = x_wt * body.x_wb;
+    }
+    let resolved = seen.task.resolve(&seen.scene).ok();
+    let goal = DVec2::from_array(truth.goal_w).extend(0.0);
+    Ok(Drawing {
+        goal_w: Some(x_wt.transform_point(goal).truncate().to_array()),
+        balls: resolved.map(|t| [t.cue().name.clone(), t.target().name.clone()]),
+        true_balls: [truth.cue.clone(), truth.target.clone()],
+        planned: outlines(&seen.scene),
+        truth: outlines(&real),
+        ..Drawing::default()
+    })
+}
+
+/// CPU seconds of this process, where the system tells.
+struct Clock(Option<f64>);
+
+impl Clock {
+    fn start() -> Self {
+        Self(cpu_seconds())
+    }
+
+    fn cpu_s(&self) -> Option<f64> {
+        Some(cpu_seconds()? - self.0?)
     }
 }
 
@@ -143,10 +199,11 @@ fn idle_m(truth: &TruthScene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::billiards::rows;
-    use crate::{BilliardsGeometry, Row, billiards_metrics, billiards_table, read_billiards, write_shots};
+    use crate::{
+        BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_shots,
+    };
     use sms_core::table::read_table;
-    use sms_core::{NoProgress, Seed};
+    use sms_core::NoProgress;
     use sms_plan::PlanConfig;
     use sms_synth::{FIXED_SCENES, redraw_materials};
     use std::path::Path;
@@ -228,8 +285,11 @@ mod tests {
         let plans = |truth: &TruthScene, told| {
             let seen = see(&bench, &fixed, truth, told, &NoProgress, &Cancel::new()).unwrap();
             let robot = robot_of(truth);
-            let plans = rows::make(&bench, &seen, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap();
-            plans.into_iter().map(|(row, (shots, _))| (row, shots)).collect::<Vec<_>>()
+            let make = |row| {
+                let view = View { task: &seen.task, scene: seen.scene_of(row) };
+                make(&bench, view, row, 2, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap().shots
+            };
+            Row::ALL.map(make)
         };
         let truth = fixed.generate();
         let other = redraw_materials(&truth, Seed(9));
