@@ -117,12 +117,16 @@ fn add_ablation(metrics: &mut Metrics, told: MaterialsTold, scenes: &[&Billiards
     metrics.set(format!("{prefix}.starts"), ablation.starts);
     metrics.set(format!("{prefix}.scenes"), there.len());
     for what in Replaced::ALL {
-        for (row, name) in [(Row::Ours, "realised_mean_m"), (Row::Robust, "robust_single_mean_m")] {
+        for (row, name, of_scene) in [
+            (Row::Ours, "realised_mean_m", "realised_mean_m"),
+            (Row::Robust, "robust_single_mean_m", "robust_single_m"),
+        ] {
             let mut values = Vec::new();
             for s in &there {
                 let value = s.ablation.as_ref().and_then(|a| a.realised_m(what, row, s.idle_m));
                 if let Some(value) = value {
-                    metrics.set(format!("{prefix}.scene_{:02}.{}.{name}", s.number, what.as_str()), value);
+                    let key = format!("{prefix}.scene_{:02}.{}.{of_scene}", s.number, what.as_str());
+                    metrics.set(key, value);
                     values.push(value);
                 }
             }

@@ -2,6 +2,7 @@
 
 use crate::{BenchOptions, MaskChoice, MaterializeOptions, MaterialsTold};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
 use sms_convex::ConvexConfig;
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
@@ -153,6 +154,37 @@ impl BilliardsBench {
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
         hash_serializable(&(VERSION, scene.generate(), told, seen, plans))
+    }
+
+    /// What the figures depend on, besides scenes and code, for comparing parts of a run.
+    pub fn settings(&self) -> Map<String, Value> {
+        let bench = &self.scan.bench;
+        let mut map = Map::new();
+        let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
+        for (name, value) in [
+            ("materials", json!(self.told)),
+            ("geometry", json!(self.geometry)),
+            ("preset", json!(bench.preset_name())),
+            ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
+            ("frames", json!(bench.frames)),
+            ("read", json!(bench.read)),
+            ("load", json!(bench.load)),
+            ("masks", json!(bench.masks)),
+            ("scan", json!(bench.scan)),
+            ("entities", json!(bench.entities)),
+            ("paper_entities", json!(self.paper_entities)),
+            ("engines", json!(engines)),
+            ("starts", json!(self.starts)),
+            ("ablation_starts", json!(self.ablation_starts)),
+            ("paper", json!(self.paper)),
+            ("ours", json!(self.ours)),
+            ("robust", json!(self.robust)),
+            ("grid", json!(self.grid)),
+            ("seed", json!(self.seed)),
+        ] {
+            map.insert(name.to_owned(), value);
+        }
+        map
     }
 
     /// File of a scene.

@@ -200,10 +200,11 @@ fn idle_m(truth: &TruthScene) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_shots,
+        BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_pictures,
+        write_shots,
     };
-    use sms_core::table::read_table;
     use sms_core::NoProgress;
+    use sms_core::table::read_table;
     use sms_plan::PlanConfig;
     use sms_synth::{FIXED_SCENES, redraw_materials};
     use std::path::Path;
@@ -275,6 +276,48 @@ mod tests {
         write_shots(&parquet, &all).unwrap();
         let rows = read_table(&parquet).unwrap();
         assert!(rows.iter().all(|(_, column)| column.len() == 2 * 6));
+    }
+
+    #[test]
+    fn with_everything_true_plans_do_what_they_promise_and_pictures_are_complete() {
+        let dir = tempfile::tempdir().unwrap();
+        let bench = BilliardsBench { ablation_starts: 1, ..tiny(dir.path(), &[8]) };
+        let run = || run_billiards(&bench, &|_| {}, &NoProgress, &Cancel::new()).unwrap();
+        run();
+        let all = read_billiards(&bench).unwrap();
+        let ablation = all[0].ablation.as_ref().unwrap();
+        assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier_f64", Replaced::ALL.len()));
+        for row in [Row::Ours, Row::Robust] {
+            // Nothing differs: neither what is known nor the engine nor its step.
+            let of = &ablation.rows[&Replaced::All][&row];
+            let realised = of.realised_m[0].unwrap();
+            assert!((realised - of.predicted_m[0]).abs() < 1e-5, "{realised} {:?}", of.predicted_m);
+            // Nothing replaced is what was run anyway.
+            let none = &ablation.rows[&Replaced::None][&row];
+            assert_eq!(none.realised_m[0], all[0].realised["rapier_f64"][&row][0]);
+        }
+        let metrics = billiards_metrics(&all);
+        for what in Replaced::ALL {
+            for name in ["realised_mean_m", "robust_single_mean_m"] {
+                let key = format!("bench.billiards.ablation.{}.{name}", what.as_str());
+                assert!(metrics.number(&key).is_some_and(f64::is_finite), "{key}");
+            }
+        }
+        // A finished ablation is not made again.
+        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        run();
+        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        assert_eq!(before.modified().unwrap(), after.modified().unwrap());
+
+        write_pictures(dir.path(), &all, "a < b").unwrap();
+        let page = std::fs::read_to_string(dir.path().join("index.html")).unwrap();
+        assert!(page.contains("a &lt; b") && page.contains("row ours") && page.contains("row paper"));
+        // Each body of the true scene is drawn in the picture of what was realised, and the balls leave ghosts.
+        let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
+        let picture = std::fs::read_to_string(picture).unwrap();
+        assert_eq!(picture.matches("aria-label=\"the shot from above\"").count(), 2);
+        assert!(picture.matches("<circle").count() > 10 && picture.contains("realised"), "{picture}");
+        assert!(page.len() > picture.len() && !page.contains("href"));
     }
 
     #[test]
