@@ -135,8 +135,13 @@ impl TopView {
             canvas.path(&mut svg, path);
         }
         if !self.title.is_empty() {
-            let _ =
-                write!(svg, "<text x=\"10\" y=\"22\" font-size=\"16\" fill=\"#222\">{}</text>", self.title);
+            let size = (self.size_px / 22.0).clamp(9.0, 16.0);
+            let _ = write!(
+                svg,
+                "<text x=\"8\" y=\"{:.0}\" font-size=\"{size:.0}\" fill=\"#222\">{}</text>",
+                1.4 * size,
+                self.title
+            );
         }
         extra(&mut svg, h);
         svg.push_str("</svg>");
@@ -246,7 +251,8 @@ impl Canvas {
                 let (c, opacity) = (self.at(p), 0.15 + 0.45 * k as f64 / count);
                 let _ = write!(
                     svg,
-                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{}\" stroke=\"#333\" opacity=\"{opacity:.2}\"/>",
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{}\" stroke=\"#333\" \
+                     stroke-opacity=\"0.45\" fill-opacity=\"{opacity:.2}\"/>",
                     c.x,
                     c.y,
                     radius * self.scale,

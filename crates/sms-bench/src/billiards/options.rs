@@ -20,7 +20,8 @@ const VERSION: u32 = 2;
 
 /// The paper's way from Gaussians to bodies (section "Physics-ready scene"; where it is silent, its released code): discs
 /// sampled evenly and not moved to the measured depth, tetrahedra pruned by edge length, spheres as exact bodies and nothing
-/// else, convex parts at CoACD's threshold of 0.075. Hulls have at most 64 corners, not 256, as the engines here allow.
+/// else, convex parts at CoACD's threshold of 0.075. Hulls have at most 64 corners, not 256, as the engines here allow,
+/// and objects at most 32 hulls: bumpy as pruned tetrahedra are, they would have sixty, and rollouts take twice as long.
 /// Stacks and things that do not rest are repaired as in our own way: the paper speaks of post-processing without saying how.
 pub fn paper_entities() -> EntitiesConfig {
     let own = EntitiesConfig::default();
@@ -36,7 +37,7 @@ pub fn paper_entities() -> EntitiesConfig {
         refine_to_depth: false,
         face_budget: 750,
         primitive: PrimitiveConfig { enabled: false, ..own.primitive.clone() },
-        convex: ConvexConfig { threshold: 0.075, floor: 0.0, max_parts: 128, max_vertices: 64 },
+        convex: ConvexConfig { threshold: 0.075, floor: 0.0, max_parts: 32, max_vertices: 64 },
         texture: TextureConfig { enabled: false, ..own.texture.clone() },
         ..own
     }

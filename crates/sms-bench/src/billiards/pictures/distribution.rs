@@ -4,10 +4,10 @@ use super::Picture;
 use crate::billiards::{BilliardsScene, Row};
 use std::fmt::Write as _;
 
-const HEIGHT: f64 = 440.0;
+const HEIGHT: f64 = 460.0;
 const LEFT: f64 = 60.0;
 const RIGHT: f64 = 170.0;
-const TOP: f64 = 40.0;
+const TOP: f64 = 66.0;
 const BOTTOM: f64 = 60.0;
 /// Width of a scene's column, pixels.
 const COLUMN: f64 = 58.0;
@@ -80,7 +80,7 @@ pub(super) fn distribution_svg(scenes: &[&BilliardsScene], row: Row, engine: &st
             s.layout.as_str()
         );
     }
-    legend(&mut svg, width, row, engine);
+    legend(&mut svg, row, engine);
     svg.push_str("</svg>");
     Some(Picture { svg, height: HEIGHT })
 }
@@ -166,25 +166,39 @@ fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
 }
 
-fn legend(svg: &mut String, width: f64, row: Row, engine: &str) {
+/// What the marks mean, in a line above the columns.
+fn legend(svg: &mut String, row: Row, engine: &str) {
     let _ = write!(
         svg,
-        "<text x=\"{LEFT}\" y=\"22\" font-size=\"15\">row {}, realised in {engine}</text>\
-         <g font-size=\"12\"><rect x=\"{x:.0}\" y=\"46\" width=\"12\" height=\"12\" fill=\"{}\" fill-opacity=\"0.25\" \
-         stroke=\"{}\"/><text x=\"{t:.0}\" y=\"57\">predicted</text><rect x=\"{x:.0}\" y=\"66\" width=\"12\" height=\"12\" \
-         fill=\"{}\" fill-opacity=\"0.25\" stroke=\"{}\"/><text x=\"{t:.0}\" y=\"77\">realised</text>\
-         <polygon points=\"{x:.0},92 {m:.0},86 {r:.0},92 {m:.0},98\" fill=\"#111\"/><text x=\"{t:.0}\" y=\"97\">one robust \
-         plan</text><path d=\"M{x:.0} 107l8 8m0 -8l-8 8\" stroke=\"#2e8b57\" stroke-width=\"2\"/>\
-         <text x=\"{t:.0}\" y=\"117\">grid baseline</text></g>",
-        row.as_str(),
-        COLORS[0],
-        COLORS[0],
-        COLORS[1],
-        COLORS[1],
-        x = width - RIGHT + 8.0,
-        m = width - RIGHT + 14.0,
-        r = width - RIGHT + 20.0,
-        t = width - RIGHT + 26.0,
+        "<text x=\"{LEFT}\" y=\"22\" font-size=\"15\">row {}, realised in {engine}</text><g font-size=\"12\">",
+        row.as_str()
+    );
+    let mut x = LEFT;
+    for (side, name) in ["predicted", "realised"].into_iter().enumerate() {
+        let _ = write!(
+            svg,
+            "<rect x=\"{x:.0}\" y=\"34\" width=\"12\" height=\"12\" fill=\"{c}\" fill-opacity=\"0.25\" stroke=\"{c}\"/>\
+             <text x=\"{:.0}\" y=\"45\">{name}</text>",
+            x + 18.0,
+            c = COLORS[side]
+        );
+        x += 95.0;
+    }
+    let _ = write!(
+        svg,
+        "<polygon points=\"{x:.0},40 {:.0},34 {:.0},40 {:.0},46\" fill=\"#111\"/><text x=\"{:.0}\" y=\"45\">one robust \
+         plan</text>",
+        x + 5.0,
+        x + 10.0,
+        x + 5.0,
+        x + 18.0
+    );
+    x += 130.0;
+    let _ = write!(
+        svg,
+        "<path d=\"M{x:.0} 36l8 8m0 -8l-8 8\" stroke=\"#2e8b57\" stroke-width=\"2\"/><text x=\"{:.0}\" y=\"45\">grid \
+         baseline</text></g>",
+        x + 16.0
     );
 }
 

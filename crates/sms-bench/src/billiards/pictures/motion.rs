@@ -13,11 +13,11 @@ pub(super) fn motion_svg(s: &BilliardsScene, engine: &str, width: f64) -> Option
     let drawing = &s.drawing;
     let shot = s.plans.get(&Row::Robust)?.first()?;
     let cm = |v: f64| format!("{:.1} cm", 1e2 * v);
-    let head = format!("{}, {}", s.number, s.layout.as_str());
+    let head = format!("{} {}", s.number, s.layout.as_str());
     let planned_title = match (&s.problem, &shot.action) {
         (Some(_), _) => format!("{head}: nothing planned"),
         (None, None) => format!("{head}: no strike found"),
-        _ => format!("{head}: planned {} ({})", cm(shot.predicted_m), cm(cause::promised_m(shot))),
+        _ => format!("{head}: planned {:.1} ({})", 1e2 * shot.predicted_m, cm(cause::promised_m(shot))),
     };
     let realised_title = match s.realised.get(engine)?.get(&Row::Robust)?.first()? {
         Some(v) => format!("realised {}", cm(*v)),
