@@ -88,11 +88,15 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
     assert_eq!(outcome.trials.len() + 1, p.evaluations);
     let in_search = outcome.trials.iter().filter(|t| matches!(t.phase, Phase::Screen | Phase::Search));
     let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
+    // Searches meet refusals, and are not charged for them.
+    assert_eq!(struck, 0);
+    let met: usize = p.starts.iter().map(|s| s.refused).sum();
+    assert!(met > 0 && p.starts.iter().all(|s| s.objective.is_finite() && !s.is_out_of_reach()));
     let passed_over = refused - struck;
     assert_eq!(p.searched, in_search.count() + scanned.len() + passed_over);
     let drawn = screened.len() + scanned.len() + passed_over;
-    println!("{passed_over} of {drawn} draws passed over, {struck} refused in searches");
-    assert!(passed_over > 0 && drawn <= 8 * 220, "{passed_over} of {drawn}");
+    println!("{passed_over} of {drawn} draws passed over, {met} of them in nominal searches");
+    assert!(passed_over > 0 && drawn <= 8 * 400, "{passed_over} of {drawn}");
     let strike = task.strike(&p.action);
     assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
     assert!(p.objective < 0.03, "{}", p.objective);
