@@ -173,9 +173,10 @@ impl Instance {
                 }
                 Role::Kinematic | Role::Tool => {
                     // To PhysX no mass is an infinite one, and no moment of inertia an infinite one.
-                    let mass = if matches!(blueprint.role, Role::Tool) { 1.0 } else { 0.0 };
+                    let (mass, moment) =
+                        if matches!(blueprint.role, Role::Tool) { (1.0, 0.0) } else { (0.0, 0.0) };
                     PxRigidBody_setMass_mut(body.cast(), mass);
-                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::ZERO));
+                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::splat(moment)));
                     PxRigidBody_setAngularDamping_mut(body.cast(), 0.0);
                     PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
                     PxActor_setActorFlag_mut(actor.cast(), PxActorFlag::DisableGravity, true);
@@ -218,6 +219,17 @@ impl Instance {
                 }),
             }
         }
+    }
+
+    pub(super) fn pose(&self, index: usize) -> PxTransform {
+        // SAFETY: a getter of a living actor.
+        unsafe { PxRigidActor_getGlobalPose(self.actors[index]) }
+    }
+
+    /// Puts a dynamic body to sleep.
+    pub(super) fn put_to_sleep(&mut self, index: usize) {
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe { PxRigidDynamic_putToSleep_mut(self.actors[index].cast()) };
     }
 
     pub(super) fn set_pose(&mut self, index: usize, x_wb: &PxTransform, wake: bool) {
