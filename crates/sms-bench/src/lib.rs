@@ -61,6 +61,7 @@ mod run;
 mod scenes;
 mod score;
 mod solvability;
+mod solved;
 mod steps;
 mod surface;
 mod table;
@@ -74,7 +75,7 @@ pub use billiards::{
     BilliardsBench, BilliardsGeometry, BilliardsScene, Row, Shot, billiards_metrics, billiards_table,
     read_billiards, run_billiards, write_shots,
 };
-pub use bootstrap::{Paired, paired_difference, paired_ratio};
+pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
@@ -100,6 +101,7 @@ pub use scenes::{
 };
 pub use score::{score_files, write_points, write_view};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
+pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

@@ -1,12 +1,16 @@
 //! `sms bench scenes`: which generated scenes can be solved, and how.
 
 use super::bench_optimisers::{finish, parse_seeds};
+use crate::cli::EngineName;
 use crate::context::Context;
 use clap::Args;
-use sms_bench::{Solvability, SolvabilityBench, run_solvability};
+use sms_bench::{
+    Solvability, SolvabilityBench, SolvedBench, run_solvability, run_solved, solved_metrics, solved_table,
+};
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_synth::Layout;
+use sms_target::TargetEngine;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -24,12 +28,21 @@ pub(crate) struct BenchScenes {
     /// Shots per scene.
     #[arg(long, value_name = "N", default_value_t = 1500)]
     pub shots: u64,
+    /// Carry the best shots on the fixed scenes out in this engine instead.
+    #[arg(long, value_enum, conflicts_with_all = ["layouts", "seeds", "obstacles"])]
+    pub engine: Option<EngineName>,
+    /// Numbers of the fixed scenes, such as 1..18 or 2,8, with `--engine`.
+    #[arg(long, value_name = "NUMBERS", default_value = "1..18", requires = "engine")]
+    pub scenes: String,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
 
 pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
+    if let Some(engine) = a.engine {
+        return run_in(context, a, engine.engine());
+    }
     let layouts = match &a.layouts {
         None => Layout::ALL.to_vec(),
         Some(text) => text.split(',').map(layout_of).collect::<Result<_, _>>()?,
@@ -42,6 +55,15 @@ pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
     };
     let found = run_solvability(&bench, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics(&found), a.out.as_ref(), table(&found).trim_end())
+}
+
+/// The fixed scenes in a target engine.
+fn run_in(context: &Context, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
+    let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
+    let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
+    let target = engine.target()?;
+    let found = run_solved(&bench, target.as_ref(), context.progress.as_ref(), &context.cancel)?;
+    finish(context, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
 }
 
 fn metrics(found: &[Solvability]) -> Metrics {
