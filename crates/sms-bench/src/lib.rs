@@ -67,6 +67,7 @@ mod score;
 mod seed_parts;
 mod shards;
 mod solvability;
+mod solved;
 mod steps;
 mod surface;
 mod table;
@@ -81,7 +82,7 @@ pub use billiards::{
     billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, write_pictures,
     write_shots,
 };
-pub use bootstrap::{Paired, paired_difference, paired_ratio};
+pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
@@ -109,6 +110,7 @@ pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};
 pub use shards::{Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
+pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

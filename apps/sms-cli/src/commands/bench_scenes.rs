@@ -2,14 +2,19 @@
 
 use super::bench_optimisers::{finish, parse_seeds};
 use super::bench_plan::{parse_shard, settings};
+use crate::cli::EngineName;
 use crate::context::Context;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::{Value, json};
-use sms_bench::{Shard, Solvability, SolvabilityBench, part_of, run_solvability};
+use sms_bench::{
+    Shard, Solvability, SolvabilityBench, SolvedBench, part_of, run_solvability, run_solved, solved_metrics,
+    solved_table,
+};
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_synth::Layout;
+use sms_target::TargetEngine;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -28,14 +33,23 @@ pub(crate) struct BenchScenes {
     #[arg(long, value_name = "N", default_value_t = 1500)]
     pub shots: u64,
     /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.
-    #[arg(long, value_name = "I/N", requires = "out")]
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "engine")]
     pub shard: Option<String>,
+    /// Carry the best shots on the fixed scenes out in this engine instead.
+    #[arg(long, value_enum, conflicts_with_all = ["layouts", "seeds", "obstacles"])]
+    pub engine: Option<EngineName>,
+    /// Numbers of the fixed scenes, such as 1..18 or 2,8, with `--engine`.
+    #[arg(long, value_name = "NUMBERS", default_value = "1..18", requires = "engine")]
+    pub scenes: String,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
 
 pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
+    if let Some(engine) = a.engine {
+        return run_in(context, a, engine.engine());
+    }
     let layouts = match &a.layouts {
         None => Layout::ALL.to_vec(),
         Some(text) => text.split(',').map(layout_of).collect::<Result<_, _>>()?,
@@ -78,6 +92,15 @@ fn scene_of(value: &Value) -> anyhow::Result<Solvability> {
         serde_json::from_value(value).context("a part holds no results of scenes")?;
     found.best_m = best.map(|v| v.unwrap_or(f64::INFINITY));
     Ok(found)
+}
+
+/// The fixed scenes in a target engine.
+fn run_in(context: &Context, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
+    let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
+    let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
+    let target = engine.target()?;
+    let found = run_solved(&bench, target.as_ref(), context.progress.as_ref(), &context.cancel)?;
+    finish(context, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
 }
 
 fn metrics(found: &[Solvability]) -> Metrics {

@@ -10,6 +10,11 @@ use physx_sys::*;
 use sms_core::MassProperties;
 use std::ptr::{null, null_mut};
 
+/// Moment of inertia of a tool, kg·m²: no contact turns it. TGS solves for angular velocities times the root of the inertia and
+/// leaves that of an infinite one out: what a turning tool touched then felt the speed of its middle, and not that of the
+/// touched point (0.6 % too fast a ball, where the blow had turned the arm).
+const TOOL_MOMENT: f64 = 1e3;
+
 /// What a body is made of, apart from its state.
 pub(super) struct Blueprint {
     pub(super) shapes: Vec<Shape>,
@@ -173,9 +178,10 @@ impl Instance {
                 }
                 Role::Kinematic | Role::Tool => {
                     // To PhysX no mass is an infinite one, and no moment of inertia an infinite one.
-                    let mass = if matches!(blueprint.role, Role::Tool) { 1.0 } else { 0.0 };
+                    let (mass, moment) =
+                        if matches!(blueprint.role, Role::Tool) { (1.0, TOOL_MOMENT) } else { (0.0, 0.0) };
                     PxRigidBody_setMass_mut(body.cast(), mass);
-                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::ZERO));
+                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::splat(moment)));
                     PxRigidBody_setAngularDamping_mut(body.cast(), 0.0);
                     PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
                     PxActor_setActorFlag_mut(actor.cast(), PxActorFlag::DisableGravity, true);
@@ -218,6 +224,17 @@ impl Instance {
                 }),
             }
         }
+    }
+
+    pub(super) fn pose(&self, index: usize) -> PxTransform {
+        // SAFETY: a getter of a living actor.
+        unsafe { PxRigidActor_getGlobalPose(self.actors[index]) }
+    }
+
+    /// Puts a dynamic body to sleep.
+    pub(super) fn put_to_sleep(&mut self, index: usize) {
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe { PxRigidDynamic_putToSleep_mut(self.actors[index].cast()) };
     }
 
     pub(super) fn set_pose(&mut self, index: usize, x_wb: &PxTransform, wake: bool) {

@@ -8,6 +8,7 @@
 
 mod contacts;
 mod instance;
+mod rest;
 mod sdk;
 mod shapes;
 mod tuning;

@@ -1,6 +1,7 @@
 //! The adapter between the seam and PhysX.
 
 use super::instance::{Blueprint, Instance, Kept, Role, group};
+use super::rest::Rest;
 use super::shapes::{Shaper, Surface, transform};
 use super::tuning::Tuning;
 use glamx::{DPose3, DQuat, DVec3};
@@ -19,6 +20,7 @@ pub(super) struct PhysxWorld {
     kinematics: Vec<Kinematic>,
     tools: Vec<Tool>,
     pushes: Vec<Push>,
+    rest: Rest,
     /// A body that was given a state that is not finite. PhysX must not see it, and steps no more.
     failed: Option<BodyId>,
     saved: Option<Saved>,
@@ -87,6 +89,7 @@ impl PhysxWorld {
             kinematics: Vec::new(),
             tools: Vec::new(),
             pushes: Vec::new(),
+            rest: Rest::default(),
             failed: None,
             saved: None,
         };
@@ -94,6 +97,7 @@ impl PhysxWorld {
             let blueprint = world.blueprint(body).map_err(|why| refuse(&body.name, why))?;
             world.add(blueprint, &Kept::at(&body.x_wb)).map_err(|why| refuse(&body.name, why))?;
         }
+        world.rest.begin(&world.instance, world.blueprints.len());
         Ok(world)
     }
 
@@ -140,6 +144,7 @@ impl PhysxWorld {
             instance.set_present(t.body, false);
         }
         self.instance = instance;
+        self.rest.begin(&self.instance, saved.states.len());
         self.pushes.clear();
         self.failed = None;
         self.kinematics.clone_from(&saved.kinematics);
@@ -170,7 +175,7 @@ impl PhysxWorld {
     }
 
     fn is_dynamic(&self, body: BodyId) -> bool {
-        matches!(self.blueprints[body].role, Role::Dynamic { .. })
+        is_dynamic(&self.blueprints[body].role)
     }
 }
 
@@ -219,6 +224,9 @@ impl World for PhysxWorld {
         for k in &mut self.kinematics {
             k.x_wk = k.target_x_wk;
         }
+        if self.may_sleep && self.tuning.sleeps_where_it_stays {
+            self.rest.after_step(dt, &mut self.instance, &self.blueprints);
+        }
     }
 
     fn body_count(&self) -> usize {
@@ -242,9 +250,9 @@ impl World for PhysxWorld {
         if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
             (k.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
         }
-        let is_dynamic = self.is_dynamic(body);
-        self.instance.set_pose(body, &transform(&state.x_wb), is_dynamic);
-        if is_dynamic {
+        let wakes = self.is_dynamic(body);
+        self.instance.set_pose(body, &transform(&state.x_wb), wakes);
+        if wakes {
             self.instance.set_velocity(body, state.v_w, state.w_w);
         }
     }
@@ -337,6 +345,10 @@ impl World for PhysxWorld {
     fn first_failed(&self) -> Option<BodyId> {
         self.failed
     }
+}
+
+pub(super) fn is_dynamic(role: &Role) -> bool {
+    matches!(role, Role::Dynamic { .. })
 }
 
 fn from_engine(v: &PxVec3) -> DVec3 {
