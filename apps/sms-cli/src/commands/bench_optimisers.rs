@@ -14,6 +14,8 @@ pub(crate) enum Family {
     Open,
     /// Nine obstacles that may stand in the way, cut of up to 75°.
     Crowded,
+    /// The eighteen scenes of `sms bench billiards`; the seeds are their numbers.
+    Fixed,
 }
 
 impl Family {
@@ -21,6 +23,7 @@ impl Family {
         match self {
             Self::Open => SceneFamily::Open,
             Self::Crowded => SceneFamily::Crowded,
+            Self::Fixed => SceneFamily::Fixed,
         }
     }
 }
@@ -39,6 +42,9 @@ pub(crate) struct BenchOptimisers {
     /// Methods to compare (default: all): screen, multi_start (the paper's), cma_es, halving (the default of `sms plan`).
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub methods: Vec<String>,
+    /// Let the arm strike, which cannot make every strike, in place of the finger that gives no way.
+    #[arg(long)]
+    pub arm: bool,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -49,6 +55,7 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
     }
     let mut bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    bench.arm = a.arm;
     if let Some(unknown) = a.methods.iter().find(|m| bench.entrants.iter().all(|(name, _)| name != *m)) {
         let names: Vec<&str> = bench.entrants.iter().map(|(name, _)| name.as_str()).collect();
         let cure = format!("the methods are {}", names.join(", "));
