@@ -42,6 +42,7 @@
 
 mod arm;
 mod geometry;
+mod penetration;
 mod rapier;
 mod rest;
 mod simulation;
@@ -51,6 +52,7 @@ mod support;
 mod timing;
 mod world;
 
+pub use geometry::signed_distance;
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};

@@ -268,6 +268,17 @@ impl Simulation {
         self.arm_of(body).map(ArmInWorld::impulse_w)
     }
 
+    /// The energy that an arm has given to what it touched so far, J: of each impulse, what it does at the mean of the
+    /// tool's speeds before and after it. `None` for a finger, which engines move by force, and for other bodies.
+    pub fn work_j(&self, body: BodyId) -> Option<f64> {
+        self.arm_of(body).map(ArmInWorld::work_j)
+    }
+
+    /// States of all bodies, strikers included, by their ids.
+    pub fn states(&self) -> &[BodyState] {
+        &self.states
+    }
+
     fn arm_of(&self, body: BodyId) -> Option<&ArmInWorld> {
         self.strikes.iter().find_map(|s| match &s.by {
             By::Arm(arm) if s.body == body => Some(arm.as_ref()),

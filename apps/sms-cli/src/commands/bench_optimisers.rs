@@ -18,6 +18,8 @@ pub(crate) enum Family {
     Open,
     /// Nine obstacles that may stand in the way, cut of up to 75°.
     Crowded,
+    /// The eighteen scenes of `sms bench billiards`; the seeds are their numbers.
+    Fixed,
 }
 
 impl Family {
@@ -25,6 +27,7 @@ impl Family {
         match self {
             Self::Open => SceneFamily::Open,
             Self::Crowded => SceneFamily::Crowded,
+            Self::Fixed => SceneFamily::Fixed,
         }
     }
 }
@@ -46,6 +49,9 @@ pub(crate) struct BenchOptimisers {
     /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
+    /// Let the arm strike, which cannot make every strike, in place of the finger that gives no way.
+    #[arg(long)]
+    pub arm: bool,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -56,6 +62,7 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
     }
     let mut bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    bench.arm = a.arm;
     if let Some(unknown) = a.methods.iter().find(|m| bench.entrants.iter().all(|(name, _)| name != *m)) {
         let names: Vec<&str> = bench.entrants.iter().map(|(name, _)| name.as_str()).collect();
         let cure = format!("the methods are {}", names.join(", "));
@@ -74,6 +81,7 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         ("family", json!(bench.family)),
         ("evaluations", json!(bench.evaluations)),
         ("methods", json!(names)),
+        ("arm", json!(bench.arm)),
     ]);
     let mut shard = Shard::new("optimisers", part, settings);
     for seed in part_of(bench.seeds.clone(), part) {
@@ -92,6 +100,7 @@ pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf
     let mut bench = OptimiserBench::new(seeds, whole.setting("family")?, whole.setting("evaluations")?);
     let methods: Vec<String> = whole.setting("methods")?;
     bench.entrants.retain(|(name, _)| methods.contains(name));
+    bench.arm = whole.setting("arm")?;
     let metrics = merge_optimisers(&bench, &each);
     finish(context, &metrics, out, optimiser_table(&bench, &metrics).trim_end())
 }

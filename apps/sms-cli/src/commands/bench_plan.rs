@@ -12,6 +12,7 @@ use sms_bench::{
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed, atomic};
 use sms_plan::PlanConfig;
+use sms_target::TargetEngine;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -56,10 +57,20 @@ pub(crate) struct BenchRobust {
     /// planner's settings). Planning for the scanned world alone costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
+    /// Add planners like the first that believe the errors of scan and robot to be half and twice as wide as they are.
+    #[arg(long)]
+    pub misled: bool,
+    /// Let the arm strike, in planning and in the true worlds, in place of the finger that gives no way.
+    #[arg(long)]
+    pub arm: bool,
+    /// Engine of the true worlds; the planner's own is rapier.
+    #[arg(long, value_enum, default_value = "rapier")]
+    pub engine: TrueEngine,
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Results of earlier runs, interrupted ones too, or of other shards: what is in them is not run again.
+    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: what is in them is not
+    /// run again.
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
     /// File for the results; written after every plan.
@@ -75,6 +86,15 @@ pub(crate) struct BenchRebound {
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+}
+
+/// Engine of the true worlds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TrueEngine {
+    /// The planner's own.
+    Rapier,
+    /// PhysX, precise, at a quarter of the planner's time step.
+    Physx,
 }
 
 /// What the planner is told of materials.
@@ -203,9 +223,19 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         }
         bench.planners = planners.into_iter().collect();
     }
+    if a.misled {
+        bench.add_misled();
+    }
+    bench.arm = a.arm;
+    bench.engine = match a.engine {
+        TrueEngine::Rapier => None,
+        TrueEngine::Physx => Some(TargetEngine::Physx),
+    };
     let mut known = Metrics::new();
     for path in &a.with {
-        known.merge(Metrics::load(path)?);
+        let earlier = Metrics::load(path)?;
+        bench.check_same(&earlier, path)?;
+        known.merge(earlier);
     }
     // What is done is kept at once: an interrupted run goes on with `--with` this file.
     let keep = |metrics: &Metrics| match &a.out {
@@ -237,6 +267,8 @@ fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
         ("planners", json!(bench.planners)),
         ("chaos_runs", json!(bench.chaos_runs)),
         ("errors", json!(bench.errors)),
+        ("arm", json!(bench.arm)),
+        ("engine", json!(bench.engine.map(TargetEngine::name))),
     ])
 }
 
@@ -249,6 +281,7 @@ pub(crate) fn seeds_of(whole: &Shard) -> Vec<u64> {
 
 /// Figures and table of merged parts of `sms bench robust`: all is known, and nothing runs.
 pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let engine: Option<String> = whole.setting("engine")?;
     let bench = RobustBench {
         seeds: seeds_of(whole),
         family: whole.setting("family")?,
@@ -258,6 +291,8 @@ pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf
         oracle_evaluations: whole.setting("oracle")?,
         chaos_runs: whole.setting("chaos_runs")?,
         errors: whole.setting("errors")?,
+        arm: whole.setting("arm")?,
+        engine: engine.and_then(|name| TargetEngine::ALL.into_iter().find(|e| e.name() == name)),
     };
     let mut known = Metrics::new();
     whole.items.keys().for_each(|k| known.merge(whole.figures(k)));
