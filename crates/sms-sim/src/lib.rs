@@ -41,6 +41,7 @@
 //! ```
 
 mod arm;
+mod engine_arm;
 mod geometry;
 mod penetration;
 mod rapier;
@@ -59,5 +60,5 @@ pub use simulation::{Profile, Simulation};
 pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use world::{
-    BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
 };

@@ -6,6 +6,7 @@
 //!   that come of that.
 #![allow(unsafe_code, reason = "PhysX is C++; every call is wrapped in the modules below")]
 
+mod arm;
 mod contacts;
 mod instance;
 mod rest;
