@@ -13,7 +13,7 @@ use sms_core::{Aabb, Cancel, Progress, Seed};
 use sms_plan::PlanError;
 use sms_robot::RobotConfig;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
-use sms_sim::{RapierFactory, SimError, Simulation, WorldFactory, WorldOptions};
+use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
 use sms_synth::TruthScene;
 use sms_target::{Target, TargetEngine, TargetError, match_bodies, scene_from_truth};
 use sms_task::{Billiards, Selector, Task, TaskError};
@@ -97,12 +97,12 @@ impl Ablation {
 struct PlannersOwn;
 
 impl Target for PlannersOwn {
-    fn label(&self) -> &'static str {
-        RapierFactory.engine()
+    fn factory(&self) -> &dyn WorldFactory {
+        &RapierFactory
     }
 
-    fn simulation(&self, scene: &Scene, planner: &WorldOptions) -> Result<Simulation, SimError> {
-        Simulation::new(&RapierFactory, scene, planner)
+    fn world_options(&self, planner: &WorldOptions) -> WorldOptions {
+        *planner
     }
 }
 
