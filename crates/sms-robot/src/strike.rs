@@ -157,7 +157,8 @@ impl SweepPlan {
 /// to a side ([`Hold`]).
 ///
 /// # Errors
-/// [`StrikeError`] with the reason for the posture that came nearest to being executable, of the tool held upright.
+/// [`StrikeError`] with the reason for the posture that came nearest to being executable, of the tool held upright; or of a
+/// hold that met nothing but a limit that no hold avoids.
 pub fn plan_sweep(
     model: &RobotModel,
     sweep: &Sweep,
@@ -167,14 +168,18 @@ pub fn plan_sweep(
 ) -> Result<SweepPlan, StrikeError> {
     refuse_nonsense(sweep, config)?;
     let mut upright: Option<StrikeError> = None;
+    // There are many others: less is spent on each.
+    let ik = IkConfig { starts: config.ik.starts.div_ceil(2), ..config.ik };
+    let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
     for holds in groups(config.symmetric_tool, config.turned_tool) {
+        let config = if upright.is_none() { config } else { &fewer };
         match plan_held(model, sweep, &holds, obstacles, config, ws) {
             Ok(plan) => return Ok(plan),
             Err((e, may_another_do)) => {
-                let e = upright.get_or_insert(e);
                 if !may_another_do {
-                    return Err(e.clone());
+                    return Err(e);
                 }
+                upright.get_or_insert(e);
             }
         }
     }

@@ -41,6 +41,17 @@ impl Part {
         }
     }
 
+    /// How deep `p` is inside, from the nearest point of the surface; negative outside. A mesh has no inside.
+    pub(crate) fn depth(&self, p: DVec3) -> f64 {
+        // `nearest` takes a point inside of a hull or a box for its own nearest.
+        let (nearest, inside) = match self {
+            Self::Convex(s) => projected(s.project_local_point(p, false)),
+            Self::Cuboid(s) => projected(s.project_local_point(p, false)),
+            _ => self.nearest(p),
+        };
+        if inside { p.distance(nearest) } else { -p.distance(nearest) }
+    }
+
     /// Whether the plane through a nearest point has the whole shape on one side.
     pub(crate) fn is_convex(&self) -> bool {
         !matches!(self, Self::Mesh(_))
@@ -65,8 +76,8 @@ impl Part {
             Self::Convex(s) => s.points().iter().copied().sum::<DVec3>() / s.points().len() as f64,
             Self::Cuboid(_) | Self::Cylinder { .. } => DVec3::ZERO,
         };
-        let (nearest, inside) = self.nearest(center);
-        inside.then(|| (center, center.distance(nearest)))
+        let radius = self.depth(center);
+        (radius > 0.0).then_some((center, radius))
     }
 
     /// A sphere that holds the part: centre and radius.
@@ -107,12 +118,8 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
 /// for a body without a usable shape.
 pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
     let p = body.x_wb.inverse_transform_point(p_w);
-    let of_part = |part: &Part| {
-        let (nearest, inside) = part.nearest(p);
-        if inside { -p.distance(nearest) } else { p.distance(nearest) }
-    };
     BodyGeometry::of_body(body)
-        .map_or(f64::INFINITY, |g| g.parts.iter().map(|b| of_part(&b.part)).fold(f64::INFINITY, f64::min))
+        .map_or(f64::INFINITY, |g| g.parts.iter().map(|b| -b.part.depth(p)).fold(f64::INFINITY, f64::min))
 }
 
 /// The shapes of a body.

@@ -54,11 +54,7 @@ impl Simulation {
 
 /// Depth of a ball with its centre at `p` in a body's frame.
 fn ball_depth(p: DVec3, radius: f64, geometry: &BodyGeometry) -> f64 {
-    let depth_in = |part: &Part| {
-        let (nearest, inside) = part.nearest(p);
-        let distance = p.distance(nearest);
-        if inside { radius + distance } else { radius - distance }
-    };
+    let depth_in = |part: &Part| radius + part.depth(p);
     geometry.parts_near(p, radius).map(depth_in).fold(0.0, f64::max)
 }
 
@@ -71,12 +67,8 @@ fn depth(a: &BodyGeometry, b: &BodyGeometry, x_ba: &DPose3) -> f64 {
         if p.cmplt(low).any() || p.cmpgt(high).any() {
             continue;
         }
-        for part in b.parts_near(p, 0.0).filter(|part| part.is_convex()) {
-            let (nearest, inside) = part.nearest(p);
-            if inside {
-                deepest = deepest.max(p.distance(nearest));
-            }
-        }
+        let depths = b.parts_near(p, 0.0).filter(|part| part.is_convex()).map(|part| part.depth(p));
+        deepest = depths.fold(deepest, f64::max);
     }
     for (center, radius) in a.inner_balls() {
         let p = x_ba.transform_point(*center);

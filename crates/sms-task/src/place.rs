@@ -11,6 +11,16 @@ use std::path::Path;
 /// Farther than this from every body nothing of a scan is left, metres.
 const FARTHEST_M: f64 = 3.0;
 
+/// A body nearer than this to what does not move stands on it, metres.
+const STANDS_M: f64 = 0.01;
+
+/// A ball that is deeper than this in something has no room there, metres: meshes are rough.
+const TOUCH_M: f64 = 0.005;
+
+/// Places that are tried around one: rings, and directions of each.
+const RINGS: u32 = 8;
+const DIRECTIONS: u32 = 24;
+
 /// A place that nothing of the scene is near to is a slip of units or axes.
 pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
     let nearest = scene
@@ -44,7 +54,6 @@ pub(crate) fn check_reachable(
 ) -> Result<(), InputError> {
     let is_sphere = matches!(scene.bodies[body.index].shape, BodyShape::Sphere { .. });
     let still: Vec<&Body> = scene.bodies.iter().filter(|b| b.kind == BodyKind::Static).collect();
-    let center_w = place_w.extend(body.center_w.z);
     let refuse = |why: String, cure: &str| {
         let name = &body.name;
         Err(InputError::new(
@@ -54,21 +63,29 @@ pub(crate) fn check_reachable(
         ))
     };
     if is_sphere {
-        for obstacle in still.iter().filter(|b| !matches!(b.shape, BodyShape::HalfSpace)) {
-            // Beside the obstacle the centre is a radius from its surface. (A mesh has no inside.)
-            let away_m = body.radius - signed_distance(obstacle, center_w);
-            if away_m > enough_m {
-                return refuse(
-                    format!(
-                        "it is in the way of `{}`, which does not move, and the centre comes no nearer than {:.0} mm \
-                         where {:.0} mm are asked for",
-                        obstacle.name,
-                        1e3 * away_m,
-                        1e3 * enough_m
-                    ),
-                    "choose a place beside it",
-                );
-            }
+        let is_in_way = |b: &&&Body, p_w: DVec2| {
+            !matches!(b.shape, BodyShape::HalfSpace)
+                && signed_distance(b, p_w.extend(body.center_w.z)) < body.radius - TOUCH_M
+        };
+        let in_way = |p_w: DVec2| still.iter().find(|b| is_in_way(b, p_w));
+        // As far from the place as counts as having come to it, in all directions.
+        let mut around = (1..=RINGS).flat_map(|ring| {
+            (0..DIRECTIONS).map(move |k| {
+                let turn = std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS);
+                place_w + enough_m * f64::from(ring) / f64::from(RINGS) * DVec2::from_angle(turn)
+            })
+        });
+        if let Some(obstacle) = in_way(place_w)
+            && around.all(|p_w| in_way(p_w).is_some())
+        {
+            return refuse(
+                format!(
+                    "`{}`, which does not move, keeps it more than {:.0} mm away",
+                    obstacle.name,
+                    1e3 * enough_m
+                ),
+                "choose a place beside it",
+            );
         }
     }
     // A place on the floor is on what the body itself stands on, or on a floor without end.
@@ -86,6 +103,3 @@ pub(crate) fn check_reachable(
     }
     Ok(())
 }
-
-/// A body nearer than this to what does not move stands on it, metres.
-const STANDS_M: f64 = 0.01;

@@ -48,7 +48,7 @@ pub(crate) enum BenchCommand {
     Optimisers(BenchOptimisers),
     /// Measure what plans are worth in true worlds whose materials the planner was told wrongly (`--materials noisy`) and
     /// whose bodies stand a little elsewhere: planning for the world as told against robust planning at equal cost. True
-    /// geometry of generated scenes, a finger that gives no way, the planner's engine.
+    /// geometry of generated scenes, by default a finger that gives no way and the planner's engine.
     Robust(BenchRobust),
     /// The same shots in every engine that is built in: how far apart they end.
     Engines(BenchEngines),
