@@ -256,6 +256,17 @@ pub(crate) struct Execute {
     /// The world to execute in (default: physx where it is built in, else rapier, which is the planner's own engine).
     #[arg(long, value_enum)]
     pub engine: Option<EngineName>,
+    /// Whose the joints of the robot's arm are.
+    #[arg(long, value_enum, default_value_t = ArmName::Shared)]
+    pub arm: ArmName,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ArmName {
+    /// Ours, the same in every engine, which sees the tool alone.
+    Shared,
+    /// The engine's own articulation under the same controller (physx and physx-stock).
+    Articulation,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
