@@ -1,8 +1,7 @@
 //! What the planner is told of the true materials of a generated scene.
 
-use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed};
+use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed, standard_normal};
 use sms_materials::{MaterialTable, ObjectQuery, without_override};
 use sms_scene::{Body, BodyShape, Scene};
 use sms_synth::{Hollow, TruthObject, TruthScene};
@@ -120,27 +119,20 @@ fn noisy(truth: &Material, seed: Seed) -> Material {
     let mut told = truth.clone();
     let rng = |what: &str| seed.derive(what).rng();
     let factor = |p: &mut Property, log_sd: f64, mut rng: sms_core::StageRng| {
-        let best = p.value.best * (log_sd * normal(&mut rng)).exp();
+        let best = p.value.best * (log_sd * standard_normal(&mut rng)).exp();
         let width = (Z90 * log_sd).exp();
         *p = Property::new(Interval::new(best, best / width, best * width), PropertySource::Vlm);
     };
     factor(&mut told.density, DENSITY_LOG_SD, rng("density"));
     factor(&mut told.rolling_m, ROLLING_LOG_SD, rng("rolling"));
     let shift = |p: &mut Property, error: f64, high: f64, mut rng: sms_core::StageRng| {
-        let best = (p.value.best + error / Z90 * normal(&mut rng)).clamp(0.0, high);
+        let best = (p.value.best + error / Z90 * standard_normal(&mut rng)).clamp(0.0, high);
         let interval = Interval::new(best, (best - error).max(0.0), (best + error).min(high));
         *p = Property::new(interval, PropertySource::Vlm);
     };
     shift(&mut told.friction, FRICTION_ERROR, 2.0, rng("friction"));
     shift(&mut told.restitution, RESTITUTION_ERROR, 1.0, rng("restitution"));
     told
-}
-
-/// Standard normal (Box and Muller 1958).
-fn normal(rng: &mut impl Rng) -> f64 {
-    let u: f64 = 1.0 - rng.random::<f64>();
-    let v: f64 = rng.random();
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@
 pub mod atomic;
 mod camera;
 mod cancel;
+mod cholesky;
 mod entity;
 mod error;
 mod hash;
@@ -47,6 +48,7 @@ mod warnings;
 
 pub use camera::{Camera, Intrinsics};
 pub use cancel::Cancel;
+pub use cholesky::Cholesky;
 pub use entity::{Entity, EntityKind, EntityShape, PointCloud};
 pub use error::{CoreError, InputError};
 pub use glamx;
@@ -64,6 +66,6 @@ pub use png_io::{read_png_color, read_png_gray16, write_png_color, write_png_gra
 pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, linear_seconds_left};
 pub use ranges::Ranges;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};
-pub use seed::{Seed, StageRng};
+pub use seed::{Seed, StageRng, standard_normal};
 pub use text::{duration_text, length_text};
 pub use warnings::{Warning, Warnings};

@@ -1,6 +1,6 @@
 //! Explicit randomness.
 
-use rand::SeedableRng;
+use rand::{Rng, RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 /// The generator used everywhere: small, fast, and serialisable into checkpoints.
@@ -35,10 +35,30 @@ impl Seed {
     }
 }
 
+/// A standard normal number (Box and Muller 1958): the cosine half, so that every number takes two draws.
+pub fn standard_normal(rng: &mut impl Rng) -> f64 {
+    let u: f64 = 1.0 - rng.random::<f64>();
+    let v: f64 = rng.random();
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::Rng;
+
+    #[test]
+    fn standard_normal_numbers_have_the_moments_of_the_distribution() {
+        let mut rng = Seed(3).rng();
+        let draws: Vec<f64> = (0..40_000).map(|_| standard_normal(&mut rng)).collect();
+        let mean = |power: i32| draws.iter().map(|v| v.powi(power)).sum::<f64>() / draws.len() as f64;
+        // Five standard errors of each moment.
+        for (power, expected, variance) in [(1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0)] {
+            let error = 5.0 * f64::sqrt(variance / draws.len() as f64);
+            assert!((mean(power) - expected).abs() < error, "moment {power}: {}", mean(power));
+        }
+        let within = draws.iter().filter(|v| v.abs() < 1.0).count() as f64 / draws.len() as f64;
+        assert!((within - 0.682_69).abs() < 0.012, "{within}");
+    }
 
     #[test]
     fn derived_seeds_differ_and_repeat() {

@@ -5,8 +5,8 @@ use crate::jacobi::symmetric_eigen;
 use crate::screening::{self, Screened};
 use crate::space::Space;
 use crate::{BatchOptimiser, Phase, Proposal, StartRecord};
-use rand::{Rng, RngExt};
-use sms_core::{Seed, StageRng};
+use rand::Rng;
+use sms_core::{Seed, StageRng, standard_normal};
 
 /// A search distribution N(m, σ²C) over ℝⁿ and its adaptation.
 #[derive(Debug, Clone)]
@@ -94,7 +94,7 @@ impl CmaEs {
 
     /// A point of the distribution.
     pub fn sample(&self, rng: &mut impl Rng) -> Vec<f64> {
-        let z: Vec<f64> = (0..self.n).map(|k| self.d[k] * normal(rng)).collect();
+        let z: Vec<f64> = (0..self.n).map(|k| self.d[k] * standard_normal(rng)).collect();
         (0..self.n)
             .map(|i| {
                 let y: f64 = (0..self.n).map(|k| self.b[i * self.n + k] * z[k]).sum();
@@ -153,13 +153,6 @@ impl CmaEs {
         self.d = values.iter().map(|v| v.max(1e-14 * largest).sqrt()).collect();
         self.b = vectors;
     }
-}
-
-/// Standard normal (Box and Muller 1958).
-fn normal(rng: &mut impl Rng) -> f64 {
-    let u: f64 = 1.0 - rng.random::<f64>();
-    let v: f64 = rng.random();
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 /// A number mirrored into [0, 1] as often as it takes.

@@ -1,7 +1,8 @@
 //! Comparison of poses with the truth.
 
-use crate::linear::{Block, Six, cholesky, cholesky_solve};
+use crate::linear::{Block, Six};
 use glamx::{DPose3, DQuat, DVec3};
+use sms_core::Cholesky;
 
 /// Errors of poses after the rigid motion that fits them best to the truth has been taken away.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,8 +82,9 @@ pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
         }
         // Points on a line leave a turn open: it stays as it is.
         (0..3).for_each(|i| h[i][i] += 1e-12 * n as f64);
-        let Some(l) = cholesky(&h) else { break };
-        let step = cholesky_solve(&l, &g).map(|v| -v);
+        let Some(l) = Cholesky::<6>::new(&h, 6) else { break };
+        let mut step = g.map(|v| -v);
+        l.solve(&mut step);
         x = moved_about(center, &step) * x;
         if step.iter().all(|v| v.abs() < 1e-14) {
             break;

@@ -1,6 +1,7 @@
 //! The linear system of all corrections: 6 × 6 blocks, solved by conjugate gradients.
 
 use crate::residual::ShiftSums;
+use sms_core::Cholesky;
 
 /// A symmetric 6 × 6 block.
 pub(crate) type Block = [[f64; 6]; 6];
@@ -114,7 +115,7 @@ impl System {
         finite.then_some((steps, shift))
     }
 
-    fn diagonal_factors(&self) -> Option<Vec<Block>> {
+    fn diagonal_factors(&self) -> Option<Vec<Cholesky<6>>> {
         let mut diagonal = self.own.clone();
         for (i, j, h) in &self.pairs {
             for k in [*i, *j] {
@@ -125,16 +126,22 @@ impl System {
                 }
             }
         }
-        diagonal.iter().map(cholesky).collect()
+        diagonal.iter().map(|h| Cholesky::new(h, 6)).collect()
     }
 
     /// Solves for one right side by conjugate gradients, preconditioned with the diagonal blocks: memory and time grow
     /// with the number of pairs, not with the square of the frames.
-    fn conjugate_gradients(&self, factors: &[Block], right: &[Six]) -> Vec<Six> {
+    fn conjugate_gradients(&self, factors: &[Cholesky<6>], right: &[Six]) -> Vec<Six> {
         const RELATIVE: f64 = 1e-9;
         let n = self.own.len();
-        let precondition =
-            |r: &[Six]| -> Vec<Six> { factors.iter().zip(r).map(|(l, r)| cholesky_solve(l, r)).collect() };
+        let precondition = |r: &[Six]| -> Vec<Six> {
+            let solved = |(l, r): (&Cholesky<6>, &Six)| {
+                let mut x = *r;
+                l.solve(&mut x);
+                x
+            };
+            factors.iter().zip(r).map(solved).collect()
+        };
         let dot = |a: &[Six], b: &[Six]| -> f64 {
             a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
         };
@@ -172,37 +179,6 @@ impl System {
 
 fn product(h: &Block, x: &Six) -> Six {
     std::array::from_fn(|a| (0..6).map(|b| h[a][b] * x[b]).sum())
-}
-
-/// Lower Cholesky factor; `None` unless positive definite.
-pub(crate) fn cholesky(h: &Block) -> Option<Block> {
-    let mut l = [[0.0; 6]; 6];
-    for i in 0..6 {
-        for j in 0..=i {
-            let sum: f64 = h[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
-            if i == j {
-                if !(sum > 0.0 && sum.is_finite()) {
-                    return None;
-                }
-                l[i][i] = sum.sqrt();
-            } else {
-                l[i][j] = sum / l[j][j];
-            }
-        }
-    }
-    Some(l)
-}
-
-/// Solves L Lᵀ x = b.
-pub(crate) fn cholesky_solve(l: &Block, b: &Six) -> Six {
-    let mut y = *b;
-    for i in 0..6 {
-        y[i] = (y[i] - (0..i).map(|k| l[i][k] * y[k]).sum::<f64>()) / l[i][i];
-    }
-    for i in (0..6).rev() {
-        y[i] = (y[i] - (i + 1..6).map(|k| l[k][i] * y[k]).sum::<f64>()) / l[i][i];
-    }
-    y
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! Inverse dynamics (recursive Newton-Euler), the mass matrix (composite rigid bodies) and forward dynamics, in world
 //! axes (Featherstone, "Rigid Body Dynamics Algorithms", chapters 5 and 6).
 
-use crate::linalg::{Cholesky, MAX_JOINTS, point_inertia};
+use crate::linalg::{MAX_JOINTS, point_inertia};
 use crate::model::{FrameId, RobotModel};
 use crate::workspace::{Composite, JointVector, MassMatrix, Workspace};
 use glamx::{DMat3, DVec3};
+use sms_core::Cholesky;
 
 impl RobotModel {
     /// Torques (forces) that give accelerations `qdd` at positions `q` and speeds `qd`, under gravity: M q̈ + C q̇ + g,

@@ -1,10 +1,11 @@
 //! Inverse kinematics: Levenberg-Marquardt with limits from many starts.
 
-use crate::linalg::{Cholesky, MAX_JOINTS};
+use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
 use crate::workspace::{Jacobian, JointVector, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use sms_core::Cholesky;
 
 /// Where the tool should be.
 #[derive(Debug, Clone, Copy, PartialEq)]

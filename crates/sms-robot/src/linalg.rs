@@ -5,60 +5,6 @@ use glamx::{DMat3, DVec3};
 /// Largest number of joints that move.
 pub const MAX_JOINTS: usize = 16;
 
-/// A symmetric positive definite matrix factored as L Lᵀ, `n` ≤ `N` rows.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Cholesky<const N: usize> {
-    n: usize,
-    l: [[f64; N]; N],
-}
-
-impl<const N: usize> Cholesky<N> {
-    /// Factors the leading `n` × `n` block; only the lower triangle is read. `None` unless positive definite.
-    pub(crate) fn new(a: &[[f64; N]; N], n: usize) -> Option<Self> {
-        let mut l = [[0.0; N]; N];
-        for i in 0..n {
-            for j in 0..=i {
-                let mut sum = a[i][j];
-                for k in 0..j {
-                    sum -= l[i][k] * l[j][k];
-                }
-                if i == j {
-                    if !(sum > 0.0 && sum.is_finite()) {
-                        return None;
-                    }
-                    l[i][i] = sum.sqrt();
-                } else {
-                    l[i][j] = sum / l[j][j];
-                }
-            }
-        }
-        Some(Self { n, l })
-    }
-
-    /// Solves A x = b in place.
-    pub(crate) fn solve(&self, b: &mut [f64]) {
-        for i in 0..self.n {
-            let mut sum = b[i];
-            for k in 0..i {
-                sum -= self.l[i][k] * b[k];
-            }
-            b[i] = sum / self.l[i][i];
-        }
-        for i in (0..self.n).rev() {
-            let mut sum = b[i];
-            for k in i + 1..self.n {
-                sum -= self.l[k][i] * b[k];
-            }
-            b[i] = sum / self.l[i][i];
-        }
-    }
-
-    /// Product of the diagonal of L: the square root of the determinant.
-    pub(crate) fn sqrt_determinant(&self) -> f64 {
-        (0..self.n).map(|i| self.l[i][i]).product()
-    }
-}
-
 /// The inertia of a unit point mass at `r`: (r·r) 1 − r rᵀ.
 pub(crate) fn point_inertia(r: DVec3) -> DMat3 {
     let d = r.length_squared();
@@ -67,23 +13,4 @@ pub(crate) fn point_inertia(r: DVec3) -> DMat3 {
         DVec3::new(-r.y * r.x, d - r.y * r.y, -r.y * r.z),
         DVec3::new(-r.z * r.x, -r.z * r.y, d - r.z * r.z),
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cholesky_solves_and_refuses_what_is_not_positive() {
-        let a = [[4.0, 2.0, 0.6], [2.0, 5.0, 1.0], [0.6, 1.0, 3.0]];
-        let factor = Cholesky::<3>::new(&a, 3).unwrap();
-        let x = [1.0, -2.0, 0.5];
-        let mut b: Vec<f64> = (0..3).map(|i| (0..3).map(|j| a[i][j] * x[j]).sum()).collect();
-        factor.solve(&mut b);
-        assert!(b.iter().zip(x).all(|(b, x)| (b - x).abs() < 1e-14));
-        let determinant = 4.0 * (15.0 - 1.0) - 2.0 * (6.0 - 0.6) + 0.6 * (2.0 - 3.0);
-        assert!((factor.sqrt_determinant().powi(2) - determinant).abs() < 1e-12);
-        assert!(Cholesky::<2>::new(&[[1.0, 2.0], [2.0, 1.0]], 2).is_none());
-        assert!(Cholesky::<1>::new(&[[f64::NAN]], 1).is_none());
-    }
 }

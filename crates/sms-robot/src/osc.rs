@@ -2,12 +2,13 @@
 //! which foretells a motion.
 
 use crate::ik::attitude_error;
-use crate::linalg::{Cholesky, MAX_JOINTS};
+use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
 use crate::sweep::ToolReference;
 use crate::workspace::{Jacobian, JointVector, Workspace};
 use glamx::DMat3;
 use serde::{Deserialize, Serialize};
+use sms_core::Cholesky;
 
 /// Speed at which Coulomb friction is almost fully there, rad/s or m/s: friction is τ_c tanh(q̇ / this).
 pub const FRICTION_SPEED: f64 = 0.01;

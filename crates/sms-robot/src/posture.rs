@@ -1,11 +1,12 @@
 //! Postures for a strike: all ways to put the tool at the contact, and how much of the arm's limits each would use.
 
 use crate::ik::{IkConfig, IkTarget, Unreachable};
-use crate::linalg::{Cholesky, MAX_JOINTS};
+use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
 use crate::sweep::Sweep;
 use crate::workspace::{Jacobian, JointVector, Workspace};
 use glamx::DVec3;
+use sms_core::Cholesky;
 
 /// Steps along a family of postures: the largest change of a joint, radians or metres, and the most steps to a side.
 const STRIDE: f64 = 0.15;
