@@ -49,6 +49,7 @@ mod striker;
 pub mod suite;
 mod support;
 mod timing;
+mod wash;
 mod world;
 
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
@@ -56,6 +57,7 @@ pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
 pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
+pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
     BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
 };

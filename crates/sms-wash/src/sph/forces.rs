@@ -1,0 +1,171 @@
+//! Densities and accelerations: sums over neighbours, eight at a time.
+
+use super::cells::Cells;
+use super::kernel::KernelShape;
+use super::lanes::{Lanes, WIDTH};
+use super::particles::Particles;
+use rayon::prelude::*;
+
+/// Particles of one task.
+const CHUNK: usize = 96;
+
+/// What the equation of motion needs to know.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gas {
+    /// Radius of the kernel's support, metres.
+    pub(super) support: f32,
+    /// Mass of a particle, kg.
+    pub(super) mass: f32,
+    /// Density from which on there is pressure, kg/m³.
+    pub(super) rest_density: f32,
+    /// Sound speed, m/s.
+    pub(super) sound_speed: f32,
+    /// Exponent γ of the equation of state.
+    pub(super) exponent: f32,
+    /// Monaghan's α.
+    pub(super) viscosity: f32,
+}
+
+impl Gas {
+    /// p = c²ρ₀/γ·((ρ/ρ₀)^γ − 1), and nothing where that would pull.
+    fn pressure(&self, density: f32) -> f32 {
+        let ratio = density / self.rest_density;
+        let stretch = if self.exponent == 1.0 { ratio } else { ratio.powf(self.exponent) };
+        (self.sound_speed * self.sound_speed * self.rest_density / self.exponent * (stretch - 1.0)).max(0.0)
+    }
+}
+
+/// Computes density and acceleration of all particles, which must be sorted into `cells`.
+pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &Cells) {
+    let n = p.len();
+    let (x, v, density, pressure, acceleration) =
+        (&p.x, &p.v, &mut p.density, &mut p.pressure, &mut p.acceleration);
+    density.resize(n + WIDTH, 1.0);
+    density[n..].fill(1.0);
+    density[..n].par_chunks_mut(CHUNK).enumerate().for_each(|(k, out)| {
+        densities::<K>(gas, x, cells, k * CHUNK, out);
+    });
+    pressure.resize(n + WIDTH, 0.0);
+    pressure[n..].fill(0.0);
+    for i in 0..n {
+        pressure[i] = gas.pressure(density[i]) / (density[i] * density[i]);
+    }
+    let (density, pressure) = (&density[..], &pressure[..]);
+    acceleration.resize(n, [0.0; 3]);
+    acceleration.par_chunks_mut(CHUNK).enumerate().for_each(|(k, out)| {
+        pushes::<K>(gas, x, v, density, pressure, cells, k * CHUNK, out);
+    });
+}
+
+/// Compiles a function for AVX2 as well, and calls the one that the processor can run. Both give the same numbers: lanes are
+/// independent and nothing is fused.
+macro_rules! by_width {
+    ($name:ident, $kernel:ident, ($($arg:ident: $type:ty),*)) => {
+        fn $name<K: KernelShape>($($arg: $type),*) {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn wide<K: KernelShape>($($arg: $type),*) {
+                    $kernel::<K>($($arg),*);
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    #[expect(unsafe_code, reason = "the feature was just checked")]
+                    // SAFETY: the processor has AVX2.
+                    return unsafe { wide::<K>($($arg),*) };
+                }
+            }
+            $kernel::<K>($($arg),*);
+        }
+    };
+}
+
+by_width!(densities, densities_of, (gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, first: usize, out: &mut [f32]));
+by_width!(pushes, pushes_on, (
+    gas: &Gas, x: &[Vec<f32>; 3], v: &[Vec<f32>; 3], density: &[f32], pressure: &[f32], cells: &Cells,
+    first: usize, out: &mut [[f32; 3]]
+));
+
+#[inline(always)]
+fn at(x: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
+    [x[0][i], x[1][i], x[2][i]]
+}
+
+/// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
+/// the support, where kernels are zero.
+#[inline(always)]
+fn offsets(a: [Lanes; 3], x: [&[f32]; 3], j: usize, count: u32, support2: Lanes) -> ([Lanes; 3], Lanes) {
+    let d = [a[0] - Lanes::load(x[0], j), a[1] - Lanes::load(x[1], j), a[2] - Lanes::load(x[2], j)];
+    let r2 = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).min(support2);
+    (d, if count < WIDTH as u32 { r2.first(count, support2) } else { r2 })
+}
+
+#[inline(always)]
+fn densities_of<K: KernelShape>(gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, first: usize, out: &mut [f32]) {
+    let h = gas.support;
+    let (support2, inverse) = (Lanes::splat(h * h), Lanes::splat(1.0 / h));
+    let scale = gas.mass / (K::VOLUME * h * h * h);
+    let places = [&x[0][..], &x[1][..], &x[2][..]];
+    for (k, density) in out.iter_mut().enumerate() {
+        let here = at(x, first + k);
+        let a = here.map(Lanes::splat);
+        let mut sum = Lanes::splat(0.0);
+        for (begin, end) in cells.around(here) {
+            let mut j = begin;
+            while j < end {
+                let (_, r2) = offsets(a, places, j as usize, end - j, support2);
+                sum += K::value(r2.sqrt() * inverse);
+                j += WIDTH as u32;
+            }
+        }
+        *density = sum.sum() * scale;
+    }
+}
+
+#[inline(always)]
+fn pushes_on<K: KernelShape>(
+    gas: &Gas,
+    x: &[Vec<f32>; 3],
+    v: &[Vec<f32>; 3],
+    density: &[f32],
+    pressure: &[f32],
+    cells: &Cells,
+    first: usize,
+    out: &mut [[f32; 3]],
+) {
+    let h = gas.support;
+    let zero = Lanes::splat(0.0);
+    let (support2, inverse) = (Lanes::splat(h * h), Lanes::splat(1.0 / h));
+    let soft = Lanes::splat(0.0025 * h * h);
+    // −α c (H/2) · 2: the mean density is half of a sum.
+    let viscosity = Lanes::splat(-gas.viscosity * gas.sound_speed * h);
+    let scale = gas.mass / (K::VOLUME * h.powi(5));
+    let places = [&x[0][..], &x[1][..], &x[2][..]];
+    for (k, acceleration) in out.iter_mut().enumerate() {
+        let i = first + k;
+        let here = at(x, i);
+        let (a, b) = (here.map(Lanes::splat), at(v, i).map(Lanes::splat));
+        let (own_pressure, own_density) = (Lanes::splat(pressure[i]), Lanes::splat(density[i]));
+        let mut sum = [zero; 3];
+        for (begin, end) in cells.around(here) {
+            let mut j = begin;
+            while j < end {
+                let at = j as usize;
+                let (d, r2) = offsets(a, places, at, end - j, support2);
+                let approach = ((b[0] - Lanes::load(&v[0], at)) * d[0]
+                    + (b[1] - Lanes::load(&v[1], at)) * d[1]
+                    + (b[2] - Lanes::load(&v[2], at)) * d[2])
+                    .min(zero);
+                let damping = viscosity
+                    * approach
+                    * ((r2 + soft) * (own_density + Lanes::load(density, at))).reciprocal();
+                let push =
+                    (own_pressure + Lanes::load(pressure, at) + damping) * K::slope(r2.sqrt() * inverse);
+                sum[0] += push * d[0];
+                sum[1] += push * d[1];
+                sum[2] += push * d[2];
+                j += WIDTH as u32;
+            }
+        }
+        *acceleration = sum.map(|s| s.sum() * scale);
+    }
+}
