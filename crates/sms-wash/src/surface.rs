@@ -106,6 +106,50 @@ impl ConvexPart {
     }
 }
 
+/// Where a moving point reaches a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sweep {
+    /// When, seconds.
+    pub(crate) time: f64,
+    /// Outward normal in the body's frame.
+    pub(crate) normal: DVec3,
+    /// How deep the point lies inside at the start, metres.
+    pub(crate) depth: f64,
+}
+
+impl ConvexPart {
+    /// When a point comes within `offset` of the planes; a point that is there already and moves outwards or along does not.
+    fn sweep(&self, p: DVec3, v: DVec3, duration: f64, offset: f64) -> Option<Sweep> {
+        let close = 1e-3 * offset;
+        let (mut enter, mut leave) = (f64::NEG_INFINITY, duration);
+        let mut normal = DVec3::Z;
+        let (mut nearest, mut nearest_rate, mut nearest_normal) = (f64::NEG_INFINITY, 0.0, DVec3::Z);
+        for plane in &self.planes {
+            let gap = plane.normal.dot(p) - plane.offset - offset;
+            let rate = plane.normal.dot(v);
+            if gap > nearest {
+                (nearest, nearest_rate, nearest_normal) = (gap, rate, plane.normal);
+            }
+            if rate < 0.0 {
+                let t = -gap / rate;
+                if t > enter {
+                    (enter, normal) = (t, plane.normal);
+                }
+            } else if gap > 0.0 {
+                return None;
+            } else if rate > 0.0 {
+                leave = leave.min(-gap / rate);
+            }
+        }
+        if nearest <= close {
+            let hit = Sweep { time: 0.0, normal: nearest_normal, depth: (-nearest).max(0.0) };
+            // What moves along a face, to rounding, meets nothing.
+            return (nearest_rate < -1e-6 * v.length()).then_some(hit);
+        }
+        (enter <= leave).then_some(Sweep { time: enter, normal, depth: 0.0 })
+    }
+}
+
 /// Lower bounds of the distance from a surface, on a grid in the body's frame.
 #[derive(Debug, Clone)]
 struct DistanceGrid {
@@ -233,6 +277,25 @@ impl BodySurface {
     /// front of its faces, too small (never too large) beyond its edges: the zero set has sharp edges.
     pub fn distance(&self, p_b: DVec3) -> SurfacePoint {
         nearest(&self.parts, p_b)
+    }
+
+    /// When a point at `p_b` that moves with `v_b` first comes within `offset` of the surface and does not move away from it. What
+    /// lies deeper on the way, however thin, is not jumped over.
+    pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<Sweep> {
+        let (way, squared) = (duration * v_b, (duration * v_b).length_squared());
+        let mut best: Option<Sweep> = None;
+        for part in &self.parts {
+            let to_center = part.center - p_b;
+            let along = (to_center.dot(way) / squared.max(1e-300)).clamp(0.0, 1.0);
+            // Corners of the shape at that distance are farther out than the distance; four times is enough for right angles.
+            let reach = part.radius + 4.0 * offset;
+            if (to_center - along * way).length_squared() > reach * reach {
+                continue;
+            }
+            let limit = best.map_or(duration, |b| b.time);
+            best = part.sweep(p_b, v_b, limit, offset).or(best);
+        }
+        best
     }
 
     /// First point of the surface on a ray of `B` within `reach` metres; `direction_b` is of length 1.

@@ -5,8 +5,6 @@ use glamx::{DPose3, DVec3};
 
 /// Surfaces that one particle can meet in one step.
 pub(super) const MAX_HITS: usize = 3;
-/// Pieces into which the way along a surface is divided at most.
-const MARCH: usize = 24;
 
 /// An impulse that a body receives.
 #[derive(Debug, Clone, Copy, Default)]
@@ -75,36 +73,14 @@ impl Obstacles<'_> {
             if surface.distance_at_least(x_b) > way + self.offset || way <= 0.0 {
                 continue;
             }
-            if let Some((time, normal_b, depth)) =
-                self.run_into(surface, x_b, x_bw.rotation * relative_w, limit)
-                && best.is_none_or(|b| time < b.1)
+            let v_b = x_bw.rotation * relative_w;
+            if let Some(hit) = surface.sweep(x_b, v_b, limit, self.offset)
+                && best.is_none_or(|b| hit.time < b.1)
             {
-                best = Some((body, time, motion.x_wb.rotation * normal_b, depth));
+                best = Some((body, hit.time, motion.x_wb.rotation * hit.normal, hit.depth));
             }
         }
         best
-    }
-
-    /// Sphere tracing in the body's frame: distances are never larger than the surface is away, so that nothing, however thin,
-    /// is jumped over.
-    fn run_into(&self, surface: &BodySurface, x_b: DVec3, v_b: DVec3, dt: f64) -> Option<(f64, DVec3, f64)> {
-        let speed = v_b.length();
-        let close = 1e-3 * self.offset;
-        let mut time = 0.0;
-        for _ in 0..MARCH {
-            let nearest = surface.distance(x_b + time * v_b);
-            let gap = nearest.distance - self.offset;
-            let into = -nearest.normal.dot(v_b);
-            if gap <= close && into > 1e-6 * speed {
-                return Some((time, nearest.normal, (-gap).max(0.0)));
-            }
-            // Along a surface steps do not get shorter than this.
-            time += gap.max(0.25 * self.offset) / speed;
-            if time > dt {
-                return None;
-            }
-        }
-        None
     }
 }
 
