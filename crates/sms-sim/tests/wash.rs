@@ -90,7 +90,8 @@ fn an_overhanging_plank_tips_under_the_particles_at_the_threshold() {
 fn a_restored_run_repeats_itself() {
     let scene = scene(0.5);
     let mut simulation =
-        Simulation::new(&RapierF64Factory, &scene, &WorldOptions { dt: DT, ..WorldOptions::default() }).unwrap();
+        Simulation::new(&RapierF64Factory, &scene, &WorldOptions { dt: DT, ..WorldOptions::default() })
+            .unwrap();
     let sph = SphWash::new(wash_surfaces(&scene).unwrap(), SphSettings::default()).unwrap();
     let mut wash = WashInWorld::new(Box::new(sph), scene.bodies.len());
     let rotors = [Rotor { p_v: DVec3::ZERO, radius: 0.0685 }];

@@ -11,6 +11,8 @@
 //! on the same surfaces, unions of convex parts ([`BodySurface`]). Friction of air along surfaces is left out: air loses what
 //! momentum it has along a surface's normal.
 //!
+//! The vehicle is [`Quadrotor`], its approach a [`Flight`].
+//!
 //! ```
 //! use glamx::{DPose3, DVec3};
 //! use sms_wash::{BodyMotion, BodySurface, Rotor, StreamSettings, StreamWash, VehicleState, Wash, Wrench};
@@ -34,7 +36,9 @@
 
 mod disk;
 mod error;
+mod flight;
 mod jet;
+mod quadrotor;
 mod sph;
 mod stream;
 mod surface;
@@ -42,7 +46,9 @@ mod wash;
 
 pub use disk::{AIR_DENSITY, ActuatorDisk, Emission, Emitted, particle_density};
 pub use error::WashError;
+pub use flight::{BezierPath, Flight, FlightSettings, FlightState};
 pub use jet::{RoundJet, SPREADING_RATE};
+pub use quadrotor::Quadrotor;
 pub use sph::{Kernel, Ledger, Pattern, SphSettings, SphWash};
 pub use stream::{StreamSettings, StreamWash};
 pub use surface::{BodySurface, SurfacePoint};

@@ -100,58 +100,99 @@ impl StreamWash {
             .flat_map(|a| vehicle.rotors.iter().map(|b| a.p_v.distance(b.p_v)))
             .fold(0.0, f64::max);
         let poses_bw: Vec<DPose3> = bodies.iter().map(|b| b.x_wb.inverse()).collect();
-        let lines = (self.settings.rings * self.settings.spokes) as f64;
+        let (rings, spokes) = (self.settings.rings, self.settings.spokes);
+        let mut near = Vec::with_capacity(bodies.len());
         for stream in &streams {
             let across = stream.p_w - center_w;
             let to_center = across - across.dot(stream.axis_w) * stream.axis_w;
-            let line = FlowLines {
-                shape: self.shape,
-                stream: *stream,
-                jet: RoundJet {
-                    momentum_flux: stream.emitted.momentum_flux(),
-                    exit_radius: stream.emitted.radius,
-                    air_density: self.settings.air_density,
-                },
-                to_center,
-                merged_at: self.settings.merge_spans * span,
-                axes: stream.axis_w.any_orthonormal_pair(),
-            };
-            let share = stream.emitted.momentum_flux() / lines;
-            for ring in 0..self.settings.rings {
-                let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
-                for spoke in 0..self.settings.spokes {
+            let lines = self.flow_lines(stream, to_center, self.settings.merge_spans * span);
+            near.clear();
+            near.extend((0..bodies.len()).filter(|&b| self.in_reach(b, &lines, &bodies[b].x_wb)));
+            if near.is_empty() {
+                continue;
+            }
+            let share = stream.emitted.momentum_flux() / (rings * spokes) as f64;
+            let (u, v) = stream.axis_w.any_orthonormal_pair();
+            for ring in 0..rings {
+                for spoke in 0..spokes {
                     // Rings are turned against each other, so that an edge meets lines one after the other.
-                    let turn = (spoke as f64 + ring as f64 * 0.618_034) / self.settings.spokes as f64;
-                    self.follow(&line, inner, 2.0 * PI * turn, share, bodies, &poses_bw, wrenches);
+                    let turn = 2.0 * PI * (spoke as f64 + ring as f64 * 0.618_034) / spokes as f64;
+                    let outwards_w = turn.cos() * u + turn.sin() * v;
+                    self.follow(&lines, ring, outwards_w, share, &near, bodies, &poses_bw, wrenches);
                 }
             }
         }
     }
 
+    /// Where the lines of a propeller run, ring by ring.
+    fn flow_lines(&self, stream: &Stream, to_center: DVec3, merged_at: f64) -> FlowLines {
+        let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
+        let jet = RoundJet {
+            momentum_flux: stream.emitted.momentum_flux(),
+            exit_radius: stream.emitted.radius,
+            air_density: self.settings.air_density,
+        };
+        let distance = |k: usize| self.settings.reach * (k as f64 / pieces as f64).powf(1.5);
+        let axis_w = (0..=pieces)
+            .map(|k| {
+                let z = distance(k);
+                let u = if merged_at > 0.0 { (z / merged_at).min(1.0) } else { 1.0 };
+                let drawn = if self.shape == Shape::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
+                stream.p_w + z * stream.axis_w - drawn * to_center
+            })
+            .collect();
+        let ring = |ring: usize| {
+            let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
+            let radius_and_speed = |k: usize| match self.shape {
+                Shape::Tube => (stream.emitted.radius * inner.sqrt(), stream.emitted.speed),
+                Shape::Jet => jet.stream(inner, distance(k)),
+            };
+            (0..=pieces).map(radius_and_speed).collect()
+        };
+        let rings: Vec<Vec<(f64, f64)>> = (0..self.settings.rings).map(ring).collect();
+        FlowLines { stream: *stream, axis_w, rings, aside: to_center.length() }
+    }
+
+    /// Whether lines can meet a body at all.
+    fn in_reach(&self, body: usize, lines: &FlowLines, x_wb: &DPose3) -> bool {
+        let Some(extent) = self.surfaces[body].extent() else { return true };
+        let (radius, center_w) = (0.5 * extent.extents().length(), x_wb.transform_point(extent.center()));
+        let to_center = center_w - lines.stream.p_w;
+        let along = to_center.dot(lines.stream.axis_w);
+        let widest = lines.rings.last().and_then(|r| r.last()).map_or(0.0, |(radius, _)| *radius);
+        along + radius >= 0.0
+            && along - radius <= self.settings.reach
+            && (to_center - along * lines.stream.axis_w).length() <= radius + widest + lines.aside
+    }
+
     /// Follows one flow line to the first surface and hands over its momentum there.
     fn follow(
         &self,
-        line: &FlowLines,
-        inner: f64,
-        turn: f64,
+        lines: &FlowLines,
+        ring: usize,
+        outwards_w: DVec3,
         share: f64,
+        near: &[usize],
         bodies: &[BodyMotion],
         poses_bw: &[DPose3],
         wrenches: &mut [Wrench],
     ) {
-        let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
-        let at = |k: usize| self.settings.reach * (k as f64 / pieces as f64).powf(1.5);
-        let (mut from_w, mut speed) = line.point(inner, turn, 0.0);
-        for k in 1..=pieces {
-            let (to_w, next_speed) = line.point(inner, turn, at(k));
+        let at = |k: usize| {
+            let (radius, speed) = lines.rings[ring][k];
+            (lines.axis_w[k] + radius * outwards_w, speed)
+        };
+        let (mut from_w, mut speed) = at(0);
+        for k in 1..lines.axis_w.len() {
+            let (to_w, next_speed) = at(k);
             let step = to_w - from_w;
             let length = step.length();
             let direction_w = step / length;
             let mut first: Option<(usize, f64, DVec3)> = None;
-            for (b, (surface, x_bw)) in self.surfaces.iter().zip(poses_bw).enumerate() {
+            for &b in near {
                 let limit = first.map_or(length, |f| f.1);
+                let x_bw = &poses_bw[b];
                 let origin_b = x_bw.transform_point(from_w);
-                if let Some(hit) = surface.ray(origin_b, x_bw.rotation * direction_w, limit) {
+                if let Some(hit) = self.surfaces[b].ray(origin_b, x_bw.rotation * direction_w, limit) {
                     first = Some((b, hit.distance, bodies[b].x_wb.rotation * hit.normal));
                 }
             }
@@ -161,7 +202,7 @@ impl StreamWash {
                 let receding = bodies[b].velocity_at(p_w).dot(direction_w);
                 let relative = (1.0 - receding / speed.max(1e-9)).clamp(0.0, 2.0);
                 // The share is of the momentum along the axis; a line that runs aslant carries more.
-                let facing = -direction_w.dot(normal_w) / direction_w.dot(line.stream.axis_w).max(0.1);
+                let facing = -direction_w.dot(normal_w) / direction_w.dot(lines.stream.axis_w).max(0.1);
                 let force_w = normal_w * (-share * relative * relative * facing.max(0.0));
                 wrenches[b].push(force_w, p_w, bodies[b].x_wb.translation);
                 return;
@@ -171,35 +212,15 @@ impl StreamWash {
     }
 }
 
-/// The flow lines of one propeller.
+/// The flow lines of one propeller, in pieces.
 struct FlowLines {
-    shape: Shape,
     stream: Stream,
-    jet: RoundJet,
-    /// From the common axis to the propeller's.
-    to_center: DVec3,
-    merged_at: f64,
-    axes: (DVec3, DVec3),
-}
-
-impl FlowLines {
-    /// Where the line of a share and a direction is at distance `z`, and the speed there.
-    fn point(&self, inner: f64, turn: f64, z: f64) -> (DVec3, f64) {
-        let outwards = self.axes.0 * turn.cos() + self.axes.1 * turn.sin();
-        let on_axis = self.stream.p_w + z * self.stream.axis_w;
-        match self.shape {
-            Shape::Tube => {
-                let radius = self.stream.emitted.radius * inner.sqrt();
-                (on_axis + radius * outwards, self.stream.emitted.speed)
-            }
-            Shape::Jet => {
-                let (radius, speed) = self.jet.stream(inner, z);
-                let u = if self.merged_at > 0.0 { (z / self.merged_at).min(1.0) } else { 1.0 };
-                let drawn = u * u * (3.0 - 2.0 * u);
-                (on_axis - drawn * self.to_center + radius * outwards, speed)
-            }
-        }
-    }
+    /// The axis where pieces begin and end, in the world.
+    axis_w: Vec<DVec3>,
+    /// Of each ring the distance from the axis and the speed there.
+    rings: Vec<Vec<(f64, f64)>>,
+    /// Distance of the propeller from the common axis.
+    aside: f64,
 }
 
 impl Wash for StreamWash {
