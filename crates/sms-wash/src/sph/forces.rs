@@ -2,7 +2,7 @@
 
 use super::cells::Cells;
 use super::kernel::KernelShape;
-use super::lanes::{Lanes, WIDTH};
+use super::lanes::{Lanes, Portable, WIDTH};
 use super::particles::Particles;
 use rayon::prelude::*;
 
@@ -57,8 +57,7 @@ pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells:
     });
 }
 
-/// Compiles a function for AVX2 as well, and calls the one that the processor can run. Both give the same numbers: lanes are
-/// independent and nothing is fused.
+/// A function that calls another, written against [`Lanes`], with the widest that the processor has.
 macro_rules! by_width {
     ($name:ident, $kernel:ident, ($($arg:ident: $type:ty),*)) => {
         fn $name<K: KernelShape>($($arg: $type),*) {
@@ -66,7 +65,7 @@ macro_rules! by_width {
             {
                 #[target_feature(enable = "avx2")]
                 fn wide<K: KernelShape>($($arg: $type),*) {
-                    $kernel::<K>($($arg),*);
+                    $kernel::<K, super::lanes::Avx2>($($arg),*);
                 }
                 if std::arch::is_x86_feature_detected!("avx2") {
                     #[expect(unsafe_code, reason = "the feature was just checked")]
@@ -74,7 +73,7 @@ macro_rules! by_width {
                     return unsafe { wide::<K>($($arg),*) };
                 }
             }
-            $kernel::<K>($($arg),*);
+            $kernel::<K, Portable>($($arg),*);
         }
     };
 }
@@ -93,27 +92,33 @@ fn at(x: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
 /// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
 /// the support, where kernels are zero.
 #[inline(always)]
-fn offsets(a: [Lanes; 3], x: [&[f32]; 3], j: usize, count: u32, support2: Lanes) -> ([Lanes; 3], Lanes) {
-    let d = [a[0] - Lanes::load(x[0], j), a[1] - Lanes::load(x[1], j), a[2] - Lanes::load(x[2], j)];
+fn offsets<L: Lanes>(a: [L; 3], x: [&[f32]; 3], j: usize, count: u32, support2: L) -> ([L; 3], L) {
+    let d = [a[0] - L::of(x[0], j), a[1] - L::of(x[1], j), a[2] - L::of(x[2], j)];
     let r2 = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).min(support2);
     (d, if count < WIDTH as u32 { r2.first(count, support2) } else { r2 })
 }
 
 #[inline(always)]
-fn densities_of<K: KernelShape>(gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, first: usize, out: &mut [f32]) {
+fn densities_of<K: KernelShape, L: Lanes>(
+    gas: &Gas,
+    x: &[Vec<f32>; 3],
+    cells: &Cells,
+    first: usize,
+    out: &mut [f32],
+) {
     let h = gas.support;
-    let (support2, inverse) = (Lanes::splat(h * h), Lanes::splat(1.0 / h));
+    let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
     let scale = gas.mass / (K::VOLUME * h * h * h);
     let places = [&x[0][..], &x[1][..], &x[2][..]];
     for (k, density) in out.iter_mut().enumerate() {
         let here = at(x, first + k);
-        let a = here.map(Lanes::splat);
-        let mut sum = Lanes::splat(0.0);
+        let a = here.map(L::splat);
+        let mut sum = L::splat(0.0);
         for (begin, end) in cells.around(here) {
             let mut j = begin;
             while j < end {
                 let (_, r2) = offsets(a, places, j as usize, end - j, support2);
-                sum += K::value(r2.sqrt() * inverse);
+                sum = sum + K::value(r2.sqrt() * inverse);
                 j += WIDTH as u32;
             }
         }
@@ -122,7 +127,7 @@ fn densities_of<K: KernelShape>(gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, fir
 }
 
 #[inline(always)]
-fn pushes_on<K: KernelShape>(
+fn pushes_on<K: KernelShape, L: Lanes>(
     gas: &Gas,
     x: &[Vec<f32>; 3],
     v: &[Vec<f32>; 3],
@@ -133,37 +138,38 @@ fn pushes_on<K: KernelShape>(
     out: &mut [[f32; 3]],
 ) {
     let h = gas.support;
-    let zero = Lanes::splat(0.0);
-    let (support2, inverse) = (Lanes::splat(h * h), Lanes::splat(1.0 / h));
-    let soft = Lanes::splat(0.0025 * h * h);
+    let zero = L::splat(0.0);
+    let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
+    let soft = L::splat(0.0025 * h * h);
     // −α c (H/2) · 2: the mean density is half of a sum.
-    let viscosity = Lanes::splat(-gas.viscosity * gas.sound_speed * h);
+    let viscosity = L::splat(-gas.viscosity * gas.sound_speed * h);
     let scale = gas.mass / (K::VOLUME * h.powi(5));
     let places = [&x[0][..], &x[1][..], &x[2][..]];
     for (k, acceleration) in out.iter_mut().enumerate() {
         let i = first + k;
         let here = at(x, i);
-        let (a, b) = (here.map(Lanes::splat), at(v, i).map(Lanes::splat));
-        let (own_pressure, own_density) = (Lanes::splat(pressure[i]), Lanes::splat(density[i]));
+        let (a, b) = (here.map(L::splat), at(v, i).map(L::splat));
+        let (own_pressure, own_density) = (L::splat(pressure[i]), L::splat(density[i]));
         let mut sum = [zero; 3];
         for (begin, end) in cells.around(here) {
             let mut j = begin;
             while j < end {
                 let at = j as usize;
                 let (d, r2) = offsets(a, places, at, end - j, support2);
-                let approach = ((b[0] - Lanes::load(&v[0], at)) * d[0]
-                    + (b[1] - Lanes::load(&v[1], at)) * d[1]
-                    + (b[2] - Lanes::load(&v[2], at)) * d[2])
-                    .min(zero);
-                let damping = viscosity
-                    * approach
-                    * ((r2 + soft) * (own_density + Lanes::load(density, at))).reciprocal();
-                let push =
-                    (own_pressure + Lanes::load(pressure, at) + damping) * K::slope(r2.sqrt() * inverse);
-                sum[0] += push * d[0];
-                sum[1] += push * d[1];
-                sum[2] += push * d[2];
                 j += WIDTH as u32;
+                if !r2.any_below(support2) {
+                    continue;
+                }
+                let approach = ((b[0] - L::of(&v[0], at)) * d[0]
+                    + (b[1] - L::of(&v[1], at)) * d[1]
+                    + (b[2] - L::of(&v[2], at)) * d[2])
+                    .min(zero);
+                let damping =
+                    viscosity * approach * ((r2 + soft) * (own_density + L::of(density, at))).reciprocal();
+                let push = (own_pressure + L::of(pressure, at) + damping) * K::slope(r2.sqrt() * inverse);
+                sum[0] = sum[0] + push * d[0];
+                sum[1] = sum[1] + push * d[1];
+                sum[2] = sum[2] + push * d[2];
             }
         }
         *acceleration = sum.map(|s| s.sum() * scale);
