@@ -1,11 +1,14 @@
-//! Force of a hovering quadrotor on a plate, size of the free jet, and cost, for settings of the particle model; what
+//! Force of a hovering quadrotor on a plate by all models, size of the free jet, and cost, for settings of the particle model; what
 //! docs/wash-study.md is made of.
 //!
 //! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML, and `half`
 //! (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along x), `propellers`, `seconds`.
 
 use glamx::{DPose3, DQuat, DVec3};
-use sms_wash::{BodyMotion, BodySurface, Rotor, SphSettings, SphWash, VehicleState, Wash, Wrench};
+use sms_wash::{
+    BodyMotion, BodySurface, Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash,
+    Wrench,
+};
 use std::error::Error;
 use std::time::Instant;
 
@@ -30,8 +33,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     let settings: SphSettings = table.try_into()?;
-    let plate = BodySurface::cuboid(DVec3::new(half, half, 0.005))?;
-    let mut wash = SphWash::new(vec![plate], settings)?;
+    let plate = vec![BodySurface::cuboid(DVec3::new(half, half, 0.005))?];
+    let mut wash = SphWash::new(plate.clone(), settings)?;
     let rotors = [(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)]
         .map(|(x, y)| Rotor { p_v: DVec3::new(x, y, 0.0), radius: 0.0685 });
     // Fewer propellers carry less, not more each.
@@ -45,6 +48,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let body = [BodyMotion::at_rest(DPose3::IDENTITY)];
     let mut wrench = [Wrench::default()];
+    for mut wash in [
+        StreamWash::disk(plate.clone(), StreamSettings::default())?,
+        StreamWash::jet(plate, StreamSettings::default())?,
+    ] {
+        wash.step(0.0025, &vehicle, &body, &mut wrench);
+        println!(
+            "{}: force {:.4} of the thrust, centre of pressure {:.4} m",
+            wash.name(),
+            -wrench[0].force_w.z / carried,
+            -wrench[0].torque_w.y / wrench[0].force_w.z,
+        );
+    }
     let dt = 0.0025;
     let (warm, steps) = ((0.2 / dt) as usize, (seconds / dt) as usize);
     let (mut forces, mut torque, mut particles, mut fastest, mut rising) = (Vec::new(), 0.0, 0, 0f32, 0.0);

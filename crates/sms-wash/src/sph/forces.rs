@@ -89,6 +89,12 @@ fn at(x: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
     [x[0][i], x[1][i], x[2][i]]
 }
 
+// Not `map` of arrays: it is not compiled into functions that enable AVX2.
+#[inline(always)]
+fn splat<L: Lanes>(a: [f32; 3]) -> [L; 3] {
+    [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
+}
+
 /// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
 /// the support, where kernels are zero.
 #[inline(always)]
@@ -112,7 +118,7 @@ fn densities_of<K: KernelShape, L: Lanes>(
     let places = [&x[0][..], &x[1][..], &x[2][..]];
     for (k, density) in out.iter_mut().enumerate() {
         let here = at(x, first + k);
-        let a = here.map(L::splat);
+        let a: [L; 3] = splat(here);
         let mut sum = L::splat(0.0);
         for (begin, end) in cells.around(here) {
             let mut j = begin;
@@ -148,7 +154,7 @@ fn pushes_on<K: KernelShape, L: Lanes>(
     for (k, acceleration) in out.iter_mut().enumerate() {
         let i = first + k;
         let here = at(x, i);
-        let (a, b) = (here.map(L::splat), at(v, i).map(L::splat));
+        let (a, b): ([L; 3], [L; 3]) = (splat(here), splat(at(v, i)));
         let (own_pressure, own_density) = (L::splat(pressure[i]), L::splat(density[i]));
         let mut sum = [zero; 3];
         for (begin, end) in cells.around(here) {
@@ -172,6 +178,6 @@ fn pushes_on<K: KernelShape, L: Lanes>(
                 sum[2] = sum[2] + push * d[2];
             }
         }
-        *acceleration = sum.map(|s| s.sum() * scale);
+        *acceleration = [sum[0].sum() * scale, sum[1].sum() * scale, sum[2].sum() * scale];
     }
 }
