@@ -7,7 +7,7 @@
 //! | `jet` | turbulent round jets that merge ([`StreamWash::jet`], [`RoundJet`]) | screening |
 //! | `sph` | smoothed-particle hydrodynamics ([`SphWash`]) | refinement and the final score |
 //!
-//! All models are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix "Quadrotor Propeller Model") and press
+//! [`WashSettings`] chooses among them. All are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix "Quadrotor Propeller Model") and press
 //! on the same surfaces, unions of convex parts ([`BodySurface`]). Friction of air along surfaces is left out: air loses what
 //! momentum it has along a surface's normal.
 //!
@@ -38,6 +38,7 @@ mod disk;
 mod error;
 mod flight;
 mod jet;
+mod model;
 mod quadrotor;
 mod sph;
 mod stream;
@@ -48,6 +49,7 @@ pub use disk::{AIR_DENSITY, ActuatorDisk, Emission, Emitted, particle_density};
 pub use error::WashError;
 pub use flight::{BezierPath, Flight, FlightSettings, FlightState};
 pub use jet::{RoundJet, SPREADING_RATE};
+pub use model::{WashModel, WashSettings};
 pub use quadrotor::Quadrotor;
 pub use sph::{Kernel, Ledger, Pattern, SphSettings, SphWash};
 pub use stream::{StreamSettings, StreamWash};

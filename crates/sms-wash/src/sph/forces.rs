@@ -36,15 +36,13 @@ impl Gas {
 }
 
 /// Computes density and acceleration of all particles, which must be sorted into `cells`.
-pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &Cells) {
+pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &Cells, parallel: bool) {
     let n = p.len();
     let (x, v, density, pressure, acceleration) =
         (&p.x, &p.v, &mut p.density, &mut p.pressure, &mut p.acceleration);
     density.resize(n + WIDTH, 1.0);
     density[n..].fill(1.0);
-    density[..n].par_chunks_mut(CHUNK).enumerate().for_each(|(k, out)| {
-        densities::<K>(gas, x, cells, k * CHUNK, out);
-    });
+    each_chunk(&mut density[..n], CHUNK, parallel, |first, out| densities::<K>(gas, x, cells, first, out));
     pressure.resize(n + WIDTH, 0.0);
     pressure[n..].fill(0.0);
     for i in 0..n {
@@ -52,9 +50,23 @@ pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells:
     }
     let (density, pressure) = (&density[..], &pressure[..]);
     acceleration.resize(n, [0.0; 3]);
-    acceleration.par_chunks_mut(CHUNK).enumerate().for_each(|(k, out)| {
-        pushes::<K>(gas, x, v, density, pressure, cells, k * CHUNK, out);
+    each_chunk(acceleration, CHUNK, parallel, |first, out| {
+        pushes::<K>(gas, x, v, density, pressure, cells, first, out);
     });
+}
+
+/// Calls `f` with each chunk of `all` and the index of its first element.
+pub(super) fn each_chunk<T: Send>(
+    all: &mut [T],
+    size: usize,
+    parallel: bool,
+    f: impl Fn(usize, &mut [T]) + Sync + Send,
+) {
+    if parallel {
+        all.par_chunks_mut(size).enumerate().for_each(|(k, out)| f(k * size, out));
+    } else {
+        all.chunks_mut(size).enumerate().for_each(|(k, out)| f(k * size, out));
+    }
 }
 
 /// A function that calls another, written against [`Lanes`], with the widest that the processor has.
