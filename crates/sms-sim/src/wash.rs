@@ -68,7 +68,8 @@ impl WashInWorld {
         self.motions.extend((0..self.wrenches.len()).map(|b| motion(&simulation.state(b))));
         self.wash.step(dt, vehicle, &self.motions, &mut self.wrenches);
         for (body, wrench) in self.wrenches.iter().enumerate() {
-            if wrench.force_w.length() > LEAST_FORCE {
+            // What is not finite is handed over as well: the simulation then says that it diverged.
+            if wrench.force_w.length() > LEAST_FORCE || !wrench.force_w.is_finite() {
                 simulation.apply_wrench(body, wrench.force_w, wrench.torque_w);
             }
         }

@@ -4,7 +4,7 @@ use glamx::{DPose3, DVec3};
 use sms_core::box_mass_properties;
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
 use sms_sim::{RapierF64Factory, Simulation, WashInWorld, WorldOptions, wash_surfaces};
-use sms_wash::{Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash};
+use sms_wash::{Quadrotor, Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash};
 
 const G: f64 = 9.81;
 const DT: f64 = 0.0025;
@@ -118,4 +118,36 @@ fn a_restored_run_repeats_itself() {
     let first = run(&mut simulation);
     assert_eq!(first, run(&mut simulation));
     assert!(first.w_w.length() > 0.1, "it was set in motion");
+}
+
+/// The vehicle cuts its motors 1 cm above a platform and touches down as a free body: on its feet, upright, where it was.
+#[test]
+fn the_quadrotor_stands_on_its_legs() {
+    let vehicle = Quadrotor::default();
+    let mut scene = scene(2.0);
+    let top = TOP + 0.02;
+    scene.bodies.push(Body {
+        name: "quadrotor".into(),
+        kind: BodyKind::Dynamic,
+        x_wb: DPose3::from_translation(DVec3::new(0.02, 0.01, top + 0.01 + vehicle.standing_height())),
+        shape: BodyShape::Hulls { hulls: vehicle.solids() },
+        mass: Some(vehicle.mass_properties().unwrap()),
+        ..floor_body(0.0, example_material())
+    });
+    let mut simulation =
+        Simulation::new(&RapierF64Factory, &scene, &WorldOptions { dt: DT, ..WorldOptions::default() })
+            .unwrap();
+    let quadrotor = scene.bodies.len() - 1;
+    let falling = sms_sim::BodyState { v_w: DVec3::Z * -0.3, ..simulation.state(quadrotor) };
+    simulation.set_state(quadrotor, &falling);
+    simulation.advance(2.0).unwrap();
+    let end = simulation.state(quadrotor);
+    assert!(
+        (end.x_wb.translation.z - top - vehicle.standing_height()).abs() < 2e-3,
+        "{}",
+        end.x_wb.translation
+    );
+    assert!(end.x_wb.translation.distance(falling.x_wb.translation) < 0.02);
+    assert!((end.x_wb.rotation * DVec3::Z).angle_between(DVec3::Z) < 0.01);
+    assert!(end.v_w.length() < 1e-2);
 }

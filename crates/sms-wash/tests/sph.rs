@@ -188,3 +188,13 @@ fn settings_out_of_range_are_refused() {
         assert!(SphWash::new(vec![plate(0.1)], settings).is_err());
     }
 }
+
+/// Steps far beyond what is stable end in forces, finite or not, and never in a panic.
+#[test]
+fn what_blows_up_does_not_panic() {
+    let (rotors, thrusts) = (rotors(), [0.25 * WEIGHT; 4]);
+    let wild = SphSettings { cfl: 400.0, sound_speed: 5000.0, slack: 0.0, ..SphSettings::default() };
+    let mut wash = SphWash::new(vec![plate(0.2)], wild).unwrap();
+    mean(&mut wash, &hover(&rotors, &thrusts, DVec3::Z * 0.3), &[DPose3::IDENTITY], 0.0, 0.3);
+    assert!(wash.particle_count() < 30_000);
+}

@@ -31,13 +31,13 @@ impl Cells {
             }
         }
         let mut size = support * 1.0001;
-        loop {
-            self.count = std::array::from_fn(|a| ((max[a] - min[a]).max(0.0) / size) as usize + 1);
-            if self.count.iter().product::<usize>() <= MAX_CELLS {
-                break;
-            }
+        // In floating point: what blew up may be anywhere.
+        while (0..3).map(|a| f64::from((max[a] - min[a]) / size).max(0.0) + 1.0).product::<f64>()
+            > MAX_CELLS as f64
+        {
             size *= 1.25;
         }
+        self.count = std::array::from_fn(|a| ((max[a] - min[a]).max(0.0) / size) as usize + 1);
         self.min = min;
         self.inverse = 1.0 / size;
         let cells = self.count.iter().product::<usize>();

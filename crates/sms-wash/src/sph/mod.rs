@@ -32,6 +32,8 @@ use sms_core::Aabb;
 
 /// Particles of one task when they are moved.
 const CHUNK: usize = 128;
+/// Coordinates (metres) and speeds (m/s) beyond this are no particle's.
+const FARTHEST: f32 = 1e4;
 /// Distance that particles keep from surfaces, in spacings.
 const OFFSET: f64 = 0.25;
 
@@ -327,6 +329,10 @@ impl SphWash {
                 let body = hit.body as usize;
                 wrenches[body].push(hit.impulse_w, hit.p_w, bodies[body].x_wb.translation);
                 ledger.on_bodies_w += hit.impulse_w;
+            }
+            if !moved.x.iter().chain(&moved.v).all(|c| c.abs() < FARTHEST) {
+                // It blew up (a user's step was too long); what it did to bodies shows in their wrenches.
+                continue;
             }
             let age = sorted.age[i] + dt as f32;
             if age < lifetime && structure.is_some_and(|around| will_meet(around, moved)) {
