@@ -49,7 +49,7 @@ enum Shape {
     Jet,
 }
 
-/// Wash without memory: the flow is the steady one of the present thrusts, and each flow line loses at the first surface what
+/// Wash without memory: the flow is that of the present thrusts, its axis bent by the vehicle's present velocity, and each flow line loses at the first surface what
 /// momentum it has along the surface's normal. Behind surfaces the air is still.
 pub struct StreamWash {
     shape: Shape,
@@ -105,7 +105,7 @@ impl StreamWash {
         for stream in &streams {
             let across = stream.p_w - center_w;
             let to_center = across - across.dot(stream.axis_w) * stream.axis_w;
-            let lines = self.flow_lines(stream, to_center, self.settings.merge_spans * span);
+            let lines = self.flow_lines(stream, to_center, self.settings.merge_spans * span, vehicle.v_w);
             near.clear();
             near.extend((0..bodies.len()).filter(|&b| self.in_reach(b, &lines, &bodies[b].x_wb)));
             if near.is_empty() {
@@ -125,7 +125,7 @@ impl StreamWash {
     }
 
     /// Where the lines of a propeller run, ring by ring.
-    fn flow_lines(&self, stream: &Stream, to_center: DVec3, merged_at: f64) -> FlowLines {
+    fn flow_lines(&self, stream: &Stream, to_center: DVec3, merged_at: f64, v_w: DVec3) -> FlowLines {
         let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
         let jet = RoundJet {
             momentum_flux: stream.emitted.momentum_flux(),
@@ -133,14 +133,6 @@ impl StreamWash {
             air_density: self.settings.air_density,
         };
         let distance = |k: usize| self.settings.reach * (k as f64 / pieces as f64).powf(1.5);
-        let axis_w = (0..=pieces)
-            .map(|k| {
-                let z = distance(k);
-                let u = if merged_at > 0.0 { (z / merged_at).min(1.0) } else { 1.0 };
-                let drawn = if self.shape == Shape::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
-                stream.p_w + z * stream.axis_w - drawn * to_center
-            })
-            .collect();
         let ring = |ring: usize| {
             let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
             let radius_and_speed = |k: usize| match self.shape {
@@ -150,7 +142,25 @@ impl StreamWash {
             (0..=pieces).map(radius_and_speed).collect()
         };
         let rings: Vec<Vec<(f64, f64)>> = (0..self.settings.rings).map(ring).collect();
-        FlowLines { stream: *stream, axis_w, rings, aside: to_center.length() }
+        // Air that is farther down left the propeller earlier, when the vehicle was elsewhere.
+        let sideways_w = v_w - v_w.dot(stream.axis_w) * stream.axis_w;
+        let (mut transit_s, mut last) = (0.0, (0.0, rings[0][0].1));
+        let axis_w = (0..=pieces)
+            .map(|k| {
+                let (z, speed) = (distance(k), rings[0][k].1);
+                transit_s += 2.0 * (z - last.0) / (speed + last.1);
+                last = (z, speed);
+                let u = if merged_at > 0.0 { (z / merged_at).min(1.0) } else { 1.0 };
+                let drawn = if self.shape == Shape::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
+                stream.p_w + z * stream.axis_w - drawn * to_center - transit_s * sideways_w
+            })
+            .collect();
+        FlowLines {
+            stream: *stream,
+            axis_w,
+            rings,
+            aside: to_center.length() + transit_s * sideways_w.length(),
+        }
     }
 
     /// Whether lines can meet a body at all.
@@ -219,7 +229,7 @@ struct FlowLines {
     axis_w: Vec<DVec3>,
     /// Of each ring the distance from the axis and the speed there.
     rings: Vec<Vec<(f64, f64)>>,
-    /// Distance of the propeller from the common axis.
+    /// How far lines may leave the propeller's axis as a whole: towards the common axis, and by staying behind.
     aside: f64,
 }
 

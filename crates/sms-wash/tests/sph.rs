@@ -198,3 +198,25 @@ fn what_blows_up_does_not_panic() {
     mean(&mut wash, &hover(&rotors, &thrusts, DVec3::Z * 0.3), &[DPose3::IDENTITY], 0.0, 0.3);
     assert!(wash.particle_count() < 30_000);
 }
+
+/// The air of a moving propeller keeps falling where it was let go, as the tube's lag has it.
+#[test]
+fn the_wash_of_a_moving_vehicle_lags_behind() {
+    let rotor = [Rotor { p_v: DVec3::ZERO, radius: 0.0685 }];
+    let mut wash = SphWash::new(vec![plate(0.5)], SphSettings::default()).unwrap();
+    let body = [BodyMotion::at_rest(DPose3::IDENTITY)];
+    let v_w = DVec3::X * 1.5;
+    let mut wrench = [Wrench::default()];
+    let (mut lag, mut weight) = (0.0, 0.0);
+    for k in 0..160 {
+        let x = -0.3 + 1.5 * DT * f64::from(k);
+        let p_w = DVec3::new(x, 0.0, 0.5);
+        wash.step(DT, &VehicleState { v_w, ..hover(&rotor, &[2.9], p_w) }, &body, &mut wrench);
+        if k >= 40 {
+            lag += -wrench[0].force_w.z * x - wrench[0].torque_w.y;
+            weight -= wrench[0].force_w.z;
+        }
+    }
+    let expected = 1.5 * 0.5 / 17.92;
+    assert!((lag / weight / expected - 1.0).abs() < 0.15, "{} m, expected {expected}", lag / weight);
+}

@@ -129,3 +129,21 @@ fn the_speed_of_the_body_counts() {
         assert!((wrench[0].force_w.z / -3.0 - expected).abs() < 1e-9);
     }
 }
+
+/// Air that meets the plate now left a moving propeller earlier: by height / exit speed.
+#[test]
+fn the_wash_of_a_moving_vehicle_lags_behind() {
+    let rotor = [sms_wash::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
+    let exit = sms_wash::ActuatorDisk { thrust: 3.0, radius: 0.05, air_density: 1.225 }.exit_speed();
+    let v_w = DVec3::new(2.0, -1.0, 0.0);
+    for (mut wash, slower) in models(&[plate(0.9)]).into_iter().zip([1.001, 1.35]) {
+        let vehicle = sms_wash::VehicleState { v_w, ..hover(&rotor, &[3.0], DVec3::Z * 0.505) };
+        let w = once(&mut wash, &vehicle, &[DPose3::IDENTITY])[0];
+        let center = DVec3::new(w.torque_w.y, -w.torque_w.x, 0.0) / -w.force_w.z;
+        let behind = -0.5 / exit * v_w;
+        // A jet slows down on its way, its outer parts most.
+        let by = center.dot(behind) / behind.length_squared();
+        assert!((0.999..=slower).contains(&by), "{}: {by}", wash.name());
+        assert!((center - by * behind).length() < 1e-3, "{center}");
+    }
+}
