@@ -51,6 +51,7 @@ mod striker;
 pub mod suite;
 mod support;
 mod timing;
+mod wash;
 mod world;
 
 pub use geometry::signed_distance;
@@ -59,6 +60,7 @@ pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
 pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
+pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
     ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
 };

@@ -1,0 +1,102 @@
+//! One evaluation of a landing: five seconds of flight over a structure in Rapier f32, with each model of wash. CPU seconds are
+//! those of all threads of the process.
+//!
+//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …]`
+
+use glamx::{DPose3, DVec3};
+use sms_core::box_mass_properties;
+use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
+use sms_sim::{RapierFactory, Simulation, WashInWorld, WorldOptions, wash_surfaces};
+use sms_wash::{
+    BezierPath, Flight, FlightSettings, Quadrotor, SphSettings, SphWash, StreamSettings, StreamWash,
+    VehicleState, Wash,
+};
+use std::error::Error;
+use std::time::Instant;
+
+const DT: f64 = 0.0025;
+const SECONDS: f64 = 5.0;
+
+fn cuboid(name: &str, center_w: DVec3, half: DVec3, density: f64) -> Result<Body, Box<dyn Error>> {
+    Ok(Body {
+        name: name.into(),
+        kind: BodyKind::Dynamic,
+        x_wb: DPose3::from_translation(center_w),
+        shape: BodyShape::Box { half_extents: half },
+        mass: Some(box_mass_properties(half, density)?),
+        ..floor_body(0.0, example_material())
+    })
+}
+
+/// A platform that hangs over a box on one side, held by a ballast.
+fn structure() -> Result<Scene, Box<dyn Error>> {
+    Ok(Scene {
+        version: SCENE_VERSION,
+        name: "cantilever".into(),
+        gravity_w: DVec3::new(0.0, 0.0, -9.81),
+        x_world_recording: DPose3::IDENTITY,
+        bodies: vec![
+            floor_body(0.0, example_material()),
+            cuboid("base", DVec3::new(0.0, 0.0, 0.25), DVec3::new(0.15, 0.15, 0.25), 150.0)?,
+            cuboid("platform", DVec3::new(0.12, 0.0, 0.51), DVec3::new(0.3, 0.2, 0.01), 600.0)?,
+            cuboid("ballast", DVec3::new(-0.08, 0.0, 0.57), DVec3::new(0.05, 0.1, 0.05), 3000.0)?,
+        ],
+    })
+}
+
+/// CPU time of the process, seconds, where the system tells.
+fn cpu_s() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<(), Box<dyn Error>> {
+    let vehicle = Quadrotor::default();
+    let settings = FlightSettings::default();
+    let (top, stands) = (0.52, vehicle.standing_height());
+    let start_w = DVec3::new(-2.0, 0.3, top + stands + settings.height);
+    let path = BezierPath::approach(start_w, DVec3::new(0.05, 0.0, top), 0.8, 2.5);
+    let flight = Flight::new(path, settings)?;
+    let (rotors, hover) = (vehicle.propellers(), vehicle.hover_thrusts(9.81));
+    let off = vec![0.0; hover.len()];
+    let mut simulation =
+        Simulation::new(&RapierFactory, scene, &WorldOptions { dt: DT, ..WorldOptions::default() })?;
+    let mut wash = WashInWorld::new(wash, scene.bodies.len());
+    let (mut active, mut particles) = (0, 0);
+    let (began, cpu) = (Instant::now(), cpu_s());
+    let steps = (SECONDS / DT).round() as usize;
+    for k in 0..steps {
+        let state = flight.state(k as f64 * DT);
+        let thrusts = if state.motors { &hover } else { &off };
+        let now = VehicleState { x_wv: state.x_wv, v_w: state.v_w, rotors: &rotors, thrusts };
+        wash.advance(&mut simulation, &now, DT)?;
+        active += usize::from(wash.wash().is_active());
+        particles = particles.max(wash.wash().particles_w().len());
+    }
+    println!(
+        "{label}: {:.2} CPU-s, {:.2} s wall for {SECONDS} s (flight {:.1} s, wash {:.2} s, at most {particles} particles)",
+        cpu_s() - cpu,
+        began.elapsed().as_secs_f64(),
+        flight.duration_s(),
+        active as f64 * DT,
+    );
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let scene = structure()?;
+    let surfaces = wash_surfaces(&scene)?;
+    let streams = StreamSettings::default();
+    evaluate(Box::new(StreamWash::disk(surfaces.clone(), streams)?), &scene, "disk")?;
+    evaluate(Box::new(StreamWash::jet(surfaces.clone(), streams)?), &scene, "jet")?;
+    let asked: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
+    let spacings = if asked.is_empty() { vec![SphSettings::default().spacing] } else { asked };
+    for spacing in spacings {
+        let settings = SphSettings { spacing, ..SphSettings::default() };
+        let wash = SphWash::new(surfaces.clone(), settings)?;
+        evaluate(Box::new(wash), &scene, &format!("sph {:.0} mm", 1e3 * spacing))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,163 @@
+//! The actuator disk of momentum theory (the paper's appendix "Quadrotor Propeller Model"), and what it makes an emitter emit.
+
+use crate::WashError;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// Density of air at sea level and 15 °C, kg/m³ (the paper's value).
+pub const AIR_DENSITY: f64 = 1.225;
+
+/// How the calibration of the paper's appendix is read: the mass flow is that through the disk in both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Emission {
+    /// As the appendix has it: emitted over the disk at the disk's speed. Such a stream carries half of the thrust; the
+    /// other half is the pressure behind the disk, which particles do not have.
+    Paper,
+    /// The far wake of the same disk: contracted to half of the area, at the exit speed, so that the stream carries the whole
+    /// thrust.
+    #[default]
+    Momentum,
+}
+
+/// A hovering propeller as an ideal disk.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActuatorDisk {
+    /// Thrust, N.
+    pub thrust: f64,
+    /// Radius of the disk, metres.
+    pub radius: f64,
+    /// Density of the air, kg/m³.
+    pub air_density: f64,
+}
+
+/// A stream of air as it leaves an emitter: a cylinder of uniform speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Emitted {
+    /// Mass per second, kg/s.
+    pub mass_flow: f64,
+    /// Speed, m/s.
+    pub speed: f64,
+    /// Radius of the cylinder, metres.
+    pub radius: f64,
+}
+
+impl Emitted {
+    /// Momentum per second, N.
+    pub fn momentum_flux(&self) -> f64 {
+        self.mass_flow * self.speed
+    }
+}
+
+impl ActuatorDisk {
+    /// One of the `propellers` equal disks that carry a hovering vehicle.
+    ///
+    /// # Errors
+    /// [`WashError::Setting`] when a figure is not positive and finite.
+    pub fn hovering(
+        mass: f64,
+        gravity: f64,
+        propellers: usize,
+        radius: f64,
+        air_density: f64,
+    ) -> Result<Self, WashError> {
+        let positive = |name: &str, value: f64| WashError::positive(name, value);
+        positive("mass", mass)?;
+        positive("gravity", gravity)?;
+        positive("number of propellers", propellers as f64)?;
+        positive("propeller radius", radius)?;
+        positive("air density", air_density)?;
+        Ok(Self { thrust: mass * gravity / propellers as f64, radius, air_density })
+    }
+
+    /// Area of the disk, m².
+    pub fn area(&self) -> f64 {
+        PI * self.radius * self.radius
+    }
+
+    /// Speed far behind the disk, m/s: √(F / (ρA/2)).
+    pub fn exit_speed(&self) -> f64 {
+        (self.thrust.max(0.0) / (0.5 * self.air_density * self.area())).sqrt()
+    }
+
+    /// Speed through the disk, m/s: half of the exit speed.
+    pub fn disk_speed(&self) -> f64 {
+        0.5 * self.exit_speed()
+    }
+
+    /// Mass flow through the disk, kg/s.
+    pub fn mass_flow(&self) -> f64 {
+        self.air_density * self.area() * self.disk_speed()
+    }
+
+    /// What an emitter in place of the disk emits.
+    pub fn emitted(&self, emission: Emission) -> Emitted {
+        let (speed, radius) = match emission {
+            Emission::Paper => (self.disk_speed(), self.radius),
+            Emission::Momentum => (self.exit_speed(), self.radius * std::f64::consts::FRAC_1_SQRT_2),
+        };
+        Emitted { mass_flow: self.mass_flow(), speed, radius }
+    }
+}
+
+/// Density that cylindrical particles must have for `count` of them, emitted in a step of `dt` seconds, to carry the mass flow
+/// (kg/s); `length` and `diameter` in metres (the appendix's ρ_particle), kg/m³.
+pub fn particle_density(mass_flow: f64, dt: f64, count: usize, length: f64, diameter: f64) -> f64 {
+    mass_flow * dt / (count as f64 * 0.25 * PI * diameter * diameter * length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn published() -> ActuatorDisk {
+        ActuatorDisk::hovering(1.182, 9.81, 4, 0.0685, AIR_DENSITY).unwrap()
+    }
+
+    /// Worked out by hand from the appendix's figures.
+    #[test]
+    fn the_published_vehicle_has_the_published_calibration() {
+        let disk = published();
+        assert!((disk.thrust - 2.898_855).abs() < 1e-6);
+        assert!((disk.area() - 0.014_741_1).abs() < 1e-7);
+        assert!((disk.exit_speed() - 17.9182).abs() < 1e-4);
+        assert!((disk.disk_speed() - 8.9591).abs() < 1e-4);
+        assert!((disk.mass_flow() - 0.161_783).abs() < 1e-6);
+    }
+
+    #[test]
+    fn one_reading_carries_the_thrust_and_the_other_half_of_it() {
+        let disk = published();
+        let (momentum, paper) = (disk.emitted(Emission::Momentum), disk.emitted(Emission::Paper));
+        assert!((momentum.momentum_flux() / disk.thrust - 1.0).abs() < 1e-12);
+        assert!((paper.momentum_flux() / disk.thrust - 0.5).abs() < 1e-12);
+        assert_eq!(momentum.mass_flow, paper.mass_flow);
+        for stream in [momentum, paper] {
+            // Both are air of ambient density.
+            let volume_flow = PI * stream.radius * stream.radius * stream.speed;
+            assert!((stream.mass_flow / volume_flow / AIR_DENSITY - 1.0).abs() < 1e-12);
+        }
+        // Bernoulli: power of the wake = thrust × speed through the disk.
+        let power = 0.5 * momentum.mass_flow * momentum.speed.powi(2);
+        assert!((power / (disk.thrust * disk.disk_speed()) - 1.0).abs() < 1e-12);
+        assert!((4.0 * power - 103.885).abs() < 1e-3);
+    }
+
+    #[test]
+    fn particles_of_the_stated_density_carry_the_mass_flow() {
+        let disk = published();
+        let (dt, count, length, diameter) = (0.01, 40, 0.02, 0.015);
+        let density = particle_density(disk.mass_flow(), dt, count, length, diameter);
+        let particle = density * PI * (0.5 * diameter) * (0.5 * diameter) * length;
+        assert!((particle * count as f64 / dt / disk.mass_flow() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn bad_figures_are_refused_and_a_disk_without_thrust_is_still() {
+        assert!(ActuatorDisk::hovering(0.0, 9.81, 4, 0.07, 1.2).is_err());
+        assert!(ActuatorDisk::hovering(1.0, 9.81, 0, 0.07, 1.2).is_err());
+        assert!(ActuatorDisk::hovering(1.0, 9.81, 4, f64::NAN, 1.2).is_err());
+        let off = ActuatorDisk { thrust: 0.0, ..published() };
+        assert_eq!(off.emitted(Emission::Momentum).momentum_flux(), 0.0);
+    }
+}

@@ -1,0 +1,195 @@
+//! Densities and accelerations: sums over neighbours, eight at a time.
+
+use super::cells::Cells;
+use super::kernel::KernelShape;
+use super::lanes::{Lanes, Portable, WIDTH};
+use super::particles::Particles;
+use rayon::prelude::*;
+
+/// Particles of one task.
+const CHUNK: usize = 96;
+
+/// What the equation of motion needs to know.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gas {
+    /// Radius of the kernel's support, metres.
+    pub(super) support: f32,
+    /// Mass of a particle, kg.
+    pub(super) mass: f32,
+    /// Density from which on there is pressure, kg/m³.
+    pub(super) rest_density: f32,
+    /// Sound speed, m/s.
+    pub(super) sound_speed: f32,
+    /// Exponent γ of the equation of state.
+    pub(super) exponent: f32,
+    /// Monaghan's α.
+    pub(super) viscosity: f32,
+}
+
+impl Gas {
+    /// p = c²ρ₀/γ·((ρ/ρ₀)^γ − 1), and nothing where that would pull.
+    fn pressure(&self, density: f32) -> f32 {
+        let ratio = density / self.rest_density;
+        let stretch = if self.exponent == 1.0 { ratio } else { ratio.powf(self.exponent) };
+        (self.sound_speed * self.sound_speed * self.rest_density / self.exponent * (stretch - 1.0)).max(0.0)
+    }
+}
+
+/// Computes density and acceleration of all particles, which must be sorted into `cells`.
+pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &Cells, parallel: bool) {
+    let n = p.len();
+    let (x, v, density, pressure, acceleration) =
+        (&p.x, &p.v, &mut p.density, &mut p.pressure, &mut p.acceleration);
+    density.resize(n + WIDTH, 1.0);
+    density[n..].fill(1.0);
+    each_chunk(&mut density[..n], CHUNK, parallel, |first, out| densities::<K>(gas, x, cells, first, out));
+    pressure.resize(n + WIDTH, 0.0);
+    pressure[n..].fill(0.0);
+    for i in 0..n {
+        pressure[i] = gas.pressure(density[i]) / (density[i] * density[i]);
+    }
+    let (density, pressure) = (&density[..], &pressure[..]);
+    acceleration.resize(n, [0.0; 3]);
+    each_chunk(acceleration, CHUNK, parallel, |first, out| {
+        pushes::<K>(gas, x, v, density, pressure, cells, first, out);
+    });
+}
+
+/// Calls `f` with each chunk of `all` and the index of its first element.
+pub(super) fn each_chunk<T: Send>(
+    all: &mut [T],
+    size: usize,
+    parallel: bool,
+    f: impl Fn(usize, &mut [T]) + Sync + Send,
+) {
+    if parallel {
+        all.par_chunks_mut(size).enumerate().for_each(|(k, out)| f(k * size, out));
+    } else {
+        all.chunks_mut(size).enumerate().for_each(|(k, out)| f(k * size, out));
+    }
+}
+
+/// A function that calls another, written against [`Lanes`], with the widest that the processor has.
+macro_rules! by_width {
+    ($name:ident, $kernel:ident, ($($arg:ident: $type:ty),*)) => {
+        fn $name<K: KernelShape>($($arg: $type),*) {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn wide<K: KernelShape>($($arg: $type),*) {
+                    $kernel::<K, super::lanes::Avx2>($($arg),*);
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    #[expect(unsafe_code, reason = "the feature was just checked")]
+                    // SAFETY: the processor has AVX2.
+                    return unsafe { wide::<K>($($arg),*) };
+                }
+            }
+            $kernel::<K, Portable>($($arg),*);
+        }
+    };
+}
+
+by_width!(densities, densities_of, (gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, first: usize, out: &mut [f32]));
+by_width!(pushes, pushes_on, (
+    gas: &Gas, x: &[Vec<f32>; 3], v: &[Vec<f32>; 3], density: &[f32], pressure: &[f32], cells: &Cells,
+    first: usize, out: &mut [[f32; 3]]
+));
+
+#[inline(always)]
+fn at(x: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
+    [x[0][i], x[1][i], x[2][i]]
+}
+
+// Not `map` of arrays: it is not compiled into functions that enable AVX2.
+#[inline(always)]
+fn splat<L: Lanes>(a: [f32; 3]) -> [L; 3] {
+    [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
+}
+
+/// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
+/// the support, where kernels are zero.
+#[inline(always)]
+fn offsets<L: Lanes>(a: [L; 3], x: [&[f32]; 3], j: usize, count: u32, support2: L) -> ([L; 3], L) {
+    let d = [a[0] - L::of(x[0], j), a[1] - L::of(x[1], j), a[2] - L::of(x[2], j)];
+    let r2 = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).min(support2);
+    (d, if count < WIDTH as u32 { r2.first(count, support2) } else { r2 })
+}
+
+#[inline(always)]
+fn densities_of<K: KernelShape, L: Lanes>(
+    gas: &Gas,
+    x: &[Vec<f32>; 3],
+    cells: &Cells,
+    first: usize,
+    out: &mut [f32],
+) {
+    let h = gas.support;
+    let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
+    let scale = gas.mass / (K::VOLUME * h * h * h);
+    let places = [&x[0][..], &x[1][..], &x[2][..]];
+    for (k, density) in out.iter_mut().enumerate() {
+        let here = at(x, first + k);
+        let a: [L; 3] = splat(here);
+        let mut sum = L::splat(0.0);
+        for (begin, end) in cells.around(here) {
+            let mut j = begin;
+            while j < end {
+                let (_, r2) = offsets(a, places, j as usize, end - j, support2);
+                sum = sum + K::value(r2.sqrt() * inverse);
+                j += WIDTH as u32;
+            }
+        }
+        *density = sum.sum() * scale;
+    }
+}
+
+#[inline(always)]
+fn pushes_on<K: KernelShape, L: Lanes>(
+    gas: &Gas,
+    x: &[Vec<f32>; 3],
+    v: &[Vec<f32>; 3],
+    density: &[f32],
+    pressure: &[f32],
+    cells: &Cells,
+    first: usize,
+    out: &mut [[f32; 3]],
+) {
+    let h = gas.support;
+    let zero = L::splat(0.0);
+    let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
+    let soft = L::splat(0.0025 * h * h);
+    // −α c (H/2) · 2: the mean density is half of a sum.
+    let viscosity = L::splat(-gas.viscosity * gas.sound_speed * h);
+    let scale = gas.mass / (K::VOLUME * h.powi(5));
+    let places = [&x[0][..], &x[1][..], &x[2][..]];
+    for (k, acceleration) in out.iter_mut().enumerate() {
+        let i = first + k;
+        let here = at(x, i);
+        let (a, b): ([L; 3], [L; 3]) = (splat(here), splat(at(v, i)));
+        let (own_pressure, own_density) = (L::splat(pressure[i]), L::splat(density[i]));
+        let mut sum = [zero; 3];
+        for (begin, end) in cells.around(here) {
+            let mut j = begin;
+            while j < end {
+                let at = j as usize;
+                let (d, r2) = offsets(a, places, at, end - j, support2);
+                j += WIDTH as u32;
+                if !r2.any_below(support2) {
+                    continue;
+                }
+                let approach = ((b[0] - L::of(&v[0], at)) * d[0]
+                    + (b[1] - L::of(&v[1], at)) * d[1]
+                    + (b[2] - L::of(&v[2], at)) * d[2])
+                    .min(zero);
+                let damping =
+                    viscosity * approach * ((r2 + soft) * (own_density + L::of(density, at))).reciprocal();
+                let push = (own_pressure + L::of(pressure, at) + damping) * K::slope(r2.sqrt() * inverse);
+                sum[0] = sum[0] + push * d[0];
+                sum[1] = sum[1] + push * d[1];
+                sum[2] = sum[2] + push * d[2];
+            }
+        }
+        *acceleration = [sum[0].sum() * scale, sum[1].sum() * scale, sum[2].sum() * scale];
+    }
+}

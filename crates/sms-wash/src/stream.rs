@@ -1,0 +1,262 @@
+//! The two analytic models: streams as bundles of flow lines, each of which carries the same momentum to the first surface
+//! on its way.
+
+use crate::jet::RoundJet;
+use crate::wash::Stream;
+use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// How the analytic models are made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StreamSettings {
+    /// Density of the air, kg/m³.
+    pub air_density: f64,
+    /// How much momentum leaves a propeller.
+    pub emission: Emission,
+    /// Flow lines of a propeller from its axis outwards.
+    pub rings: usize,
+    /// Flow lines around the axis.
+    pub spokes: usize,
+    /// How far the flow is followed, metres. A merged jet has a third of the exit speed there.
+    pub reach: f64,
+    /// Where the jets of all propellers have become one, in largest distances between motors (measured: 2.5, arXiv 2403.13321).
+    pub merge_spans: f64,
+    /// Pieces of a curved flow line; they are shorter near the propeller.
+    pub pieces: usize,
+}
+
+impl Default for StreamSettings {
+    fn default() -> Self {
+        Self {
+            air_density: crate::AIR_DENSITY,
+            emission: Emission::Momentum,
+            rings: 10,
+            spokes: 16,
+            reach: 2.0,
+            merge_spans: 2.5,
+            pieces: 10,
+        }
+    }
+}
+
+/// Shape of a propeller's stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Shape {
+    Tube,
+    Jet,
+}
+
+/// Wash without memory: the flow is that of the present thrusts, its axis bent by the vehicle's present velocity, and each flow line loses at the first surface what
+/// momentum it has along the surface's normal. Behind surfaces the air is still.
+pub struct StreamWash {
+    shape: Shape,
+    settings: StreamSettings,
+    surfaces: Vec<BodySurface>,
+    active: bool,
+}
+
+impl StreamWash {
+    /// `disk`: uniform tubes that neither widen nor slow down.
+    ///
+    /// # Errors
+    /// [`WashError::Setting`] when a setting is out of range.
+    pub fn disk(surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
+        Self::new(Shape::Tube, surfaces, settings)
+    }
+
+    /// `jet`: turbulent round jets ([`RoundJet`]) that draw each other together until they are one.
+    ///
+    /// # Errors
+    /// [`WashError::Setting`] when a setting is out of range.
+    pub fn jet(surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
+        Self::new(Shape::Jet, surfaces, settings)
+    }
+
+    fn new(shape: Shape, surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
+        WashError::positive("air_density", settings.air_density)?;
+        WashError::positive("rings", settings.rings as f64)?;
+        WashError::positive("spokes", settings.spokes as f64)?;
+        WashError::positive("reach", settings.reach)?;
+        WashError::positive("merge_spans", settings.merge_spans)?;
+        WashError::positive("pieces", settings.pieces as f64)?;
+        Ok(Self { shape, settings, surfaces, active: false })
+    }
+
+    /// Writes the wrenches of the steady flow.
+    fn evaluate(&self, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+        let streams: Vec<Stream> =
+            vehicle.streams(self.settings.air_density, self.settings.emission).collect();
+        let flux: f64 = streams.iter().map(|s| s.emitted.momentum_flux()).sum();
+        if flux <= 0.0 {
+            return;
+        }
+        let center_w: DVec3 = streams.iter().map(|s| s.p_w * (s.emitted.momentum_flux() / flux)).sum();
+        let span = vehicle
+            .rotors
+            .iter()
+            .flat_map(|a| vehicle.rotors.iter().map(|b| a.p_v.distance(b.p_v)))
+            .fold(0.0, f64::max);
+        let poses_bw: Vec<DPose3> = bodies.iter().map(|b| b.x_wb.inverse()).collect();
+        let (rings, spokes) = (self.settings.rings, self.settings.spokes);
+        let mut near = Vec::with_capacity(bodies.len());
+        for stream in &streams {
+            let across = stream.p_w - center_w;
+            let to_center = across - across.dot(stream.axis_w) * stream.axis_w;
+            let lines = self.flow_lines(stream, to_center, self.settings.merge_spans * span, vehicle.v_w);
+            near.clear();
+            near.extend((0..bodies.len()).filter(|&b| self.in_reach(b, &lines, &bodies[b].x_wb)));
+            if near.is_empty() {
+                continue;
+            }
+            let share = stream.emitted.momentum_flux() / (rings * spokes) as f64;
+            let (u, v) = stream.axis_w.any_orthonormal_pair();
+            for ring in 0..rings {
+                for spoke in 0..spokes {
+                    // Rings are turned against each other, so that an edge meets lines one after the other.
+                    let turn = 2.0 * PI * (spoke as f64 + ring as f64 * 0.618_034) / spokes as f64;
+                    let outwards_w = turn.cos() * u + turn.sin() * v;
+                    self.follow(&lines, ring, outwards_w, share, &near, bodies, &poses_bw, wrenches);
+                }
+            }
+        }
+    }
+
+    /// Where the lines of a propeller run, ring by ring.
+    fn flow_lines(&self, stream: &Stream, to_center: DVec3, merged_at: f64, v_w: DVec3) -> FlowLines {
+        let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
+        let jet = RoundJet {
+            momentum_flux: stream.emitted.momentum_flux(),
+            exit_radius: stream.emitted.radius,
+            air_density: self.settings.air_density,
+        };
+        let distance = |k: usize| self.settings.reach * (k as f64 / pieces as f64).powf(1.5);
+        let ring = |ring: usize| {
+            let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
+            let radius_and_speed = |k: usize| match self.shape {
+                Shape::Tube => (stream.emitted.radius * inner.sqrt(), stream.emitted.speed),
+                Shape::Jet => jet.stream(inner, distance(k)),
+            };
+            (0..=pieces).map(radius_and_speed).collect()
+        };
+        let rings: Vec<Vec<(f64, f64)>> = (0..self.settings.rings).map(ring).collect();
+        // Air that is farther down left the propeller earlier, when the vehicle was elsewhere.
+        let sideways_w = v_w - v_w.dot(stream.axis_w) * stream.axis_w;
+        let (mut transit_s, mut last) = (0.0, (0.0, rings[0][0].1));
+        let axis_w = (0..=pieces)
+            .map(|k| {
+                let (z, speed) = (distance(k), rings[0][k].1);
+                transit_s += 2.0 * (z - last.0) / (speed + last.1);
+                last = (z, speed);
+                let u = if merged_at > 0.0 { (z / merged_at).min(1.0) } else { 1.0 };
+                let drawn = if self.shape == Shape::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
+                stream.p_w + z * stream.axis_w - drawn * to_center - transit_s * sideways_w
+            })
+            .collect();
+        FlowLines {
+            stream: *stream,
+            axis_w,
+            rings,
+            aside: to_center.length() + transit_s * sideways_w.length(),
+        }
+    }
+
+    /// Whether lines can meet a body at all.
+    fn in_reach(&self, body: usize, lines: &FlowLines, x_wb: &DPose3) -> bool {
+        let Some(extent) = self.surfaces[body].extent() else { return true };
+        let (radius, center_w) = (0.5 * extent.extents().length(), x_wb.transform_point(extent.center()));
+        let to_center = center_w - lines.stream.p_w;
+        let along = to_center.dot(lines.stream.axis_w);
+        let widest = lines.rings.last().and_then(|r| r.last()).map_or(0.0, |(radius, _)| *radius);
+        along + radius >= 0.0
+            && along - radius <= self.settings.reach
+            && (to_center - along * lines.stream.axis_w).length() <= radius + widest + lines.aside
+    }
+
+    /// Follows one flow line to the first surface and hands over its momentum there.
+    fn follow(
+        &self,
+        lines: &FlowLines,
+        ring: usize,
+        outwards_w: DVec3,
+        share: f64,
+        near: &[usize],
+        bodies: &[BodyMotion],
+        poses_bw: &[DPose3],
+        wrenches: &mut [Wrench],
+    ) {
+        let at = |k: usize| {
+            let (radius, speed) = lines.rings[ring][k];
+            (lines.axis_w[k] + radius * outwards_w, speed)
+        };
+        let (mut from_w, mut speed) = at(0);
+        for k in 1..lines.axis_w.len() {
+            let (to_w, next_speed) = at(k);
+            let step = to_w - from_w;
+            let length = step.length();
+            let direction_w = step / length;
+            let mut first: Option<(usize, f64, DVec3)> = None;
+            for &b in near {
+                let limit = first.map_or(length, |f| f.1);
+                let x_bw = &poses_bw[b];
+                let origin_b = x_bw.transform_point(from_w);
+                if let Some(hit) = self.surfaces[b].ray(origin_b, x_bw.rotation * direction_w, limit) {
+                    first = Some((b, hit.distance, bodies[b].x_wb.rotation * hit.normal));
+                }
+            }
+            if let Some((b, distance, normal_w)) = first {
+                let p_w = from_w + distance * direction_w;
+                let speed = speed + (next_speed - speed) * (distance / length);
+                let receding = bodies[b].velocity_at(p_w).dot(direction_w);
+                let relative = (1.0 - receding / speed.max(1e-9)).clamp(0.0, 2.0);
+                // The share is of the momentum along the axis; a line that runs aslant carries more.
+                let facing = -direction_w.dot(normal_w) / direction_w.dot(lines.stream.axis_w).max(0.1);
+                let force_w = normal_w * (-share * relative * relative * facing.max(0.0));
+                wrenches[b].push(force_w, p_w, bodies[b].x_wb.translation);
+                return;
+            }
+            (from_w, speed) = (to_w, next_speed);
+        }
+    }
+}
+
+/// The flow lines of one propeller, in pieces.
+struct FlowLines {
+    stream: Stream,
+    /// The axis where pieces begin and end, in the world.
+    axis_w: Vec<DVec3>,
+    /// Of each ring the distance from the axis and the speed there.
+    rings: Vec<Vec<(f64, f64)>>,
+    /// How far lines may leave the propeller's axis as a whole: towards the common axis, and by staying behind.
+    aside: f64,
+}
+
+impl Wash for StreamWash {
+    fn name(&self) -> &'static str {
+        match self.shape {
+            Shape::Tube => "disk",
+            Shape::Jet => "jet",
+        }
+    }
+
+    fn step(&mut self, _dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+        assert_eq!(bodies.len(), self.surfaces.len(), "a motion for each surface");
+        assert_eq!(wrenches.len(), self.surfaces.len(), "a wrench for each surface");
+        assert_eq!(vehicle.rotors.len(), vehicle.thrusts.len(), "a thrust for each propeller");
+        wrenches.fill(Wrench::default());
+        self.evaluate(vehicle, bodies, wrenches);
+        self.active = wrenches.iter().any(|w| w.force_w != DVec3::ZERO);
+    }
+
+    fn is_active(&self) -> bool {
+        self.active
+    }
+
+    fn save(&mut self) {}
+
+    fn restore(&mut self) {
+        self.active = false;
+    }
+}

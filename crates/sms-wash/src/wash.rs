@@ -1,0 +1,125 @@
+//! The seam: a model of the air between the propellers and the bodies.
+
+use crate::{ActuatorDisk, Emission, Emitted};
+use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A propeller of a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rotor {
+    /// Centre of the disk in the vehicle's frame `V`, metres.
+    pub p_v: DVec3,
+    /// Radius, metres.
+    pub radius: f64,
+}
+
+/// A vehicle at one moment. Its propellers blow along −z of `V`.
+#[derive(Debug, Clone, Copy)]
+pub struct VehicleState<'a> {
+    /// Pose of the vehicle in the world.
+    pub x_wv: DPose3,
+    /// Velocity of its origin in the world, m/s.
+    pub v_w: DVec3,
+    /// Its propellers.
+    pub rotors: &'a [Rotor],
+    /// Thrust of each, N; zero for a motor that is cut.
+    pub thrusts: &'a [f64],
+}
+
+/// A propeller's stream where it leaves the disk.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stream {
+    /// Index of the propeller.
+    pub(crate) rotor: usize,
+    /// Centre of the disk in the world.
+    pub(crate) p_w: DVec3,
+    /// Direction of the flow.
+    pub(crate) axis_w: DVec3,
+    pub(crate) emitted: Emitted,
+}
+
+impl VehicleState<'_> {
+    /// The streams of the propellers that have thrust.
+    pub(crate) fn streams(
+        &self,
+        air_density: f64,
+        emission: Emission,
+    ) -> impl Iterator<Item = Stream> + use<'_> {
+        let axis_w = self.x_wv.rotation * DVec3::NEG_Z;
+        self.rotors.iter().zip(self.thrusts).enumerate().filter(|(_, (_, thrust))| **thrust > 0.0).map(
+            move |(i, (rotor, &thrust))| {
+                let disk = ActuatorDisk { thrust, radius: rotor.radius, air_density };
+                let p_w = self.x_wv.transform_point(rotor.p_v);
+                Stream { rotor: i, p_w, axis_w, emitted: disk.emitted(emission) }
+            },
+        )
+    }
+}
+
+/// Motion of a body at one moment, in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BodyMotion {
+    /// Pose; the origin of `B` is what torques are about: the centre of mass.
+    pub x_wb: DPose3,
+    /// Velocity of the origin, m/s.
+    pub v_w: DVec3,
+    /// Angular velocity, rad/s.
+    pub w_w: DVec3,
+}
+
+impl BodyMotion {
+    /// A body at rest.
+    pub fn at_rest(x_wb: DPose3) -> Self {
+        Self { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO }
+    }
+
+    /// Velocity of the body's material at a point of the world, m/s.
+    pub fn velocity_at(&self, p_w: DVec3) -> DVec3 {
+        self.v_w + self.w_w.cross(p_w - self.x_wb.translation)
+    }
+}
+
+/// A force and the torque about a body's origin, in the world.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Wrench {
+    /// Force, N.
+    pub force_w: DVec3,
+    /// Torque about the origin of the body, N·m.
+    pub torque_w: DVec3,
+}
+
+impl Wrench {
+    /// Adds a force (N) that acts at `p_w` on a body whose origin is at `origin_w`.
+    pub(crate) fn push(&mut self, force_w: DVec3, p_w: DVec3, origin_w: DVec3) {
+        self.force_w += force_w;
+        self.torque_w += (p_w - origin_w).cross(force_w);
+    }
+}
+
+/// A model of propeller wash. It is made for bodies of known surfaces ([`crate::BodySurface`]), in a fixed order.
+pub trait Wash: Send {
+    /// Name of the model.
+    fn name(&self) -> &'static str;
+
+    /// Advances the air by `dt` seconds past the vehicle and the bodies as they are now, and writes the mean wrench on each
+    /// body over that time.
+    ///
+    /// # Panics
+    /// When `bodies` or `wrenches` are not as many as the surfaces, or thrusts not as many as propellers.
+    fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]);
+
+    /// Whether the air moves near the structure: otherwise wrenches are zero until the vehicle blows at it.
+    fn is_active(&self) -> bool;
+
+    /// Saves the state of the air, for [`Wash::restore`].
+    fn save(&mut self);
+
+    /// Returns to the saved state of the air, or to still air where none was saved.
+    fn restore(&mut self);
+
+    /// Positions of what moves, for pictures: empty for models without particles.
+    fn particles_w(&self) -> Vec<[f32; 3]> {
+        Vec::new()
+    }
+}
