@@ -49,6 +49,8 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::Demo(a) => commands::demo::run(context, &a),
         Command::Sample(a) => commands::sample::run(context, &a),
         Command::Bench(a) => commands::bench::run(context, &a),
+        Command::Masks(a) => commands::masks::run(context, &a),
+        Command::Models(a) => commands::models::run(context, &a),
         Command::Settings(a) => commands::settings::run(context, &a),
     }
     .map(|()| ExitCode::SUCCESS)

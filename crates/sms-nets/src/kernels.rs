@@ -4,7 +4,8 @@
 //! exponential of a softmax one value at a time, and a depthwise convolution as one matrix product a channel. Each has
 //! a plain twin in the tests.
 
-use candle_core::{CpuStorage, CustomOp1, CustomOp3, Error, InplaceOp1, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp3, Error, InplaceOp1, InplaceOp2, Layout, Result, Shape, Tensor};
+use pulp::Arch;
 use rayon::prelude::*;
 
 /// Values a task works on: large enough to outweigh handing it over.
@@ -54,40 +55,76 @@ fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     Ok(&storage.as_slice::<f32>()?[start..end])
 }
 
-fn map(storage: &CpuStorage, layout: &Layout, f: impl Fn(f32) -> f32 + Sync) -> Result<(CpuStorage, Shape)> {
-    let x = values(storage, layout)?;
-    let mut out = vec![0f32; x.len()];
-    out.par_chunks_mut(CHUNK).zip(x.par_chunks(CHUNK)).for_each(|(out, x)| {
-        for (out, &x) in out.iter_mut().zip(x) {
-            *out = f(x);
-        }
-    });
-    Ok((CpuStorage::F32(out), layout.shape().clone()))
-}
-
-/// The exact GELU.
-pub(crate) struct Gelu;
-
-impl CustomOp1 for Gelu {
-    fn name(&self) -> &'static str {
-        "gelu"
-    }
-
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        map(storage, layout, gelu)
+/// The values of a contiguous tensor of 32-bit floats, to be changed.
+fn values_mut<'a>(storage: &'a mut CpuStorage, layout: &Layout) -> Result<&'a mut [f32]> {
+    let (start, end) = layout
+        .contiguous_offsets()
+        .ok_or_else(|| Error::Msg("a kernel of ours needs a contiguous tensor".into()))?;
+    match storage {
+        CpuStorage::F32(all) => Ok(&mut all[start..end]),
+        _ => Err(Error::Msg("a kernel of ours needs 32-bit floats".into())),
     }
 }
 
-/// CLIP's GELU.
-pub(crate) struct QuickGelu;
+/// What follows a fully connected layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Activation {
+    /// Nothing.
+    Identity,
+    /// `x · Φ(x)`.
+    Gelu,
+    /// CLIP's GELU, `x · σ(1.702 x)`.
+    QuickGelu,
+    /// `max(x, 0)`.
+    Relu,
+}
 
-impl CustomOp1 for QuickGelu {
+/// An activation in place.
+impl InplaceOp1 for Activation {
     fn name(&self) -> &'static str {
-        "quick-gelu"
+        "activation"
     }
 
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        map(storage, layout, quick_gelu)
+    fn cpu_fwd(&self, storage: &mut CpuStorage, layout: &Layout) -> Result<()> {
+        let x = values_mut(storage, layout)?;
+        x.par_chunks_mut(CHUNK).for_each(|x| Arch::new().dispatch(|| activate(*self, x)));
+        Ok(())
+    }
+}
+
+#[inline(always)]
+fn activate(activation: Activation, x: &mut [f32]) {
+    match activation {
+        Activation::Identity => {}
+        Activation::Gelu => x.iter_mut().for_each(|x| *x = gelu(*x)),
+        Activation::QuickGelu => x.iter_mut().for_each(|x| *x = quick_gelu(*x)),
+        Activation::Relu => x.iter_mut().for_each(|x| *x = x.max(0.0)),
+    }
+}
+
+/// A bias over the last dimension added in place, and an activation: one pass over what a matrix product has written.
+pub(crate) struct Finish(pub(crate) Activation);
+
+impl InplaceOp2 for Finish {
+    fn name(&self) -> &'static str {
+        "bias-and-activation"
+    }
+
+    fn cpu_fwd(&self, s1: &mut CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<()> {
+        let bias = values(s2, l2)?;
+        let x = values_mut(s1, l1)?;
+        let row = bias.len().max(1);
+        x.par_chunks_mut((CHUNK / row).max(1) * row).for_each(|rows| {
+            Arch::new().dispatch(|| {
+                for row in rows.chunks_exact_mut(row) {
+                    for (x, bias) in row.iter_mut().zip(bias) {
+                        *x += bias;
+                    }
+                    activate(self.0, row);
+                }
+            });
+        });
+        Ok(())
     }
 }
 
@@ -103,26 +140,22 @@ impl InplaceOp1 for ScaledSoftmax {
 
     fn cpu_fwd(&self, storage: &mut CpuStorage, layout: &Layout) -> Result<()> {
         let row = layout.dims().last().copied().unwrap_or(1).max(1);
-        let (start, end) = layout
-            .contiguous_offsets()
-            .ok_or_else(|| Error::Msg("the softmax needs a contiguous tensor".into()))?;
-        let CpuStorage::F32(all) = storage else {
-            return Err(Error::Msg("the softmax needs 32-bit floats".into()));
-        };
-        let scale = self.scale;
-        let rows_a_task = (CHUNK / row).max(1);
-        all[start..end].par_chunks_mut(rows_a_task * row).for_each(|rows| {
-            for row in rows.chunks_exact_mut(row) {
-                softmax(row, scale);
-            }
+        let x = values_mut(storage, layout)?;
+        x.par_chunks_mut((CHUNK / row).max(1) * row).for_each(|rows| {
+            Arch::new().dispatch(|| {
+                for row in rows.chunks_exact_mut(row) {
+                    softmax(row, self.scale);
+                }
+            });
         });
         Ok(())
     }
 }
 
 /// Lanes of the sums and maxima: the order of additions is part of the result, so it does not depend on the machine.
-const LANES: usize = 8;
+const LANES: usize = 32;
 
+#[inline(always)]
 fn softmax(row: &mut [f32], scale: f32) {
     let mut lanes = [f32::NEG_INFINITY; LANES];
     let mut chunks = row.chunks_exact(LANES);
@@ -178,20 +211,24 @@ impl CustomOp3 for Depthwise {
         let mut out = vec![0f32; x.len()];
         out.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
             let (image, y) = (row / height, row % height);
-            for (px, out) in out.chunks_exact_mut(channels).enumerate() {
-                out.copy_from_slice(bias);
-                for ky in 0..kernel {
-                    let Some(sy) = (y + ky).checked_sub(pad).filter(|&sy| sy < height) else { continue };
-                    for kx in 0..kernel {
-                        let Some(sx) = (px + kx).checked_sub(pad).filter(|&sx| sx < width) else { continue };
-                        let from = ((image * height + sy) * width + sx) * channels;
-                        let weight = &weight[(ky * kernel + kx) * channels..][..channels];
-                        for ((out, x), w) in out.iter_mut().zip(&x[from..from + channels]).zip(weight) {
-                            *out += x * w;
+            Arch::new().dispatch(|| {
+                for (px, out) in out.chunks_exact_mut(channels).enumerate() {
+                    out.copy_from_slice(bias);
+                    for ky in 0..kernel {
+                        let Some(sy) = (y + ky).checked_sub(pad).filter(|&sy| sy < height) else { continue };
+                        for kx in 0..kernel {
+                            let Some(sx) = (px + kx).checked_sub(pad).filter(|&sx| sx < width) else {
+                                continue;
+                            };
+                            let from = ((image * height + sy) * width + sx) * channels;
+                            let weight = &weight[(ky * kernel + kx) * channels..][..channels];
+                            for ((out, x), w) in out.iter_mut().zip(&x[from..from + channels]).zip(weight) {
+                                *out += x * w;
+                            }
                         }
                     }
                 }
-            }
+            });
         });
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
@@ -258,9 +295,15 @@ mod tests {
         let gap = |a: Tensor, b: Tensor| {
             (a - b).unwrap().abs().unwrap().max(0).unwrap().to_scalar::<f32>().unwrap()
         };
-        assert!(gap(x.apply_op1_no_bwd(&Gelu).unwrap(), x.gelu_erf().unwrap()) < 2e-6);
+        let of = |activation: Activation| {
+            let y = x.copy().unwrap();
+            y.inplace_op1(&activation).unwrap();
+            y
+        };
+        assert!(gap(of(Activation::Gelu), x.gelu_erf().unwrap()) < 2e-6);
+        assert_eq!(gap(of(Activation::Relu), x.relu().unwrap()), 0.0);
         let quick = (&x * candle_nn::ops::sigmoid(&(&x * 1.702).unwrap()).unwrap()).unwrap();
-        assert!(gap(x.apply_op1_no_bwd(&QuickGelu).unwrap(), quick) < 2e-6);
+        assert!(gap(of(Activation::QuickGelu), quick) < 2e-6);
     }
 
     #[test]

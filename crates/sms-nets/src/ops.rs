@@ -1,8 +1,8 @@
 //! Operations that both networks are made of.
 
-use crate::kernels::{Depthwise, Gelu, QuickGelu, ScaledSoftmax, can_take};
+use crate::kernels::{Activation, Depthwise, Finish, ScaledSoftmax, can_take};
 use candle_core::{D, Result, Tensor};
-use candle_nn::{Linear, Module, ops};
+use candle_nn::ops;
 
 /// Shows intermediate tensors by name to whoever wants to see them: the parity tests. What is shown is computed only
 /// where somebody looks.
@@ -44,14 +44,55 @@ const QUERY_BLOCK: usize = 128;
 /// Scores (queries · keys) up to which whole windows go through one batched product.
 const SMALL_ATTENTION: usize = 256 * 256;
 
-/// The exact GELU, `x · Φ(x)`.
-pub(crate) fn gelu(x: &Tensor) -> Result<Tensor> {
-    if can_take(x) { x.contiguous()?.apply_op1_no_bwd(&Gelu) } else { x.gelu_erf() }
+/// A fully connected layer over the last dimension.
+#[derive(Debug, Clone)]
+pub(crate) struct Linear {
+    /// (outputs, inputs).
+    weight: Tensor,
+    bias: Option<Tensor>,
 }
 
-/// CLIP's GELU, `x · σ(1.702 x)`.
-pub(crate) fn quick_gelu(x: &Tensor) -> Result<Tensor> {
-    if can_take(x) { x.contiguous()?.apply_op1_no_bwd(&QuickGelu) } else { x * ops::sigmoid(&(x * 1.702)?)? }
+impl Linear {
+    pub(crate) fn new(weight: Tensor, bias: Option<Tensor>) -> Self {
+        Self { weight, bias }
+    }
+
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.then(x, Activation::Identity)
+    }
+
+    /// The layer and an activation.
+    pub(crate) fn then(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        let (outputs, inputs) = self.weight.dims2()?;
+        let mut shape = x.dims().to_vec();
+        shape.pop();
+        shape.push(outputs);
+        let y = x.reshape(((), inputs))?.matmul(&self.weight.t()?)?;
+        // `y` is fresh, so that it may be changed in place.
+        let y = match &self.bias {
+            Some(bias) if can_take(&y) => {
+                y.inplace_op2(bias, &Finish(activation))?;
+                y
+            }
+            Some(bias) => activated(y.broadcast_add(bias)?, activation)?,
+            None => activated(y, activation)?,
+        };
+        y.reshape(shape)
+    }
+}
+
+/// An activation of a fresh tensor, which is spoilt.
+pub(crate) fn activated(x: Tensor, activation: Activation) -> Result<Tensor> {
+    if can_take(&x) && x.is_contiguous() {
+        x.inplace_op1(&activation)?;
+        return Ok(x);
+    }
+    match activation {
+        Activation::Identity => Ok(x),
+        Activation::Gelu => x.gelu_erf(),
+        Activation::QuickGelu => &x * ops::sigmoid(&(&x * 1.702)?)?,
+        Activation::Relu => x.relu(),
+    }
 }
 
 /// The softmax of `scale · scores` over the last dimension; `scores` must be fresh and contiguous, and are spoilt.
@@ -124,17 +165,11 @@ pub(crate) fn depthwise(x: &Tensor, taps: &Tensor, bias: &Tensor, kernel: usize)
 }
 
 /// Several fully connected layers with `activation` between them.
-pub(crate) fn mlp(
-    x: &Tensor,
-    layers: &[Linear],
-    activation: fn(&Tensor) -> Result<Tensor>,
-) -> Result<Tensor> {
+pub(crate) fn mlp(x: &Tensor, layers: &[Linear], activation: Activation) -> Result<Tensor> {
     let mut x = x.clone();
     for (i, layer) in layers.iter().enumerate() {
-        x = layer.forward(&x)?;
-        if i + 1 < layers.len() {
-            x = activation(&x)?;
-        }
+        let is_last = i + 1 == layers.len();
+        x = layer.then(&x, if is_last { Activation::Identity } else { activation })?;
     }
     Ok(x)
 }

@@ -1,9 +1,10 @@
 //! Parameters of a network by name: from a safetensors file, or made up for benchmarks and tests.
 
 use crate::NetsError;
+use crate::ops::Linear;
 use crate::safetensors::SafetensorsFile;
 use candle_core::{Device, Tensor};
-use candle_nn::{LayerNorm, Linear};
+use candle_nn::LayerNorm;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};

@@ -1,10 +1,11 @@
 //! The two towers and the heads of OWLv2 (Minderer et al. 2023, "Scaling Open-Vocabulary Object Detection").
 
 use super::{Owlv2Config, Tokens};
-use crate::ops::{Seams, attention, gelu, masked_attention, mlp, normalized, quick_gelu};
+use crate::kernels::Activation;
+use crate::ops::{Linear, Seams, attention, masked_attention, mlp, normalized};
 use crate::{NetsError, Weights};
 use candle_core::{D, Device, Result, Tensor};
-use candle_nn::{LayerNorm, Linear, Module};
+use candle_nn::{LayerNorm, Module};
 
 /// A block of either tower.
 #[derive(Debug)]
@@ -52,7 +53,7 @@ impl Block {
             None => attention(&q, &k, &v, self.heads, scale)?,
         };
         let x = (x + self.output.forward(&attended)?)?;
-        let inner = quick_gelu(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
+        let inner = self.fc1.then(&self.norm2.forward(&x)?, Activation::QuickGelu)?;
         &x + self.fc2.forward(&inner)?
     }
 }
@@ -246,8 +247,8 @@ impl Owlv2 {
         let fit = class_embeds.squeeze(0)?.matmul(&queries.t()?)?.unsqueeze(0)?;
         let scale = (self.logit_scale.forward(features)?.elu(1.0)? + 1.0)?;
         let logits = fit.broadcast_add(&self.logit_shift.forward(features)?)?.broadcast_mul(&scale)?;
-        let boxes = mlp(features, &self.box_head, gelu)?.broadcast_add(&self.box_bias)?;
-        let objectness = mlp(features, &self.objectness_head, gelu)?.squeeze(D::Minus1)?;
+        let boxes = mlp(features, &self.box_head, Activation::Gelu)?.broadcast_add(&self.box_bias)?;
+        let objectness = mlp(features, &self.objectness_head, Activation::Gelu)?.squeeze(D::Minus1)?;
         Ok(Owlv2Heads { logits, boxes: candle_nn::ops::sigmoid(&boxes)?, objectness, class_embeds })
     }
 

@@ -2,10 +2,11 @@
 
 use super::config::{DecoderConfig, Sam2Config};
 use super::encoder::ImageFeatures;
-use crate::ops::{attention, gelu, mlp};
+use crate::kernels::Activation;
+use crate::ops::{Linear, activated, attention, mlp};
 use crate::{NetsError, Weights};
 use candle_core::{D, Result, Tensor};
-use candle_nn::{LayerNorm, Linear, Module};
+use candle_nn::{LayerNorm, Module};
 
 type Loaded<T> = std::result::Result<T, NetsError>;
 
@@ -80,7 +81,7 @@ impl TwoWay {
         let placed_image = (image + places)?;
         let x = (&x + self.tokens_to_image.forward(&(&x + prompt)?, &placed_image, image)?)?;
         let x = self.norms[1].forward(&x)?;
-        let x = self.norms[2].forward(&(&x + mlp(&x, &self.mlp, Tensor::relu)?)?)?;
+        let x = self.norms[2].forward(&(&x + mlp(&x, &self.mlp, Activation::Relu)?)?)?;
         let image = (image + self.image_to_tokens.forward(&placed_image, &(&x + prompt)?, &x)?)?;
         Ok((x, self.norms[3].forward(&image)?))
     }
@@ -210,17 +211,17 @@ impl MaskDecoder {
         let tokens = self.last_norm.forward(&(&tokens + attended)?)?.squeeze(0)?;
 
         let fine = (self.upscale1.forward(&image.squeeze(0)?, side)? + &features.middle)?;
-        let fine = gelu(&self.upscale_norm.forward(&fine)?)?;
-        let fine = gelu(&(self.upscale2.forward(&fine, 2 * side)? + &features.fine)?)?;
+        let fine = activated(self.upscale_norm.forward(&fine)?, Activation::Gelu)?;
+        let fine = activated((self.upscale2.forward(&fine, 2 * side)? + &features.fine)?, Activation::Gelu)?;
         let mask_tokens = tokens.narrow(0, 2, self.hyper.len())?;
         let hyper = self
             .hyper
             .iter()
             .enumerate()
-            .map(|(i, layers)| mlp(&mask_tokens.narrow(0, i, 1)?, layers, Tensor::relu));
+            .map(|(i, layers)| mlp(&mask_tokens.narrow(0, i, 1)?, layers, Activation::Relu));
         let hyper = Tensor::cat(&hyper.collect::<Result<Vec<_>>>()?, 0)?;
-        let iou = candle_nn::ops::sigmoid(&mlp(&tokens.narrow(0, 1, 1)?, &self.iou_head, Tensor::relu)?)?;
-        let object_score = mlp(&tokens.narrow(0, 0, 1)?, &self.object_head, Tensor::relu)?;
+        let iou = candle_nn::ops::sigmoid(&mlp(&tokens.narrow(0, 1, 1)?, &self.iou_head, Activation::Relu)?)?;
+        let object_score = mlp(&tokens.narrow(0, 0, 1)?, &self.object_head, Activation::Relu)?;
         Ok(Decoded {
             masks: hyper.matmul(&fine.t()?)?,
             iou: iou.squeeze(0)?.to_vec1()?,

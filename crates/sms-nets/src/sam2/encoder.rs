@@ -3,10 +3,11 @@
 
 use super::config::Sam2Config;
 use super::positions::{resize_bicubic, sine_2d};
-use crate::ops::{Seams, attention, gelu, mlp};
+use crate::kernels::Activation;
+use crate::ops::{Linear, Seams, attention, mlp};
 use crate::{NetsError, Weights};
 use candle_core::{D, Result, Tensor};
-use candle_nn::{LayerNorm, Linear, Module};
+use candle_nn::{LayerNorm, Module};
 
 type Loaded<T> = std::result::Result<T, NetsError>;
 
@@ -59,7 +60,7 @@ impl Block {
         let size = if self.pools { size / 2 } else { size };
         let attended = if size > 0 { joined(&attended, size, h, w)? } else { attended };
         let x = (residual + attended)?;
-        &x + mlp(&self.norm2.forward(&x)?, &self.mlp, gelu)?
+        &x + mlp(&self.norm2.forward(&x)?, &self.mlp, Activation::Gelu)?
     }
 }
 

@@ -2,10 +2,11 @@
 
 use super::config::Sam2Config;
 use super::positions::{Rotary, sine_2d};
-use crate::ops::{attention, depthwise, gelu};
+use crate::kernels::Activation;
+use crate::ops::{Linear, activated, attention, depthwise};
 use crate::{NetsError, Weights};
 use candle_core::{D, Result, Tensor};
-use candle_nn::{LayerNorm, Linear, Module};
+use candle_nn::{LayerNorm, Module};
 
 type Loaded<T> = std::result::Result<T, NetsError>;
 
@@ -111,7 +112,7 @@ impl MemoryAttention {
             x = (&x + block.own.forward(&y, &y, &y, 0, &self.rotary)?)?;
             let y = block.norms[1].forward(&x)?;
             x = (&x + block.memory.forward(&y, &keys, memory, pointers, &self.rotary)?)?;
-            let y = block.linear1.forward(&block.norms[2].forward(&x)?)?.relu()?;
+            let y = block.linear1.then(&block.norms[2].forward(&x)?, Activation::Relu)?;
             x = (&x + block.linear2.forward(&y)?)?;
         }
         self.norm.forward(&x)
@@ -196,7 +197,7 @@ impl MemoryEncoder {
         let mut x = mask.clone();
         for halving in &self.halvings {
             let y = x.conv2d(&halving.weight, 1, 2, 1, 1)?.permute((0, 2, 3, 1))?.contiguous()?;
-            let y = gelu(&halving.norm.forward(&y.broadcast_add(&halving.bias)?)?)?;
+            let y = activated(halving.norm.forward(&y.broadcast_add(&halving.bias)?)?, Activation::Gelu)?;
             x = y.permute((0, 3, 1, 2))?.contiguous()?;
         }
         let mask = self.mask_projection.forward(&x.permute((0, 2, 3, 1))?.contiguous()?)?;
@@ -204,7 +205,7 @@ impl MemoryEncoder {
         let mut x = (features + mask)?;
         for fuser in &self.fusers {
             let y = depthwise(&x, &fuser.taps, &fuser.bias, fuser.kernel)?;
-            let y = gelu(&fuser.wide.forward(&fuser.norm.forward(&y)?)?)?;
+            let y = fuser.wide.then(&fuser.norm.forward(&y)?, Activation::Gelu)?;
             x = (x + fuser.narrow.forward(&y)?.broadcast_mul(&fuser.scale)?)?;
         }
         self.projection.forward(&x)?.flatten(0, 2)

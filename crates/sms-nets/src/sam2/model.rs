@@ -5,11 +5,11 @@ use super::decoder::{Decoded, MaskDecoder, feed_forward};
 use super::encoder::{Encoder, ImageFeatures};
 use super::memory::{MemoryAttention, MemoryEncoder};
 use super::prompt::{PromptEncoder, grid_positions};
-use crate::ops::{Seams, mlp};
+use crate::kernels::Activation;
+use crate::ops::{Linear, Seams, mlp};
 use crate::owlv2::PixelBox;
 use crate::{NetsError, Weights, resize_bilinear};
 use candle_core::{Device, Result, Tensor};
-use candle_nn::Linear;
 
 /// What stands in a mask where the object is not in the picture.
 pub(crate) const NO_OBJECT: f32 = -1024.0;
@@ -180,6 +180,6 @@ impl Sam2 {
         if decoded.object_score <= 0.0 {
             return Ok(self.no_pointer.clone());
         }
-        mlp(&decoded.tokens.narrow(0, token, 1)?, &self.pointer, Tensor::relu)
+        mlp(&decoded.tokens.narrow(0, token, 1)?, &self.pointer, Activation::Relu)
     }
 }

@@ -8,7 +8,6 @@ use crate::kernels::resize_bilinear;
 use crate::ops::Seams;
 use crate::owlv2::PixelBox;
 use candle_core::{Result, Tensor};
-use candle_nn::Module;
 use std::collections::BTreeMap;
 
 /// What one frame leaves behind for an object.
