@@ -12,24 +12,41 @@ const WIDEN: f64 = 0.03;
 /// Fewer pixels with depth carry no box.
 const MIN_PIXELS: usize = 8;
 
+/// Where an object is expected.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Carried {
+    /// In this box.
+    At(PixelBox),
+    /// Outside the picture.
+    OutOfView,
+    /// Nobody knows: too few of its pixels have depth.
+    Unknown,
+}
+
 /// Where the object `id` of `map`, the labels of frame `from`, should be in frame `to`, if it stays where it is: the box
-/// of its pixels' points seen from there. `None` where too few of them have depth or fall into the picture.
-pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> Option<PixelBox> {
+/// of its pixels' points seen from there.
+pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> Carried {
     let (width, height) = to.color.size();
     let (mut us, mut vs) = (Vec::new(), Vec::new());
+    let mut with_depth = 0;
     for (i, _) in map.data.iter().enumerate().filter(|(_, label)| **label == id) {
         let (x, y) = (i % map.width, i / map.width);
         let z = f64::from(from.depth[(x, y)]);
         if z <= 0.0 {
             continue;
         }
+        with_depth += 1;
+        // What is behind the camera is not seen.
         if let Some((u, v, _)) = to.camera.project(from.camera.unproject_pixel(x, y, z)) {
             us.push(u);
             vs.push(v);
         }
     }
+    if with_depth < MIN_PIXELS {
+        return Carried::Unknown;
+    }
     if us.len() < MIN_PIXELS {
-        return None;
+        return Carried::OutOfView;
     }
     let range = |values: &mut Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -40,7 +57,7 @@ pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> 
     };
     let ((x0, x1), (y0, y1)) = (range(&mut us), range(&mut vs));
     let clipped = PixelBox { x0, y0, x1, y1 }.clipped(width, height);
-    (clipped.area() >= 1.0).then_some(clipped)
+    if clipped.area() >= 1.0 { Carried::At(clipped) } else { Carried::OutOfView }
 }
 
 #[cfg(test)]
@@ -74,13 +91,17 @@ mod tests {
             }
         }
         let shift = 0.1 * a.camera.intrinsics.fx;
-        let (still, moved) = (carried_box(&a, &map, 2, &a).unwrap(), carried_box(&a, &map, 2, &b).unwrap());
+        let at = |to: &Frame| match carried_box(&a, &map, 2, to) {
+            Carried::At(bbox) => bbox,
+            other => panic!("{other:?}"),
+        };
+        let (still, moved) = (at(&a), at(&b));
         assert!((still.x0 - moved.x0 - shift).abs() < 1e-6 && (still.y1 - moved.y1).abs() < 1e-6);
         assert!((still.x0 - 30.0).abs() < 2.0 && (still.x1 - 50.0).abs() < 2.0, "{still:?}");
-        assert_eq!(carried_box(&a, &map, 1, &b), None);
-        assert_eq!(carried_box(&a, &map, 2, &frame(2, 5.0)), None);
+        assert_eq!(carried_box(&a, &map, 1, &b), Carried::Unknown);
+        assert_eq!(carried_box(&a, &map, 2, &frame(2, 5.0)), Carried::OutOfView);
         let mut blind = frame(0, 0.0);
         blind.depth = DepthImage::filled(80, 60, 0.0);
-        assert_eq!(carried_box(&blind, &map, 2, &b), None);
+        assert_eq!(carried_box(&blind, &map, 2, &b), Carried::Unknown);
     }
 }

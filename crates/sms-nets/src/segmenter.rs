@@ -1,7 +1,7 @@
 //! Masks of a sequence by the two networks: what to look for is found in the first frame and tracked through the rest
 //! (paper, "Object detection and segmentation").
 
-use crate::carry::carried_box;
+use crate::carry::{Carried, carried_box};
 use crate::objects::{NamedBox, foreign, label_infos};
 use crate::owlv2::{ClipTokenizer, Detection, Owlv2, Owlv2Config, PixelBox, detections, suppressed};
 use crate::sam2::{ObjectMask, Sam2, Sam2Config, Tracker};
@@ -239,14 +239,14 @@ impl NetsMasks {
         warnings: &Warnings,
     ) -> Result<Vec<LabelMap>, NetsError> {
         let folder = &self.models.sam2;
-        let config: Sam2Config = config(folder, &["sam2_video"])?;
+        let config: Sam2Config = config(folder, &["sam2_video", "sam2"])?;
         let model = Sam2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
         let size = sequence.frames[0].color.size();
         let mut boxes: Vec<Option<PixelBox>> = found.iter().map(|f| Some(f.bbox)).collect();
         let prompts: Vec<PixelBox> = found.iter().map(|f| f.bbox).collect();
         let mut tracker = Tracker::new(&model, &prompts, size, sequence.len());
         let mut maps: Vec<LabelMap> = Vec::with_capacity(sequence.len());
-        let mut last_seen = vec![None; found.len()];
+        let mut last_seen: Vec<Option<usize>> = vec![None; found.len()];
         progress.begin("masks by SAM 2", sequence.len() as u64);
         for (index, frame) in sequence.frames.iter().enumerate() {
             cancel.check()?;
@@ -255,11 +255,13 @@ impl NetsMasks {
             let masks: Vec<Option<ObjectMask>> = match self.config.track {
                 Track::Memory => tracker.next(&features, &mut Seams::none())?.into_iter().map(Some).collect(),
                 Track::Reprompt => {
-                    if let (Some(before), Some(map)) = (index.checked_sub(1), maps.last()) {
-                        for (i, carried) in boxes.iter_mut().enumerate() {
-                            // What left the view keeps its last box, in case it comes back to it.
-                            let id = i as u16 + 1;
-                            *carried = carried_box(&sequence.frames[before], map, id, frame).or(*carried);
+                    for (i, bbox) in boxes.iter_mut().enumerate() {
+                        // From where it was last seen: it may come back into the picture.
+                        let Some(last) = last_seen[i] else { continue };
+                        match carried_box(&sequence.frames[last], &maps[last], i as u16 + 1, frame) {
+                            Carried::At(carried) => *bbox = Some(carried),
+                            Carried::OutOfView => *bbox = None,
+                            Carried::Unknown => {}
                         }
                     }
                     let segment = |b: &Option<PixelBox>| {
