@@ -9,7 +9,7 @@ pub(crate) use without_nets::{Chosen, run, segmenter};
 mod with_nets {
     use crate::cli::{Models, NetsArguments, TrackName};
     use crate::context::Context;
-    use sms_masks::Segmenter;
+    use sms_masks::{MasksError, Segmenter};
     use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
     use sms_nets::{Device, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
     use std::path::PathBuf;
@@ -35,7 +35,7 @@ mod with_nets {
             config.validate()?;
             let boxes: Vec<NamedBox> = a.boxes.iter().map(|b| b.parse()).collect::<Result<_, _>>()?;
             match &a.objects {
-                Some(list) => config.objects = parse_objects(list)?,
+                Some(list) => config.objects = parse_objects(list).map_err(MasksError::from)?,
                 None if !boxes.is_empty() => config.objects = Vec::new(),
                 None => {}
             }
@@ -46,7 +46,7 @@ mod with_nets {
                 None if device.is_cpu() => config.track = Track::Reprompt,
                 None => {}
             }
-            let tracker = model(a.sam2.as_deref().unwrap_or(TRACKER))?;
+            let tracker = known(a.sam2.as_deref().unwrap_or(TRACKER))?;
             Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device })
         }
 
@@ -77,7 +77,7 @@ mod with_nets {
         chosen: Option<&Chosen>,
     ) -> anyhow::Result<Box<dyn Segmenter>> {
         let chosen = chosen.ok_or_else(|| anyhow::anyhow!("no networks were chosen"))?;
-        let detector = (!chosen.config.objects.is_empty()).then(|| model(DETECTOR)).transpose()?;
+        let detector = (!chosen.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()?;
         let models = model_folders(
             detector,
             chosen.tracker,
@@ -85,13 +85,19 @@ mod with_nets {
             &HubConfig::from_environment(),
             context.progress.as_ref(),
             &context.cancel,
-        )?;
+        )
+        .map_err(MasksError::from)?;
         Ok(Box::new(NetsMasks {
             config: chosen.config.clone(),
             boxes: chosen.boxes.clone(),
             models,
             device: chosen.device.clone(),
         }))
+    }
+
+    /// A model by name. Errors of the networks go on as those of masks, which have their exit codes.
+    fn known(name: &str) -> Result<Model, MasksError> {
+        Ok(model(name)?)
     }
 
     pub(crate) fn run(context: &Context, a: &Models) -> anyhow::Result<()> {
@@ -113,7 +119,9 @@ mod with_nets {
                     models.iter().map(String::as_str).collect()
                 };
                 for name in names {
-                    let folder = hub.fetch(&model(name)?, context.progress.as_ref(), &context.cancel)?;
+                    let folder = hub
+                        .fetch(&known(name)?, context.progress.as_ref(), &context.cancel)
+                        .map_err(MasksError::from)?;
                     context.say(format!("{name}: {}", folder.display()));
                 }
             }
