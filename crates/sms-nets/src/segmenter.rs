@@ -12,11 +12,15 @@ use serde::{Deserialize, Serialize};
 use sms_core::{
     BACKGROUND, Cancel, ColorImage, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
 };
-use sms_frames::Sequence;
+use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
 use sms_masks::{DEFAULT_NEIGHBORS, MasksError, Segmenter, refine_edges, scaled_margin_px};
 use std::path::{Path, PathBuf};
 
 const STAGE: &str = "masks";
+/// The longest side that either network looks at.
+const LONG_SIDE_PX: usize = 1024;
+/// Frames whose recorded pictures are in memory at once.
+const FRAMES_AT_ONCE: usize = 16;
 
 /// How objects are followed from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -104,6 +108,9 @@ pub struct NetsMasks {
     pub models: ModelFolders,
     /// Where to compute.
     pub device: Device,
+    /// How the recording was read: the networks look at its pictures as they were recorded, not as the scan resampled
+    /// them.
+    pub read: ReadOptions,
 }
 
 /// Something found in the first frame.
@@ -137,23 +144,26 @@ fn config<T: DeserializeOwned>(folder: &Path, kinds: &[&str]) -> Result<T, NetsE
 }
 
 impl NetsMasks {
-    /// Finds objects in an image: boxes given by hand first, then what the detector finds elsewhere, the surest first.
+    /// Finds objects in the first frame, `image` in any resolution: boxes given by hand first, then what the detector
+    /// finds elsewhere, the surest first. Boxes are in pixels of the frame, which has `size` (width, height).
     ///
     /// # Errors
-    /// [`NetsError`] for models that cannot be used and boxes outside the image.
+    /// [`NetsError`] for models that cannot be used and boxes outside the frame.
     pub fn find(
         &self,
         image: &ColorImage,
+        size: (usize, usize),
         cancel: &Cancel,
         warnings: &Warnings,
     ) -> Result<Vec<Found>, NetsError> {
         self.config.validate()?;
+        let (width, height) = size;
         let mut found = Vec::new();
         for named in &self.boxes {
-            let bbox = named.bbox.clipped(image.width, image.height);
+            let bbox = named.bbox.clipped(width, height);
             if bbox.area() < 1.0 {
                 let what = format!("the box of `{}` lies outside the first frame", named.name);
-                let cure = format!("the frame has {} × {} pixels", image.width, image.height);
+                let cure = format!("the frame has {width} × {height} pixels");
                 return Err(InputError::new(what, "--box", cure).into());
             }
             found.push(Found { name: named.name.clone(), score: 1.0, bbox });
@@ -171,13 +181,13 @@ impl NetsMasks {
             );
         }
         cancel.check()?;
-        let size = (image.width as f64) * (image.height as f64);
+        let area = width as f64 * height as f64;
         let by_hand = found.len();
-        let all = suppressed(self.detect(image, warnings)?, self.config.max_overlap);
+        let all = suppressed(self.detect(image, size, warnings)?, self.config.max_overlap);
         for Detection { query, score, bbox } in all {
-            let bbox = bbox.clipped(image.width, image.height);
+            let bbox = bbox.clipped(width, height);
             let is_taken = found[..by_hand].iter().any(|f| f.bbox.overlap(&bbox) > self.config.max_overlap);
-            if !is_taken && bbox.area() >= 1.0 && bbox.area() <= self.config.max_area_share * size {
+            if !is_taken && bbox.area() >= 1.0 && bbox.area() <= self.config.max_area_share * area {
                 found.push(Found { name: self.config.objects[query].clone(), score, bbox });
             }
         }
@@ -206,7 +216,12 @@ impl NetsMasks {
     }
 
     /// Everything above the threshold.
-    fn detect(&self, image: &ColorImage, warnings: &Warnings) -> Result<Vec<Detection>, NetsError> {
+    fn detect(
+        &self,
+        image: &ColorImage,
+        size: (usize, usize),
+        warnings: &Warnings,
+    ) -> Result<Vec<Detection>, NetsError> {
         let Some(folder) = &self.models.owlv2 else {
             let cure = "give the folder of an OWLv2 model, or boxes with --box and no --objects";
             return Err(InputError::new("there is no detector", "--weights", cure).into());
@@ -227,7 +242,23 @@ impl NetsMasks {
         let pixels = owlv2::pixel_values(image, config.vision_config.image_size, &self.device)?;
         let features = model.image(&pixels, seams)?;
         let heads = model.heads(&features, &model.text(&tokens, seams)?)?;
-        Ok(detections(&heads.logits, &heads.boxes, image.size(), self.config.threshold)?)
+        Ok(detections(&heads.logits, &heads.boxes, size, self.config.threshold)?)
+    }
+
+    /// The pictures of some frames as they were recorded, no larger than the networks look at; `None` where the
+    /// recording is gone.
+    fn recorded(
+        &self,
+        sequence: &Sequence,
+        frames: &[Frame],
+        cancel: &Cancel,
+    ) -> Result<Vec<Option<ColorImage>>, NetsError> {
+        let part = Sequence {
+            frames: frames.to_vec(),
+            x_world_recording: sequence.x_world_recording,
+            source: sequence.source.clone(),
+        };
+        Ok(recorded_colors(&part, &self.read, LONG_SIDE_PX, cancel)?)
     }
 
     fn track(
@@ -247,10 +278,16 @@ impl NetsMasks {
         let mut tracker = Tracker::new(&model, &prompts, size, sequence.len());
         let mut maps: Vec<LabelMap> = Vec::with_capacity(sequence.len());
         let mut last_seen: Vec<Option<usize>> = vec![None; found.len()];
+        let mut recorded = Vec::new();
         progress.begin("masks by SAM 2", sequence.len() as u64);
         for (index, frame) in sequence.frames.iter().enumerate() {
             cancel.check()?;
-            let pixels = sam2::pixel_values(&frame.color, config.image_size, &self.device)?;
+            if index % FRAMES_AT_ONCE == 0 {
+                let next = sequence.len().min(index + FRAMES_AT_ONCE);
+                recorded = self.recorded(sequence, &sequence.frames[index..next], cancel)?;
+            }
+            let color = recorded[index % FRAMES_AT_ONCE].as_ref().unwrap_or(&frame.color);
+            let pixels = sam2::pixel_values(color, config.image_size, &self.device)?;
             let features = model.encode(&pixels, &mut Seams::none())?;
             let masks: Vec<Option<ObjectMask>> = match self.config.track {
                 Track::Memory => tracker.next(&features, &mut Seams::none())?.into_iter().map(Some).collect(),
@@ -326,7 +363,9 @@ impl Segmenter for NetsMasks {
         let Some(first) = sequence.frames.first() else {
             return Ok(Labels { maps: Vec::new(), objects: Vec::new(), source });
         };
-        let found = self.find(&first.color, cancel, warnings)?;
+        let recorded = self.recorded(sequence, &sequence.frames[..1], cancel)?;
+        let image = recorded[0].as_ref().unwrap_or(&first.color);
+        let found = self.find(image, first.color.size(), cancel, warnings)?;
         let names: Vec<String> = found.iter().map(|f| f.name.clone()).collect();
         let maps = if found.is_empty() {
             let empty = |f: &sms_frames::Frame| LabelMap::filled(f.color.width, f.color.height, BACKGROUND);

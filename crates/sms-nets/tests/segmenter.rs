@@ -5,7 +5,7 @@ mod support;
 
 use glamx::DPose3;
 use sms_core::{Camera, Cancel, DepthImage, Intrinsics, MaskSource, NoProgress, NormalImage, Warnings};
-use sms_frames::{Frame, Sequence};
+use sms_frames::{Frame, ReadOptions, Sequence};
 use sms_masks::Segmenter;
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config};
@@ -76,6 +76,7 @@ fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
             boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
             models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
             device: Device::Cpu,
+            read: ReadOptions::default(),
         };
         let warnings = Warnings::new();
         let run = || masks.segment(&sequence(3), &NoProgress, &Cancel::new(), &warnings).unwrap();
@@ -109,6 +110,7 @@ fn no_detections_a_foreign_query_and_a_long_one_are_said() {
         boxes: vec![],
         models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
         device: Device::Cpu,
+        read: ReadOptions::default(),
     };
     let warnings = Warnings::new();
     let labels = masks.segment(&sequence(2), &NoProgress, &Cancel::new(), &warnings).unwrap();
@@ -127,6 +129,7 @@ fn bad_input_is_explained() {
         boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
         models: ModelFolders { owlv2: None, sam2: sam.path().into() },
         device: Device::Cpu,
+        read: ReadOptions::default(),
     };
     let message = |masks: &NetsMasks| {
         let warnings = Warnings::new();

@@ -9,6 +9,7 @@ pub(crate) use without_nets::{Chosen, run, segmenter};
 mod with_nets {
     use crate::cli::{Models, NetsArguments, TrackName};
     use crate::context::Context;
+    use sms_frames::ReadOptions;
     use sms_masks::{MasksError, Segmenter};
     use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
     use sms_nets::{Device, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
@@ -24,11 +25,13 @@ mod with_nets {
         tracker: Model,
         weights: Option<PathBuf>,
         device: Device,
+        read: ReadOptions,
     }
 
     impl Chosen {
         /// Checks the arguments; nothing is fetched yet.
-        pub(crate) fn new(_: &Context, a: &NetsArguments) -> anyhow::Result<Self> {
+        pub(crate) fn new(context: &Context, a: &NetsArguments) -> anyhow::Result<Self> {
+            let read = context.settings.section("read", ReadOptions::default())?;
             let mut config = NetsConfig::default();
             config.threshold = a.threshold.unwrap_or(config.threshold);
             config.max_overlap = a.max_overlap.unwrap_or(config.max_overlap);
@@ -47,7 +50,7 @@ mod with_nets {
                 None => {}
             }
             let tracker = known(a.sam2.as_deref().unwrap_or(TRACKER))?;
-            Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device })
+            Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device, read })
         }
 
         /// Everything that the masks depend on.
@@ -92,6 +95,7 @@ mod with_nets {
             boxes: chosen.boxes.clone(),
             models,
             device: chosen.device.clone(),
+            read: chosen.read.clone(),
         }))
     }
 
