@@ -4,8 +4,11 @@
 mod support;
 
 use glamx::DPose3;
-use sms_core::{Camera, Cancel, DepthImage, Intrinsics, MaskSource, NoProgress, NormalImage, Warnings};
-use sms_frames::{Frame, ReadOptions, Sequence};
+use sms_core::{
+    Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, MaskSource, NoProgress, NormalImage, Warnings,
+    write_png_color, write_png_gray16,
+};
+use sms_frames::{Frame, LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_masks::Segmenter;
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config};
@@ -95,6 +98,57 @@ fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
         let stopped = masks.segment(&sequence(3), &NoProgress, &cancel, &warnings).unwrap_err();
         assert!(stopped.to_string().contains("interrupted"), "{stopped}");
     }
+}
+
+/// A recording of two frames of 300 × 200 pixels in `folder`, loaded at half that size.
+fn recorded(folder: &Path) -> Sequence {
+    let mut frames = Vec::new();
+    for t in 0..2 {
+        let small = support::frame(t);
+        let mut color = ColorImage::filled(300, 200, [0; 3]);
+        for (i, pixel) in color.data.iter_mut().enumerate() {
+            // Detail that the half size does not have.
+            *pixel =
+                if (i + i / 300).is_multiple_of(2) { small[(i % 300 / 2, i / 600)] } else { [0, 255, 0] };
+        }
+        write_png_color(&folder.join(format!("{t}.png")), &color).unwrap();
+        write_png_gray16(&folder.join(format!("{t}d.png")), &Image::filled(300, 200, 1000)).unwrap();
+        let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+        frames.push(serde_json::json!({
+            "file_path": format!("{t}.png"), "depth_file_path": format!("{t}d.png"), "transform_matrix": pose,
+        }));
+    }
+    let json = serde_json::json!({
+        "w": 300, "h": 200, "fl_x": 280.0, "fl_y": 280.0, "cx": 150.0, "cy": 100.0, "depth_unit_scale_factor": 0.001,
+        "frames": frames,
+    });
+    std::fs::write(folder.join("transforms.json"), json.to_string()).unwrap();
+    let recording = Recording::open(folder, &ReadOptions::default()).unwrap();
+    let settings = LoadSettings { long_side: 150, ..LoadSettings::default() };
+    load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap()
+}
+
+#[test]
+fn the_networks_look_at_the_pictures_as_they_were_recorded() {
+    let (owl, sam, recording) = (folder("owlv2"), folder("sam2"), tempfile::tempdir().unwrap());
+    let sequence = recorded(recording.path());
+    assert_eq!(sequence.frames[0].color.size(), (150, 100));
+    let masks = NetsMasks {
+        config: NetsConfig { objects: vec!["cue".into()], threshold: 0.3, ..NetsConfig::default() },
+        boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
+        models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let run = |sequence: &Sequence| {
+        masks.segment(sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap().maps
+    };
+    let with = run(&sequence);
+    assert!(with.iter().all(|m| m.size() == (150, 100)));
+    // Without the recording the scan's own pictures have to do, and show other things.
+    let without = run(&Sequence { source: "gone".into(), ..sequence.clone() });
+    assert_eq!(without.len(), 2);
+    assert_ne!(with, without);
 }
 
 #[test]
