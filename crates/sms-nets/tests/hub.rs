@@ -38,6 +38,10 @@ enum Fault {
     Whole,
     /// Sends to another server for the bytes.
     Elsewhere(String),
+    /// Sends to another path of its own, with the commit alone.
+    Moved,
+    /// Answers as any web server does.
+    Plain,
 }
 
 type Script = dyn Fn(usize, &Asked) -> Fault + Send + Sync;
@@ -134,6 +138,15 @@ fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, script: &Script) -> std
             stream,
             "HTTP/1.1 {status} No\r\nConnection: close\r\nRetry-After: {retry}\r\nContent-Length: 0\r\n\r\n"
         );
+    }
+    if fault == Fault::Moved {
+        return write!(
+            stream,
+            "HTTP/1.1 307 Moved\r\nConnection: close\r\nLocation: /moved{path}\r\nX-Repo-Commit: {COMMIT}\r\nContent-Length: 0\r\n\r\n"
+        );
+    }
+    if fault == Fault::Plain {
+        return write!(stream, "HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: 5\r\n\r\nhello");
     }
     let file = path.rsplit('/').next().unwrap_or_default();
     let bytes = content(file);
@@ -247,6 +260,22 @@ fn a_broken_download_goes_on_in_the_next_run_and_survives_a_server_without_range
     let whole = Server::new(|_, _| Fault::Whole);
     is_whole(&fetch(&hub(&whole, cache.path())).unwrap());
     assert_eq!(whole.asked().iter().filter_map(|a| a.from).collect::<Vec<_>>(), [30_000]);
+}
+
+#[test]
+fn descriptions_elsewhere_are_followed_and_other_servers_recognised() {
+    let moving = Server::new(|_, a| {
+        if a.method == "HEAD" && !a.path.starts_with("/moved") { Fault::Moved } else { Fault::None }
+    });
+    let cache = tempfile::tempdir().unwrap();
+    is_whole(&fetch(&hub(&moving, cache.path())).unwrap());
+    let plain = Server::new(|_, _| Fault::Plain);
+    let cache = tempfile::tempdir().unwrap();
+    let message = fetch(&hub(&plain, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("no Hugging Face hub") && message.contains("HF_ENDPOINT"), "{message}");
+    let circling = Server::new(|_, _| Fault::Moved);
+    let message = fetch(&hub(&circling, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("without end"), "{message}");
 }
 
 #[test]

@@ -69,36 +69,38 @@ impl<'a> Client<'a> {
 
     fn look_once(&self, url: &str, file: &str) -> Result<Remote, Failure> {
         let mut at = url.to_owned();
+        let mut commit = None;
         for _ in 0..REDIRECTS {
             let response = self.ask(&at, true, None)?;
             let header = |name: &str| {
                 response.headers().get(name).and_then(|v| v.to_str().ok()).map(|v| v.trim().to_owned())
             };
+            let is_hex = |s: &String| s.bytes().all(|b| b.is_ascii_hexdigit());
             let status = response.status().as_u16();
             let target = header("location").map(|l| absolute(&at, &l));
-            let commit = header("x-repo-commit");
-            // The hub answers for itself, then sends elsewhere for the bytes.
-            if let (Some(target), None, 300..400) = (&target, &commit, status) {
-                at.clone_from(target);
-                continue;
-            }
+            commit = header("x-repo-commit").filter(|c| c.len() == 40 && is_hex(c)).or(commit);
+            let checksum = header("x-linked-etag")
+                .or_else(|| header("etag"))
+                .map(|e| e.trim_start_matches("W/").trim_matches('"').to_ascii_lowercase())
+                .filter(|c| is_hex(c) && (c.len() == 40 || c.len() == 64));
             if !(200..400).contains(&status) {
                 return Err(self.refused(status, file, header("retry-after")));
             }
-            let etag = header("x-linked-etag").or_else(|| header("etag"));
-            let checksum = etag.map(|e| e.trim_start_matches("W/").trim_matches('"').to_ascii_lowercase());
-            let is_hex = |s: &String| s.bytes().all(|b| b.is_ascii_hexdigit());
-            let (Some(commit), Some(checksum)) =
-                (commit.filter(is_hex), checksum.filter(|c| is_hex(c) && (c.len() == 40 || c.len() == 64)))
-            else {
-                let what = format!("what answers at {at} is no Hugging Face hub");
-                return Err(Failure::Lasting(
-                    InputError::new(what, "HF_ENDPOINT", self.hub.by_hand(self.model)).into(),
-                ));
-            };
-            let size =
-                header("x-linked-size").or_else(|| header("content-length")).and_then(|s| s.parse().ok());
-            return Ok(Remote { commit, checksum, size, url: target.unwrap_or(at) });
+            let own_size = || header("content-length").filter(|_| status < 300);
+            let size = header("x-linked-size").or_else(own_size).and_then(|s| s.parse().ok());
+            match (&commit, checksum, target) {
+                // The hub describes the file, and may send elsewhere for the bytes.
+                (Some(commit), Some(checksum), target) => {
+                    return Ok(Remote { commit: commit.clone(), checksum, size, url: target.unwrap_or(at) });
+                }
+                // It sends elsewhere for the description too.
+                (_, _, Some(target)) => at = target,
+                _ => {
+                    let what = format!("what answers at {at} is no Hugging Face hub");
+                    let cure = self.hub.by_hand(self.model);
+                    return Err(Failure::Lasting(InputError::new(what, "HF_ENDPOINT", cure).into()));
+                }
+            }
         }
         Err(Failure::Passing("it sends from one address to the next without end".into(), None))
     }
