@@ -86,8 +86,33 @@ pub(crate) enum Command {
     Synth(Synth),
     /// Measure the scan on fixed scenes with exact truth.
     Bench(crate::commands::bench::Bench),
+    /// Look at a run's masks: its objects, and with --preview the annotated first frame.
+    Masks(Masks),
+    /// List or fetch the weights of the networks.
+    #[command(subcommand)]
+    Models(Models),
     /// Print every setting that would be in force, as a file for `--settings`.
     Settings(SettingsArguments),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Masks {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Write masks/preview.png: the first frame with its masks and their boxes.
+    #[arg(long)]
+    pub preview: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Models {
+    /// The models there are, and where those that were fetched lie.
+    List,
+    /// Fetch models into the Hugging Face cache.
+    Fetch {
+        /// Names of `sms models list` (default: the two that `--masks sam2` uses).
+        models: Vec<String>,
+    },
 }
 
 #[derive(Debug, Args)]
@@ -134,6 +159,43 @@ pub(crate) enum MasksName {
     Files,
     /// The truth of a generated recording (ablations only).
     Truth,
+    /// OWLv2 finds what --objects names in the first frame, SAM 2.1 tracks it. Needs a build with the feature `nets`.
+    Sam2,
+}
+
+/// How SAM 2 follows objects.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TrackName {
+    /// By its memory, as in the paper.
+    Memory,
+    /// In each image anew, with boxes carried by pose and depth: several times cheaper.
+    Reprompt,
+}
+
+/// For `--masks sam2`.
+#[derive(Debug, Args, Clone, Default)]
+pub(crate) struct NetsArguments {
+    /// What to look for, in English: --objects "mug, toy duck, cue ball" (default: things that stand on tables).
+    #[arg(long, value_name = "LIST")]
+    pub objects: Option<String>,
+    /// A box in the first frame: --box "mug=x0,y0,x1,y1" (repeatable). Without --objects nothing else is looked for.
+    #[arg(long = "box", value_name = "NAME=X0,Y0,X1,Y1")]
+    pub boxes: Vec<String>,
+    /// Score above which a detection counts, 0 to 1 (default: 0.2).
+    #[arg(long, value_name = "SCORE")]
+    pub threshold: Option<f64>,
+    /// Overlap from which the lesser of two detections is dropped, 0 to 1 (default: 0.5).
+    #[arg(long, value_name = "SHARE")]
+    pub max_overlap: Option<f64>,
+    /// How SAM 2 follows objects (default: memory on a GPU, reprompt on a CPU).
+    #[arg(long, value_enum)]
+    pub track: Option<TrackName>,
+    /// Which SAM 2.1 (`sms models list`).
+    #[arg(long, value_name = "MODEL")]
+    pub sam2: Option<String>,
+    /// A folder with the models' files, instead of the Hugging Face cache.
+    #[arg(long, value_name = "DIR")]
+    pub weights: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -166,6 +228,8 @@ pub(crate) struct Scan {
     /// Where object masks come from.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: MasksName,
+    #[command(flatten)]
+    pub nets: NetsArguments,
     /// Correct the camera poses before the scan; `auto` keeps them where that is no improvement.
     #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,

@@ -50,6 +50,8 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::Sample(a) => commands::sample::run(context, &a),
         Command::Synth(a) => commands::synth::run(context, &a),
         Command::Bench(a) => commands::bench::run(context, &a),
+        Command::Masks(a) => commands::masks::run(context, &a),
+        Command::Models(a) => commands::models::run(context, &a),
         Command::Settings(a) => commands::settings::run(context, &a),
     }
     .map(|()| ExitCode::SUCCESS)

@@ -151,6 +151,23 @@ fn depth_without_a_measurement_and_masks_for_some_frames_only() {
 }
 
 #[test]
+fn masks_by_networks_without_networks_or_their_weights() {
+    let b = Broken::new();
+    let empty = b.dir.path().join("weights");
+    fs::create_dir(&empty).unwrap();
+    let words = if cfg!(feature = "nets") {
+        ["config.json", "google/owlv2"]
+    } else {
+        ["no networks", "--features nets"]
+    };
+    b.refused(&words, &["--masks", "sam2", "--weights", empty.to_str().unwrap()]);
+    if cfg!(feature = "nets") {
+        b.refused(&["--box", "no area"], &["--masks", "sam2", "--box", "mug=9,9,3,3"]);
+        b.refused(&["sam3", "sam2-tiny"], &["--masks", "sam2", "--sam2", "sam3"]);
+    }
+}
+
+#[test]
 fn settings_with_an_unknown_key() {
     let b = Broken::new();
     let settings = b.dir.path().join("mine.toml");

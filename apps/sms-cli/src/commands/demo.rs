@@ -40,6 +40,7 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         out: root.clone(),
         preset,
         masks: a.masks,
+        nets: cli::NetsArguments::default(),
         holdout: Some(HOLDOUT),
         seed: Some(a.seed),
         up: None,

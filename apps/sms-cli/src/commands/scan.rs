@@ -1,5 +1,6 @@
 //! `sms scan`: recording → frames → masks → Gaussians.
 
+use super::models;
 use super::settings::poses_defaults;
 use super::{inputs_hash, length_text, run_stage, shown};
 use crate::cli::{MasksName, PresetName, RefinePoses, Scan};
@@ -95,7 +96,9 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     run.record_settings("poses", &poses_config)?;
     run.record_settings("scan", &scan_config)?;
 
-    let masks_settings = (&settings.masks, (a.masks == MasksName::Geometry).then_some(&geometry));
+    let nets = (a.masks == MasksName::Sam2).then(|| models::Chosen::new(context, &a.nets)).transpose()?;
+    let kind = nets.as_ref().map_or_else(|| settings.masks.clone(), models::Chosen::settings);
+    let masks_settings = (kind, (a.masks == MasksName::Geometry).then_some(&geometry));
     let names = mask_names_hash(&recording, a.masks)?;
     let masks_hash = inputs_hash(&[&frames_hash, &names], &masks_settings)?;
     if a.masks == MasksName::Geometry {
@@ -106,6 +109,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
             MasksName::Geometry => Box::new(GeometryMasks { config: geometry.clone() }),
             MasksName::Files => Box::new(FileMasks::default()),
             MasksName::Truth => Box::new(TruthMasks),
+            MasksName::Sam2 => models::segmenter(context, nets.as_ref())?,
         };
         let labels = segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)?;
         save_labels(stage.dir(), &labels)?;
@@ -238,7 +242,7 @@ fn recording_fingerprint(recording: &Recording) -> anyhow::Result<Hash> {
 /// Content hash of what names the objects of masks from files, or of a generated recording's truth.
 fn mask_names_hash(recording: &Recording, masks: MasksName) -> anyhow::Result<Hash> {
     let file = match masks {
-        MasksName::Geometry => None,
+        MasksName::Geometry | MasksName::Sam2 => None,
         MasksName::Files => Some(recording.root.join("objects.json")),
         MasksName::Truth => Some(recording.root.join("truth").join("truth.json")),
     };

@@ -1,0 +1,173 @@
+//! The networks: `sms models`, and masks by them in `sms scan --masks sam2`.
+
+#[cfg(feature = "nets")]
+pub(crate) use with_nets::{Chosen, run, segmenter};
+#[cfg(not(feature = "nets"))]
+pub(crate) use without_nets::{Chosen, run, segmenter};
+
+#[cfg(feature = "nets")]
+mod with_nets {
+    use crate::cli::{Models, NetsArguments, TrackName};
+    use crate::context::Context;
+    use sms_frames::ReadOptions;
+    use sms_masks::{MasksError, Segmenter};
+    use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
+    use sms_nets::{Device, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
+    use std::path::PathBuf;
+
+    const DETECTOR: &str = "owlv2";
+    const TRACKER: &str = "sam2-tiny";
+
+    /// What was asked for.
+    pub(crate) struct Chosen {
+        config: NetsConfig,
+        boxes: Vec<NamedBox>,
+        tracker: Model,
+        weights: Option<PathBuf>,
+        device: Device,
+        read: ReadOptions,
+    }
+
+    impl Chosen {
+        /// Checks the arguments; nothing is fetched yet.
+        pub(crate) fn new(context: &Context, a: &NetsArguments) -> anyhow::Result<Self> {
+            let read = context.settings.section("read", ReadOptions::default())?;
+            let mut config = NetsConfig::default();
+            config.threshold = a.threshold.unwrap_or(config.threshold);
+            config.max_overlap = a.max_overlap.unwrap_or(config.max_overlap);
+            config.validate()?;
+            let boxes: Vec<NamedBox> = a.boxes.iter().map(|b| b.parse()).collect::<Result<_, _>>()?;
+            match &a.objects {
+                Some(list) => config.objects = parse_objects(list).map_err(MasksError::from)?,
+                None if !boxes.is_empty() => config.objects = Vec::new(),
+                None => {}
+            }
+            let device = device()?;
+            match a.track {
+                Some(TrackName::Memory) => config.track = Track::Memory,
+                Some(TrackName::Reprompt) => config.track = Track::Reprompt,
+                None if device.is_cpu() => config.track = Track::Reprompt,
+                None => {}
+            }
+            let tracker = known(a.sam2.as_deref().unwrap_or(TRACKER))?;
+            Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device, read })
+        }
+
+        /// Everything that the masks depend on.
+        pub(crate) fn settings(&self) -> String {
+            format!("{:?} {:?} {} {:?}", self.config, self.boxes, self.tracker.repository, self.weights)
+        }
+    }
+
+    #[cfg(feature = "cuda")]
+    fn device() -> anyhow::Result<Device> {
+        Ok(Device::cuda_if_available(0)?)
+    }
+
+    #[cfg(all(feature = "metal", not(feature = "cuda")))]
+    fn device() -> anyhow::Result<Device> {
+        Ok(Device::new_metal(0)?)
+    }
+
+    #[cfg(not(any(feature = "cuda", feature = "metal")))]
+    fn device() -> anyhow::Result<Device> {
+        Ok(Device::Cpu)
+    }
+
+    /// The segmenter, its models fetched where they are not there.
+    pub(crate) fn segmenter(
+        context: &Context,
+        chosen: Option<&Chosen>,
+    ) -> anyhow::Result<Box<dyn Segmenter>> {
+        let chosen = chosen.ok_or_else(|| anyhow::anyhow!("no networks were chosen"))?;
+        let detector = (!chosen.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()?;
+        let models = model_folders(
+            detector,
+            chosen.tracker,
+            chosen.weights.as_deref(),
+            &HubConfig::from_environment(),
+            context.progress.as_ref(),
+            &context.cancel,
+        )
+        .map_err(MasksError::from)?;
+        Ok(Box::new(NetsMasks {
+            config: chosen.config.clone(),
+            boxes: chosen.boxes.clone(),
+            models,
+            device: chosen.device.clone(),
+            read: chosen.read.clone(),
+        }))
+    }
+
+    /// A model by name. Errors of the networks go on as those of masks, which have their exit codes.
+    fn known(name: &str) -> Result<Model, MasksError> {
+        Ok(model(name)?)
+    }
+
+    pub(crate) fn run(context: &Context, a: &Models) -> anyhow::Result<()> {
+        let hub = HubConfig::from_environment();
+        match a {
+            Models::List => {
+                for m in MODELS {
+                    let at = match hub.cached(&m) {
+                        Some(cached) => format!("{} (commit {})", cached.folder.display(), cached.commit),
+                        None => "not fetched".into(),
+                    };
+                    context.say(format!("{:15} {:40} {}\n{:15} {at}", m.name, m.repository, m.about, ""));
+                }
+            }
+            Models::Fetch { models } => {
+                let names: Vec<&str> = if models.is_empty() {
+                    vec![DETECTOR, TRACKER]
+                } else {
+                    models.iter().map(String::as_str).collect()
+                };
+                for name in names {
+                    let folder = hub
+                        .fetch(&known(name)?, context.progress.as_ref(), &context.cancel)
+                        .map_err(MasksError::from)?;
+                    context.say(format!("{name}: {}", folder.display()));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(not(feature = "nets"))]
+mod without_nets {
+    use crate::cli::{Models, NetsArguments};
+    use crate::context::Context;
+    use sms_core::InputError;
+    use sms_masks::Segmenter;
+    use std::convert::Infallible;
+
+    /// There is nothing to choose.
+    pub(crate) struct Chosen(Infallible);
+
+    impl Chosen {
+        pub(crate) fn new(_: &Context, _: &NetsArguments) -> anyhow::Result<Self> {
+            Err(none().into())
+        }
+
+        pub(crate) fn settings(&self) -> String {
+            match self.0 {}
+        }
+    }
+
+    pub(crate) fn segmenter(_: &Context, _: Option<&Chosen>) -> anyhow::Result<Box<dyn Segmenter>> {
+        Err(none().into())
+    }
+
+    pub(crate) fn run(_: &Context, _: &Models) -> anyhow::Result<()> {
+        Err(none().into())
+    }
+
+    fn none() -> InputError {
+        InputError::new(
+            "this build has no networks",
+            "--masks sam2",
+            "build with `cargo build --release --features nets`, or use --masks geometry",
+        )
+    }
+}

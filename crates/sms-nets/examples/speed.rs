@@ -1,0 +1,71 @@
+//! Times the full-size networks with random weights: `speed owlv2|encoder|track [REPEATS] [OBJECTS]`. One JSON object is
+//! printed; `benches/peers/nets.py` sets it beside PyTorch's.
+
+use candle_core::{Device, Tensor};
+use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
+use sms_nets::sam2::{Sam2, Sam2Config, Tracker};
+use sms_nets::{NetsError, Seams, Weights};
+use std::time::Instant;
+
+/// CPU seconds of all threads so far, where the system tells (Linux); else 0.
+fn cpu_seconds() -> f64 {
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let times = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("schedstat")).ok());
+    times.filter_map(|text| text.split_whitespace().next()?.parse::<f64>().ok()).sum::<f64>() * 1e-9
+}
+
+fn main() -> Result<(), NetsError> {
+    let mut args = std::env::args().skip(1);
+    let what = args.next().unwrap_or_else(|| "encoder".into());
+    let repeats: usize = args.next().and_then(|a| a.parse().ok()).unwrap_or(3);
+    let objects: usize = args.next().and_then(|a| a.parse().ok()).unwrap_or(6);
+    let device = Device::Cpu;
+    let image = |side: usize, seed: usize| {
+        let values = (0..3 * side * side).map(|i| ((i * (seed + 7) % 1013) as f32 / 506.0) - 1.0).collect();
+        Tensor::from_vec(values, (1, 3, side, side), &device)
+    };
+    let weights = Weights::random(1, &device);
+    let (mut seconds, mut cpu_used) = (Vec::new(), Vec::new());
+    match what.as_str() {
+        "owlv2" => {
+            let model = Owlv2::new(&Owlv2Config::base_patch16(), &weights)?;
+            for i in 0..repeats {
+                let pixels = image(960, i)?;
+                let (start, cpu) = (Instant::now(), cpu_seconds());
+                model.image(&pixels, &mut Seams::none())?;
+                seconds.push(start.elapsed().as_secs_f64());
+                cpu_used.push(cpu_seconds() - cpu);
+            }
+        }
+        _ => {
+            let model = Sam2::new(&Sam2Config::default(), &weights)?;
+            let at =
+                |i: usize| PixelBox { x0: 20.0 * i as f64, y0: 30.0, x1: 20.0 * i as f64 + 60.0, y1: 90.0 };
+            let boxes: Vec<PixelBox> = (0..objects).map(at).collect();
+            let mut tracker = Tracker::new(&model, &boxes, (640, 400), repeats);
+            for i in 0..repeats {
+                let pixels = image(1024, i)?;
+                let (start, cpu) = (Instant::now(), cpu_seconds());
+                let features = model.encode(&pixels, &mut Seams::none())?;
+                match what.as_str() {
+                    "track" => drop(tracker.next(&features, &mut Seams::none())?),
+                    "reprompt" => {
+                        for bbox in &boxes {
+                            model.segment(&features, bbox, (640, 400))?;
+                        }
+                    }
+                    _ => {}
+                }
+                seconds.push(start.elapsed().as_secs_f64());
+                cpu_used.push(cpu_seconds() - cpu);
+            }
+        }
+    }
+    let best = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
+    println!(
+        "{{\"what\": \"{what}\", \"seconds\": {seconds:?}, \"best_s\": {:.4}, \"best_cpu_s\": {:.4}}}",
+        best(&seconds),
+        best(&cpu_used)
+    );
+    Ok(())
+}

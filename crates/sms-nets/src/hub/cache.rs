@@ -1,0 +1,196 @@
+//! The cache's layout and the environment that says where it is.
+
+use super::Model;
+use super::download::Client;
+use crate::NetsError;
+use sms_core::{Cancel, CoreError, InputError, Progress};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Where the hub and its cache are.
+#[derive(Clone)]
+pub struct HubConfig {
+    /// Address of the hub (`HF_ENDPOINT`).
+    pub endpoint: String,
+    /// The cache (`HF_HUB_CACHE`, or `hub` in `HF_HOME`).
+    pub cache: PathBuf,
+    /// Token for repositories that ask for one (`HF_TOKEN`, or the file `token` in `HF_HOME`). Never shown.
+    pub token: Option<String>,
+    /// Whether the network must not be asked (`HF_HUB_OFFLINE`).
+    pub is_offline: bool,
+    /// Branch, tag or commit.
+    pub revision: String,
+    /// How often a download is begun again.
+    pub attempts: usize,
+    /// Pause before the second attempt, doubled each time; what the server asks for goes before.
+    pub pause: Duration,
+}
+
+impl std::fmt::Debug for HubConfig {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("HubConfig")
+            .field("endpoint", &self.endpoint)
+            .field("cache", &self.cache)
+            .field("has_token", &self.token.is_some())
+            .field("is_offline", &self.is_offline)
+            .field("revision", &self.revision)
+            .finish_non_exhaustive()
+    }
+}
+
+/// A model in the cache.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CachedModel {
+    /// The commit.
+    pub commit: String,
+    /// The folder with its files.
+    pub folder: PathBuf,
+}
+
+impl HubConfig {
+    /// What the environment says, as the hub's own library reads it.
+    pub fn from_environment() -> Self {
+        Self::from_variables(|name| std::env::var(name).ok())
+    }
+
+    /// What these variables say.
+    pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Self {
+        let set = |name: &str| variable(name).map(|v| v.trim().to_owned()).filter(|v| !v.is_empty());
+        let user = || set("HOME").or_else(|| set("USERPROFILE")).unwrap_or_else(|| ".".into());
+        let home = set("HF_HOME").map(PathBuf::from).unwrap_or_else(|| {
+            let base = set("XDG_CACHE_HOME").map_or_else(|| Path::new(&user()).join(".cache"), PathBuf::from);
+            base.join("huggingface")
+        });
+        let stored = || std::fs::read_to_string(home.join("token")).ok().map(|t| t.trim().to_owned());
+        let is_on = |v: String| matches!(v.to_ascii_lowercase().as_str(), "1" | "on" | "yes" | "true");
+        Self {
+            endpoint: set("HF_ENDPOINT")
+                .map_or_else(|| "https://huggingface.co".into(), |e| e.trim_end_matches('/').to_owned()),
+            cache: set("HF_HUB_CACHE").map_or_else(|| home.join("hub"), PathBuf::from),
+            token: set("HF_TOKEN").or_else(stored).filter(|t| !t.is_empty()),
+            is_offline: set("HF_HUB_OFFLINE").is_some_and(is_on),
+            revision: "main".into(),
+            attempts: 5,
+            pause: Duration::from_secs(1),
+        }
+    }
+
+    /// A model's folder in the cache.
+    pub(crate) fn repository(&self, model: &Model) -> PathBuf {
+        self.cache.join(format!("models--{}", model.repository.replace('/', "--")))
+    }
+
+    /// The model, if all of its files are in the cache.
+    pub fn cached(&self, model: &Model) -> Option<CachedModel> {
+        let repository = self.repository(model);
+        let is_commit = self.revision.len() == 40 && self.revision.bytes().all(|b| b.is_ascii_hexdigit());
+        let commit = if is_commit {
+            self.revision.clone()
+        } else {
+            std::fs::read_to_string(repository.join("refs").join(&self.revision)).ok()?.trim().to_owned()
+        };
+        let folder = repository.join("snapshots").join(&commit);
+        let is_whole = model.files.iter().all(|f| folder.join(f).is_file());
+        is_whole.then_some(CachedModel { commit, folder })
+    }
+
+    /// The folder with the model's files, fetched where the cache does not have them.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] saying what went wrong, what to fetch and where to put it; [`NetsError::Core`] for files and
+    /// interruption.
+    pub fn fetch(
+        &self,
+        model: &Model,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<PathBuf, NetsError> {
+        if let Some(cached) = self.cached(model) {
+            return Ok(cached.folder);
+        }
+        if self.is_offline {
+            let what =
+                format!("the model {} is not in the cache, and HF_HUB_OFFLINE is set", model.repository);
+            return Err(InputError::new(what, self.repository(model), self.by_hand(model)).into());
+        }
+        let client = Client::new(self, model);
+        let repository = self.repository(model);
+        let mut revision = self.revision.clone();
+        for file in model.files {
+            cancel.check()?;
+            let remote = client.look(&revision, file, cancel)?;
+            let blob = repository.join("blobs").join(&remote.checksum);
+            if !blob.is_file() {
+                client.download(&remote, file, &blob, progress, cancel)?;
+            }
+            // The files of one model are of one commit, even if somebody commits in between.
+            revision.clone_from(&remote.commit);
+            link(&blob, &repository.join("snapshots").join(&remote.commit).join(file))?;
+        }
+        if revision != self.revision {
+            // Last: from now on the model is in the cache.
+            sms_core::atomic::write_bytes(
+                &repository.join("refs").join(&self.revision),
+                revision.as_bytes(),
+            )?;
+        }
+        Ok(repository.join("snapshots").join(&revision))
+    }
+
+    /// What to do where the hub cannot be used.
+    pub(crate) fn by_hand(&self, model: &Model) -> String {
+        format!(
+            "fetch {} from https://huggingface.co/{} on a machine that can, put them into a folder and give it with \
+             --weights DIR",
+            model.files.join(", "),
+            model.repository
+        )
+    }
+}
+
+/// Makes `at` name the file `blob`, which lies two folders up and in `blobs`.
+fn link(blob: &Path, at: &Path) -> Result<(), CoreError> {
+    if let Some(folder) = at.parent() {
+        std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;
+    }
+    if at.is_file() {
+        return Ok(());
+    }
+    // A link whose file was deleted is in the way.
+    let _ = std::fs::remove_file(at);
+    #[cfg(unix)]
+    {
+        let name = blob.file_name().unwrap_or_default();
+        let target = Path::new("../../blobs").join(name);
+        if std::os::unix::fs::symlink(&target, at).is_ok() && at.is_file() {
+            return Ok(());
+        }
+        let _ = std::fs::remove_file(at);
+    }
+    std::fs::copy(blob, at).map(drop).map_err(CoreError::write(at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(pairs: &[(&str, &str)]) -> HubConfig {
+        HubConfig::from_variables(|name| pairs.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned()))
+    }
+
+    #[test]
+    fn the_environment_is_read_as_the_hubs_library_reads_it() {
+        let hub = of(&[("HOME", "/u")]);
+        assert_eq!(hub.cache, Path::new("/u/.cache/huggingface/hub"));
+        assert_eq!(hub.endpoint, "https://huggingface.co");
+        assert!(!hub.is_offline && hub.token.is_none());
+        assert_eq!(of(&[("HF_HOME", "/h")]).cache, Path::new("/h/hub"));
+        assert_eq!(of(&[("XDG_CACHE_HOME", "/x")]).cache, Path::new("/x/huggingface/hub"));
+        assert_eq!(of(&[("HF_HOME", "/h"), ("HF_HUB_CACHE", "/c")]).cache, Path::new("/c"));
+        assert_eq!(of(&[("HF_ENDPOINT", "http://mirror/")]).endpoint, "http://mirror");
+        assert!(of(&[("HF_HUB_OFFLINE", "YES")]).is_offline && !of(&[("HF_HUB_OFFLINE", "0")]).is_offline);
+        let hub = of(&[("HF_TOKEN", " hf_secret\n")]);
+        assert_eq!(hub.token.as_deref(), Some("hf_secret"));
+        assert!(!format!("{hub:?}").contains("secret"));
+    }
+}

@@ -1,0 +1,132 @@
+//! Weights from the Hugging Face hub, in its standard cache.
+//!
+//! The cache is shared with every other program that uses the hub: `models--ORG--NAME/snapshots/COMMIT/FILE` are links to
+//! `blobs/CHECKSUM`, and `refs/REVISION` names the commit that a branch had when it was last asked for. What is there is
+//! taken without asking the network, so a model stays the one that was fetched first until it is deleted.
+
+mod cache;
+mod download;
+
+pub use cache::{CachedModel, HubConfig};
+
+use crate::{ModelFolders, NetsError};
+use sms_core::{Cancel, InputError, Progress};
+use std::path::{Path, PathBuf};
+
+/// A model that can be fetched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Model {
+    /// Name on the command line.
+    pub name: &'static str,
+    /// Repository on the hub.
+    pub repository: &'static str,
+    /// What it is for.
+    pub about: &'static str,
+    /// Files that are needed.
+    pub files: &'static [&'static str],
+}
+
+const DETECTOR_FILES: &[&str] = &["config.json", "vocab.json", "merges.txt", "model.safetensors"];
+const TRACKER_FILES: &[&str] = &["config.json", "model.safetensors"];
+
+/// The models known by name, the default detector and the default tracker first.
+pub const MODELS: [Model; 5] = [
+    Model {
+        name: "owlv2",
+        repository: "google/owlv2-base-patch16-ensemble",
+        about: "finds what text names (620 MB)",
+        files: DETECTOR_FILES,
+    },
+    Model {
+        name: "sam2-tiny",
+        repository: "facebook/sam2.1-hiera-tiny",
+        about: "masks and tracking, the fastest (156 MB)",
+        files: TRACKER_FILES,
+    },
+    Model {
+        name: "sam2-small",
+        repository: "facebook/sam2.1-hiera-small",
+        about: "masks and tracking (184 MB)",
+        files: TRACKER_FILES,
+    },
+    Model {
+        name: "sam2-base-plus",
+        repository: "facebook/sam2.1-hiera-base-plus",
+        about: "masks and tracking (323 MB)",
+        files: TRACKER_FILES,
+    },
+    Model {
+        name: "sam2-large",
+        repository: "facebook/sam2.1-hiera-large",
+        about: "masks and tracking, the most exact (898 MB)",
+        files: TRACKER_FILES,
+    },
+];
+
+/// The model of that name or repository.
+///
+/// # Errors
+/// [`NetsError::Input`] listing the names there are.
+pub fn model(name: &str) -> Result<Model, NetsError> {
+    let found = MODELS.iter().find(|m| m.name == name || m.repository == name);
+    let names: Vec<&str> = MODELS.iter().map(|m| m.name).collect();
+    found.copied().ok_or_else(|| {
+        let cure = format!("choose one of {}", names.join(", "));
+        InputError::new(format!("there is no model `{name}`"), "model", cure).into()
+    })
+}
+
+impl Model {
+    /// The folder with the model's files: in `weights`, where that is given (itself, or its subfolder of the model's or
+    /// the repository's name), else in the cache, fetched where it is not there yet.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] saying what is missing, what to fetch and where to put it; [`NetsError::Core`] for files and
+    /// interruption.
+    pub fn folder(
+        &self,
+        weights: Option<&Path>,
+        hub: &HubConfig,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<PathBuf, NetsError> {
+        match weights {
+            Some(weights) => self.local(weights),
+            None => hub.fetch(self, progress, cancel),
+        }
+    }
+
+    /// The model's folder in a local copy.
+    fn local(&self, weights: &Path) -> Result<PathBuf, NetsError> {
+        let last = self.repository.rsplit('/').next().unwrap_or(self.name);
+        let candidates =
+            [weights.join(self.name), weights.join(last), weights.join(self.repository), weights.to_owned()];
+        let is_whole = |folder: &&PathBuf| self.files.iter().all(|f| folder.join(f).is_file());
+        candidates.iter().find(is_whole).cloned().ok_or_else(|| {
+            let cure = format!(
+                "put {} of https://huggingface.co/{} into {}",
+                self.files.join(", "),
+                self.repository,
+                weights.join(last).display()
+            );
+            InputError::new(format!("the model {} is not in this folder", self.repository), weights, cure)
+                .into()
+        })
+    }
+}
+
+/// The folders of a detector, unless it is not needed, and of a tracker.
+///
+/// # Errors
+/// As [`Model::folder`].
+pub fn model_folders(
+    detector: Option<Model>,
+    tracker: Model,
+    weights: Option<&Path>,
+    hub: &HubConfig,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<ModelFolders, NetsError> {
+    let owlv2 = detector.map(|m| m.folder(weights, hub, progress, cancel)).transpose()?;
+    Ok(ModelFolders { owlv2, sam2: tracker.folder(weights, hub, progress, cancel)? })
+}

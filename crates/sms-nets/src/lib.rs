@@ -1,0 +1,40 @@
+//! OWLv2 and SAM 2.1 on candle: text-prompted detection and video masks, from their official weights.
+//!
+//! - [`owlv2`]: boxes round what text queries name (Minderer et al. 2023).
+//! - [`sam2`]: masks of what boxes show, in an image or through a video with memories (Ravi et al. 2024).
+//! - [`NetsMasks`]: both as one [`sms_masks::Segmenter`]: detect in the first frame, track through the rest, as the paper
+//!   does.
+//! - [`hub`]: their weights, from the Hugging Face hub or a folder.
+//!
+//! Every seam is compared with the reference implementation's tensors (`tests/`), to 1e-4 at most. The networks compute
+//! in 32-bit floats, memories included (the library rounds those to bfloat16). The same input gives the same bytes,
+//! whatever the number of threads.
+//!
+//! ```
+//! use sms_nets::owlv2::{Detection, PixelBox, suppressed};
+//! let at = |x0, score| Detection { query: 0, score, bbox: PixelBox { x0, y0: 0.0, x1: x0 + 10.0, y1: 10.0 } };
+//! let kept = suppressed(vec![at(0.0, 0.4), at(1.0, 0.8), at(30.0, 0.5)], 0.5);
+//! assert_eq!(kept.iter().map(|d| d.score).collect::<Vec<_>>(), [0.8, 0.5]);
+//! ```
+
+mod carry;
+mod error;
+mod kernels;
+mod objects;
+mod ops;
+mod safetensors;
+mod segmenter;
+mod weights;
+
+pub mod hub;
+pub mod owlv2;
+pub mod sam2;
+
+pub use candle_core::Device;
+pub use error::NetsError;
+pub use kernels::resize_bilinear;
+pub use objects::{HOUSEHOLD, NamedBox, foreign, parse_objects};
+pub use ops::Seams;
+pub use safetensors::SafetensorsFile;
+pub use segmenter::{Found, ModelFolders, NetsConfig, NetsMasks, Track};
+pub use weights::{Shapes, Weights};

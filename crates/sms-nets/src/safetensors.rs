@@ -1,0 +1,224 @@
+//! Reading of safetensors files, one tensor at a time.
+//!
+//! The format is eight bytes of length, little-endian, a JSON object from names to type, shape and byte range, and the
+//! bytes. Files come from a download or from the user, so everything in them is checked.
+
+use crate::NetsError;
+use candle_core::{DType, Device, Tensor};
+use serde::Deserialize;
+use sms_core::{CoreError, InputError};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// No header is longer; a longer one is not of this format.
+const MAX_HEADER_BYTES: u64 = 100 << 20;
+
+/// An open file and where its tensors lie.
+#[derive(Debug)]
+pub struct SafetensorsFile {
+    path: PathBuf,
+    file: Mutex<File>,
+    entries: BTreeMap<String, Entry>,
+    data_start: u64,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct Entry {
+    dtype: String,
+    shape: Vec<usize>,
+    data_offsets: [u64; 2],
+}
+
+const DOWNLOAD_AGAIN: &str = "delete the file and fetch it again with `sms models fetch`";
+
+impl SafetensorsFile {
+    /// Opens a file and checks its header against its length.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] when it is of another format or cut off, [`NetsError::Core`] when it cannot be read.
+    pub fn open(path: &Path) -> Result<Self, NetsError> {
+        let broken = |what: &str| InputError::new(what, path, DOWNLOAD_AGAIN);
+        let mut file = File::open(path).map_err(CoreError::read(path))?;
+        let length = file.metadata().map_err(CoreError::read(path))?.len();
+        let mut head = [0; 8];
+        file.read_exact(&mut head).map_err(|e| broken("this weight file is too short").because(e))?;
+        let header = u64::from_le_bytes(head);
+        if header > MAX_HEADER_BYTES || header + 8 > length {
+            let what = "this is no safetensors file, or it is cut off";
+            return Err(broken(what).because(start_of(&head)).into());
+        }
+        let mut json = vec![0; header as usize];
+        file.read_exact(&mut json).map_err(CoreError::read(path))?;
+        let raw: BTreeMap<String, serde_json::Value> = serde_json::from_slice(&json)
+            .map_err(|e| broken("the header of this weight file is damaged").because(e))?;
+        let mut entries = BTreeMap::new();
+        for (name, value) in raw.into_iter().filter(|(name, _)| name != "__metadata__") {
+            let entry: Entry = serde_json::from_value(value)
+                .map_err(|e| broken("the header of this weight file is damaged").because(e))?;
+            let [start, end] = entry.data_offsets;
+            let bytes = entry
+                .shape
+                .iter()
+                .try_fold(bytes_of(&entry.dtype).unwrap_or(0) as u64, |n, d| n.checked_mul(*d as u64));
+            let is_known = bytes_of(&entry.dtype).is_some();
+            if start > end || is_known && bytes != Some(end - start) {
+                return Err(broken("the header of this weight file is damaged").because(name).into());
+            }
+            if end > length - 8 - header {
+                return Err(broken("this weight file is cut off")
+                    .because(format!("`{name}` ends beyond its {length} bytes"))
+                    .into());
+            }
+            entries.insert(name, entry);
+        }
+        Ok(Self { path: path.to_owned(), file: Mutex::new(file), entries, data_start: header + 8 })
+    }
+
+    /// Whether the file has a tensor of this name.
+    pub fn holds(&self, name: &str) -> bool {
+        self.entries.contains_key(name)
+    }
+
+    /// The tensor `name` as 32-bit floats.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] when there is none, or it has another shape or a type that no float is.
+    pub fn tensor(&self, name: &str, shape: &[usize], device: &Device) -> Result<Tensor, NetsError> {
+        let another = |what: String| {
+            InputError::new(
+                what,
+                &self.path,
+                "these are another model's weights: choose the folder or the model that fits",
+            )
+        };
+        let entry =
+            self.entries.get(name).ok_or_else(|| another(format!("this weight file has no `{name}`")))?;
+        if entry.shape != shape {
+            let what = format!("`{name}` has the shape {:?} in this weight file, not {shape:?}", entry.shape);
+            return Err(another(what).into());
+        }
+        let dtype = match entry.dtype.as_str() {
+            "F32" => DType::F32,
+            "F16" => DType::F16,
+            "BF16" => DType::BF16,
+            "F64" => DType::F64,
+            other => return Err(another(format!("`{name}` is of the type {other}, no float")).into()),
+        };
+        let raw = Tensor::from_raw_buffer(&self.bytes(entry)?, dtype, shape, &Device::Cpu)?;
+        Ok(raw.to_dtype(DType::F32)?.to_device(device)?)
+    }
+
+    /// All tensors as they are, for tests and tools.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] for a type that is not known.
+    pub fn all(&self, device: &Device) -> Result<BTreeMap<String, Tensor>, NetsError> {
+        let mut all = BTreeMap::new();
+        for (name, entry) in &self.entries {
+            let dtype = match entry.dtype.as_str() {
+                "F32" => DType::F32,
+                "I64" => DType::I64,
+                "I32" => DType::I32,
+                "U8" => DType::U8,
+                other => {
+                    let what = format!("`{name}` is of the type {other}");
+                    return Err(InputError::new(what, &self.path, "use F32, I64, I32 or U8").into());
+                }
+            };
+            let tensor = Tensor::from_raw_buffer(&self.bytes(entry)?, dtype, &entry.shape, device)?;
+            all.insert(name.clone(), tensor);
+        }
+        Ok(all)
+    }
+
+    fn bytes(&self, entry: &Entry) -> Result<Vec<u8>, NetsError> {
+        let [start, end] = entry.data_offsets;
+        let mut bytes = vec![0; (end - start) as usize];
+        let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.seek(SeekFrom::Start(self.data_start + start)).map_err(CoreError::read(&self.path))?;
+        file.read_exact(&mut bytes).map_err(CoreError::read(&self.path))?;
+        Ok(bytes)
+    }
+}
+
+/// Bytes of one element.
+fn bytes_of(dtype: &str) -> Option<usize> {
+    match dtype {
+        "F64" | "I64" | "U64" => Some(8),
+        "F32" | "I32" | "U32" => Some(4),
+        "F16" | "BF16" | "I16" | "U16" => Some(2),
+        "U8" | "I8" | "BOOL" => Some(1),
+        _ => None,
+    }
+}
+
+/// What the first bytes look like, for the message: a web page and a pickle are the usual mistakes.
+fn start_of(head: &[u8]) -> &'static str {
+    match head {
+        [b'<', ..] => "it starts like a web page",
+        [b'P', b'K', ..] | [0x80, ..] => "it starts like a PyTorch pickle; the safetensors file is needed",
+        [b'v', b'e', b'r', b's', ..] => "it is a Git LFS pointer, not the file itself",
+        _ => "its length does not fit its header",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(header: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+        bytes.extend_from_slice(header.as_bytes());
+        bytes.extend_from_slice(data);
+        bytes
+    }
+
+    fn open(bytes: &[u8]) -> Result<SafetensorsFile, NetsError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("w.safetensors");
+        std::fs::write(&path, bytes).unwrap();
+        SafetensorsFile::open(&path)
+    }
+
+    const HEADER: &str = r#"{"__metadata__":{"format":"pt"},"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"BF16","shape":[1,1],"data_offsets":[8,10]}}"#;
+
+    #[test]
+    fn tensors_of_any_float_type_are_read_and_names_and_shapes_checked() {
+        let mut data = Vec::new();
+        data.extend_from_slice(&1.5f32.to_le_bytes());
+        data.extend_from_slice(&(-2f32).to_le_bytes());
+        data.extend_from_slice(&[0x80, 0x3f]);
+        let file = open(&file(HEADER, &data)).unwrap();
+        let a = file.tensor("a", &[2], &Device::Cpu).unwrap();
+        assert_eq!(a.to_vec1::<f32>().unwrap(), [1.5, -2.0]);
+        let b = file.tensor("b", &[1, 1], &Device::Cpu).unwrap();
+        assert_eq!(b.to_vec2::<f32>().unwrap(), [[1.0]]);
+        for (name, shape) in [("c", vec![2]), ("a", vec![1, 2])] {
+            let message = file.tensor(name, &shape, &Device::Cpu).unwrap_err().to_string();
+            assert!(message.contains("another model") && message.contains(name), "{message}");
+        }
+    }
+
+    #[test]
+    fn every_cut_of_a_file_is_refused() {
+        let whole = file(HEADER, &[0; 10]);
+        assert!(open(&whole).is_ok());
+        for length in 0..whole.len() {
+            let error = open(&whole[..length]).expect_err("cut");
+            assert!(matches!(error, NetsError::Input(_)), "{length}: {error}");
+        }
+    }
+
+    #[test]
+    fn other_formats_are_named() {
+        let page = [b"<!DOCTYPE html>".to_vec(), vec![b'x'; 64]].concat();
+        assert!(open(&page).unwrap_err().to_string().contains("web page"));
+        let pointer = b"version https://git-lfs.github.com/spec/v1".to_vec();
+        assert!(open(&pointer).unwrap_err().to_string().contains("LFS pointer"));
+        let bad = file(r#"{"a":{"dtype":"F32","shape":[3],"data_offsets":[0,8]}}"#, &[0; 8]);
+        assert!(open(&bad).unwrap_err().to_string().contains("damaged"));
+    }
+}

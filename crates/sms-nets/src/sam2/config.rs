@@ -1,0 +1,196 @@
+//! `config.json` of a SAM 2.1 video model; what it leaves out has the values of the library that wrote it, which are
+//! those of `sam2.1-hiera-tiny`.
+
+use serde::Deserialize;
+
+/// A SAM 2.1 model's sizes and rules.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(default)]
+pub struct Sam2Config {
+    /// Which architecture; `sam2_video`.
+    pub model_type: String,
+    /// The image encoder.
+    pub vision_config: EncoderConfig,
+    /// The mask decoder.
+    pub mask_decoder_config: DecoderConfig,
+    /// Side of the square that images are resized to, in pixels.
+    pub image_size: usize,
+    /// Memories of frames that an object keeps, the prompted one included.
+    pub num_maskmem: usize,
+    /// Object pointers that an object keeps, at most.
+    pub max_object_pointers_in_encoder: usize,
+    /// Blocks of the memory attention.
+    pub memory_attention_num_layers: usize,
+    /// Attention heads of the memory attention.
+    pub memory_attention_num_attention_heads: usize,
+    /// Channels between the two fully connected layers of the memory attention.
+    pub memory_attention_feed_forward_hidden_size: usize,
+    /// Base of the rotary position encoding.
+    pub memory_attention_rope_theta: f32,
+    /// Where newer versions of the library put the base.
+    pub rope_parameters: Option<RopeParameters>,
+    /// Channels of a memory.
+    pub memory_encoder_output_channels: usize,
+    /// Blocks that fuse a mask with the image's features.
+    pub memory_fuser_num_layers: usize,
+    /// Channels between the two fully connected layers of such a block.
+    pub memory_fuser_intermediate_dim: usize,
+    /// Kernel of such a block's depthwise convolution.
+    pub memory_fuser_kernel_size: usize,
+    /// Masks go to the memory encoder as `scale · σ(logit) + bias`.
+    pub sigmoid_scale_for_mem_enc: f32,
+    /// See `sigmoid_scale_for_mem_enc`.
+    pub sigmoid_bias_for_mem_enc: f32,
+}
+
+/// The rotary encoding, as newer versions of the library write it.
+#[derive(Debug, Clone, Deserialize)]
+pub struct RopeParameters {
+    /// The base.
+    pub rope_theta: f32,
+}
+
+/// The image encoder: Hiera and a feature pyramid.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(default)]
+pub struct EncoderConfig {
+    /// Hiera.
+    pub backbone_config: HieraConfig,
+    /// Channels of the pyramid and of everything after it.
+    pub fpn_hidden_size: usize,
+    /// Levels that the next coarser one is added to.
+    pub fpn_top_down_levels: Vec<usize>,
+}
+
+/// Hiera (Ryali et al. 2023) as SAM 2 uses it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(default)]
+pub struct HieraConfig {
+    /// Blocks of each stage.
+    pub blocks_per_stage: Vec<usize>,
+    /// Channels of each stage.
+    pub embed_dim_per_stage: Vec<usize>,
+    /// Attention heads of each stage.
+    pub num_attention_heads_per_stage: Vec<usize>,
+    /// Side of the attention windows of each stage, in tokens.
+    pub window_size_per_stage: Vec<usize>,
+    /// Blocks that attend to the whole image.
+    pub global_attention_blocks: Vec<usize>,
+    /// Size of the stored coarse position embedding.
+    pub window_positional_embedding_background_size: [usize; 2],
+    /// Channels between the two fully connected layers, in multiples of the block's.
+    pub mlp_ratio: f64,
+    /// Added to the variance in layer normalisations.
+    pub layer_norm_eps: f64,
+}
+
+/// The mask decoder.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(default)]
+pub struct DecoderConfig {
+    /// Blocks of the two-way transformer, and fully connected layers in each.
+    pub num_hidden_layers: usize,
+    /// Attention heads.
+    pub num_attention_heads: usize,
+    /// Channels between the fully connected layers.
+    pub mlp_dim: usize,
+    /// By how much cross attention lessens the channels.
+    pub attention_downsample_rate: usize,
+    /// Masks besides the single one.
+    pub num_multimask_outputs: usize,
+    /// Fully connected layers of the quality head.
+    pub iou_head_depth: usize,
+    /// Channels of the quality head.
+    pub iou_head_hidden_dim: usize,
+    /// Logit on both sides of 0 between which a stable mask changes little.
+    pub dynamic_multimask_stability_delta: f32,
+    /// Share of the mask below which it counts as unstable.
+    pub dynamic_multimask_stability_thresh: f64,
+}
+
+impl Sam2Config {
+    /// Channels of the features.
+    pub fn hidden(&self) -> usize {
+        self.vision_config.fpn_hidden_size
+    }
+
+    /// Tokens along a side of the coarsest features used, of stride 16.
+    pub fn grid(&self) -> usize {
+        self.image_size / 16
+    }
+
+    /// Pixels along a side of the low-resolution masks, of stride 4.
+    pub fn mask_side(&self) -> usize {
+        self.image_size / 4
+    }
+
+    /// Base of the rotary position encoding.
+    pub fn rope_theta(&self) -> f32 {
+        self.rope_parameters.as_ref().map_or(self.memory_attention_rope_theta, |r| r.rope_theta)
+    }
+}
+
+impl Default for Sam2Config {
+    fn default() -> Self {
+        Self {
+            model_type: "sam2_video".into(),
+            vision_config: EncoderConfig::default(),
+            mask_decoder_config: DecoderConfig::default(),
+            image_size: 1024,
+            num_maskmem: 7,
+            max_object_pointers_in_encoder: 16,
+            memory_attention_num_layers: 4,
+            memory_attention_num_attention_heads: 1,
+            memory_attention_feed_forward_hidden_size: 2048,
+            memory_attention_rope_theta: 10_000.0,
+            rope_parameters: None,
+            memory_encoder_output_channels: 64,
+            memory_fuser_num_layers: 2,
+            memory_fuser_intermediate_dim: 1024,
+            memory_fuser_kernel_size: 7,
+            sigmoid_scale_for_mem_enc: 20.0,
+            sigmoid_bias_for_mem_enc: -10.0,
+        }
+    }
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self {
+            backbone_config: HieraConfig::default(),
+            fpn_hidden_size: 256,
+            fpn_top_down_levels: vec![2, 3],
+        }
+    }
+}
+
+impl Default for HieraConfig {
+    fn default() -> Self {
+        Self {
+            blocks_per_stage: vec![1, 2, 7, 2],
+            embed_dim_per_stage: vec![96, 192, 384, 768],
+            num_attention_heads_per_stage: vec![1, 2, 4, 8],
+            window_size_per_stage: vec![8, 4, 14, 7],
+            global_attention_blocks: vec![5, 7, 9],
+            window_positional_embedding_background_size: [7, 7],
+            mlp_ratio: 4.0,
+            layer_norm_eps: 1e-6,
+        }
+    }
+}
+
+impl Default for DecoderConfig {
+    fn default() -> Self {
+        Self {
+            num_hidden_layers: 2,
+            num_attention_heads: 8,
+            mlp_dim: 2048,
+            attention_downsample_rate: 2,
+            num_multimask_outputs: 3,
+            iou_head_depth: 3,
+            iou_head_hidden_dim: 256,
+            dynamic_multimask_stability_delta: 0.05,
+            dynamic_multimask_stability_thresh: 0.98,
+        }
+    }
+}

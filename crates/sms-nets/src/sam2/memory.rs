@@ -1,0 +1,213 @@
+//! Memories: what a frame and its mask leave behind, and how later frames attend to it.
+
+use super::config::Sam2Config;
+use super::positions::{Rotary, sine_2d};
+use crate::kernels::Activation;
+use crate::ops::{Linear, activated, attention, depthwise};
+use crate::{NetsError, Weights};
+use candle_core::{D, Result, Tensor};
+use candle_nn::{LayerNorm, Module};
+
+type Loaded<T> = std::result::Result<T, NetsError>;
+
+/// Attention with rotary positions.
+#[derive(Debug)]
+struct RotaryAttention {
+    query: Linear,
+    key: Linear,
+    value: Linear,
+    output: Linear,
+    heads: usize,
+}
+
+impl RotaryAttention {
+    fn new(at: &Weights, size: usize, keys: usize, heads: usize) -> Loaded<Self> {
+        Ok(Self {
+            query: at.linear("q_proj", size, size)?,
+            key: at.linear("k_proj", keys, size)?,
+            value: at.linear("v_proj", keys, size)?,
+            output: at.linear("o_proj", size, size)?,
+            heads: heads.max(1),
+        })
+    }
+
+    /// `q` (n, c); `k`, `v` (m, keys), of which the last `unturned` have no place on the grid.
+    fn forward(
+        &self,
+        q: &Tensor,
+        k: &Tensor,
+        v: &Tensor,
+        unturned: usize,
+        rotary: &Rotary,
+    ) -> Result<Tensor> {
+        let (q, k, v) = (self.query.forward(q)?, self.key.forward(k)?, self.value.forward(v)?);
+        let size = q.dim(D::Minus1)? / self.heads;
+        let scale = (size as f64).powf(-0.5);
+        let turned = |x: &Tensor, unturned: usize| {
+            let heads = (0..self.heads).map(|i| rotary.turn(&x.narrow(1, i * size, size)?, unturned));
+            Tensor::cat(&heads.collect::<Result<Vec<_>>>()?, 1)?.unsqueeze(0)
+        };
+        let (q, k) = (turned(&q, 0)?, turned(&k, unturned)?);
+        self.output.forward(&attention(&q, &k, &v.unsqueeze(0)?, self.heads, scale)?.squeeze(0)?)
+    }
+}
+
+#[derive(Debug)]
+struct AttentionBlock {
+    own: RotaryAttention,
+    memory: RotaryAttention,
+    linear1: Linear,
+    linear2: Linear,
+    norms: [LayerNorm; 3],
+}
+
+/// Conditions a frame's features on an object's memories.
+#[derive(Debug)]
+pub(crate) struct MemoryAttention {
+    blocks: Vec<AttentionBlock>,
+    norm: LayerNorm,
+    rotary: Rotary,
+    /// Positions of the features, (tokens, c).
+    places: Tensor,
+}
+
+impl MemoryAttention {
+    pub(crate) fn new(config: &Sam2Config, weights: &Weights) -> Loaded<Self> {
+        let (c, memory) = (config.hidden(), config.memory_encoder_output_channels);
+        let (heads, inner) =
+            (config.memory_attention_num_attention_heads, config.memory_attention_feed_forward_hidden_size);
+        let at = weights.at("memory_attention");
+        let blocks = (0..config.memory_attention_num_layers).map(|i| {
+            let at = at.at("layers").at(i);
+            let norm = |i: usize| at.layer_norm(&format!("layer_norm{i}"), c, 1e-5);
+            Ok::<_, NetsError>(AttentionBlock {
+                own: RotaryAttention::new(&at.at("self_attn"), c, c, heads)?,
+                memory: RotaryAttention::new(&at.at("cross_attn_image"), c, memory, heads)?,
+                linear1: at.linear("linear1", c, inner)?,
+                linear2: at.linear("linear2", inner, c)?,
+                norms: [norm(1)?, norm(2)?, norm(3)?],
+            })
+        });
+        Ok(Self {
+            blocks: blocks.collect::<Loaded<_>>()?,
+            norm: at.layer_norm("layer_norm", c, 1e-5)?,
+            rotary: Rotary::new(config.grid(), c / heads.max(1), config.rope_theta(), weights.device())?,
+            places: sine_2d(config.grid(), c, weights.device())?,
+        })
+    }
+
+    /// `features` (tokens, c), `memory` and its positions (m, memory channels), the last `pointers` of which are object
+    /// pointers.
+    pub(crate) fn forward(
+        &self,
+        features: &Tensor,
+        memory: &Tensor,
+        positions: &Tensor,
+        pointers: usize,
+    ) -> Result<Tensor> {
+        let mut x = (features + (&self.places * 0.1)?)?;
+        let keys = (memory + positions)?;
+        for block in &self.blocks {
+            let y = block.norms[0].forward(&x)?;
+            x = (&x + block.own.forward(&y, &y, &y, 0, &self.rotary)?)?;
+            let y = block.norms[1].forward(&x)?;
+            x = (&x + block.memory.forward(&y, &keys, memory, pointers, &self.rotary)?)?;
+            let y = block.linear1.then(&block.norms[2].forward(&x)?, Activation::Relu)?;
+            x = (&x + block.linear2.forward(&y)?)?;
+        }
+        self.norm.forward(&x)
+    }
+}
+
+/// A convolution that halves a mask, with what follows it.
+#[derive(Debug)]
+struct Halving {
+    weight: Tensor,
+    bias: Tensor,
+    norm: LayerNorm,
+}
+
+/// A block that fuses mask and features (ConvNeXt's).
+#[derive(Debug)]
+struct Fuser {
+    taps: Tensor,
+    bias: Tensor,
+    norm: LayerNorm,
+    wide: Linear,
+    narrow: Linear,
+    scale: Tensor,
+    kernel: usize,
+}
+
+/// Makes memories.
+#[derive(Debug)]
+pub(crate) struct MemoryEncoder {
+    halvings: Vec<Halving>,
+    mask_projection: Linear,
+    feature_projection: Linear,
+    fusers: Vec<Fuser>,
+    projection: Linear,
+    /// Positions of a memory's tokens, (tokens, memory channels).
+    pub(crate) places: Tensor,
+}
+
+impl MemoryEncoder {
+    pub(crate) fn new(config: &Sam2Config, weights: &Weights) -> Loaded<Self> {
+        let (c, outputs) = (config.hidden(), config.memory_encoder_output_channels);
+        let at = weights.at("memory_encoder");
+        let mut halvings = Vec::new();
+        let mut channels = 1;
+        // From the image's size to stride 16.
+        for i in 0..4 {
+            let layer = at.at("mask_downsampler.layers").at(i);
+            halvings.push(Halving {
+                weight: layer.tensor("conv.weight", &[4 * channels, channels, 3, 3])?,
+                bias: layer.tensor("conv.bias", &[4 * channels])?,
+                norm: layer.layer_norm("layer_norm", 4 * channels, 1e-6)?,
+            });
+            channels *= 4;
+        }
+        let (kernel, inner) = (config.memory_fuser_kernel_size, config.memory_fuser_intermediate_dim);
+        let fusers = (0..config.memory_fuser_num_layers).map(|i| {
+            let layer = at.at("memory_fuser.layers").at(i);
+            let weight = layer.tensor("depthwise_conv.weight", &[c, 1, kernel, kernel])?;
+            Ok::<_, NetsError>(Fuser {
+                taps: weight.reshape((c, kernel * kernel))?.t()?.contiguous()?,
+                bias: layer.tensor("depthwise_conv.bias", &[c])?,
+                norm: layer.layer_norm("layer_norm", c, 1e-6)?,
+                wide: layer.linear("pointwise_conv1", c, inner)?,
+                narrow: layer.linear("pointwise_conv2", inner, c)?,
+                scale: layer.tensor("scale", &[c])?,
+                kernel,
+            })
+        });
+        Ok(Self {
+            halvings,
+            mask_projection: at.pointwise("mask_downsampler.final_conv", channels, c)?,
+            feature_projection: at.pointwise("feature_projection", c, c)?,
+            fusers: fusers.collect::<Loaded<_>>()?,
+            projection: at.pointwise("projection", c, outputs)?,
+            places: sine_2d(config.grid(), outputs, weights.device())?,
+        })
+    }
+
+    /// The memory (tokens, memory channels) of features (tokens, c) and the mask (1, 1, side, side) as the network takes
+    /// it.
+    pub(crate) fn forward(&self, features: &Tensor, mask: &Tensor) -> Result<Tensor> {
+        let mut x = mask.clone();
+        for halving in &self.halvings {
+            let y = x.conv2d(&halving.weight, 1, 2, 1, 1)?.permute((0, 2, 3, 1))?.contiguous()?;
+            let y = activated(halving.norm.forward(&y.broadcast_add(&halving.bias)?)?, Activation::Gelu)?;
+            x = y.permute((0, 3, 1, 2))?.contiguous()?;
+        }
+        let mask = self.mask_projection.forward(&x.permute((0, 2, 3, 1))?.contiguous()?)?;
+        let features = self.feature_projection.forward(features)?.reshape(mask.shape())?;
+        let mut x = (features + mask)?;
+        for fuser in &self.fusers {
+            let y = depthwise(&x, &fuser.taps, &fuser.bias, fuser.kernel)?;
+            let y = fuser.wide.then(&fuser.norm.forward(&y)?, Activation::Gelu)?;
+            x = (x + fuser.narrow.forward(&y)?.broadcast_mul(&fuser.scale)?)?;
+        }
+        self.projection.forward(&x)?.flatten(0, 2)
+    }
+}

@@ -1,0 +1,381 @@
+//! Masks of a sequence by the two networks: what to look for is found in the first frame and tracked through the rest
+//! (paper, "Object detection and segmentation").
+
+use crate::carry::{Carried, carried_box};
+use crate::objects::{NamedBox, foreign, label_infos};
+use crate::owlv2::{ClipTokenizer, Detection, Owlv2, Owlv2Config, PixelBox, detections, suppressed};
+use crate::sam2::{ObjectMask, Sam2, Sam2Config, Tracker};
+use crate::{NetsError, Seams, Weights, owlv2, sam2};
+use candle_core::Device;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use sms_core::{
+    BACKGROUND, Cancel, ColorImage, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
+};
+use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
+use sms_masks::{DEFAULT_NEIGHBORS, MasksError, Segmenter, refine_edges, scaled_margin_px};
+use std::path::{Path, PathBuf};
+
+const STAGE: &str = "masks";
+/// The longest side that either network looks at.
+const LONG_SIDE_PX: usize = 1024;
+/// Frames whose recorded pictures are in memory at once.
+const FRAMES_AT_ONCE: usize = 16;
+
+/// How objects are followed from frame to frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Track {
+    /// SAM 2's memory, as in the paper.
+    #[default]
+    Memory,
+    /// SAM 2 in each image anew, prompted with the box of the last mask carried by pose and depth; several times
+    /// cheaper.
+    Reprompt,
+}
+
+/// What to find and how.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetsConfig {
+    /// Queries, most of them nouns in English.
+    pub objects: Vec<String>,
+    /// Score above which a detection counts. OWLv2's scores are low; its authors' examples use 0.1 to 0.3.
+    pub threshold: f64,
+    /// Share of overlap from which the lesser of two detections is dropped.
+    pub max_overlap: f64,
+    /// Share of the image from which a detection is the scene, not a thing in it.
+    pub max_area_share: f64,
+    /// Objects at most, the surest first.
+    pub max_objects: usize,
+    /// How objects are followed.
+    pub track: Track,
+}
+
+impl Default for NetsConfig {
+    fn default() -> Self {
+        Self {
+            objects: crate::HOUSEHOLD.map(str::to_owned).to_vec(),
+            threshold: 0.2,
+            max_overlap: 0.5,
+            max_area_share: 0.6,
+            max_objects: 40,
+            track: Track::Memory,
+        }
+    }
+}
+
+impl NetsConfig {
+    /// # Errors
+    /// [`InputError`] naming the first setting out of range.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let shares = [
+            ("threshold", self.threshold),
+            ("max_overlap", self.max_overlap),
+            ("max_area_share", self.max_area_share),
+        ];
+        for (name, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(InputError::new(
+                    format!("{name} is {value}"),
+                    name,
+                    "give a share between 0 and 1",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Folders with the files of the two models, as their repositories have them.
+#[derive(Debug, Clone)]
+pub struct ModelFolders {
+    /// OWLv2: `config.json`, `model.safetensors`, `vocab.json`, `merges.txt`. Not needed where boxes are given.
+    pub owlv2: Option<PathBuf>,
+    /// SAM 2.1: `config.json`, `model.safetensors`.
+    pub sam2: PathBuf,
+}
+
+/// Masks by OWLv2 and SAM 2.1.
+#[derive(Debug, Clone)]
+pub struct NetsMasks {
+    /// What to find and how.
+    pub config: NetsConfig,
+    /// Boxes in the first frame given by hand, which replace detections that they overlap. Where `config.objects` is
+    /// empty there are no others.
+    pub boxes: Vec<NamedBox>,
+    /// Where the models are.
+    pub models: ModelFolders,
+    /// Where to compute.
+    pub device: Device,
+    /// How the recording was read: the networks look at its pictures as they were recorded, not as the scan resampled
+    /// them.
+    pub read: ReadOptions,
+}
+
+/// Something found in the first frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// The query, or the name given by hand.
+    pub name: String,
+    /// How sure the detector is; 1 for what was given by hand.
+    pub score: f64,
+    /// Where.
+    pub bbox: PixelBox,
+}
+
+/// A model's `config.json`, checked to be of the right kind.
+fn config<T: DeserializeOwned>(folder: &Path, kinds: &[&str]) -> Result<T, NetsError> {
+    let path = folder.join("config.json");
+    if !path.is_file() {
+        let cure =
+            format!("the folder needs config.json and model.safetensors of a model of the kind {}", kinds[0]);
+        return Err(InputError::new("this folder has no model", folder, cure).into());
+    }
+    let value: serde_json::Value = sms_core::atomic::read_json(&path)?;
+    let kind = value["model_type"].as_str().unwrap_or("none");
+    if !kinds.contains(&kind) {
+        let cure = format!("a model of the kind {} is needed here", kinds[0]);
+        return Err(InputError::new(format!("this is a model of the kind `{kind}`"), &path, cure).into());
+    }
+    serde_json::from_value(value).map_err(|e| {
+        InputError::new("this config.json cannot be read", &path, "fetch the model again").because(e).into()
+    })
+}
+
+impl NetsMasks {
+    /// Finds objects in the first frame, `image` in any resolution: boxes given by hand first, then what the detector
+    /// finds elsewhere, the surest first. Boxes are in pixels of the frame, which has `size` (width, height).
+    ///
+    /// # Errors
+    /// [`NetsError`] for models that cannot be used and boxes outside the frame.
+    pub fn find(
+        &self,
+        image: &ColorImage,
+        size: (usize, usize),
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Vec<Found>, NetsError> {
+        self.config.validate()?;
+        let (width, height) = size;
+        let mut found = Vec::new();
+        for named in &self.boxes {
+            let bbox = named.bbox.clipped(width, height);
+            if bbox.area() < 1.0 {
+                let what = format!("the box of `{}` lies outside the first frame", named.name);
+                let cure = format!("the frame has {width} × {height} pixels");
+                return Err(InputError::new(what, "--box", cure).into());
+            }
+            found.push(Found { name: named.name.clone(), score: 1.0, bbox });
+        }
+        if self.config.objects.is_empty() {
+            return Ok(found);
+        }
+        let strange = foreign(&self.config.objects);
+        if !strange.is_empty() {
+            warnings.add(
+                STAGE,
+                "foreign_query",
+                format!("the detector knows English: it will hardly find {strange:?}"),
+                "name the objects in English",
+            );
+        }
+        cancel.check()?;
+        let area = width as f64 * height as f64;
+        let by_hand = found.len();
+        let all = suppressed(self.detect(image, size, warnings)?, self.config.max_overlap);
+        for Detection { query, score, bbox } in all {
+            let bbox = bbox.clipped(width, height);
+            let is_taken = found[..by_hand].iter().any(|f| f.bbox.overlap(&bbox) > self.config.max_overlap);
+            if !is_taken && bbox.area() >= 1.0 && bbox.area() <= self.config.max_area_share * area {
+                found.push(Found { name: self.config.objects[query].clone(), score, bbox });
+            }
+        }
+        if found.len() > self.config.max_objects {
+            warnings.add(
+                STAGE,
+                "too_many_objects",
+                format!(
+                    "{} objects were found; the surest {} are kept",
+                    found.len(),
+                    self.config.max_objects
+                ),
+                "raise `threshold`, or name fewer objects",
+            );
+            found.truncate(self.config.max_objects);
+        }
+        if found.is_empty() {
+            warnings.add(
+                STAGE,
+                "no_objects",
+                format!("the detector found nothing above {} in the first frame", self.config.threshold),
+                "lower `threshold`, name the objects otherwise with --objects, or give --box",
+            );
+        }
+        Ok(found)
+    }
+
+    /// Everything above the threshold.
+    fn detect(
+        &self,
+        image: &ColorImage,
+        size: (usize, usize),
+        warnings: &Warnings,
+    ) -> Result<Vec<Detection>, NetsError> {
+        let Some(folder) = &self.models.owlv2 else {
+            let cure = "give the folder of an OWLv2 model, or boxes with --box and no --objects";
+            return Err(InputError::new("there is no detector", "--weights", cure).into());
+        };
+        let config: Owlv2Config = config(folder, &["owlv2"])?;
+        let tokenizer = ClipTokenizer::open(folder, config.text_config.max_position_embeddings)?;
+        let model = Owlv2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
+        let mut tokens = Vec::new();
+        for query in &self.config.objects {
+            let encoded = tokenizer.encode(query)?;
+            if encoded.is_cut {
+                let message = format!("`{query}` is too long for the detector: its end is not read");
+                warnings.add(STAGE, "long_query", message, "use fewer words");
+            }
+            tokens.push(encoded);
+        }
+        let seams = &mut Seams::none();
+        let pixels = owlv2::pixel_values(image, config.vision_config.image_size, &self.device)?;
+        let features = model.image(&pixels, seams)?;
+        let heads = model.heads(&features, &model.text(&tokens, seams)?)?;
+        Ok(detections(&heads.logits, &heads.boxes, size, self.config.threshold)?)
+    }
+
+    /// The pictures of some frames as they were recorded, no larger than the networks look at; `None` where the
+    /// recording is gone.
+    fn recorded(
+        &self,
+        sequence: &Sequence,
+        frames: &[Frame],
+        cancel: &Cancel,
+    ) -> Result<Vec<Option<ColorImage>>, NetsError> {
+        let part = Sequence {
+            frames: frames.to_vec(),
+            x_world_recording: sequence.x_world_recording,
+            source: sequence.source.clone(),
+        };
+        Ok(recorded_colors(&part, &self.read, LONG_SIDE_PX, cancel)?)
+    }
+
+    fn track(
+        &self,
+        sequence: &Sequence,
+        found: &[Found],
+        progress: &dyn Progress,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Vec<LabelMap>, NetsError> {
+        let folder = &self.models.sam2;
+        let config: Sam2Config = config(folder, &["sam2_video", "sam2"])?;
+        let model = Sam2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
+        let size = sequence.frames[0].color.size();
+        let mut boxes: Vec<Option<PixelBox>> = found.iter().map(|f| Some(f.bbox)).collect();
+        let prompts: Vec<PixelBox> = found.iter().map(|f| f.bbox).collect();
+        let mut tracker = Tracker::new(&model, &prompts, size, sequence.len());
+        let mut maps: Vec<LabelMap> = Vec::with_capacity(sequence.len());
+        let mut last_seen: Vec<Option<usize>> = vec![None; found.len()];
+        let mut recorded = Vec::new();
+        progress.begin("masks by SAM 2", sequence.len() as u64);
+        for (index, frame) in sequence.frames.iter().enumerate() {
+            cancel.check()?;
+            if index % FRAMES_AT_ONCE == 0 {
+                let next = sequence.len().min(index + FRAMES_AT_ONCE);
+                recorded = self.recorded(sequence, &sequence.frames[index..next], cancel)?;
+            }
+            let color = recorded[index % FRAMES_AT_ONCE].as_ref().unwrap_or(&frame.color);
+            let pixels = sam2::pixel_values(color, config.image_size, &self.device)?;
+            let features = model.encode(&pixels, &mut Seams::none())?;
+            let masks: Vec<Option<ObjectMask>> = match self.config.track {
+                Track::Memory => tracker.next(&features, &mut Seams::none())?.into_iter().map(Some).collect(),
+                Track::Reprompt => {
+                    for (i, bbox) in boxes.iter_mut().enumerate() {
+                        // From where it was last seen: it may come back into the picture.
+                        let Some(last) = last_seen[i] else { continue };
+                        match carried_box(&sequence.frames[last], &maps[last], i as u16 + 1, frame) {
+                            Carried::At(carried) => *bbox = Some(carried),
+                            Carried::OutOfView => *bbox = None,
+                            Carried::Unknown => {}
+                        }
+                    }
+                    let segment = |b: &Option<PixelBox>| {
+                        b.map(|b| model.segment(&features, &b, frame.color.size())).transpose()
+                    };
+                    boxes.iter().map(segment).collect::<candle_core::Result<_>>()?
+                }
+            };
+            let map = labelled(&masks, frame.color.size());
+            for (i, seen) in last_seen.iter_mut().enumerate() {
+                if map.data.contains(&(i as u16 + 1)) {
+                    *seen = Some(index);
+                }
+            }
+            maps.push(map);
+            progress.update(index as u64 + 1, &format!("frame {index}"));
+        }
+        progress.end(&format!("{} objects", found.len()));
+        for (found, seen) in found.iter().zip(last_seen) {
+            let (code, message) = match seen {
+                Some(last) if last + 1 == sequence.len() => continue,
+                Some(last) => ("object_lost", format!("`{}` is not seen after frame {last}", found.name)),
+                None => ("object_unseen", format!("of `{}` no frame shows a mask", found.name)),
+            };
+            warnings.add(
+                STAGE,
+                code,
+                message,
+                "look at masks/, and correct its box with --box where it is wrong",
+            );
+        }
+        Ok(maps)
+    }
+}
+
+/// Each pixel gets the object whose logit is largest there, where one is above 0; the first of equals.
+fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> LabelMap {
+    let mut map = LabelMap::filled(width, height, BACKGROUND);
+    let mut best = vec![0f32; width * height];
+    for (i, mask) in masks.iter().enumerate() {
+        let Some(mask) = mask.as_ref().filter(|m| m.is_present()) else { continue };
+        let logits = mask.resized(width, height);
+        for ((label, best), logit) in map.data.iter_mut().zip(&mut best).zip(logits) {
+            if logit > *best {
+                (*label, *best) = (i as u16 + 1, logit);
+            }
+        }
+    }
+    map
+}
+
+impl Segmenter for NetsMasks {
+    /// Objects that never get a pixel keep their id and are named in a warning.
+    fn segment(
+        &self,
+        sequence: &Sequence,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Labels, MasksError> {
+        let source = MaskSource::Foundation;
+        let Some(first) = sequence.frames.first() else {
+            return Ok(Labels { maps: Vec::new(), objects: Vec::new(), source });
+        };
+        let recorded = self.recorded(sequence, &sequence.frames[..1], cancel)?;
+        let image = recorded[0].as_ref().unwrap_or(&first.color);
+        let found = self.find(image, first.color.size(), cancel, warnings)?;
+        let names: Vec<String> = found.iter().map(|f| f.name.clone()).collect();
+        let maps = if found.is_empty() {
+            let empty = |f: &sms_frames::Frame| LabelMap::filled(f.color.width, f.color.height, BACKGROUND);
+            sequence.frames.iter().map(empty).collect()
+        } else {
+            self.track(sequence, &found, progress, cancel, warnings)?
+        };
+        cancel.check()?;
+        let labels = Labels { maps, objects: label_infos(&names), source };
+        // The networks' borders waver by some pixels; depth tells where the edge is (paper, appendix).
+        refine_edges(&labels, sequence, scaled_margin_px(first.color.width), DEFAULT_NEIGHBORS)
+    }
+}

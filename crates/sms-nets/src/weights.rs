@@ -1,0 +1,181 @@
+//! Parameters of a network by name: from a safetensors file, or made up for benchmarks and tests.
+
+use crate::NetsError;
+use crate::ops::Linear;
+use crate::safetensors::SafetensorsFile;
+use candle_core::{Device, Tensor};
+use candle_nn::LayerNorm;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// Names and shapes of the parameters that were asked for.
+pub type Shapes = BTreeMap<String, Vec<usize>>;
+
+/// A folder of a network's parameters, seen from one prefix of their names.
+#[derive(Debug, Clone)]
+pub struct Weights {
+    source: Source,
+    prefix: String,
+    device: Device,
+    asked: Arc<Mutex<Shapes>>,
+}
+
+#[derive(Debug, Clone)]
+enum Source {
+    File(Arc<SafetensorsFile>),
+    Zeros,
+    Random(u64),
+}
+
+impl Weights {
+    /// The parameters of a safetensors file; each is read when it is asked for.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] when the file is no safetensors file or is cut off, [`NetsError::Core`] when it cannot be
+    /// read.
+    pub fn open(path: &Path, device: &Device) -> Result<Self, NetsError> {
+        Ok(Self::from(Source::File(Arc::new(SafetensorsFile::open(path)?)), device))
+    }
+
+    /// Zeros under every name: to learn what a network asks for.
+    pub fn zeros() -> Self {
+        Self::from(Source::Zeros, &Device::Cpu)
+    }
+
+    /// Pseudo-random values under every name, of variance one over the number of inputs, so that a network computes
+    /// ordinary numbers: for measuring time. The same seed gives the same values.
+    pub fn random(seed: u64, device: &Device) -> Self {
+        Self::from(Source::Random(seed), device)
+    }
+
+    fn from(source: Source, device: &Device) -> Self {
+        Self { source, prefix: String::new(), device: device.clone(), asked: Arc::default() }
+    }
+
+    /// The device that parameters are put on.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// The same parameters, with `name.` before every name asked for.
+    pub fn at(&self, name: impl std::fmt::Display) -> Self {
+        Self { prefix: format!("{}{name}.", self.prefix), ..self.clone() }
+    }
+
+    /// What was asked for so far, through this or any other prefix.
+    pub fn asked(&self) -> Shapes {
+        self.asked.lock().map(|asked| asked.clone()).unwrap_or_default()
+    }
+
+    /// The parameter `name` of this shape, as 32-bit floats.
+    ///
+    /// # Errors
+    /// [`NetsError::Input`] when the file has no such parameter or it has another shape: another model's weights.
+    pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor, NetsError> {
+        let name = format!("{}{name}", self.prefix);
+        if let Ok(mut asked) = self.asked.lock() {
+            asked.insert(name.clone(), shape.to_vec());
+        }
+        match &self.source {
+            Source::File(file) => file.tensor(&name, shape, &self.device),
+            Source::Zeros => Ok(Tensor::zeros(shape, candle_core::DType::F32, &self.device)?),
+            Source::Random(seed) => {
+                let values = random_values(&name, shape, *seed);
+                Ok(Tensor::from_vec(values, shape, &self.device)?)
+            }
+        }
+    }
+
+    /// The parameter `name`, or where the file leaves it out, `other`, which it is tied to.
+    ///
+    /// # Errors
+    /// As [`Weights::tensor`].
+    pub fn tensor_or(&self, name: &str, shape: &[usize], other: &Tensor) -> Result<Tensor, NetsError> {
+        let full = format!("{}{name}", self.prefix);
+        match &self.source {
+            Source::File(file) if !file.holds(&full) => Ok(other.clone()),
+            _ => self.tensor(name, shape),
+        }
+    }
+
+    /// A fully connected layer with a bias.
+    pub(crate) fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, NetsError> {
+        let at = self.at(name);
+        Ok(Linear::new(at.tensor("weight", &[outputs, inputs])?, Some(at.tensor("bias", &[outputs])?)))
+    }
+
+    /// A fully connected layer without a bias.
+    pub(crate) fn linear_no_bias(
+        &self,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Linear, NetsError> {
+        Ok(Linear::new(self.at(name).tensor("weight", &[outputs, inputs])?, None))
+    }
+
+    /// A 1 × 1 convolution, as the fully connected layer over channels that it is.
+    pub(crate) fn pointwise(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, NetsError> {
+        let at = self.at(name);
+        let weight = at.tensor("weight", &[outputs, inputs, 1, 1])?.reshape((outputs, inputs))?;
+        Ok(Linear::new(weight, Some(at.tensor("bias", &[outputs])?)))
+    }
+
+    /// A layer normalisation.
+    pub(crate) fn layer_norm(&self, name: &str, size: usize, eps: f64) -> Result<LayerNorm, NetsError> {
+        let at = self.at(name);
+        Ok(LayerNorm::new(at.tensor("weight", &[size])?, at.tensor("bias", &[size])?, eps))
+    }
+}
+
+/// Uniform values of variance one over the number of inputs, from the SplitMix64 sequence that the name starts.
+fn random_values(name: &str, shape: &[usize], seed: u64) -> Vec<f32> {
+    let start = name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    let inputs: usize = shape.iter().skip(1).product();
+    let scale = (3.0 / inputs.max(1) as f32).sqrt();
+    let count: usize = shape.iter().product();
+    let is_gain = name.contains("norm") && name.ends_with("weight");
+    (1..=count as u64)
+        .map(|i| {
+            let mut z = start.wrapping_add(i.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            let uniform = ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 23) as f32 - 1.0;
+            if is_gain {
+                1.0 + 0.1 * uniform
+            } else if shape.len() > 1 {
+                scale * uniform
+            } else {
+                0.1 * uniform
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn random_weights_depend_on_name_and_seed_and_have_unit_gain() {
+        let of = |name, seed| random_values(name, &[64, 256], seed);
+        let a = of("a.weight", 1);
+        assert_eq!(a, of("a.weight", 1));
+        assert_ne!(a, of("b.weight", 1));
+        assert_ne!(a, of("a.weight", 2));
+        let variance = a.iter().map(|v| v * v).sum::<f32>() / a.len() as f32;
+        assert!((variance * 256.0 - 1.0).abs() < 0.05, "{variance}");
+    }
+
+    #[test]
+    fn prefixes_join_and_requests_are_kept() {
+        let weights = Weights::zeros();
+        weights.at("a").at(3).linear("fc", 2, 5).unwrap();
+        let expected: Shapes =
+            [("a.3.fc.weight".into(), vec![5, 2]), ("a.3.fc.bias".into(), vec![5])].into_iter().collect();
+        assert_eq!(weights.asked(), expected);
+    }
+}

@@ -1,0 +1,376 @@
+//! Fetching weights from a hub within the test, which drops connections, changes files and refuses.
+
+use sha2::{Digest, Sha256};
+use sms_core::{Cancel, NoProgress};
+use sms_nets::NetsError;
+use sms_nets::hub::{HubConfig, Model, model};
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
+const MODEL: Model =
+    Model { name: "toy", repository: "org/toy", about: "", files: &["config.json", "model.safetensors"] };
+
+/// One request as it came.
+#[derive(Debug, Clone)]
+struct Asked {
+    method: String,
+    path: String,
+    token: Option<String>,
+    from: Option<usize>,
+}
+
+/// What the server does instead of its duty.
+#[derive(Debug, Clone, PartialEq)]
+enum Fault {
+    None,
+    /// Closes the connection after so many bytes of a body.
+    Cut(usize),
+    /// Answers with this status and `Retry-After`.
+    Status(u16, &'static str),
+    /// Sends other bytes of the same number.
+    Wrong,
+    /// Ignores ranges.
+    Whole,
+    /// Sends to another server for the bytes.
+    Elsewhere(String),
+    /// Sends to another path of its own, with the commit alone.
+    Moved,
+    /// Answers as any web server does.
+    Plain,
+}
+
+type Script = dyn Fn(usize, &Asked) -> Fault + Send + Sync;
+
+struct Server {
+    url: String,
+    asked: Arc<Mutex<Vec<Asked>>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+fn content(file: &str) -> Vec<u8> {
+    match file {
+        "config.json" => b"{\"model_type\": \"toy\"}\n".to_vec(),
+        _ => (0..300_000u32).map(|i| (i * 31 % 251) as u8).collect(),
+    }
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// As `git hash-object` gives for the content of `config.json`.
+fn checksum(file: &str) -> String {
+    if file == "config.json" { GIT_NAME.into() } else { sha256(&content(file)) }
+}
+
+const GIT_NAME: &str = "beafd0b1303476cd8c3cd7c92e31bb3dbb077681";
+
+impl Server {
+    fn new(script: impl Fn(usize, &Asked) -> Fault + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}", listener.local_addr().unwrap());
+        let (asked, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
+        let script: Arc<Script> = Arc::new(script);
+        let (all, ended) = (Arc::clone(&asked), Arc::clone(&stop));
+        let thread = std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                if ended.load(Ordering::SeqCst) {
+                    return;
+                }
+                if let Ok(stream) = stream {
+                    let _ = serve(stream, &all, script.as_ref());
+                }
+            }
+        });
+        Self { url, asked, stop, thread: Some(thread) }
+    }
+
+    fn asked(&self) -> Vec<Asked> {
+        self.asked.lock().unwrap().clone()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        let _ = TcpStream::connect(self.url.trim_start_matches("http://"));
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves one request and closes the connection.
+fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, script: &Script) -> std::io::Result<()> {
+    stream.set_read_timeout(Some(Duration::from_secs(5)))?;
+    let mut reader = BufReader::new(stream.try_clone()?);
+    let mut line = String::new();
+    reader.read_line(&mut line)?;
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let &[method, path, _] = &words[..] else { return Ok(()) };
+    let mut asked = Asked { method: method.into(), path: path.into(), token: None, from: None };
+    loop {
+        let mut header = String::new();
+        reader.read_line(&mut header)?;
+        let Some((name, value)) = header.trim_end().split_once(':') else { break };
+        match name.to_ascii_lowercase().as_str() {
+            "authorization" => asked.token = Some(value.trim().into()),
+            "range" => {
+                asked.from = value.trim().trim_start_matches("bytes=").trim_end_matches('-').parse().ok();
+            }
+            _ => {}
+        }
+    }
+    let number = {
+        let mut all = all.lock().unwrap();
+        all.push(asked.clone());
+        all.len() - 1
+    };
+    let fault = script(number, &asked);
+    if let Fault::Status(status, retry) = fault {
+        return write!(
+            stream,
+            "HTTP/1.1 {status} No\r\nConnection: close\r\nRetry-After: {retry}\r\nContent-Length: 0\r\n\r\n"
+        );
+    }
+    if fault == Fault::Moved {
+        return write!(
+            stream,
+            "HTTP/1.1 307 Moved\r\nConnection: close\r\nLocation: /moved{path}\r\nX-Repo-Commit: {COMMIT}\r\nContent-Length: 0\r\n\r\n"
+        );
+    }
+    if fault == Fault::Plain {
+        return write!(stream, "HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: 5\r\n\r\nhello");
+    }
+    let file = path.rsplit('/').next().unwrap_or_default();
+    let bytes = content(file);
+    if method == "HEAD" {
+        // As the hub does for large files: its own description, and another address for the bytes.
+        let place = if let Fault::Elsewhere(url) = &fault { url.as_str() } else { "" };
+        let sends_on = if file.ends_with("safetensors") {
+            format!(
+                "Location: {place}/cdn/{file}\r\nX-Linked-Etag: \"{}\"\r\nX-Linked-Size: {}\r\n",
+                checksum(file),
+                bytes.len()
+            )
+        } else {
+            format!("ETag: \"{}\"\r\n", checksum(file))
+        };
+        let status = if file.ends_with("safetensors") { "302 Found" } else { "200 OK" };
+        return write!(
+            stream,
+            "HTTP/1.1 {status}\r\nConnection: close\r\nX-Repo-Commit: {COMMIT}\r\n{sends_on}Content-Length: {}\r\n\r\n",
+            if sends_on.starts_with("Location") { 0 } else { bytes.len() }
+        );
+    }
+    let from = asked.from.filter(|_| fault != Fault::Whole).unwrap_or(0).min(bytes.len());
+    let status = if from > 0 { "206 Partial Content" } else { "200 OK" };
+    let mut body = bytes[from..].to_vec();
+    if fault == Fault::Wrong {
+        body[0] ^= 1;
+    }
+    write!(stream, "HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {}\r\n\r\n", body.len())?;
+    if let Fault::Cut(after) = fault {
+        body.truncate(after);
+    }
+    stream.write_all(&body)
+}
+
+fn hub(server: &Server, cache: &Path) -> HubConfig {
+    HubConfig {
+        endpoint: server.url.clone(),
+        cache: cache.into(),
+        token: None,
+        is_offline: false,
+        revision: "main".into(),
+        attempts: 3,
+        pause: Duration::from_millis(1),
+    }
+}
+
+fn fetch(hub: &HubConfig) -> Result<std::path::PathBuf, NetsError> {
+    hub.fetch(&MODEL, &NoProgress, &Cancel::new())
+}
+
+fn is_whole(folder: &Path) {
+    for file in MODEL.files {
+        assert_eq!(std::fs::read(folder.join(file)).unwrap(), content(file), "{file}");
+    }
+}
+
+#[test]
+fn a_model_is_fetched_once_into_the_standard_cache() {
+    let server = Server::new(|_, _| Fault::None);
+    let cache = tempfile::tempdir().unwrap();
+    let hub = hub(&server, cache.path());
+    assert_eq!(hub.cached(&MODEL), None);
+    let folder = fetch(&hub).unwrap();
+    is_whole(&folder);
+    let repository = cache.path().join("models--org--toy");
+    assert_eq!(folder, repository.join("snapshots").join(COMMIT));
+    assert_eq!(std::fs::read_to_string(repository.join("refs/main")).unwrap(), COMMIT);
+    assert!(repository.join("blobs").join(checksum("model.safetensors")).is_file());
+    // The second file is asked for at the commit of the first.
+    assert!(server.asked().iter().any(|a| a.path.contains(&format!("/resolve/{COMMIT}/model.safetensors"))));
+    let before = server.asked().len();
+    assert_eq!(fetch(&hub).unwrap(), folder);
+    assert_eq!(server.asked().len(), before, "nothing is asked again");
+    let offline = HubConfig { is_offline: true, ..hub };
+    assert_eq!(fetch(&offline).unwrap(), folder);
+}
+
+#[test]
+fn a_dropped_connection_is_gone_on_from_where_it_broke() {
+    let gets = Arc::new(Mutex::new(0));
+    let server = Server::new(move |_, asked| {
+        let mut gets = gets.lock().unwrap();
+        if asked.method == "GET" && asked.path.ends_with("safetensors") {
+            *gets += 1;
+            if *gets < 3 {
+                return Fault::Cut(100_000);
+            }
+        }
+        Fault::None
+    });
+    let cache = tempfile::tempdir().unwrap();
+    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    let from: Vec<_> = server
+        .asked()
+        .iter()
+        .filter(|a| a.method == "GET" && a.path.contains("cdn"))
+        .map(|a| a.from)
+        .collect();
+    assert_eq!(from, [None, Some(100_000), Some(200_000)]);
+}
+
+#[test]
+fn a_broken_download_goes_on_in_the_next_run_and_survives_a_server_without_ranges() {
+    let cache = tempfile::tempdir().unwrap();
+    let cutting = Server::new(|_, a| {
+        if a.method == "GET" && a.path.contains("cdn") { Fault::Cut(10_000) } else { Fault::None }
+    });
+    let message = fetch(&hub(&cutting, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("could not be fetched") && message.contains("--weights DIR"), "{message}");
+    let whole = Server::new(|_, _| Fault::Whole);
+    is_whole(&fetch(&hub(&whole, cache.path())).unwrap());
+    assert_eq!(whole.asked().iter().filter_map(|a| a.from).collect::<Vec<_>>(), [30_000]);
+}
+
+#[test]
+fn descriptions_elsewhere_are_followed_and_other_servers_recognised() {
+    let moving = Server::new(|_, a| {
+        if a.method == "HEAD" && !a.path.starts_with("/moved") { Fault::Moved } else { Fault::None }
+    });
+    let cache = tempfile::tempdir().unwrap();
+    is_whole(&fetch(&hub(&moving, cache.path())).unwrap());
+    let plain = Server::new(|_, _| Fault::Plain);
+    let cache = tempfile::tempdir().unwrap();
+    let message = fetch(&hub(&plain, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("no Hugging Face hub") && message.contains("HF_ENDPOINT"), "{message}");
+    let circling = Server::new(|_, _| Fault::Moved);
+    let message = fetch(&hub(&circling, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("without end"), "{message}");
+}
+
+#[test]
+fn a_wrong_checksum_is_refused_and_nothing_of_it_stays() {
+    let cache = tempfile::tempdir().unwrap();
+    for file in ["config.json", "safetensors"] {
+        let server =
+            Server::new(
+                move |_, a| {
+                    if a.method == "GET" && a.path.ends_with(file) { Fault::Wrong } else { Fault::None }
+                },
+            );
+        let hub = hub(&server, cache.path());
+        let message = fetch(&hub).unwrap_err().to_string();
+        assert!(message.contains("wrong checksum"), "{message}");
+        assert_eq!(hub.cached(&MODEL), None);
+    }
+    let good = Server::new(|_, _| Fault::None);
+    is_whole(&fetch(&hub(&good, cache.path())).unwrap());
+}
+
+#[test]
+fn refusals_are_explained_and_busy_servers_asked_again() {
+    for (status, words) in [(401, "HF_TOKEN"), (403, "HF_TOKEN"), (404, "revision"), (418, "status 418")] {
+        let server = Server::new(move |_, _| Fault::Status(status, "0"));
+        let cache = tempfile::tempdir().unwrap();
+        let message = fetch(&hub(&server, cache.path())).unwrap_err().to_string();
+        assert!(message.contains(words) && message.contains("org/toy"), "{status}: {message}");
+        assert_eq!(server.asked().len(), 1, "{status} is final");
+    }
+    for status in [429, 503] {
+        let server =
+            Server::new(
+                move |number, _| {
+                    if number.is_multiple_of(3) { Fault::None } else { Fault::Status(status, "0") }
+                },
+            );
+        let cache = tempfile::tempdir().unwrap();
+        is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+        let never = Server::new(move |_, _| Fault::Status(status, "0"));
+        let cache = tempfile::tempdir().unwrap();
+        let message = fetch(&hub(&never, cache.path())).unwrap_err().to_string();
+        assert!(message.contains(&status.to_string()) && message.contains("later"), "{message}");
+        assert_eq!(never.asked().len(), 3);
+    }
+}
+
+#[test]
+fn the_token_goes_to_the_hub_alone() {
+    let elsewhere = Server::new(|_, _| Fault::None);
+    let other = elsewhere.url.clone();
+    let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
+    let cache = tempfile::tempdir().unwrap();
+    let hub = HubConfig { token: Some("hf_secret".into()), ..hub(&server, cache.path()) };
+    is_whole(&fetch(&hub).unwrap());
+    assert!(server.asked().iter().all(|a| a.token.as_deref() == Some("Bearer hf_secret")));
+    let asked = elsewhere.asked();
+    assert!(!asked.is_empty() && asked.iter().all(|a| a.token.is_none()), "{asked:?}");
+}
+
+#[test]
+fn what_cannot_be_reached_says_what_to_fetch_and_where_to_put_it() {
+    let cache = tempfile::tempdir().unwrap();
+    let server = Server::new(|_, _| Fault::None);
+    let nowhere = HubConfig { endpoint: "http://127.0.0.1:9".into(), ..hub(&server, cache.path()) };
+    let offline = HubConfig { is_offline: true, ..hub(&server, cache.path()) };
+    for hub in [nowhere, offline] {
+        let message = fetch(&hub).unwrap_err().to_string();
+        for word in ["model.safetensors", "huggingface.co/org/toy", "--weights DIR"] {
+            assert!(message.contains(word), "{word}: {message}");
+        }
+    }
+    assert!(server.asked().is_empty());
+    let message = model("sam3").unwrap_err().to_string();
+    assert!(message.contains("sam2-tiny") && message.contains("owlv2"), "{message}");
+}
+
+#[test]
+fn a_local_copy_is_taken_in_any_of_the_usual_folders() {
+    let local = tempfile::tempdir().unwrap();
+    let server = Server::new(|_, _| Fault::None);
+    let hub = hub(&server, local.path());
+    let folder = || MODEL.folder(Some(local.path()), &hub, &NoProgress, &Cancel::new());
+    let message = folder().unwrap_err().to_string();
+    assert!(message.contains("config.json, model.safetensors") && message.contains("org/toy"), "{message}");
+    for place in ["", "org/toy", "toy"] {
+        for file in MODEL.files {
+            let path = local.path().join(place).join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, content(file)).unwrap();
+        }
+        assert_eq!(
+            folder().unwrap(),
+            if place.is_empty() { local.path().to_owned() } else { local.path().join(place) }
+        );
+    }
+    assert!(server.asked().is_empty());
+}

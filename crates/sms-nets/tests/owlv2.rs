@@ -1,0 +1,121 @@
+//! OWLv2 against the reference implementation.
+
+mod support;
+
+use candle_core::{Device, Tensor};
+use sms_nets::owlv2::{ClipTokenizer, Owlv2, Owlv2Config, Tokens, detections, pixel_values};
+use sms_nets::{Seams, Weights};
+use std::path::Path;
+use support::{Reference, full_size, made_up, reference_folder};
+
+fn config(folder: &Path) -> Owlv2Config {
+    serde_json::from_slice(&std::fs::read(folder.join("config.json")).unwrap()).unwrap()
+}
+
+/// Runs everything on the reference's image and queries, shows every seam, and compares the detections.
+fn run(model: &Owlv2, tokens: &[Tokens], pixels: &Tensor, reference: &mut Reference) {
+    let text = model.text(&tokens[..4], &mut Seams::new(|name, t| reference.see(name, t))).unwrap();
+    let features = model.image(pixels, &mut Seams::new(|name, t| reference.see(name, t))).unwrap();
+    let heads = model.heads(&features, &text).unwrap();
+    reference.see("head.class_embeds", &heads.class_embeds);
+    reference.see("head.logits", &heads.logits);
+    reference.see("head.pred_boxes", &heads.boxes);
+    reference.see("head.objectness_logits", &heads.objectness);
+    reference.see("head.box_bias", model.box_bias());
+    let found = detections(&heads.logits, &heads.boxes, (150, 100), 0.77).unwrap();
+    let scores: Vec<f32> = found.iter().map(|d| d.score as f32).collect();
+    let boxes: Vec<f32> =
+        found.iter().flat_map(|d| [d.bbox.x0, d.bbox.y0, d.bbox.x1, d.bbox.y1].map(|v| v as f32)).collect();
+    let labels: Vec<u32> = found.iter().map(|d| d.query as u32).collect();
+    reference.see("detections.scores", &Tensor::new(scores, &Device::Cpu).unwrap());
+    reference.see("detections.boxes", &Tensor::new(boxes, &Device::Cpu).unwrap());
+    reference.see("detections.labels", &Tensor::new(labels, &Device::Cpu).unwrap());
+}
+
+fn tokens(folder: &Path, reference: &mut Reference) -> Vec<Tokens> {
+    let texts: Vec<String> =
+        serde_json::from_slice(&std::fs::read(folder.join("texts.json")).unwrap()).unwrap();
+    let tokenizer = ClipTokenizer::open(folder, 16).unwrap();
+    let tokens: Vec<Tokens> = texts.iter().map(|t| tokenizer.encode(t).unwrap()).collect();
+    let ids: Vec<u32> = tokens.iter().flat_map(|t| t.ids.clone()).collect();
+    let mask: Vec<u32> = tokens.iter().flat_map(|t| (0..16).map(|i| u32::from(i < t.used))).collect();
+    reference.see("tokenizer.input_ids", &Tensor::new(ids.clone(), &Device::Cpu).unwrap());
+    reference.see("tokenizer.attention_mask", &Tensor::new(mask.clone(), &Device::Cpu).unwrap());
+    reference.see("input.input_ids", &Tensor::new(&ids[..64], &Device::Cpu).unwrap());
+    reference.see("input.attention_mask", &Tensor::new(&mask[..64], &Device::Cpu).unwrap());
+    // The small vocabulary spells out Chinese byte by byte.
+    let is_cut: Vec<bool> = tokens.iter().map(|t| t.is_cut).collect();
+    assert_eq!(is_cut, [false, false, false, false, false, false, false, true, true]);
+    tokens
+}
+
+#[test]
+fn every_seam_equals_the_reference() {
+    let Some(folder) = reference_folder().map(|f| f.join("owlv2")) else { return };
+    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let weights = Weights::open(&folder.join("model.safetensors"), &Device::Cpu).unwrap();
+    let model = Owlv2::new(&config(&folder), &weights).unwrap();
+    let image = support::frame(0);
+    let bytes: Vec<u8> = image.data.iter().flatten().copied().collect();
+    reference.see("input.image", &Tensor::new(bytes, &Device::Cpu).unwrap());
+    let pixels = pixel_values(&image, 96, &Device::Cpu).unwrap();
+    reference.see("input.pixel_values", &pixels);
+    let tokens = tokens(&folder, &mut reference);
+    run(&model, &tokens, &pixels, &mut reference);
+    reference.finish(&[""], &[]);
+}
+
+#[test]
+fn what_matters_equals_the_reference_with_weights_made_up_here() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/owlv2");
+    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let config = config(&folder);
+    let names = Weights::zeros();
+    Owlv2::new(&config, &names).unwrap();
+    let (_folder, weights) = made_up(&names.asked(), 20_250_515, |_, _| {});
+    let model = Owlv2::new(&config, &weights).unwrap();
+    let pixels = pixel_values(&support::frame(0), 96, &Device::Cpu).unwrap();
+    let tokens = tokens(&folder, &mut reference);
+    run(&model, &tokens, &pixels, &mut reference);
+    reference.finish(&[""], &[]);
+}
+
+#[test]
+fn the_full_size_model_asks_for_exactly_the_released_parameters() {
+    let Some(folder) = reference_folder() else { return };
+    let weights = Weights::zeros();
+    Owlv2::new(&Owlv2Config::base_patch16(), &weights).unwrap();
+    assert_eq!(weights.asked(), full_size(&folder, "owlv2-base-patch16-ensemble"));
+}
+
+#[test]
+fn a_config_that_says_little_is_the_base_model() {
+    let config: Owlv2Config =
+        serde_json::from_str(r#"{"model_type":"owlv2","vision_config":{"image_size":960}}"#).unwrap();
+    let (ours, theirs) = (Weights::zeros(), Weights::zeros());
+    Owlv2::new(&config, &ours).unwrap();
+    Owlv2::new(&Owlv2Config::base_patch16(), &theirs).unwrap();
+    assert_eq!(ours.asked(), theirs.asked());
+}
+
+#[test]
+fn the_same_input_gives_the_same_bytes_whatever_the_threads() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/owlv2");
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let model = Owlv2::new(&config(&folder), &Weights::random(3, &Device::Cpu)).unwrap();
+            let pixels = pixel_values(&support::frame(2), 96, &Device::Cpu).unwrap();
+            let features = model.image(&pixels, &mut Seams::none()).unwrap();
+            features
+                .flatten_all()
+                .unwrap()
+                .to_vec1::<f32>()
+                .unwrap()
+                .iter()
+                .map(|v| v.to_bits())
+                .collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(run(1), run(2));
+}

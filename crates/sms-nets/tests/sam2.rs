@@ -1,0 +1,127 @@
+//! SAM 2.1 against the reference implementation.
+
+mod support;
+
+use candle_core::{DType, Device, Tensor};
+use sms_nets::owlv2::PixelBox;
+use sms_nets::sam2::{Sam2, Sam2Config, Tracker, pixel_values};
+use sms_nets::{Seams, Weights};
+use std::path::Path;
+use support::{Reference, TOLERANCE, full_size, made_up, reference_folder};
+
+const SIZE: (usize, usize) = (150, 100);
+const FRAMES: usize = 8;
+
+fn config(folder: &Path) -> Sam2Config {
+    serde_json::from_slice(&std::fs::read(folder.join("config.json")).unwrap()).unwrap()
+}
+
+fn boxes(reference: &Reference) -> Vec<PixelBox> {
+    let rows = reference.tensor("input.boxes").to_vec2::<f32>().unwrap();
+    let at = |r: &[f32], i: usize| f64::from(r[i]);
+    rows.iter().map(|r| PixelBox { x0: at(r, 0), y0: at(r, 1), x1: at(r, 2), y1: at(r, 3) }).collect()
+}
+
+/// Tracks both objects through all frames and shows every seam.
+fn track(model: &Sam2, pixels: &[Tensor], reference: &mut Reference) {
+    let mut tracker = Tracker::new(model, &boxes(reference), SIZE, FRAMES);
+    let all = std::cell::RefCell::new(reference);
+    for (t, pixels) in pixels.iter().enumerate() {
+        // Of the encoder, the reference has the first frame.
+        let mut seams = if t == 0 { Seams::new(|n, x| all.borrow_mut().see(n, x)) } else { Seams::none() };
+        let features = model.encode(pixels, &mut seams).unwrap();
+        drop(seams);
+        let mut seams = Seams::new(|name, tensor| {
+            let mut reference = all.borrow_mut();
+            reference.see(name, tensor);
+        });
+        let masks = tracker.next(&features, &mut seams).unwrap();
+        drop(seams);
+        let full: Vec<f32> = masks.iter().flat_map(|m| m.resized(SIZE.0, SIZE.1)).collect();
+        let full = Tensor::new(full, &Device::Cpu).unwrap();
+        all.borrow_mut().see(&format!("frame{t}.mask_logits_full"), &full);
+    }
+}
+
+#[test]
+fn every_seam_of_all_frames_and_objects_equals_the_reference() {
+    let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
+    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let weights = Weights::open(&folder.join("model.safetensors"), &Device::Cpu).unwrap();
+    let model = Sam2::new(&config(&folder), &weights).unwrap();
+    let pixels = reference.tensor("input.pixel_values").clone();
+    let pixels: Vec<Tensor> = (0..FRAMES).map(|t| pixels.narrow(0, t, 1).unwrap()).collect();
+    track(&model, &pixels, &mut reference);
+    reference.see("memory.position", &model.memory_positions().clone());
+    for (i, corners) in boxes(&reference).iter().map(|b| model.box_prompt(b, SIZE)).enumerate() {
+        reference.see(&format!("input.obj{i}.point_coords"), &Tensor::new(&corners, &Device::Cpu).unwrap());
+        reference.see(&format!("input.obj{i}.point_labels"), &Tensor::new(&[2u32, 3], &Device::Cpu).unwrap());
+    }
+    let given = ["input.boxes", "input.frames", "input.pixel_values"];
+    reference.finish(&[""], &given);
+}
+
+#[test]
+fn images_are_prepared_as_the_reference_does() {
+    let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
+    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let theirs = reference.tensor("input.pixel_values");
+    let frames = reference.tensor("input.frames");
+    for t in 0..FRAMES {
+        let image = support::frame(t as i64);
+        let bytes: Vec<u8> = image.data.iter().flatten().copied().collect();
+        assert_eq!(bytes, frames.get(t).unwrap().flatten_all().unwrap().to_vec1::<u8>().unwrap());
+        let ours = pixel_values(&image, 128, &Device::Cpu).unwrap().squeeze(0).unwrap();
+        let gap = (ours - theirs.get(t).unwrap()).unwrap().abs().unwrap();
+        let largest = gap.max_all().unwrap().to_scalar::<f32>().unwrap();
+        // Every byte is the same; the normalisation rounds.
+        assert!(largest < 1e-6, "frame {t}: {largest}");
+    }
+}
+
+#[test]
+fn tracking_equals_the_reference_with_weights_made_up_here() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/sam2");
+    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let config = config(&folder);
+    let names = Weights::zeros();
+    Sam2::new(&config, &names).unwrap();
+    let mut shapes = names.asked();
+    // Tied to the image's.
+    shapes.remove("prompt_encoder.shared_embedding.positional_embedding");
+    let (_folder, weights) = made_up(&shapes, 20_250_534, |name, values| match name {
+        "mask_decoder.pred_obj_score_head.proj_out.weight" => {
+            values.iter_mut().for_each(|v| *v = f64::from(*v as f32 * 5.0))
+        }
+        "mask_decoder.pred_obj_score_head.proj_out.bias" => values.fill(-1.5),
+        _ => {}
+    });
+    let model = Sam2::new(&config, &weights).unwrap();
+    let pixels: Vec<Tensor> =
+        (0..FRAMES).map(|t| pixel_values(&support::frame(t as i64), 128, &Device::Cpu).unwrap()).collect();
+    track(&model, &pixels, &mut reference);
+    reference.finish(&[""], &["input.boxes"]);
+}
+
+#[test]
+fn memories_in_f32_differ_from_the_librarys_rounded_ones_as_the_reference_says() {
+    let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
+    let exact = Reference::open(&folder.join("reference.safetensors"));
+    let rounded = Reference::open(&folder.join("reference_bf16_memory.safetensors"));
+    let mut largest = 0f32;
+    for t in 0..FRAMES {
+        let name = format!("frame{t}.pred_masks");
+        let gap = (exact.tensor(&name) - rounded.tensor(&name)).unwrap().abs().unwrap();
+        largest = largest.max(gap.to_dtype(DType::F32).unwrap().max_all().unwrap().to_scalar().unwrap());
+    }
+    // The rounding is seen, so the comparison above is with the exact ones.
+    assert!(largest > 10.0 * TOLERANCE && largest < 1e-2, "{largest}");
+}
+
+#[test]
+fn the_full_size_model_asks_for_exactly_the_released_parameters() {
+    let Some(folder) = reference_folder() else { return };
+    let weights = Weights::zeros();
+    Sam2::new(&Sam2Config::default(), &weights).unwrap();
+    assert_eq!(weights.asked(), full_size(&folder, "sam2.1-hiera-tiny"));
+}

@@ -1,0 +1,213 @@
+//! The whole path from a sequence to labels, with small random models: what comes out is nonsense, but of the right form,
+//! the same every time, and bad input is explained.
+
+mod support;
+
+use glamx::DPose3;
+use sms_core::{
+    Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, MaskSource, NoProgress, NormalImage, Warnings,
+    write_png_color, write_png_gray16,
+};
+use sms_frames::{Frame, LoadSettings, ReadOptions, Recording, Sequence, load};
+use sms_masks::Segmenter;
+use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
+use sms_nets::sam2::{Sam2, Sam2Config};
+use sms_nets::{Device, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, Weights};
+use std::path::{Path, PathBuf};
+use support::made_up;
+
+fn data(model: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(model)
+}
+
+/// A folder with a model as its repository would have it.
+fn folder(model: &str) -> tempfile::TempDir {
+    let names = Weights::zeros();
+    let json = std::fs::read(data(model).join("config.json")).unwrap();
+    if model == "owlv2" {
+        Owlv2::new(&serde_json::from_slice::<Owlv2Config>(&json).unwrap(), &names).unwrap();
+    } else {
+        Sam2::new(&serde_json::from_slice::<Sam2Config>(&json).unwrap(), &names).unwrap();
+    }
+    // Objects are judged present.
+    let (folder, _) = made_up(&names.asked(), 20_250_534, |name, values| {
+        if name == "mask_decoder.pred_obj_score_head.proj_out.bias" {
+            values.fill(2.0);
+        }
+    });
+    for file in ["config.json", "vocab.json", "merges.txt"] {
+        if data(model).join(file).is_file() {
+            std::fs::copy(data(model).join(file), folder.path().join(file)).unwrap();
+        }
+    }
+    folder
+}
+
+fn sequence(frames: usize) -> Sequence {
+    let frame = |index: usize| Frame {
+        index,
+        time_s: None,
+        camera: Camera::new(Intrinsics::from_fov(150, 100, 1.0), DPose3::identity()),
+        color: support::frame(index as i64),
+        depth: DepthImage::filled(150, 100, 1.0),
+        normal_c: NormalImage::filled(150, 100, [0.0, 0.0, -1.0]),
+        color_path: PathBuf::from("none"),
+        mask_path: None,
+    };
+    Sequence {
+        frames: (0..frames).map(frame).collect(),
+        x_world_recording: DPose3::identity(),
+        source: "here".into(),
+    }
+}
+
+fn named(name: &str, x0: f64, y0: f64, x1: f64, y1: f64) -> NamedBox {
+    NamedBox { name: name.into(), bbox: PixelBox { x0, y0, x1, y1 } }
+}
+
+#[test]
+fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
+    let (owl, sam) = (folder("owlv2"), folder("sam2"));
+    for track in [Track::Memory, Track::Reprompt] {
+        let masks = NetsMasks {
+            config: NetsConfig {
+                objects: vec!["blue box".into(), "cue".into()],
+                threshold: 0.77,
+                track,
+                ..NetsConfig::default()
+            },
+            boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
+            models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
+            device: Device::Cpu,
+            read: ReadOptions::default(),
+        };
+        let warnings = Warnings::new();
+        let run = || masks.segment(&sequence(3), &NoProgress, &Cancel::new(), &warnings).unwrap();
+        let labels = run();
+        assert_eq!(labels.source, MaskSource::Foundation);
+        assert_eq!(labels.maps.len(), 3);
+        assert_eq!(labels.objects[0].name, "ball");
+        assert!(labels.objects.iter().enumerate().all(|(i, o)| usize::from(o.id) == i + 1));
+        assert!(labels.maps.iter().all(|m| m.size() == (150, 100)));
+        let most = labels.objects.len() as u16;
+        assert!(labels.maps.iter().flat_map(|m| &m.data).all(|&l| l <= most));
+        assert!(labels.maps[0].data.iter().any(|&l| l > 0), "{track:?}");
+        assert_eq!(labels, run(), "the same every time");
+        let cancel = Cancel::new();
+        cancel.cancel();
+        let stopped = masks.segment(&sequence(3), &NoProgress, &cancel, &warnings).unwrap_err();
+        assert!(stopped.to_string().contains("interrupted"), "{stopped}");
+    }
+}
+
+/// A recording of two frames of 300 × 200 pixels in `folder`, loaded at half that size.
+fn recorded(folder: &Path) -> Sequence {
+    let mut frames = Vec::new();
+    for t in 0..2 {
+        let small = support::frame(t);
+        let mut color = ColorImage::filled(300, 200, [0; 3]);
+        for (i, pixel) in color.data.iter_mut().enumerate() {
+            // Detail that the half size does not have.
+            *pixel =
+                if (i + i / 300).is_multiple_of(2) { small[(i % 300 / 2, i / 600)] } else { [0, 255, 0] };
+        }
+        write_png_color(&folder.join(format!("{t}.png")), &color).unwrap();
+        write_png_gray16(&folder.join(format!("{t}d.png")), &Image::filled(300, 200, 1000)).unwrap();
+        let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+        frames.push(serde_json::json!({
+            "file_path": format!("{t}.png"), "depth_file_path": format!("{t}d.png"), "transform_matrix": pose,
+        }));
+    }
+    let json = serde_json::json!({
+        "w": 300, "h": 200, "fl_x": 280.0, "fl_y": 280.0, "cx": 150.0, "cy": 100.0, "depth_unit_scale_factor": 0.001,
+        "frames": frames,
+    });
+    std::fs::write(folder.join("transforms.json"), json.to_string()).unwrap();
+    let recording = Recording::open(folder, &ReadOptions::default()).unwrap();
+    let settings = LoadSettings { long_side: 150, ..LoadSettings::default() };
+    load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap()
+}
+
+#[test]
+fn the_networks_look_at_the_pictures_as_they_were_recorded() {
+    let (owl, sam, recording) = (folder("owlv2"), folder("sam2"), tempfile::tempdir().unwrap());
+    let sequence = recorded(recording.path());
+    assert_eq!(sequence.frames[0].color.size(), (150, 100));
+    let masks = NetsMasks {
+        config: NetsConfig { objects: vec!["cue".into()], threshold: 0.3, ..NetsConfig::default() },
+        boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
+        models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let run = |sequence: &Sequence| {
+        masks.segment(sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap().maps
+    };
+    let with = run(&sequence);
+    assert!(with.iter().all(|m| m.size() == (150, 100)));
+    // Without the recording the scan's own pictures have to do, and show other things.
+    let without = run(&Sequence { source: "gone".into(), ..sequence.clone() });
+    assert_eq!(without.len(), 2);
+    assert_ne!(with, without);
+}
+
+#[test]
+fn no_detections_a_foreign_query_and_a_long_one_are_said() {
+    let (owl, sam) = (folder("owlv2"), folder("sam2"));
+    let long = "a very long query that has to be cut because it is longer than sixteen tokens";
+    let masks = NetsMasks {
+        config: NetsConfig {
+            objects: vec!["кружка".into(), long.into()],
+            threshold: 1.0,
+            ..NetsConfig::default()
+        },
+        boxes: vec![],
+        models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let warnings = Warnings::new();
+    let labels = masks.segment(&sequence(2), &NoProgress, &Cancel::new(), &warnings).unwrap();
+    assert!(labels.objects.is_empty() && labels.maps.len() == 2);
+    let codes: Vec<String> = warnings.snapshot().into_iter().map(|w| w.code).collect();
+    for code in ["foreign_query", "long_query", "no_objects"] {
+        assert!(codes.iter().any(|c| c == code), "{code} in {codes:?}");
+    }
+}
+
+#[test]
+fn bad_input_is_explained() {
+    let (owl, sam) = (folder("owlv2"), folder("sam2"));
+    let base = NetsMasks {
+        config: NetsConfig { objects: vec![], ..NetsConfig::default() },
+        boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
+        models: ModelFolders { owlv2: None, sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let message = |masks: &NetsMasks| {
+        let warnings = Warnings::new();
+        masks.segment(&sequence(1), &NoProgress, &Cancel::new(), &warnings).unwrap_err().to_string()
+    };
+    let fault = |words: [&str; 2], change: &dyn Fn(&mut NetsMasks)| {
+        let mut masks = base.clone();
+        change(&mut masks);
+        let message = message(&masks);
+        assert!(words.iter().all(|w| message.contains(w)), "{words:?}: {message}");
+    };
+    fault(["outside", "150"], &|m| m.boxes[0] = named("ball", 500.0, 0.0, 600.0, 50.0));
+    fault(["no detector", "--box"], &|m| m.config.objects = vec!["cue".into()]);
+    fault(["threshold", "0 and 1"], &|m| m.config.threshold = 1.5);
+    // The two models mixed up, and folders without any.
+    fault(["kind `owlv2`", "sam2_video"], &|m| m.models.sam2 = owl.path().into());
+    fault(["no model", "config.json"], &|m| m.models.sam2 = "nowhere".into());
+    // A weight file that is cut off, and one of another size of model.
+    let cut = folder("sam2");
+    let weights = cut.path().join("model.safetensors");
+    let bytes = std::fs::read(&weights).unwrap();
+    std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
+    fault(["cut off", "model.safetensors"], &|m| m.models.sam2 = cut.path().into());
+    let mixed = folder("sam2");
+    std::fs::copy(owl.path().join("model.safetensors"), mixed.path().join("model.safetensors")).unwrap();
+    fault(["another model", "has no `"], &|m| m.models.sam2 = mixed.path().into());
+}
