@@ -153,4 +153,9 @@ pub trait Trainer: Send {
     /// # Errors
     /// [`TrainerError::BadState`].
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
+    /// What the device failed with, if it did: it was lost, or ran out of memory. Nothing that the trainer returns
+    /// afterwards means anything.
+    fn failure(&self) -> Option<String> {
+        None
+    }
 }

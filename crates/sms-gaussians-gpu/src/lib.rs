@@ -1,0 +1,20 @@
+//! GPU back end of the scan: whole training steps in WGSL through `wgpu`.
+
+mod compare;
+mod gpu;
+mod kernels;
+mod probe;
+mod rows;
+mod steps;
+mod store;
+mod target;
+mod trainer;
+mod uniforms;
+mod work;
+
+pub use compare::Spread;
+pub use gpu::{AdapterSummary, Choice, GpuError, adapters};
+pub use trainer::{GpuTrainer, MAX_CLASSES};
+
+#[cfg(test)]
+mod tests;
