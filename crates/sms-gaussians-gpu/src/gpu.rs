@@ -1,7 +1,6 @@
 //! Adapters, the device, and moving bytes to and from it.
 
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
-use wgpu::util::DeviceExt;
 
 /// Errors of finding and opening a device.
 #[derive(Debug, thiserror::Error)]
@@ -217,13 +216,14 @@ impl Gpu {
 
     /// A buffer that kernels only read.
     pub(crate) fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        let contents = if contents.is_empty() { &[0; 16] } else { contents };
-        let usage = usage | wgpu::BufferUsages::COPY_DST;
-        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
-            contents,
-            usage,
-        })
+            size: (contents.len() as u64).max(16),
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        self.queue.write_buffer(&buffer, 0, contents);
+        buffer
     }
 
     /// A buffer that the host reads.

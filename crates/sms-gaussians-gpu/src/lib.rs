@@ -1,5 +1,6 @@
 //! GPU back end of the scan: whole training steps in WGSL through `wgpu`.
 
+mod check;
 mod compare;
 mod gpu;
 mod kernels;
@@ -12,6 +13,7 @@ mod trainer;
 mod uniforms;
 mod work;
 
+pub use check::{SelfCheck, checked_trainer, self_check};
 pub use compare::Spread;
 pub use gpu::{AdapterSummary, Choice, GpuError, adapters};
 pub use trainer::{GpuTrainer, MAX_CLASSES};

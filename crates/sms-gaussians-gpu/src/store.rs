@@ -8,6 +8,7 @@ use wgpu::BufferUsages;
 
 /// Words of the control buffer; see `shaders/common.wgsl`.
 pub(crate) const CONTROL_WORDS: usize = 8;
+pub(crate) const PAIRS: usize = 1;
 pub(crate) const OVERFLOWED: usize = 2;
 pub(crate) const PAIRS_WANTED: usize = 3;
 pub(crate) const STEPS_DONE: usize = 5;

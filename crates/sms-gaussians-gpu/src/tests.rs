@@ -310,3 +310,26 @@ fn a_lost_device_is_told_and_nothing_panics() {
     gpu.add_frame(frame(&camera(SIZE), Seed(1)));
     assert_eq!(gpu.failure(), Some(failure), "the first cause is kept");
 }
+
+#[test]
+fn the_self_check_passes_here_and_finds_faults() {
+    let Some(choice) = adapter() else {
+        return;
+    };
+    let check = crate::self_check(choice).unwrap();
+    println!("self-check: {check}");
+    assert_eq!(check.fault(), None);
+    let far = Spread { p999: 0.1, max: 1.0 };
+    assert!(crate::SelfCheck { image: far, ..check }.fault().unwrap().contains("image"));
+    assert!(crate::SelfCheck { gradient: far, ..check }.fault().unwrap().contains("gradients"));
+    assert!(crate::SelfCheck { loss: f64::NAN, ..check }.fault().unwrap().contains("loss"));
+    assert!(crate::checked_trainer(&TrainConfig::default(), 3, SEED, choice).is_ok());
+    assert!(matches!(
+        crate::checked_trainer(&TrainConfig::default(), 3, SEED, Choice::Index(99)),
+        Err(crate::GpuError::NoSuchAdapter { index: 99, .. })
+    ));
+    assert!(matches!(
+        GpuTrainer::new(&TrainConfig::default(), 65, SEED, choice),
+        Err(crate::GpuError::TooManyClasses { classes: 65, .. })
+    ));
+}

@@ -3,7 +3,7 @@
 use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
 use crate::kernels::Kernels;
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
-use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS_WANTED, STEPS_DONE, Store};
+use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::Target;
 use crate::uniforms::{STRIDE, Step};
 use crate::work::{BATCH, Room, STATS, Work, bind};
@@ -43,6 +43,8 @@ pub struct GpuTrainer {
     staging: wgpu::Buffer,
     /// Room for pairs that the last batches asked for.
     pairs_wanted: u32,
+    /// Pairs of the last step.
+    last_pairs: u32,
 }
 
 impl GpuTrainer {
@@ -93,6 +95,7 @@ impl GpuTrainer {
             nothing,
             staging,
             pairs_wanted: PAIRS_MIN,
+            last_pairs: 0,
         })
     }
 
@@ -104,6 +107,11 @@ impl GpuTrainer {
     /// Bytes of the buffers on the device now: the state, what steps work on, and the observed views.
     pub fn device_bytes(&self) -> u64 {
         self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.bytes).sum::<u64>()
+    }
+
+    /// Pairs of splat and tile in the last step or rendered view: the number that most of a step's time grows with.
+    pub fn last_pairs(&self) -> u32 {
+        self.last_pairs
     }
 
     /// Takes one step on `frame`, kernel by kernel, and returns each one's milliseconds in the order of a step; `None`
@@ -222,6 +230,7 @@ impl GpuTrainer {
 
     /// Makes room for what a submission could not hold, and clears the control buffer's flags.
     fn after(&mut self, control: &[u32]) {
+        self.last_pairs = control[PAIRS];
         if control[OVERFLOWED] != 0 {
             let wanted = control[PAIRS_WANTED];
             self.pairs_wanted = self.pairs_wanted.max(wanted.saturating_add(wanted / 4));
