@@ -1,6 +1,7 @@
 //! The compute pipelines, from the sources under `shaders/`.
 
 use crate::gpu::Gpu;
+use crate::work::STATS;
 use sms_gaussians::limits::{
     ALPHA_MAX, ALPHA_MIN, AREA_FLOOR, DEPTH_OPACITY_MIN, FAR, LOW_PASS, NEAR, SLOPE_LOW_PASS, SSIM_C1,
     SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN,
@@ -27,6 +28,16 @@ pub(crate) fn classifier_vectors(classes: usize) -> u32 {
     sms_gaussians::parameters::classifier_len(classes).div_ceil(8) as u32 * 2
 }
 
+/// Parts of a tile's pixels that the blocks of the classifier's second layer are split into, so that 64 lanes have work.
+fn split_of(classes: usize) -> u32 {
+    match classes.div_ceil(4) {
+        1 => 8,
+        2 => 4,
+        3 | 4 => 2,
+        _ => 1,
+    }
+}
+
 /// A compute pipeline and the layout of its own buffers (group 0).
 pub(crate) struct Kernel {
     pub(crate) name: &'static str,
@@ -40,7 +51,7 @@ pub(crate) struct Kernels {
     pub(crate) step_layout: wgpu::BindGroupLayout,
     pub(crate) project: Kernel,
     pub(crate) visit: Kernel,
-    pub(crate) scan: Kernel,
+    pub(crate) place: Kernel,
     pub(crate) sort: Kernel,
     pub(crate) forward: Kernel,
     pub(crate) ssim: Kernel,
@@ -52,8 +63,10 @@ pub(crate) struct Kernels {
     pub(crate) finish: Kernel,
     pub(crate) maps: Kernel,
     pub(crate) compact: Kernel,
-    /// Workgroups that move the classifier.
-    pub(crate) classifier_groups: u32,
+    /// Workgroups that end a step.
+    pub(crate) finish_groups: u32,
+    /// Tiles that a workgroup of the backward kernel takes.
+    pub(crate) backward_tiles: u32,
 }
 
 /// What a binding of group 0 is.
@@ -93,6 +106,8 @@ fn constants(classes: usize, lanes: u32) -> String {
     let numbers = [
         ("TILE_PIXELS", TILE_PIXELS),
         ("LANES", lanes),
+        ("TEAM", lanes / 2),
+        ("SPLIT_OF_CLASSES", split_of(classes)),
         ("CLASSES", classes as u32),
         ("CLASSIFIER_VECTORS", classifier_vectors(classes)),
         ("CLASSIFIER_GROUPS", classifier_vectors(classes) / 2),
@@ -144,12 +159,41 @@ fn from_lane_before(state: vec2f, lane: u32) -> vec2f {
 }
 ";
 
+/// Which form of the kernels to compile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KernelForm {
+    /// Pass pixels from lane to lane by subgroup operations, where the adapter has subgroups of a fixed size; through
+    /// workgroup memory otherwise.
+    pub subgroups: bool,
+    /// Guard every index and every loop against running off.
+    pub checked: bool,
+}
+
+impl Default for KernelForm {
+    fn default() -> Self {
+        Self { subgroups: true, checked: false }
+    }
+}
+
+/// Compiles a module without guards around indices and loops.
+#[allow(
+    unsafe_code,
+    reason = "guards cost 28 % of a step (segmentation 2.9 times as long): their counters keep loops from being unrolled"
+)]
+fn trusted_module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
+    // SAFETY: no index comes from data. Kernels index with invocation numbers below the counts in `Step`, which the host
+    // took from the sizes of the buffers bound, and with pairs, slots and lists that kernels wrote within the capacity in
+    // `Step::counts`; loops end at such counts. Tests run the guarded form as well and compare.
+    unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
+}
+
 /// Lanes of the backward kernel's workgroups where there are no subgroups to follow.
 const PORTABLE_LANES: u32 = 32;
 
 impl Kernels {
-    /// Compiles all kernels for a number of classes; `lanes` is the subgroup's size where the backward kernel may use it.
-    pub(crate) fn new(gpu: &Gpu, classes: usize, lanes: Option<u32>) -> Self {
+    /// Compiles all kernels for a number of classes.
+    pub(crate) fn new(gpu: &Gpu, classes: usize, form: KernelForm) -> Self {
+        let lanes = gpu.summary.lanes.filter(|_| form.subgroups);
         let step_layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
             entries: &[entry(0, Slot::Uniform, true), entry(1, Slot::Read, false)],
@@ -160,10 +204,15 @@ impl Kernels {
             let common = include_str!("shaders/common.wgsl");
             let text = [constants.as_str(), common].into_iter().chain(sources.iter().copied());
             let text: Vec<&str> = text.collect();
-            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            let descriptor = wgpu::ShaderModuleDescriptor {
                 label: Some(name),
                 source: wgpu::ShaderSource::Wgsl(text.join("\n").replace("//PASS_STATE//", passing).into()),
-            });
+            };
+            let module = if form.checked {
+                gpu.device.create_shader_module(descriptor)
+            } else {
+                trusted_module(&gpu.device, descriptor)
+            };
             let entries: Vec<_> =
                 slots.iter().enumerate().map(|(i, slot)| entry(i as u32, *slot, false)).collect();
             let layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -195,9 +244,9 @@ impl Kernels {
         const R: Slot = Read;
         const W: Slot = ReadWrite;
         Self {
-            project: kernel("project", &[R, W, W], &[gaussian, include_str!("shaders/project.wgsl")]),
+            project: kernel("project", &[R, W, W, W], &[gaussian, include_str!("shaders/project.wgsl")]),
             visit: kernel("visit", &[R, R, W, W, W, W, W, Uniform], &[include_str!("shaders/visit.wgsl")]),
-            scan: kernel("scan", &[W, W, W], &[include_str!("shaders/scan.wgsl")]),
+            place: kernel("place", &[W, W, W], &[include_str!("shaders/place.wgsl")]),
             sort: kernel("sort", &[R, W, W, W], &[include_str!("shaders/sort.wgsl")]),
             forward: kernel("forward", &[R, R, R, R, W, W], &[alpha, include_str!("shaders/forward.wgsl")]),
             ssim: kernel("ssim", &[R, W, W], &[include_str!("shaders/ssim.wgsl")]),
@@ -217,7 +266,8 @@ impl Kernels {
             finish: kernel("finish", &[R, R, W, W, R, W, W], &[adam, include_str!("shaders/finish.wgsl")]),
             maps: kernel("maps", &[R, R, R, R, R, Uniform, W], &[alpha, include_str!("shaders/maps.wgsl")]),
             compact: kernel("compact", &[R, R, R, R, W, W, W], &[include_str!("shaders/compact.wgsl")]),
-            classifier_groups: classifier_vectors(classes) / 2,
+            finish_groups: classifier_vectors(classes) / 2 + STATS as u32 - 1,
+            backward_tiles: 2,
             step_layout,
         }
     }

@@ -16,6 +16,7 @@ mod work;
 pub use check::{SelfCheck, checked_trainer, self_check};
 pub use compare::Spread;
 pub use gpu::{AdapterSummary, Choice, GpuError, adapters};
+pub use kernels::KernelForm;
 pub use trainer::{GpuTrainer, MAX_CLASSES};
 
 #[cfg(test)]

@@ -23,10 +23,12 @@ fn listed<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) -> Vec<Dispatc
     let gaussians = [step.counts[0].div_ceil(GAUSSIANS), 1];
     let tiles = spread(step.tiles());
     let dispatch = |name, kernel, buffers, groups| Dispatch { name, kernel, buffers, groups };
+    // Projection also clears the counters, so that it always runs.
+    let projected = [gaussians[0].max(1), 1];
     vec![
-        dispatch("project", &kernels.project, &b.project, gaussians),
+        dispatch("project", &kernels.project, &b.project, projected),
         dispatch("count", &kernels.visit, &b.count, gaussians),
-        dispatch("scan", &kernels.scan, &b.scan, [1, 1]),
+        dispatch("place", &kernels.place, &b.place, [step.tiles().div_ceil(256), 1]),
         dispatch("fill", &kernels.visit, &b.fill, gaussians),
         dispatch("sort", &kernels.sort, &b.sort, tiles),
         dispatch("forward", &kernels.forward, &b.forward, tiles),
@@ -36,7 +38,6 @@ fn listed<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) -> Vec<Dispatc
 /// The dispatches of a training step.
 pub(crate) fn of_step<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) -> Vec<Dispatch<'a>> {
     let gaussians = [step.counts[0].div_ceil(GAUSSIANS), 1];
-    let tiles = spread(step.tiles());
     let blocks = [step.size[0].div_ceil(BLOCK), step.size[1].div_ceil(BLOCK)];
     let dispatch = |name, kernel, buffers, groups| Dispatch { name, kernel, buffers, groups };
     let mut all = listed(kernels, b, step);
@@ -47,10 +48,15 @@ pub(crate) fn of_step<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) ->
     if step.segmented() {
         all.push(dispatch("segment", &kernels.segment, &b.segment, [segment_groups(step), 1]));
     }
-    all.push(dispatch("backward", &kernels.backward, &b.backward, tiles));
+    all.push(dispatch(
+        "backward",
+        &kernels.backward,
+        &b.backward,
+        spread(step.tiles().div_ceil(kernels.backward_tiles)),
+    ));
     all.push(dispatch("reduce", &kernels.reduce, &b.reduce, [(8 * step.counts[0]).div_ceil(256), 1]));
     all.push(dispatch("update", &kernels.update, &b.update, gaussians));
-    all.push(dispatch("finish", &kernels.finish, &b.finish, [kernels.classifier_groups + 1, 1]));
+    all.push(dispatch("finish", &kernels.finish, &b.finish, [kernels.finish_groups, 1]));
     all
 }
 

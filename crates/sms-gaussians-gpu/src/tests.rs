@@ -3,7 +3,7 @@
 
 use crate::compare::{GROUPS, Spread, first_moments, images, relative};
 use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
-use crate::{Choice, GpuTrainer, adapters};
+use crate::{Choice, GpuTrainer, KernelForm, adapters};
 use sms_core::Seed;
 use sms_gaussians::oracle::Oracle;
 use sms_gaussians::parameters::Parameters;
@@ -12,6 +12,7 @@ use sms_gaussians::{CpuTrainer, DepthTerm, LearningRates, LossWeights, TrainConf
 const SIZE: (usize, usize) = (61, 37);
 const COUNT: usize = 150;
 const SEED: Seed = Seed(2);
+const FAST: KernelForm = KernelForm { subgroups: true, checked: false };
 
 /// The adapter to test, or a line that says that there is none. `SMS_TEST_ADAPTER` names another than the first.
 pub(crate) fn adapter() -> Option<Choice> {
@@ -23,13 +24,13 @@ pub(crate) fn adapter() -> Option<Choice> {
     None
 }
 
-fn gpu(config: &TrainConfig, subgroups: bool) -> Option<GpuTrainer> {
-    let made = GpuTrainer::with_lanes(config, CLASSES, SEED, adapter()?, subgroups);
+fn gpu(config: &TrainConfig, form: KernelForm) -> Option<GpuTrainer> {
+    let made = GpuTrainer::with_form(config, CLASSES, SEED, adapter()?, form);
     Some(made.unwrap_or_else(|e| panic!("{e}")))
 }
 
-fn filled_pair(config: &TrainConfig, subgroups: bool) -> Option<(CpuTrainer, GpuTrainer)> {
-    let (mut cpu, mut gpu) = (CpuTrainer::new(config, CLASSES, SEED), gpu(config, subgroups)?);
+fn filled_pair(config: &TrainConfig, form: KernelForm) -> Option<(CpuTrainer, GpuTrainer)> {
+    let (mut cpu, mut gpu) = (CpuTrainer::new(config, CLASSES, SEED), gpu(config, form)?);
     fill(&mut cpu, SIZE, COUNT);
     fill(&mut gpu, SIZE, COUNT);
     Some((cpu, gpu))
@@ -37,12 +38,12 @@ fn filled_pair(config: &TrainConfig, subgroups: bool) -> Option<(CpuTrainer, Gpu
 
 fn oracle(cpu: &CpuTrainer, config: &TrainConfig) -> Oracle {
     let parameters = Parameters::decode(&cpu.snapshot()).unwrap();
-    Oracle { background: BACKGROUND.map(f64::from), ..Oracle::new(&parameters, config, true) }
+    Oracle { background: BACKGROUND.map(f64::from), ..Oracle::new(&parameters, config, FAST) }
 }
 
 #[test]
 fn images_equal_the_cpu_and_the_oracle() {
-    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), true) else {
+    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), FAST) else {
         return;
     };
     let camera = camera(SIZE);
@@ -69,10 +70,10 @@ fn images_equal_the_cpu_and_the_oracle() {
 }
 
 /// Gradients of one step: Adam's first moments after a step that moves nothing.
-fn compare_gradients(config: &TrainConfig, subgroups: bool) -> Option<f64> {
+fn compare_gradients(config: &TrainConfig, form: KernelForm) -> Option<f64> {
     let still = LearningRates::default().scaled(0.0);
     let config = TrainConfig { rates: still, ..*config };
-    let (mut cpu, mut gpu) = filled_pair(&config, subgroups)?;
+    let (mut cpu, mut gpu) = filled_pair(&config, form)?;
     let oracle = oracle(&cpu, &config);
     let (a, b) = (gpu.steps(&[0]), cpu.steps(&[0]));
     assert_eq!(gpu.failure(), None);
@@ -143,7 +144,7 @@ fn gradients_equal_the_cpu_and_the_oracle() {
     ];
     for (name, config) in configs {
         println!("{name}");
-        if compare_gradients(&config, true).is_none() {
+        if compare_gradients(&config, FAST).is_none() {
             return;
         }
     }
@@ -151,12 +152,24 @@ fn gradients_equal_the_cpu_and_the_oracle() {
 
 #[test]
 fn without_subgroups_the_gradients_are_the_same() {
-    compare_gradients(&TrainConfig::default(), false);
+    compare_gradients(&TrainConfig::default(), KernelForm { subgroups: false, ..FAST });
+}
+
+#[test]
+fn with_guards_every_byte_is_the_same() {
+    let after = |form| {
+        let mut gpu = gpu(&TrainConfig::default(), form)?;
+        fill(&mut gpu, SIZE, COUNT);
+        gpu.steps(&[0, 1, 0]);
+        assert_eq!(gpu.failure(), None);
+        Some((gpu.snapshot(), gpu.render(&camera(SIZE)).color))
+    };
+    assert!(after(FAST) == after(KernelForm { checked: true, ..FAST }));
 }
 
 #[test]
 fn loss_curves_follow_the_cpu() {
-    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), true) else {
+    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), FAST) else {
         return;
     };
     let mut worst = 0.0f32;
@@ -170,10 +183,10 @@ fn loss_curves_follow_the_cpu() {
 
 #[test]
 fn one_submission_of_many_steps_is_many_submissions_of_one() {
-    let Some(mut one) = gpu(&TrainConfig::default(), true) else {
+    let Some(mut one) = gpu(&TrainConfig::default(), FAST) else {
         return;
     };
-    let Some(mut many) = gpu(&TrainConfig::default(), true) else {
+    let Some(mut many) = gpu(&TrainConfig::default(), FAST) else {
         return;
     };
     fill(&mut one, SIZE, COUNT);
@@ -188,7 +201,7 @@ fn one_submission_of_many_steps_is_many_submissions_of_one() {
 
 #[test]
 fn a_state_continues_on_the_other_back_end() {
-    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), true) else {
+    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), FAST) else {
         return;
     };
     cpu.steps(&[0, 1, 0]);
@@ -213,7 +226,7 @@ fn a_state_continues_on_the_other_back_end() {
 
 #[test]
 fn gaussians_come_and_go_with_their_moments() {
-    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), true) else {
+    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), FAST) else {
         return;
     };
     for trainer in [&mut cpu as &mut dyn Trainer, &mut gpu] {
@@ -244,7 +257,7 @@ fn gaussians_come_and_go_with_their_moments() {
 
 #[test]
 fn room_for_pairs_grows_without_losing_a_step() {
-    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), true) else {
+    let Some((mut cpu, mut gpu)) = filled_pair(&TrainConfig::default(), FAST) else {
         return;
     };
     gpu.shrink_pairs(100);
@@ -263,7 +276,7 @@ fn room_for_pairs_grows_without_losing_a_step() {
 #[test]
 fn long_lists_are_sorted_too() {
     let (Some(mut gpu), mut cpu) =
-        (gpu(&TrainConfig::default(), true), CpuTrainer::new(&TrainConfig::default(), CLASSES, SEED))
+        (gpu(&TrainConfig::default(), FAST), CpuTrainer::new(&TrainConfig::default(), CLASSES, SEED))
     else {
         return;
     };
@@ -290,7 +303,7 @@ fn long_lists_are_sorted_too() {
 
 #[test]
 fn a_lost_device_is_told_and_nothing_panics() {
-    let Some(mut gpu) = gpu(&TrainConfig::default(), true) else {
+    let Some(mut gpu) = gpu(&TrainConfig::default(), FAST) else {
         return;
     };
     fill(&mut gpu, SIZE, COUNT);

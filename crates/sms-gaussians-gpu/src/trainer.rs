@@ -1,7 +1,7 @@
 //! [`GpuTrainer`]: the back end of the scan on a GPU.
 
 use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
-use crate::kernels::Kernels;
+use crate::kernels::{KernelForm, Kernels};
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::Target;
@@ -55,26 +55,26 @@ impl GpuTrainer {
     /// # Errors
     /// [`GpuError`] when the adapter cannot be opened or cannot run the kernels.
     pub fn new(config: &TrainConfig, classes: usize, seed: Seed, choice: Choice) -> Result<Self, GpuError> {
-        Self::with_lanes(config, classes, seed, choice, true)
+        Self::with_form(config, classes, seed, choice, KernelForm::default())
     }
 
-    /// The same, without the kernels that need subgroups unless `subgroups`: to compare with.
+    /// The same with kernels of a given form, to compare with.
     ///
     /// # Errors
     /// As [`GpuTrainer::new`].
-    pub fn with_lanes(
+    pub fn with_form(
         config: &TrainConfig,
         classes: usize,
         seed: Seed,
         choice: Choice,
-        subgroups: bool,
+        form: KernelForm,
     ) -> Result<Self, GpuError> {
         let classes = classes.max(1);
         if classes > MAX_CLASSES {
             return Err(GpuError::TooManyClasses { classes, most: MAX_CLASSES });
         }
         let gpu = Gpu::open(choice)?;
-        let kernels = Kernels::new(&gpu, classes, gpu.summary.lanes.filter(|_| subgroups));
+        let kernels = Kernels::new(&gpu, classes, form);
         if let Some(reason) = gpu.failure() {
             return Err(GpuError::Unsuitable { name: gpu.summary.name.clone(), reason });
         }

@@ -52,7 +52,7 @@ struct Buffers {
     spans: wgpu::Buffer,
     sums: wgpu::Buffer,
     tile_counts: wgpu::Buffer,
-    offsets: wgpu::Buffer,
+    lists: wgpu::Buffer,
     used: wgpu::Buffer,
     image: wgpu::Buffer,
     gradient: wgpu::Buffer,
@@ -70,7 +70,7 @@ pub(crate) struct Bindings {
     pub(crate) project: wgpu::BindGroup,
     pub(crate) count: wgpu::BindGroup,
     pub(crate) fill: wgpu::BindGroup,
-    pub(crate) scan: wgpu::BindGroup,
+    pub(crate) place: wgpu::BindGroup,
     pub(crate) sort: wgpu::BindGroup,
     pub(crate) forward: wgpu::BindGroup,
     pub(crate) ssim: wgpu::BindGroup,
@@ -95,7 +95,7 @@ impl Buffers {
             spans: buffer("spans", 8 * n),
             sums: buffer("sums", 128 * n),
             tile_counts: buffer("tile counts", 4 * tiles),
-            offsets: buffer("offsets", 4 * (tiles + 1)),
+            lists: buffer("lists", 8 * tiles),
             used: buffer("used", 4 * tiles),
             image: buffer("image", of_tiles),
             gradient: buffer("gradient", of_tiles),
@@ -161,15 +161,15 @@ impl Work {
     pub(crate) fn bindings(&mut self, gpu: &Gpu, kernels: &Kernels, store: &Store) -> &Bindings {
         let Self { bindings, buffers: b, modes, stats, .. } = self;
         bindings.get_or_insert_with(|| Bindings {
-            project: bind(gpu, &kernels.project, &[&store.rows, &b.records, &b.outlines]),
+            project: bind(gpu, &kernels.project, &[&store.rows, &b.records, &b.outlines, &store.control]),
             count: bind(gpu, &kernels.visit, &b.visit(store, &modes[0])),
             fill: bind(gpu, &kernels.visit, &b.visit(store, &modes[1])),
-            scan: bind(gpu, &kernels.scan, &[&b.tile_counts, &b.offsets, &store.control]),
-            sort: bind(gpu, &kernels.sort, &[&b.offsets, &b.tile_counts, &b.keys, &b.pair_slots]),
+            place: bind(gpu, &kernels.place, &[&b.tile_counts, &b.lists, &store.control]),
+            sort: bind(gpu, &kernels.sort, &[&b.lists, &b.tile_counts, &b.keys, &b.pair_slots]),
             forward: bind(
                 gpu,
                 &kernels.forward,
-                &[&store.rows, &b.records, &b.offsets, &b.keys, &b.image, &b.used],
+                &[&store.rows, &b.records, &b.lists, &b.keys, &b.image, &b.used],
             ),
             ssim: bind(gpu, &kernels.ssim, &[&b.image, &b.derivatives, &b.partials]),
             loss: bind(gpu, &kernels.loss, &[&b.image, &b.derivatives, &b.gradient, &b.partials]),
@@ -181,7 +181,7 @@ impl Work {
             backward: bind(
                 gpu,
                 &kernels.backward,
-                &[&store.rows, &b.records, &b.offsets, &b.keys, &b.used, &b.image, &b.gradient, &b.slots],
+                &[&store.rows, &b.records, &b.lists, &b.keys, &b.used, &b.image, &b.gradient, &b.slots],
             ),
             reduce: bind(gpu, &kernels.reduce, &[&b.spans, &b.slots, &b.sums, &store.control]),
             update: bind(
@@ -213,7 +213,7 @@ impl Work {
             maps: bind(
                 gpu,
                 &kernels.maps,
-                &[&b.records, &b.offsets, &b.keys, &b.used, &b.image, &store.classifier, &b.maps],
+                &[&b.records, &b.lists, &b.keys, &b.used, &b.image, &store.classifier, &b.maps],
             ),
         })
     }
@@ -232,7 +232,7 @@ impl Work {
             &b.spans,
             &b.sums,
             &b.tile_counts,
-            &b.offsets,
+            &b.lists,
             &b.used,
             &b.image,
             &b.gradient,

@@ -41,7 +41,7 @@ const DEPTH_NORMALIZED = 4u;
 const DEPTH_DETACHED = 8u;
 
 // Words of the control buffer.
-const PAIR_COUNTER = 0u;
+const LIST_COUNTER = 0u;
 const PAIRS = 1u;
 const OVERFLOWED = 2u;
 const PAIRS_WANTED = 3u;

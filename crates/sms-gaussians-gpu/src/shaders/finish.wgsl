@@ -1,5 +1,5 @@
 // Ends a step: sums the workgroups' shares of the classifier's gradient and moves it, eight values to a workgroup; the
-// last workgroup sums the terms of the loss into the step's row of statistics. All sums have a fixed order.
+// last workgroups sum a term of the loss each into the step's row of statistics. All sums have a fixed order.
 
 @group(0) @binding(0) var<storage, read> shares: array<f32>;
 @group(0) @binding(1) var<storage, read> partials: array<f32>;
@@ -48,23 +48,21 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     let blocks = u.groups.x * u.groups.y;
     let gaussian_groups = (u.counts.x + 127u) / 128u;
     let row = 8u * u.counts.z;
-    for (var s = 0u; s < SUMS; s++) {
-        var count = blocks;
-        if (s == SUM_SSIM && u.other_weights.x == 0.0) { count = 0u; }
-        if (s == SUM_SEGMENTATION) { count = select(0u, u.groups.z, segmented); }
-        if (s > SUM_SEGMENTATION) { count = gaussian_groups; }
-        var sum = 0.0;
-        for (var i = lane; i < count; i += 256u) { sum += partials[s * u.groups.w + i]; }
-        sums[lane] = sum;
-        workgroupBarrier();
-        for (var half = 128u; half > 0u; half /= 2u) {
-            if (lane < half) { sums[lane] += sums[lane + half]; }
-            workgroupBarrier();
-        }
-        if (lane == 0u) { stats[row + s] = sums[0]; }
+    let s = group.x - CLASSIFIER_GROUPS;
+    var count = blocks;
+    if (s == SUM_SSIM && u.other_weights.x == 0.0) { count = 0u; }
+    if (s == SUM_SEGMENTATION) { count = select(0u, u.groups.z, segmented); }
+    if (s > SUM_SEGMENTATION) { count = gaussian_groups; }
+    var sum = 0.0;
+    for (var i = lane; i < count; i += 256u) { sum += partials[s * u.groups.w + i]; }
+    sums[lane] = sum;
+    workgroupBarrier();
+    for (var half = 128u; half > 0u; half /= 2u) {
+        if (lane < half) { sums[lane] += sums[lane + half]; }
         workgroupBarrier();
     }
-    if (lane == 0u && !overflowed) {
+    if (lane == 0u) { stats[row + s] = sums[0]; }
+    if (lane == 0u && s == 0u && !overflowed) {
         stats[row + SUMS] = f32(control[SEEN]);
         control[STEPS_DONE] += 1u;
         if (segmented) { control[CLASSIFIER_STEPS_NEXT] = control[CLASSIFIER_STEPS] + 1u; }

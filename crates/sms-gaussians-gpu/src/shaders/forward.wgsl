@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(1) var<storage, read> records: array<vec4f>;
-@group(0) @binding(2) var<storage, read> offsets: array<u32>;
+@group(0) @binding(2) var<storage, read> lists: array<vec2u>;
 @group(0) @binding(3) var<storage, read> pairs: array<vec2u>;
 @group(0) @binding(4) var<storage, read_write> image: array<vec4f>;
 // Per tile: how much of its list reaches a pixel.
@@ -20,8 +20,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     if (tile >= u.size.z * u.size.w) { return; }
     let pixel = tile_corner(tile) + vec2u(lane % TILE, lane / TILE);
     let center = vec2f(pixel) + 0.5;
-    let first = offsets[tile];
-    let n = offsets[tile + 1u] - first;
+    let first = lists[tile].x;
+    let n = lists[tile].y;
     // Pixels outside of the image receive no light, and nobody reads them.
     let inside = all(pixel < u.size.xy);
     var transmittance = select(0.0, 1.0, inside);

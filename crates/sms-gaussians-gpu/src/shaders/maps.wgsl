@@ -2,7 +2,7 @@
 // cpu/median.rs). Nine values per pixel, row by row: colour 3, opacity, depth, normal 3, label.
 
 @group(0) @binding(0) var<storage, read> records: array<vec4f>;
-@group(0) @binding(1) var<storage, read> offsets: array<u32>;
+@group(0) @binding(1) var<storage, read> lists: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pairs: array<vec2u>;
 @group(0) @binding(3) var<storage, read> used: array<u32>;
 @group(0) @binding(4) var<storage, read> image: array<vec4f>;
@@ -23,7 +23,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     let color = image[o];
     let normal = image[o + TILE_PIXELS];
     let center = vec2f(pixel) + 0.5;
-    let first = offsets[tile];
+    let first = lists[tile].x;
     let n = used[tile];
     let half = 1.0 - 0.5 * normal.w;
     var transmittance = 1.0;

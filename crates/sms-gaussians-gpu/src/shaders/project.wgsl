@@ -3,10 +3,17 @@
 @group(0) @binding(0) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> records: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> outlines: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> control: array<u32>;
 
 @compute @workgroup_size(128)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let g = id.x;
+    if (g == 0u) {
+        control[LIST_COUNTER] = 0u;
+        control[PAIRS] = 0u;
+        control[SEEN] = 0u;
+        control[CLASSIFIER_STEPS] = control[CLASSIFIER_STEPS_NEXT];
+    }
     if (g >= u.counts.x) { return; }
     let place = rows[8u * g];
     let m = linearize(place.xyz, rows[8u * g + 1u], rows[8u * g + 2u].xyz, place.w);

@@ -18,8 +18,11 @@ const B2 = W2 + 8u * CLASSES;
 // Vectors of a pixel's hidden layer, and of its classes.
 const HIDDEN = 8u;
 const CLASS_VECTORS = (CLASSES + 3u) / 4u;
-// Eight columns of one class each: what a lane sums of the second layer's gradient.
-const PARTS = (4u * CLASSES + 63u) / 64u;
+// A lane sums 4 x 4 blocks of the layers' gradients over some of the pixels: few reads from workgroup memory for many
+// products. Blocks of the second layer, parts of the pixels that each is split into, and blocks of a lane.
+const BLOCKS2 = 8u * CLASS_VECTORS;
+const SPLIT2 = SPLIT_OF_CLASSES;
+const PARTS2 = (BLOCKS2 * SPLIT2 + 63u) / 64u;
 // Pixel by pixel, one vector of padding against bank conflicts. First hidden and ∂L/∂logits, then affinity and
 // ∂L/∂hidden.
 const STRIDE = HIDDEN + max(CLASS_VECTORS, 8u) + 1u;
@@ -31,12 +34,16 @@ fn bias2(k: u32) -> f32 { return classifier[B2 + k / 4u][k % 4u]; }
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
-    // Row lane/2 of the first layer, eight columns.
-    var d_w1a = vec4f(); var d_w1b = vec4f(); var d_b1 = 0.0;
-    var d_w2: array<vec4f, 2u * PARTS>;
-    var d_b2: array<f32, PARTS>;
-    for (var i = 0u; i < 2u * PARTS; i++) { d_w2[i] = vec4f(); }
-    for (var i = 0u; i < PARTS; i++) { d_b2[i] = 0.0; }
+    var d_w1: array<vec4f, 4>;
+    var d_b1 = vec4f();
+    var d_w2: array<vec4f, 4u * PARTS2>;
+    var d_b2: array<vec4f, PARTS2>;
+    for (var i = 0u; i < 4u; i++) { d_w1[i] = vec4f(); }
+    for (var i = 0u; i < 4u * PARTS2; i++) { d_w2[i] = vec4f(); }
+    for (var i = 0u; i < PARTS2; i++) { d_b2[i] = vec4f(); }
+    // Block of the first layer: four hidden values by four of affinity, half of the pixels.
+    let block1 = lane % 32u;
+    let from1 = 32u * (lane / 32u);
     var loss = 0.0;
     let tiles = u.size.z * u.size.w;
     for (var tile = group.x; tile < tiles; tile += u.groups.z) {
@@ -118,15 +125,15 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
             staged[mine + HIDDEN + q] = vec4f(p[4u * q], p[4u * q + 1u], p[4u * q + 2u], p[4u * q + 3u]);
         }
         workgroupBarrier();
-        for (var part = 0u; part < PARTS; part++) {
+        for (var part = 0u; part < PARTS2; part++) {
             let e = lane + 64u * part;
-            let k = e / 4u;
-            if (k < CLASSES) {
-                let column = 2u * (e % 4u);
-                for (var px = 0u; px < 64u; px++) {
-                    let d = staged[px * STRIDE + HIDDEN + k / 4u][k % 4u];
-                    d_w2[2u * part] += d * staged[px * STRIDE + column];
-                    d_w2[2u * part + 1u] += d * staged[px * STRIDE + column + 1u];
+            if (e < BLOCKS2 * SPLIT2) {
+                let block = e % BLOCKS2;
+                let from2 = (e / BLOCKS2) * (64u / SPLIT2);
+                for (var px = from2; px < from2 + 64u / SPLIT2; px++) {
+                    let d = staged[px * STRIDE + HIDDEN + block / 8u];
+                    let v = staged[px * STRIDE + block % 8u];
+                    for (var r = 0u; r < 4u; r++) { d_w2[4u * part + r] += d[r] * v; }
                     d_b2[part] += d;
                 }
             }
@@ -135,34 +142,46 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         for (var q = 0u; q < 4u; q++) { staged[mine + q] = x[q]; }
         for (var j = 0u; j < 8u; j++) { staged[mine + HIDDEN + j] = dh[j]; }
         workgroupBarrier();
-        let row = lane / 2u;
-        let column = 2u * (lane % 2u);
-        for (var px = 0u; px < 64u; px++) {
-            let d = staged[px * STRIDE + HIDDEN + row / 4u][row % 4u];
-            d_w1a += d * staged[px * STRIDE + column];
-            d_w1b += d * staged[px * STRIDE + column + 1u];
+        for (var px = from1; px < from1 + 32u; px++) {
+            let d = staged[px * STRIDE + HIDDEN + block1 / 4u];
+            let v = staged[px * STRIDE + block1 % 4u];
+            for (var r = 0u; r < 4u; r++) { d_w1[r] += d[r] * v; }
             d_b1 += d;
         }
         workgroupBarrier();
     }
+    // The parts of the pixels together, in their order, by the lanes that hold the first.
     let share = 4u * CLASSIFIER_VECTORS * group.x;
-    let row = lane / 2u;
-    let at = share + 16u * row + 8u * (lane % 2u);
-    for (var i = 0u; i < 4u; i++) {
-        shares[at + i] = d_w1a[i];
-        shares[at + 4u + i] = d_w1b[i];
+    for (var r = 0u; r < 4u; r++) { staged[5u * lane + r] = d_w1[r]; }
+    staged[5u * lane + 4u] = d_b1;
+    workgroupBarrier();
+    if (lane < 32u) {
+        for (var r = 0u; r < 4u; r++) {
+            write_share(share + 16u * (4u * (lane / 4u) + r) + 4u * (lane % 4u), d_w1[r] + staged[5u * (lane + 32u) + r]);
+        }
+        if (lane % 4u == 0u) { write_share(share + 4u * B1 + lane, d_b1 + staged[5u * (lane + 32u) + 4u]); }
     }
-    if (lane % 2u == 0u) { shares[share + 4u * B1 + row] = d_b1; }
-    for (var part = 0u; part < PARTS; part++) {
+    for (var part = 0u; part < PARTS2; part++) {
+        workgroupBarrier();
+        for (var r = 0u; r < 4u; r++) { staged[5u * lane + r] = d_w2[4u * part + r]; }
+        staged[5u * lane + 4u] = d_b2[part];
+        workgroupBarrier();
         let e = lane + 64u * part;
-        let k = e / 4u;
-        if (k < CLASSES) {
-            let at = share + 4u * W2 + 32u * k + 8u * (e % 4u);
-            for (var i = 0u; i < 4u; i++) {
-                shares[at + i] = d_w2[2u * part][i];
-                shares[at + 4u + i] = d_w2[2u * part + 1u][i];
+        // Only undivided blocks come in several parts.
+        if (e < BLOCKS2 * SPLIT2 && (SPLIT2 == 1u || lane < BLOCKS2)) {
+            let k = 4u * (e / 8u);
+            for (var r = 0u; r < 4u; r++) {
+                var sum = d_w2[4u * part + r];
+                for (var s = 1u; s < SPLIT2; s++) { sum += staged[5u * (lane + s * BLOCKS2) + r]; }
+                if (k + r < CLASSES) { write_share(share + 4u * W2 + 32u * (k + r) + 4u * (e % 8u), sum); }
             }
-            if (e % 4u == 0u) { shares[share + 4u * B2 + k] = d_b2[part]; }
+            if (e % 8u == 0u) {
+                var sum = d_b2[part];
+                for (var s = 1u; s < SPLIT2; s++) { sum += staged[5u * (lane + s * BLOCKS2) + 4u]; }
+                for (var r = 0u; r < 4u; r++) {
+                    if (k + r < CLASSES) { shares[share + 4u * B2 + k + r] = sum[r]; }
+                }
+            }
         }
     }
     sums[lane] = loss;
@@ -172,6 +191,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         workgroupBarrier();
     }
     if (lane == 0u) { partials[SUM_SEGMENTATION * u.groups.w + group.x] = sums[0]; }
+}
+
+fn write_share(at: u32, v: vec4f) {
+    for (var i = 0u; i < 4u; i++) { shares[at + i] = v[i]; }
 }
 
 // Products of 64-bit numbers, low word first.

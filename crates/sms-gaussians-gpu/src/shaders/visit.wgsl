@@ -29,7 +29,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_inde
     var span = vec2u(0u);
     var depth = 0u;
     // After an overflow there are no lists to fill.
-    let blocked = filling && atomicLoad(&control[OVERFLOWED]) != 0u;
+    let blocked = filling && atomicLoad(&control[PAIRS]) > u.counts.y;
     if (seen && !blocked) {
         let mean = records[4u * g].xy;
         if (filling) {
@@ -66,7 +66,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_inde
         workgroupBarrier();
     }
     if (lane == GROUP - 1u) {
-        first_slot = atomicAdd(&control[PAIR_COUNTER], counts[lane]);
+        first_slot = atomicAdd(&control[PAIRS], counts[lane]);
     }
     workgroupBarrier();
     if (g < u.counts.x) {
