@@ -38,7 +38,7 @@ fn filled_pair(config: &TrainConfig, form: KernelForm) -> Option<(CpuTrainer, Gp
 
 fn oracle(cpu: &CpuTrainer, config: &TrainConfig) -> Oracle {
     let parameters = Parameters::decode(&cpu.snapshot()).unwrap();
-    Oracle { background: BACKGROUND.map(f64::from), ..Oracle::new(&parameters, config, FAST) }
+    Oracle { background: BACKGROUND.map(f64::from), ..Oracle::new(&parameters, config, true) }
 }
 
 #[test]
