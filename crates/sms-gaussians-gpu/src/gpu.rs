@@ -1,6 +1,6 @@
 //! Adapters, the device, and moving bytes to and from it.
 
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 
 /// Errors of finding and opening a device.
 #[derive(Debug, thiserror::Error)]
@@ -65,14 +65,16 @@ pub struct AdapterSummary {
     pub backend: String,
     /// Whether it computes on the CPU (Mesa's lavapipe): slower than the CPU's own kernels, good for tests.
     pub software: bool,
-    /// Lanes of a subgroup where the fast backward kernel can use them.
-    pub lanes: Option<u32>,
 }
 
-fn instance() -> wgpu::Instance {
-    wgpu::Instance::new(wgpu::InstanceDescriptor {
-        backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
-        ..wgpu::InstanceDescriptor::new_without_display_handle()
+/// The one instance of this process: an NVIDIA driver showed no adapters any more after a dozen of them.
+fn instance() -> &'static wgpu::Instance {
+    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
+    INSTANCE.get_or_init(|| {
+        wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        })
     })
 }
 
@@ -92,18 +94,8 @@ fn summary(index: usize, adapter: &wgpu::Adapter) -> AdapterSummary {
         driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
         backend: info.backend.to_string(),
         software: info.device_type == wgpu::DeviceType::Cpu,
-        lanes: subgroup_lanes(adapter),
         name: info.name,
     }
-}
-
-/// Lanes of a subgroup, where all subgroups have as many and a workgroup of that size is one of them.
-fn subgroup_lanes(adapter: &wgpu::Adapter) -> Option<u32> {
-    let info = adapter.get_info();
-    let fixed = info.subgroup_min_size == info.subgroup_max_size;
-    let size = info.subgroup_min_size;
-    (adapter.features().contains(wgpu::Features::SUBGROUP) && fixed && (4..=64).contains(&size))
-        .then_some(size)
 }
 
 /// The first thing that went wrong on a device, if anything did.
@@ -165,8 +157,7 @@ impl Gpu {
         if limits.max_compute_workgroup_storage_size < WORKGROUP_BYTES {
             return Err(unsuitable("it has too little workgroup memory".to_owned()));
         }
-        let wanted = wgpu::Features::SUBGROUP | wgpu::Features::TIMESTAMP_QUERY;
-        let features = adapter.features() & wanted;
+        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("sms"),
             required_features: features,

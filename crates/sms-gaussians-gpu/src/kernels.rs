@@ -1,6 +1,7 @@
 //! The compute pipelines, from the sources under `shaders/`.
 
 use crate::gpu::Gpu;
+use crate::unroll::unroll;
 use crate::work::STATS;
 use sms_gaussians::limits::{
     ALPHA_MAX, ALPHA_MIN, AREA_FLOOR, DEPTH_OPACITY_MIN, FAR, LOW_PASS, NEAR, SLOPE_LOW_PASS, SSIM_C1,
@@ -65,8 +66,6 @@ pub(crate) struct Kernels {
     pub(crate) compact: Kernel,
     /// Workgroups that end a step.
     pub(crate) finish_groups: u32,
-    /// Tiles that a workgroup of the backward kernel takes.
-    pub(crate) backward_tiles: u32,
 }
 
 /// What a binding of group 0 is.
@@ -101,12 +100,10 @@ fn window() -> Vec<f64> {
 }
 
 /// Constants of the kernels, as WGSL.
-fn constants(classes: usize, lanes: u32) -> String {
+fn constants(classes: usize) -> String {
     let mut text = String::new();
     let numbers = [
         ("TILE_PIXELS", TILE_PIXELS),
-        ("LANES", lanes),
-        ("TEAM", lanes / 2),
         ("SPLIT_OF_CLASSES", split_of(classes)),
         ("CLASSES", classes as u32),
         ("CLASSIFIER_VECTORS", classifier_vectors(classes)),
@@ -141,38 +138,11 @@ fn constants(classes: usize, lanes: u32) -> String {
     text
 }
 
-/// How the state of a pixel goes from lane to lane of the backward kernel.
-const WITH_SUBGROUPS: &str = "
-fn from_lane_before(state: vec2f, lane: u32) -> vec2f {
-    return subgroupShuffleUp(state, 1u);
-}
-";
-/// The same without subgroups, through workgroup memory.
-const WITHOUT_SUBGROUPS: &str = "
-var<workgroup> passed: array<vec2f, LANES>;
-fn from_lane_before(state: vec2f, lane: u32) -> vec2f {
-    passed[lane] = state;
-    workgroupBarrier();
-    let before = passed[max(lane, 1u) - 1u];
-    workgroupBarrier();
-    return before;
-}
-";
-
 /// Which form of the kernels to compile.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct KernelForm {
-    /// Pass pixels from lane to lane by subgroup operations, where the adapter has subgroups of a fixed size; through
-    /// workgroup memory otherwise.
-    pub subgroups: bool,
     /// Guard every index and every loop against running off.
     pub checked: bool,
-}
-
-impl Default for KernelForm {
-    fn default() -> Self {
-        Self { subgroups: true, checked: false }
-    }
 }
 
 /// Compiles a module without guards around indices and loops.
@@ -187,26 +157,27 @@ fn trusted_module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescripto
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }
 
-/// Lanes of the backward kernel's workgroups where there are no subgroups to follow.
-const PORTABLE_LANES: u32 = 32;
-
 impl Kernels {
     /// Compiles all kernels for a number of classes.
     pub(crate) fn new(gpu: &Gpu, classes: usize, form: KernelForm) -> Self {
-        let lanes = gpu.summary.lanes.filter(|_| form.subgroups);
         let step_layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
             entries: &[entry(0, Slot::Uniform, true), entry(1, Slot::Read, false)],
         });
-        let constants = constants(classes, lanes.unwrap_or(PORTABLE_LANES));
-        let passing = if lanes.is_some() { WITH_SUBGROUPS } else { WITHOUT_SUBGROUPS };
+        let constants = constants(classes);
+        let class_vectors = classes.div_ceil(4);
+        let counts = [
+            ("CLASSES", classes),
+            ("PADDED", 4 * class_vectors),
+            ("PARTS2", (8 * class_vectors * split_of(classes) as usize).div_ceil(64)),
+        ];
         let kernel = |name: &'static str, slots: &[Slot], sources: &[&str]| {
             let common = include_str!("shaders/common.wgsl");
             let text = [constants.as_str(), common].into_iter().chain(sources.iter().copied());
             let text: Vec<&str> = text.collect();
             let descriptor = wgpu::ShaderModuleDescriptor {
                 label: Some(name),
-                source: wgpu::ShaderSource::Wgsl(text.join("\n").replace("//PASS_STATE//", passing).into()),
+                source: wgpu::ShaderSource::Wgsl(unroll(&text.join("\n"), &counts).into()),
             };
             let module = if form.checked {
                 gpu.device.create_shader_module(descriptor)
@@ -267,7 +238,6 @@ impl Kernels {
             maps: kernel("maps", &[R, R, R, R, R, Uniform, W], &[alpha, include_str!("shaders/maps.wgsl")]),
             compact: kernel("compact", &[R, R, R, R, W, W, W], &[include_str!("shaders/compact.wgsl")]),
             finish_groups: classifier_vectors(classes) / 2 + STATS as u32 - 1,
-            backward_tiles: 2,
             step_layout,
         }
     }

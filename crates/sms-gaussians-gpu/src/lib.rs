@@ -11,6 +11,7 @@ mod store;
 mod target;
 mod trainer;
 mod uniforms;
+mod unroll;
 mod work;
 
 pub use check::{SelfCheck, checked_trainer, self_check};

@@ -48,12 +48,7 @@ pub(crate) fn of_step<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) ->
     if step.segmented() {
         all.push(dispatch("segment", &kernels.segment, &b.segment, [segment_groups(step), 1]));
     }
-    all.push(dispatch(
-        "backward",
-        &kernels.backward,
-        &b.backward,
-        spread(step.tiles().div_ceil(kernels.backward_tiles)),
-    ));
+    all.push(dispatch("backward", &kernels.backward, &b.backward, spread(step.tiles())));
     all.push(dispatch("reduce", &kernels.reduce, &b.reduce, [(8 * step.counts[0]).div_ceil(256), 1]));
     all.push(dispatch("update", &kernels.update, &b.update, gaussians));
     all.push(dispatch("finish", &kernels.finish, &b.finish, [kernels.finish_groups, 1]));

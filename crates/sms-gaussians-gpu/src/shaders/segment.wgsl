@@ -22,7 +22,6 @@ const CLASS_VECTORS = (CLASSES + 3u) / 4u;
 // products. Blocks of the second layer, parts of the pixels that each is split into, and blocks of a lane.
 const BLOCKS2 = 8u * CLASS_VECTORS;
 const SPLIT2 = SPLIT_OF_CLASSES;
-const PARTS2 = (BLOCKS2 * SPLIT2 + 63u) / 64u;
 // Pixel by pixel, one vector of padding against bank conflicts. First hidden and ∂L/∂logits, then affinity and
 // ∂L/∂hidden.
 const STRIDE = HIDDEN + max(CLASS_VECTORS, 8u) + 1u;
@@ -30,17 +29,24 @@ var<workgroup> staged: array<vec4f, 64u * STRIDE>;
 var<workgroup> sums: array<f32, 64>;
 var<workgroup> labelled: atomic<u32>;
 
-fn bias2(k: u32) -> f32 { return classifier[B2 + k / 4u][k % 4u]; }
+// A row of the first layer with the affinity; a row of the second with the hidden layer.
+fn row1(at: u32, x0: vec4f, x1: vec4f, x2: vec4f, x3: vec4f) -> f32 {
+    return dot(classifier[at], x0) + dot(classifier[at + 1u], x1) + dot(classifier[at + 2u], x2)
+        + dot(classifier[at + 3u], x3);
+}
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
-    var d_w1: array<vec4f, 4>;
+    //unroll r 4
+    var d_w1_$r = vec4f();
+    //end
     var d_b1 = vec4f();
-    var d_w2: array<vec4f, 4u * PARTS2>;
-    var d_b2: array<vec4f, PARTS2>;
-    for (var i = 0u; i < 4u; i++) { d_w1[i] = vec4f(); }
-    for (var i = 0u; i < 4u * PARTS2; i++) { d_w2[i] = vec4f(); }
-    for (var i = 0u; i < PARTS2; i++) { d_b2[i] = vec4f(); }
+    //unroll part PARTS2
+    //unroll r 4
+    var d_w2_$part_$r = vec4f();
+    //end
+    var d_b2_$part = vec4f();
+    //end
     // Block of the first layer: four hidden values by four of affinity, half of the pixels.
     let block1 = lane % 32u;
     let from1 = 32u * (lane / 32u);
@@ -61,129 +67,145 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         let o = tile * 6u * TILE_PIXELS + lane + 2u * TILE_PIXELS;
         let any_used = workgroupUniformLoad(&labelled) != 0u;
         if (!any_used) {
-            for (var q = 0u; q < 4u; q++) { gradient[o + q * TILE_PIXELS] = vec4f(); }
+            //unroll q 4
+            gradient[o + $qu * TILE_PIXELS] = vec4f();
+            //end
             continue;
         }
-        var x: array<vec4f, 4>;
-        for (var q = 0u; q < 4u; q++) { x[q] = image[o + q * TILE_PIXELS]; }
-        var h: array<vec4f, 8>;
-        for (var j = 0u; j < 8u; j++) {
-            var v = classifier[B1 + j];
-            for (var i = 0u; i < 4u; i++) {
-                let w = 16u * j + 4u * i;
-                v[i] += dot(classifier[w], x[0]) + dot(classifier[w + 1u], x[1])
-                    + dot(classifier[w + 2u], x[2]) + dot(classifier[w + 3u], x[3]);
-            }
-            h[j] = max(v, vec4f(0.0));
-        }
-        var p: array<f32, 4u * CLASS_VECTORS>;
+        let mine = STRIDE * lane;
+        //unroll q 4
+        let x$q = image[o + $qu * TILE_PIXELS];
+        //end
+        //unroll j 8
+        let h$j = max(classifier[B1 + $ju] + vec4f(
+            row1(16u * $ju, x0, x1, x2, x3),
+            row1(16u * $ju + 4u, x0, x1, x2, x3),
+            row1(16u * $ju + 8u, x0, x1, x2, x3),
+            row1(16u * $ju + 12u, x0, x1, x2, x3),
+        ), vec4f(0.0));
+        staged[mine + $ju] = h$j;
+        //end
         var largest = -3.0e38;
         var own = 0.0;
-        for (var k = 0u; k < CLASSES; k++) {
-            var logit = bias2(k);
-            for (var j = 0u; j < 8u; j++) { logit += dot(classifier[W2 + 8u * k + j], h[j]); }
-            p[k] = logit;
-            largest = max(largest, logit);
-            own = select(own, logit, k == label);
-        }
+        //unroll k CLASSES
+        var p$k = classifier[B2 + $ku / 4u][$ku % 4u];
+        //unroll j 8
+        p$k += dot(classifier[W2 + 8u * $ku + $ju], h$j);
+        //end
+        largest = max(largest, p$k);
+        own = select(own, p$k, $ku == label);
+        //end
         var sum = 0.0;
-        for (var k = 0u; k < CLASSES; k++) {
-            p[k] = exp2((p[k] - largest) * LOG2_E);
-            sum += p[k];
-        }
+        //unroll k CLASSES
+        p$k = exp2((p$k - largest) * LOG2_E);
+        sum += p$k;
+        //end
         if (used) { loss += log2(sum) * LN_2 + largest - own; }
         let scale = select(0.0, u.pixel_weights.w, used);
         let factor = scale / sum;
-        var dh: array<vec4f, 8>;
-        for (var j = 0u; j < 8u; j++) { dh[j] = vec4f(); }
-        for (var k = 0u; k < CLASSES; k++) {
-            let d = p[k] * factor - select(0.0, scale, k == label);
-            p[k] = d;
-            for (var j = 0u; j < 8u; j++) { dh[j] += d * classifier[W2 + 8u * k + j]; }
-        }
-        for (var k = CLASSES; k < 4u * CLASS_VECTORS; k++) { p[k] = 0.0; }
-        var dx0 = vec4f(); var dx1 = vec4f(); var dx2 = vec4f(); var dx3 = vec4f();
-        for (var j = 0u; j < 8u; j++) {
-            dh[j] = select(vec4f(0.0), dh[j], h[j] > vec4f(0.0));
-            for (var i = 0u; i < 4u; i++) {
-                let w = 16u * j + 4u * i;
-                let d = dh[j][i];
-                dx0 += d * classifier[w];
-                dx1 += d * classifier[w + 1u];
-                dx2 += d * classifier[w + 2u];
-                dx3 += d * classifier[w + 3u];
-            }
-        }
-        gradient[o] = dx0;
-        gradient[o + TILE_PIXELS] = dx1;
-        gradient[o + 2u * TILE_PIXELS] = dx2;
-        gradient[o + 3u * TILE_PIXELS] = dx3;
-
-        let mine = STRIDE * lane;
-        for (var j = 0u; j < 8u; j++) { staged[mine + j] = h[j]; }
-        for (var q = 0u; q < CLASS_VECTORS; q++) {
-            staged[mine + HIDDEN + q] = vec4f(p[4u * q], p[4u * q + 1u], p[4u * q + 2u], p[4u * q + 3u]);
-        }
+        //unroll j 8
+        var dh$j = vec4f();
+        //end
+        //unroll k PADDED
+        staged[mine + HIDDEN + $ku / 4u][$ku % 4u] = 0.0;
+        //end
+        //unroll k CLASSES
+        p$k = p$k * factor - select(0.0, scale, $ku == label);
+        staged[mine + HIDDEN + $ku / 4u][$ku % 4u] = p$k;
+        //unroll j 8
+        dh$j += p$k * classifier[W2 + 8u * $ku + $ju];
+        //end
+        //end
+        //unroll q 4
+        var dx$q = vec4f();
+        //end
+        //unroll j 8
+        dh$j = select(vec4f(0.0), dh$j, h$j > vec4f(0.0));
+        //unroll q 4
+        dx$q += dh$j.x * classifier[16u * $ju + $qu] + dh$j.y * classifier[16u * $ju + 4u + $qu]
+            + dh$j.z * classifier[16u * $ju + 8u + $qu] + dh$j.w * classifier[16u * $ju + 12u + $qu];
+        //end
+        //end
+        //unroll q 4
+        gradient[o + $qu * TILE_PIXELS] = dx$q;
+        //end
         workgroupBarrier();
-        for (var part = 0u; part < PARTS2; part++) {
-            let e = lane + 64u * part;
+        //unroll part PARTS2
+        {
+            let e = lane + 64u * $partu;
             if (e < BLOCKS2 * SPLIT2) {
                 let block = e % BLOCKS2;
                 let from2 = (e / BLOCKS2) * (64u / SPLIT2);
                 for (var px = from2; px < from2 + 64u / SPLIT2; px++) {
                     let d = staged[px * STRIDE + HIDDEN + block / 8u];
                     let v = staged[px * STRIDE + block % 8u];
-                    for (var r = 0u; r < 4u; r++) { d_w2[4u * part + r] += d[r] * v; }
-                    d_b2[part] += d;
+                    d_w2_$part_0 += d.x * v;
+                    d_w2_$part_1 += d.y * v;
+                    d_w2_$part_2 += d.z * v;
+                    d_w2_$part_3 += d.w * v;
+                    d_b2_$part += d;
                 }
             }
         }
+        //end
         workgroupBarrier();
-        for (var q = 0u; q < 4u; q++) { staged[mine + q] = x[q]; }
-        for (var j = 0u; j < 8u; j++) { staged[mine + HIDDEN + j] = dh[j]; }
+        //unroll q 4
+        staged[mine + $qu] = x$q;
+        //end
+        //unroll j 8
+        staged[mine + HIDDEN + $ju] = dh$j;
+        //end
         workgroupBarrier();
         for (var px = from1; px < from1 + 32u; px++) {
             let d = staged[px * STRIDE + HIDDEN + block1 / 4u];
             let v = staged[px * STRIDE + block1 % 4u];
-            for (var r = 0u; r < 4u; r++) { d_w1[r] += d[r] * v; }
+            d_w1_0 += d.x * v;
+            d_w1_1 += d.y * v;
+            d_w1_2 += d.z * v;
+            d_w1_3 += d.w * v;
             d_b1 += d;
         }
         workgroupBarrier();
     }
     // The parts of the pixels together, in their order, by the lanes that hold the first.
     let share = 4u * CLASSIFIER_VECTORS * group.x;
-    for (var r = 0u; r < 4u; r++) { staged[5u * lane + r] = d_w1[r]; }
+    //unroll r 4
+    staged[5u * lane + $ru] = d_w1_$r;
+    //end
     staged[5u * lane + 4u] = d_b1;
     workgroupBarrier();
     if (lane < 32u) {
-        for (var r = 0u; r < 4u; r++) {
-            write_share(share + 16u * (4u * (lane / 4u) + r) + 4u * (lane % 4u), d_w1[r] + staged[5u * (lane + 32u) + r]);
-        }
+        let at = share + 64u * (lane / 4u) + 4u * (lane % 4u);
+        //unroll r 4
+        write_share(at + 16u * $ru, d_w1_$r + staged[5u * (lane + 32u) + $ru]);
+        //end
         if (lane % 4u == 0u) { write_share(share + 4u * B1 + lane, d_b1 + staged[5u * (lane + 32u) + 4u]); }
     }
-    for (var part = 0u; part < PARTS2; part++) {
-        workgroupBarrier();
-        for (var r = 0u; r < 4u; r++) { staged[5u * lane + r] = d_w2[4u * part + r]; }
-        staged[5u * lane + 4u] = d_b2[part];
-        workgroupBarrier();
-        let e = lane + 64u * part;
-        // Only undivided blocks come in several parts.
-        if (e < BLOCKS2 * SPLIT2 && (SPLIT2 == 1u || lane < BLOCKS2)) {
-            let k = 4u * (e / 8u);
-            for (var r = 0u; r < 4u; r++) {
-                var sum = d_w2[4u * part + r];
-                for (var s = 1u; s < SPLIT2; s++) { sum += staged[5u * (lane + s * BLOCKS2) + r]; }
-                if (k + r < CLASSES) { write_share(share + 4u * W2 + 32u * (k + r) + 4u * (e % 8u), sum); }
+    //unroll part PARTS2
+    workgroupBarrier();
+    //unroll r 4
+    staged[5u * lane + $ru] = d_w2_$part_$r;
+    //end
+    staged[5u * lane + 4u] = d_b2_$part;
+    workgroupBarrier();
+    // Only where a lane has one block are blocks split.
+    if (lane + 64u * $partu < BLOCKS2 && (SPLIT2 == 1u || lane < BLOCKS2)) {
+        let block = lane + 64u * $partu;
+        let k = 4u * (block / 8u);
+        for (var r = 0u; r < 5u; r++) {
+            var sum = vec4f();
+            for (var s = 0u; s < SPLIT2; s++) { sum += staged[5u * (lane + s * BLOCKS2) + r]; }
+            if (r < 4u && k + r < CLASSES) {
+                write_share(share + 4u * W2 + 32u * (k + r) + 4u * (block % 8u), sum);
             }
-            if (e % 8u == 0u) {
-                var sum = d_b2[part];
-                for (var s = 1u; s < SPLIT2; s++) { sum += staged[5u * (lane + s * BLOCKS2) + 4u]; }
-                for (var r = 0u; r < 4u; r++) {
-                    if (k + r < CLASSES) { shares[share + 4u * B2 + k + r] = sum[r]; }
+            if (r == 4u && block % 8u == 0u) {
+                for (var i = 0u; i < 4u; i++) {
+                    if (k + i < CLASSES) { shares[share + 4u * B2 + k + i] = sum[i]; }
                 }
             }
         }
     }
+    //end
     sums[lane] = loss;
     workgroupBarrier();
     for (var half = 32u; half > 0u; half /= 2u) {
