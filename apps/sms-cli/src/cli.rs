@@ -1,5 +1,6 @@
 //! The command line's shape.
 
+use crate::device::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_gaussians::Preset;
 use sms_target::TargetEngine;
@@ -82,6 +83,8 @@ pub(crate) enum Command {
     Demo(Demo),
     /// Write a small generated recording to try the commands on.
     Sample(Sample),
+    /// List what can compute a scan, with the result of each one's self-check.
+    Devices,
     /// Measure the scan on fixed scenes with exact truth.
     Bench(crate::commands::bench::Bench),
     /// Print every setting that would be in force, as a file for `--settings`.
@@ -170,6 +173,9 @@ pub(crate) struct Scan {
     /// Keep every N-th frame out of training, to measure quality on it (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
+    /// What computes: `auto` takes a GPU where there is one, `gpu` or `gpu:N` that of `sms devices`.
+    #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
+    pub device: Device,
     /// Seed of everything random.
     #[arg(long)]
     pub seed: Option<u64>,

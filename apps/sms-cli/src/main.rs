@@ -7,6 +7,7 @@ mod bars;
 mod cli;
 mod commands;
 mod context;
+mod device;
 mod failure;
 mod live;
 mod settings;
@@ -48,6 +49,7 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::View(a) => commands::view::run(context, &a),
         Command::Demo(a) => commands::demo::run(context, &a),
         Command::Sample(a) => commands::sample::run(context, &a),
+        Command::Devices => commands::devices::run(context),
         Command::Bench(a) => commands::bench::run(context, &a),
         Command::Settings(a) => commands::settings::run(context, &a),
     }

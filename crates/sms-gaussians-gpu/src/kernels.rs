@@ -222,7 +222,7 @@ impl Kernels {
             forward: kernel("forward", &[R, R, R, R, W, W], &[alpha, include_str!("shaders/forward.wgsl")]),
             ssim: kernel("ssim", &[R, W, W], &[include_str!("shaders/ssim.wgsl")]),
             loss: kernel("loss", &[R, R, W, W], &[include_str!("shaders/loss.wgsl")]),
-            segment: kernel("segment", &[R, W, Uniform, W, W, R], &[include_str!("shaders/segment.wgsl")]),
+            segment: kernel("segment", &[R, W, R, W, W, R], &[include_str!("shaders/segment.wgsl")]),
             backward: kernel(
                 "backward",
                 &[R, R, R, R, R, R, R, W],

@@ -16,7 +16,7 @@ use sms_gaussians::{
 };
 
 /// Most classes that the kernels take.
-pub const MAX_CLASSES: usize = 64;
+pub const MAX_CLASSES: usize = 48;
 
 /// Pairs of splat and tile per Gaussian that there is room for at first.
 const PAIRS_PER_GAUSSIAN: u32 = 12;

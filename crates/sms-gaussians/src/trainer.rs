@@ -106,6 +106,9 @@ pub enum TrainerError {
     /// The state was written by another version or is damaged.
     #[error("the checkpoint does not fit this program: {0}")]
     BadState(String),
+    /// The device that computes was lost or ran out of memory ([`Trainer::failure`]).
+    #[error("the device failed ({0}); run again to go on from the last checkpoint, on any device")]
+    Device(String),
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),

@@ -16,11 +16,11 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_inde
     workgroupBarrier();
     if (g < u.counts.x && atomicLoad(&control[OVERFLOWED]) == 0u) {
         let span = spans[g];
-        if (span.y > 0u || part == 1u) {
+        if (span.y > 0u || part == 3u) {
             var sum = vec4f();
             for (var i = 0u; i < span.y; i++) { sum += slots[8u * (span.x + i) + part]; }
             sums[8u * g + part] = sum;
-            if (part == 1u && sum.z > 0.0) { atomicAdd(&seen, 1u); }
+            if (part == 3u && sum.w > 0.0) { atomicAdd(&seen, 1u); }
         }
     }
     workgroupBarrier();

@@ -5,7 +5,7 @@
 @group(0) @binding(0) var<storage, read> image: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> gradient: array<vec4f>;
 // w1 [32][16], b1 [32], w2 [classes][32], b2 [classes].
-@group(0) @binding(2) var<uniform> classifier: array<vec4f, CLASSIFIER_VECTORS>;
+@group(0) @binding(2) var<storage, read> stored: array<vec4f>;
 // One row per workgroup, laid out like the classifier.
 @group(0) @binding(3) var<storage, read_write> shares: array<f32>;
 @group(0) @binding(4) var<storage, read_write> partials: array<f32>;
@@ -22,6 +22,8 @@ const CLASS_VECTORS = (CLASSES + 3u) / 4u;
 // products. Blocks of the second layer, parts of the pixels that each is split into, and blocks of a lane.
 const BLOCKS2 = 8u * CLASS_VECTORS;
 const SPLIT2 = SPLIT_OF_CLASSES;
+// The constant cache serves fewer reads than workgroup memory.
+var<workgroup> classifier: array<vec4f, CLASSIFIER_VECTORS>;
 // Pixel by pixel, one vector of padding against bank conflicts. First hidden and ∂L/∂logits, then affinity and
 // ∂L/∂hidden.
 const STRIDE = HIDDEN + max(CLASS_VECTORS, 8u) + 1u;
@@ -50,6 +52,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     // Block of the first layer: four hidden values by four of affinity, half of the pixels.
     let block1 = lane % 32u;
     let from1 = 32u * (lane / 32u);
+    for (var i = lane; i < CLASSIFIER_VECTORS; i += 64u) { classifier[i] = stored[i]; }
+    workgroupBarrier();
     var loss = 0.0;
     let tiles = u.size.z * u.size.w;
     for (var tile = group.x; tile < tiles; tile += u.groups.z) {

@@ -22,7 +22,7 @@ fn main(
     let g = id.x;
     var terms = vec2f(0.0);
     if (g < u.counts.x && control[OVERFLOWED] == 0u) {
-        if (sums[8u * g + 1u].z > 0.0) { terms = descend(g); }
+        if (sums[8u * g + 3u].w > 0.0) { terms = descend(g); }
     }
     regularizers[lane] = terms;
     workgroupBarrier();
