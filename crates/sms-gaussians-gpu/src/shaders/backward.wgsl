@@ -1,8 +1,9 @@
 // The gradient of blending without atomics (design, section 6), one tile per workgroup, a batch of splats at a time, in
-// two passes. First each lane takes two pixels and replays the blending with two numbers each, the transmittance and the
+// two passes. First each lane takes a pixel and replays the blending with two numbers, the transmittance and the
 // remainder Σ w·s of the splats still to come, and notes of each splat its weight w and v = ∂L/∂(ln α) there. Then the
 // sums over pixels are products of matrices: weights by the gradients of the pixel's channels, v by powers of the pixel's
-// coordinates; a lane sums one vector of four splats. Reads of workgroup memory are what limits both passes.
+// coordinates; a lane sums one vector of two splats. Latency is what limits the first pass: it computes
+// what does not depend on the splats before for four splats at once, without a branch.
 //
 // Every pair of splat and tile writes its own slot: the moments of v about the splat's centre (1, x, y, x²; xy, y²) and
 // ∂L/∂(record's channels and affinity), with Σ w, which is positive where the splat reaches a pixel, in the place of
@@ -17,75 +18,61 @@
 @group(0) @binding(6) var<storage, read> gradient: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> slots: array<vec4f>;
 
-const LANES = 32u;
 const BATCH = 16u;
 // One place of padding, so that rows start in different banks.
 const PIXEL_ROW = TILE_PIXELS + 1u;
 // Gradients of six vectors of channels, then two vectors of powers.
 var<workgroup> factors: array<vec4f, 8u * PIXEL_ROW>;
-// Of four splats each: rows of weights, then rows of v.
-var<workgroup> notes: array<vec4f, BATCH / 2u * PIXEL_ROW>;
+// Of two splats each: rows of weights, then rows of v.
+var<workgroup> notes: array<vec2f, BATCH * PIXEL_ROW>;
 var<workgroup> splats: array<vec4f, BATCH * 8u>;
 var<workgroup> splat_slots: array<u32, BATCH>;
 var<workgroup> moments: array<vec4f, BATCH * 2u>;
 var<workgroup> bounds: vec2u;
 
-@compute @workgroup_size(LANES)
+@compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
     let tile = group.x + group.y * MAX_GROUPS;
     if (tile >= u.size.z * u.size.w) { return; }
     let corner = tile_corner(tile);
+    let at = vec2u(lane % TILE, lane / TILE);
+    let center = vec2f(corner + at) + 0.5;
     if (lane == 0u) { bounds = vec2u(lists[tile].x, used[tile]); }
     let segmented = (u.counts.w & SEGMENTED) != 0u;
-    //unroll e 2
-    let pixel$e = lane + LANES * $eu;
-    let at$e = vec2u(pixel$e % TILE, pixel$e / TILE);
-    let center$e = vec2f(corner + at$e) + 0.5;
-    let o$e = tile * 6u * TILE_PIXELS + pixel$e;
+    let o = tile * 6u * TILE_PIXELS + lane;
     //unroll q 6
-    var g$e$q = vec4f();
+    var g$q = vec4f();
     //end
-    var left$e = 0.0;
-    var remainder$e = 0.0;
-    if (all(corner + at$e < u.size.xy)) {
-        left$e = 1.0;
-        //unroll q 2
-        g$e$q = gradient[o$e + $qu * TILE_PIXELS];
-        remainder$e += dot(g$e$q, image[o$e + $qu * TILE_PIXELS]);
-        //end
-        if (segmented) {
-            g$e2 = gradient[o$e + 2u * TILE_PIXELS];
-            remainder$e += dot(g$e2, image[o$e + 2u * TILE_PIXELS]);
-            g$e3 = gradient[o$e + 3u * TILE_PIXELS];
-            remainder$e += dot(g$e3, image[o$e + 3u * TILE_PIXELS]);
-            g$e4 = gradient[o$e + 4u * TILE_PIXELS];
-            remainder$e += dot(g$e4, image[o$e + 4u * TILE_PIXELS]);
-            g$e5 = gradient[o$e + 5u * TILE_PIXELS];
-            remainder$e += dot(g$e5, image[o$e + 5u * TILE_PIXELS]);
+    var left = 0.0;
+    var remainder = 0.0;
+    if (all(corner + at < u.size.xy)) {
+        left = 1.0;
+        //unroll q 6
+        if ($qu < 2u || segmented) {
+            g$q = gradient[o + $qu * TILE_PIXELS];
+            remainder += dot(g$q, image[o + $qu * TILE_PIXELS]);
         }
+        //end
     }
-    factors[pixel$e] = g$e0;
-    // Nobody needs the gradient of opacity's feature: Σ w takes its place.
-    factors[PIXEL_ROW + pixel$e] = vec4f(g$e1.xyz, 1.0);
-    factors[2u * PIXEL_ROW + pixel$e] = g$e2;
-    factors[3u * PIXEL_ROW + pixel$e] = g$e3;
-    factors[4u * PIXEL_ROW + pixel$e] = g$e4;
-    factors[5u * PIXEL_ROW + pixel$e] = g$e5;
-    // Coordinates about the tile's centre; sums are moved to the splats' centres afterwards.
-    let p$e = vec2f(at$e) - 3.5;
-    factors[6u * PIXEL_ROW + pixel$e] = vec4f(1.0, p$e.x, p$e.y, p$e.x * p$e.x);
-    factors[7u * PIXEL_ROW + pixel$e] = vec4f(p$e.x * p$e.y, p$e.y * p$e.y, 0.0, 0.0);
+    //unroll q 6
+    factors[$qu * PIXEL_ROW + lane] = g$q;
     //end
-    // What this lane sums: a vector of the factors, for four splats. The last two are of v.
+    // Nobody needs the gradient of opacity's feature: Σ w takes its place.
+    factors[PIXEL_ROW + lane].w = 1.0;
+    // Coordinates about the tile's centre; sums are moved to the splats' centres afterwards.
+    let p = vec2f(at) - 3.5;
+    factors[6u * PIXEL_ROW + lane] = vec4f(1.0, p.x, p.y, p.x * p.x);
+    factors[7u * PIXEL_ROW + lane] = vec4f(p.x * p.y, p.y * p.y, 0.0, 0.0);
+    // What this lane sums: a vector of the factors, for two splats. The last two are of v.
     let factor = lane % 8u;
-    let four = lane / 8u;
-    let noted = (four + select(0u, BATCH / 4u, factor >= 6u)) * PIXEL_ROW;
+    let two = lane / 8u;
+    let noted = (two + select(0u, BATCH / 2u, factor >= 6u)) * PIXEL_ROW;
 
     let list = workgroupUniformLoad(&bounds);
     let n = list.y;
     for (var base = 0u; base < n; base += BATCH) {
         let m = min(BATCH, n - base);
-        for (var i = lane; i < 8u * m; i += LANES) {
+        for (var i = lane; i < 8u * m; i += TILE_PIXELS) {
             let g = pairs[list.x + base + i / 8u].x;
             let part = i % 8u;
             if (part < 4u) { splats[i] = records[4u * g + part]; } else { splats[i] = rows[8u * g + part]; }
@@ -93,56 +80,56 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         if (lane < m) { splat_slots[lane] = pairs[list.x + base + lane].y; }
         workgroupBarrier();
         for (var k = 0u; k < BATCH; k += 4u) {
-            //unroll e 2
-            var w$e = vec4f(0.0);
-            var v$e = vec4f(0.0);
-            //end
             //unroll i 4
-            if (k + $iu < m) {
-                let s = 8u * (k + $iu);
-                let r0 = splats[s];
-                let r1 = splats[s + 1u];
-                //unroll e 2
-                let d$e = center$e - r0.xy;
-                let a$e = alpha_at(r0, r1, d$e);
-                let hit$e = a$e.enough && left$e > TRANSMITTANCE_MIN;
+            var w$i = 0.0;
+            var v$i = 0.0;
+            //end
+            if (k < m && left > TRANSMITTANCE_MIN) {
+                //unroll i 4
+                let s$i = 8u * (k + $iu);
+                let r$i = splats[s$i + 1u];
+                let d$i = center - splats[s$i].xy;
+                let a$i = alpha_at(splats[s$i], r$i, d$i);
+                let ok$i = a$i.enough && k + $iu < m;
+                let score$i = select(
+                    0.0,
+                    (dot(g0, splats[s$i + 2u]) + dot(g1, splats[s$i + 3u]))
+                        + (dot(g2, splats[s$i + 4u]) + dot(g3, splats[s$i + 5u]))
+                        + (dot(g4, splats[s$i + 6u]) + dot(g5, splats[s$i + 7u]))
+                        + g0.w * (r$i.z * d$i.x + r$i.w * d$i.y),
+                    ok$i,
+                );
+                let odds$i = a$i.value / (1.0 - a$i.value);
                 //end
-                if (hit0 || hit1) {
-                    //unroll q 6
-                    let f$q = splats[s + 2u + $qu];
-                    //end
-                    //unroll e 2
-                    let score$e = (dot(g$e0, f0) + dot(g$e1, f1)) + (dot(g$e2, f2) + dot(g$e3, f3))
-                        + (dot(g$e4, f4) + dot(g$e5, f5)) + g$e0.w * (r1.z * d$e.x + r1.w * d$e.y);
-                    let weight$e = select(0.0, a$e.value * left$e, hit$e);
-                    remainder$e -= weight$e * score$e;
-                    left$e -= weight$e;
-                    let slope$e = weight$e * score$e - remainder$e * a$e.value / (1.0 - a$e.value);
-                    w$e[$i] = weight$e;
-                    v$e[$i] = select(0.0, slope$e, hit$e && a$e.free);
-                    //end
-                }
+                //unroll i 4
+                w$i = select(0.0, a$i.value * left, ok$i && left > TRANSMITTANCE_MIN);
+                remainder -= w$i * score$i;
+                left -= w$i;
+                v$i = select(0.0, w$i * score$i - remainder * odds$i, w$i > 0.0 && a$i.free);
+                //end
             }
-            //end
-            //unroll e 2
-            notes[k / 4u * PIXEL_ROW + pixel$e] = w$e;
-            notes[(BATCH + k) / 4u * PIXEL_ROW + pixel$e] = v$e;
-            //end
+            let row = k / 2u * PIXEL_ROW + lane;
+            notes[row] = vec2f(w0, w1);
+            notes[row + PIXEL_ROW] = vec2f(w2, w3);
+            notes[row + BATCH / 2u * PIXEL_ROW] = vec2f(v0, v1);
+            notes[row + (BATCH / 2u + 1u) * PIXEL_ROW] = vec2f(v2, v3);
         }
         workgroupBarrier();
-        //unroll i 4
-        var sum$i = vec4f();
-        //end
-        for (var px = 0u; px < TILE_PIXELS; px++) {
-            let f = factors[factor * PIXEL_ROW + px];
-            let by = notes[noted + px];
+        var sum0 = vec4f();
+        var sum1 = vec4f();
+        for (var px = 0u; px < TILE_PIXELS; px += 4u) {
             //unroll i 4
-            sum$i += by[$i] * f;
+            let f$i = factors[factor * PIXEL_ROW + px + $iu];
+            let by$i = notes[noted + px + $iu];
+            //end
+            //unroll i 4
+            sum0 += by$i.x * f$i;
+            sum1 += by$i.y * f$i;
             //end
         }
-        //unroll i 4
+        //unroll i 2
         {
-            let k = 4u * four + $iu;
+            let k = 2u * two + $iu;
             if (factor >= 6u) {
                 moments[2u * k + factor - 6u] = sum$i;
             } else if (k < m) {
@@ -169,7 +156,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     }
     // What lies beyond the last splat that reaches a pixel.
     let whole = lists[tile].y;
-    for (var i = 8u * n + lane; i < 8u * whole; i += LANES) {
+    for (var i = 8u * n + lane; i < 8u * whole; i += TILE_PIXELS) {
         slots[8u * pairs[list.x + i / 8u].y + i % 8u] = vec4f();
     }
 }
