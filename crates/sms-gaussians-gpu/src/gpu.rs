@@ -110,6 +110,8 @@ pub(crate) struct Gpu {
     /// Nanoseconds of a timestamp's unit, where the device has timestamps.
     pub(crate) timestamp_ns: Option<f32>,
     failure: Failure,
+    /// What the host reads through, kept: its pages are mapped once.
+    reading: Mutex<Option<wgpu::Buffer>>,
 }
 
 fn note(failure: &Failure, text: String) {
@@ -175,7 +177,7 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&uncaptured, error.to_string())));
         let timestamp_ns =
             features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
-        Ok(Self { device, queue, summary, limits, timestamp_ns, failure })
+        Ok(Self { device, queue, summary, limits, timestamp_ns, failure, reading: Mutex::default() })
     }
 
     /// What went wrong first, if anything did. Nothing that the device holds is to be believed afterwards.
@@ -221,7 +223,7 @@ impl Gpu {
     pub(crate) fn staging(&self, bytes: u64) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("staging"),
-            size: bytes.next_multiple_of(8).max(8),
+            size: bytes.next_multiple_of(16).max(16),
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         })
@@ -249,15 +251,19 @@ impl Gpu {
     /// The first `bytes` of each buffer; `None` after a failure.
     pub(crate) fn read(&self, parts: &[(&wgpu::Buffer, u64)]) -> Option<Vec<Vec<u8>>> {
         let total: u64 = parts.iter().map(|(_, bytes)| bytes).sum();
-        let staging = self.staging(total);
+        let mut kept = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.as_ref().is_none_or(|buffer| buffer.size() < total) {
+            *kept = Some(self.staging(total + total / 4));
+        }
+        let staging = kept.as_ref()?;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut at = 0;
         for (buffer, bytes) in parts.iter().filter(|(_, bytes)| *bytes > 0) {
-            encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, *bytes);
+            encoder.copy_buffer_to_buffer(buffer, 0, staging, at, *bytes);
             at += bytes;
         }
         self.queue.submit([encoder.finish()]);
-        let all = self.read_staging(&staging, total)?;
+        let all = self.read_staging(staging, total)?;
         let mut rest = &all[..];
         let split = |(_, bytes): &(&wgpu::Buffer, u64)| {
             let (part, after) = rest.split_at(*bytes as usize);

@@ -64,6 +64,7 @@ pub(crate) struct Kernels {
     pub(crate) finish: Kernel,
     pub(crate) maps: Kernel,
     pub(crate) compact: Kernel,
+    pub(crate) places: Kernel,
     /// Workgroups that end a step.
     pub(crate) finish_groups: u32,
 }
@@ -237,6 +238,7 @@ impl Kernels {
             finish: kernel("finish", &[R, R, W, W, R, W, W], &[adam, include_str!("shaders/finish.wgsl")]),
             maps: kernel("maps", &[R, R, R, R, R, Uniform, W], &[alpha, include_str!("shaders/maps.wgsl")]),
             compact: kernel("compact", &[R, R, R, R, W, W, W], &[include_str!("shaders/compact.wgsl")]),
+            places: kernel("places", &[R, W], &[include_str!("shaders/places.wgsl")]),
             finish_groups: classifier_vectors(classes) / 2 + STATS as u32 - 1,
             step_layout,
         }

@@ -140,12 +140,6 @@ impl Store {
         gpu.queue.write_buffer(&self.control, 0, bytemuck::cast_slice(&control));
     }
 
-    /// The parameters of all Gaussians without moments; `None` after a failure.
-    pub(crate) fn read_rows(&self, gpu: &Gpu) -> Option<Vec<Row>> {
-        let bytes = gpu.read(&[(&self.rows, self.count as u64 * ROW_BYTES)])?.remove(0);
-        Some(rows_of(&bytes))
-    }
-
     /// The whole state; `None` after a failure.
     pub(crate) fn read(&self, gpu: &Gpu) -> Option<Parameters> {
         let n = self.count as u64;

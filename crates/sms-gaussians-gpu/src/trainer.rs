@@ -1,7 +1,7 @@
 //! [`GpuTrainer`]: the back end of the scan on a GPU.
 
 use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
-use crate::kernels::{KernelForm, Kernels};
+use crate::kernels::{GAUSSIANS, Kernel, KernelForm, Kernels};
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::Target;
@@ -9,7 +9,7 @@ use crate::uniforms::{STRIDE, Step};
 use crate::work::{BATCH, Room, STATS, Work, bind};
 use glamx::Vec3;
 use sms_core::{Camera, Seed};
-use sms_gaussians::parameters::{LOGIT_OPACITY, POSITION, Parameters, Row, sigmoid};
+use sms_gaussians::parameters::{Parameters, Row, sigmoid};
 use sms_gaussians::{
     Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
     TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
@@ -294,8 +294,37 @@ impl GpuTrainer {
         Some((control[OVERFLOWED] == 0).then(|| bytemuck::pod_collect_to_vec(&maps)))
     }
 
-    fn rows(&self) -> Vec<Row> {
-        self.store.read_rows(&self.gpu).unwrap_or_else(|| vec![Row::ZERO; self.store.count])
+    /// Runs a kernel over the Gaussians that there are, apart from any step.
+    fn run_over(&self, kernel: &Kernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
+        let Self { gpu, kernels, work, nothing, .. } = self;
+        let buffers = bind(gpu, kernel, buffers);
+        let view = work.bind_view(gpu, kernels, nothing);
+        let step = Step { counts: [count, 0, 0, 0], ..Step::default() };
+        gpu.queue.write_buffer(&work.uniforms, 0, bytemuck::bytes_of(&step));
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&kernel.pipeline);
+            pass.set_bind_group(0, &buffers, &[]);
+            pass.set_bind_group(1, &view, &[0]);
+            pass.dispatch_workgroups(groups, 1, 1);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Positions and logits of the opacities; zeros after a failure.
+    fn places(&self) -> Vec<[f32; 4]> {
+        let count = self.store.count;
+        if count == 0 {
+            return Vec::new();
+        }
+        let places = self.gpu.buffer("places", 16 * count as u64, wgpu::BufferUsages::empty());
+        let groups = (count as u32).div_ceil(GAUSSIANS);
+        self.run_over(&self.kernels.places, &[&self.store.rows, &places], count as u32, groups);
+        match self.gpu.read(&[(&places, 16 * count as u64)]) {
+            Some(bytes) => bytemuck::pod_collect_to_vec(&bytes[0]),
+            None => vec![[0.0; 4]; count],
+        }
     }
 
     /// The whole state; zeros after a failure.
@@ -373,21 +402,10 @@ impl Trainer for GpuTrainer {
         let [rows, moments, steps] = Store::fresh(&self.gpu, self.store.capacity);
         if !kept.is_empty() {
             let indices = self.gpu.upload("kept", bytemuck::cast_slice(&kept), wgpu::BufferUsages::STORAGE);
-            let Self { gpu, kernels, store, work, nothing, .. } = &*self;
+            let store = &self.store;
             let from = [&indices, &store.rows, &store.moments, &store.steps, &rows, &moments, &steps];
-            let buffers = bind(gpu, &kernels.compact, &from);
-            let view = work.bind_view(gpu, kernels, nothing);
-            let step = Step { counts: [kept.len() as u32, 0, 0, 0], ..Step::default() };
-            gpu.queue.write_buffer(&work.uniforms, 0, bytemuck::bytes_of(&step));
-            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(&kernels.compact.pipeline);
-                pass.set_bind_group(0, &buffers, &[]);
-                pass.set_bind_group(1, &view, &[0]);
-                pass.dispatch_workgroups((8 * kept.len() as u32).div_ceil(256), 1, 1);
-            }
-            gpu.queue.submit([encoder.finish()]);
+            let count = kept.len() as u32;
+            self.run_over(&self.kernels.compact, &from, count, (8 * count).div_ceil(256));
         }
         (self.store.rows, self.store.moments, self.store.steps) = (rows, moments, steps);
         self.store.count = kept.len();
@@ -448,11 +466,11 @@ impl Trainer for GpuTrainer {
     }
 
     fn opacities(&self) -> Vec<f32> {
-        self.rows().iter().map(|r| sigmoid(r.0[LOGIT_OPACITY])).collect()
+        self.places().iter().map(|place| sigmoid(place[3])).collect()
     }
 
     fn positions_w(&self) -> Vec<Vec3> {
-        self.rows().iter().map(|r| Vec3::from_slice(&r.0[POSITION..])).collect()
+        self.places().iter().map(|place| Vec3::from_slice(&place[..3])).collect()
     }
 
     fn classifier(&self) -> Classifier {

@@ -232,7 +232,11 @@ impl Schedule<'_> {
                 losses: std::mem::take(&mut self.place.losses),
                 ..Place::default()
             };
-            self.save()?;
+            // On a GPU frames are done faster than the state is read back and written.
+            let recent = self.saved.elapsed().as_secs_f64() < (0.2 * self.config.checkpoint_seconds).min(1.0);
+            if !recent || self.place.slot > slots {
+                self.save()?;
+            }
         }
         Ok(())
     }
