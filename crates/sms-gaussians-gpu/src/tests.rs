@@ -341,7 +341,7 @@ fn any_number_of_classes_has_the_same_gradients() {
         return;
     };
     let config = TrainConfig { rates: LearningRates::default().scaled(0.0), ..TrainConfig::default() };
-    for classes in [1, 2, 8, 13, 33, 48] {
+    for classes in [1, 9, 33] {
         let mut cpu = CpuTrainer::new(&config, classes, SEED);
         let mut gpu = GpuTrainer::new(&config, classes, SEED, choice).unwrap();
         for trainer in [&mut cpu as &mut dyn Trainer, &mut gpu] {
