@@ -40,8 +40,7 @@ impl SelfCheck {
         if self.gradient.p999 > GRADIENT_MOST {
             return Some(format!("gradients: {}", self.gradient));
         }
-        // Not `>`: a loss that is not a number is a fault.
-        if !(self.loss <= LOSS_MOST) {
+        if self.loss.is_nan() || self.loss > LOSS_MOST {
             return Some(format!("the loss after {STEPS} steps: {:.2} %", 1e2 * self.loss));
         }
         None
