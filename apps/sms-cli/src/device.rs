@@ -34,6 +34,7 @@ impl std::str::FromStr for Device {
 }
 
 /// A GPU was asked for that this program cannot use.
+#[cfg(not(feature = "gpu"))]
 pub(crate) fn without_gpu() -> InputError {
     InputError::new(
         "this program was built without GPUs",
