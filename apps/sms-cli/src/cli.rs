@@ -1,5 +1,6 @@
 //! The command line's shape.
 
+use crate::device::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_gaussians::Preset;
 use sms_target::TargetEngine;
@@ -84,6 +85,8 @@ pub(crate) enum Command {
     Sample(Sample),
     /// Write a full-size generated recording: any scene of a family, as the simulated camera sees it.
     Synth(Synth),
+    /// List what can compute a scan, with the result of each one's self-check.
+    Devices,
     /// Measure the scan on fixed scenes with exact truth.
     Bench(crate::commands::bench::Bench),
     /// Look at a run's masks: its objects, and with --preview the annotated first frame.
@@ -236,6 +239,9 @@ pub(crate) struct Scan {
     /// Keep every N-th frame out of training, to measure quality on it (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
+    /// What computes: `auto` takes a GPU where there is one, `gpu` or `gpu:N` that of `sms devices`.
+    #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
+    pub device: Device,
     /// Seed of everything random.
     #[arg(long)]
     pub seed: Option<u64>,

@@ -7,6 +7,7 @@ mod bars;
 mod cli;
 mod commands;
 mod context;
+mod device;
 mod failure;
 mod live;
 mod settings;
@@ -49,6 +50,7 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::Demo(a) => commands::demo::run(context, &a),
         Command::Sample(a) => commands::sample::run(context, &a),
         Command::Synth(a) => commands::synth::run(context, &a),
+        Command::Devices => commands::devices::run(context),
         Command::Bench(a) => commands::bench::run(context, &a),
         Command::Masks(a) => commands::masks::run(context, &a),
         Command::Models(a) => commands::models::run(context, &a),

@@ -101,7 +101,7 @@ pub use process::{cpu_seconds, peak_bytes, thread_cpu_seconds};
 pub use rebound::{StatueMaterial, rebound_scene, run_rebound};
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
-pub use run::{Yardstick, run_scene};
+pub use run::{Yardstick, run_scene, run_scene_with};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,
     select_models, select_scenes, truth_scene,

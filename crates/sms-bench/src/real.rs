@@ -10,7 +10,7 @@ use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, Seed, Warnings};
 use sms_entities::build_entities;
-use sms_gaussians::{CpuTrainer, GaussianModel, Trainer};
+use sms_gaussians::{GaussianModel, Trainer};
 use sms_report::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub(crate) fn real_metrics(
     prepared: &Prepared,
     options: &BenchOptions,
     model: &GaussianModel,
-    trainer: &mut CpuTrainer,
+    trainer: &mut dyn Trainer,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,

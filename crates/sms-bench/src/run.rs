@@ -20,7 +20,7 @@ use serde::Serialize;
 use sms_core::metrics::Metrics;
 use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, Warnings, atomic};
 use sms_entities::build_entities;
-use sms_gaussians::{CpuTrainer, GaussianModel, Trainer, scan};
+use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer, scan};
 use sms_report::sample_surface;
 use std::path::Path;
 
@@ -43,6 +43,35 @@ pub fn run_scene(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<Option<Metrics>, BenchError> {
+    let cpu = |train: &TrainConfig, classes, seed| Ok(CpuTrainer::new(train, classes, seed));
+    let figures = |prefix: &str, trainer: &mut CpuTrainer, prepared: &Prepared| {
+        let mut metrics = step_shares(prefix, &trainer.times());
+        if options.steps {
+            let k = &prepared.sequence.frames[0].camera.intrinsics;
+            if let Some(ms) = fixed_step_cpu_ms(&options.scan.train, k.width, k.height) {
+                metrics.set(format!("{prefix}step_cpu_ms"), ms);
+            }
+        }
+        metrics
+    };
+    run_scene_with(scene, options, dir, cpu, figures, progress, cancel, warnings)
+}
+
+/// [`run_scene`] on another back end: `make` makes its trainer, and `figures` measures at the end, when all else is
+/// measured, what is the back end's own under the given prefix.
+///
+/// # Errors
+/// [`BenchError`] of the stage that failed.
+pub fn run_scene_with<T: Trainer>(
+    scene: &BenchScene,
+    options: &BenchOptions,
+    dir: &Path,
+    make: impl FnOnce(&TrainConfig, usize, Seed) -> Result<T, BenchError>,
+    figures: impl FnOnce(&str, &mut T, &Prepared) -> Metrics,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Option<Metrics>, BenchError> {
     let Some(prepared) = prepare(scene, options, progress, cancel, warnings)? else { return Ok(None) };
     let prefix = format!("bench.scan.{scene}.");
     let work = dir.join("scan");
@@ -52,8 +81,8 @@ pub fn run_scene(
     }
     std::fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
 
+    let mut trainer = make(&options.scan.train, prepared.labels.class_count(), SCAN_SEED)?;
     let timer = Timer::start();
-    let mut trainer = CpuTrainer::new(&options.scan.train, prepared.labels.class_count(), SCAN_SEED);
     let result = scan(
         &prepared.sequence,
         &prepared.labels,
@@ -93,19 +122,13 @@ pub fn run_scene(
     if scan_seconds.1.is_finite() {
         metrics.set(format!("{prefix}scan_step_cpu_ms"), 1e3 * scan_seconds.1 / steps.max(1.0));
     }
-    metrics.merge(step_shares(&prefix, &trainer.times()));
-    if options.steps {
-        let k = &prepared.sequence.frames[0].camera.intrinsics;
-        if let Some(ms) = fixed_step_cpu_ms(&options.scan.train, k.width, k.height) {
-            metrics.set(format!("{prefix}step_cpu_ms"), ms);
-        }
-    }
     let measured = if prepared.truth.is_some() {
         measure(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel, warnings)?
     } else {
         real_metrics(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel)?
     };
     metrics.merge(measured);
+    metrics.merge(figures(&prefix, &mut trainer, &prepared));
     metrics.save(&dir.join("metrics.json"))?;
     Ok(Some(metrics))
 }
@@ -157,7 +180,7 @@ fn measure(
     prepared: &Prepared,
     options: &BenchOptions,
     model: &GaussianModel,
-    trainer: &mut CpuTrainer,
+    trainer: &mut dyn Trainer,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
@@ -311,7 +334,7 @@ fn alignment(
 fn rendered_points(
     prepared: &Prepared,
     options: &BenchOptions,
-    trainer: &mut CpuTrainer,
+    trainer: &mut dyn Trainer,
     x_tw: &DPose3,
 ) -> Vec<LabelledPoint> {
     let mut points = Vec::new();

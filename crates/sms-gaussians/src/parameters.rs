@@ -189,7 +189,14 @@ impl Parameters {
         }
         bytes.extend(self.steps.iter().flat_map(|v| v.to_le_bytes()));
         for rows in [&self.rows, &self.first, &self.second] {
-            bytes.extend(rows.iter().flat_map(|r| &r.0[..PARAMETERS]).flat_map(|v| v.to_le_bytes()));
+            for row in rows {
+                // Whole rows at a time: number by number took 60 ms for 75 000 Gaussians.
+                let mut row_bytes = [0; 4 * PARAMETERS];
+                for (to, value) in row_bytes.as_chunks_mut::<4>().0.iter_mut().zip(&row.0[..PARAMETERS]) {
+                    *to = value.to_le_bytes();
+                }
+                bytes.extend_from_slice(&row_bytes);
+            }
         }
         TrainState { bytes }
     }

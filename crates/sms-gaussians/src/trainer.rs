@@ -106,6 +106,9 @@ pub enum TrainerError {
     /// The state was written by another version or is damaged.
     #[error("the checkpoint does not fit this program: {0}")]
     BadState(String),
+    /// The device that computes was lost or ran out of memory ([`Trainer::failure`]).
+    #[error("the device failed ({0}); run again to go on from the last checkpoint, on any device")]
+    Device(String),
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),
@@ -153,4 +156,9 @@ pub trait Trainer: Send {
     /// # Errors
     /// [`TrainerError::BadState`].
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
+    /// What the device failed with, if it did: it was lost, or ran out of memory. Nothing that the trainer returns
+    /// afterwards means anything.
+    fn failure(&self) -> Option<String> {
+        None
+    }
 }

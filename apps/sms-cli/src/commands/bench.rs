@@ -2,6 +2,7 @@
 
 use super::bench_billiards::{self, BenchBilliards};
 use super::bench_engines::{self, BenchEngines};
+use super::bench_gpu;
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_merge::{self, BenchMerge};
 use super::bench_optimisers::{self, BenchOptimisers};
@@ -12,6 +13,7 @@ use super::settings::poses_defaults;
 use super::shown;
 use crate::cli::{PresetName, RefinePoses};
 use crate::context::Context;
+use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use sms_bench::{
@@ -94,6 +96,9 @@ pub(crate) struct BenchScan {
     /// Refine poses before masks and scan.
     #[arg(long, value_enum, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
+    /// What computes the scan; `auto` here means the CPU, so that figures stay comparable.
+    #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
+    pub device: Device,
     /// Neither make nor measure meshes.
     #[arg(long)]
     pub no_meshes: bool,
@@ -149,7 +154,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
 fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
     let options = options(context, a)?;
     if let (Some(id), Some(dir)) = (&a.child, &a.child_dir) {
-        return run_child(context, &id.parse()?, &options, dir);
+        return run_child(context, &id.parse()?, &options, a.device, dir);
     }
     let baseline = a.compare.as_deref().map(read_baseline).transpose()?;
     let scenes = if a.seed_list.is_empty() {
@@ -325,10 +330,16 @@ fn run_child(
     context: &Context,
     scene: &BenchScene,
     options: &BenchOptions,
+    device: Device,
     dir: &Path,
 ) -> anyhow::Result<()> {
     let warnings = Warnings::new();
-    run_scene(scene, options, dir, context.progress.as_ref(), &context.cancel, &warnings)?;
+    match device {
+        Device::Auto | Device::Cpu => {
+            run_scene(scene, options, dir, context.progress.as_ref(), &context.cancel, &warnings)?;
+        }
+        Device::Gpu(index) => bench_gpu::run(context, scene, options, index, dir, &warnings)?,
+    }
     for w in warnings.snapshot() {
         eprintln!("warning: {scene}: {}", w.message);
     }

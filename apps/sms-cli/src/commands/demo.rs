@@ -46,6 +46,7 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         up: None,
         refine_poses: None,
         no_check: false,
+        device: crate::device::Device::Auto,
         live: a.live.clone(),
     };
     drop(scan::run(context, &scan_arguments)?);

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 mod bench_billiards;
 mod bench_engines;
+mod bench_gpu;
 mod bench_materialize;
 mod bench_merge;
 mod bench_optimisers;
@@ -11,6 +12,7 @@ mod bench_plan;
 mod bench_scenes;
 pub(crate) mod check;
 pub(crate) mod demo;
+pub(crate) mod devices;
 pub(crate) mod evaluate;
 pub(crate) mod execute;
 pub(crate) mod export;

@@ -5,12 +5,13 @@ use super::settings::poses_defaults;
 use super::{inputs_hash, length_text, run_stage, shown};
 use crate::cli::{MasksName, PresetName, RefinePoses, Scan};
 use crate::context::{Context, peak_bytes};
+use crate::device;
 use crate::live::Watch;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
-use sms_gaussians::{CpuTrainer, ScanConfig};
+use sms_gaussians::ScanConfig;
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use std::path::Path;
@@ -126,21 +127,22 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let hashed = ScanConfig { checkpoint_seconds: 0.0, ..scan_config.clone() };
     let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&hashed, seed))?;
     run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
-        let mut trainer = CpuTrainer::new(&scan_config.train, labels.class_count(), seed);
+        let (mut trainer, device) =
+            device::trainer(context, a.device, &scan_config.train, labels.class_count(), seed, warnings)?;
         let result = sms_gaussians::scan_observed(
             &sequence,
             &labels,
             &scan_config,
             seed,
             stage.dir(),
-            &mut trainer,
+            trainer.as_mut(),
             &mut observer,
             context.progress.as_ref(),
             &context.cancel,
             warnings,
         )?;
         let mut metrics = result.metrics;
-        metrics.set("scan.seconds", result.seconds).set("scan.device", "cpu");
+        metrics.set("scan.seconds", result.seconds).set("scan.device", device);
         atomic::write_json(&stage.dir().join(SETTINGS), &settings)?;
         if let Some(bytes) = peak_bytes() {
             metrics.set("scan.peak_bytes", bytes);

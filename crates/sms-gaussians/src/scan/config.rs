@@ -153,7 +153,8 @@ pub struct ScanConfig {
     pub max_gaussians: usize,
     /// Every `holdout`-th frame is kept out of training and seeding and used to measure quality; 0 for none.
     pub holdout: usize,
-    /// Seconds between checkpoints within a frame; there is one after every frame as well.
+    /// Seconds between checkpoints within a frame; there is one after every frame as well that comes no sooner after the
+    /// last than a second or a fifth of this, and one at the end.
     pub checkpoint_seconds: f64,
     /// Losses and learning rates.
     pub train: TrainConfig,

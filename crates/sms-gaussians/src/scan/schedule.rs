@@ -16,7 +16,7 @@ use super::ply::write_ply;
 use super::pruning::{prune_floaters, prune_transparent};
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
 use super::so_far::SoFar;
-use crate::{FrameId, GaussianModel, LearningRates, Trainer};
+use crate::{FrameId, GaussianModel, LearningRates, Trainer, TrainerError};
 use rand::RngExt;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Status, Warnings, atomic};
@@ -203,10 +203,21 @@ impl Schedule<'_> {
         }
     }
 
-    fn save(&mut self) -> Result<(), CoreError> {
+    fn save(&mut self) -> Result<(), ScanError> {
         self.saved = Instant::now();
+        let state = self.trainer.snapshot();
+        // What a failed device returns must not take the place of a good checkpoint.
+        self.check_device()?;
         self.so_far.save(self.warnings)?;
-        checkpoint::save(&self.checkpoint, &self.settings, &self.place, &self.trainer.snapshot())
+        checkpoint::save(&self.checkpoint, &self.settings, &self.place, &state)?;
+        Ok(())
+    }
+
+    fn check_device(&self) -> Result<(), ScanError> {
+        match self.trainer.failure() {
+            Some(reason) => Err(TrainerError::Device(reason).into()),
+            None => Ok(()),
+        }
     }
 
     fn run(&mut self) -> Result<(), ScanError> {
@@ -221,7 +232,11 @@ impl Schedule<'_> {
                 losses: std::mem::take(&mut self.place.losses),
                 ..Place::default()
             };
-            self.save()?;
+            // On a GPU frames are done faster than the state is read back and written.
+            let recent = self.saved.elapsed().as_secs_f64() < (0.2 * self.config.checkpoint_seconds).min(1.0);
+            if !recent || self.place.slot > slots {
+                self.save()?;
+            }
         }
         Ok(())
     }
@@ -259,6 +274,7 @@ impl Schedule<'_> {
             }
             let before = (Instant::now(), self.place.step);
             self.batch_of_steps();
+            self.check_device()?;
             let seconds = before.0.elapsed().as_secs_f64();
             stepping_s += seconds;
             self.pace.stepped(self.place.step - before.1, seconds);
@@ -466,6 +482,7 @@ impl Schedule<'_> {
         train_views.sort_by_key(|v| v.frame_index);
 
         let model = self.trainer.model();
+        self.check_device()?;
         atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
         atomic::write_json(&work_dir.join("views.json"), &train_views)?;
         write_ply(&model, &work_dir.join("scene.ply"))?;

@@ -1,0 +1,74 @@
+//! `sms bench scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
+
+use crate::context::Context;
+use sms_bench::{BenchOptions, BenchScene};
+use sms_core::Warnings;
+use std::path::Path;
+
+/// Scans a scene on a GPU and measures it; never on the CPU instead.
+#[cfg(feature = "gpu")]
+pub(crate) fn run(
+    context: &Context,
+    scene: &BenchScene,
+    options: &BenchOptions,
+    index: Option<usize>,
+    dir: &Path,
+    warnings: &Warnings,
+) -> anyhow::Result<()> {
+    use sms_bench::{BenchError, Prepared, run_scene_with};
+    use sms_core::InputError;
+    use sms_core::metrics::Metrics;
+    use sms_gaussians_gpu::{Choice, GpuTrainer, checked_trainer};
+    let choice = index.map_or(Choice::Best, Choice::Index);
+    let make = |train: &sms_gaussians::TrainConfig, classes, seed| {
+        checked_trainer(train, classes, seed, choice).map_err(|error| {
+            let cure = "`sms devices` lists what there is";
+            BenchError::Input(InputError::new(error.to_string(), "--device", cure))
+        })
+    };
+    let figures = |prefix: &str, trainer: &mut GpuTrainer, _: &Prepared| {
+        let mut metrics = Metrics::new();
+        metrics.set(format!("{prefix}device"), trainer.adapter().name.clone());
+        metrics.set(format!("{prefix}device_bytes"), trainer.device_bytes());
+        metrics.set(format!("{prefix}pairs"), trainer.last_pairs());
+        if let Some(ms) = step_ms(trainer) {
+            metrics.set(format!("{prefix}step_ms"), ms);
+        }
+        for (kernel, ms) in trainer.timed_step(0).unwrap_or_default() {
+            metrics.set(format!("{prefix}step_{kernel}_ms"), ms);
+        }
+        metrics
+    };
+    run_scene_with(scene, options, dir, make, figures, context.progress.as_ref(), &context.cancel, warnings)?;
+    Ok(())
+}
+
+/// Wall-clock milliseconds of one step on the scene's finished Gaussians and its first frame: the median of several
+/// submissions. The scan's own steps are fewer to a submission, and the schedule works between them.
+#[cfg(feature = "gpu")]
+fn step_ms(trainer: &mut sms_gaussians_gpu::GpuTrainer) -> Option<f64> {
+    use sms_gaussians::Trainer;
+    const BATCHES: usize = 7;
+    const STEPS: usize = 50;
+    let mut all = Vec::new();
+    for _ in 0..BATCHES {
+        let began = std::time::Instant::now();
+        trainer.steps(&[0; STEPS]);
+        all.push(began.elapsed().as_secs_f64() * 1e3 / STEPS as f64);
+    }
+    all.sort_by(f64::total_cmp);
+    trainer.failure().is_none().then(|| all[BATCHES / 2])
+}
+
+/// A program without GPUs says so.
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn run(
+    _: &Context,
+    _: &BenchScene,
+    _: &BenchOptions,
+    _: Option<usize>,
+    _: &Path,
+    _: &Warnings,
+) -> anyhow::Result<()> {
+    Err(crate::device::without_gpu().into())
+}

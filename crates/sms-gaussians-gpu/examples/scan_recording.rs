@@ -1,0 +1,178 @@
+//! A whole scan of a recording on the CPU or a GPU, with its time and quality:
+//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]`.
+//!
+//! Masks come from geometry, every eighth frame is held out, and frames are loaded at 640 pixels, the paper's half
+//! resolution, whatever the preset.
+
+use sms_core::glamx::Vec3;
+use sms_core::{Camera, Cancel, NoProgress, Seed, Warnings};
+use sms_frames::{LoadSettings, ReadOptions, Recording, load};
+use sms_gaussians::{
+    Classifier, CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig,
+    Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
+};
+use sms_gaussians_gpu::{Choice, checked_trainer};
+use sms_masks::{GeometryMasks, Segmenter};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [recording, device, options @ ..] = &arguments[..] else {
+        return Err("give RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]".into());
+    };
+    let (cancel, warnings, seed) = (Cancel::new(), Warnings::new(), Seed(0));
+    let recording = Recording::open(Path::new(recording), &ReadOptions::default())?;
+    let settings = LoadSettings { long_side: 640, ..LoadSettings::default() };
+    let sequence = load(&recording, &settings, &NoProgress, &cancel, &warnings)?;
+    let labels = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings)?;
+    let preset = options.first().filter(|o| !o.starts_with('-')).map_or("fine", String::as_str);
+    let mut config = ScanConfig { holdout: 8, ..ScanConfig::preset(preset.parse::<Preset>()?) };
+    if options.iter().any(|o| o == "--paper") {
+        // The paper's number of steps, none of them saved.
+        (config.steps_first, config.steps_frame) = (1000, 100);
+        config.stop.enabled = false;
+    }
+    let began = Instant::now();
+    let trainer: Box<dyn Trainer> = match device.split_once(':') {
+        _ if device == "cpu" => Box::new(CpuTrainer::new(&config.train, labels.class_count(), seed)),
+        Some(("gpu", index)) => Box::new(checked_trainer(
+            &config.train,
+            labels.class_count(),
+            seed,
+            Choice::Index(index.parse()?),
+        )?),
+        _ => Box::new(checked_trainer(&config.train, labels.class_count(), seed, Choice::Best)?),
+    };
+    let mut trainer = Timed { trainer, times: RefCell::default() };
+    let opened_s = began.elapsed().as_secs_f64();
+    let dir = std::env::temp_dir().join(format!("sms-scan-{}", std::process::id()));
+    let began = Instant::now();
+    let result =
+        scan(&sequence, &labels, &config, seed, &dir, &mut trainer, &NoProgress, &cancel, &warnings)?;
+    let seconds = began.elapsed().as_secs_f64();
+    println!("{device} {preset}: {seconds:.2} s, opening and self-check {opened_s:.2} s");
+    for (call, (seconds, count)) in trainer.times.borrow().iter() {
+        println!("  {call:12} {seconds:7.3} s in {count} calls");
+    }
+    for (key, value) in result.metrics.iter() {
+        println!("  {key} {value}");
+    }
+    // Best effort: a temporary folder.
+    let _ = std::fs::remove_dir_all(dir);
+    Ok(())
+}
+
+/// A trainer that notes how long each kind of call takes: what a scan spends beside its steps.
+struct Timed {
+    trainer: Box<dyn Trainer>,
+    times: RefCell<BTreeMap<&'static str, (f64, usize)>>,
+}
+
+impl Timed {
+    fn note(&self, call: &'static str, began: Instant) {
+        let mut times = self.times.borrow_mut();
+        let entry = times.entry(call).or_default();
+        entry.0 += began.elapsed().as_secs_f64();
+        entry.1 += 1;
+    }
+}
+
+impl Trainer for Timed {
+    fn len(&self) -> usize {
+        self.trainer.len()
+    }
+
+    fn failure(&self) -> Option<String> {
+        self.trainer.failure()
+    }
+
+    fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
+        let began = Instant::now();
+        let out = self.trainer.add_frame(frame);
+        self.note("add_frame", began);
+        out
+    }
+
+    fn insert(&mut self, seedlings: &[Seedling]) {
+        let began = Instant::now();
+        self.trainer.insert(seedlings);
+        self.note("insert", began);
+    }
+
+    fn retain(&mut self, mask: &[bool]) {
+        let began = Instant::now();
+        self.trainer.retain(mask);
+        self.note("retain", began);
+    }
+
+    fn steps(&mut self, frames: &[FrameId]) -> StepStats {
+        let began = Instant::now();
+        let out = self.trainer.steps(frames);
+        self.note("steps", began);
+        out
+    }
+
+    fn set_background(&mut self, rgb: [f32; 3]) {
+        let began = Instant::now();
+        self.trainer.set_background(rgb);
+        self.note("set_background", began);
+    }
+
+    fn set_rates(&mut self, rates: &LearningRates) {
+        let began = Instant::now();
+        self.trainer.set_rates(rates);
+        self.note("set_rates", began);
+    }
+
+    fn render(&mut self, camera: &Camera) -> RenderedMaps {
+        let began = Instant::now();
+        let out = self.trainer.render(camera);
+        self.note("render", began);
+        out
+    }
+
+    fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
+        let began = Instant::now();
+        let out = self.trainer.restore(state);
+        self.note("restore", began);
+        out
+    }
+
+    fn opacities(&self) -> Vec<f32> {
+        let began = Instant::now();
+        let out = self.trainer.opacities();
+        self.note("opacities", began);
+        out
+    }
+
+    fn positions_w(&self) -> Vec<Vec3> {
+        let began = Instant::now();
+        let out = self.trainer.positions_w();
+        self.note("positions_w", began);
+        out
+    }
+
+    fn classifier(&self) -> Classifier {
+        let began = Instant::now();
+        let out = self.trainer.classifier();
+        self.note("classifier", began);
+        out
+    }
+
+    fn model(&self) -> GaussianModel {
+        let began = Instant::now();
+        let out = self.trainer.model();
+        self.note("model", began);
+        out
+    }
+
+    fn snapshot(&self) -> TrainState {
+        let began = Instant::now();
+        let out = self.trainer.snapshot();
+        self.note("snapshot", began);
+        out
+    }
+}

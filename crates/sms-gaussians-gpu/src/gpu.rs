@@ -1,0 +1,275 @@
+//! Adapters, the device, and moving bytes to and from it.
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
+
+/// Errors of finding and opening a device.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// There is no adapter at all, or none that is a GPU.
+    #[error("no GPU was found{0}")]
+    NoAdapter(String),
+    /// The adapter named does not exist.
+    #[error("there is no adapter {index}: there are {count}")]
+    NoSuchAdapter {
+        /// The index asked for.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The adapter cannot run the kernels.
+    #[error("{name} cannot be used: {reason}")]
+    Unsuitable {
+        /// The adapter.
+        name: String,
+        /// What it lacks.
+        reason: String,
+    },
+    /// The kernels disagree with the CPU.
+    #[error("{name} computes something else than the CPU: {difference}")]
+    SelfCheck {
+        /// The adapter.
+        name: String,
+        /// What differs and by how much.
+        difference: String,
+    },
+    /// The scan has more classes than the kernels are made for.
+    #[error("{classes} classes are more than the {most} that the GPU's kernels take")]
+    TooManyClasses {
+        /// Classes of the scan.
+        classes: usize,
+        /// The limit.
+        most: usize,
+    },
+}
+
+/// Which adapter to use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Choice {
+    /// The first discrete GPU, else the first integrated or virtual one; never software on the CPU.
+    #[default]
+    Best,
+    /// The adapter with this index in [`adapters`], software included.
+    Index(usize),
+}
+
+/// One adapter of this machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AdapterSummary {
+    /// Its place in the list: what [`Choice::Index`] takes.
+    pub index: usize,
+    /// Its name, such as `NVIDIA H200`.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Interface, such as `vulkan`.
+    pub backend: String,
+    /// Whether it computes on the CPU (Mesa's lavapipe): slower than the CPU's own kernels, good for tests.
+    pub software: bool,
+}
+
+/// The one instance of this process: an NVIDIA driver showed no adapters any more after a dozen of them.
+fn instance() -> &'static wgpu::Instance {
+    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
+    INSTANCE.get_or_init(|| {
+        wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        })
+    })
+}
+
+fn all_adapters() -> Vec<wgpu::Adapter> {
+    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()))
+}
+
+/// The adapters of this machine.
+pub fn adapters() -> Vec<AdapterSummary> {
+    all_adapters().iter().enumerate().map(|(index, adapter)| summary(index, adapter)).collect()
+}
+
+fn summary(index: usize, adapter: &wgpu::Adapter) -> AdapterSummary {
+    let info = adapter.get_info();
+    AdapterSummary {
+        index,
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        backend: info.backend.to_string(),
+        software: info.device_type == wgpu::DeviceType::Cpu,
+        name: info.name,
+    }
+}
+
+/// The first thing that went wrong on a device, if anything did.
+type Failure = Arc<Mutex<Option<String>>>;
+
+/// An open device.
+pub(crate) struct Gpu {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    pub(crate) summary: AdapterSummary,
+    pub(crate) limits: wgpu::Limits,
+    /// Nanoseconds of a timestamp's unit, where the device has timestamps.
+    pub(crate) timestamp_ns: Option<f32>,
+    failure: Failure,
+    /// What the host reads through, kept: its pages are mapped once.
+    reading: Mutex<Option<wgpu::Buffer>>,
+}
+
+fn note(failure: &Failure, text: String) {
+    failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
+}
+
+/// Storage buffers that the kernels bind at once, the one of a frame included.
+const STORAGE_BUFFERS: u32 = 9;
+/// Bytes of workgroup memory that the kernels use at most.
+const WORKGROUP_BYTES: u32 = 32_768;
+
+impl Gpu {
+    /// Opens an adapter.
+    pub(crate) fn open(choice: Choice) -> Result<Self, GpuError> {
+        let adapters = all_adapters();
+        let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
+            wgpu::DeviceType::DiscreteGpu => Some(0),
+            wgpu::DeviceType::IntegratedGpu => Some(1),
+            wgpu::DeviceType::VirtualGpu => Some(2),
+            wgpu::DeviceType::Other | wgpu::DeviceType::Cpu => None,
+        };
+        let count = adapters.len();
+        let index = match choice {
+            Choice::Index(index) if index < count => index,
+            Choice::Index(index) => return Err(GpuError::NoSuchAdapter { index, count }),
+            Choice::Best => {
+                let ranked = (0..count).filter_map(|i| rank(&adapters[i]).map(|rank| (rank, i)));
+                let none = if count == 0 { "" } else { ", only software on the CPU" };
+                ranked.min().ok_or_else(|| GpuError::NoAdapter(none.to_owned()))?.1
+            }
+        };
+        Self::open_adapter(index, &adapters[index])
+    }
+
+    fn open_adapter(index: usize, adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
+        let summary = summary(index, adapter);
+        let unsuitable = |reason: String| GpuError::Unsuitable { name: summary.name.clone(), reason };
+        let limits = adapter.limits();
+        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
+            return Err(unsuitable(format!(
+                "it binds {} buffers at once, {STORAGE_BUFFERS} are needed",
+                limits.max_storage_buffers_per_shader_stage
+            )));
+        }
+        if limits.max_compute_workgroup_storage_size < WORKGROUP_BYTES {
+            return Err(unsuitable("it has too little workgroup memory".to_owned()));
+        }
+        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("sms"),
+            required_features: features,
+            required_limits: limits.clone(),
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| unsuitable(error.to_string()))?;
+        let failure = Failure::default();
+        let lost = failure.clone();
+        device.set_device_lost_callback(move |reason, text| {
+            note(&lost, format!("the device was lost ({reason:?}) {text}").trim().to_owned());
+        });
+        let uncaptured = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&uncaptured, error.to_string())));
+        let timestamp_ns =
+            features.contains(wgpu::Features::TIMESTAMP_QUERY).then(|| queue.get_timestamp_period());
+        Ok(Self { device, queue, summary, limits, timestamp_ns, failure, reading: Mutex::default() })
+    }
+
+    /// What went wrong first, if anything did. Nothing that the device holds is to be believed afterwards.
+    pub(crate) fn failure(&self) -> Option<String> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(crate) fn fail(&self, text: String) {
+        note(&self.failure, text);
+    }
+
+    /// A zeroed buffer of at least `bytes`, for kernels and copies.
+    pub(crate) fn buffer(&self, label: &str, bytes: u64, more: wgpu::BufferUsages) -> wgpu::Buffer {
+        let size = bytes.next_multiple_of(16).max(16);
+        if size > self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size) {
+            self.fail(format!("{label} needs {size} bytes, more than the device binds at once"));
+            return self.buffer(label, 16, more);
+        }
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage: wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::COPY_SRC
+                | wgpu::BufferUsages::COPY_DST
+                | more,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// A buffer that kernels only read.
+    pub(crate) fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: (contents.len() as u64).max(16),
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        self.queue.write_buffer(&buffer, 0, contents);
+        buffer
+    }
+
+    /// A buffer that the host reads.
+    pub(crate) fn staging(&self, bytes: u64) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: bytes.next_multiple_of(16).max(16),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// The first `bytes` of a staging buffer once all work submitted is done; `None` after a failure.
+    pub(crate) fn read_staging(&self, staging: &wgpu::Buffer, bytes: u64) -> Option<Vec<u8>> {
+        let (sender, receiver) = mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, ..bytes, move |result| {
+            let _ = sender.send(result.is_ok());
+        });
+        if let Err(error) = self.device.poll(wgpu::PollType::wait_indefinitely()) {
+            self.fail(error.to_string());
+            return None;
+        }
+        if !receiver.recv().unwrap_or(false) || self.failure().is_some() {
+            self.fail("results could not be read back".to_owned());
+            return None;
+        }
+        let bytes = staging.get_mapped_range(..bytes).ok()?.to_vec();
+        staging.unmap();
+        Some(bytes)
+    }
+
+    /// The first `bytes` of each buffer; `None` after a failure.
+    pub(crate) fn read(&self, parts: &[(&wgpu::Buffer, u64)]) -> Option<Vec<Vec<u8>>> {
+        let total: u64 = parts.iter().map(|(_, bytes)| bytes).sum();
+        let mut kept = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.as_ref().is_none_or(|buffer| buffer.size() < total) {
+            *kept = Some(self.staging(total + total / 4));
+        }
+        let staging = kept.as_ref()?;
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut at = 0;
+        for (buffer, bytes) in parts.iter().filter(|(_, bytes)| *bytes > 0) {
+            encoder.copy_buffer_to_buffer(buffer, 0, staging, at, *bytes);
+            at += bytes;
+        }
+        self.queue.submit([encoder.finish()]);
+        let all = self.read_staging(staging, total)?;
+        let mut rest = &all[..];
+        let split = |(_, bytes): &(&wgpu::Buffer, u64)| {
+            let (part, after) = rest.split_at(*bytes as usize);
+            rest = after;
+            part.to_vec()
+        };
+        Some(parts.iter().map(split).collect())
+    }
+}

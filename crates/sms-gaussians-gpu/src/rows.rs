@@ -1,0 +1,59 @@
+//! A Gaussian's parameters as the kernels read them: eight vectors of four, so that none straddles two. Position and
+//! logit of the opacity; rotation; logarithms of the scales; colour; affinity.
+
+use sms_gaussians::parameters::{
+    AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,
+};
+
+/// Where each parameter of a [`Row`] lies on the device.
+const PLACES: [usize; PARAMETERS] = {
+    let mut places = [0; PARAMETERS];
+    let mut i = 0;
+    while i < PARAMETERS {
+        places[i] = match i {
+            _ if i < ROTATION => i - POSITION,
+            _ if i < LOG_SCALE => 4 + i - ROTATION,
+            _ if i < LOGIT_OPACITY => 8 + i - LOG_SCALE,
+            LOGIT_OPACITY => 3,
+            _ if i < AFFINITY => 12 + i - COLOR,
+            _ => 16 + i - AFFINITY,
+        };
+        i += 1;
+    }
+    places
+};
+
+/// The host's order to the device's.
+pub(crate) fn to_device(rows: &[Row], out: &mut Vec<[f32; ROW]>) {
+    out.extend(rows.iter().map(|Row(row)| {
+        let mut to = [0.0; ROW];
+        for (place, value) in PLACES.into_iter().zip(row) {
+            to[place] = *value;
+        }
+        to
+    }));
+}
+
+/// The device's order to the host's.
+pub(crate) fn to_host(row: &[f32; ROW]) -> Row {
+    let mut to = [0.0; ROW];
+    for (value, place) in to.iter_mut().zip(PLACES) {
+        *value = row[place];
+    }
+    Row(to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_come_back_as_they_went() {
+        let mut row = [0.0; ROW];
+        (0..PARAMETERS).for_each(|i| row[i] = i as f32 + 1.0);
+        let mut there = Vec::new();
+        to_device(&[Row(row)], &mut there);
+        assert_eq!(to_host(&there[0]), Row(row));
+        assert_eq!((there[0][3], there[0][4], there[0][8]), (11.0, 4.0, 8.0));
+    }
+}

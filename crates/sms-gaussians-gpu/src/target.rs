@@ -1,0 +1,68 @@
+//! An observed view on the device: eight words per pixel, unusable values marked as on the CPU.
+
+use crate::gpu::Gpu;
+use crate::uniforms::{Step, UsedPixels};
+use sms_gaussians::TrainFrame;
+
+/// Measured depths beyond this are not believed, metres.
+const DEPTH_MAX: f32 = 1e3;
+/// Colours far outside 0..1 can only be damage.
+const COLOR_MAX: f32 = 1e3;
+/// Set in the word of the label where the colour may be used.
+const COLORED: u32 = 0x1_0000;
+
+/// A view to train on.
+pub(crate) struct Target {
+    /// What depends on the camera alone.
+    pub(crate) camera: Step,
+    pub(crate) pixels: UsedPixels,
+    /// Colour 3, depth, normal 3, label with [`COLORED`]; row by row.
+    pub(crate) words: wgpu::Buffer,
+    pub(crate) bytes: u64,
+}
+
+/// The words of a frame. A pixel whose colour, depth or normal is not finite is left out of that term, and a label that
+/// is not below `classes` out of the segmentation.
+pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, UsedPixels) {
+    let mut used = UsedPixels::default();
+    let pixels = frame.color.iter().zip(&frame.depth).zip(&frame.normal_w).zip(&frame.label);
+    let words = pixels.map(|(((color, depth), normal), label)| {
+        let mut words = [0; 8];
+        let mut label_word = u32::from(u16::MAX);
+        if usize::from(*label) < classes {
+            used.labelled += 1;
+            label_word = u32::from(*label);
+        }
+        if color.iter().all(|c| c.abs() <= COLOR_MAX) {
+            used.colored += 1;
+            label_word |= COLORED;
+            (0..3).for_each(|c| words[c] = color[c].to_bits());
+        }
+        if *depth > 0.0 && *depth <= DEPTH_MAX {
+            used.deep += 1;
+            words[3] = depth.to_bits();
+        }
+        let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
+        if (length - 1.0).abs() < 0.5 {
+            used.oriented += 1;
+            (0..3).for_each(|c| words[4 + c] = normal[c].to_bits());
+        }
+        words[7] = label_word;
+        words
+    });
+    (words.collect(), used)
+}
+
+impl Target {
+    /// # Panics
+    /// When a buffer has another size than the camera's image.
+    pub(crate) fn new(gpu: &Gpu, frame: &TrainFrame, classes: usize) -> Self {
+        let count = frame.camera.intrinsics.width * frame.camera.intrinsics.height;
+        let sizes = [frame.color.len(), frame.depth.len(), frame.normal_w.len(), frame.label.len()];
+        assert_eq!(sizes, [count; 4], "every buffer has one entry per pixel of the camera");
+        let (words, pixels) = words_of(frame, classes);
+        let bytes: &[u8] = bytemuck::cast_slice(&words);
+        let buffer = gpu.upload("observed", bytes, wgpu::BufferUsages::STORAGE);
+        Self { camera: Step::of_camera(&frame.camera), pixels, words: buffer, bytes: bytes.len() as u64 }
+    }
+}

@@ -1,0 +1,505 @@
+//! [`GpuTrainer`]: the back end of the scan on a GPU.
+
+use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
+use crate::kernels::{GAUSSIANS, Kernel, KernelForm, Kernels};
+use crate::steps::{of_step, of_view, record, segment_groups, timed};
+use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
+use crate::target::Target;
+use crate::uniforms::{STRIDE, Step};
+use crate::work::{BATCH, Room, STATS, Work, bind};
+use glamx::Vec3;
+use sms_core::{Camera, Seed};
+use sms_gaussians::parameters::{Parameters, Row, sigmoid};
+use sms_gaussians::{
+    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
+    TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
+};
+
+/// Most classes that the kernels take.
+pub const MAX_CLASSES: usize = 48;
+
+/// Pairs of splat and tile per Gaussian that there is room for at first.
+const PAIRS_PER_GAUSSIAN: u32 = 12;
+/// Room for pairs is at least this.
+const PAIRS_MIN: u32 = 1 << 14;
+
+/// [`Trainer`] on a GPU: whole training steps on the device, up to 64 to a submission, and nothing read back between
+/// them but the losses at the end.
+///
+/// It has the state, the settings and the semantics of [`sms_gaussians::CpuTrainer`]; results differ by rounding. After a
+/// failure of the device (see [`Trainer::failure`]) every call returns quickly and means nothing.
+pub struct GpuTrainer {
+    gpu: Gpu,
+    kernels: Kernels,
+    config: TrainConfig,
+    background: [f32; 3],
+    store: Store,
+    work: Work,
+    targets: Vec<Target>,
+    /// Bind group of each target, `None` where it must be made again.
+    views: Vec<Option<wgpu::BindGroup>>,
+    /// In place of an observed view when one is only rendered.
+    nothing: wgpu::Buffer,
+    staging: wgpu::Buffer,
+    /// Room for pairs that the last batches asked for.
+    pairs_wanted: u32,
+    /// Pairs of the last step.
+    last_pairs: u32,
+}
+
+impl GpuTrainer {
+    /// A trainer without Gaussians for `classes` classes, the background included; the classifier starts from `seed`, as
+    /// [`sms_gaussians::CpuTrainer::new`]'s. The kernels are not compared with the CPU's here: see
+    /// [`crate::checked_trainer`].
+    ///
+    /// # Errors
+    /// [`GpuError`] when the adapter cannot be opened or cannot run the kernels.
+    pub fn new(config: &TrainConfig, classes: usize, seed: Seed, choice: Choice) -> Result<Self, GpuError> {
+        Self::with_form(config, classes, seed, choice, KernelForm::default())
+    }
+
+    /// The same with kernels of a given form, to compare with.
+    ///
+    /// # Errors
+    /// As [`GpuTrainer::new`].
+    pub fn with_form(
+        config: &TrainConfig,
+        classes: usize,
+        seed: Seed,
+        choice: Choice,
+        form: KernelForm,
+    ) -> Result<Self, GpuError> {
+        let classes = classes.max(1);
+        if classes > MAX_CLASSES {
+            return Err(GpuError::TooManyClasses { classes, most: MAX_CLASSES });
+        }
+        let gpu = Gpu::open(choice)?;
+        let kernels = Kernels::new(&gpu, classes, form);
+        if let Some(reason) = gpu.failure() {
+            return Err(GpuError::Unsuitable { name: gpu.summary.name.clone(), reason });
+        }
+        let store = Store::new(&gpu, classes);
+        store.set_classifier(&gpu, &Parameters::new(classes, seed).classifier);
+        let work = Work::new(&gpu, classes);
+        let nothing = gpu.upload("nothing", &[], wgpu::BufferUsages::STORAGE);
+        let staging = gpu.staging(4 * (CONTROL_WORDS + STATS * BATCH) as u64);
+        Ok(Self {
+            gpu,
+            kernels,
+            config: *config,
+            background: [0.0; 3],
+            store,
+            work,
+            targets: Vec::new(),
+            views: Vec::new(),
+            nothing,
+            staging,
+            pairs_wanted: PAIRS_MIN,
+            last_pairs: 0,
+        })
+    }
+
+    /// The adapter that computes.
+    pub fn adapter(&self) -> &AdapterSummary {
+        &self.gpu.summary
+    }
+
+    /// Bytes of the buffers on the device now: the state, what steps work on, and the observed views.
+    pub fn device_bytes(&self) -> u64 {
+        self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.bytes).sum::<u64>()
+    }
+
+    /// Pairs of splat and tile in the last step or rendered view: the number that most of a step's time grows with.
+    pub fn last_pairs(&self) -> u32 {
+        self.last_pairs
+    }
+
+    /// Takes one step on `frame`, kernel by kernel, and returns each one's milliseconds in the order of a step; `None`
+    /// without timestamps on the device.
+    ///
+    /// # Panics
+    /// When the frame was not added.
+    pub fn timed_step(&mut self, frame: FrameId) -> Option<Vec<(&'static str, f64)>> {
+        self.prepare(&[frame]);
+        let step = self.step_of(frame, 0);
+        self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
+        let Self { gpu, kernels, work, store, views, .. } = self;
+        let bindings = work.bindings(gpu, kernels, store);
+        let times = timed(gpu, &of_step(kernels, bindings, &step), views[frame].as_ref()?);
+        self.reset_flags();
+        times
+    }
+
+    /// Destroys the device under the trainer, as a fault or an unplugged GPU would: for tests.
+    #[doc(hidden)]
+    pub fn lose_device(&self) {
+        self.gpu.device.destroy();
+    }
+
+    /// Starts over with room for no more than this many pairs: for tests of growth.
+    #[doc(hidden)]
+    pub fn shrink_pairs(&mut self, pairs: u32) {
+        self.work = Work::new(&self.gpu, self.store.classes);
+        self.views.iter_mut().for_each(|view| *view = None);
+        self.pairs_wanted = pairs;
+    }
+
+    /// Room for pairs of splat and tile, which grows as steps need it.
+    #[doc(hidden)]
+    pub fn pairs(&self) -> u32 {
+        self.work.room.pairs
+    }
+
+    /// Buffers and bind groups for steps on these frames.
+    fn prepare(&mut self, frames: &[FrameId]) {
+        let mut room = self.room_for_gaussians();
+        for &frame in frames {
+            let camera = &self.targets[frame].camera;
+            room.tiles = room.tiles.max(camera.tiles());
+            room.pixels = room.pixels.max(camera.pixels() as u32);
+        }
+        self.work.reserve(&self.gpu, self.store.classes, &room);
+        for &frame in frames {
+            if self.views[frame].is_none() {
+                let view = self.work.bind_view(&self.gpu, &self.kernels, &self.targets[frame].words);
+                self.views[frame] = Some(view);
+            }
+        }
+    }
+
+    fn room_for_gaussians(&mut self) -> Room {
+        let gaussians = self.store.count as u32;
+        if self.pairs_wanted >= PAIRS_MIN {
+            self.pairs_wanted = self.pairs_wanted.max(gaussians.saturating_mul(PAIRS_PER_GAUSSIAN));
+        }
+        Room { gaussians, pairs: self.pairs_wanted, ..Room::default() }
+    }
+
+    /// The numbers of a step on `frame`, at `index` in its batch.
+    fn step_of(&self, frame: FrameId, index: usize) -> Step {
+        let target = &self.targets[frame];
+        self.completed(target.camera.trained(&self.config, &target.pixels), index)
+    }
+
+    fn completed(&self, mut step: Step, index: usize) -> Step {
+        let [r, g, b] = self.background;
+        step.background = [r, g, b, 0.0];
+        step.counts[0] = self.store.count as u32;
+        step.counts[1] = self.work.room.pairs;
+        step.counts[2] = index as u32;
+        step.groups[2] = segment_groups(&step);
+        step.groups[3] = self.work.partial_stride;
+        step
+    }
+
+    /// Submits steps on these frames, at most [`BATCH`], adds their terms to `sum` and returns how many were taken: fewer
+    /// when the room for pairs was too little, which it is not any more then. `None` after a failure.
+    fn submit(&mut self, frames: &[FrameId], sum: &mut LossTerms) -> Option<usize> {
+        self.prepare(frames);
+        let steps: Vec<Step> = frames.iter().enumerate().map(|(i, &f)| self.step_of(f, i)).collect();
+        let mut uniforms = vec![0u8; STRIDE as usize * steps.len()];
+        for (to, step) in uniforms.chunks_exact_mut(STRIDE as usize).zip(&steps) {
+            to[..size_of::<Step>()].copy_from_slice(bytemuck::bytes_of(step));
+        }
+        self.gpu.queue.write_buffer(&self.work.uniforms, 0, &uniforms);
+        let Self { gpu, kernels, work, store, views, staging, .. } = self;
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let bindings = work.bindings(gpu, kernels, store);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            for (i, (step, &frame)) in steps.iter().zip(frames).enumerate() {
+                record(&mut pass, &of_step(kernels, bindings, step), views[frame].as_ref()?, i);
+            }
+        }
+        let control_bytes = 4 * CONTROL_WORDS as u64;
+        let stats_bytes = 4 * (STATS * frames.len()) as u64;
+        encoder.copy_buffer_to_buffer(&store.control, 0, staging, 0, control_bytes);
+        encoder.copy_buffer_to_buffer(&work.stats, 0, staging, control_bytes, stats_bytes);
+        gpu.queue.submit([encoder.finish()]);
+        let bytes = gpu.read_staging(staging, control_bytes + stats_bytes)?;
+        let (control, stats) = bytes.split_at(control_bytes as usize);
+        let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
+        let stats: Vec<f32> = bytemuck::pod_collect_to_vec(stats);
+        let done = (control[STEPS_DONE] as usize).min(frames.len());
+        for (i, &frame) in frames.iter().enumerate().take(done) {
+            add(sum, &self.terms(frame, &stats[STATS * i..STATS * (i + 1)]));
+        }
+        self.after(&control);
+        Some(done)
+    }
+
+    /// Makes room for what a submission could not hold, and clears the control buffer's flags.
+    fn after(&mut self, control: &[u32]) {
+        self.last_pairs = control[PAIRS];
+        if control[OVERFLOWED] != 0 {
+            let wanted = control[PAIRS_WANTED];
+            self.pairs_wanted = self.pairs_wanted.max(wanted.saturating_add(wanted / 4));
+        }
+        self.reset_flags();
+    }
+
+    /// Clears all but the classifier's steps, which come last.
+    fn reset_flags(&self) {
+        self.gpu.queue.write_buffer(&self.store.control, 0, &[0; 4 * (STEPS_DONE + 1)]);
+    }
+
+    /// The terms of a step from its sums.
+    fn terms(&self, frame: FrameId, sums: &[f32]) -> LossTerms {
+        let target = &self.targets[frame];
+        let used = &target.pixels;
+        let w = &self.config.weights;
+        let mean = |sum: f32, count: usize| if count > 0 { sum / count as f32 } else { 0.0 };
+        let step = target.camera.trained(&self.config, used);
+        let similarity = mean(sums[3], 3 * target.camera.pixels());
+        let mut terms = LossTerms {
+            color_l1: mean(sums[0], 3 * used.colored),
+            // The CPU measures it where it has no weight; here it costs two kernels.
+            dssim: if step.other_weights[0] != 0.0 { 1.0 - similarity } else { 0.0 },
+            depth: mean(sums[1], used.deep),
+            normal: mean(sums[2], used.oriented),
+            segmentation: mean(sums[4], used.labelled) / step.other_weights[3],
+            isotropic: sums[5] / sums[7].max(1.0),
+            flat: sums[6] / sums[7].max(1.0),
+            total: 0.0,
+        };
+        terms.total = w.color * ((1.0 - w.ssim) * terms.color_l1 + w.ssim * terms.dssim)
+            + w.isotropic * terms.isotropic
+            + w.depth * terms.depth
+            + w.normal * terms.normal
+            + w.flat * terms.flat
+            + w.segmentation * terms.segmentation;
+        terms
+    }
+
+    /// Renders once; `Ok(None)` when there was too little room for pairs, of which there is enough then.
+    fn try_render(&mut self, camera: &Step) -> Option<Option<Vec<f32>>> {
+        let mut room = self.room_for_gaussians();
+        (room.tiles, room.shown) = (camera.tiles(), camera.pixels() as u32);
+        self.work.reserve(&self.gpu, self.store.classes, &room);
+        let step = self.completed(*camera, 0);
+        self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
+        let view = self.work.bind_view(&self.gpu, &self.kernels, &self.nothing);
+        let Self { gpu, kernels, work, store, .. } = self;
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let bindings = work.bindings(gpu, kernels, store);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            record(&mut pass, &of_view(kernels, bindings, &step), &view, 0);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let parts = [(&store.control, 4 * CONTROL_WORDS as u64), (work.maps(), 36 * camera.pixels() as u64)];
+        let [control, maps]: [Vec<u8>; 2] = gpu.read(&parts)?.try_into().ok()?;
+        let control: Vec<u32> = bytemuck::pod_collect_to_vec(&control);
+        self.after(&control);
+        Some((control[OVERFLOWED] == 0).then(|| bytemuck::pod_collect_to_vec(&maps)))
+    }
+
+    /// Runs a kernel over the Gaussians that there are, apart from any step.
+    fn run_over(&self, kernel: &Kernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
+        let Self { gpu, kernels, work, nothing, .. } = self;
+        let buffers = bind(gpu, kernel, buffers);
+        let view = work.bind_view(gpu, kernels, nothing);
+        let step = Step { counts: [count, 0, 0, 0], ..Step::default() };
+        gpu.queue.write_buffer(&work.uniforms, 0, bytemuck::bytes_of(&step));
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&kernel.pipeline);
+            pass.set_bind_group(0, &buffers, &[]);
+            pass.set_bind_group(1, &view, &[0]);
+            pass.dispatch_workgroups(groups, 1, 1);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Positions and logits of the opacities; zeros after a failure.
+    fn places(&self) -> Vec<[f32; 4]> {
+        let count = self.store.count;
+        if count == 0 {
+            return Vec::new();
+        }
+        let places = self.gpu.buffer("places", 16 * count as u64, wgpu::BufferUsages::empty());
+        let groups = (count as u32).div_ceil(GAUSSIANS);
+        self.run_over(&self.kernels.places, &[&self.store.rows, &places], count as u32, groups);
+        match self.gpu.read(&[(&places, 16 * count as u64)]) {
+            Some(bytes) => bytemuck::pod_collect_to_vec(&bytes[0]),
+            None => vec![[0.0; 4]; count],
+        }
+    }
+
+    /// The whole state; zeros after a failure.
+    fn parameters(&self) -> Parameters {
+        self.store.read(&self.gpu).unwrap_or_else(|| {
+            let rows = vec![Row::ZERO; self.store.count];
+            Parameters {
+                first: rows.clone(),
+                second: rows.clone(),
+                steps: vec![0; rows.len()],
+                rows,
+                ..Parameters::new(self.store.classes, Seed(0))
+            }
+        })
+    }
+}
+
+/// Adds every term.
+fn add(sum: &mut LossTerms, terms: &LossTerms) {
+    sum.color_l1 += terms.color_l1;
+    sum.dssim += terms.dssim;
+    sum.isotropic += terms.isotropic;
+    sum.depth += terms.depth;
+    sum.normal += terms.normal;
+    sum.flat += terms.flat;
+    sum.segmentation += terms.segmentation;
+    sum.total += terms.total;
+}
+
+/// All terms over a number of steps.
+fn averaged(sum: &LossTerms, count: usize) -> LossTerms {
+    let share = 1.0 / count.max(1) as f32;
+    LossTerms {
+        color_l1: sum.color_l1 * share,
+        dssim: sum.dssim * share,
+        isotropic: sum.isotropic * share,
+        depth: sum.depth * share,
+        normal: sum.normal * share,
+        flat: sum.flat * share,
+        segmentation: sum.segmentation * share,
+        total: sum.total * share,
+    }
+}
+
+impl Trainer for GpuTrainer {
+    /// # Panics
+    /// When a buffer of the frame has another size than the camera's image.
+    fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
+        self.targets.push(Target::new(&self.gpu, &frame, self.store.classes));
+        self.views.push(None);
+        self.targets.len() - 1
+    }
+
+    fn len(&self) -> usize {
+        self.store.count
+    }
+
+    fn insert(&mut self, seedlings: &[Seedling]) {
+        let mut parameters = Parameters::default();
+        parameters.insert(seedlings);
+        if parameters.rows.is_empty() {
+            return;
+        }
+        self.store.reserve(&self.gpu, self.store.count + parameters.rows.len());
+        self.store.append(&self.gpu, &parameters.rows);
+        self.work.forget_bindings();
+    }
+
+    fn retain(&mut self, mask: &[bool]) {
+        assert_eq!(mask.len(), self.store.count, "one entry per Gaussian");
+        let kept: Vec<u32> = (0..mask.len() as u32).filter(|&i| mask[i as usize]).collect();
+        if kept.len() == mask.len() {
+            return;
+        }
+        let [rows, moments, steps] = Store::fresh(&self.gpu, self.store.capacity);
+        if !kept.is_empty() {
+            let indices = self.gpu.upload("kept", bytemuck::cast_slice(&kept), wgpu::BufferUsages::STORAGE);
+            let store = &self.store;
+            let from = [&indices, &store.rows, &store.moments, &store.steps, &rows, &moments, &steps];
+            let count = kept.len() as u32;
+            self.run_over(&self.kernels.compact, &from, count, (8 * count).div_ceil(256));
+        }
+        (self.store.rows, self.store.moments, self.store.steps) = (rows, moments, steps);
+        self.store.count = kept.len();
+        self.work.forget_bindings();
+    }
+
+    /// # Panics
+    /// When a frame was not added.
+    fn steps(&mut self, frames: &[FrameId]) -> StepStats {
+        let mut sum = LossTerms::default();
+        let mut rest = frames;
+        while !rest.is_empty() && self.gpu.failure().is_none() {
+            // A view without pixels teaches nothing, and no kernel need know of it.
+            if self.targets[rest[0]].camera.pixels() == 0 {
+                rest = &rest[1..];
+                continue;
+            }
+            let empty = rest.iter().position(|&f| self.targets[f].camera.pixels() == 0);
+            let (batch, _) = rest.split_at(empty.unwrap_or(rest.len()).min(BATCH));
+            let Some(done) = self.submit(batch, &mut sum) else {
+                break;
+            };
+            rest = &rest[done..];
+        }
+        StepStats { loss: averaged(&sum, frames.len()), steps: (frames.len() - rest.len()) as u32 }
+    }
+
+    fn set_background(&mut self, rgb: [f32; 3]) {
+        self.background = rgb.map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
+    }
+
+    fn set_rates(&mut self, rates: &LearningRates) {
+        self.config.rates = *rates;
+    }
+
+    fn render(&mut self, camera: &Camera) -> RenderedMaps {
+        let step = Step::of_camera(camera);
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let mut maps = RenderedMaps { width, height, ..RenderedMaps::default() };
+        if width * height == 0 {
+            return maps;
+        }
+        let rendered = loop {
+            match self.try_render(&step) {
+                Some(Some(values)) => break values,
+                Some(None) => {}
+                None => break vec![0.0; 9 * width * height],
+            }
+        };
+        for pixel in rendered.chunks_exact(9) {
+            maps.color.push([pixel[0], pixel[1], pixel[2]]);
+            maps.alpha.push(pixel[3]);
+            maps.depth.push(pixel[4]);
+            maps.normal_w.push([pixel[5], pixel[6], pixel[7]]);
+            maps.label.push(pixel[8] as u16);
+        }
+        maps
+    }
+
+    fn opacities(&self) -> Vec<f32> {
+        self.places().iter().map(|place| sigmoid(place[3])).collect()
+    }
+
+    fn positions_w(&self) -> Vec<Vec3> {
+        self.places().iter().map(|place| Vec3::from_slice(&place[..3])).collect()
+    }
+
+    fn classifier(&self) -> Classifier {
+        self.parameters().classifier.classifier()
+    }
+
+    fn model(&self) -> GaussianModel {
+        GaussianModel { background: self.background, ..self.parameters().model() }
+    }
+
+    fn snapshot(&self) -> TrainState {
+        self.parameters().encode()
+    }
+
+    fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
+        let parameters = Parameters::decode(state)?;
+        if parameters.classifier.classes != self.store.classes {
+            return Err(TrainerError::BadState(format!(
+                "it has {} classes, the masks have {}",
+                parameters.classifier.classes, self.store.classes
+            )));
+        }
+        self.store.set(&self.gpu, &parameters);
+        self.work.forget_bindings();
+        Ok(())
+    }
+
+    fn failure(&self) -> Option<String> {
+        let name = &self.gpu.summary.name;
+        self.gpu.failure().map(|reason| format!("{name}: {reason}"))
+    }
+}
