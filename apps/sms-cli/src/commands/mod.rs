@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 mod bench_billiards;
 mod bench_engines;
+mod bench_masks;
 mod bench_materialize;
 mod bench_optimisers;
 mod bench_physics;
