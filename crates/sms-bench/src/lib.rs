@@ -83,9 +83,7 @@ pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
-pub use masks::{
-    FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks,
-};
+pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
 pub use matching::{Overlaps, match_labels};
 pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
@@ -102,8 +100,8 @@ pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene};
 pub use scenes::{
-    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, real_data_dir, recording,
-    select_mask_scenes, select_models, select_scenes, truth_scene,
+    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, real_data_dir,
+    recording, select_mask_scenes, select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};

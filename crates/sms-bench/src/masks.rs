@@ -179,7 +179,10 @@ pub fn masks_metrics(scores: &[(BenchScene, MaskScores, f64)]) -> Metrics {
         let key = |name: &str| format!("bench.masks.{scene}.{name}");
         metrics.set(key("found_share"), s.found_share()).set(key("mean_iou"), s.mean_iou());
         metrics.set(key("false_share"), s.false_share());
-        metrics.set(key("objects"), s.objects.len()).set(key("labels"), s.labels).set(key("seconds"), *seconds);
+        metrics
+            .set(key("objects"), s.objects.len())
+            .set(key("labels"), s.labels)
+            .set(key("seconds"), *seconds);
         for o in &s.objects {
             metrics.set(key(&format!("{}.iou", o.name)), o.iou);
         }
@@ -218,7 +221,9 @@ pub fn masks_table(scores: &[(BenchScene, MaskScores, f64)]) -> String {
     }
     let metrics = masks_metrics(scores);
     let mean = |name: &str| metrics.number(&format!("bench.masks.mean.{name}"));
-    if let (Some(found), Some(wrong), Some(iou)) = (mean("found_share"), mean("false_share"), mean("mean_iou")) {
+    if let (Some(found), Some(wrong), Some(iou)) =
+        (mean("found_share"), mean("false_share"), mean("mean_iou"))
+    {
         let _ = writeln!(
             text,
             "generated scenes: {:.1} % found (target 98), {:.1} % false (target 2), mean IoU {iou:.3} (target 0.9)",

@@ -133,7 +133,9 @@ mod tests {
                 assert!(scene.objects.len() >= 2);
                 for (i, o) in scene.objects.iter().enumerate() {
                     let own = o.aabb_w();
-                    assert!(o.mass.mass() > 0.0 && (o.sphere_radius.is_some() || o.mesh.is_closed_oriented()));
+                    assert!(
+                        o.mass.mass() > 0.0 && (o.sphere_radius.is_some() || o.mesh.is_closed_oriented())
+                    );
                     let below = match structure {
                         Structure::BallAgainstMug => 0.0,
                         _ if i == 0 => 0.0,
@@ -152,10 +154,12 @@ mod tests {
             let centers: Vec<DVec3> = scene.objects.iter().map(|o| o.x_wb.translation).collect();
             let r = crate::BALL_RADIUS_M;
             assert!((centers[1].distance(centers[2]) - 2.0 * r).abs() < 1e-9);
-            let near = scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
+            let near =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
             // The wall has facets, and its corners lie up to a few millimetres from where the ball touches.
             assert!(near > r - 1e-4 && near < r + 0.004, "{near}");
-            let other = scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);
+            let other =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);
             assert!(other > r, "{other}");
         }
     }

@@ -49,7 +49,8 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         }
     }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
-    if scores.is_empty() || (scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all") {
+    if scores.is_empty() || (scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all")
+    {
         return Err(InputError::new("no scene could be measured", "--scenes", "name other scenes").into());
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));

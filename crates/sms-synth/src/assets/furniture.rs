@@ -43,31 +43,52 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
     let board = pick(rng, &BOARDS);
     let (class, material, solid, look) = match kind {
         Furniture::Stool => {
-            let top = DVec3::new(uniform(rng, 0.27, 0.32), uniform(rng, 0.24, 0.28), uniform(rng, 0.025, 0.035));
+            let top =
+                DVec3::new(uniform(rng, 0.27, 0.32), uniform(rng, 0.24, 0.28), uniform(rng, 0.025, 0.035));
             let solid = on_legs(top, uniform(rng, 0.36, 0.42), uniform(rng, 0.026, 0.034), 0.012);
             ("wooden stool", "wood", solid, (Pattern::Wood, wood, 0.03, 0.15))
         }
         Furniture::Table => {
-            let top = DVec3::new(uniform(rng, 0.46, 0.54), uniform(rng, 0.34, 0.40), uniform(rng, 0.02, 0.03));
+            let top =
+                DVec3::new(uniform(rng, 0.46, 0.54), uniform(rng, 0.34, 0.40), uniform(rng, 0.02, 0.03));
             let solid = on_legs(top, uniform(rng, 0.26, 0.32), uniform(rng, 0.03, 0.04), 0.02);
             ("low table", "wood", solid, (Pattern::Plain, ([226, 222, 214], [190, 186, 176]), 0.03, 0.3))
         }
         Furniture::Crate => {
-            let size = DVec3::new(uniform(rng, 0.20, 0.26), uniform(rng, 0.20, 0.24), uniform(rng, 0.24, 0.32));
-            ("plastic crate", "plastic", gridded_cuboid(size, CELL_M), (Pattern::Plain, (plastic, plastic), 0.03, 0.3))
+            let size =
+                DVec3::new(uniform(rng, 0.20, 0.26), uniform(rng, 0.20, 0.24), uniform(rng, 0.24, 0.32));
+            (
+                "plastic crate",
+                "plastic",
+                gridded_cuboid(size, CELL_M),
+                (Pattern::Plain, (plastic, plastic), 0.03, 0.3),
+            )
         }
         Furniture::Plank => {
-            let size = DVec3::new(uniform(rng, 0.52, 0.62), uniform(rng, 0.15, 0.19), uniform(rng, 0.02, 0.03));
+            let size =
+                DVec3::new(uniform(rng, 0.52, 0.62), uniform(rng, 0.15, 0.19), uniform(rng, 0.02, 0.03));
             ("wooden plank", "wood", gridded_cuboid(size, CELL_M), (Pattern::Wood, wood, 0.03, 0.12))
         }
         Furniture::FlatBox => {
-            let size = DVec3::new(uniform(rng, 0.30, 0.38), uniform(rng, 0.22, 0.28), uniform(rng, 0.08, 0.12));
+            let size =
+                DVec3::new(uniform(rng, 0.30, 0.38), uniform(rng, 0.22, 0.28), uniform(rng, 0.08, 0.12));
             let scale = 0.3 * size.z as f32;
-            ("cardboard box", "cardboard", gridded_cuboid(size, CELL_M), (Pattern::Cardboard, (board, [70, 46, 30]), scale, 0.05))
+            (
+                "cardboard box",
+                "cardboard",
+                gridded_cuboid(size, CELL_M),
+                (Pattern::Cardboard, (board, [70, 46, 30]), scale, 0.05),
+            )
         }
         Furniture::Tote => {
-            let size = DVec3::new(uniform(rng, 0.34, 0.40), uniform(rng, 0.24, 0.28), uniform(rng, 0.12, 0.16));
-            ("plastic tote", "plastic", open_box(size, 0.005), (Pattern::Plain, (plastic, plastic), 0.03, 0.3))
+            let size =
+                DVec3::new(uniform(rng, 0.34, 0.40), uniform(rng, 0.24, 0.28), uniform(rng, 0.12, 0.16));
+            (
+                "plastic tote",
+                "plastic",
+                open_box(size, 0.005),
+                (Pattern::Plain, (plastic, plastic), 0.03, 0.3),
+            )
         }
     };
     let hollow = match kind {
@@ -105,10 +126,7 @@ fn on_legs(top: DVec3, height: f64, leg: f64, inset: f64) -> Solid {
     for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
         let (a, b) = (sx * (x - inset), sy * (y - inset));
         let (c, d) = (a - sx * leg, b - sy * leg);
-        boxes.push(Cuboid::new(
-            DVec3::new(a.min(c), b.min(d), 0.0),
-            DVec3::new(a.max(c), b.max(d), under),
-        ));
+        boxes.push(Cuboid::new(DVec3::new(a.min(c), b.min(d), 0.0), DVec3::new(a.max(c), b.max(d), under)));
     }
     cuboid_union(&boxes, CELL_M)
 }
