@@ -10,10 +10,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, ColorImage, Image, Labels, Progress, Warnings, write_png_color};
 use sms_frames::{Recording, Sequence, load};
-use sms_masks::{
-    DEFAULT_NEIGHBORS, FileMasks, GeometryMasks, Segmenter, TruthMasks, label_color, refine_edges,
-    scaled_margin_px,
-};
+use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, label_color};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
@@ -110,7 +107,7 @@ pub fn score_masks(truth: &Labels, found: &Labels, whole_truth: bool) -> MaskSco
     }
 }
 
-/// Masks from geometry of one scene: found, refined at their edges as `sms scan` does, and measured. Real recordings are
+/// Masks from geometry of one scene, as `sms scan` makes them, and what they are worth. Real recordings are
 /// measured against the masks that came with them. `None` for a recording that is not there. With `dir`, a picture of four
 /// frames is written there: colour, true labels, found labels.
 ///
@@ -134,8 +131,6 @@ pub fn run_masks(
     let began = Instant::now();
     let geometry = GeometryMasks { config: options.masks.clone() };
     let found = geometry.segment(&sequence, progress, cancel, warnings)?;
-    let width = sequence.frames.first().map_or(0, |f| f.depth.width);
-    let found = refine_edges(&found, &sequence, scaled_margin_px(width), DEFAULT_NEIGHBORS)?;
     let seconds = began.elapsed().as_secs_f64();
     if let Some(dir) = dir {
         write_masks_panel(&dir.join(format!("{scene}.png")), &sequence, &truth, &found)?;

@@ -142,6 +142,8 @@ fn large_pieces(
         let is_static = |m: &Vec<usize>| {
             is_large(coarse, graph, m, n_w, cell_m, config)
                 && (length(coarse, m) > config.max_structure_m
+                    // Walls and lips stand free, too, and are no things.
+                    || n_w.z < UPWARD
                     || !stands_free(coarse, m, p_w, n_w, cell_m, sequence))
         };
         large.extend(pieces.into_iter().filter(is_static).map(|m| (m, n_w)));
@@ -198,6 +200,9 @@ fn is_large(
         || (area > STRIP * config.max_face_m2 && length(coarse, members) > config.max_object_m)
         || (area > wall * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
 }
+
+/// Of the normal's upward part, what a top and its edges have, and a wall has not.
+const UPWARD: f64 = 0.15;
 
 /// Share of a rim past which the surroundings must be seen, for what faces up and for the rest: the rim of a table's top is
 /// interrupted by what stands on it.
