@@ -22,6 +22,9 @@
 //! true world is one more sample of what is not known. [`run_rebound`] plans one shot twice, with a statue of brass and of
 //! cardboard beside its way.
 //!
+//! # Masks
+//! [`run_masks`] measures label images against the true ones: objects found, labels that are none, and how well they overlap.
+//!
 //! # The whole experiment
 //! [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, and carry out in the target
 //! worlds.
@@ -49,6 +52,7 @@ mod disturb;
 mod engines;
 mod export;
 mod images;
+mod masks;
 mod matching;
 mod materialize;
 mod optimisers;
@@ -87,6 +91,7 @@ pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
+pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
 pub use matching::{Overlaps, match_labels};
 pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
@@ -103,8 +108,8 @@ pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene, run_scene_with};
 pub use scenes::{
-    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, generated, model_path, real_data_dir, recording,
-    select_models, select_scenes, truth_scene,
+    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, real_data_dir,
+    recording, select_mask_scenes, select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};

@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, ModelScene, RecordingSettings, Skin, TruthScene, generate_billiards,
-    model_scene, orbit_poses, read_model, record_views, write_recording,
+    BilliardsSettings, FIXED_SCENES, ModelScene, RecordingSettings, Skin, Structure, TruthScene, bounds_w,
+    generate_billiards, generate_stacked, model_scene, orbit_poses, read_model, record_views,
+    write_recording,
 };
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -58,7 +59,12 @@ pub enum BenchScene {
     Model(String),
     /// One of the eighteen fixed billiards scenes, by its number (`fixed_08`).
     Fixed(usize),
+    /// Things that stand on each other or touch (`stacked_box_on_stool`), seen from an orbit.
+    Stacked(Structure),
 }
+
+/// Seed of the stacked structures that are measured; masks are tuned on seeds from 1001 on.
+pub const STACKED_SEED: u64 = 1;
 
 impl fmt::Display for BenchScene {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -67,6 +73,7 @@ impl fmt::Display for BenchScene {
             Self::Ten(seed) => write!(f, "scene_{seed}"),
             Self::Real(name) | Self::Model(name) => f.write_str(name),
             Self::Fixed(number) => write!(f, "fixed_{number:02}"),
+            Self::Stacked(structure) => write!(f, "stacked_{}", structure.as_str()),
         }
     }
 }
@@ -107,6 +114,33 @@ pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     list.split(',').map(|id| id.trim().parse()).collect()
 }
 
+/// The scenes of `sms bench masks` that a list names: `all` (the fixed billiards scenes, the stacked structures, the real
+/// shelf), `fixed`, `stacked`, `real`, or ids separated by commas.
+///
+/// # Errors
+/// [`InputError`] naming the part that is no scene.
+pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
+    let fixed = || FIXED_SCENES.iter().map(|s| BenchScene::Fixed(s.number));
+    let stacked = || Structure::ALL.into_iter().map(BenchScene::Stacked);
+    // The other real recording marks one object only.
+    let shelf = || std::iter::once(BenchScene::Real(REAL[1].to_owned()));
+    match list {
+        "all" => return Ok(fixed().chain(stacked()).chain(shelf()).collect()),
+        "fixed" => return Ok(fixed().collect()),
+        "stacked" => return Ok(stacked().collect()),
+        "real" => return Ok(REAL.iter().map(|r| BenchScene::Real((*r).to_owned())).collect()),
+        _ => {}
+    }
+    let known: Vec<BenchScene> = fixed().chain(stacked()).collect();
+    list.split(',')
+        .map(str::trim)
+        .map(|id| match known.iter().find(|s| s.to_string() == id) {
+            Some(scene) => Ok(scene.clone()),
+            None => id.parse(),
+        })
+        .collect()
+}
+
 /// The true scene of a seed.
 pub fn truth_scene(seed: u64) -> TruthScene {
     generate_billiards(Seed(seed), &BilliardsSettings::default())
@@ -136,6 +170,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             Some(fixed) => plain(fixed.generate()),
             None => Ok(None),
         },
+        BenchScene::Stacked(structure) => plain(generate_stacked(*structure, Seed(STACKED_SEED))),
         BenchScene::Real(_) => Ok(None),
     }
 }
@@ -162,6 +197,7 @@ pub fn recording(
     let settings = RecordingSettings { frames, seed: noise, ..RecordingSettings::default() };
     let orbit = match (scene, truth.objects.first()) {
         (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
+        (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
         _ => None,
     };
     let (hash, version) = (hash_serializable(truth).0, env!("CARGO_PKG_VERSION"));
@@ -237,6 +273,15 @@ mod tests {
             let made = generated(&BenchScene::Ten(seed)).unwrap().unwrap();
             assert_eq!(made.scene.objects.len(), 10, "seed {seed}");
         }
+    }
+
+    #[test]
+    fn lists_name_scenes_for_masks() {
+        assert_eq!(select_mask_scenes("all").unwrap().len(), 23);
+        let mixed = select_mask_scenes("fixed_08, stacked_tote_on_table,billiards_1001").unwrap();
+        let text: Vec<String> = mixed.iter().map(ToString::to_string).collect();
+        assert_eq!(text, ["fixed_08", "stacked_tote_on_table", "billiards_1001"]);
+        assert!(select_mask_scenes("fixed_19").unwrap_err().to_string().contains("fixed_19"));
     }
 
     #[test]

@@ -10,7 +10,8 @@
 //! - [`TruthMasks`]: the truth of a generated recording, for ablations only and named so.
 //!
 //! [`refine_edges`] is the paper's correction of mask borders by nearest neighbours in the back-projected cloud, and
-//! [`save_labels`] / [`load_labels`] keep labels in the run folder, where names may be edited and objects merged.
+//! [`add_unknown`] adds what a source missed; [`save_labels`] / [`load_labels`] keep labels in the run folder, where names
+//! may be edited and objects merged.
 //!
 //! ```
 //! use sms_core::{Cancel, NoProgress, Warnings, glamx::DPose3};
@@ -32,6 +33,7 @@ mod palette;
 mod refine;
 mod store;
 mod truth;
+mod unknown;
 mod voxels;
 
 #[cfg(test)]
@@ -45,6 +47,7 @@ pub use refine::{DEFAULT_MARGIN_PX, DEFAULT_NEIGHBORS, refine_edges, scaled_marg
 pub use sms_core::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use store::{load_labels, save_labels};
 pub use truth::TruthMasks;
+pub use unknown::add_unknown;
 
 use sms_core::{Cancel, Progress, Warnings};
 use sms_frames::Sequence;

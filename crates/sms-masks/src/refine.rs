@@ -205,6 +205,23 @@ mod tests {
     }
 
     #[test]
+    fn borders_wrong_by_five_pixels_are_mended() {
+        let solids = table_scene();
+        let (sequence, truth) =
+            scene(&solids, Sensor { frames: 10, size: (640, 400), ..Sensor::default() }, 3);
+        let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 5)).collect();
+        let before = truth_labels(wrong, solids.len() as u16);
+        let after = refine_edges(&before, &sequence, 6, DEFAULT_NEIGHBORS).unwrap();
+        let mean = |labels: &Labels| {
+            (1..=solids.len() as u16).map(|v| best_iou(&truth, v, labels).0).sum::<f64>()
+                / solids.len() as f64
+        };
+        let (b, a) = (mean(&before), mean(&after));
+        println!("mean IoU {b:.3} before, {a:.3} after");
+        assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
+    }
+
+    #[test]
     fn right_borders_stay_and_the_inside_is_never_touched() {
         let solids = table_scene();
         let (sequence, truth) = scene(&solids, Sensor { frames: 6, ..Sensor::default() }, 4);

@@ -2,6 +2,7 @@
 //!
 //! - [`generate_billiards`]: a seeded scene of two pool balls, a goal and household obstacles, each with its exact
 //!   surface, convex pieces, true material and mass properties.
+//! - [`generate_stacked`]: things that stand on each other or touch, for masks.
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
 //!   the depth as imperfect as that of a real stereo camera.
 //! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
@@ -41,6 +42,7 @@ mod scene;
 mod shading;
 mod shapes;
 mod skin;
+mod stacked;
 mod stage;
 mod texture;
 
@@ -57,4 +59,5 @@ pub use render::{CameraModel, RenderedFrame, Renderer, render};
 pub use scanned::{NamedModel, generate_billiards_among, read_models};
 pub use scene::{Hollow, TRUTH_VERSION, TruthFloor, TruthObject, TruthScene, read_truth};
 pub use skin::Skin;
+pub use stacked::{Structure, bounds_w, generate_stacked};
 pub use texture::{Pattern, Spot, Texture};

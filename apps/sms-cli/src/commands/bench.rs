@@ -3,6 +3,7 @@
 use super::bench_billiards::{self, BenchBilliards};
 use super::bench_engines::{self, BenchEngines};
 use super::bench_gpu;
+use super::bench_masks::{self, BenchMasks};
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_merge::{self, BenchMerge};
 use super::bench_optimisers::{self, BenchOptimisers};
@@ -41,6 +42,8 @@ pub(crate) enum BenchCommand {
     Scan(Box<BenchScan>),
     /// Scan models whose shape is known (../shared/data/meshes) once, and measure the meshes made of the scans.
     Materialize(Box<BenchMaterialize>),
+    /// Masks from geometry against the true ones, on billiards scenes, stacked structures and a real shelf.
+    Masks(BenchMasks),
     /// Closed-form probes of the physics engines: impacts, throw, rolling, sliding, tipping, a stack.
     Physics(BenchPhysics),
     /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
@@ -138,6 +141,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
     match &a.what {
         BenchCommand::Scan(scan) => run_scan(context, scan),
         BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
+        BenchCommand::Masks(masks) => bench_masks::run(context, masks),
         BenchCommand::Physics(physics) => bench_physics::run(context, physics),
         BenchCommand::Score(score) => run_score(context, score),
         BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
@@ -208,7 +212,9 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
 /// Whether it is a real recording that is not here.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
-        BenchScene::Billiards(_) | BenchScene::Ten(_) | BenchScene::Fixed(_) => false,
+        BenchScene::Billiards(_) | BenchScene::Ten(_) | BenchScene::Fixed(_) | BenchScene::Stacked(_) => {
+            false
+        }
         BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
         BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
     }

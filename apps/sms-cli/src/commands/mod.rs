@@ -4,6 +4,7 @@ pub(crate) mod bench;
 mod bench_billiards;
 mod bench_engines;
 mod bench_gpu;
+mod bench_masks;
 mod bench_materialize;
 mod bench_merge;
 mod bench_optimisers;

@@ -3,11 +3,10 @@
 use super::GeometryConfig;
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents};
-use crate::voxels::key_of;
+use super::segments::{Border, Segments};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_frames::Sequence;
-use std::collections::BTreeMap;
 
 /// The objects: sorted lists of surfels, the largest first.
 pub(crate) fn clusters(
@@ -20,23 +19,29 @@ pub(crate) fn clusters(
 ) -> Vec<Vec<usize>> {
     let pieces = graph.components(|i| !is_static[i]);
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
-    let mut objects: Vec<Vec<usize>> = pieces
+    let parts: Vec<Vec<usize>> = pieces
         .into_iter()
         .filter(|p| p.len() >= smallest)
         .flat_map(|p| split(surfels, graph, p, config))
-        .collect::<Vec<_>>()
+        .collect();
+    let mut objects: Vec<Vec<usize>> = join_legs(surfels, parts)
         .into_par_iter()
-        .filter(|object| is_plausible(surfels, object, planes, sequence, config))
+        .filter(|object| is_plausible(surfels, graph, object, is_static, planes, sequence, config))
         .collect();
     objects.sort_by_key(|o| (std::cmp::Reverse(o.len()), o[0]));
     objects.truncate(usize::from(u16::MAX) - 1);
     objects
 }
 
+/// What is longer than an object stands free where at most this share of it lies beside static surfaces.
+const TOUCHING: f64 = 0.1;
+
 /// Whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
 fn is_plausible(
     surfels: &[Surfel],
+    graph: &Neighbors,
     object: &[usize],
+    is_static: &[bool],
     planes: &[StaticPlane],
     sequence: &Sequence,
     config: &GeometryConfig,
@@ -48,9 +53,16 @@ fn is_plausible(
         || middle < 0.9 * config.min_object_m
         // Ragged rims fill little of the rectangle around them.
         || area < 0.35 * middle * long
-        || long > config.max_object_m * 1.2
+        || long > 1.2 * config.max_structure_m
     {
         return false;
+    }
+    if long > 1.2 * config.max_object_m {
+        let touches = |&&i: &&usize| graph.of(i).any(|j| is_static[j]);
+        let touching = object.iter().filter(touches).count();
+        if touching as f64 > TOUCHING * object.len() as f64 {
+            return false;
+        }
     }
     // Not the ragged rim or the skin of a plane: of the heights over each plane, the 90th percentile counts.
     let stands_out = planes.iter().all(|plane| {
@@ -73,56 +85,6 @@ fn is_plausible(
     stands_out && seen.count() as f64 >= (config.min_seen_share * sequence.len() as f64).max(1.0)
 }
 
-/// Surfels of one coarse cell that face about the same way.
-#[derive(Debug, Clone)]
-struct Patch {
-    members: Vec<usize>,
-    p_w: DVec3,
-    n_w: DVec3,
-    color: ColorMoments,
-}
-
-/// Count, sum and sum of squares of colours, to compare the distributions of two segments.
-#[derive(Debug, Clone, Copy, Default)]
-struct ColorMoments {
-    count: f64,
-    sum: DVec3,
-    squares: DVec3,
-}
-
-impl ColorMoments {
-    fn add(&mut self, color: [f32; 3]) {
-        let c = DVec3::from_array(color.map(f64::from));
-        self.count += 1.0;
-        self.sum += c;
-        self.squares += c * c;
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.count += other.count;
-        self.sum += other.sum;
-        self.squares += other.squares;
-    }
-
-    /// Distance of the means in units of the spreads. Shading alone spreads a colour by about 20 of 255.
-    fn distance(&self, other: &Self) -> f64 {
-        let (m, n) = (self.sum / self.count.max(1.0), other.sum / other.count.max(1.0));
-        let variance =
-            (self.squares / self.count.max(1.0) - m * m) + (other.squares / other.count.max(1.0) - n * n);
-        let d = m - n;
-        (d * d / (variance.max(DVec3::ZERO) + DVec3::splat(2.0 * 20.0 * 20.0))).element_sum().sqrt()
-    }
-}
-
-/// What is known of the border between two segments.
-#[derive(Debug, Clone, Copy, Default)]
-struct Border {
-    /// Number of pairs of neighbouring surfels across it.
-    pairs: f64,
-    /// The same, weighted by how sharply each bends inwards (0 to 1).
-    crease: f64,
-}
-
 /// Splits a connected piece where two convex things meet.
 ///
 /// After locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR 2014), with
@@ -135,194 +97,154 @@ fn split(
     piece: Vec<usize>,
     config: &GeometryConfig,
 ) -> Vec<Vec<usize>> {
-    let patches = patches(surfels, &piece, config);
-    if patches.len() < 4 {
-        return vec![piece];
-    }
-    let mut patch_of = BTreeMap::new();
-    for (k, patch) in patches.iter().enumerate() {
-        patch.members.iter().for_each(|&i| {
-            patch_of.insert(i, k);
-        });
-    }
-    let mut borders: Vec<BTreeMap<usize, Border>> = vec![BTreeMap::new(); patches.len()];
-    for &i in &piece {
-        let a = patch_of[&i];
-        for j in graph.of(i) {
-            let Some(&b) = patch_of.get(&j) else { continue };
-            let near = surfels[i].p_w.distance_squared(surfels[j].p_w) < (1.6 * config.voxel_m).powi(2);
-            if a < b && near {
-                let border = borders[a].entry(b).or_default();
-                border.pairs += 1.0;
-            }
-        }
-    }
-    for a in 0..patches.len() {
-        for (&b, border) in &mut borders[a] {
-            border.crease = border.pairs * inward_bend(&patches[a], &patches[b], config);
-        }
-    }
-    let mut segments = Segments::new(&patches, borders);
-    segments.merge_while(
-        |s, a, b, border| 1.0 - border.crease / border.pairs - 0.1 * s.contrast(a, b).min(2.0),
-        1.0 - config.crease_share,
-    );
-    let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
-    segments.merge_small(|members| {
-        let [_, middle, long] = extents(surfels, members);
-        members.len() < smallest || middle < config.min_object_m || long < 1.5 * config.min_object_m
+    let voxel = config.voxel_m;
+    let mut segments = Segments::patches(surfels, graph, &piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
+    // Greedy merging leaks through a border here and there. It is done twice, led by colour and by shape, and what one of
+    // them keeps apart stays apart.
+    let [by_color, by_shape] = LIGHTS.map(|light| {
+        let mut merged = segments.clone();
+        merged.merge_convex(config.crease_share, light);
+        merged
     });
-    let is_clutter = extents(surfels, &piece)[2] > config.clutter_m;
+    segments.merge_agreed(&by_color, &by_shape);
+    let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
+    segments.merge_small(|members| {
+        if members.len() < smallest {
+            return true;
+        }
+        let [_, middle, long] = extents(surfels, members);
+        middle < config.min_object_m || long < 1.5 * config.min_object_m
+    });
+    let length = extents(surfels, &piece)[2];
     segments.merge_while(
         |s, a, b, border| {
-            let (m, n) = (s.size(a) as f64, s.size(b) as f64);
-            let contrast = s.contrast(a, b);
-            if are_distinct(contrast, border, m.min(n), m.max(n), is_clutter) {
-                0.0
-            } else {
-                1.0 / (1.0 + contrast)
-            }
+            if are_distinct(s, a, b, border, length, config) { 0.0 } else { 1.0 / (1.0 + s.contrast(a, b)) }
         },
         0.0,
     );
     segments.into_members()
 }
 
-fn patches(surfels: &[Surfel], piece: &[usize], config: &GeometryConfig) -> Vec<Patch> {
-    let coarse = 3.0 * config.voxel_m;
-    let mut cells: BTreeMap<(u64, u8), Vec<usize>> = BTreeMap::new();
-    for &i in piece {
-        let n = surfels[i].n_w;
-        let axis = if n.x.abs() >= n.y.abs() && n.x.abs() >= n.z.abs() {
-            0
-        } else if n.y.abs() >= n.z.abs() {
-            1
-        } else {
-            2
-        };
-        let facing = 2 * axis as u8 + u8::from(n[axis] < 0.0);
-        if let Some(key) = key_of(surfels[i].p_w, coarse) {
-            cells.entry((key, facing)).or_default().push(i);
-        }
+/// Levels by which light alone may change the colours of neighbouring patches, when colour leads and when shape does.
+const LIGHTS: [f64; 2] = [15.0, 60.0];
+
+/// What adjoins other surfaces and shows less than this (m²) is a detail of them, whatever its colour.
+const DETAIL_M2: f64 = 2.5e-3;
+
+/// Width of a border in widths of the smaller segment: below 1, they touch in less than their cross-section.
+fn neck(s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
+    let smaller = if s.size(a) < s.size(b) { a } else { b };
+    border.spread.extents()[2] / s.spread(smaller).extents()[1].max(1e-6)
+}
+
+/// Whether segment `a` is the bottom of a hollow whose walls `b` is: flat, with a border all around it, beyond which `b`
+/// rises on the side that `a` faces.
+fn is_inside(s: &Segments, a: usize, b: usize, border: &Border) -> bool {
+    let (own, ring) = (s.spread(a).extents(), border.spread.extents());
+    let rises = (s.spread(b).center() - s.spread(a).center()).dot(s.facing(a).normalize_or_zero());
+    s.facing(a).length() > 0.8
+        && own[0] < 0.3 * own[1]
+        && ring[1] > 0.9 * own[1]
+        && ring[2] > 0.9 * own[2]
+        && rises > 2.0 * own[0].max(0.005)
+}
+
+/// Whether two segments with a crease between them are two things.
+///
+/// Colours that differ across the crease tell, and so does a border that is narrower than either side. In a piece of an
+/// object's size (a toy's head, a bottle's cap) the crease must be sharp, and neither side a mere detail; in larger pieces
+/// less evidence is needed, and in pieces larger than most objects a level crease is where one thing stands on another.
+fn are_distinct(
+    s: &Segments,
+    a: usize,
+    b: usize,
+    border: &Border,
+    length: f64,
+    config: &GeometryConfig,
+) -> bool {
+    let contrast = s.contrast(a, b);
+    if is_inside(s, a, b, border) || is_inside(s, b, a, border) {
+        return false;
     }
-    cells
-        .into_values()
-        .map(|members| {
-            let mean = |f: &dyn Fn(&Surfel) -> DVec3| members.iter().map(|&i| f(&surfels[i])).sum::<DVec3>();
-            let p_w = mean(&|s| s.p_w) / members.len() as f64;
-            let n_w = mean(&|s| s.n_w).normalize_or(DVec3::Z);
-            let mut color = ColorMoments::default();
-            members.iter().for_each(|&i| color.add(surfels[i].color));
-            Patch { members, p_w, n_w, color }
-        })
-        .collect()
-}
-
-/// 0 for borders that are flat or bend outwards, rising to 1 for inward bends of twice the crease angle.
-fn inward_bend(a: &Patch, b: &Patch, config: &GeometryConfig) -> f64 {
-    let d = (a.p_w - b.p_w).normalize_or(DVec3::X);
-    let angle = a.n_w.angle_between(b.n_w);
-    let inward = (a.n_w - b.n_w).dot(d) < 0.0;
-    if inward { ((angle - 0.5 * config.crease_rad) / config.crease_rad).clamp(0.0, 1.0) } else { 0.0 }
-}
-
-/// Whether two segments with a crease between them are two things. In a piece too large to be one thing the colours or
-/// the width of the border decide; a piece of an object's size is one thing (a toy's head, a bottle's cap) unless colours
-/// differ clearly across a sharp crease and no side is a mere detail, or the two touch in little more than a point.
-fn are_distinct(contrast: f64, border: &Border, smaller: f64, larger: f64, is_clutter: bool) -> bool {
-    // Pairs grow with the border's length and surfels with the area: the ratio does not depend on size.
-    let width = border.pairs / smaller.sqrt();
     let sharp = border.crease > 0.5 * border.pairs;
-    if is_clutter {
-        contrast > 1.2 || width < 12.0
-    } else {
-        sharp && smaller > 0.2 * larger && (contrast > 1.5 || width < 1.5)
+    let neck = neck(s, a, b, border);
+    let narrow = sharp && (neck < 0.6 || (neck < 0.75 && contrast > 1.0));
+    if length > config.clutter_m {
+        let [thin, middle, _] = border.spread.extents();
+        let level = border.spread.normal().z.abs() > 0.95 && thin < 0.25 * middle;
+        let bent = border.crease / border.pairs;
+        if bent < 0.25 && contrast < 2.4 {
+            return false;
+        }
+        let width = border.pairs / (s.size(a).min(s.size(b)) as f64).sqrt();
+        return (contrast > 1.2 && (bent > 0.3 || neck < 1.0 || contrast > 2.4))
+            || narrow
+            || width < 12.0
+            || (length > 0.35 && level && bent > 0.35);
     }
+    let least = s.size(a).min(s.size(b)) as f64 > 0.2 * s.size(a).max(s.size(b)) as f64;
+    narrow || (sharp && least && contrast > 1.5)
 }
 
-/// Segments that merge pairwise, and their borders.
-struct Segments {
-    members: Vec<Option<Vec<usize>>>,
-    colors: Vec<ColorMoments>,
-    /// Borders of each segment, under both of its sides' numbers.
-    borders: Vec<BTreeMap<usize, Border>>,
+/// Gives posts to what they carry. The underside of a table hides where its legs meet it: what is slender, upright and has
+/// something over its axis belongs to what lies around its upper end, if that has other posts or reaches the ground itself.
+fn join_legs(surfels: &[Surfel], objects: Vec<Vec<usize>>) -> Vec<Vec<usize>> {
+    /// A post's top and the rim of what it carries are at most so far apart, beside half of the post's width.
+    const INSET_M: f64 = 0.035;
+    /// Thickness of what a post may carry.
+    const TOP_M: f64 = 0.06;
+    /// What lies over a post is at most so high over it: a load on the top hides the top.
+    const OVER_M: f64 = 0.3;
+    let mut carried_by: Vec<Option<usize>> = vec![None; objects.len()];
+    let lowest: Vec<f64> =
+        objects.iter().map(|o| quantile(o.iter().map(|&i| surfels[i].p_w.z), 0.02)).collect();
+    for (a, post) in objects.iter().enumerate() {
+        let [_, width, long] = extents(surfels, post);
+        let top = quantile(post.iter().map(|&i| surfels[i].p_w.z), 0.98);
+        if post.len() < 50 || width > 0.12 || long < 2.5 * width || top - lowest[a] < 0.85 * long {
+            continue;
+        }
+        let upper = post.iter().map(|&i| surfels[i].p_w).filter(|p| p.z > top - width);
+        let (sum, count) = upper.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p, n + 1.0));
+        let axis = (sum / f64::max(count, 1.0)).truncate();
+        let (mut covered, mut best): (bool, Option<(usize, usize)>) = (false, None);
+        for (b, other) in objects.iter().enumerate().filter(|(b, _)| *b != a) {
+            let mut around = 0;
+            for p in other.iter().map(|&i| surfels[i].p_w) {
+                let (over, aside) = (p.z - top, p.truncate().distance(axis));
+                covered |= aside < f64::max(0.5 * width, 0.01) && over > 0.0 && over < OVER_M;
+                around += usize::from(aside < 0.5 * width + INSET_M && over > -0.02 && over < TOP_M);
+            }
+            // Of equals the first, which is no post of the same thing: posts are slender.
+            if around >= 5 && other.len() > post.len() && best.is_none_or(|(most, _)| around > most) {
+                best = Some((around, b));
+            }
+        }
+        carried_by[a] = best.filter(|_| covered).map(|(_, b)| b);
+    }
+    let posts = |b: usize| carried_by.iter().filter(|c| **c == Some(b)).count();
+    let mut joined: Vec<Option<Vec<usize>>> = objects.into_iter().map(Some).collect();
+    for a in 0..joined.len() {
+        let Some(b) = carried_by[a] else { continue };
+        // What is carried must not be a post itself.
+        if carried_by[b].is_some() || (posts(b) < 2 && lowest[b] > lowest[a] + 0.03) {
+            continue;
+        }
+        if let (Some(post), Some(_)) = (joined[a].take(), &joined[b]) {
+            joined[b].get_or_insert_default().extend(post);
+        }
+    }
+    let mut joined: Vec<Vec<usize>> = joined.into_iter().flatten().collect();
+    joined.iter_mut().for_each(|m| m.sort_unstable());
+    joined
 }
 
-impl Segments {
-    fn new(patches: &[Patch], one_sided: Vec<BTreeMap<usize, Border>>) -> Self {
-        let mut borders = one_sided.clone();
-        for (a, list) in one_sided.into_iter().enumerate() {
-            for (b, border) in list {
-                borders[b].insert(a, border);
-            }
-        }
-        let members = patches.iter().map(|p| Some(p.members.clone())).collect();
-        Self { members, colors: patches.iter().map(|p| p.color).collect(), borders }
+/// The value below which a share of the values lies; 0 without values.
+fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    if values.is_empty() {
+        return 0.0;
     }
-
-    fn size(&self, a: usize) -> usize {
-        self.members[a].as_ref().map_or(0, Vec::len)
-    }
-
-    /// Merges the pair whose border scores highest (the first of equals) until none scores above `least`.
-    fn merge_while(&mut self, score: impl Fn(&Self, usize, usize, &Border) -> f64, least: f64) {
-        loop {
-            let mut best: Option<(f64, usize, usize)> = None;
-            for a in 0..self.borders.len() {
-                for (&b, border) in self.borders[a].range(a + 1..) {
-                    let s = score(self, a, b, border);
-                    if s > least && best.is_none_or(|(t, _, _)| s > t) {
-                        best = Some((s, a, b));
-                    }
-                }
-            }
-            let Some((_, a, b)) = best else { break };
-            self.merge(a, b);
-        }
-    }
-
-    /// Merges segments that are too small into the neighbour with the longest border, smallest first.
-    fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
-        loop {
-            let candidate = (0..self.members.len())
-                .filter(|&a| !self.borders[a].is_empty())
-                .filter(|&a| self.members[a].as_ref().is_some_and(|m| is_small(m)))
-                .min_by_key(|&a| (self.size(a), a));
-            let Some(a) = candidate else { break };
-            let longest =
-                self.borders[a].iter().max_by(|x, y| x.1.pairs.total_cmp(&y.1.pairs).then(y.0.cmp(x.0)));
-            let Some((&b, _)) = longest else { break };
-            self.merge(a.min(b), a.max(b));
-        }
-    }
-
-    /// Merges `b` into `a`.
-    fn merge(&mut self, a: usize, b: usize) {
-        if let Some(moved) = self.members[b].take() {
-            self.members[a].get_or_insert_default().extend(moved);
-        }
-        let color = self.colors[b];
-        self.colors[a].merge(&color);
-        for (c, border) in std::mem::take(&mut self.borders[b]) {
-            self.borders[c].remove(&b);
-            if c != a {
-                for (x, y) in [(a, c), (c, a)] {
-                    let sum = self.borders[x].entry(y).or_default();
-                    sum.pairs += border.pairs;
-                    sum.crease += border.crease;
-                }
-            }
-        }
-    }
-
-    /// How different the colours of two segments are.
-    fn contrast(&self, a: usize, b: usize) -> f64 {
-        self.colors[a].distance(&self.colors[b])
-    }
-
-    fn into_members(self) -> Vec<Vec<usize>> {
-        let mut all: Vec<Vec<usize>> = self.members.into_iter().flatten().collect();
-        all.iter_mut().for_each(|m| m.sort_unstable());
-        all
-    }
+    let at = ((values.len() - 1) as f64 * share) as usize;
+    *values.select_nth_unstable_by(at, f64::total_cmp).1
 }

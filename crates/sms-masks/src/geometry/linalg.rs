@@ -52,7 +52,8 @@ pub(crate) fn mean_and_covariance(points: impl Iterator<Item = (DVec3, f64)>) ->
     Some((origin? + mean, second * (1.0 / total) - outer(mean, 1.0), total))
 }
 
-fn outer(d: DVec3, w: f64) -> DMat3 {
+/// `w d dᵀ`.
+pub(crate) fn outer(d: DVec3, w: f64) -> DMat3 {
     DMat3::from_cols(d * (d.x * w), d * (d.y * w), d * (d.z * w))
 }
 

@@ -2,8 +2,8 @@
 //!
 //! 1. [`fuse`]: all frames become one cloud of surfels; what other frames see through is dropped.
 //! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static.
-//! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet; pieces
-//!    that cannot be objects are left to the background.
+//! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet
+//!    ([`segments`]); posts join what they carry; pieces that cannot be objects are left to the background.
 //! 4. [`project`]: each pixel takes the label of the surfels that it sees.
 
 mod cluster;
@@ -11,10 +11,15 @@ mod fuse;
 mod linalg;
 mod planes;
 mod project;
+mod segments;
 
 use crate::{MasksError, STAGE, Segmenter};
+use glamx::DVec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sms_core::{Cancel, InputError, LabelInfo, Labels, MaskSource, Progress, Ranges, Seed, Warnings};
+use sms_core::{
+    Cancel, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, Ranges, Seed, Warnings,
+};
 use sms_frames::Sequence;
 
 /// Settings of [`GeometryMasks`]. Lengths in metres.
@@ -31,6 +36,9 @@ pub struct GeometryConfig {
     pub depth_spread: f64,
     /// Planar pieces longer than this, and pieces of any shape longer than this, are not objects.
     pub max_object_m: f64,
+    /// Things that stand free (stools, planks, low tables) may be so long: of their planar pieces the surroundings are seen
+    /// past most of the rim, and they touch little that is static.
+    pub max_structure_m: f64,
     /// Planar pieces with more area than this (m²) are not faces of an object; the side of a large cereal box has
     /// 0.057.
     pub max_face_m2: f64,
@@ -61,6 +69,7 @@ impl Default for GeometryConfig {
             max_depth_m: 2.5,
             depth_spread: 1.8,
             max_object_m: 0.42,
+            max_structure_m: 1.0,
             max_face_m2: 0.065,
             min_object_m: 0.015,
             min_area_m2: 9e-4,
@@ -86,6 +95,7 @@ impl GeometryConfig {
             ("max_depth_m", self.max_depth_m, 0.01, 1e3),
             ("depth_spread", self.depth_spread, 1.0, 1e3),
             ("max_object_m", self.max_object_m, 1e-3, 100.0),
+            ("max_structure_m", self.max_structure_m, 1e-3, 100.0),
             ("max_face_m2", self.max_face_m2, 1e-6, 1e4),
             ("min_object_m", self.min_object_m, 0.0, 100.0),
             ("min_area_m2", self.min_area_m2, 0.0, 1e4),
@@ -105,16 +115,68 @@ impl GeometryConfig {
 /// The embedded default: objects by geometry, without any network.
 ///
 /// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Things that touch are separated where
-/// they meet in a sharp inward crease and differ in colour or touch in little more than a point; a crease alone is not
-/// enough, since toys and statues have creases. In clutter (connected pieces longer than
-/// [`GeometryConfig::clutter_m`]) less evidence is needed.
+/// they meet in an inward crease and differ in colour, or touch in less than their cross-section; a crease alone is not
+/// enough, since toys and statues have creases. In clutter (connected pieces longer than [`GeometryConfig::clutter_m`])
+/// less evidence is needed, and in pieces longer than 0.35 m a level crease all around is where one thing stands on
+/// another. The bottom of a vessel belongs to its walls, and upright posts to what they carry.
 ///
-/// Limits: stacked things of one colour, and stacks whose sides are flush, remain one object; a thing without contrast
-/// to a wall that it touches may keep a fringe of it.
+/// Limits: a stack whose sides are flush and whose colours are alike remains one object, or is cut wrongly; a thing without
+/// contrast to a wall that it touches may keep a fringe of it; flat soft things on a noisy support may be lost in it.
 #[derive(Debug, Clone, Default)]
 pub struct GeometryMasks {
     /// The settings.
     pub config: GeometryConfig,
+}
+
+/// The fused cloud of a sequence and the objects in it.
+pub(crate) struct Clustered {
+    surfels: Vec<fuse::Surfel>,
+    /// Which surfels are near each other.
+    pub(crate) graph: fuse::Neighbors,
+    /// The objects: sorted surfels, the largest first.
+    pub(crate) clusters: Vec<Vec<usize>>,
+}
+
+impl Clustered {
+    /// Finds the objects of a sequence.
+    pub(crate) fn new(
+        sequence: &Sequence,
+        config: &GeometryConfig,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<Self, MasksError> {
+        config.validate()?;
+        progress.begin("masks from geometry", 4);
+        let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
+        progress.update(1, &format!("{} surface points", surfels.len()));
+        let (is_static, planes) = planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
+        progress.update(2, &format!("{} large planes", planes.len()));
+        let clusters = cluster::clusters(&surfels, &graph, &is_static, &planes, sequence, config);
+        cancel.check()?;
+        progress.update(3, &format!("{} objects", clusters.len()));
+        Ok(Self { surfels, graph, clusters })
+    }
+
+    /// Which surfels hold, by their position in the world.
+    pub(crate) fn surfels_where(&self, holds: impl Fn(DVec3) -> bool + Sync) -> Vec<bool> {
+        self.surfels.par_iter().map(|s| holds(s.p_w)).collect()
+    }
+
+    /// A label map of every frame, of the clusters' positions plus 1.
+    pub(crate) fn maps(
+        &self,
+        sequence: &Sequence,
+        config: &GeometryConfig,
+        cancel: &Cancel,
+    ) -> Result<Vec<LabelMap>, MasksError> {
+        let mut labels_of = vec![sms_core::BACKGROUND; self.surfels.len()];
+        for (index, cluster) in self.clusters.iter().enumerate() {
+            for &i in cluster {
+                labels_of[i] = index as u16 + 1;
+            }
+        }
+        Ok(project::label_frames(sequence, &self.surfels, &labels_of, config, cancel)?)
+    }
 }
 
 impl Segmenter for GeometryMasks {
@@ -125,24 +187,10 @@ impl Segmenter for GeometryMasks {
         cancel: &Cancel,
         warnings: &Warnings,
     ) -> Result<Labels, MasksError> {
-        let config = &self.config;
-        config.validate()?;
-        progress.begin("masks from geometry", 4);
-        let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
-        progress.update(1, &format!("{} surface points", surfels.len()));
-        let (is_static, planes) = planes::static_surfels(&surfels, &graph, config, cancel)?;
-        progress.update(2, &format!("{} large planes", planes.len()));
-        let clusters = cluster::clusters(&surfels, &graph, &is_static, &planes, sequence, config);
-        cancel.check()?;
-        progress.update(3, &format!("{} objects", clusters.len()));
-        let mut labels_of = vec![sms_core::BACKGROUND; surfels.len()];
-        for (index, cluster) in clusters.iter().enumerate() {
-            for &i in cluster {
-                labels_of[i] = index as u16 + 1;
-            }
-        }
-        let maps = project::label_frames(sequence, &surfels, &labels_of, config, cancel)?;
-        if clusters.is_empty() {
+        let clustered = Clustered::new(sequence, &self.config, progress, cancel)?;
+        let maps = clustered.maps(sequence, &self.config, cancel)?;
+        let count = clustered.clusters.len();
+        if count == 0 {
             warnings.add(
                 STAGE,
                 "no_objects",
@@ -155,8 +203,8 @@ impl Segmenter for GeometryMasks {
             name: format!("object_{id:02}"),
             description: String::new(),
         };
-        progress.end(&format!("{} objects", clusters.len()));
-        Ok(Labels { maps, objects: (1..=clusters.len()).map(object).collect(), source: MaskSource::Geometry })
+        progress.end(&format!("{count} objects"));
+        Ok(Labels { maps, objects: (1..=count).map(object).collect(), source: MaskSource::Geometry })
     }
 }
 

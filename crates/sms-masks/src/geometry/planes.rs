@@ -7,6 +7,7 @@ use glamx::DVec3;
 use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError};
+use sms_frames::Sequence;
 use std::collections::BTreeSet;
 
 /// A large planar piece of the static surroundings.
@@ -49,6 +50,7 @@ const BEND_M: f64 = 0.015;
 pub(crate) fn static_surfels(
     surfels: &[Surfel],
     graph: &Neighbors,
+    sequence: &Sequence,
     config: &GeometryConfig,
     cancel: &Cancel,
 ) -> Result<(Vec<bool>, Vec<StaticPlane>), CoreError> {
@@ -56,7 +58,7 @@ pub(crate) fn static_surfels(
     let (coarse, coarse_graph, parent) = coarsen(surfels, cell_m);
     let mut children: Vec<Vec<u32>> = vec![vec![]; coarse.len()];
     parent.iter().enumerate().for_each(|(i, &c)| children[c as usize].push(i as u32));
-    let pieces = large_pieces(&coarse, &coarse_graph, cell_m, config, cancel)?;
+    let pieces = large_pieces(&coarse, &coarse_graph, cell_m, sequence, config, cancel)?;
     let mut is_static = vec![false; surfels.len()];
     let mut planes = Vec::with_capacity(pieces.len());
     for (members, n_w) in pieces {
@@ -68,9 +70,11 @@ pub(crate) fn static_surfels(
             members.iter().flat_map(|&c| coarse_graph.of(c).chain(std::iter::once(c))).collect();
         over.sort_unstable();
         over.dedup();
-        for &i in over.iter().flat_map(|&c| &children[c]) {
-            let i = i as usize;
-            is_static[i] |= plane.holds(&surfels[i], &coarse[parent[i] as usize]);
+        for &c in &over {
+            let own = members.binary_search(&c).is_ok();
+            for &i in &children[c] {
+                is_static[i as usize] |= plane.holds(&surfels[i as usize], &coarse[c], own);
+            }
         }
         planes.push(plane);
     }
@@ -85,6 +89,7 @@ fn large_pieces(
     coarse: &[Surfel],
     graph: &Neighbors,
     cell_m: f64,
+    sequence: &Sequence,
     config: &GeometryConfig,
     cancel: &Cancel,
 ) -> Result<Vec<(Vec<usize>, DVec3)>, CoreError> {
@@ -94,6 +99,8 @@ fn large_pieces(
     // A piece of least area that is long enough to be static.
     let smallest = (STRIP * config.max_face_m2 / cell_m.powi(2)) as usize;
     let band = (3.0 * median(coarse.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
+    // Things stand on something: where nothing large faces up, it is the lowest piece that does and has some area.
+    let mut support: Option<(Vec<usize>, DVec3, f64)> = None;
     for _ in 0..MAX_FITS {
         cancel.check()?;
         if open.len() < smallest.max(3) {
@@ -123,9 +130,28 @@ fn large_pieces(
         if pieces.iter().map(Vec::len).sum::<usize>() < smallest {
             continue;
         }
-        large.extend(
-            pieces.into_iter().filter(|m| is_large(coarse, graph, m, n_w, cell_m, config)).map(|m| (m, n_w)),
-        );
+        if n_w.z > 0.9 {
+            for m in &pieces {
+                let height = m.iter().map(|&i| coarse[i].p_w.z).sum::<f64>() / m.len() as f64;
+                let lower = support.as_ref().is_none_or(|s| height < s.2);
+                if lower && m.len() as f64 * cell_m * cell_m > SUPPORT * config.max_face_m2 {
+                    support = Some((m.clone(), n_w, height));
+                }
+            }
+        }
+        let is_static = |m: &Vec<usize>| {
+            is_large(coarse, graph, m, n_w, cell_m, config)
+                && (length(coarse, m) > config.max_structure_m
+                    // Walls and lips stand free, too, and are no things.
+                    || n_w.z < UPWARD
+                    || !stands_free(coarse, m, p_w, n_w, cell_m, sequence))
+        };
+        large.extend(pieces.into_iter().filter(is_static).map(|m| (m, n_w)));
+    }
+    if let Some((members, n_w, _)) = support
+        && large.iter().all(|(_, n)| n.z < 0.9)
+    {
+        large.push((members, n_w));
     }
     Ok(large)
 }
@@ -139,11 +165,15 @@ fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
+/// Share of the largest face's area from which something may stand on a piece.
+const SUPPORT: f64 = 0.15;
+
 /// Share of the largest face's area that makes a piece static if it is longer than any object: a bin's lip, a rail.
 const STRIP: f64 = 0.2;
 
-/// Share of the largest face's area that makes a piece static if it walls something in.
-const WALL: f64 = 0.3;
+/// Share of the largest face's area that makes a piece static if it walls something in; if it faces up, so that things stand
+/// on it.
+const WALL: [f64; 2] = [0.3, 0.15];
 
 /// Whether a planar piece is longer or has more area than a face of an object, or has some area and walls things in.
 fn is_large(
@@ -165,9 +195,78 @@ fn is_large(
         })
         .collect();
     let area = cells.len() as f64 * cell_m * cell_m;
+    let wall = WALL[usize::from(n_w.z > 0.9)];
     area > config.max_face_m2
         || (area > STRIP * config.max_face_m2 && length(coarse, members) > config.max_object_m)
-        || (area > WALL * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
+        || (area > wall * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
+}
+
+/// Of the normal's upward part, what a top and its edges have, and a wall has not.
+const UPWARD: f64 = 0.15;
+
+/// Share of a rim past which the surroundings must be seen, for what faces up and for the rest: the rim of a table's top is
+/// interrupted by what stands on it.
+const FREE_RIM: [f64; 2] = [0.35, 0.5];
+
+/// Whether a planar piece ends where it is seen to end: past most of its rim, cameras look through its plane. Floors, walls
+/// and desks end where the view does, or at other large surfaces.
+fn stands_free(
+    coarse: &[Surfel],
+    members: &[usize],
+    p_w: DVec3,
+    n_w: DVec3,
+    cell_m: f64,
+    sequence: &Sequence,
+) -> bool {
+    /// How far past the rim, in cells.
+    const PAST: i64 = 2;
+    let u = n_w.any_orthonormal_vector();
+    let v = n_w.cross(u);
+    let over = |s: &&Surfel| (0.008..0.1).contains(&n_w.dot(s.p_w - p_w));
+    let project = |s: &Surfel| {
+        let d = s.p_w - p_w;
+        ((u.dot(d) / cell_m).floor() as i64, (v.dot(d) / cell_m).floor() as i64)
+    };
+    // Of what faces up, the rim around things that stand on it says nothing.
+    let occupied: BTreeSet<(i64, i64)> = match n_w.z > 0.9 {
+        true => coarse.iter().filter(over).map(project).collect(),
+        false => BTreeSet::new(),
+    };
+    let cells: BTreeSet<(i64, i64)> = members.iter().map(|&i| project(&coarse[i])).collect();
+    let (mut rim, mut free, mut covered) = (0usize, 0usize, 0usize);
+    for &(x, y) in &cells {
+        for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+            // Holes of a cell or two are no rim.
+            if (1..=PAST + 1).any(|k| cells.contains(&(x + k * dx, y + k * dy))) {
+                continue;
+            }
+            let at = |i: i64, d: i64| (i as f64 + 0.5 + (d * PAST) as f64) * cell_m;
+            let past = p_w + u * at(x, dx) + v * at(y, dy);
+            rim += 1;
+            if is_seen_through(past, sequence) {
+                free += 1;
+            } else if (1..=PAST).any(|k| occupied.contains(&(x + k * dx, y + k * dy))) {
+                covered += 1;
+            }
+        }
+    }
+    let needed = FREE_RIM[usize::from(n_w.z <= 0.9)];
+    4 * free > rim && free as f64 >= needed * (rim - covered) as f64
+}
+
+/// Whether at least two frames look through a point, and more than see a surface there.
+fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
+    let (mut seen, mut through) = (0usize, 0usize);
+    let step = sequence.len().div_ceil(40).max(1);
+    for frame in sequence.frames.iter().step_by(step) {
+        let Some((u, v, z)) = frame.camera.project(p_w) else { continue };
+        let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
+        let measured = f64::from(frame.depth[(x, y)]);
+        let tolerance = 0.012f64.max(0.015 * z);
+        through += usize::from(measured > z + tolerance);
+        seen += usize::from(measured > 0.0 && (measured - z).abs() <= tolerance);
+    }
+    through >= 2 && through > seen
 }
 
 /// Whether what adjoins a planar piece lies in front of it, as with the inside of a bin: the face of an object has the
@@ -181,7 +280,9 @@ fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3)
     let heights = || ring.iter().map(|&j| n_w.dot(coarse[j].p_w - mean));
     let front = heights().filter(|h| *h > CLEAR_M).count();
     let behind = heights().filter(|h| *h < -CLEAR_M).count();
-    10 * front > 3 * ring.len() && 4 * behind < front
+    // What faces up and has things standing on it may end in an edge towards the camera, as a shelf does.
+    let few = if n_w.z > 0.9 { 1 } else { 4 };
+    10 * front > 3 * ring.len() && few * behind < front
 }
 
 /// Extent of a piece along its longest principal axis.
@@ -253,11 +354,13 @@ fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph
 impl StaticPlane {
     /// Whether a fine surfel over one of the plane's cells belongs to it: within the band and facing the same way;
     /// within a third of the band whichever way it faces (where a wall meets the floor, normals are mixed and only
-    /// height decides); or where the plane bends, near the coarse surface around it.
-    fn holds(&self, s: &Surfel, coarse: &Surfel) -> bool {
+    /// height decides); or where the plane bends, near the coarse surface around it (`own`: a cell of the plane itself; the
+    /// bottom of a vessel is near the floor, and no continuation of it).
+    fn holds(&self, s: &Surfel, coarse: &Surfel, own: bool) -> bool {
         let height = self.height(s.p_w);
         let faces = s.n_w.dot(self.n_w) > ROUGHLY_ALIGNED;
-        let bends = coarse.n_w.dot(self.n_w) > 0.97
+        let bends = own
+            && coarse.n_w.dot(self.n_w) > 0.97
             && coarse.n_w.dot(s.p_w - coarse.p_w).abs() < self.band_m
             && height.abs() < BEND_M;
         (faces && (height.abs() < self.band_m || bends)) || (height < self.band_m / 3.0 && height > -BEND_M)

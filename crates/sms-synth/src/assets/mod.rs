@@ -2,6 +2,9 @@
 
 mod dishware;
 mod figures;
+mod furniture;
+
+pub(crate) use furniture::Furniture;
 
 use crate::materials::{draw_material, with_effective_density};
 use crate::scene::{Hollow, TruthObject};
@@ -174,6 +177,12 @@ pub(crate) fn make_asset(
         AssetKind::SeatedStatue => figures::seated_statue(rng, size),
         AssetKind::PoolBall => pool_ball(rng),
     };
+    place(blueprint, p_w, yaw, rng)
+}
+
+/// Makes a piece of furniture standing at `p_w` on the floor, turned by `yaw` radians about z.
+pub(crate) fn make_furniture(kind: Furniture, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
+    let blueprint = furniture::blueprint(kind, rng);
     place(blueprint, p_w, yaw, rng)
 }
 

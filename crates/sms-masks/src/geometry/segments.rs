@@ -1,0 +1,402 @@
+//! Segments of a connected piece: patches that merge pairwise, with what tells two of them apart.
+
+use super::fuse::{Neighbors, Surfel};
+use super::linalg::{outer, symmetric_eigen};
+use crate::voxels::key_of;
+use glamx::{DMat3, DVec3};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
+/// Surfels of one coarse cell that face about the same way.
+#[derive(Debug, Clone)]
+struct Patch {
+    members: Vec<usize>,
+    p_w: DVec3,
+    n_w: DVec3,
+    look: Look,
+}
+
+/// Which of the six axis directions a normal is nearest to.
+fn facing(n: DVec3) -> usize {
+    let a = n.abs();
+    let axis = if a.x >= a.y && a.x >= a.z {
+        0
+    } else if a.y >= a.z {
+        1
+    } else {
+        2
+    };
+    2 * axis + usize::from(n[axis] < 0.0)
+}
+
+/// Count, sum and sum of squares of colours.
+#[derive(Debug, Clone, Copy, Default)]
+struct ColorMoments {
+    count: f64,
+    sum: DVec3,
+    squares: DVec3,
+}
+
+impl ColorMoments {
+    fn add(&mut self, color: [f32; 3]) {
+        let c = DVec3::from_array(color.map(f64::from));
+        self.count += 1.0;
+        self.sum += c;
+        self.squares += c * c;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.count += other.count;
+        self.sum += other.sum;
+        self.squares += other.squares;
+    }
+
+    /// Distance of the means in units of the spreads and of what light alone does (`light`, 8-bit levels).
+    fn distance(&self, other: &Self, light: f64) -> f64 {
+        let (m, n) = (self.sum / self.count.max(1.0), other.sum / other.count.max(1.0));
+        let variance =
+            (self.squares / self.count.max(1.0) - m * m) + (other.squares / other.count.max(1.0) - n * n);
+        let d = m - n;
+        (d * d / (variance.max(DVec3::ZERO) + DVec3::splat(2.0 * light * light))).element_sum().sqrt()
+    }
+}
+
+/// Colours by facing: surfaces that face the same way are lit alike, so that their colours may be compared.
+#[derive(Debug, Clone, Copy, Default)]
+struct Look([ColorMoments; 6]);
+
+/// Light changes the colour of surfaces that face the same way by so many levels.
+const SAME_LIGHT: f64 = 15.0;
+/// And of larger surfaces that do not.
+const OTHER_LIGHT: f64 = 40.0;
+/// Surfels of a patch, at most.
+const FEW: f64 = 48.0;
+
+impl Look {
+    fn merge(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| a.merge(b));
+    }
+
+    /// Distance of two looks; of patches, of which `light` changes the colour by so many levels.
+    fn distance(&self, other: &Self, light: f64) -> f64 {
+        let (own, others) = (self.whole(), other.whole());
+        // Patches beside each other are lit alike, whole segments are not.
+        if own.count.min(others.count) < FEW {
+            return own.distance(&others, light);
+        }
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (a, b) in self.0.iter().zip(&other.0) {
+            let shared = a.count.min(b.count);
+            if shared >= 6.0 {
+                sum += shared * a.distance(b, SAME_LIGHT);
+                weight += shared;
+            }
+        }
+        if weight >= 0.5 * FEW { sum / weight } else { own.distance(&others, OTHER_LIGHT) }
+    }
+
+    fn whole(&self) -> ColorMoments {
+        let mut all = ColorMoments::default();
+        self.0.iter().for_each(|m| all.merge(m));
+        all
+    }
+}
+
+/// Moments of a set of points.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Spread {
+    count: f64,
+    sum: DVec3,
+    squares: DMat3,
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        // A matrix is the identity by default.
+        Self { count: 0.0, sum: DVec3::ZERO, squares: DMat3::ZERO }
+    }
+}
+
+impl Spread {
+    fn add(&mut self, p: DVec3) {
+        self.count += 1.0;
+        self.sum += p;
+        self.squares += outer(p, 1.0);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.count += other.count;
+        self.sum += other.sum;
+        self.squares += other.squares;
+    }
+
+    /// The mean.
+    pub(crate) fn center(&self) -> DVec3 {
+        self.sum / self.count.max(1.0)
+    }
+
+    /// Lengths, increasing, of the line, square or box whose points would be spread as much.
+    pub(crate) fn extents(&self) -> [f64; 3] {
+        symmetric_eigen(self.covariance()).0.map(|v| (12.0 * v.max(0.0)).sqrt())
+    }
+
+    /// The direction in which the points are spread least.
+    pub(crate) fn normal(&self) -> DVec3 {
+        symmetric_eigen(self.covariance()).1[0]
+    }
+
+    fn covariance(&self) -> DMat3 {
+        self.squares * (1.0 / self.count.max(1.0)) - outer(self.center(), 1.0)
+    }
+}
+
+/// What is known of the border between two segments.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Border {
+    /// Number of pairs of neighbouring surfels across it.
+    pub(crate) pairs: f64,
+    /// The same, weighted by how sharply each bends inwards (0 to 1).
+    pub(crate) crease: f64,
+    /// Where it runs.
+    pub(crate) spread: Spread,
+}
+
+/// Segments that merge pairwise, and their borders.
+#[derive(Clone)]
+pub(crate) struct Segments {
+    members: Vec<Option<Vec<usize>>>,
+    looks: Vec<Look>,
+    spreads: Vec<Spread>,
+    /// Sums of the normals.
+    normals: Vec<DVec3>,
+    /// Borders of each segment, under both of its sides' numbers.
+    borders: Vec<BTreeMap<usize, Border>>,
+    /// Grows with every merge of a segment.
+    stamps: Vec<u32>,
+    /// The segment of each patch.
+    roots: Vec<usize>,
+    /// The patches of each segment.
+    patches: Vec<Vec<usize>>,
+}
+
+/// How much a border counts, for the queue of merges: the highest score first, then the first segments.
+#[derive(PartialEq)]
+struct Score(f64);
+
+impl Eq for Score {}
+
+impl PartialOrd for Score {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Score {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}
+
+impl Segments {
+    /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way. Surfels
+    /// nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on, and wholly from
+    /// three times that.
+    pub(crate) fn patches(
+        surfels: &[Surfel],
+        graph: &Neighbors,
+        piece: &[usize],
+        cell_m: f64,
+        near_m: f64,
+        crease_rad: f64,
+    ) -> Self {
+        let patches = patches(surfels, piece, cell_m);
+        let mut patch_of = BTreeMap::new();
+        for (k, patch) in patches.iter().enumerate() {
+            patch.members.iter().for_each(|&i| {
+                patch_of.insert(i, k);
+            });
+        }
+        let mut borders: Vec<BTreeMap<usize, Border>> = vec![BTreeMap::new(); patches.len()];
+        for &i in piece {
+            let a = patch_of[&i];
+            for j in graph.of(i) {
+                let Some(&b) = patch_of.get(&j) else { continue };
+                if a < b && surfels[i].p_w.distance_squared(surfels[j].p_w) < near_m * near_m {
+                    let border = borders[a].entry(b).or_default();
+                    border.pairs += 1.0;
+                    border.spread.add(0.5 * (surfels[i].p_w + surfels[j].p_w));
+                }
+            }
+        }
+        for a in 0..patches.len() {
+            let one_sided: Vec<(usize, Border)> = borders[a].range(a + 1..).map(|(&b, &x)| (b, x)).collect();
+            for (b, mut border) in one_sided {
+                border.crease = border.pairs * inward_bend(&patches[a], &patches[b], crease_rad);
+                borders[a].insert(b, border);
+                borders[b].insert(a, border);
+            }
+        }
+        let spread = |members: &[usize]| {
+            let mut spread = Spread::default();
+            members.iter().for_each(|&i| spread.add(surfels[i].p_w));
+            spread
+        };
+        Self {
+            spreads: patches.iter().map(|p| spread(&p.members)).collect(),
+            looks: patches.iter().map(|p| p.look).collect(),
+            normals: patches.iter().map(|p| p.n_w * p.members.len() as f64).collect(),
+            stamps: vec![0; patches.len()],
+            roots: (0..patches.len()).collect(),
+            patches: (0..patches.len()).map(|k| vec![k]).collect(),
+            members: patches.into_iter().map(|p| Some(p.members)).collect(),
+            borders,
+        }
+    }
+
+    /// Number of surfels of a segment.
+    pub(crate) fn size(&self, a: usize) -> usize {
+        self.members[a].as_ref().map_or(0, Vec::len)
+    }
+
+    /// Extents of a segment; see [`Spread::extents`].
+    pub(crate) fn spread(&self, a: usize) -> &Spread {
+        &self.spreads[a]
+    }
+
+    /// The mean of a segment's normals, at most of length 1: shorter the more ways it faces.
+    pub(crate) fn facing(&self, a: usize) -> DVec3 {
+        self.normals[a] / self.size(a).max(1) as f64
+    }
+
+    /// How different the colours of two segments are, in spreads.
+    pub(crate) fn contrast(&self, a: usize, b: usize) -> f64 {
+        self.looks[a].distance(&self.looks[b], OTHER_LIGHT)
+    }
+
+    /// Merges what is locally convex and of one colour: the border that bends inwards least first, until every border bends
+    /// by at least `crease_share`. `light` is how much the colours of neighbouring patches may differ by light alone, in
+    /// 8-bit levels: the less, the more colours count.
+    pub(crate) fn merge_convex(&mut self, crease_share: f64, light: f64) {
+        let score = |s: &Self, a: usize, b: usize, border: &Border| {
+            1.0 - border.crease / border.pairs - 0.1 * s.looks[a].distance(&s.looks[b], light).min(2.0)
+        };
+        self.merge_while(score, 1.0 - crease_share);
+    }
+
+    /// Merges the patches that two partitions of them both keep together.
+    pub(crate) fn merge_agreed(&mut self, one: &Self, other: &Self) {
+        let group: Vec<(usize, usize)> = one.roots.iter().copied().zip(other.roots.iter().copied()).collect();
+        self.merge_while(|_, a, b, _| if group[a] == group[b] { 1.0 } else { 0.0 }, 0.0);
+    }
+
+    /// Merges the pair whose border scores highest (the first of equals) until none scores above `least`.
+    pub(crate) fn merge_while(&mut self, score: impl Fn(&Self, usize, usize, &Border) -> f64, least: f64) {
+        let mut queue = BinaryHeap::new();
+        let push = |s: &Self, queue: &mut BinaryHeap<_>, a: usize, b: usize, border: &Border| {
+            let value = score(s, a, b, border);
+            if value > least {
+                queue.push((Score(value), Reverse((a, b)), (s.stamps[a], s.stamps[b])));
+            }
+        };
+        for a in 0..self.borders.len() {
+            for (&b, border) in self.borders[a].range(a + 1..) {
+                push(self, &mut queue, a, b, border);
+            }
+        }
+        while let Some((_, Reverse((a, b)), stamps)) = queue.pop() {
+            if stamps != (self.stamps[a], self.stamps[b]) {
+                continue;
+            }
+            self.merge(a, b);
+            for (&c, border) in &self.borders[a] {
+                push(self, &mut queue, a.min(c), a.max(c), border);
+            }
+        }
+    }
+
+    /// Merges segments that are too small into the neighbour with the longest border, smallest first.
+    pub(crate) fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
+        // What is not small does not become so by growing.
+        let mut open: std::collections::BTreeSet<(usize, usize)> = (0..self.members.len())
+            .filter(|&a| self.members[a].as_ref().is_some_and(|m| is_small(m)))
+            .map(|a| (self.size(a), a))
+            .collect();
+        while let Some((size, a)) = open.pop_first() {
+            if size != self.size(a) || self.borders[a].is_empty() {
+                continue;
+            }
+            let longest =
+                self.borders[a].iter().max_by(|x, y| x.1.pairs.total_cmp(&y.1.pairs).then(y.0.cmp(x.0)));
+            let Some((&b, _)) = longest else { continue };
+            let (keep, gone) = (a.min(b), a.max(b));
+            self.merge(keep, gone);
+            if self.members[keep].as_ref().is_some_and(|m| is_small(m)) {
+                open.insert((self.size(keep), keep));
+            }
+        }
+    }
+
+    /// Merges `b` into `a`.
+    fn merge(&mut self, a: usize, b: usize) {
+        if let Some(moved) = self.members[b].take() {
+            self.members[a].get_or_insert_default().extend(moved);
+        }
+        let (look, spread) = (self.looks[b], self.spreads[b]);
+        self.looks[a].merge(&look);
+        let normal = self.normals[b];
+        self.normals[a] += normal;
+        self.spreads[a].merge(&spread);
+        for k in std::mem::take(&mut self.patches[b]) {
+            self.roots[k] = a;
+            self.patches[a].push(k);
+        }
+        self.stamps[a] += 1;
+        self.stamps[b] += 1;
+        for (c, border) in std::mem::take(&mut self.borders[b]) {
+            self.borders[c].remove(&b);
+            if c != a {
+                for (x, y) in [(a, c), (c, a)] {
+                    let sum = self.borders[x].entry(y).or_default();
+                    sum.pairs += border.pairs;
+                    sum.crease += border.crease;
+                    sum.spread.merge(&border.spread);
+                }
+            }
+        }
+    }
+
+    /// The members of each segment, sorted.
+    pub(crate) fn into_members(self) -> Vec<Vec<usize>> {
+        let mut all: Vec<Vec<usize>> = self.members.into_iter().flatten().collect();
+        all.iter_mut().for_each(|m| m.sort_unstable());
+        all
+    }
+}
+
+fn patches(surfels: &[Surfel], piece: &[usize], cell_m: f64) -> Vec<Patch> {
+    let mut cells: BTreeMap<(u64, usize), Vec<usize>> = BTreeMap::new();
+    for &i in piece {
+        if let Some(key) = key_of(surfels[i].p_w, cell_m) {
+            cells.entry((key, facing(surfels[i].n_w))).or_default().push(i);
+        }
+    }
+    cells
+        .into_values()
+        .map(|members| {
+            let mean = |f: &dyn Fn(&Surfel) -> DVec3| members.iter().map(|&i| f(&surfels[i])).sum::<DVec3>();
+            let p_w = mean(&|s| s.p_w) / members.len() as f64;
+            let n_w = mean(&|s| s.n_w).normalize_or(DVec3::Z);
+            let mut look = Look::default();
+            members.iter().for_each(|&i| look.0[facing(surfels[i].n_w)].add(surfels[i].color));
+            Patch { members, p_w, n_w, look }
+        })
+        .collect()
+}
+
+/// 0 for borders that are flat or bend outwards, rising to 1 for inward bends of one and a half times the crease angle.
+fn inward_bend(a: &Patch, b: &Patch, crease_rad: f64) -> f64 {
+    let d = (a.p_w - b.p_w).normalize_or(DVec3::X);
+    let angle = a.n_w.angle_between(b.n_w);
+    let inward = (a.n_w - b.n_w).dot(d) < 0.0;
+    if inward { ((angle - 0.5 * crease_rad) / crease_rad).clamp(0.0, 1.0) } else { 0.0 }
+}

@@ -1,0 +1,135 @@
+//! Objects that a source of masks missed.
+
+use crate::geometry::Clustered;
+use crate::{GeometryConfig, MasksError};
+use rayon::prelude::*;
+use sms_core::{BACKGROUND, Cancel, LabelInfo, Labels, Progress};
+use sms_frames::Sequence;
+
+/// Of a leftover at most this share may bear a label, and as much may lie beside what does.
+const EXPLAINED: f64 = 0.1;
+/// Labels are looked up in at most so many frames.
+const FRAMES: usize = 40;
+
+/// Adds what stands free and no label explains: clusters of [`crate::GeometryMasks`] of which at most a tenth bears a label
+/// and at most a tenth touches what does. They are called `unknown_01`, `unknown_02`, … and take the pixels that have no
+/// label yet. What cannot be told from a labelled object or from the surroundings stays background, and so static.
+///
+/// # Errors
+/// [`MasksError::Input`] for settings that cannot be used, [`MasksError::Core`] for interruption.
+pub fn add_unknown(
+    labels: &Labels,
+    sequence: &Sequence,
+    config: &GeometryConfig,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Labels, MasksError> {
+    config.validate()?;
+    let clustered = Clustered::new(sequence, config, progress, cancel)?;
+    let explained = clustered.surfels_where(|p_w| {
+        let (mut labelled, mut seen) = (0usize, 0usize);
+        for (frame, map) in sequence.frames.iter().zip(&labels.maps).step_by(sequence.len().div_ceil(FRAMES))
+        {
+            let Some((u, v, z)) = frame.camera.project(p_w) else { continue };
+            let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
+            let measured = f64::from(frame.depth[(x, y)]);
+            if (measured - z).abs() < 0.012f64.max(0.015 * z) {
+                seen += 1;
+                labelled += usize::from(map[(x, y)] != BACKGROUND);
+            }
+        }
+        2 * labelled > seen
+    });
+    let missed: Vec<bool> = clustered
+        .clusters
+        .iter()
+        .map(|cluster| {
+            let share = |holds: &dyn Fn(usize) -> bool| {
+                cluster.iter().filter(|&&i| holds(i)).count() as f64 / cluster.len() as f64
+            };
+            share(&|i| explained[i]) <= EXPLAINED
+                && share(&|i| !explained[i] && clustered.graph.of(i).any(|j| explained[j])) <= EXPLAINED
+        })
+        .collect();
+    let mut labels = labels.clone();
+    let first = labels.class_count();
+    let ids: Vec<Option<u16>> = missed
+        .iter()
+        .scan(first, |next, &missed| {
+            let id = (missed && *next < usize::from(u16::MAX)).then_some(*next as u16);
+            *next += usize::from(id.is_some());
+            Some(id)
+        })
+        .collect();
+    if ids.iter().all(Option::is_none) {
+        return Ok(labels);
+    }
+    let seen = clustered.maps(sequence, config, cancel)?;
+    labels.maps.par_iter_mut().zip(&seen).for_each(|(map, seen)| {
+        for (label, &cluster) in map.data.iter_mut().zip(&seen.data) {
+            let id = usize::from(cluster).checked_sub(1).and_then(|c| ids[c]);
+            if let (BACKGROUND, Some(id)) = (*label, id) {
+                *label = id;
+            }
+        }
+    });
+    for (count, id) in ids.into_iter().flatten().enumerate() {
+        let name = format!("unknown_{:02}", count + 1);
+        labels.objects.push(LabelInfo { id, name, description: String::new() });
+    }
+    Ok(labels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{Sensor, Solid, best_iou, scene, table_scene};
+    use glamx::DVec3;
+    use sms_core::{MaskSource, NoProgress};
+
+    fn some_labels(maps: &[sms_core::LabelMap], keep: &[u16]) -> Labels {
+        let info = |id| LabelInfo { id, name: format!("o{id}"), description: String::new() };
+        let maps = maps
+            .iter()
+            .map(|m| {
+                let mut map = m.clone();
+                map.data.iter_mut().filter(|v| !keep.contains(v)).for_each(|v| *v = BACKGROUND);
+                map
+            })
+            .collect();
+        Labels { maps, objects: keep.iter().copied().map(info).collect(), source: MaskSource::Files }
+    }
+
+    #[test]
+    fn what_a_source_missed_becomes_unknown_and_nothing_else_changes() {
+        let solids = table_scene();
+        let (sequence, truth) = scene(&solids, Sensor { frames: 12, ..Sensor::default() }, 3);
+        let given = some_labels(&truth, &[1, 2, 4]);
+        let config = GeometryConfig::default();
+        let full = add_unknown(&given, &sequence, &config, &NoProgress, &Cancel::new()).unwrap();
+        let names: Vec<&str> = full.objects.iter().map(|o| o.name.as_str()).collect();
+        assert_eq!(names, ["o1", "o2", "o4", "unknown_01", "unknown_02"]);
+        for value in [3, 5] {
+            let (iou, id) = best_iou(&truth, value, &full);
+            assert!(iou > 0.88 && id >= 5, "solid {value}: {iou:.3} as {id}");
+        }
+        for (before, after) in given.maps.iter().zip(&full.maps) {
+            assert!(before.data.iter().zip(&after.data).all(|(b, a)| *b == BACKGROUND || a == b));
+        }
+        // With all of them labelled there is nothing to add.
+        let all = some_labels(&truth, &[1, 2, 3, 4, 5]);
+        assert_eq!(add_unknown(&all, &sequence, &config, &NoProgress, &Cancel::new()).unwrap(), all);
+    }
+
+    #[test]
+    fn the_unlabelled_half_of_a_labelled_thing_stays_static() {
+        // One mask covers the lower half of a tower alone.
+        let tower = |z: f64| Solid::Box(DVec3::new(0.0, 0.0, z), DVec3::new(0.04, 0.03, 0.03), 0.3);
+        let (sequence, truth) =
+            scene(&[tower(0.03), tower(0.09)], Sensor { frames: 12, ..Sensor::default() }, 5);
+        let given = some_labels(&truth, &[1]);
+        let full =
+            add_unknown(&given, &sequence, &GeometryConfig::default(), &NoProgress, &Cancel::new()).unwrap();
+        assert_eq!(full.objects.len(), 1);
+    }
+}

@@ -1,0 +1,166 @@
+//! Structures of things that stand on each other or touch, for masks: what a connected surface does not tell apart.
+
+use crate::assets::{AssetKind, Furniture, make_asset, make_furniture, make_pool_ball};
+use crate::billiards::{draw_floor, name_uniquely};
+use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use glamx::{DPose3, DVec2, DVec3};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sms_core::{Aabb, Seed};
+
+/// What is stacked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Structure {
+    /// A cardboard box that overhangs the seat of a stool.
+    BoxOnStool,
+    /// An open tote that overhangs a low table.
+    ToteOnTable,
+    /// A plank that juts out from a crate, held down by a heavy block.
+    BallastOnPlank,
+    /// A pool ball that touches a mug, and another that touches the first.
+    BallAgainstMug,
+}
+
+impl Structure {
+    /// All of them.
+    pub const ALL: [Self; 4] =
+        [Self::BoxOnStool, Self::ToteOnTable, Self::BallastOnPlank, Self::BallAgainstMug];
+
+    /// The word in files, names and seeds.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::BoxOnStool => "box_on_stool",
+            Self::ToteOnTable => "tote_on_table",
+            Self::BallastOnPlank => "ballast_on_plank",
+            Self::BallAgainstMug => "ball_against_mug",
+        }
+    }
+}
+
+/// A structure on the floor at the world's origin; sizes, colours, turns and overhangs follow from the seed. There is no
+/// game in these scenes: `cue` and `target` are empty. [`crate::orbit_poses`] around [`bounds_w`] sees it from all sides.
+pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
+    let seed = scene_seed.derive("stacked v1").derive(structure.as_str());
+    let mut rng = seed.derive("layout").rng();
+    let mut draw = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+    let yaw = draw(0.0, std::f64::consts::TAU);
+    let along = DVec2::from_angle(yaw);
+    let furniture = |kind: Furniture, p_w: DVec2, yaw: f64| {
+        make_furniture(kind, p_w, yaw, &mut seed.derive(kind.as_str()).rng())
+    };
+    let mut objects = Vec::new();
+    match structure {
+        Structure::BoxOnStool | Structure::ToteOnTable => {
+            let (base, load) = match structure {
+                Structure::BoxOnStool => (Furniture::Stool, Furniture::FlatBox),
+                _ => (Furniture::Table, Furniture::Tote),
+            };
+            objects.push(furniture(base, DVec2::ZERO, yaw));
+            let overhang = along * draw(0.05, 0.09);
+            objects.push(on_top(furniture(load, overhang, yaw + draw(-0.5, 0.5)), &objects[0]));
+        }
+        Structure::BallastOnPlank => {
+            objects.push(furniture(Furniture::Crate, DVec2::ZERO, yaw + draw(-0.15, 0.15)));
+            objects.push(on_top(furniture(Furniture::Plank, along * draw(0.10, 0.15), yaw), &objects[0]));
+            let mut block = seed.derive("ballast").rng();
+            let back = -along * draw(0.06, 0.08);
+            let ballast = make_asset(AssetKind::BrassBlock, back, yaw + draw(-0.6, 0.6), 1.0, &mut block);
+            objects.push(on_top(ballast, &objects[1]));
+        }
+        Structure::BallAgainstMug => {
+            let mug = make_asset(AssetKind::Mug, DVec2::ZERO, yaw, 1.0, &mut seed.derive("mug").rng());
+            // Opposite the handle, or beside it.
+            let away = DVec2::from_angle(yaw + draw(1.8, 4.4));
+            let first = away * (wall_radius(&mug) + crate::BALL_RADIUS_M);
+            let turned = DVec2::from_angle(away.to_angle() + draw(-1.0, 1.0));
+            let second = first + turned * 2.0 * crate::BALL_RADIUS_M;
+            let mut balls = seed.derive("balls").rng();
+            objects.extend([
+                mug,
+                make_pool_ball(false, first, &mut balls),
+                make_pool_ball(true, second, &mut balls),
+            ]);
+        }
+    }
+    name_uniquely(&mut objects);
+    let mut scene = TruthScene {
+        version: TRUTH_VERSION,
+        name: format!("{}, seed {}", structure.as_str(), scene_seed.0),
+        seed: scene_seed,
+        objects,
+        floor: draw_floor(scene_seed, seed),
+        cue: String::new(),
+        target: String::new(),
+        goal_w: [0.0; 2],
+        robot_base_w: DVec3::ZERO,
+        workspace_center_w: DVec3::ZERO,
+    };
+    scene.workspace_center_w = bounds_w(&scene).center();
+    scene
+}
+
+/// The box around all objects of a scene, in the world; empty at the origin without objects.
+pub fn bounds_w(scene: &TruthScene) -> Aabb {
+    let boxes = scene.objects.iter().map(TruthObject::aabb_w);
+    let join = |a: Aabb, b: Aabb| Aabb { min: a.min.min(b.min), max: a.max.max(b.max) };
+    boxes.reduce(join).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO })
+}
+
+/// Lifts an object that stands on the floor onto the top of another.
+fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
+    let lift = DPose3::from_translation(DVec3::Z * below.aabb_w().max.z);
+    object.x_wb = lift * object.x_wb;
+    object
+}
+
+/// Radius of the wall of a mug that stands at the origin, without its handle: that of its foot, which is bevelled by 2 mm.
+fn wall_radius(mug: &TruthObject) -> f64 {
+    let radii = mug.mesh_w().vertices.into_iter().filter(|v| v.z < 0.003).map(|v| v.truncate().length());
+    radii.fold(0.0, f64::max) + 0.002
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn structures_stand_on_each_other_and_do_not_overlap() {
+        for structure in Structure::ALL {
+            for seed in 1001..1006 {
+                let scene = generate_stacked(structure, Seed(seed));
+                assert_eq!(scene, generate_stacked(structure, Seed(seed)));
+                assert!(scene.objects.len() >= 2);
+                for (i, o) in scene.objects.iter().enumerate() {
+                    let own = o.aabb_w();
+                    assert!(
+                        o.mass.mass() > 0.0 && (o.sphere_radius.is_some() || o.mesh.is_closed_oriented())
+                    );
+                    let below = match structure {
+                        Structure::BallAgainstMug => 0.0,
+                        _ if i == 0 => 0.0,
+                        _ => scene.objects[i - 1].aabb_w().max.z,
+                    };
+                    assert!((own.min.z - below).abs() < 1e-9, "{} {}", scene.name, o.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_balls_touch_what_they_lie_against() {
+        for seed in 1001..1011 {
+            let scene = generate_stacked(Structure::BallAgainstMug, Seed(seed));
+            let centers: Vec<DVec3> = scene.objects.iter().map(|o| o.x_wb.translation).collect();
+            let r = crate::BALL_RADIUS_M;
+            assert!((centers[1].distance(centers[2]) - 2.0 * r).abs() < 1e-9);
+            let near =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
+            // The wall has facets, and its corners lie up to a few millimetres from where the ball touches.
+            assert!(near > r - 1e-4 && near < r + 0.004, "{near}");
+            let other =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);
+            assert!(other > r, "{other}");
+        }
+    }
+}
