@@ -82,6 +82,8 @@ pub(crate) enum Command {
     Demo(Demo),
     /// Write a small generated recording to try the commands on.
     Sample(Sample),
+    /// Write a full-size generated recording: any scene of a family, as the simulated camera sees it.
+    Synth(Synth),
     /// Measure the scan on fixed scenes with exact truth.
     Bench(crate::commands::bench::Bench),
     /// Print every setting that would be in force, as a file for `--settings`.
@@ -254,6 +256,17 @@ pub(crate) struct Execute {
     /// The world to execute in (default: physx where it is built in, else rapier, which is the planner's own engine).
     #[arg(long, value_enum)]
     pub engine: Option<EngineName>,
+    /// Whose the joints of the robot's arm are.
+    #[arg(long, value_enum, default_value_t = ArmName::Shared)]
+    pub arm: ArmName,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ArmName {
+    /// Ours, the same in every engine, which sees the tool alone.
+    Shared,
+    /// The engine's own articulation under the same controller (physx and physx-stock).
+    Articulation,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -380,4 +393,55 @@ pub(crate) struct Sample {
     /// Seed of the scene.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FamilyName {
+    /// Two balls, a goal that a straight shot reaches, and obstacles around; endless.
+    Billiards,
+    /// Layouts that take rebounds, in turns by seed; endless, though some seeds do not fit into the workspace.
+    Challenge,
+    /// The eighteen scenes of `sms bench billiards`: seeds 1 to 18.
+    Fixed,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PathName {
+    /// Heights from 0.25 to 0.6 m, from which hollows and the floor between objects are seen.
+    High,
+    /// The paper's heights, 0.1 to 0.25 m.
+    Paper,
+}
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct Synth {
+    /// Folder to write (must be missing or empty, or hold the same recording unfinished).
+    pub folder: PathBuf,
+    /// Family of scenes.
+    #[arg(long, value_enum, default_value = "billiards")]
+    pub family: FamilyName,
+    /// Seed of the scene and of the camera's noise.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Obstacles besides the balls (families billiards and challenge).
+    #[arg(long)]
+    pub objects: Option<usize>,
+    /// Folder of scanned models (NAME/model.obj) to stand among the obstacles (family billiards).
+    #[arg(long, value_name = "DIR")]
+    pub meshes: Option<PathBuf>,
+    /// Frames.
+    #[arg(long, default_value_t = 60)]
+    pub frames: usize,
+    /// Image width in pixels; the height is 5/8 of it.
+    #[arg(long, default_value_t = 1280)]
+    pub width: usize,
+    /// Heights of the camera's path.
+    #[arg(long, value_enum, default_value = "high")]
+    pub path: PathName,
+    /// Standard deviation of the recorded camera position per axis, millimetres.
+    #[arg(long, default_value_t = 0.0)]
+    pub pose_noise_mm: f64,
+    /// Standard deviation of the recorded camera rotation per axis, degrees.
+    #[arg(long, default_value_t = 0.0)]
+    pub pose_noise_deg: f64,
 }

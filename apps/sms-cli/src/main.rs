@@ -48,6 +48,7 @@ fn run(context: &Context, command: Command) -> anyhow::Result<ExitCode> {
         Command::View(a) => commands::view::run(context, &a),
         Command::Demo(a) => commands::demo::run(context, &a),
         Command::Sample(a) => commands::sample::run(context, &a),
+        Command::Synth(a) => commands::synth::run(context, &a),
         Command::Bench(a) => commands::bench::run(context, &a),
         Command::Settings(a) => commands::settings::run(context, &a),
     }

@@ -1,4 +1,4 @@
-//! Is one method better than another on the same scenes?
+//! Means and medians, and: is one method better than another on the same scenes?
 
 use rand::RngExt;
 use sms_core::Seed;
@@ -54,9 +54,32 @@ pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     Some(Paired { mean: ratio(pairs.iter().fold((0.0, 0.0), add)), low: at(0.025), high: at(0.975) })
 }
 
+/// The mean; NaN of nothing.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The median, of an even number of values the mean of the middle two; NaN of nothing.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn means_and_medians() {
+        assert_eq!((mean(&[3.0, 1.0, 8.0]), median(&[3.0, 1.0, 8.0])), (4.0, 3.0));
+        assert_eq!(median(&[4.0, 1.0, 8.0, 2.0]), 3.0);
+        assert!(mean(&[]).is_nan() && median(&[]).is_nan());
+    }
 
     #[test]
     fn the_interval_is_that_of_the_normal_law_for_many_scenes() {

@@ -1,11 +1,11 @@
 //! `sms bench engines`: the same shots in every engine, and how far apart they end.
 
-use crate::{BenchError, PlanScene};
+use crate::{BenchError, PlanScene, mean, median};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, InputError, Progress};
 use sms_plan::PlanError;
 use sms_scene::{BodyKind, BodyShape};
-use sms_sim::{RapierFactory, Simulation, WorldFactory, WorldOptions};
+use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
 use sms_target::{Target, TargetEngine, TargetOptions, disturbed};
 use sms_task::Action;
 use std::time::Instant;
@@ -14,16 +14,12 @@ use std::time::Instant;
 struct Planner;
 
 impl Target for Planner {
-    fn label(&self) -> &'static str {
-        RapierFactory.engine()
+    fn factory(&self) -> &dyn WorldFactory {
+        &RapierFactory
     }
 
-    fn simulation(
-        &self,
-        scene: &sms_scene::Scene,
-        planner: &WorldOptions,
-    ) -> Result<Simulation, sms_sim::SimError> {
-        Simulation::new(&RapierFactory, scene, planner)
+    fn world_options(&self, planner: &WorldOptions) -> WorldOptions {
+        *planner
     }
 }
 
@@ -126,8 +122,11 @@ fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Opti
 }
 
 fn add_row(metrics: &mut Metrics, key: &str, row: &[Option<Shot>], reference: &[Option<Shot>]) {
+    // What an engine could not finish has no means.
     let mut set = |name: &str, value: f64| {
-        metrics.set(format!("bench.engines.{key}.{name}"), value);
+        if value.is_finite() {
+            metrics.set(format!("bench.engines.{key}.{name}"), value);
+        }
     };
     let run: Vec<&Shot> = row.iter().flatten().collect();
     let of = |f: &dyn Fn(&Shot) -> f64| mean(&run.iter().map(|s| f(s)).collect::<Vec<_>>());
@@ -141,21 +140,12 @@ fn add_row(metrics: &mut Metrics, key: &str, row: &[Option<Shot>], reference: &[
         others.extend(a.others.iter().zip(&b.others).map(|(p, q)| p.distance(*q)));
     }
     set("objective_difference_max_m", objectives.iter().copied().fold(0.0, f64::max));
-    for (name, mut values) in
+    for (name, values) in
         [("objective_difference", objectives), ("ball_difference", balls), ("other_difference", others)]
     {
         set(&format!("{name}_mean_m"), mean(&values));
-        set(&format!("{name}_median_m"), median(&mut values));
+        set(&format!("{name}_median_m"), median(&values));
     }
-}
-
-fn mean(values: &[f64]) -> f64 {
-    if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The results as a table, distances in millimetres.

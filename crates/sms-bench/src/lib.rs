@@ -29,6 +29,10 @@
 //! [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, and carry out in the target
 //! worlds.
 //!
+//! # In parts
+//! What is too long for one machine runs as `--shard i/n` on several: [`Shard`] is what each writes, [`merge_shards`] puts
+//! them together.
+//!
 //! ```
 //! use sms_bench::{F1_M, SurfacePoint, score_surface};
 //! use sms_core::glamx::DVec3;
@@ -64,7 +68,10 @@ mod robust_table;
 mod run;
 mod scenes;
 mod score;
+mod seed_parts;
+mod shards;
 mod solvability;
+mod solved;
 mod steps;
 mod surface;
 mod table;
@@ -75,10 +82,11 @@ mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use billiards::{
-    BilliardsBench, BilliardsGeometry, BilliardsScene, Row, Shot, billiards_metrics, billiards_table,
-    read_billiards, run_billiards, write_shots,
+    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot, Way,
+    billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, write_pictures,
+    write_shots,
 };
-pub use bootstrap::{Paired, paired_difference, paired_ratio};
+pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
@@ -106,7 +114,10 @@ pub use scenes::{
     select_mask_scenes, select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
+pub use seed_parts::{merge_optimisers, merge_plan_speed};
+pub use shards::{Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
+pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use surface::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,

@@ -25,6 +25,8 @@ pub struct OptimiserBench {
     pub entrants: Vec<(String, PlanConfig)>,
     /// Name of the method that the others are compared with.
     pub baseline: String,
+    /// Whether the arm strikes, which cannot make every strike; else the finger that gives no way.
+    pub arm: bool,
 }
 
 impl OptimiserBench {
@@ -35,7 +37,14 @@ impl OptimiserBench {
             .into_iter()
             .map(|method| (method.as_str().to_owned(), Self::settings(method)))
             .collect();
-        Self { seeds, family, evaluations, entrants, baseline: Method::Screen.as_str().to_owned() }
+        Self {
+            seeds,
+            family,
+            evaluations,
+            entrants,
+            baseline: Method::Screen.as_str().to_owned(),
+            arm: false,
+        }
     }
 
     /// The settings with which a method enters.
@@ -51,6 +60,15 @@ impl OptimiserBench {
     }
 }
 
+/// What one search found.
+struct Best {
+    objective: f64,
+    success: bool,
+    starts: usize,
+    /// Local searches without any value.
+    blind: usize,
+}
+
 fn with_budget(config: &PlanConfig, budget: usize) -> PlanConfig {
     let mut config = PlanConfig { evaluations: budget, ..config.clone() };
     if config.method == Method::MultiStart {
@@ -61,8 +79,9 @@ fn with_budget(config: &PlanConfig, budget: usize) -> PlanConfig {
 }
 
 /// Best objective in metres that each method finds within each budget, over the scenes. Keys are
-/// `bench.optimisers.{name}.{evaluations}.{mean_m, median_m, success_share, difference_m, difference_low_m,
-/// difference_high_m}`; the differences are those of the means to the baseline with a paired 95 % bootstrap interval
+/// `bench.optimisers.{name}.{evaluations}.{mean_m, median_m, success_share, blind_starts_share, difference_m,
+/// difference_low_m, difference_high_m}`; `blind_starts_share` is the share of local searches that end without any value:
+/// every strike that they tried was refused by the robot or could not be believed. The differences are those of the means to the baseline with a paired 95 % bootstrap interval
 /// over scenes. The figures do not depend on the number of threads.
 ///
 /// # Errors
@@ -78,20 +97,28 @@ pub fn run_optimisers(
         .flat_map(|e| (0..bench.evaluations.len()).map(move |b| (e, b)))
         .flat_map(|(e, b)| (0..scenes.len()).map(move |s| (e, b, s)))
         .collect();
+    let tasks: Vec<_> = scenes
+        .iter()
+        .map(|s| if bench.arm { s.arm_task() } else { Ok(s.task.clone()) })
+        .collect::<Result<_, _>>()?;
     progress.begin("bench optimisers", jobs.len() as u64);
     let done = AtomicUsize::new(0);
-    let best: Vec<(f64, bool)> = jobs
+    let best: Vec<Best> = jobs
         .par_iter()
         .map(|&(e, b, s)| {
-            let (scene, budget) = (&scenes[s], bench.evaluations[b]);
+            let (scene, task, budget) = (&scenes[s], &tasks[s], bench.evaluations[b]);
             let config = with_budget(&bench.entrants[e].1, budget);
             let seed = Seed(scene.seed).derive("bench optimisers");
-            let found =
-                search_nominal(&scene.task, &scene.scene, &RapierFactory, &config, budget, seed, cancel)?;
+            let found = search_nominal(task, &scene.scene, &RapierFactory, &config, budget, seed, cancel)?;
             progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "searches");
             // A search without a valid rollout leaves the ball where it is.
-            let objective = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
-            Ok((objective, scene.task.is_success(objective)))
+            let objective = found.best().map_or_else(|| task.initial_objective(), |t| t.objective);
+            Ok(Best {
+                objective,
+                success: task.is_success(objective),
+                starts: found.starts.len(),
+                blind: found.starts.iter().filter(|s| !s.objective.is_finite()).count(),
+            })
         })
         .collect::<Result<_, BenchError>>()?;
     progress.end("");
@@ -104,16 +131,19 @@ pub fn run_optimisers(
     metrics.set("bench.optimisers.scenes", scenes.len());
     for (e, (name, _)) in bench.entrants.iter().enumerate() {
         for (b, budget) in bench.evaluations.iter().enumerate() {
-            let values: Vec<f64> = column(e, b).iter().map(|v| v.0).collect();
+            let values: Vec<f64> = column(e, b).iter().map(|v| v.objective).collect();
             let mut set = |key: &str, value: f64| {
                 metrics.set(format!("bench.optimisers.{name}.{budget}.{key}"), value);
             };
             let n = values.len().max(1) as f64;
             set("mean_m", values.iter().sum::<f64>() / n);
             set("median_m", median(&values));
-            set("success_share", column(e, b).iter().filter(|v| v.1).count() as f64 / n);
+            set("success_share", column(e, b).iter().filter(|v| v.success).count() as f64 / n);
+            let starts: usize = column(e, b).iter().map(|v| v.starts).sum();
+            let blind: usize = column(e, b).iter().map(|v| v.blind).sum();
+            set("blind_starts_share", blind as f64 / starts.max(1) as f64);
             if let Some(other) = baseline.filter(|&o| o != e) {
-                let others: Vec<f64> = column(other, b).iter().map(|v| v.0).collect();
+                let others: Vec<f64> = column(other, b).iter().map(|v| v.objective).collect();
                 if let Some(d) = paired_difference(&values, &others) {
                     set("difference_m", d.mean);
                     set("difference_low_m", d.low);
@@ -125,7 +155,7 @@ pub fn run_optimisers(
     Ok(metrics)
 }
 
-fn median(values: &[f64]) -> f64 {
+pub(crate) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     match sorted.len() {
@@ -138,7 +168,7 @@ fn median(values: &[f64]) -> f64 {
 /// The figures of [`run_optimisers`] as a table, millimetres.
 pub fn optimiser_table(bench: &OptimiserBench, metrics: &Metrics) -> String {
     let mut text = format!(
-        "best objective found, mm, mean (median) over {} scenes, share of successes; difference to `{}` with its 95 % interval\n",
+        "best objective found, mm, mean (median) over {} scenes, share of successes, share of local searches without any value; difference to `{}` with its 95 % interval\n",
         bench.seeds.len(),
         bench.baseline
     );
@@ -149,10 +179,11 @@ pub fn optimiser_table(bench: &OptimiserBench, metrics: &Metrics) -> String {
             let mm = |key: &str| get(key).map_or_else(|| "?".to_owned(), |v| format!("{:.2}", 1e3 * v));
             let _ = write!(
                 text,
-                "  {name:<12} {:>8} ({:>7})  {:>4.0} %",
+                "  {name:<12} {:>8} ({:>7})  {:>4.0} %  {:>4.0} % blind",
                 mm("mean_m"),
                 mm("median_m"),
-                100.0 * get("success_share").unwrap_or(f64::NAN)
+                100.0 * get("success_share").unwrap_or(f64::NAN),
+                100.0 * get("blind_starts_share").unwrap_or(f64::NAN)
             );
             if get("difference_m").is_some() {
                 let _ = write!(

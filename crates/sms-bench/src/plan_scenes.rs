@@ -7,7 +7,7 @@ use sms_core::{InputError, Seed};
 use sms_plan::PlanError;
 use sms_robot::RobotConfig;
 use sms_scene::Scene;
-use sms_synth::{BilliardsSettings, TruthScene, generate_billiards};
+use sms_synth::{BilliardsSettings, FIXED_SCENES, FixedScene, TruthScene, generate_billiards};
 use sms_target::scene_from_truth;
 use sms_task::{Billiards, ResolvedTask, Selector, Task};
 
@@ -22,12 +22,17 @@ pub enum SceneFamily {
     Open,
     /// Nine obstacles, corridors not kept free, cut of up to 75°.
     Crowded,
+    /// The eighteen of the billiards experiment, by their numbers.
+    Fixed,
 }
 
 impl SceneFamily {
-    /// How such scenes are generated.
-    pub fn settings(self) -> BilliardsSettings {
-        match self {
+    /// The scene of a seed; of the fixed ones, of a number.
+    ///
+    /// # Errors
+    /// [`InputError`] where no fixed scene has the number.
+    pub fn generate(self, seed: u64) -> Result<TruthScene, InputError> {
+        let settings = match self {
             Self::Open => BilliardsSettings::default(),
             Self::Crowded => BilliardsSettings {
                 objects: 9,
@@ -35,7 +40,18 @@ impl SceneFamily {
                 max_cut_angle: 75f64.to_radians(),
                 ..BilliardsSettings::default()
             },
-        }
+            Self::Fixed => {
+                let fixed = seed.checked_sub(1).and_then(|i| FIXED_SCENES.get(usize::try_from(i).ok()?));
+                return fixed.map(FixedScene::generate).ok_or_else(|| {
+                    InputError::new(
+                        format!("there is no fixed scene {seed}"),
+                        "--seeds",
+                        format!("give numbers from 1 to {}", FIXED_SCENES.len()),
+                    )
+                });
+            }
+        };
+        Ok(generate_billiards(Seed(seed), &settings))
     }
 }
 
@@ -81,7 +97,7 @@ impl PlanScene {
     /// # Errors
     /// As [`PlanScene::new`].
     pub fn told(family: SceneFamily, seed: u64, told: MaterialsTold) -> Result<Self, BenchError> {
-        let truth = generate_billiards(Seed(seed), &family.settings());
+        let truth = family.generate(seed)?;
         let mut scene = true_scene(&truth, seed)?;
         tell_materials(&mut scene, &truth, told, Seed(seed));
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));

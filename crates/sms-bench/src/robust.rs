@@ -3,9 +3,12 @@
 use crate::robust_table::summarise;
 use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, thread_cpu_seconds};
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
 use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};
+use sms_target::TargetEngine;
+use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::time::Instant;
@@ -36,6 +39,10 @@ pub struct RobustBench {
     pub chaos_runs: usize,
     /// How far poses, radii and strikes are off in the true worlds.
     pub errors: Disturbances,
+    /// Whether the arm strikes, in planning and in the true worlds; else the finger that gives no way.
+    pub arm: bool,
+    /// Engine of the true worlds; the planner's own where there is none.
+    pub engine: Option<TargetEngine>,
 }
 
 impl RobustBench {
@@ -51,7 +58,52 @@ impl RobustBench {
             planners: vec![("robust".to_owned(), robust)],
             oracle_evaluations: 4000,
             chaos_runs: 8,
+            arm: false,
+            engine: None,
         }
+    }
+
+    /// Adds planners like the first that believe the errors of scan and robot to be half and twice as wide as they are in
+    /// the true worlds.
+    pub fn add_misled(&mut self) {
+        let Some((name, config)) = self.planners.first().cloned() else { return };
+        for (word, factor) in [("half", 0.5), ("double", 2.0)] {
+            let disturbances = scaled(&config.disturbances, factor);
+            self.planners.push((format!("{name}_{word}"), PlanConfig { disturbances, ..config.clone() }));
+        }
+    }
+
+    /// Of everything but the seeds that the figures of a scene depend on.
+    fn hash(&self) -> Hash {
+        let planners: BTreeMap<&String, String> =
+            self.planners.iter().map(|(name, config)| (name, hash_serializable(config).0)).collect();
+        let first = self.planners.first().map(|p| p.0.as_str());
+        hash_serializable(&(
+            (self.family, self.told, self.worlds, self.oracle_evaluations, self.chaos_runs),
+            (&self.errors, self.arm, self.engine.map(TargetEngine::name)),
+            (planners, first),
+        ))
+    }
+
+    /// That the results of an earlier run or of another shard are of the same settings.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the file.
+    pub fn check_same(&self, earlier: &Metrics, path: &Path) -> Result<(), InputError> {
+        let theirs = earlier.get(SETTINGS).and_then(|v| v.as_str());
+        if theirs == Some(self.hash().0.as_str()) {
+            return Ok(());
+        }
+        let what = match theirs {
+            Some(_) => "these results are of other settings than this run's",
+            None => "it is not known of which settings these results are",
+        };
+        Err(InputError::new(
+            what,
+            path,
+            "give the same --family, --materials, --worlds, --oracle, --planners, --arm, --engine and --misled, or leave the \
+             file out of --with",
+        ))
     }
 
     /// What the keys of a job's figures begin with.
@@ -76,6 +128,23 @@ impl RobustBench {
     /// Names of all planners in the order of the table.
     pub(crate) fn names(&self) -> Vec<&str> {
         std::iter::once(PLAIN).chain(self.planners.iter().map(|(name, _)| name.as_str())).collect()
+    }
+}
+
+/// Key of the hash of the settings.
+const SETTINGS: &str = "bench.robust.settings";
+
+/// Disturbances of another width, materials excepted.
+fn scaled(d: &Disturbances, factor: f64) -> Disturbances {
+    Disturbances {
+        position_m: factor * d.position_m,
+        radius_m: factor * d.radius_m,
+        object_m: factor * d.object_m,
+        object_rad: factor * d.object_rad,
+        contact_m: factor * d.contact_m,
+        angle_rad: factor * d.angle_rad,
+        speed_share: factor * d.speed_share,
+        ..d.clone()
     }
 }
 
@@ -107,8 +176,12 @@ pub fn run_robust(
     let scenes: Vec<PlanScene> = bench
         .seeds
         .iter()
-        .map(|&s| PlanScene::told(bench.family, s, bench.told))
-        .collect::<Result<_, _>>()?;
+        .map(|&s| {
+            let scene = PlanScene::told(bench.family, s, bench.told)?;
+            Ok(if bench.arm { PlanScene { task: scene.arm_task()?, ..scene } } else { scene })
+        })
+        .collect::<Result<_, BenchError>>()?;
+    let factory = bench.engine.map(TargetEngine::factory).transpose()?;
     let all = 0..scenes.len();
     let mut jobs: Vec<Job> = Vec::new();
     for scene in all.clone() {
@@ -119,6 +192,7 @@ pub fn run_robust(
         jobs.extend(all.map(|scene| Job::Oracle { scene }));
     }
     let mut metrics = Metrics::new();
+    metrics.set(SETTINGS, bench.hash().0);
     let mut costs = vec![None; scenes.len()];
     jobs.retain(|&job| {
         let prefix = bench.prefix(job, &scenes);
@@ -133,7 +207,7 @@ pub fn run_robust(
         !is_known
     });
     let queue = Queue { waiting: Mutex::new((jobs.clone(), costs)), changed: Condvar::new() };
-    let running = Running { bench, scenes: &scenes, queue: &queue };
+    let running = Running { bench, scenes: &scenes, queue: &queue, engine: factory.as_deref() };
     progress.begin("bench robust", jobs.len() as u64);
     let (done, found) = (AtomicUsize::new(0), Mutex::new(metrics));
     let work = || -> Result<(), BenchError> {
@@ -168,7 +242,7 @@ pub fn run_robust(
     outcomes.into_iter().collect::<Result<(), _>>()?;
     progress.end("");
     let mut metrics = found.into_inner().unwrap_or_default();
-    metrics.set("bench.robust.engine", RapierFactory.engine());
+    metrics.set("bench.robust.engine", factory.as_deref().map_or(RapierFactory.engine(), |f| f.engine()));
     if let Some(scene) = scenes.first() {
         metrics.set("bench.robust.striker", scene.task.striker_name());
     }
@@ -225,9 +299,22 @@ struct Running<'a> {
     bench: &'a RobustBench,
     scenes: &'a [PlanScene],
     queue: &'a Queue,
+    /// Of the true worlds.
+    engine: Option<&'a dyn WorldFactory>,
 }
 
+/// Time steps of another engine than the planner's, as a share of the planner's.
+const STEP: f64 = 0.25;
+
 impl Running<'_> {
+    fn worlds<'s>(&'s self, scene: &'s PlanScene, count: usize) -> Result<TrueWorlds<'s>, BenchError> {
+        let worlds = TrueWorlds::new(scene, &self.bench.errors, count)?;
+        Ok(match self.engine {
+            Some(factory) => worlds.simulated_by(factory, STEP),
+            None => worlds,
+        })
+    }
+
     fn run(&self, job: Job, budget: usize, cancel: &Cancel) -> Result<Metrics, BenchError> {
         let prefix = self.bench.prefix(job, self.scenes);
         match job {
@@ -263,7 +350,7 @@ impl Running<'_> {
         let outcome =
             plan(&scene.task, &scene.scene, &RapierFactory, config, seed, &NoProgress, cancel, &warnings)?;
         let cpu_s = clock.seconds();
-        let worlds = TrueWorlds::new(scene, &self.bench.errors, self.bench.worlds)?;
+        let worlds = self.worlds(scene, self.bench.worlds)?;
         let action = &outcome.plan.action;
         let realised = worlds.realise(action, cancel)?;
         let invalid = realised.iter().filter(|v| v.is_none()).count();
@@ -295,13 +382,13 @@ impl Running<'_> {
     /// The best shot of a search in the first true world itself.
     fn oracle(&self, scene: usize, prefix: &str, cancel: &Cancel) -> Result<Metrics, BenchError> {
         let scene = &self.scenes[scene];
-        let worlds = TrueWorlds::new(scene, &self.bench.errors, 1)?;
+        let worlds = self.worlds(scene, 1)?;
+        let factory = self.engine.unwrap_or(&RapierFactory);
         let budget = self.bench.oracle_evaluations;
         let config = PlanConfig { evaluations: budget, ..PlanConfig::default() };
         let seed = Seed(scene.seed).derive("oracle");
         let clock = Clock::start();
-        let found =
-            search_nominal(&scene.task, worlds.scene(0), &RapierFactory, &config, budget, seed, cancel)?;
+        let found = search_nominal(&scene.task, worlds.scene(0), factory, &config, budget, seed, cancel)?;
         let best = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
         let mut metrics = Metrics::new();
         metrics.set(format!("{prefix}best_m"), best);
@@ -334,6 +421,42 @@ impl Clock {
 mod tests {
     use super::*;
     use crate::robust_table;
+
+    #[test]
+    fn a_misled_planner_believes_other_errors_and_samples_the_same_materials() {
+        let mut bench = RobustBench::new(vec![3], SceneFamily::Fixed);
+        bench.add_misled();
+        let names: Vec<&str> = bench.names();
+        assert_eq!(names, ["plain", "robust", "robust_half", "robust_double"]);
+        let d = |k: usize| &bench.planners[k].1.disturbances;
+        assert_eq!((d(1).position_m, d(2).angle_rad), (0.5 * d(0).position_m, 2.0 * d(0).angle_rad));
+        assert_eq!((d(1).materials, d(1).worlds), (true, d(0).worlds));
+        assert_eq!(bench.errors, *d(0));
+    }
+
+    #[test]
+    fn fixed_scenes_go_by_their_numbers() {
+        assert!(SceneFamily::Fixed.generate(18).is_ok());
+        for none in [0, 19] {
+            assert!(SceneFamily::Fixed.generate(none).unwrap_err().to_string().contains("1 to 18"));
+        }
+    }
+
+    #[test]
+    fn what_the_arm_cannot_make_is_no_rollout_of_a_true_world() {
+        let scene = PlanScene::told(SceneFamily::Crowded, 1005, MaterialsTold::Truth).unwrap();
+        let mut scene = PlanScene { task: scene.arm_task().unwrap(), ..scene };
+        let action = scene.task.suggestions().swap_remove(0);
+        let errors = Disturbances::default();
+        let realise = |scene: &PlanScene| {
+            TrueWorlds::new(scene, &errors, 2).unwrap().realise(&action, &Cancel::new()).unwrap()
+        };
+        assert!(realise(&scene).iter().all(Option::is_some));
+        scene.robot.x_recording_robot =
+            Some([[1.0, 0.0, 0.0, -9.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
+        scene.task = scene.arm_task().unwrap();
+        assert_eq!(realise(&scene), [None, None]);
+    }
 
     #[test]
     fn figures_are_complete_do_not_depend_on_threads_and_shards_make_the_whole() {
@@ -380,6 +503,13 @@ mod tests {
         let rollouts = |name: &str| whole.number(&format!("bench.robust.{name}.rollouts")).unwrap();
         assert!(rollouts("plain") >= rollouts("robust"), "plain planning gets at least as much");
         assert!(whole.number("bench.robust.robust.change_share").is_some());
+        let other = RobustBench { worlds: 3, ..bench.clone() };
+        let path = Path::new("part.json");
+        bench.check_same(&part, path).unwrap();
+        for (bench, results) in [(&other, &part), (&bench, &Metrics::new())] {
+            let message = bench.check_same(results, path).unwrap_err().to_string();
+            assert!(message.contains("settings") && message.contains("part.json"), "{message}");
+        }
         let table = robust_table(&bench, &whole);
         assert!(table.contains("1002") && table.contains("robust"), "{table}");
         for key in ["bench.robust.engine", "bench.robust.striker"] {

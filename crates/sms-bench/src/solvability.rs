@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, Progress, Seed};
 use sms_plan::{Halton, PlanError};
 use sms_scene::{BodyShape, Scene};
-use sms_sim::{ContactEvent, RapierFactory, SimError};
-use sms_synth::{Layout, generate_challenge};
+use sms_sim::{ContactEvent, RapierFactory, SimError, Simulation, WorldFactory, WorldOptions};
+use sms_synth::{Layout, TruthScene, generate_challenge};
 use sms_target::scene_from_truth;
-use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task};
+use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task, WorldBodies};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Scenes to look at: layouts times seeds.
@@ -71,6 +71,70 @@ fn rebounds(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &Resol
     reached.then_some(count)
 }
 
+/// A true scene with the arm before it.
+pub(crate) struct Table {
+    pub(crate) scene: Scene,
+    pub(crate) task: ResolvedTask,
+    pub(crate) bodies: WorldBodies,
+}
+
+/// A shot of the arm that was simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Tried {
+    pub(crate) action: Action,
+    /// Distance to the goal, metres.
+    pub(crate) objective: f64,
+    /// [`rebounds`].
+    pub(crate) rebounds: Option<usize>,
+}
+
+impl Table {
+    /// `None` where a truth names masses that no body has.
+    pub(crate) fn new(truth: &TruthScene) -> Result<Option<Self>, BenchError> {
+        let Ok(scene) = scene_from_truth(truth) else { return Ok(None) };
+        let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+        let mut billiards = Billiards::new(cue, target, truth.goal_w);
+        billiards.form = ActionForm::SpeedAngle;
+        let task = Task::Billiards(billiards).resolve(&scene).map_err(PlanError::from)?;
+        let task = task.with_robot(&robot_of(truth), &scene)?;
+        let bodies = task.bodies_in(&scene, &task.target().name).map_err(PlanError::from)?;
+        Ok(Some(Self { scene, task, bodies }))
+    }
+
+    /// A world of it at rest, for [`Table::shoot`].
+    pub(crate) fn world(
+        &self,
+        factory: &dyn WorldFactory,
+        options: &WorldOptions,
+    ) -> Result<Simulation, BenchError> {
+        Ok(self.task.prepare(factory, &self.scene, options, &self.bodies).map_err(PlanError::from)?)
+    }
+
+    /// The action at a point of the unit box.
+    pub(crate) fn action_at(&self, unit: &[f64]) -> Action {
+        let parameters = self.task.parameters();
+        Action(unit.iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect())
+    }
+
+    /// Carries a shot out. `Err(SimError::Refused)` inside where the arm cannot make it; other invalid rollouts likewise.
+    pub(crate) fn shoot(
+        &self,
+        simulation: &mut Simulation,
+        action: Action,
+    ) -> Result<Result<Tried, SimError>, BenchError> {
+        simulation.restore();
+        let struck = self.task.striker(&self.task.strike(&action));
+        match struck.and_then(|s| self.task.rollout(simulation, s, &self.bodies, None)) {
+            Ok(rollout) => {
+                let rebounds = rebounds(&rollout.contacts, rollout.closest_s, &self.scene, &self.task);
+                Ok(Ok(Tried { action, objective: rollout.objective, rebounds }))
+            }
+            Err(e) if e.is_invalid_rollout() => Ok(Err(e)),
+            Err(e) => Err(PlanError::from(e).into()),
+        }
+    }
+}
+
 /// Simulates `shots` shots of the arm in the true scene.
 fn look(
     bench: &SolvabilityBench,
@@ -79,18 +143,9 @@ fn look(
     cancel: &Cancel,
 ) -> Result<Option<Solvability>, BenchError> {
     let Some(truth) = generate_challenge(layout, Seed(seed), bench.obstacles) else { return Ok(None) };
-    // The generator's masses are possible.
-    let Ok(scene) = scene_from_truth(&truth) else { return Ok(None) };
-    let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
-    let mut billiards = Billiards::new(cue, target, truth.goal_w);
-    billiards.form = ActionForm::SpeedAngle;
-    let task = Task::Billiards(billiards).resolve(&scene).map_err(PlanError::from)?;
-    let task = task.with_robot(&robot_of(&truth), &scene)?;
-    let bodies = task.bodies_in(&scene, &task.target().name).map_err(PlanError::from)?;
-    let mut simulation =
-        task.prepare(&RapierFactory, &scene, &task.world_options(), &bodies).map_err(PlanError::from)?;
-    let parameters = task.parameters();
-    let points = Halton::new(parameters.len(), Seed(seed));
+    let Some(table) = Table::new(&truth)? else { return Ok(None) };
+    let mut simulation = table.world(&RapierFactory, &table.task.world_options())?;
+    let points = Halton::new(table.task.parameters().len(), Seed(seed));
     let mut found = Solvability {
         layout,
         seed,
@@ -102,27 +157,21 @@ fn look(
     };
     for i in 0..bench.shots {
         cancel.check()?;
-        let values =
-            points.point(i).iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect();
-        let action = Action(values);
-        simulation.restore();
-        let struck = task.striker(&task.strike(&action));
-        let rollout = match struck.and_then(|s| task.rollout(&mut simulation, s, &bodies, None)) {
-            Ok(rollout) => rollout,
+        let tried = match table.shoot(&mut simulation, table.action_at(&points.point(i)))? {
+            Ok(tried) => tried,
             Err(SimError::Refused(_)) => {
                 found.refused_share += 1.0 / bench.shots as f64;
                 continue;
             }
-            Err(e) if e.is_invalid_rollout() => continue,
-            Err(e) => return Err(PlanError::from(e).into()),
+            Err(_) => continue,
         };
-        let Some(count) = rebounds(&rollout.contacts, rollout.closest_s, &scene, &task) else { continue };
-        if rollout.objective < found.best() {
-            found.best_action = action.0;
+        let Some(count) = tried.rebounds else { continue };
+        if tried.objective < found.best() {
+            found.best_action = tried.action.0;
         }
         let kind = count.min(2);
-        found.best_m[kind] = found.best_m[kind].min(rollout.objective);
-        if task.is_success(rollout.objective) {
+        found.best_m[kind] = found.best_m[kind].min(tried.objective);
+        if table.task.is_success(tried.objective) {
             found.success_share[kind] += 1.0 / bench.shots as f64;
         }
     }

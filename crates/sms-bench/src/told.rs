@@ -22,7 +22,7 @@ const Z90: f64 = 1.645;
 const VESSEL_FILL: f64 = 0.3;
 
 /// What the planner is told of materials (every table names it).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaterialsTold {
     /// The true class with the handbook's values: what a good vision-language model gives.

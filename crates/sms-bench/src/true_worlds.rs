@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use sms_core::{Cancel, Seed};
 use sms_plan::{Disturbances, PlanError};
 use sms_scene::Scene;
-use sms_sim::{RapierFactory, SimError, StrikerMotion};
+use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions};
 use sms_synth::redraw_materials;
 use sms_task::{Action, ResolvedTask};
 
@@ -14,10 +14,11 @@ use sms_task::{Action, ResolvedTask};
 const CHAOS_M: f64 = 1e-6;
 
 /// True worlds of a scene: the materials of every object drawn from the ranges of its class, bodies and strike off by what
-/// scan and robot are off by. The planner was told other materials, and that the bodies are where the scene says.
-#[derive(Debug, Clone)]
+/// scan and robot are off by; simulated by the planner's engine, or another. The planner was told other materials, and that the bodies are where the scene says.
 pub struct TrueWorlds<'a> {
     task: &'a ResolvedTask,
+    factory: &'a dyn WorldFactory,
+    options: WorldOptions,
     errors: Disturbances,
     seed: Seed,
     scenes: Vec<Scene>,
@@ -39,7 +40,15 @@ impl<'a> TrueWorlds<'a> {
                 Ok(errors.scene(&bare, seed, index))
             })
             .collect::<Result<_, BenchError>>()?;
-        Ok(Self { task: &scene.task, errors, seed, scenes })
+        let (task, options) = (&scene.task, scene.task.world_options());
+        Ok(Self { task, factory: &RapierFactory, options, errors, seed, scenes })
+    }
+
+    /// The same worlds in another engine than the planner's, at a share of the planner's time step.
+    #[must_use]
+    pub fn simulated_by(self, factory: &'a dyn WorldFactory, step: f64) -> Self {
+        let options = self.task.world_options();
+        Self { factory, options: WorldOptions { dt: step * options.dt, ..options }, ..self }
     }
 
     /// The `index`-th world.
@@ -56,7 +65,7 @@ impl<'a> TrueWorlds<'a> {
         let motion = self.task.strike(action);
         let run = |(index, scene): (usize, &Scene)| {
             cancel.check()?;
-            rollout(self.task, scene, &self.errors.strike(&motion, self.seed, index))
+            self.rollout(scene, &motion, &self.errors.strike(&motion, self.seed, index))
         };
         self.scenes.par_iter().enumerate().map(run).collect()
     }
@@ -67,7 +76,8 @@ impl<'a> TrueWorlds<'a> {
     /// # Errors
     /// As [`TrueWorlds::realise`].
     pub fn chaos(&self, action: &Action, runs: usize, cancel: &Cancel) -> Result<Option<f64>, BenchError> {
-        let motion = self.errors.strike(&self.task.strike(action), self.seed, 0);
+        let asked = self.task.strike(action);
+        let motion = self.errors.strike(&asked, self.seed, 0);
         let jitter = Disturbances {
             materials: false,
             position_m: CHAOS_M,
@@ -77,29 +87,38 @@ impl<'a> TrueWorlds<'a> {
             ..self.errors.clone()
         };
         let Some(first) = self.scenes.first() else { return Ok(None) };
-        let Some(reference) = rollout(self.task, first, &motion)? else { return Ok(None) };
+        let Some(reference) = self.rollout(first, &asked, &motion)? else { return Ok(None) };
         let seed = self.seed.derive("chaos");
         let runs: Vec<Option<f64>> = (0..runs)
             .into_par_iter()
             .map(|k| {
                 cancel.check()?;
-                rollout(self.task, &jitter.scene(first, seed, k), &motion)
+                self.rollout(&jitter.scene(first, seed, k), &asked, &motion)
             })
             .collect::<Result<_, BenchError>>()?;
         let off: Vec<f64> = runs.into_iter().flatten().map(|v| (v - reference).abs()).collect();
         Ok((!off.is_empty()).then(|| off.iter().sum::<f64>() / off.len() as f64))
     }
-}
 
-fn rollout(task: &ResolvedTask, scene: &Scene, motion: &StrikerMotion) -> Result<Option<f64>, BenchError> {
-    let bodies = task.bodies_in(scene, &task.target().name).map_err(PlanError::from)?;
-    let outcome: Result<f64, SimError> = task
-        .prepare(&RapierFactory, scene, &task.world_options(), &bodies)
-        .and_then(|mut simulation| Ok(task.rollout(&mut simulation, motion, &bodies, None)?.objective));
-    match outcome {
-        Ok(objective) => Ok(Some(objective)),
-        Err(e) if e.is_invalid_rollout() => Ok(None),
-        Err(e) => Err(PlanError::from(e).into()),
+    /// The objective of a strike that was asked for and is carried out a little otherwise; `None` where it cannot be believed,
+    /// or the arm cannot make it.
+    fn rollout(
+        &self,
+        scene: &Scene,
+        asked: &StrikerMotion,
+        carried_out: &StrikerMotion,
+    ) -> Result<Option<f64>, BenchError> {
+        let task = self.task;
+        let bodies = task.bodies_in(scene, &task.target().name).map_err(PlanError::from)?;
+        let outcome: Result<f64, SimError> = task.striker_near(asked, carried_out).and_then(|striker| {
+            let mut simulation = task.prepare(self.factory, scene, &self.options, &bodies)?;
+            Ok(task.rollout(&mut simulation, striker, &bodies, None)?.objective)
+        });
+        match outcome {
+            Ok(objective) => Ok(Some(objective)),
+            Err(e) if e.is_invalid_rollout() => Ok(None),
+            Err(e) => Err(PlanError::from(e).into()),
+        }
     }
 }
 

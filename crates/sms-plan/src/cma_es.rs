@@ -188,7 +188,14 @@ struct Run {
     history: Vec<f64>,
     /// Unmirrored points that were asked for, in the distribution's coordinates.
     asked: Vec<Vec<f64>>,
+    /// Those of this generation whose values are known, and how many of it could not be tried.
+    known: Vec<(Vec<f64>, f64)>,
+    refused: usize,
 }
+
+/// Points that a generation draws at most, for each that it has: others are drawn in the place of those that cannot be
+/// tried, from the same distribution.
+const MOST_DRAWS: usize = 8;
 
 /// A scan, then CMA-ES from its best points, one after another, each with twice the population of the one before.
 pub(crate) struct CmaSearch {
@@ -233,9 +240,12 @@ impl CmaSearch {
                 objective: from.objective,
                 evaluations: 0,
                 iterations: 0,
+                refused: 0,
             },
             history: Vec::new(),
             asked: Vec::new(),
+            known: Vec::new(),
+            refused: 0,
         });
         true
     }
@@ -270,7 +280,8 @@ impl BatchOptimiser for CmaSearch {
         }
         let start = self.runs.len() as i32 - 1;
         let Some(run) = self.runs.last_mut() else { return Vec::new() };
-        run.asked = (0..run.cma.population().min(room)).map(|_| run.cma.sample(&mut self.rng)).collect();
+        let missing = run.cma.population() - run.known.len();
+        run.asked = (0..missing.min(room)).map(|_| run.cma.sample(&mut self.rng)).collect();
         run.asked
             .iter()
             .map(|y| Proposal {
@@ -281,9 +292,9 @@ impl BatchOptimiser for CmaSearch {
             .collect()
     }
 
-    fn tell(&mut self, values: &[f64]) {
+    fn tell(&mut self, values: &[Option<f64>]) {
         if !self.screened {
-            self.screen.iter_mut().zip(values).for_each(|(s, &f)| s.objective = f);
+            self.screen.iter_mut().zip(values).for_each(|(s, f)| s.objective = f.unwrap_or(f64::INFINITY));
             self.screened = true;
             self.begins = screening::distinct(
                 &self.space,
@@ -294,23 +305,52 @@ impl BatchOptimiser for CmaSearch {
             return;
         }
         let Some(run) = self.runs.last_mut() else { return };
-        let mut order: Vec<usize> = (0..values.len()).collect();
-        order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-        if let Some(&best) = order.first()
-            && values[best] < run.record.objective
-        {
-            run.record.objective = values[best];
-            run.record.x = run.asked[best].iter().zip(&run.steps).map(|(y, s)| mirrored(y * s)).collect();
+        let mut cannot = Vec::new();
+        for (y, value) in std::mem::take(&mut run.asked).into_iter().zip(values) {
+            match value {
+                Some(f) => run.known.push((y, *f)),
+                None => cannot.push(y),
+            }
         }
-        run.record.evaluations += values.len();
-        run.history.push(order.first().map_or(f64::INFINITY, |&i| values[i]));
-        let sorted: Vec<Vec<f64>> = order.iter().map(|&i| run.asked[i].clone()).collect();
+        run.record.evaluations += values.len() - cannot.len();
+        run.record.refused += cannot.len();
+        run.refused += cannot.len();
+        let population = run.cma.population();
+        if run.refused + population >= MOST_DRAWS * population {
+            // Too few can be tried: the others count as the worst.
+            run.known.extend(cannot.into_iter().map(|y| (y, f64::INFINITY)));
+        }
+        if run.known.len() < population {
+            return;
+        }
+        run.refused = 0;
+        let mut generation = std::mem::take(&mut run.known);
+        // Stable: what was drawn first comes first among equals.
+        generation.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let (best, value) = &generation[0];
+        if *value < run.record.objective {
+            run.record.objective = *value;
+            run.record.x = best.iter().zip(&run.steps).map(|(y, s)| mirrored(y * s)).collect();
+        }
+        run.history.push(*value);
+        let sorted: Vec<Vec<f64>> = generation.into_iter().map(|(y, _)| y).collect();
         run.cma.adapt(&sorted);
         run.record.iterations = run.cma.generation();
     }
 
     fn starts(&self) -> Vec<StartRecord> {
-        self.runs.iter().map(|r| r.record.clone()).collect()
+        let record = |r: &Run| {
+            let mut record = r.record.clone();
+            // A generation that the budget cut short.
+            for (y, f) in &r.known {
+                if *f < record.objective {
+                    record.objective = *f;
+                    record.x = y.iter().zip(&r.steps).map(|(y, s)| mirrored(y * s)).collect();
+                }
+            }
+            record
+        };
+        self.runs.iter().map(record).collect()
     }
 }
 

@@ -1,10 +1,11 @@
 //! Many simplex searches: from the best points of a scan with equal budgets or with successive halving, or the
 //! paper's from random simplexes.
 
-use crate::screening::{self, Screened};
+use crate::screening::{self, Feasible, Screened};
 use crate::space::Space;
-use crate::{BatchOptimiser, LocalSearch, NelderMead, Phase, Proposal, StartRecord};
+use crate::{BatchOptimiser, LocalSearch, NelderMead, Phase, PlanError, Proposal, StartRecord};
 use rand::RngExt;
+use rayon::prelude::*;
 use sms_core::Seed;
 
 /// How the budget is shared among searches.
@@ -33,6 +34,20 @@ struct Member {
     initial_objective: Option<f64>,
     /// Evaluations that it may still use in this round.
     allowance: usize,
+    /// Points drawn for its start that cannot be tried.
+    passed_over: usize,
+}
+
+/// Draws for the first point of a random simplex, in the promising ranges and as many in the whole box, and for each of the
+/// others. Where even these cannot be tried, the search moves them towards the first.
+const FIRST_DRAWS: usize = 64;
+const NEXT_DRAWS: usize = 16;
+
+/// A random simplex: its points, whether the first can be tried, and how many others were drawn that cannot.
+struct Drawn {
+    points: Vec<Vec<f64>>,
+    can: bool,
+    passed_over: usize,
 }
 
 pub(crate) struct Descents {
@@ -55,24 +70,31 @@ impl Descents {
         Self::new(space, settings, screen)
     }
 
-    /// The paper's starts: simplexes of random points in the promising ranges.
-    pub(crate) fn random(space: &Space, settings: DescentSettings, seed: Seed) -> Self {
-        let n = space.dimensions();
-        let starts: Vec<(Vec<Vec<f64>>, Vec<f64>, Option<f64>)> = (0..settings.starts)
-            .map(|i| {
-                let mut rng = seed.derive_index("simplex", i as u64).rng();
-                let vertex = |_| space.in_promising(&(0..n).map(|_| rng.random()).collect::<Vec<f64>>());
-                ((0..=n).map(vertex).collect(), space.steps(settings.initial_step, true), None)
-            })
-            .collect();
+    /// The paper's starts: simplexes of random points in the promising ranges, of such as are `feasible` where there are any.
+    pub(crate) fn random(
+        space: &Space,
+        settings: DescentSettings,
+        seed: Seed,
+        feasible: Feasible<'_>,
+    ) -> Result<Self, PlanError> {
+        let drawn: Vec<Drawn> = (0..settings.starts)
+            .into_par_iter()
+            .map(|i| random_simplex(space, seed.derive_index("simplex", i as u64), feasible))
+            .collect::<Result<_, _>>()?;
         let mut descents = Self::new(space, settings, Vec::new());
         descents.screened = true;
+        let steps = space.steps(descents.settings.initial_step, true);
+        let starts: Vec<_> = drawn.iter().map(|d| (d.points.clone(), steps.clone(), None)).collect();
         descents.begin(&starts);
-        for m in &mut descents.members {
+        for (m, d) in descents.members.iter_mut().zip(drawn) {
             m.allowance = usize::MAX;
+            m.passed_over = d.passed_over;
+            if !d.can {
+                m.search.end();
+            }
         }
         descents.rounds_left = 0;
-        descents
+        Ok(descents)
     }
 
     fn new(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
@@ -97,6 +119,7 @@ impl Descents {
                 initial: points[0].clone(),
                 initial_objective: *known,
                 allowance: 0,
+                passed_over: 0,
             })
             .collect();
         self.active = (0..self.members.len()).collect();
@@ -177,6 +200,33 @@ impl Descents {
     }
 }
 
+/// Random points: n + 1 of them, each drawn until it can be tried.
+fn random_simplex(space: &Space, seed: Seed, feasible: Feasible<'_>) -> Result<Drawn, PlanError> {
+    let n = space.dimensions();
+    let mut rng = seed.rng();
+    let mut drawn = Drawn { points: Vec::new(), can: false, passed_over: 0 };
+    for k in 0..=n {
+        let most = if k == 0 { 2 * FIRST_DRAWS } else { NEXT_DRAWS };
+        for draw in 1..=most {
+            let unit: Vec<f64> = (0..n).map(|_| rng.random()).collect();
+            let x = if k == 0 && draw > FIRST_DRAWS { unit } else { space.in_promising(&unit) };
+            let can = feasible(&x)?;
+            drawn.passed_over += usize::from(!can);
+            if can || draw == most {
+                drawn.can |= can && k == 0;
+                drawn.points.push(x);
+                break;
+            }
+        }
+        if !drawn.can {
+            // There is nothing to search from.
+            drawn.points.resize(n + 1, drawn.points[0].clone());
+            break;
+        }
+    }
+    Ok(drawn)
+}
+
 impl BatchOptimiser for Descents {
     fn name(&self) -> &'static str {
         self.settings.name
@@ -204,16 +254,25 @@ impl BatchOptimiser for Descents {
         }
     }
 
-    fn tell(&mut self, values: &[f64]) {
+    fn tell(&mut self, values: &[Option<f64>]) {
         if !self.screened {
-            self.screen.iter_mut().zip(values).for_each(|(s, &f)| s.objective = f);
+            self.screen.iter_mut().zip(values).for_each(|(s, f)| s.objective = f.unwrap_or(f64::INFINITY));
             self.screened = true;
             return;
         }
-        for (&i, &f) in self.asked.iter().zip(values) {
+        for (&i, value) in self.asked.iter().zip(values) {
             let m = &mut self.members[i];
-            m.initial_objective.get_or_insert(f);
-            m.search.tell(f);
+            match value {
+                Some(f) => {
+                    m.initial_objective.get_or_insert(*f);
+                    m.search.tell(*f);
+                }
+                None => {
+                    // It was no evaluation.
+                    m.allowance = m.allowance.saturating_add(1);
+                    m.search.refuse();
+                }
+            }
         }
     }
 
@@ -229,6 +288,7 @@ impl BatchOptimiser for Descents {
                     objective: found.objective,
                     evaluations: found.evaluations,
                     iterations: found.iterations,
+                    refused: m.passed_over + m.search.refused(),
                 }
             })
             .collect()

@@ -24,8 +24,18 @@ pub struct StartSummary {
     pub evaluations: usize,
     /// Nelder-Mead iterations used.
     pub iterations: usize,
+    /// Strikes that it asked for and that the robot cannot make: they cost nothing, and others were tried in their place.
+    #[serde(default)]
+    pub refused: usize,
     /// 90 % quantile of the objective over disturbed worlds, where it was computed.
     pub objective_q90: Option<f64>,
+}
+
+impl StartSummary {
+    /// Whether no strike that the robot can make was found where this search was to begin.
+    pub fn is_out_of_reach(&self) -> bool {
+        self.refused > 0 && self.evaluations == 0 && !self.objective.is_finite()
+    }
 }
 
 fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -58,9 +68,8 @@ pub struct Plan {
     pub objective_unit: String,
     /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
     pub objective_q90: f64,
-    /// Shots that were tried in some world, as many as trials in the log and one for the recorded motion. A strike that a
-    /// local search asks for and the robot cannot make counts, although nothing is simulated for it: it takes the place of
-    /// a rollout. Points that a scan draws and the robot cannot make do not: others are drawn in their place.
+    /// Shots that were tried in some world, as many as trials in the log and one for the recorded motion. What a scan or a
+    /// search asks for and the robot cannot make is none of them: others are tried in its place.
     pub evaluations: usize,
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]

@@ -134,7 +134,7 @@ pub fn plan(
         let forecast = forecast(&chosen, &fresh, &counter, &see, &mut found.trials)?;
         (chosen, forecast)
     };
-    // Points of the scan, and draws that were refused, are looked at, too.
+    // Points of the scan, and what was refused, are looked at, too.
     let is_scan = |t: &&Trial| t.phase == Phase::Disturbed && t.start == -1;
     let scanned = found.trials.iter().filter(is_scan).count();
     let refused = counter.refusals(&struck);
@@ -344,6 +344,18 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "out_of_reach",
             text,
+            "look at where the robot stands, and at what stands around the struck body",
+        );
+    }
+    let unreachable = plan.starts.iter().filter(|s| s.is_out_of_reach()).count();
+    if unreachable > 0 {
+        warnings.add(
+            "plan",
+            "starts_out_of_reach",
+            format!(
+                "{unreachable} of {} searches were not begun: no strike that the robot can make was found for them",
+                plan.starts.len()
+            ),
             "look at where the robot stands, and at what stands around the struck body",
         );
     }

@@ -69,6 +69,18 @@ pub struct Prediction {
 }
 
 impl Prediction {
+    /// What is in no figure but the share: "2 of 32 not valid, 1 not made by the robot". `None` where all is.
+    pub fn missing_text(&self) -> Option<String> {
+        let of_all = |first: bool| if first { format!(" of {}", self.worlds) } else { String::new() };
+        let mut parts = Vec::new();
+        for (count, what) in [(self.invalid, "not valid"), (self.refused, "not made by the robot")] {
+            if count > 0 {
+                parts.push(format!("{count}{} {what}", of_all(parts.is_empty())));
+            }
+        }
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
+
     /// The distribution of what comes of the same shot in several worlds. `None` when it was simulated well in none.
     pub(crate) fn of(shots: &[Shot], is_success: impl Fn(f64) -> bool) -> Option<Self> {
         let valid: Vec<f64> = shots.iter().map(|s| s.objective()).filter(|v| v.is_finite()).collect();
@@ -105,10 +117,13 @@ mod tests {
         assert_eq!((q.mean, q.q90), (p.mean, p.q90));
         assert!(close(q.success_share, 5.0 / 12.0) && (q.worlds, q.invalid) == (12, 1));
         assert_eq!(q.refused, 0);
+        assert_eq!(p.missing_text(), None);
+        assert_eq!(q.missing_text().unwrap(), "1 of 12 not valid");
         // A refused strike is no simulation that cannot be believed, and no success either.
         values.push(Shot::Refused);
         let r = Prediction::of(&values, |v| v < 0.045).unwrap();
         assert_eq!((r.mean, r.worlds, r.invalid, r.refused), (p.mean, 13, 1, 1));
+        assert_eq!(r.missing_text().unwrap(), "1 of 13 not valid, 1 not made by the robot");
         assert!(close(r.success_share, 5.0 / 13.0));
         assert!(Prediction::of(&[Shot::Unbelievable, Shot::Refused], |_| true).is_none());
     }

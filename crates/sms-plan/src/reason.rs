@@ -314,7 +314,7 @@ impl Explaining<'_> {
         let steps = self.space.steps(0.5 * self.config.initial_step, self.space.is_promising(&x));
         let mut search = LocalSearch::new(&settings, std::slice::from_ref(&x), &steps, Some(v));
         for _ in count..budget {
-            let Some(x) = search.next_point().map(<[f64]>::to_vec) else { break };
+            let Some(x) = self.counter.next_feasible(self.task, self.space, &mut search)? else { break };
             search.tell(value(&x, trials)?);
         }
         Ok((Some(self.space.action(&search.minimum().x)), tried))

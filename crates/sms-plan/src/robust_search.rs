@@ -5,6 +5,7 @@ use crate::screening::points;
 use crate::space::is_near;
 use crate::worlds::DisturbedWorlds;
 use crate::{LocalSearch, NelderMead, Phase, PlanError, Trial};
+use rayon::prelude::*;
 use sms_core::Seed;
 
 /// Simplex searches side by side.
@@ -82,11 +83,15 @@ impl Choice<'_> {
         let mut is_last = searches.starts <= searches.survivors;
         loop {
             for _ in 0..searches.points {
+                let next: Vec<Option<Vec<f64>>> = running
+                    .par_iter_mut()
+                    .map(|search| self.counter.next_feasible(self.task, self.space, search))
+                    .collect::<Result<_, _>>()?;
                 let mut asked: Vec<(usize, usize)> = Vec::new();
-                for (s, search) in running.iter().enumerate() {
-                    if let Some(x) = search.next_point() {
+                for (s, x) in next.into_iter().enumerate() {
+                    if let Some(x) = x {
                         asked.push((s, all.len()));
-                        all.push(self.candidate(x.to_vec(), f64::INFINITY));
+                        all.push(self.candidate(x, f64::INFINITY));
                     }
                 }
                 if asked.is_empty() {

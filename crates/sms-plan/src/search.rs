@@ -27,7 +27,8 @@ pub(crate) struct Found {
     pub(crate) trials: Vec<Trial>,
 }
 
-/// The optimiser that the settings name. Its scan has only points whose strikes the robot can make.
+/// The optimiser that the settings name. Its scan, or its random simplexes, have only points whose strikes the robot can
+/// make.
 fn optimiser(
     space: &Space,
     config: &PlanConfig,
@@ -47,7 +48,9 @@ fn optimiser(
     Ok(match config.method {
         Method::Screen => Box::new(screened(descents("screen", Sharing::Even))?),
         Method::Halving => Box::new(screened(descents("halving", Sharing::Halving(config.survivors)))?),
-        Method::MultiStart => Box::new(Descents::random(space, descents("multi_start", Sharing::Even), seed)),
+        Method::MultiStart => {
+            Box::new(Descents::random(space, descents("multi_start", Sharing::Even), seed, feasible)?)
+        }
         Method::CmaEs => {
             let settings = CmaSettings {
                 initial_step: config.initial_step,
@@ -61,8 +64,8 @@ fn optimiser(
     })
 }
 
-/// Searches as `config` says, with at most `budget` evaluations. Strikes that the robot cannot make cost nothing in the
-/// scan, which draws others in their place, and one evaluation where a local search asks for them.
+/// Searches as `config` says, with at most `budget` evaluations. Strikes that the robot cannot make cost none: a scan and a
+/// population draw others in their place, and a simplex retreats towards its best point.
 pub(crate) fn search(
     space: &Space,
     config: &PlanConfig,
@@ -72,7 +75,8 @@ pub(crate) fn search(
     objective: Objective<'_>,
 ) -> Result<Found, PlanError> {
     let mut optimiser = optimiser(space, config, seed, feasible)?;
-    let mut log = drive(optimiser.as_mut(), budget, objective)?;
+    let mut log =
+        drive(optimiser.as_mut(), budget, &|x| Ok(if feasible(x)? { Some(objective(x)?) } else { None }))?;
     // Stable: within a search, points stay in the order of asking.
     log.sort_by_key(|(p, _)| (p.phase != Phase::Screen, p.start));
     let mut found = Found::default();
@@ -101,6 +105,7 @@ pub(crate) fn search(
             objective: s.objective,
             evaluations: s.evaluations,
             iterations: s.iterations,
+            refused: s.refused,
             objective_q90: None,
         })
         .collect();
@@ -154,17 +159,73 @@ mod tests {
         }
     }
 
+    /// Points that cannot be tried in three quarters of the box, on both sides of an oblique strip about the valley.
+    fn strip(x: &[f64]) -> bool {
+        (x[1] - 0.47 - 0.1 * (x[3] - 0.5)).abs() < 0.125
+    }
+
+    #[test]
+    fn what_cannot_be_tried_costs_nothing_and_stops_no_search() {
+        for method in Method::ALL {
+            let config = PlanConfig { method, evaluations: 400, starts: 8, ..PlanConfig::draft() };
+            let feasible = |x: &[f64]| Ok(strip(x));
+            let found = search(&space(), &config, Seed(3), 400, &feasible, &|x| {
+                assert!(strip(x), "{method:?} evaluates what cannot be tried");
+                valley(x)
+            })
+            .unwrap();
+            let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
+            assert!(best < 1e-3, "{method:?}: {best}");
+            assert!(found.trials.iter().all(|t| t.valid));
+            assert!(found.starts.iter().all(|s| s.objective.is_finite() && !s.is_out_of_reach()));
+            if method != Method::MultiStart {
+                assert!(found.trials.len() > 390, "{method:?} had {}", found.trials.len());
+            }
+        }
+    }
+
+    #[test]
+    fn descents_and_populations_meet_refusals_and_go_on() {
+        // The best is on the border of what can be tried: searches run into it all the time.
+        let can = |x: &[f64]| Ok(x[0] + x[1] > 1.1);
+        let value = |x: &[f64]| Ok((x[0] - 0.2).hypot(x[1] - 0.8) + 0.1 * (x[2] - 0.3).hypot(x[3] - 0.6));
+        for method in Method::ALL {
+            let config = PlanConfig { method, evaluations: 600, starts: 6, ..PlanConfig::draft() };
+            let found = search(&space(), &config, Seed(5), 600, &can, &value).unwrap();
+            let refused: usize = found.starts.iter().map(|s| s.refused).sum();
+            assert!(refused > 5, "{method:?}: {refused}");
+            // On the border the distance is (0.1)/√2.
+            let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
+            assert!(best < 0.1 / 2f64.sqrt() + 0.01, "{method:?}: {best}");
+        }
+    }
+
+    #[test]
+    fn a_start_without_a_feasible_point_says_so() {
+        let config = PlanConfig { method: Method::MultiStart, starts: 3, ..PlanConfig::paper() };
+        let found = search(&space(), &config, Seed(5), 600, &|_| Ok(false), &valley).unwrap();
+        assert!(found.trials.is_empty() && found.starts.len() == 3);
+        for start in &found.starts {
+            assert!(
+                start.is_out_of_reach() && start.refused == 2 * 64 && start.evaluations == 0,
+                "{start:?}"
+            );
+        }
+    }
+
     #[test]
     fn the_order_of_trials_does_not_depend_on_threads() {
         for method in [Method::Screen, Method::MultiStart, Method::CmaEs, Method::Halving] {
             let config = PlanConfig { method, ..PlanConfig::draft() };
-            let run = |threads: usize| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| search(&space(), &config, Seed(1), 480, &|_| Ok(true), &valley))
-                    .unwrap()
-                    .trials
-            };
-            assert_eq!(run(1), run(4), "{method:?}");
+            for feasible in [&|_: &[f64]| Ok(true), &|x: &[f64]| Ok(strip(x))] as [Feasible<'_>; 2] {
+                let run = |threads: usize| {
+                    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                    let run = || search(&space(), &config, Seed(1), 480, feasible, &valley);
+                    let found = pool.install(run).unwrap();
+                    (found.trials, found.starts)
+                };
+                assert_eq!(run(1), run(4), "{method:?}");
+            }
         }
     }
 

@@ -106,7 +106,8 @@ impl SimplexSearch {
         let x = std::mem::take(&mut self.asked);
         match std::mem::replace(&mut self.step, Step::Done) {
             Step::First(k) => {
-                self.vertices[k].f = f;
+                // It may have been moved since the simplex was made.
+                self.vertices[k] = Vertex { x, f };
                 if k < n {
                     self.asked = self.vertices[k + 1].x.clone();
                     self.step = Step::First(k + 1);
@@ -169,6 +170,19 @@ impl SimplexSearch {
             }
             Step::Done => false,
         }
+    }
+
+    /// Puts another point in the place of the one that is asked for.
+    fn move_point(&mut self, x: Vec<f64>) {
+        self.asked = x;
+    }
+
+    fn is_first_simplex(&self) -> bool {
+        matches!(self.step, Step::First(_))
+    }
+
+    fn end(&mut self) {
+        self.step = Step::Done;
     }
 
     fn replace_worst(&mut self, x: Vec<f64>, f: f64) -> bool {
@@ -243,6 +257,15 @@ impl SimplexSearch {
     }
 }
 
+/// Where a point that cannot be tried is moved: its distance from the best point as a share of what it was. Of a first
+/// simplex the other side of the best point is as good.
+const RETREATS: [f64; 3] = [0.5, 0.25, 0.125];
+const FIRST_RETREATS: [f64; 5] = [-1.0, 0.5, -0.5, 0.25, -0.25];
+
+/// Points refused in a row after which a search ends: more than two whole simplexes with all their retreats in four
+/// dimensions.
+const MOST_REFUSED: usize = 64;
+
 /// A descent in the unit box with the restarts of [`NelderMead::restarts`], which can be stopped and continued.
 #[derive(Debug, Clone)]
 pub struct LocalSearch {
@@ -255,6 +278,11 @@ pub struct LocalSearch {
     finished: Minimum,
     /// The first point where its value was known before the search.
     known: Option<(Vec<f64>, f64)>,
+    /// The point that was asked for first, where what is asked for now is a retreat from it, and how many there were.
+    retreat: Option<(Vec<f64>, usize)>,
+    /// Points refused, and how many since a value was told.
+    refused: usize,
+    refused_in_a_row: usize,
 }
 
 impl LocalSearch {
@@ -277,6 +305,9 @@ impl LocalSearch {
             scale: 1.0,
             finished,
             known: known.map(|f| (start[0].clone(), f)),
+            retreat: None,
+            refused: 0,
+            refused_in_a_row: 0,
         };
         search.tell_known();
         search
@@ -290,6 +321,50 @@ impl LocalSearch {
     /// The value of [`LocalSearch::next_point`].
     pub fn tell(&mut self, value: f64) {
         self.finished.evaluations += 1;
+        self.refused_in_a_row = 0;
+        self.settle(value);
+    }
+
+    /// Says that [`LocalSearch::next_point`] cannot be tried at all; it is no evaluation. The search asks for a point
+    /// nearer to its best one instead, three times (as the complex method of Box, 1965, moves points back over a
+    /// constraint towards the others' centroid, which here need not be feasible, while the best point is); then the point
+    /// counts as infinitely bad, and the simplex contracts. After 64 refusals in a row the search ends.
+    pub fn refuse(&mut self) {
+        self.refused += 1;
+        self.refused_in_a_row += 1;
+        if self.refused_in_a_row >= MOST_REFUSED {
+            self.end();
+            return;
+        }
+        let Some(asked) = self.simplex.next_point().map(<[f64]>::to_vec) else { return };
+        let best = self.minimum().x;
+        let (from, count) = self.retreat.take().unwrap_or((asked, 0));
+        let shares: &[f64] = if self.simplex.is_first_simplex() { &FIRST_RETREATS } else { &RETREATS };
+        let inside = |x: &Vec<f64>| x.iter().all(|v| (0.0..=1.0).contains(v));
+        for (k, share) in shares.iter().enumerate().skip(count) {
+            let x: Vec<f64> = best.iter().zip(&from).map(|(b, x)| b + share * (x - b)).collect();
+            if inside(&x) && x != best {
+                self.simplex.move_point(x);
+                self.retreat = Some((from, k + 1));
+                return;
+            }
+        }
+        self.settle(f64::INFINITY);
+    }
+
+    /// Points refused so far.
+    pub fn refused(&self) -> usize {
+        self.refused
+    }
+
+    /// Ends the search.
+    pub(crate) fn end(&mut self) {
+        self.simplex.end();
+        self.restarts_left = 0;
+    }
+
+    fn settle(&mut self, value: f64) {
+        self.retreat = None;
         self.simplex.tell(value);
         self.continue_or_restart();
     }

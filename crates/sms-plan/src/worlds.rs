@@ -1,6 +1,7 @@
 //! Simulations that rollouts borrow, and the disturbed worlds in which candidates are tried.
 
-use crate::{Disturbances, PlanError, Refusal, Unknown};
+use crate::space::Space;
+use crate::{Disturbances, LocalSearch, PlanError, Refusal, Unknown};
 use rayon::prelude::*;
 use sms_core::{Cancel, Progress, Seed};
 use sms_scene::Scene;
@@ -41,7 +42,7 @@ pub(crate) struct Counter<'a> {
     invalid: AtomicUsize,
     /// Strikes that the robot cannot make, by reason, that took the place of a rollout.
     refused: Mutex<Reasons>,
-    /// The same of points of a scan: others were drawn in their place.
+    /// The same of points of scans and searches: others were tried in their place.
     passed_over: Mutex<Reasons>,
 }
 
@@ -75,8 +76,8 @@ impl<'a> Counter<'a> {
         self.invalid.load(Ordering::SeqCst)
     }
 
-    /// Whether the robot can make the strike of a point that was drawn for a scan; counted where it cannot. Nothing is
-    /// simulated, and it is no rollout.
+    /// Whether the robot can make the strike of a point that a scan or a search asks for; counted where it cannot. Nothing
+    /// is simulated, and it is no rollout.
     pub(crate) fn draw(&self, task: &ResolvedTask, action: &sms_task::Action) -> Result<bool, PlanError> {
         self.cancel.check()?;
         match task.striker(&task.strike(action)) {
@@ -90,12 +91,28 @@ impl<'a> Counter<'a> {
         }
     }
 
+    /// The next point of a search whose strike the robot can make; `None` when the search has ended.
+    pub(crate) fn next_feasible(
+        &self,
+        task: &ResolvedTask,
+        space: &Space,
+        search: &mut LocalSearch,
+    ) -> Result<Option<Vec<f64>>, PlanError> {
+        while let Some(x) = search.next_point().map(<[f64]>::to_vec) {
+            if self.draw(task, &space.action(&x))? {
+                return Ok(Some(x));
+            }
+            search.refuse();
+        }
+        Ok(None)
+    }
+
     /// Strikes refused so far in the place of a rollout.
     pub(crate) fn refused(&self) -> Reasons {
         self.refused.lock().map(|r| r.clone()).unwrap_or_default()
     }
 
-    /// Draws for scans that were refused so far, together with `refused`, the most frequent reason first.
+    /// Points of scans and searches that were refused so far, together with `refused`, the most frequent reason first.
     pub(crate) fn refusals(&self, refused: &Reasons) -> Vec<Refusal> {
         let mut counted = self.passed_over.lock().map(|r| r.clone()).unwrap_or_default();
         for (reason, count) in refused {

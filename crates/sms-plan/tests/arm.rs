@@ -20,13 +20,14 @@ fn standing_at(x: f64) -> RobotConfig {
     RobotConfig { x_world_robot: Some(x_world_robot), ..RobotConfig::default() }
 }
 
-/// The two balls, and a post at the cue ball's right hand, where the hand would have to be for shots to the left.
+/// The two balls, and a wall at the cue ball's right hand, where the hand, however it is held, would have to be for shots to
+/// the left.
 fn scene() -> Scene {
-    let half = DVec3::new(0.02, 0.02, 0.1);
+    let half = DVec3::new(0.1, 0.02, 0.2);
     let post = Body {
         name: "post".into(),
         kind: BodyKind::Static,
-        x_wb: DPose3::from_parts(DVec3::new(0.25, -0.16, half.z), DQuat::IDENTITY),
+        x_wb: DPose3::from_parts(DVec3::new(0.25, -0.06, half.z), DQuat::IDENTITY),
         shape: BodyShape::Box { half_extents: half },
         visual: Mesh::default(),
         mass: None,
@@ -88,11 +89,15 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
     assert_eq!(outcome.trials.len() + 1, p.evaluations);
     let in_search = outcome.trials.iter().filter(|t| matches!(t.phase, Phase::Screen | Phase::Search));
     let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
+    // Where searches meet refusals, they are not charged for them.
+    assert_eq!(struck, 0);
+    let met: usize = p.starts.iter().map(|s| s.refused).sum();
+    assert!(p.starts.iter().all(|s| s.objective.is_finite() && !s.is_out_of_reach()));
     let passed_over = refused - struck;
     assert_eq!(p.searched, in_search.count() + scanned.len() + passed_over);
     let drawn = screened.len() + scanned.len() + passed_over;
-    println!("{passed_over} of {drawn} draws passed over, {struck} refused in searches");
-    assert!(passed_over > 0 && drawn <= 8 * 220, "{passed_over} of {drawn}");
+    println!("{passed_over} of {drawn} draws passed over, {met} of them in nominal searches");
+    assert!(passed_over > 0 && drawn <= 8 * 400, "{passed_over} of {drawn}");
     let strike = task.strike(&p.action);
     assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
     assert!(p.objective < 0.03, "{}", p.objective);
@@ -122,11 +127,16 @@ fn where_the_arm_can_make_a_third_of_the_strikes_as_many_are_simulated() {
         (0..48).filter(can).count() as f64 / 48.0
     };
     // The farther the robot stands, the less it can do.
-    let (task, share) = (0..30)
-        .map(|k| task(&scene, -0.1 - 0.02 * f64::from(k)))
-        .map(|task| (task.clone(), share(&task)))
-        .find(|(_, share)| *share <= 0.4)
-        .unwrap();
+    let first_below = |from: f64, step: f64| {
+        (0..30)
+            .map(|k| from - step * f64::from(k))
+            .map(|x| (x, task(&scene, x)))
+            .map(|(x, task)| (x, share(&task), task))
+            .find(|(_, share, _)| *share <= 0.4)
+            .unwrap()
+    };
+    let (x, ..) = first_below(-0.1, 0.04);
+    let (_, share, task) = first_below(x + 0.03, 0.01);
     println!("{share:.2} of the strikes can be made");
     assert!(share > 0.15, "{share}");
     let config = PlanConfig {

@@ -146,6 +146,39 @@ fn interruption_and_bad_settings_end_the_plan() {
 }
 
 #[test]
+fn the_smallest_budgets_make_a_plan_of_what_they_have() {
+    let task = task(DVec2::new(0.8, 0.1), ActionForm::SpeedAngleContact);
+    for method in Method::ALL {
+        for (evaluations, worlds) in [(1, 0), (2, 0), (3, 1), (1, 2)] {
+            let config = PlanConfig {
+                method,
+                starts: 1,
+                evaluations,
+                robust_evaluations: evaluations,
+                scan: evaluations,
+                candidates: 1,
+                descents: 1,
+                descent: 1,
+                finalists: 1,
+                polish_starts: 1,
+                polish: 1,
+                forecast_worlds: 1,
+                sensitivity_rollouts: 1,
+                nelder_mead: NelderMead { max_iterations: 1, ..NelderMead::default() },
+                disturbances: Disturbances { worlds, ..Disturbances::default() },
+                ..PlanConfig::default()
+            };
+            let outcome = run(&task, &config, &Warnings::new()).unwrap();
+            let plan = &outcome.plan;
+            assert!(plan.objective.is_finite() && plan.objective_q90.is_finite(), "{method:?} {evaluations}");
+            assert_eq!(plan.evaluations, outcome.trials.len() + 1, "{method:?} {evaluations} {worlds}");
+            assert_eq!(plan.predicted.is_some(), worlds > 0, "{method:?} {evaluations}");
+            assert!(task.parameters().iter().zip(&plan.action.0).all(|(p, v)| (p.low..=p.high).contains(v)));
+        }
+    }
+}
+
+#[test]
 fn a_plan_reports_its_distribution_and_what_matters() {
     let task = task(DVec2::new(0.8, 0.06), ActionForm::SpeedAngle);
     let plan = run(&task, &config(), &Warnings::new()).unwrap().plan;

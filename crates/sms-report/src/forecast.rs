@@ -121,11 +121,8 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
             for v in [p.mean, p.q10, p.q50, p.q90] {
                 let _ = write!(html, "<td class=\"n\">{}</td>", length_text(v));
             }
-            let invalid = if p.invalid > 0 {
-                format!("<br><small>{} of {} not valid</small>", p.invalid, p.worlds)
-            } else {
-                String::new()
-            };
+            let invalid =
+                p.missing_text().map(|text| format!("<br><small>{text}</small>")).unwrap_or_default();
             let _ = write!(
                 html,
                 "<td class=\"n\">{:.0} %{invalid}</td><td>{}</td>",
@@ -289,12 +286,8 @@ fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
         Some(a) => format!("Realised {}: {}.", length_text(realised.unwrap_or(f64::NAN)), a.rank_text()),
         None => format!("{} disturbed worlds; not carried out yet.", values.len()),
     };
-    if p.invalid > 0 {
-        let _ = write!(
-            caption,
-            " {} of {} rollouts could not be believed and are not shown.",
-            p.invalid, p.worlds
-        );
+    if let Some(missing) = p.missing_text() {
+        let _ = write!(caption, " Not shown: {missing}.");
     }
     let chosen = plan.strategies.first().map(|s| s.as_named_share.unwrap_or(1.0)).unwrap_or(1.0);
     if chosen < 1.0 {

@@ -27,6 +27,7 @@ mod rrd;
 mod shot;
 mod solids;
 mod surface;
+mod top_view;
 mod view3d;
 
 pub use assignment::{MatchSurface, least_cost_assignment, match_objects};
@@ -43,3 +44,4 @@ pub use page::{LossPoint, ReportError, ReportInput, write_report};
 pub use rrd::{RrdError, write_rrd};
 pub use solids::{SolidScores, entity_solid, known_solid};
 pub use surface::{ClosestPoint, SurfaceIndex, sample_surface, sample_triangles};
+pub use top_view::{TopOutline, TopPath, TopShape, TopView, footprint};

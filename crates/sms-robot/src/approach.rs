@@ -59,7 +59,9 @@ pub fn plan_strike(
     let mut plan = plan_sweep(model, sweep, obstacles, config, ws)?;
     let n = model.dof();
     let rate = config.osc.torque_rate;
-    let path = sweep.path(plan.rotation_w);
+    // Of the tool as it is held.
+    let (path, held) = (plan.path(), plan.sweep);
+    let sweep = &held;
     plan.motion = roll_out(model, &path, &plan.q_start, &plan.q_start, &config.osc, config.period_s);
     plan.uses = plan.motion.check(model, rate)?;
     let first = plan.motion.samples[0].q;

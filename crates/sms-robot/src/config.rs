@@ -1,6 +1,6 @@
 //! Settings of the robot.
 
-use crate::{FIST_HALF, RobotModel, UrdfOptions};
+use crate::{FIST_HALF, RobotModel, StrikeConfig, UrdfOptions};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
@@ -25,9 +25,12 @@ pub struct RobotConfig {
     /// recording's with the floor level. One of the two.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_recording_robot: Option<[[f64; 4]; 4]>,
-    /// Distance from the tool's origin to its front face, metres. What strikes is a box of that half length with the width
-    /// and height of the FR3's closed fingertips, whatever robot carries it.
+    /// Distance from the tool's origin to its front face, metres. Where `tool_half_m` is not given, what strikes is a box of
+    /// that half length with the width and height of the FR3's closed fingertips.
     pub front_m: f64,
+    /// Half extents of the box about the tool's origin that strikes, in the tool's frame (x ahead, z up), metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tool_half_m: Option<[f64; 3]>,
     /// Time between points of the written motion, seconds.
     pub period_s: f64,
 }
@@ -41,6 +44,7 @@ impl Default for RobotConfig {
             x_world_robot: None,
             x_recording_robot: None,
             front_m: FIST_HALF.x,
+            tool_half_m: None,
             period_s: 0.001,
         }
     }
@@ -54,6 +58,21 @@ impl RobotConfig {
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("robot");
         r.within("front_m", self.front_m, 1e-3, 1.0)?;
+        if let Some(half) = self.tool_half_m {
+            for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
+                r.within(&format!("tool_half_m ({axis})"), half[k], 1e-3, 1.0)?;
+            }
+            if self.front_m != FIST_HALF.x && (self.front_m - half[0]).abs() > 1e-9 {
+                return Err(InputError::new(
+                    format!(
+                        "`robot.front_m` is {}, and `robot.tool_half_m` begins with {}",
+                        self.front_m, half[0]
+                    ),
+                    Path::new("(settings)"),
+                    "leave `front_m` out: the box reaches as far ahead as behind the tool's origin",
+                ));
+            }
+        }
         r.within("period_s", self.period_s, 1e-4, 0.1)?;
         for (key, matrix) in
             [("x_world_robot", &self.x_world_robot), ("x_recording_robot", &self.x_recording_robot)]
@@ -84,6 +103,24 @@ impl RobotConfig {
     pub fn x_wr(&self, x_world_recording: &DPose3) -> Option<DPose3> {
         let in_recording = || Some(*x_world_recording * self.x_recording_robot.as_ref().and_then(pose_of)?);
         self.x_world_robot.as_ref().and_then(pose_of).or_else(in_recording)
+    }
+
+    /// Half extents of the box about the tool's origin that strikes, metres; its front is `x` ahead.
+    pub fn half_m(&self) -> DVec3 {
+        self.tool_half_m.map_or(FIST_HALF.with_x(self.front_m), DVec3::from_array)
+    }
+
+    /// How strikes of this robot are planned.
+    pub fn strike_config(&self) -> StrikeConfig {
+        let own = self.urdf.is_some();
+        StrikeConfig {
+            // Of another robot's tool it is not known whether its other sides are as good as its front.
+            symmetric_tool: !own,
+            half_m: self.half_m(),
+            // Nor whether its shapes hold what strikes.
+            box_is_checked: own || self.tool_half_m.is_some(),
+            ..StrikeConfig::default()
+        }
     }
 
     /// The robot, standing at the world's origin.
@@ -134,6 +171,21 @@ mod tests {
         let x_wr = config.x_wr(&x_world_recording).unwrap();
         assert!((x_wr.transform_point(DVec3::X) - DVec3::new(0.1, 1.2, 0.8)).length() < 1e-12);
         assert_eq!(RobotConfig::default().x_wr(&x_world_recording), None);
+    }
+
+    #[test]
+    fn the_box_that_strikes_is_the_fist_unless_another_is_given() {
+        assert_eq!(RobotConfig::default().half_m(), FIST_HALF);
+        let longer = RobotConfig { front_m: 0.02, ..RobotConfig::default() };
+        assert_eq!(longer.half_m(), FIST_HALF.with_x(0.02));
+        let plate = RobotConfig { tool_half_m: Some([0.005, 0.04, 0.03]), ..RobotConfig::default() };
+        plate.validate().unwrap();
+        assert_eq!(plate.strike_config().half_m, DVec3::new(0.005, 0.04, 0.03));
+        assert!(plate.strike_config().box_is_checked);
+        let bad = RobotConfig { tool_half_m: Some([0.005, 0.0, 0.03]), ..RobotConfig::default() };
+        assert!(bad.validate().unwrap_err().to_string().contains("tool_half_m (y)"));
+        let both = RobotConfig { front_m: 0.02, ..plate };
+        assert!(both.validate().unwrap_err().to_string().contains("front_m"));
     }
 
     #[test]

@@ -42,6 +42,15 @@ impl ArmStrike {
         self.sweep.path(self.rotation_w)
     }
 
+    /// The same strike carried out elsewhere, the tool held as it is: `sweep_of` gives the sweep of a tool that reaches so many
+    /// metres ahead of its origin. The posture is still that of this strike.
+    pub fn moved_to(&self, sweep_of: impl FnOnce(f64) -> Sweep) -> Self {
+        // Attitude of the tool in the frame of the sweep.
+        let held = self.sweep.rotation_w().inverse() * self.rotation_w;
+        let sweep = sweep_of((held.inverse() * DVec3::X).abs().dot(self.half));
+        Self { rotation_w: sweep.rotation_w() * held, sweep, ..self.clone() }
+    }
+
     /// When the sweep is over, seconds from its start.
     pub fn duration_s(&self) -> f64 {
         self.path().duration_s()

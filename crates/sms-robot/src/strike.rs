@@ -1,5 +1,6 @@
 //! From an asked strike to a sweep that the arm can make, or the reason why there is none.
 
+use crate::hold::{Hold, groups, tool_blocked};
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
@@ -9,7 +10,7 @@ use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
 use crate::sweep::{Sweep, SweepPath, ToolPath};
 use crate::workspace::Workspace;
-use glamx::{DPose3, DQuat};
+use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the search for a strike's motion.
@@ -22,8 +23,15 @@ pub struct StrikeConfig {
     pub ik: IkConfig,
     /// How many postures are followed through the sweep.
     pub candidates: usize,
-    /// Whether the tool may be turned by half a turn about its z axis.
+    /// Whether the tool may be turned about its z axis: by half a turn, and, where it may be `turned`, by a quarter.
     pub symmetric_tool: bool,
+    /// Whether the tool may be held otherwise than upright where it cannot pass upright: leaned to a side.
+    pub turned_tool: bool,
+    /// Half extents of the box about the tool's origin that strikes, in the tool's frame, metres. Sweeps are those of the
+    /// front face, `x` ahead of the origin.
+    pub half_m: DVec3,
+    /// Whether that box is looked at beside the shapes of the robot's links. Those of the FR3's fist are among them.
+    pub box_is_checked: bool,
     /// Distance that links keep from each other and from obstacles, metres.
     pub clearance_m: f64,
     /// Height from which the tool comes down to the start, and to which it is lifted after the sweep, metres.
@@ -41,6 +49,9 @@ impl Default for StrikeConfig {
             ik: IkConfig { starts: 8, ..IkConfig::default() },
             candidates: 6,
             symmetric_tool: true,
+            turned_tool: true,
+            half_m: crate::FIST_HALF,
+            box_is_checked: false,
             clearance_m: 0.002,
             approach_height_m: 0.2,
             approach_share: 0.5,
@@ -48,6 +59,9 @@ impl Default for StrikeConfig {
         }
     }
 }
+
+/// How far the wrist moves at most when the tool is held otherwise, metres.
+const HOLD_REACH_M: f64 = 0.15;
 
 /// Why a strike cannot be executed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -75,6 +89,17 @@ pub enum StrikeError {
 }
 
 impl StrikeError {
+    /// Whether a tool that is held otherwise might do what this one cannot: speeds and torques hardly depend on how it is
+    /// held, nor does what is far out of reach.
+    fn depends_on_the_hold(&self) -> bool {
+        match self {
+            Self::Unreachable(e) => e.position_error_m < HOLD_REACH_M,
+            Self::Infeasible(e) => e.limit == LimitKind::Position,
+            Self::Blocked { .. } => true,
+            Self::Invalid { .. } => false,
+        }
+    }
+
     /// The reason without figures, for counting.
     pub fn reason(&self) -> String {
         match self {
@@ -99,7 +124,8 @@ impl StrikeError {
 /// A sweep that the arm can make.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepPlan {
-    /// The sweep asked for.
+    /// The sweep asked for; of a tool that is held otherwise than upright, moved so that the side in front touches in the
+    /// same place.
     pub sweep: Sweep,
     /// Attitude of the tool.
     pub rotation_w: DQuat,
@@ -126,10 +152,13 @@ impl SweepPlan {
 }
 
 /// Finds a posture and the joints' motion for a sweep: postures at the contact from inverse kinematics, each followed
-/// from the start to the end by the controller's law; the one that stays farthest from all limits is taken.
+/// from the start to the end by the controller's law; the one that stays farthest from all limits is taken. Where the tool
+/// cannot be held upright, because the hand would meet something or a joint its end, it is turned by a quarter or leaned
+/// to a side ([`Hold`]).
 ///
 /// # Errors
-/// [`StrikeError`] with the reason for the posture that came nearest to being executable.
+/// [`StrikeError`] with the reason for the posture that came nearest to being executable, of the tool held upright; or of a
+/// hold that met nothing but a limit that no hold avoids.
 pub fn plan_sweep(
     model: &RobotModel,
     sweep: &Sweep,
@@ -138,20 +167,55 @@ pub fn plan_sweep(
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
     refuse_nonsense(sweep, config)?;
-    let mut rotations = vec![sweep.rotation_w()];
-    if config.symmetric_tool {
-        rotations.push(sweep.reversed_rotation_w());
+    let mut upright: Option<StrikeError> = None;
+    // There are many others: less is spent on each.
+    let ik = IkConfig { starts: config.ik.starts.div_ceil(2), ..config.ik };
+    let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
+    for holds in groups(config.symmetric_tool, config.turned_tool) {
+        let config = if upright.is_none() { config } else { &fewer };
+        match plan_held(model, sweep, &holds, obstacles, config, ws) {
+            Ok(plan) => return Ok(plan),
+            Err((e, may_another_do)) => {
+                if !may_another_do {
+                    return Err(e);
+                }
+                upright.get_or_insert(e);
+            }
+        }
     }
+    Err(upright.unwrap_or_else(|| StrikeError::Invalid { what: "no hold was looked at".to_owned() }))
+}
+
+/// [`plan_sweep`] with some holds of the tool; with the error, whether another hold may do.
+fn plan_held(
+    model: &RobotModel,
+    upright: &Sweep,
+    holds: &[Hold],
+    obstacles: &[Obstacle],
+    config: &StrikeConfig,
+    ws: &mut Workspace,
+) -> Result<SweepPlan, (StrikeError, bool)> {
     // The postures of an arm with joints to spare are found from a few by moving along their families; those of other
     // arms stand alone.
     let starts = config.ik.starts * if model.dof() > 6 { 1 } else { 8 };
     let ik = IkConfig { starts, ..config.ik };
-    let mut all: Vec<(f64, DQuat, Vec<f64>)> = Vec::new();
+    let mut all: Vec<(f64, SweepPath, Vec<f64>)> = Vec::new();
     let mut unreachable: Option<Unreachable> = None;
-    for rotation in rotations {
-        let at_contact = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, rotation));
+    let mut refused: Option<(f64, StrikeError)> = None;
+    let mut blocked_tool = false;
+    for hold in holds {
+        let sweep = hold.sweep(upright, config.half_m);
+        let path = sweep.path(hold.rotation_w(&sweep));
+        // What the hand itself meets, no posture of the arm avoids.
+        let striking = config.box_is_checked.then_some(config.half_m);
+        if let Some((clearance, at_s)) = tool_blocked(model, &path, striking, obstacles, config.clearance_m) {
+            keep_better(&mut refused, f64::INFINITY, StrikeError::Blocked { clearance, at_s });
+            blocked_tool = true;
+            continue;
+        }
+        let at_contact = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, path.rotation_w));
         match postures(model, &at_contact, &ik, ws) {
-            Ok(found) => all.extend(found.into_iter().map(|q| (strain(model, sweep, &q, ws), rotation, q))),
+            Ok(found) => all.extend(found.into_iter().map(|q| (strain(model, &sweep, &q, ws), path, q))),
             Err(e) => keep_nearest(&mut unreachable, e),
         }
     }
@@ -159,8 +223,7 @@ pub fn plan_sweep(
     // Postures that are nearly the same would be followed for nothing.
     let mut followed: Vec<Vec<f64>> = Vec::new();
     let mut passing: Vec<(f64, SweepPlan)> = Vec::new();
-    let mut refused: Option<(f64, StrikeError)> = None;
-    for (strain, rotation_w, q_contact) in all {
+    for (strain, path, q_contact) in all {
         if followed.len() >= config.candidates.max(1) {
             break;
         }
@@ -168,13 +231,13 @@ pub fn plan_sweep(
             continue;
         }
         if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
-            let at_s = sweep.contact_s();
+            let at_s = path.sweep.contact_s();
             keep_better(&mut refused, strain, StrikeError::Blocked { clearance, at_s });
             continue;
         }
-        let start = IkTarget::Pose(sweep.path(rotation_w).at(0.0).x_wt);
+        let start = IkTarget::Pose(path.at(0.0).x_wt);
         match model.refine(&start, &q_contact, &config.ik, ws) {
-            Ok(q_start) => match follow_sweep(model, sweep, rotation_w, q_start, obstacles, config, ws) {
+            Ok(q_start) => match follow_sweep(model, &path, q_start, obstacles, config, ws) {
                 Ok((badness, plan)) => passing.push((badness, plan)),
                 Err((badness, e)) => keep_better(&mut refused, badness, e),
             },
@@ -195,27 +258,27 @@ pub fn plan_sweep(
             Err(e) => keep_better(&mut refused, f64::INFINITY, StrikeError::Infeasible(e)),
         }
     }
-    Err(match (refused, unreachable) {
+    let e = match (refused, unreachable) {
         (Some((_, e)), _) => e,
         (None, Some(e)) => StrikeError::Unreachable(e),
         (None, None) => StrikeError::Invalid { what: "no posture was looked at".to_owned() },
-    })
+    };
+    let may_another_do = blocked_tool || e.depends_on_the_hold();
+    Err((e, may_another_do))
 }
 
 /// Follows a sweep from a start in coarse steps: the largest share of any limit that it uses, with the plan, or with the
 /// reason why it is none.
 fn follow_sweep(
     model: &RobotModel,
-    sweep: &Sweep,
-    rotation_w: DQuat,
+    path: &SweepPath,
     q_start: Vec<f64>,
     obstacles: &[Obstacle],
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<(f64, SweepPlan), (f64, StrikeError)> {
-    let path = sweep.path(rotation_w);
     let coarse = 0.005f64.max(path.duration_s() / 40.0);
-    let motion = follow(model, &path, &q_start, &q_start, &config.osc, coarse, 0.0);
+    let motion = follow(model, path, &q_start, &q_start, &config.osc, coarse, 0.0);
     let uses = motion.uses(model, config.osc.torque_rate);
     let badness = uses.iter().map(|u| u.1.share).fold(0.0, f64::max);
     if let Err(e) = motion.check(model, config.osc.torque_rate) {
@@ -224,7 +287,8 @@ fn follow_sweep(
     if let Some((clearance, at_s)) = blocked(model, &motion, obstacles, config.clearance_m, ws) {
         return Err((badness, StrikeError::Blocked { clearance, at_s }));
     }
-    Ok((badness, SweepPlan { sweep: *sweep, rotation_w, q_start, motion, uses }))
+    let (sweep, rotation_w) = (path.sweep, path.rotation_w);
+    Ok((badness, SweepPlan { sweep, rotation_w, q_start, motion, uses }))
 }
 
 fn keep_better(best: &mut Option<(f64, StrikeError)>, badness: f64, e: StrikeError) {

@@ -28,6 +28,8 @@ pub(crate) struct ArmInWorld {
     speed_before_w: DVec3,
     /// Sum of the impulses received, N·s.
     impulse_w: DVec3,
+    /// Energy that was given to what was touched, J.
+    work_j: f64,
 }
 
 impl ArmInWorld {
@@ -41,6 +43,7 @@ impl ArmInWorld {
             mass: 1.0,
             speed_before_w: DVec3::ZERO,
             impulse_w: DVec3::ZERO,
+            work_j: 0.0,
         }
     }
 
@@ -96,6 +99,7 @@ impl ArmInWorld {
             let point_w = touch.map_or(self.state.x_wb.translation, |t| t.0);
             self.drive.push(point_w, impulse_w, dt);
             self.impulse_w += impulse_w;
+            self.work_j -= impulse_w.dot(0.5 * (self.speed_before_w + world.state(body).v_w));
             self.state = state_of(&mut self.drive);
         }
         self.state
@@ -105,6 +109,10 @@ impl ArmInWorld {
     pub(crate) fn park(&mut self) {
         self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
         (self.state.v_w, self.state.w_w) = (DVec3::ZERO, DVec3::ZERO);
+    }
+
+    pub(crate) fn work_j(&self) -> f64 {
+        self.work_j
     }
 
     pub(crate) fn impulse_w(&self) -> DVec3 {

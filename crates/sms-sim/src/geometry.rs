@@ -41,9 +41,43 @@ impl Part {
         }
     }
 
+    /// How deep `p` is inside, from the nearest point of the surface; negative outside. A mesh has no inside.
+    pub(crate) fn depth(&self, p: DVec3) -> f64 {
+        // `nearest` takes a point inside of a hull or a box for its own nearest.
+        let (nearest, inside) = match self {
+            Self::Convex(s) => projected(s.project_local_point(p, false)),
+            Self::Cuboid(s) => projected(s.project_local_point(p, false)),
+            _ => self.nearest(p),
+        };
+        if inside { p.distance(nearest) } else { -p.distance(nearest) }
+    }
+
     /// Whether the plane through a nearest point has the whole shape on one side.
     pub(crate) fn is_convex(&self) -> bool {
         !matches!(self, Self::Mesh(_))
+    }
+
+    /// Corners of the part, for looking whether they are inside of another body; none of what has none.
+    fn corners(&self) -> Vec<DVec3> {
+        match self {
+            Self::HalfSpace | Self::Sphere(_) | Self::Mesh(_) => Vec::new(),
+            Self::Convex(s) => s.points().to_vec(),
+            Self::Cuboid(s) => Mesh::cuboid(s.half_extents).vertices,
+            Self::Cylinder { radius, half_length } => Mesh::cylinder(*radius, *half_length, 12).vertices,
+            Self::Capsule(axis, _) => vec![axis.a, axis.b],
+        }
+    }
+
+    /// A ball inside of the part: centre and radius. None of what has no inside, or no end.
+    fn inner_ball(&self) -> Option<(DVec3, f64)> {
+        let center = match self {
+            Self::HalfSpace | Self::Mesh(_) => return None,
+            Self::Sphere(radius) | Self::Capsule(_, radius) => return Some((DVec3::ZERO, *radius)),
+            Self::Convex(s) => s.points().iter().copied().sum::<DVec3>() / s.points().len() as f64,
+            Self::Cuboid(_) | Self::Cylinder { .. } => DVec3::ZERO,
+        };
+        let radius = self.depth(center);
+        (radius > 0.0).then_some((center, radius))
     }
 
     /// A sphere that holds the part: centre and radius.
@@ -80,11 +114,24 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
     (p.point, p.is_inside)
 }
 
+/// Distance of a point of the world from a body, metres; negative by the depth inside of it. A mesh has no inside. Infinite
+/// for a body without a usable shape.
+pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
+    let p = body.x_wb.inverse_transform_point(p_w);
+    BodyGeometry::of_body(body)
+        .map_or(f64::INFINITY, |g| g.parts.iter().map(|b| -b.part.depth(p)).fold(f64::INFINITY, f64::min))
+}
+
 /// The shapes of a body.
 pub(crate) struct BodyGeometry {
     parts: Vec<BoundedPart>,
     /// Radius of a sphere about the body's origin that holds it; infinite for a half space.
     pub(crate) bounding_radius: f64,
+    /// Box in the body's frame that holds it.
+    low: DVec3,
+    high: DVec3,
+    corners: Vec<DVec3>,
+    inner_balls: Vec<(DVec3, f64)>,
 }
 
 struct BoundedPart {
@@ -101,7 +148,32 @@ impl BodyGeometry {
         };
         let parts: Vec<BoundedPart> = parts.into_iter().map(bounded).collect();
         let bounding_radius = parts.iter().map(|p| p.center.length() + p.radius).fold(0.0, f64::max);
-        Self { parts, bounding_radius }
+        let corners = parts.iter().flat_map(|p| p.part.corners()).collect();
+        let inner_balls = parts.iter().filter_map(|p| p.part.inner_ball()).collect();
+        let ends = |sign: f64| parts.iter().map(move |p| p.center + DVec3::splat(sign * p.radius));
+        let (low, high) =
+            (ends(-1.0).fold(DVec3::INFINITY, DVec3::min), ends(1.0).fold(DVec3::NEG_INFINITY, DVec3::max));
+        Self { parts, bounding_radius, low, high, corners, inner_balls }
+    }
+
+    /// Lowest corner of a box in the body's frame that holds it.
+    pub(crate) fn low(&self) -> DVec3 {
+        self.low
+    }
+
+    /// Highest corner of that box.
+    pub(crate) fn high(&self) -> DVec3 {
+        self.high
+    }
+
+    /// Corners of the convex parts, in the body's frame.
+    pub(crate) fn corners(&self) -> &[DVec3] {
+        &self.corners
+    }
+
+    /// A ball inside of each convex part: centre in the body's frame, and radius.
+    pub(crate) fn inner_balls(&self) -> &[(DVec3, f64)] {
+        &self.inner_balls
     }
 
     /// The parts that may come within `reach` of a point `p` of the body's frame.

@@ -41,7 +41,9 @@
 //! ```
 
 mod arm;
+mod engine_arm;
 mod geometry;
+mod penetration;
 mod rapier;
 mod rest;
 mod simulation;
@@ -51,11 +53,12 @@ mod support;
 mod timing;
 mod world;
 
+pub use geometry::signed_distance;
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
 pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use world::{
-    BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
 };

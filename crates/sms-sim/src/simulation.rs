@@ -1,11 +1,13 @@
 //! A world with contact timing, rolling resistance and the striker: what every engine shares.
 
 use crate::arm::ArmInWorld;
+use crate::engine_arm::EngineArm;
 use crate::geometry::{BodyGeometry, Part};
 use crate::support::Support;
 use crate::timing::TOUCH_GAP;
 use crate::{
-    BodyId, BodyState, ContactEvent, SimError, Striker, StrikerMotion, World, WorldFactory, WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, Striker, StrikerMotion, World,
+    WorldFactory, WorldOptions,
 };
 use glamx::DVec3;
 use sms_robot::SweepDrive;
@@ -106,6 +108,7 @@ struct Strike {
 enum By {
     Finger(StrikerMotion),
     Arm(Box<ArmInWorld>),
+    EngineArm(Box<EngineArm>),
 }
 
 impl By {
@@ -113,6 +116,7 @@ impl By {
         match self {
             Self::Finger(motion) => motion.duration_s(),
             Self::Arm(arm) => arm.duration_s(),
+            Self::EngineArm(arm) => arm.duration_s(),
         }
     }
 }
@@ -241,12 +245,24 @@ impl Simulation {
                 (body, By::Finger(motion), motion.shape(), state)
             }
             Striker::Arm(strike) => {
+                let own = (self.options.arm == ArmKind::Articulation)
+                    .then(|| self.world.add_arm(&strike, friction, restitution));
+                if let Some(body) = own.flatten() {
+                    let state = self.world.state(body);
+                    let arm = EngineArm::new(strike, state);
+                    let shape = arm.shape();
+                    return self.begin(body, By::EngineArm(Box::new(arm)), shape, state);
+                }
                 let arm = ArmInWorld::new(&strike);
                 let (shape, state) = (arm.shape(), arm.state());
                 let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
                 (body, By::Arm(Box::new(arm)), shape, state)
             }
         };
+        self.begin(body, by, shape, state)
+    }
+
+    fn begin(&mut self, body: BodyId, by: By, shape: KinematicShape, state: BodyState) -> BodyId {
         debug_assert_eq!(body, self.bodies.len(), "ids of the world and of the simulation agree");
         self.bodies.push(SimBody {
             geometry: BodyGeometry::of_kinematic(shape),
@@ -266,6 +282,17 @@ impl Simulation {
     /// The sum of the impulses that an arm has received so far, N·s; `None` for a finger and for other bodies.
     pub fn received_impulse_w(&self, body: BodyId) -> Option<DVec3> {
         self.arm_of(body).map(ArmInWorld::impulse_w)
+    }
+
+    /// The energy that an arm has given to what it touched so far, J: of each impulse, what it does at the mean of the
+    /// tool's speeds before and after it. `None` for a finger, which engines move by force, and for other bodies.
+    pub fn work_j(&self, body: BodyId) -> Option<f64> {
+        self.arm_of(body).map(ArmInWorld::work_j)
+    }
+
+    /// States of all bodies, strikers included, by their ids.
+    pub fn states(&self) -> &[BodyState] {
+        &self.states
     }
 
     fn arm_of(&self, body: BodyId) -> Option<&ArmInWorld> {
@@ -441,6 +468,8 @@ impl Simulation {
             match &mut strike.by {
                 By::Finger(motion) => self.world.set_kinematic_target(strike.body, motion.pose_at(t)),
                 By::Arm(arm) if strike.over => arm.park(),
+                By::EngineArm(arm) if strike.over => arm.park(),
+                By::EngineArm(arm) => arm.before_step(self.world.as_mut(), strike.body, t - dt),
                 By::Arm(arm) => arm.before_step(self.world.as_mut(), strike.body, t, dt),
             }
         }
@@ -465,6 +494,8 @@ impl Simulation {
                     BodyState { x_wb: motion.pose_at(t), v_w: motion.velocity_at(t), w_w: DVec3::ZERO }
                 }
                 By::Arm(arm) if strike.over => arm.state(),
+                By::EngineArm(arm) if strike.over => arm.state(),
+                By::EngineArm(arm) => arm.after_step(self.world.as_ref(), strike.body),
                 By::Arm(arm) => arm.after_step(self.world.as_ref(), strike.body, dt),
             };
         }

@@ -17,29 +17,6 @@ pub(crate) struct Support {
 }
 
 impl Simulation {
-    /// How deep a ball is inside of another body that is no robot, metres; 0 where it is in none. For a mesh, which
-    /// has no inside, how much nearer than its radius the ball's centre is.
-    pub fn penetration(&self, ball: BodyId) -> f64 {
-        let Kind::Ball { radius, .. } = self.bodies[ball].kind else { return 0.0 };
-        let center_w = self.states[ball].x_wb.translation;
-        let mut deepest = 0.0f64;
-        for (other, body) in self.bodies.iter().enumerate() {
-            let state = &self.states[other];
-            let reach = radius + body.geometry.bounding_radius;
-            let is_far = center_w.distance_squared(state.x_wb.translation) > reach * reach;
-            if other == ball || is_far || body.kind == Kind::Striker {
-                continue;
-            }
-            let p = state.x_wb.inverse_transform_point(center_w);
-            for part in body.geometry.parts_near(p, radius) {
-                let (nearest, inside) = part.nearest(p);
-                let distance = p.distance(nearest);
-                deepest = deepest.max(if inside { radius + distance } else { radius - distance });
-            }
-        }
-        deepest
-    }
-
     /// What each ball touches; balls that sleep are left out.
     pub(crate) fn supports(&self) -> Vec<Support> {
         (0..self.bodies.len()).map(|b| self.support_of(b)).collect()

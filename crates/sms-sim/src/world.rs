@@ -2,7 +2,7 @@
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_robot::StrikeError;
+use sms_robot::{ArmStrike, StrikeError};
 use sms_scene::Scene;
 
 /// Index of a body: scene bodies first, in the scene's order, then kinematic ones and tools in the order they were added.
@@ -37,6 +37,17 @@ pub enum KinematicShape {
     },
 }
 
+/// Whose the joints of an arm are.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ArmKind {
+    /// Ours, the same in every engine; the engine sees the tool alone.
+    #[default]
+    Shared,
+    /// The engine's: an articulation under the same controller, where the engine has one ([`World::add_arm`]).
+    Articulation,
+}
+
 /// How a world is built.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -47,11 +58,13 @@ pub struct WorldOptions {
     pub sleep: bool,
     /// Whether steps are split at the time of impact of fast balls.
     pub contact_timing: bool,
+    /// Whose the joints of an arm are.
+    pub arm: ArmKind,
 }
 
 impl Default for WorldOptions {
     fn default() -> Self {
-        Self { dt: 0.0025, sleep: true, contact_timing: true }
+        Self { dt: 0.0025, sleep: true, contact_timing: true, arm: ArmKind::Shared }
     }
 }
 
@@ -148,7 +161,22 @@ pub trait World: Send {
     fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
     /// State of a tool at the beginning of the next step, and its mass in it, kg.
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64);
-    /// Switches the collisions of a kinematic body or a tool off or on.
+    /// Adds an arm of the engine's own joints, at rest at the start of its strike, and gives the body of its tool, whose state
+    /// is that of the tool's frame. Of its shapes only the striking part of the tool is there. `None` where the engine
+    /// has none such, or not of this robot. A world with one cannot be saved.
+    fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
+        let _ = (strike, friction, restitution);
+        None
+    }
+    /// Positions and speeds of the joints of such an arm.
+    fn arm_joints(&self, body: BodyId, q: &mut [f64], qd: &mut [f64]) {
+        let _ = (body, q, qd);
+    }
+    /// Torques of its motors from now on. The engine takes friction and damping of the joints off.
+    fn set_arm_torques(&mut self, body: BodyId, tau: &[f64]) {
+        let _ = (body, tau);
+    }
+    /// Switches the collisions of a kinematic body, a tool or an arm off or on.
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool);
     /// Saves the state as snapshot 0; `false` where the engine cannot.
     fn save(&mut self) -> bool;

@@ -104,10 +104,10 @@ pub fn generate_billiards(seed: Seed, settings: &BilliardsSettings) -> TruthScen
 
 /// Places of the balls and the goal on the floor.
 #[derive(Debug, Clone, Copy)]
-struct Shot {
-    cue: DVec2,
-    target: DVec2,
-    goal: DVec2,
+pub(crate) struct Shot {
+    pub(crate) cue: DVec2,
+    pub(crate) target: DVec2,
+    pub(crate) goal: DVec2,
 }
 
 pub(crate) fn uniform(rng: &mut StageRng, [low, high]: [f64; 2]) -> f64 {
@@ -160,27 +160,41 @@ fn place_obstacle(
 ) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
     let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
-    let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
     let mut rng = seed.derive("place").rng();
     // Where there is no room left, a smaller one may still fit.
     for shrink in [1.0, 0.85, 0.72] {
         let size = settings.object_size * shrink;
         let mut object = make_asset(kind, DVec2::ZERO, yaw, size, &mut seed.derive("asset").rng());
         let radius = footprint_radius(&object);
-        for _ in 0..3000 {
-            let p = DVec2::new(uniform(&mut rng, [0.2, settings.reach_m]), uniform(&mut rng, [-0.4, 0.4]));
-            let half_width = WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M));
-            let free = p.length() + radius <= settings.reach_m + 0.02
-                && p.x - radius >= 0.16
-                && p.y.abs() + radius <= half_width
-                && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
-                && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
-                && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
-                && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
-            if free {
-                object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
-                return Some(object);
-            }
+        if let Some(p) = find_place(&mut rng, radius, settings, shot, &others) {
+            object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
+            return Some(object);
+        }
+    }
+    None
+}
+
+/// A free place for a disc: within reach and view, off the ways of balls and gripper, off all other discs.
+pub(crate) fn find_place(
+    rng: &mut StageRng,
+    radius: f64,
+    settings: &BilliardsSettings,
+    shot: &Shot,
+    others: &[(DVec2, f64)],
+) -> Option<DVec2> {
+    let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
+    for _ in 0..3000 {
+        let p = DVec2::new(uniform(rng, [0.2, settings.reach_m]), uniform(rng, [-0.4, 0.4]));
+        let half_width = WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M));
+        let free = p.length() + radius <= settings.reach_m + 0.02
+            && p.x - radius >= 0.16
+            && p.y.abs() + radius <= half_width
+            && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
+        if free {
+            return Some(p);
         }
     }
     None
@@ -230,12 +244,20 @@ pub(crate) fn name_uniquely(objects: &mut [TruthObject]) {
 pub(crate) fn draw_floor(scene_seed: Seed, seed: Seed) -> TruthFloor {
     let mut rng = seed.derive("floor").rng();
     let (class, pattern, color, accent, scale_m, gloss) = match scene_seed.0 % 3 {
-        1 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.25),
-        2 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.25),
-        _ => ("stone_floor", Pattern::Terrazzo, [150, 146, 138], [222, 214, 198], 0.09, 0.2),
+        1 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.5),
+        2 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.6),
+        _ => ("stone_floor", Pattern::Terrazzo, [150, 146, 138], [222, 214, 198], 0.09, 0.55),
     };
-    let texture =
-        Texture { pattern, color, accent, scale_m, seed: rng.random::<u32>(), gloss, spots: Vec::new() };
+    let texture = Texture {
+        pattern,
+        color,
+        accent,
+        scale_m,
+        seed: rng.random::<u32>(),
+        gloss,
+        metalness: 0.0,
+        spots: Vec::new(),
+    };
     TruthFloor { half_size_m: FLOOR_HALF_SIZE_M, material: draw_material(class, &mut rng), texture }
 }
 

@@ -8,8 +8,15 @@ use sms_core::{DepthImage, Image, Seed};
 /// Errors of the depth camera. Lengths in pixels refer to an image 1280 wide and scale with the width.
 ///
 /// Stereo measures disparity, the inverse of depth, with an error of a fixed fraction of a pixel, so the error of
-/// depth grows with z². Defaults follow the size of published figures for such cameras (about 1 mm at 0.7 m, 1.6 mm at
-/// 1 m; Orbbec state ≤ 2 % at 2 m for the Gemini 2).
+/// depth grows with z²: σ_z = z² σ_d / (f b), where f is the focal length in pixels, b the baseline and σ_d the error of
+/// disparity (Khoshelham & Elberink 2012, "Accuracy and Resolution of Kinect Depth Data"). With f = 881 and b = 0.05 m the
+/// defaults are σ_d = 0.053 and steps of 0.044 pixels; they follow the size of published figures for such cameras (about
+/// 1 mm at 0.7 m, 1.6 mm at 1 m; Orbbec state ≤ 2 % at 2 m for the Gemini 2).
+///
+/// The second imager stands `baseline_m` to the right. What it does not see because something nearer covers it has no
+/// depth: a shadow of f b (1/z₁ − 1/z₂) pixels on the left of everything. Both imagers are taken to see farther to the sides
+/// than the picture. A pixel also needs light of the projector that comes back: dark surfaces and slanted metal return too
+/// little, a polished one that faces the camera too much.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthCamera {
@@ -29,10 +36,29 @@ pub struct DepthCamera {
     pub flying_share: f64,
     /// Cosine of the angle of incidence below which measurements begin to be lost; all are below a quarter of it.
     pub grazing_cos: f64,
+    /// Distance of the second imager, to the right along the image's rows, metres; 0 for none, and no shadows.
+    pub baseline_m: f64,
+    /// Returned light (see [`DepthView::echo`]) below which measurements begin to be lost; all are below a quarter of it.
+    pub dark_echo: f64,
+    /// Returned light above which the pattern is washed out; 0 for never.
+    pub glare_echo: f64,
     /// Share of patches without a measurement for no visible reason.
     pub hole_share: f64,
     /// Shortest and longest measurable depth, metres.
     pub range_m: [f64; 2],
+}
+
+/// What there is to measure, pixel by pixel; images of one size.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthView<'a> {
+    /// Depth along the optical axis in metres, 0 for nothing there.
+    pub depth: &'a DepthImage,
+    /// |cos| of the angle between ray and surface normal.
+    pub cos_incidence: &'a Image<f32>,
+    /// Light of a projector beside the camera that comes back, relative to a white diffuse surface at the same slant.
+    pub echo: &'a Image<f32>,
+    /// Focal length along the rows, pixels.
+    pub fx: f64,
 }
 
 impl Default for DepthCamera {
@@ -46,11 +72,17 @@ impl Default for DepthCamera {
             edge_dropout: 0.6,
             flying_share: 0.04,
             grazing_cos: 0.18,
+            baseline_m: 0.05,
+            dark_echo: 0.03,
+            glare_echo: 8.0,
             hole_share: 0.003,
             range_m: [0.15, 3.0],
         }
     }
 }
+
+/// Disparities that differ by more belong to different surfaces, pixels.
+const JUMP_PX: f64 = 1.5;
 
 impl DepthCamera {
     /// No errors at all, and no limits of range.
@@ -64,6 +96,9 @@ impl DepthCamera {
             edge_dropout: 0.0,
             flying_share: 0.0,
             grazing_cos: 0.0,
+            baseline_m: 0.0,
+            dark_echo: 0.0,
+            glare_echo: 0.0,
             hole_share: 0.0,
             range_m: [0.0, f64::INFINITY],
         }
@@ -74,9 +109,9 @@ impl DepthCamera {
         self.sigma_m + self.sigma_per_m * z * z
     }
 
-    /// A measurement of `depth` (metres along the optical axis, 0 for nothing there); `cos_incidence` is |cos| of the
-    /// angle between ray and surface normal at each pixel.
-    pub fn measure(&self, depth: &DepthImage, cos_incidence: &Image<f32>, seed: Seed) -> DepthImage {
+    /// A measurement of what there is.
+    pub fn measure(&self, view: &DepthView, seed: Seed) -> DepthImage {
+        let depth = view.depth;
         let (width, height) = depth.size();
         let scale = width as f64 / 1280.0;
         let band = if self.edge_px > 0.0 { (self.edge_px * scale).round().max(1.0) as usize } else { 0 };
@@ -86,23 +121,37 @@ impl DepthCamera {
         let [near, far] = self.range_m;
         let mut out = Image::filled(width, height, 0.0f32);
         out.data.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            let shadowed = self.shadowed(&depth.data[y * width..(y + 1) * width], view.fx);
             for (x, pixel) in row.iter_mut().enumerate() {
                 let at = y * width + x;
                 let mut z = f64::from(depth.data[at]);
                 if z <= 0.0 || z < near || z > far {
                     continue;
                 }
+                if shadowed.get(x) == Some(&true) {
+                    continue;
+                }
                 let cell = ((x as f64 / patch) as i32, (y as f64 / patch) as i32);
                 if noise.uniform(cell.0, cell.1, 11) < self.hole_share {
                     continue;
                 }
-                let cos = f64::from(cos_incidence.data[at]);
+                let cos = f64::from(view.cos_incidence.data[at]);
                 if self.grazing_cos > 0.0 {
                     let seen =
                         smoothstep((0.25 * self.grazing_cos) as f32, self.grazing_cos as f32, cos as f32);
                     if noise.uniform(x as i32, y as i32, 12) >= f64::from(seen) {
                         continue;
                     }
+                }
+                let echo = view.echo.data[at];
+                if self.dark_echo > 0.0 {
+                    let seen = smoothstep((0.25 * self.dark_echo) as f32, self.dark_echo as f32, echo);
+                    if noise.uniform(x as i32, y as i32, 16) >= f64::from(seen) {
+                        continue;
+                    }
+                }
+                if self.glare_echo > 0.0 && f64::from(echo) > self.glare_echo {
+                    continue;
                 }
                 if edges[at] {
                     // Dropouts come in small clumps, not as salt and pepper.
@@ -126,6 +175,35 @@ impl DepthCamera {
             }
         });
         out
+    }
+
+    /// Which pixels of a row the second imager does not see; empty without one.
+    fn shadowed(&self, row: &[f32], fx: f64) -> Vec<bool> {
+        if self.baseline_m <= 0.0 {
+            return Vec::new();
+        }
+        // Disparities and, in the second imager's columns, the largest that falls there.
+        let disparity = |z: f32| if z > 0.0 { fx * self.baseline_m / f64::from(z) } else { 0.0 };
+        let disparities: Vec<f64> = row.iter().map(|&z| disparity(z)).collect();
+        let column = |x: usize| (x as f64 + 0.5 - disparities[x]).floor();
+        let mut nearest = vec![0.0f64; row.len()];
+        for x in 0..row.len() {
+            // A surface seen at a slant is wider in the second image; nothing shows between its pixels.
+            let joined = x + 1 < row.len() && (disparities[x + 1] - disparities[x]).abs() < JUMP_PX;
+            let (low, high) = if joined { (column(x), column(x + 1)) } else { (column(x), column(x)) };
+            for c in low.min(high) as i64..=low.max(high) as i64 {
+                if let Some(slot) = usize::try_from(c).ok().and_then(|c| nearest.get_mut(c)) {
+                    *slot = slot.max(disparities[x]);
+                }
+            }
+        }
+        let shadowed: Vec<bool> = (0..row.len())
+            .map(|x| {
+                let c = column(x);
+                c >= 0.0 && nearest.get(c as usize).is_some_and(|&d| d > disparities[x] + JUMP_PX)
+            })
+            .collect();
+        shadowed
     }
 }
 
@@ -237,6 +315,12 @@ mod tests {
         (Image::filled(320, 200, z), Image::filled(320, 200, 1.0))
     }
 
+    /// Of white surfaces, with the default field of view.
+    fn measure(camera: &DepthCamera, depth: &DepthImage, cos: &Image<f32>, seed: u64) -> DepthImage {
+        let echo = Image::filled(320, 200, 0.8);
+        camera.measure(&DepthView { depth, cos_incidence: cos, echo: &echo, fx: 220.0 }, Seed(seed))
+    }
+
     fn mean_and_sigma(values: &[f32]) -> (f64, f64) {
         let n = values.len() as f64;
         let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
@@ -250,7 +334,7 @@ mod tests {
             let camera = DepthCamera { correlation_px, ..camera.clone() };
             for z in [0.4f32, 0.8, 1.6] {
                 let (depth, cos) = flat(z);
-                let (mean, sigma) = mean_and_sigma(&camera.measure(&depth, &cos, Seed(1)).data);
+                let (mean, sigma) = mean_and_sigma(&measure(&camera, &depth, &cos, 1).data);
                 let expected = 0.0004 + 0.0012 * f64::from(z).powi(2);
                 assert!((sigma / expected - 1.0).abs() < 0.05, "{z}: {sigma} {expected}");
                 assert!((mean - f64::from(z)).abs() < 0.05 * expected);
@@ -264,7 +348,7 @@ mod tests {
         for z in [0.5f32, 1.0] {
             let (depth, cos) = flat(z);
             let mut levels: Vec<f32> =
-                camera.measure(&depth, &cos, Seed(2)).data.into_iter().filter(|&v| v > 0.0).collect();
+                measure(&camera, &depth, &cos, 2).data.into_iter().filter(|&v| v > 0.0).collect();
             levels.sort_by(f32::total_cmp);
             levels.dedup();
             let step = levels.windows(2).map(|w| w[1] - w[0]).fold(f32::INFINITY, f32::min);
@@ -275,7 +359,7 @@ mod tests {
 
     #[test]
     fn edges_and_grazing_surfaces_lose_measurements_and_slanted_planes_do_not() {
-        let camera = DepthCamera { hole_share: 0.0, ..DepthCamera::default() };
+        let camera = DepthCamera { hole_share: 0.0, baseline_m: 0.0, ..DepthCamera::default() };
         let (mut depth, mut cos) = flat(1.0);
         for y in 0..200 {
             for x in 160..320 {
@@ -285,7 +369,7 @@ mod tests {
                 cos[(x, y)] = 0.04;
             }
         }
-        let measured = camera.measure(&depth, &cos, Seed(3));
+        let measured = measure(&camera, &depth, &cos, 3);
         let valid = |x0: usize, x1: usize| {
             let n: usize = (0..200).map(|y| (x0..x1).filter(|&x| measured[(x, y)] > 0.0).count()).sum();
             n as f64 / (200 * (x1 - x0)) as f64
@@ -305,10 +389,58 @@ mod tests {
     #[test]
     fn a_perfect_camera_changes_nothing_and_seeds_differ() {
         let (depth, cos) = flat(0.7);
-        assert_eq!(DepthCamera::perfect().measure(&depth, &cos, Seed(1)), depth);
+        assert_eq!(measure(&DepthCamera::perfect(), &depth, &cos, 1), depth);
         let camera = DepthCamera::default();
-        let a = camera.measure(&depth, &cos, Seed(1));
-        assert_eq!(a, camera.measure(&depth, &cos, Seed(1)));
-        assert_ne!(a, camera.measure(&depth, &cos, Seed(2)));
+        let a = measure(&camera, &depth, &cos, 1);
+        assert_eq!(a, measure(&camera, &depth, &cos, 1));
+        assert_ne!(a, measure(&camera, &depth, &cos, 2));
+    }
+
+    #[test]
+    fn the_shadow_of_a_near_thing_is_as_wide_as_the_difference_of_disparities() {
+        let camera = DepthCamera { baseline_m: 0.05, ..DepthCamera::perfect() };
+        for (near, far) in [(0.5f32, 0.7f32), (0.4, 1.6)] {
+            let (mut depth, cos) = flat(far);
+            for y in 0..200 {
+                (150..200).for_each(|x| depth[(x, y)] = near);
+            }
+            let echo = Image::filled(320, 200, 0.8);
+            let view = DepthView { depth: &depth, cos_incidence: &cos, echo: &echo, fx: 881.0 };
+            let measured = camera.measure(&view, Seed(1));
+            let lost: Vec<usize> = (0..320).filter(|&x| measured[(x, 100)] == 0.0).collect();
+            let width = 881.0 * 0.05 * (1.0 / f64::from(near) - 1.0 / f64::from(far));
+            // Farther apart than the thing is wide, the second imager sees between it and its shadow.
+            let expected = width.min(50.0);
+            assert!((lost.len() as f64 - expected).abs() <= 1.0, "{} {expected}", lost.len());
+            assert!(
+                (lost[0] as f64 - (150.0 - width)).abs() <= 1.0,
+                "it begins so far to the left: {lost:?}"
+            );
+            assert!(lost.windows(2).all(|w| w[1] == w[0] + 1));
+        }
+        // A slanted plane that both see loses nothing.
+        let slanted =
+            Image::from_vec(320, 200, (0..64_000).map(|i| 1.0 / (0.5 + 0.004 * (i % 320) as f32)).collect());
+        let (_, cos) = flat(1.0);
+        assert_eq!(measure(&camera, &slanted, &cos, 1), slanted);
+    }
+
+    #[test]
+    fn dark_and_glaring_surfaces_have_holes() {
+        let camera = DepthCamera { dark_echo: 0.03, glare_echo: 8.0, ..DepthCamera::perfect() };
+        let (depth, cos) = flat(0.7);
+        let echo = Image::from_vec(
+            320,
+            200,
+            (0..64_000).map(|i| [0.005, 0.01875, 0.04, 9.0][(i % 320) / 80]).collect(),
+        );
+        let view = DepthView { depth: &depth, cos_incidence: &cos, echo: &echo, fx: 220.0 };
+        let measured = camera.measure(&view, Seed(3));
+        let share = |band: usize| {
+            let pixels = (0..200).flat_map(|y| (80 * band..80 * band + 80).map(move |x| (x, y)));
+            pixels.filter(|&p| measured[p] > 0.0).count() as f64 / 16_000.0
+        };
+        assert_eq!((share(0), share(2), share(3)), (0.0, 1.0, 0.0));
+        assert!((share(1) - 0.5).abs() < 0.02, "half is seen in the middle of the ramp: {}", share(1));
     }
 }

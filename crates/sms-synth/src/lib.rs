@@ -6,7 +6,7 @@
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
 //!   the depth as imperfect as that of a real stereo camera.
 //! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
-//!   around it; [`record_views`] scans it.
+//!   around it; [`record_views`] scans it. [`generate_billiards_among`] stands such models among a billiards scene's obstacles.
 //! - [`write_recording`]: the scan on disk, in nerfstudio's layout, with the truth beside it in `truth/`. The planner's
 //!   stages read the recording only; `execute`, `evaluate` and benchmarks call [`read_truth`].
 //!
@@ -23,8 +23,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod ambient;
 mod assets;
 mod billiards;
+mod brdf;
 mod bvh;
 mod challenge;
 mod depth_camera;
@@ -35,23 +37,26 @@ mod model;
 mod path;
 mod recording;
 mod render;
+mod scanned;
 mod scene;
 mod shading;
 mod shapes;
 mod skin;
 mod stacked;
+mod stage;
 mod texture;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
-pub use depth_camera::DepthCamera;
+pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIXED_SCENES, FixedScene};
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};
+pub use scanned::{NamedModel, generate_billiards_among, read_models};
 pub use scene::{Hollow, TRUTH_VERSION, TruthFloor, TruthObject, TruthScene, read_truth};
 pub use skin::Skin;
 pub use stacked::{Structure, bounds_w, generate_stacked};

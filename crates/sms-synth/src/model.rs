@@ -176,24 +176,54 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
     let seed = seed.derive("model scene v1").derive(name);
     let mut rng = seed.derive("object").rng();
     let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
+    let material = Material { class: "unknown".into(), ..draw_material("wood", &mut rng) };
+    let density = material.density.value.best;
+    let (object, skin) = standing(name, model, turn, material, density, rng.random::<u32>());
+    let bounds = object.aabb_w();
+    let scene = TruthScene {
+        version: TRUTH_VERSION,
+        name: name.to_owned(),
+        seed,
+        cue: String::new(),
+        target: String::new(),
+        workspace_center_w: bounds.center(),
+        objects: vec![object],
+        floor: draw_floor(seed, seed),
+        goal_w: [0.0; 2],
+        robot_base_w: DVec3::ZERO,
+    };
+    ModelScene { scene, skins: vec![skin] }
+}
+
+/// A model standing on the floor as its file has it, turned, its middle above the origin; with the picture on it. Its mass is
+/// that of the volume that it encloses (of a box around it where it encloses none) at this effective density, kg/m³.
+pub(crate) fn standing(
+    name: &str,
+    model: &Model,
+    turn: DQuat,
+    material: Material,
+    density: f64,
+    texture_seed: u32,
+) -> (TruthObject, Option<Skin>) {
     let turned = model.mesh.transformed(&DPose3::from_parts(DVec3::ZERO, turn));
     let bounds = turned.aabb().unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
     // W is the model's frame turned, and moved by this.
     let lift = -bounds.center().with_z(bounds.min.z);
-    let material = Material { class: "unknown".into(), ..draw_material("wood", &mut rng) };
-    let mass = mass_of(&turned, &bounds, material.density.value.best);
+    let mass = mass_of(&turned, &bounds, density);
     let com = mass.com();
     let texture = Texture {
         pattern: Pattern::Plain,
         color: model.color,
         accent: model.color,
         scale_m: 0.02,
-        seed: rng.random::<u32>(),
-        gloss: 0.1,
+        seed: texture_seed,
+        gloss: 0.3,
+        metalness: 0.0,
         spots: Vec::new(),
     };
     let mesh = turned.transformed(&DPose3::from_translation(-com));
     let skin = model.texture.as_ref().and_then(|t| Skin::new(&mesh, t));
+    let x_wb = DPose3::from_translation(lift + com);
     let object = TruthObject {
         name: name.to_owned(),
         class: name.replace('_', " "),
@@ -201,25 +231,13 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
         sphere_radius: None,
         mesh,
         parts: Vec::new(),
-        x_wb: DPose3::from_translation(lift + com),
+        x_wb,
         texture,
-        x_ab: DPose3::from_translation(lift + com),
+        x_ab: x_wb,
         hollow: Hollow::Solid,
         mass: MassProperties::new(mass.mass(), DVec3::ZERO, mass.inertia()).unwrap_or(mass),
     };
-    let scene = TruthScene {
-        version: TRUTH_VERSION,
-        name: name.to_owned(),
-        seed,
-        cue: String::new(),
-        target: String::new(),
-        workspace_center_w: lift + bounds.center(),
-        objects: vec![object],
-        floor: draw_floor(seed, seed),
-        goal_w: [0.0; 2],
-        robot_base_w: DVec3::ZERO,
-    };
-    ModelScene { scene, skins: vec![skin] }
+    (object, skin)
 }
 
 fn mass_of(mesh: &Mesh, bounds: &Aabb, density: f64) -> MassProperties {

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, CoreError, InputError, MassProperties, Material, Mesh, Seed, atomic};
 use std::path::Path;
 
-/// Version of `truth.json`; readers refuse newer ones.
-pub const TRUTH_VERSION: u32 = 1;
+/// Version of `truth.json`; readers refuse newer ones. 2: textures have `metalness`.
+pub const TRUTH_VERSION: u32 = 2;
 
 /// A generated scene with everything that is true of it. World: metres, z up, floor at z = 0, robot base at the
 /// origin, the robot facing +x.

@@ -1,79 +1,78 @@
-//! Light: two soft lamps, a sky, and what the floor throws back.
+//! Light: three soft lamps and a room with a window, and how a picture is exposed.
 
-use crate::texture::{Texture, smoothstep};
+use crate::texture::smoothstep;
 use glamx::Vec3;
 
-/// A round lamp. Its strength does not fall off with distance, as for a large softbox far away.
+/// Number of lamps.
+pub(crate) const LAMPS: usize = 3;
+
+/// A round lamp that faces whatever it lights.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Lamp {
     pub(crate) center: Vec3,
     pub(crate) radius: f32,
-    pub(crate) color: Vec3,
+    /// Irradiance / π on a surface that faces it from `REFERENCE`'s distance.
+    color: Vec3,
 }
 
-/// The lamps of the studio: a warm key light and a cooler fill light from the other side.
-pub(crate) fn lamps() -> [Lamp; 2] {
+/// Where lamps have their nominal strength: amid the workspace.
+const REFERENCE: Vec3 = Vec3::new(0.5, 0.0, 0.0);
+
+impl Lamp {
+    /// Direction to its centre, the tangent of its half-angle, and its irradiance / π on a surface that faces it and sees all
+    /// of it, which falls with the square of the distance.
+    pub(crate) fn seen_from(&self, point: Vec3) -> (Vec3, f32, Vec3) {
+        let to = self.center - point;
+        let square = to.length_squared();
+        let distance = square.sqrt();
+        let nominal = (self.center - REFERENCE).length_squared();
+        (to / distance, self.radius / distance, self.color * (nominal / square))
+    }
+}
+
+/// The lamps of the studio: a warm key light, a cooler fill light from the other side, and one behind.
+pub(crate) fn lamps() -> [Lamp; LAMPS] {
     [
-        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.22, color: Vec3::new(1.75, 1.65, 1.48) },
-        Lamp { center: Vec3::new(1.9, 1.5, 1.9), radius: 0.35, color: Vec3::new(0.46, 0.52, 0.62) },
+        Lamp { center: Vec3::new(-0.5, -1.3, 2.1), radius: 0.20, color: Vec3::new(1.28, 1.24, 1.17) },
+        Lamp { center: Vec3::new(1.9, 1.5, 1.9), radius: 0.35, color: Vec3::new(0.30, 0.34, 0.40) },
+        Lamp { center: Vec3::new(-0.9, 1.3, 2.4), radius: 0.28, color: Vec3::new(0.24, 0.24, 0.23) },
     ]
 }
 
-/// Light that arrives from direction `d` where nothing is hit: walls with a soft horizon.
-pub(crate) fn backdrop(d: Vec3) -> Vec3 {
+/// Radiance from direction `d` where nothing is hit: walls, a ceiling and a window on one side, whose outlines are as wide as
+/// `blur` (0 sharp, 1 very rough surfaces).
+pub(crate) fn backdrop(d: Vec3, blur: f32) -> Vec3 {
     let d = d.normalize_or_zero();
-    let wall = Vec3::new(0.46, 0.50, 0.56);
-    let ceiling = Vec3::new(0.78, 0.82, 0.88);
+    let wall = Vec3::new(0.32, 0.335, 0.36);
+    let ceiling = Vec3::new(0.50, 0.51, 0.53);
     let glow = 0.06 * (d.x * 0.8 + d.y * 0.6);
-    wall.lerp(ceiling, smoothstep(-0.05, 0.75, d.z)) * (1.0 + glow)
-}
-
-/// Everything about a surface point that its colour depends on.
-pub(crate) struct SurfacePoint<'a> {
-    /// Shading normal, unit, facing the viewer.
-    pub(crate) normal: Vec3,
-    /// Unit direction to the viewer.
-    pub(crate) to_eye: Vec3,
-    /// Height above the floor, metres.
-    pub(crate) height: f32,
-    /// Linear albedo.
-    pub(crate) albedo: Vec3,
-    /// Appearance, for its gloss.
-    pub(crate) texture: &'a Texture,
-    /// Share of the sky that neighbours leave open.
-    pub(crate) openness: f32,
-    /// For each lamp: unit direction to it and the share of it that is visible.
-    pub(crate) lamps: [(Vec3, f32); 2],
-}
-
-/// Outgoing linear light, before tone mapping.
-pub(crate) fn shade(s: &SurfacePoint, floor_color: Vec3) -> Vec3 {
-    let gloss = s.texture.gloss;
-    let up = 0.5 + 0.5 * s.normal.z;
-    // Close to the floor an object shades what the floor could throw back to it.
-    let bounce = floor_color * (0.45 * (0.35 + 0.65 * smoothstep(0.0, 0.05, s.height)));
-    let mut diffuse = bounce.lerp(Vec3::new(0.42, 0.45, 0.50), up) * s.openness;
-    let mut highlight = Vec3::ZERO;
-    let exponent = 16.0 + 160.0 * gloss * gloss;
-    for ((direction, visible), lamp) in s.lamps.iter().zip(lamps()) {
-        let facing = s.normal.dot(*direction).max(0.0) * visible;
-        diffuse += lamp.color * facing * 0.85;
-        let half = (*direction + s.to_eye).normalize_or_zero();
-        let aligned = s.normal.dot(half);
-        // Outside of this cone the lobe is below a thousandth.
-        if facing > 0.0 && (1.0 - aligned) * exponent < 7.0 {
-            highlight += lamp.color * (aligned.powf(exponent) * (0.10 + 0.5 * gloss) * gloss * visible);
-        }
+    let room = wall.lerp(ceiling, smoothstep(0.0, 0.75, d.z)) * (1.0 + glow);
+    // The window stands 2 m beyond the workspace's far side, above what a camera on the path sees.
+    if d.y <= 0.05 {
+        return room;
     }
-    let cos = s.normal.dot(s.to_eye).clamp(0.0, 1.0);
-    let fresnel = (0.04 + 0.5 * (1.0 - cos).powi(5)) * gloss;
-    let mirrored = 2.0 * s.normal.dot(s.to_eye) * s.normal - s.to_eye;
-    let surroundings = floor_color.lerp(backdrop(mirrored), smoothstep(-0.15, 0.15, mirrored.z));
-    s.albedo * diffuse + highlight + surroundings * (fresnel * s.openness)
+    let (x, z) = (d.x / d.y + 0.25, d.z / d.y);
+    let edge = 0.03 + 0.6 * blur;
+    let within = |v: f32, low: f32, high: f32| {
+        smoothstep(low - edge, low + edge, v) * (1.0 - smoothstep(high - edge, high + edge, v))
+    };
+    // A bar divides it.
+    let bar = 1.0 - (1.0 - smoothstep(0.02, 0.02 + edge, x.abs())) * (1.0 - blur).max(0.0);
+    room + Vec3::new(1.7, 1.85, 2.05) * (within(x, -0.5, 0.5) * within(z, 0.45, 1.25) * bar)
 }
 
-/// Compresses highlights so that white is reached at three times middle light; linear light in [0, 1].
+/// Exposure, and a shoulder that lets highlights run into white at about twice a white surface: linear light in [0, 1].
 pub(crate) fn tone_map(c: Vec3) -> Vec3 {
-    let c = c * 0.92;
-    c * (Vec3::ONE + c / 9.0) / (Vec3::ONE + 0.42 * c)
+    let c = c * 0.80;
+    // Straight up to a knee, then bent so that slope and value are continuous.
+    const KNEE: f32 = 0.7;
+    let bend = |v: f32| {
+        if v <= KNEE {
+            v
+        } else {
+            let over = (v - KNEE) / (1.0 - KNEE);
+            KNEE + (1.0 - KNEE) * (1.0 - (-over).exp())
+        }
+    };
+    Vec3::new(bend(c.x), bend(c.y), bend(c.z))
 }

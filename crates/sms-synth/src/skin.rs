@@ -47,6 +47,12 @@ impl Skin {
         &self.levels[0]
     }
 
+    /// Its mean linear-light colour.
+    pub(crate) fn mean(&self) -> Vec3 {
+        let last = self.levels.len() - 1;
+        sample(&self.levels[last], 0.5, 0.5)
+    }
+
     /// Linear-light RGB at the point of a triangle with these weights of its corners; detail finer than `footprint_m`
     /// (metres across one pixel) is averaged.
     pub fn albedo(&self, triangle: usize, weights: [f32; 3], footprint_m: f32) -> Vec3 {

@@ -257,3 +257,43 @@ fn the_path_sees_every_ball_top_and_most_of_every_object() {
         assert!(o.sphere_radius.is_none() || n >= 8, "the top of {} is seen {n} times", o.name);
     }
 }
+
+#[test]
+fn depth_and_labels_know_nothing_of_looks() {
+    let scene = scene();
+    let mut other = scene.clone();
+    other.floor.texture.gloss = 0.9;
+    for (i, object) in other.objects.iter_mut().enumerate() {
+        object.texture.gloss = 0.15 * i as f32;
+        object.texture.metalness = 1.0;
+        object.texture.color = [255 - object.texture.color[0], 20, 200];
+        object.texture.spots.clear();
+    }
+    let camera = &cameras(&scene)[2];
+    let (a, b) = (render(&scene, camera, &perfect()), render(&other, camera, &perfect()));
+    assert_eq!((&a.depth, &a.label), (&b.depth, &b.label));
+    assert_eq!(a.depth, a.depth_noisy, "a perfect camera sees dark and glaring surfaces too");
+    assert_ne!(a.color, b.color);
+}
+
+#[test]
+fn balls_have_the_colours_that_tasks_name() {
+    // Chromaticity and lightness in 8-bit sRGB, whatever the floor: white is bright and without a tint, blue is blue.
+    for seed in 1..=3 {
+        let scene = generate_billiards(Seed(seed), &BilliardsSettings::default());
+        let renderer = Renderer::new(&scene);
+        let mut sums = [[0.0; 4]; 2];
+        for camera in cameras(&scene) {
+            let frame = renderer.render(&camera, &perfect());
+            for (color, label) in frame.color.data.iter().zip(&frame.label.data) {
+                if let Some(sum) = sums.get_mut((*label as usize).wrapping_sub(1)) {
+                    (0..3).for_each(|c| sum[c] += f64::from(color[c]));
+                    sum[3] += 1.0;
+                }
+            }
+        }
+        let [white, blue] = sums.map(|s| [s[0] / s[3], s[1] / s[3], s[2] / s[3]]);
+        assert!(white.iter().all(|&c| c > 165.0) && (white[0] - white[2]).abs() < 30.0, "{seed}: {white:?}");
+        assert!(blue[2] > 120.0 && blue[2] > 1.6 * blue[0].max(blue[1]), "{seed}: {blue:?}");
+    }
+}

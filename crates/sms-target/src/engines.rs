@@ -9,10 +9,7 @@ use crate::mujoco::MujocoFactory;
 #[cfg(feature = "physx")]
 use crate::physx::PhysxFactory;
 #[cfg(any(feature = "physx", feature = "mujoco"))]
-use {
-    sms_scene::Scene,
-    sms_sim::{SimError, Simulation, WorldOptions},
-};
+use sms_sim::WorldOptions;
 
 /// A world in which plans are carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -131,12 +128,12 @@ struct EngineTarget<F> {
 
 #[cfg(any(feature = "physx", feature = "mujoco"))]
 impl<F: WorldFactory> Target for EngineTarget<F> {
-    fn label(&self) -> &'static str {
-        self.factory.engine()
+    fn factory(&self) -> &dyn WorldFactory {
+        &self.factory
     }
 
-    fn simulation(&self, scene: &Scene, planner: &WorldOptions) -> Result<Simulation, SimError> {
-        Simulation::new(&self.factory, scene, &WorldOptions { dt: self.step * planner.dt, ..*planner })
+    fn world_options(&self, planner: &WorldOptions) -> WorldOptions {
+        WorldOptions { dt: self.step * planner.dt, ..*planner }
     }
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, Seed};
 use sms_robot::RobotConfig;
 use sms_scene::{BodyKind, Scene};
-use sms_sim::{SimError, Striker};
+use sms_sim::{ArmKind, SimError, Striker, WorldOptions};
 use sms_synth::TruthScene;
 use sms_task::{Action, Execution, Recording, ResolvedTask, Rollout, Task, TaskError};
 
@@ -26,6 +26,8 @@ pub struct TargetOptions {
     pub seed: Seed,
     /// The robot that strikes, by its place; where that is not known, a finger that gives no way.
     pub robot: RobotConfig,
+    /// Whose joints the robot's arm has: ours, the same in every engine, or the engine's own.
+    pub arm: ArmKind,
 }
 
 impl Default for TargetOptions {
@@ -36,6 +38,7 @@ impl Default for TargetOptions {
             record_every_s: 1.0 / 120.0,
             seed: Seed(0),
             robot: RobotConfig::default(),
+            arm: ArmKind::default(),
         }
     }
 }
@@ -98,7 +101,8 @@ pub fn execute_on(
         None => name.to_owned(),
     };
 
-    let run = |scene: &Scene, recording| rollout(target, &task, &striker, scene, &called, recording);
+    let run =
+        |scene: &Scene, recording| rollout(target, &task, &striker, options.arm, scene, &called, recording);
     let recording = Recording { every_s: options.record_every_s };
     let realised = run(&true_scene, Some(recording))?;
     let mut chaos_floor = 0.0f64;
@@ -122,12 +126,13 @@ fn rollout(
     target: &dyn Target,
     task: &ResolvedTask,
     striker: &Striker,
+    arm: ArmKind,
     scene: &Scene,
     called: &dyn Fn(&str) -> String,
     recording: Option<Recording>,
 ) -> Result<Rollout, TargetError> {
     let bodies = task.bodies_called(scene, called)?;
-    let mut simulation = target.simulation(scene, &task.world_options())?;
+    let mut simulation = target.simulation(scene, &WorldOptions { arm, ..task.world_options() })?;
     Ok(task.rollout(&mut simulation, striker, &bodies, recording)?)
 }
 

@@ -22,7 +22,6 @@ fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
             ("arm_strike_momentum", 0.001),
             ("arm_strike_energy", 0.08),
         ],
-        TargetEngine::Physx => &[("arm_strike_speed", 0.007)],
         _ => &[],
     }
 }

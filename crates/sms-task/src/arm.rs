@@ -2,12 +2,12 @@
 
 use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
-use sms_core::InputError;
+use sms_core::{Hash, Hasher, InputError};
 use sms_robot::{
-    ArmStrike, FIST_HALF, IkTarget, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath,
-    Workspace, obstacles, plan_sweep,
+    ArmStrike, IkTarget, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
+    obstacles, plan_sweep,
 };
-use sms_scene::Scene;
+use sms_scene::{BodyShape, Scene};
 use sms_sim::{SimError, Striker, StrikerMotion};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -19,6 +19,8 @@ pub struct RobotArm {
     model: Arc<RobotModel>,
     config: StrikeConfig,
     around: Vec<Obstacle>,
+    /// Of the scene's bodies and of the one that is struck: two arms are the same only among the same things.
+    among: Hash,
     planned: Mutex<BTreeMap<[u64; 6], Result<Arc<ArmStrike>, StrikeError>>>,
 }
 
@@ -34,9 +36,9 @@ impl RobotArm {
             RobotConfig { x_world_robot: Some(rows(&x_wr)), x_recording_robot: None, ..config.clone() };
         Ok(Some(Self {
             model: Arc::new(config.model()?.with_base(x_wr)),
-            // Of another robot's tool it is not known whether its back is as good as its front.
-            config: StrikeConfig { symmetric_tool: config.urdf.is_none(), ..StrikeConfig::default() },
+            config: config.strike_config(),
             around: obstacles(scene, struck),
+            among: hash_of(scene, struck),
             settings,
             planned: Mutex::default(),
         }))
@@ -62,9 +64,9 @@ impl RobotArm {
         if let Some(known) = self.planned.lock().ok().and_then(|p| p.get(&key).cloned()) {
             return known;
         }
-        let sweep = motion.sweep(self.settings.front_m);
+        let half = self.config.half_m;
+        let sweep = motion.sweep(half.x);
         let found = plan_sweep(&self.model, &sweep, &self.around, &self.config, &mut Workspace::default());
-        let half = FIST_HALF.with_x(self.settings.front_m);
         let found =
             found.map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
         if let Ok(mut planned) = self.planned.lock() {
@@ -73,8 +75,8 @@ impl RobotArm {
         found
     }
 
-    /// The arm's sweep for a strike that is carried out a little off: the posture of the asked one, moved to the start
-    /// of the other. Limits and obstacles are those of the asked one.
+    /// The arm's sweep for a strike that is carried out a little off: the posture of the asked one, with the tool held as
+    /// there, moved to the start of the other. Limits and obstacles are those of the asked one.
     ///
     /// # Errors
     /// [`StrikeError`] of the asked strike, or where the posture cannot follow.
@@ -84,14 +86,11 @@ impl RobotArm {
         carried_out: &StrikerMotion,
     ) -> Result<Arc<ArmStrike>, StrikeError> {
         let asked = self.strike(asked)?;
-        let sweep = carried_out.sweep(self.settings.front_m);
-        // On the side of the tool that the asked one has in front.
-        let reversed = (asked.rotation_w * glamx::DVec3::X).dot(asked.sweep.direction_w) < 0.0;
-        let rotation_w = if reversed { sweep.reversed_rotation_w() } else { sweep.rotation_w() };
-        let start = IkTarget::Pose(sweep.path(rotation_w).at(0.0).x_wt);
+        let moved = asked.moved_to(|front_m| carried_out.sweep(front_m));
+        let start = IkTarget::Pose(moved.path().at(0.0).x_wt);
         let ws = &mut Workspace::default();
         let q_start = self.model.refine(&start, &asked.q_start, &self.config.ik, ws)?;
-        Ok(Arc::new(ArmStrike { sweep, rotation_w, q_start, ..(*asked).clone() }))
+        Ok(Arc::new(ArmStrike { q_start, ..moved }))
     }
 }
 
@@ -103,8 +102,36 @@ impl std::fmt::Debug for RobotArm {
 
 impl PartialEq for RobotArm {
     fn eq(&self, other: &Self) -> bool {
-        (&self.settings, &self.config) == (&other.settings, &other.config)
+        (&self.settings, &self.config, &self.among) == (&other.settings, &other.config, &other.among)
     }
+}
+
+/// What the obstacles are made from: names, poses and shapes of all bodies, and which is none.
+fn hash_of(scene: &Scene, struck: usize) -> Hash {
+    let mut hasher = Hasher::new();
+    hasher.bytes(&struck.to_le_bytes());
+    let mut numbers = |values: &[f64]| {
+        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        hasher.bytes(&bytes);
+    };
+    for body in &scene.bodies {
+        let (p, q) = (body.x_wb.translation, body.x_wb.rotation);
+        numbers(&[p.x, p.y, p.z, q.x, q.y, q.z, q.w]);
+        match &body.shape {
+            BodyShape::Sphere { radius } => numbers(&[*radius]),
+            BodyShape::HalfSpace => numbers(&[]),
+            shape => {
+                for mesh in shape.meshes() {
+                    let corners: Vec<f64> = mesh.vertices.iter().flat_map(|v| v.to_array()).collect();
+                    numbers(&corners);
+                }
+            }
+        }
+    }
+    for body in &scene.bodies {
+        hasher.text(&body.name);
+    }
+    hasher.finish()
 }
 
 /// Row-major 4 × 4 matrix of a pose.

@@ -28,6 +28,7 @@ mod billiards;
 mod closest;
 mod execution;
 pub mod json;
+mod place;
 mod resolved;
 mod rollout;
 mod selector;

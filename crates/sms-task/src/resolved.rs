@@ -1,8 +1,11 @@
 //! A task with its bodies found in the planner's scene.
 
 use crate::billiards::{Common, named};
+use crate::place::{check_near, check_reachable};
 use crate::terms::Tracker;
-use crate::{Action, ActionForm, Billiards, Bodies, Parameter, RobotArm, Selector, Strike, Task, Term};
+use crate::{
+    Action, ActionForm, Billiards, Bodies, Parameter, Region, RobotArm, Selector, Strike, Task, Term,
+};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{CoreError, InputError};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -90,7 +93,9 @@ fn resolve_billiards(settings: &Billiards, scene: &Scene) -> Result<ResolvedTask
         )
         .into());
     }
-    check_place(path, "`goal_w`", DVec2::from_array(settings.goal_w), scene)?;
+    let goal_w = DVec2::from_array(settings.goal_w);
+    check_near(path, "`goal_w`", goal_w, scene)?;
+    check_reachable(path, "`goal_w`", goal_w, settings.success_m, &target, scene)?;
     Ok(ResolvedTask {
         kind: "billiards",
         common: settings.common(),
@@ -136,7 +141,18 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
     let base_angle = towards.map_or(0.0, |p| (p - here).to_angle());
     for (i, term) in settings.terms.iter().enumerate() {
         if let Term::Reach { place, .. } | Term::Avoid { place, .. } = term {
-            check_place(path, &format!("the place of `terms[{i}]`"), place.middle_w(), scene)?;
+            let what = format!("the place of `terms[{i}]`");
+            check_near(path, &what, place.middle_w(), scene)?;
+            let on_floor = match place {
+                Region::Point { .. } => Some(0.0),
+                Region::Disc { radius_m, .. } => Some(*radius_m),
+                // It may be beside the floor, or below it.
+                Region::Box { .. } => None,
+            };
+            if let (Term::Reach { .. }, Some(body), Some(radius_m)) = (term, &found[i], on_floor) {
+                let enough_m = settings.success_m + radius_m;
+                check_reachable(path, &what, place.middle_w(), enough_m, body, scene)?;
+            }
         }
     }
     let outline = outline_of(&scene.bodies[cue.index]);
@@ -153,30 +169,6 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
         outline,
         cue,
     })
-}
-
-/// Farther than this from every body nothing of a scan is left, metres.
-const FARTHEST_M: f64 = 3.0;
-
-/// A place that nothing of the scene is near to is a slip of units or axes.
-fn check_place(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
-    let nearest = scene
-        .bodies
-        .iter()
-        .filter(|b| !matches!(b.shape, BodyShape::HalfSpace))
-        .map(|b| horizontal(b.x_wb.translation).distance(place_w))
-        .fold(f64::INFINITY, f64::min);
-    if nearest <= FARTHEST_M {
-        return Ok(());
-    }
-    Err(InputError::new(
-        format!(
-            "{what}, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
-            place_w.x, place_w.y
-        ),
-        path,
-        format!("give world coordinates in metres; the scene has {}", bodies_of(scene)),
-    ))
 }
 
 /// Corners of a body that is no ball on the floor, relative to its centre.
@@ -207,7 +199,7 @@ fn ball_of(scene: &Scene, index: usize) -> Ball {
 }
 
 /// "a (sphere, #f0f0f0, at [0.10, 0.20, 0.03]), b (static), …".
-fn bodies_of(scene: &Scene) -> String {
+pub(crate) fn bodies_of(scene: &Scene) -> String {
     let describe = |b: &Body| {
         if b.kind == BodyKind::Static {
             return format!("{} (static)", b.name);

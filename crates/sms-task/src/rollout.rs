@@ -24,6 +24,13 @@ const ARENA_MARGIN_M: f64 = 0.05;
 /// a few tenths of a millimetre.
 const DEEPEST_M: f64 = 0.005;
 
+/// The same of a body that is no ball, beyond what it was inside of others at the start: its convex parts are larger than
+/// it is, and rest in each other.
+const DEEPEST_BODY_M: f64 = 0.01;
+
+/// How much faster than the finger a body may become that it strikes again and again, as a factor.
+const FASTEST: f64 = 4.0;
+
 /// Energy that bodies may seem to gain once the robot is gone, as a share of what they then had and in joules. Engines
 /// push bodies apart that have sunk into each other.
 const ENERGY_GAIN: (f64, f64) = (0.25, 0.02);
@@ -187,8 +194,9 @@ impl ResolvedTask {
     /// goal. Balls that roll away no longer count; bodies that are no balls must stand still, or they might topple.
     ///
     /// # Errors
-    /// [`SimError::Diverged`] when a state stops being finite, [`SimError::Unphysical`] when bodies gain energy after the
-    /// robot has gone, or when a ball is more than 5 mm inside of another body.
+    /// [`SimError::Diverged`] when a state stops being finite; [`SimError::Unphysical`] when bodies have more energy than the
+    /// robot gave them, or gain some after it has gone, when a ball is more than 5 mm inside of another body, or another
+    /// moving body 10 mm deeper in others than at the start. Looked at every 16 steps.
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
@@ -198,13 +206,20 @@ impl ResolvedTask {
     ) -> Result<Rollout, SimError> {
         let settings = &self.common;
         let mut judge = Judge::new(&self.wish, simulation, bodies);
+        let start = simulation.states().to_vec();
         // The world is older: it settled.
         let start_s = simulation.time_s();
+        let striker = striker.into();
+        let finger_speed = match &striker {
+            Striker::Finger(motion) => motion.speed,
+            Striker::Arm(_) => 0.0,
+        };
         let striker = simulation.strike(striker, settings.striker.friction, settings.striker.restitution);
         let mut recorder = recording.map(|r| Recorder::new(r, bodies, striker));
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;
-        let mut watch = Watch { left: None, rest: bodies.energy(simulation)[0] };
+        let rest = bodies.energy(simulation)[0];
+        let mut watch = Watch { left: None, rest, start, striker, finger_speed };
         judge.observe(time_s, simulation);
         if let Some(r) = &mut recorder {
             r.record(time_s, simulation);
@@ -419,21 +434,40 @@ struct Watch {
     left: Option<(f64, f64)>,
     /// Energy at the start.
     rest: f64,
+    /// States of all bodies then.
+    start: Vec<BodyState>,
+    striker: BodyId,
+    /// Speed of a finger at the contact, m/s; 0 of an arm.
+    finger_speed: f64,
 }
 
 impl Watch {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
         let unphysical = |why: String| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
-        for m in bodies.dynamic.iter().filter(|m| m.radius.is_some() && !simulation.is_asleep(m.id)) {
+        for m in bodies.dynamic.iter().filter(|m| !simulation.is_asleep(m.id)) {
             let depth_m = simulation.penetration(m.id);
-            if depth_m > DEEPEST_M {
+            let is_too_deep = if m.radius.is_some() {
+                depth_m > DEEPEST_M
+            } else {
+                // Worked out only where it matters.
+                depth_m > DEEPEST_BODY_M
+                    && depth_m > DEEPEST_BODY_M + simulation.penetration_with(m.id, &self.start)
+            };
+            if is_too_deep {
                 return unphysical(format!("`{}` is {:.1} mm inside of another body", m.name, 1e3 * depth_m));
+            }
+        }
+        let [low, high] = bodies.energy(simulation);
+        if self.left.is_none() {
+            let given = self.most_given(simulation, bodies);
+            let has = low - self.rest;
+            if has > (1.0 + ENERGY_GAIN.0) * given + ENERGY_GAIN.1 {
+                return unphysical(format!("bodies have {has:.3} J, of which the robot gave {given:.3} J"));
             }
         }
         if !simulation.is_strike_over() {
             return Ok(());
         }
-        let [low, high] = bodies.energy(simulation);
         match self.left {
             None => self.left = Some((high, high - self.rest)),
             Some((then, moving)) => {
@@ -444,6 +478,25 @@ impl Watch {
             }
         }
         Ok(())
+    }
+
+    /// The most energy that bodies can have from the robot, J: the work of the arm, or of a finger, which gives no way, the
+    /// energy of what it touched at some times its speed.
+    fn most_given(&self, simulation: &Simulation, bodies: &WorldBodies) -> f64 {
+        if let Some(work) = simulation.work_j(self.striker) {
+            return work.max(0.0);
+        }
+        let with_finger = |id: BodyId| {
+            simulation
+                .contacts()
+                .iter()
+                .any(|c| [(c.body, c.other), (c.other, c.body)].contains(&(id, self.striker)))
+        };
+        let v2 = (FASTEST * self.finger_speed).powi(2);
+        let touched = |m: &&Mover| with_finger(m.id);
+        // Of engines that do not tell all touches, any may have been.
+        let any = bodies.dynamic.iter().any(|m| with_finger(m.id));
+        bodies.dynamic.iter().filter(|m| !any || touched(m)).map(|m| 0.5 * m.mass * v2).sum()
     }
 }
 
@@ -574,9 +627,9 @@ mod tests {
         let bodies = task.bodies_in(&scene, "blue").unwrap();
         let options = task.world_options();
         let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
-        let mut watch = Watch { left: None, rest: bodies.energy(&simulation)[0] };
         let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
-        simulation.strike(motion, 0.6, 0.7);
+        let mut watch = watch_of(&simulation, &bodies, motion.speed);
+        watch.striker = simulation.strike(motion, 0.6, 0.7);
         let mut time_s = 0.0;
         while time_s < 1.5 {
             simulation.advance(options.dt).unwrap();
@@ -589,5 +642,83 @@ mod tests {
         simulation.set_state(bodies.target, &state);
         let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
         assert!(error.to_string().contains("gained"), "{error}");
+    }
+
+    fn watch_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) -> Watch {
+        let (rest, start) = (bodies.energy(simulation)[0], simulation.states().to_vec());
+        Watch { left: None, rest, striker: start.len(), start, finger_speed }
+    }
+
+    #[test]
+    fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
+        let scene = scene([]);
+        let task = task(&scene);
+        let bodies = task.bodies_in(&scene, "blue").unwrap();
+        let options = task.world_options();
+        let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
+        let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
+        let mut watch = watch_of(&simulation, &bodies, motion.speed);
+        watch.striker = simulation.strike(motion, 0.6, 0.7);
+        let mut time_s = 0.0;
+        while time_s < 0.3 {
+            simulation.advance(options.dt).unwrap();
+            time_s += options.dt;
+            watch.check(time_s, &simulation, &bodies).unwrap();
+        }
+        assert!(!simulation.is_strike_over());
+        let mut state = simulation.state(bodies.target);
+        // Away from everything: nothing but the energy is wrong.
+        state.v_w += DVec3::new(0.0, 0.0, 5.0);
+        simulation.set_state(bodies.target, &state);
+        let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
+        assert!(error.to_string().contains("of which the robot gave"), "{error}");
+    }
+
+    fn block(name: &str, kind: BodyKind, center_w: DVec3, half: DVec3) -> Body {
+        Body {
+            name: name.into(),
+            kind,
+            x_wb: DPose3::from_translation(center_w),
+            shape: BodyShape::Hulls { hulls: vec![Mesh::cuboid(half)] },
+            ..ball(name, 0.0)
+        }
+    }
+
+    #[test]
+    fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
+        let cube = DVec3::splat(0.03);
+        let crate_ = block("crate", BodyKind::Dynamic, DVec3::new(0.9, 0.0, 0.03), cube);
+        // In the plate's height, and beside it.
+        let plate = DVec3::new(0.2, 0.2, 0.04);
+        let post = Body { mass: None, ..block("post", BodyKind::Static, DVec3::new(0.9, 0.6, 0.04), plate) };
+        let mesh = BodyShape::TriMesh { mesh: Mesh::cuboid(plate) };
+        let shell = Body {
+            name: "shell".into(),
+            shape: mesh,
+            x_wb: DPose3::from_translation(DVec3::new(0.9, -0.6, 0.04)),
+            ..post.clone()
+        };
+        let scene = scene([crate_, post, shell]);
+        let task = task(&scene);
+        let bodies = task.bodies_in(&scene, "blue").unwrap();
+        let mut simulation = Simulation::new(&RapierFactory, &scene, &task.world_options()).unwrap();
+        let mut watch = watch_of(&simulation, &bodies, 0.5);
+        let id = scene.bodies.iter().position(|b| b.name == "crate").unwrap();
+        let at =
+            |p: DVec3| BodyState { x_wb: DPose3::from_translation(p), v_w: DVec3::ZERO, w_w: DVec3::ZERO };
+        let fine = [DVec3::new(0.9, 0.0, 0.025), DVec3::new(0.9, 0.375, 0.03), DVec3::new(0.9, -0.375, 0.03)];
+        for (k, good) in fine.into_iter().enumerate() {
+            simulation.set_state(id, &at(good));
+            watch.check(0.1, &simulation, &bodies).unwrap();
+            // 20 mm farther in.
+            let into = [DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y][k];
+            simulation.set_state(id, &at(good + 0.02 * into));
+            let error = watch.check(0.1, &simulation, &bodies).unwrap_err();
+            assert!(error.to_string().contains("`crate` is 2"), "{k}: {error}");
+        }
+        // What stood in another body from the start may stay there.
+        simulation.set_state(id, &at(fine[0] - DVec3::Z * 0.02));
+        let mut watch = watch_of(&simulation, &bodies, 0.5);
+        watch.check(0.1, &simulation, &bodies).unwrap();
     }
 }

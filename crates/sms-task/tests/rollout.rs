@@ -5,7 +5,7 @@ mod common;
 use common::{RADIUS, ball, material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec2, DVec3};
 use sms_core::{Mesh, polyhedron_mass_properties};
-use sms_scene::{Body, BodyShape, Scene};
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{RapierFactory, Simulation};
 use sms_task::{Action, ActionForm, Billiards, Recording, ResolvedTask, Rollout, STRIKER, Selector, Task};
 
@@ -210,6 +210,56 @@ fn selectors_find_balls_and_errors_list_the_bodies() {
         resolve(Selector::by_name("floor"), Selector::by_name("red")).is_err(),
         "static bodies do not move"
     );
+}
+
+#[test]
+fn a_goal_that_no_ball_can_reach_is_refused_with_the_reason() {
+    let fixed = |name: &str, center_w: DVec3, half_extents: DVec3| Body {
+        kind: BodyKind::Static,
+        x_wb: DPose3::from_translation(center_w),
+        shape: BodyShape::Box { half_extents },
+        mass: None,
+        ..ball(name, 0.0, 0.0, [90, 90, 90], material(0.4, 0.5))
+    };
+    let mut scene = two_balls();
+    scene.bodies.push(fixed("block", DVec3::new(0.9, 0.0, 0.1), DVec3::new(0.15, 0.15, 0.1)));
+    let resolve = |scene: &Scene, goal_w: [f64; 2]| {
+        let (cue, target) = (Selector::by_name("cue"), Selector::by_name("blue"));
+        Task::Billiards(Billiards::new(cue, target, goal_w)).resolve(scene).map_err(|e| e.to_string())
+    };
+    let message = resolve(&scene, [0.9, 0.0]).unwrap_err();
+    for part in ["goal_w", "`block`", "50 mm", "cure"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    // 10 mm within its surface: the centre comes as near as 39 mm.
+    assert!(resolve(&scene, [0.76, 0.0]).is_ok());
+    // On a floor without end every other place is one; a table has edges.
+    assert!(resolve(&scene, [1.6, 0.9]).is_ok());
+    scene.bodies[0] = fixed("table", DVec3::new(0.5, 0.0, -0.05), DVec3::new(0.6, 0.4, 0.05));
+    assert!(resolve(&scene, [0.6, 0.3]).is_ok() && resolve(&scene, [0.6, 0.43]).is_ok());
+    let message = resolve(&scene, [0.6, 0.5]).unwrap_err();
+    assert!(message.contains("there is no floor") && message.contains("100 mm"), "{message}");
+}
+
+#[test]
+fn arms_among_other_things_are_not_the_same() {
+    let scene = two_balls();
+    let mut moved = scene.clone();
+    moved.bodies[2].x_wb.translation.y += 0.001;
+    let config = sms_robot::RobotConfig {
+        x_world_robot: Some([
+            [1.0, 0.0, 0.0, -0.1],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]),
+        ..Default::default()
+    };
+    let arm = |scene: &Scene| {
+        task_in(scene, DVec2::new(0.8, 0.0), ActionForm::SpeedAngle).with_robot(&config, scene).unwrap()
+    };
+    assert_eq!(arm(&scene).arm(), arm(&scene).arm());
+    assert_ne!(arm(&scene).arm(), arm(&moved).arm());
 }
 
 #[test]

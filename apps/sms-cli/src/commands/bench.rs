@@ -4,6 +4,7 @@ use super::bench_billiards::{self, BenchBilliards};
 use super::bench_engines::{self, BenchEngines};
 use super::bench_masks::{self, BenchMasks};
 use super::bench_materialize::{self, BenchMaterialize};
+use super::bench_merge::{self, BenchMerge};
 use super::bench_optimisers::{self, BenchOptimisers};
 use super::bench_physics::{self, BenchPhysics};
 use super::bench_plan::{self, BenchPlan, BenchRebound, BenchRobust};
@@ -50,7 +51,7 @@ pub(crate) enum BenchCommand {
     Optimisers(BenchOptimisers),
     /// Measure what plans are worth in true worlds whose materials the planner was told wrongly (`--materials noisy`) and
     /// whose bodies stand a little elsewhere: planning for the world as told against robust planning at equal cost. True
-    /// geometry of generated scenes, a finger that gives no way, the planner's engine.
+    /// geometry of generated scenes, by default a finger that gives no way and the planner's engine.
     Robust(BenchRobust),
     /// The same shots in every engine that is built in: how far apart they end.
     Engines(BenchEngines),
@@ -63,6 +64,8 @@ pub(crate) enum BenchCommand {
     /// The paper's billiards experiment: eighteen scenes are scanned, planned in from many starts, and every plan is carried
     /// out in the target engines. Run again on the same folder, it goes on where it was, and shards meet there.
     Billiards(Box<BenchBilliards>),
+    /// Put parts of a benchmark that ran with --shard on several machines together: the same tables and keys as one run.
+    Merge(BenchMerge),
 }
 
 #[derive(Debug, Args, Clone)]
@@ -143,6 +146,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
         BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
         BenchCommand::Billiards(billiards) => bench_billiards::run(context, billiards),
+        BenchCommand::Merge(merge) => bench_merge::run(context, merge),
     }
 }
 

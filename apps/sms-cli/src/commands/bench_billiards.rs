@@ -5,10 +5,11 @@ use super::bench_plan::{Told, parse_shard};
 use super::length_text;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
+use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use sms_bench::{
-    BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row,
-    billiards_metrics, billiards_table, read_billiards, run_billiards, write_shots,
+    BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
+    billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, write_pictures, write_shots,
 };
 use sms_core::{InputError, Seed};
 use sms_entities::EntitiesConfig;
@@ -16,7 +17,7 @@ use sms_frames::ReadOptions;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_synth::{FIXED_SCENES, FixedScene};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Scenes of `--quick`: the one without obstacles, one with a far goal, and the one with two rebounds.
 const QUICK: [usize; 3] = [1, 8, 18];
@@ -50,6 +51,10 @@ pub(crate) struct BenchBilliards {
     /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 10).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
+    /// Tell where the loss between predicted and realised comes from: shapes, poses, materials and engine are replaced by
+    /// the truth one at a time, and as many starts (default: 8) are planned again with each.
+    #[arg(long, value_name = "STARTS", num_args = 0..=1, default_missing_value = "8")]
+    pub ablation: Option<usize>,
     /// Seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
@@ -103,12 +108,41 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
         )
         .into());
     }
-    let mut metrics = billiards_metrics(&found);
-    metrics.set("bench.billiards.geometry", bench.geometry.as_str());
-    metrics.set("bench.billiards.preset", bench.scan.bench.preset_name());
-    metrics.set("bench.billiards.starts", bench.starts);
-    write_shots(&bench.out.join("shots.parquet"), &found)?;
-    finish(context, &metrics, Some(&bench.out.join("results.json")), billiards_table(&found).trim_end())
+    if let Some(part) = a.shard.as_deref().map(parse_shard).transpose()? {
+        let mut shard = Shard::new("billiards", part, bench.settings());
+        let own = |s: &&BilliardsScene| bench.scenes.iter().any(|fixed| fixed.number == s.number);
+        for s in found.iter().filter(own) {
+            let item = format!("{} {:02}", s.told.as_str(), s.number);
+            shard.items.insert(item, serde_json::to_value(s).context("a scene's result cannot be written")?);
+        }
+        shard.save(&bench.out.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
+    }
+    show(context, &found, &Shard::new("billiards", (1, 1), bench.settings()), &bench.out)
+}
+
+/// Figures, table and pictures of all scenes of a run or of merged parts.
+fn show(context: &Context, found: &[BilliardsScene], of: &Shard, out: &Path) -> anyhow::Result<()> {
+    let mut metrics = billiards_metrics(found);
+    for name in ["geometry", "preset", "starts"] {
+        let value: serde_json::Value = of.setting(name)?;
+        metrics.set(format!("bench.billiards.{name}"), value);
+    }
+    write_shots(&out.join("shots.parquet"), found)?;
+    let text = billiards_table(found);
+    write_pictures(out, found, &text)?;
+    finish(context, &metrics, Some(&out.join("results.json")), text.trim_end())
+}
+
+/// The same of merged parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: &Path) -> anyhow::Result<()> {
+    let mut found: Vec<BilliardsScene> = whole
+        .items
+        .values()
+        .map(|v| serde_json::from_value(v.clone()))
+        .collect::<Result<_, _>>()
+        .context("a part of `bench billiards` holds no results of scenes")?;
+    found.sort_by_key(|s| (s.told, s.number));
+    show(context, &found, whole, out)
 }
 
 fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
@@ -144,6 +178,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     }
     bench.starts = a.starts.unwrap_or(if a.quick { 10 } else { bench.starts }).max(1);
     bench.seed = Seed(a.seed);
+    bench.ablation_starts = a.ablation.map_or(0, |starts| starts.max(1));
     let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     bench.robust = context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
     Ok(bench)
@@ -167,7 +202,7 @@ fn scenes(a: &BenchBilliards) -> anyhow::Result<Vec<FixedScene>> {
     let mut scenes = numbers.into_iter().map(scene).collect::<Result<Vec<_>, _>>()?;
     if let Some(shard) = &a.shard {
         let (i, n) = parse_shard(shard)?;
-        scenes = scenes.into_iter().skip(i - 1).step_by(n).collect();
+        scenes = part_of(scenes, (i, n));
     }
     Ok(scenes)
 }

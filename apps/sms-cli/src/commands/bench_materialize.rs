@@ -1,12 +1,15 @@
 //! `sms bench materialize`: meshes of scanned models against the models.
 
 use super::bench::read_baseline;
+use super::bench_optimisers::finish;
+use super::bench_plan::{parse_shard, settings};
 use crate::cli::PresetName;
 use crate::context::Context;
 use clap::{Args, ValueEnum};
+use serde_json::{Map, Value, json};
 use sms_bench::{
-    BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, add_materialize_means,
-    materialize_markdown, materialize_table, model_path, run_materialize,
+    BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, Shard,
+    add_materialize_means, materialize_markdown, materialize_table, model_path, part_of, run_materialize,
 };
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Warnings};
@@ -38,6 +41,9 @@ pub(crate) struct BenchMaterialize {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
+    /// Only every n-th object, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out")]
+    pub shard: Option<String>,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -77,6 +83,9 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
         return show(context, a, &metrics, &scenes, baseline.as_ref());
     }
     let options = options(context, a)?;
+    let part = a.shard.as_deref().map(parse_shard).transpose()?;
+    scenes = part_of(scenes, part.unwrap_or((1, 1)));
+    let mut shard = Shard::new("materialize", part.unwrap_or((1, 1)), part_settings(&options));
     let mut metrics = Metrics::new();
     let mut measured = Vec::new();
     for scene in scenes {
@@ -89,6 +98,7 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
         let warnings = Warnings::new();
         let progress = context.progress.as_ref();
         if let Some(figures) = run_materialize(&scene, &options, progress, &context.cancel, &warnings)? {
+            shard.add(&scene.to_string(), &figures);
             metrics.merge(figures);
             measured.push(scene.clone());
         }
@@ -108,8 +118,44 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
     metrics.set("bench.materialize.preset", options.bench.preset_name());
     if let Some(path) = &a.out {
         metrics.save(path)?;
+        if part.is_some() {
+            shard.save(&Shard::path_beside(path))?;
+        }
     }
     show(context, a, &metrics, &measured, baseline.as_ref())
+}
+
+fn part_settings(options: &MaterializeOptions) -> Map<String, Value> {
+    let bench = &options.bench;
+    let masks = match options.masks {
+        MaskChoice::Auto => "auto",
+        MaskChoice::Geometry => "geometry",
+        MaskChoice::Truth => "truth",
+    };
+    settings([
+        ("preset", json!(bench.preset_name())),
+        ("choice_of_masks", json!(masks)),
+        ("frames", json!(bench.frames)),
+        ("read", json!(bench.read)),
+        ("load", json!(bench.load)),
+        ("masks", json!(bench.masks)),
+        ("scan", json!(bench.scan)),
+        ("entities", json!(bench.entities)),
+    ])
+}
+
+/// Figures and table of merged parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    // In the order of a run in one piece.
+    let models = MODELS.iter().map(|m| BenchScene::Model((*m).to_owned()));
+    let seeds = whole.items.keys().filter_map(|k| Some(BenchScene::Ten(k.rsplit('_').next()?.parse().ok()?)));
+    let mut scenes: Vec<BenchScene> = models.chain(seeds).collect();
+    scenes.retain(|s| whole.items.contains_key(&s.to_string()));
+    let mut metrics = Metrics::new();
+    whole.items.keys().for_each(|k| metrics.merge(whole.figures(k)));
+    add_materialize_means(&mut metrics, &scenes);
+    metrics.set("bench.materialize.preset", whole.setting::<String>("preset")?);
+    finish(context, &metrics, out, materialize_table(&metrics, &scenes, None).trim_end())
 }
 
 fn show(

@@ -1,8 +1,12 @@
 //! `sms bench optimisers`: search methods against each other on generated scenes.
 
+use super::bench_plan::{parse_shard, seeds_of, settings};
 use crate::context::Context;
 use clap::{Args, ValueEnum};
-use sms_bench::{OptimiserBench, SceneFamily, optimiser_table, run_optimisers};
+use serde_json::json;
+use sms_bench::{
+    OptimiserBench, SceneFamily, Shard, merge_optimisers, optimiser_table, part_of, run_optimisers,
+};
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use std::path::PathBuf;
@@ -14,6 +18,8 @@ pub(crate) enum Family {
     Open,
     /// Nine obstacles that may stand in the way, cut of up to 75°.
     Crowded,
+    /// The eighteen scenes of `sms bench billiards`; the seeds are their numbers.
+    Fixed,
 }
 
 impl Family {
@@ -21,6 +27,7 @@ impl Family {
         match self {
             Self::Open => SceneFamily::Open,
             Self::Crowded => SceneFamily::Crowded,
+            Self::Fixed => SceneFamily::Fixed,
         }
     }
 }
@@ -39,6 +46,12 @@ pub(crate) struct BenchOptimisers {
     /// Methods to compare (default: all): screen, multi_start (the paper's), cma_es, halving (the default of `sms plan`).
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub methods: Vec<String>,
+    /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out")]
+    pub shard: Option<String>,
+    /// Let the arm strike, which cannot make every strike, in place of the finger that gives no way.
+    #[arg(long)]
+    pub arm: bool,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -49,6 +62,7 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
     }
     let mut bench = OptimiserBench::new(parse_seeds(&a.seeds)?, a.family.family(), a.evaluations.clone());
+    bench.arm = a.arm;
     if let Some(unknown) = a.methods.iter().find(|m| bench.entrants.iter().all(|(name, _)| name != *m)) {
         let names: Vec<&str> = bench.entrants.iter().map(|(name, _)| name.as_str()).collect();
         let cure = format!("the methods are {}", names.join(", "));
@@ -57,8 +71,38 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
     if !a.methods.is_empty() {
         bench.entrants.retain(|(name, _)| a.methods.contains(name));
     }
-    let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
-    finish(context, &metrics, a.out.as_ref(), optimiser_table(&bench, &metrics).trim_end())
+    let (Some(shard), Some(out)) = (&a.shard, &a.out) else {
+        let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
+        return finish(context, &metrics, a.out.as_ref(), optimiser_table(&bench, &metrics).trim_end());
+    };
+    let part = parse_shard(shard)?;
+    let names: Vec<&String> = bench.entrants.iter().map(|(name, _)| name).collect();
+    let settings = settings([
+        ("family", json!(bench.family)),
+        ("evaluations", json!(bench.evaluations)),
+        ("methods", json!(names)),
+        ("arm", json!(bench.arm)),
+    ]);
+    let mut shard = Shard::new("optimisers", part, settings);
+    for seed in part_of(bench.seeds.clone(), part) {
+        let one = OptimiserBench { seeds: vec![seed], ..bench.clone() };
+        let figures = run_optimisers(&one, context.progress.as_ref(), &context.cancel)?;
+        shard.add(&seed.to_string(), &figures);
+    }
+    shard.save(&Shard::path_beside(out))?;
+    show_merged(context, &shard, Some(out))
+}
+
+/// Figures and table of parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let seeds = seeds_of(whole);
+    let each: Vec<Metrics> = seeds.iter().map(|s| whole.figures(&s.to_string())).collect();
+    let mut bench = OptimiserBench::new(seeds, whole.setting("family")?, whole.setting("evaluations")?);
+    let methods: Vec<String> = whole.setting("methods")?;
+    bench.entrants.retain(|(name, _)| methods.contains(name));
+    bench.arm = whole.setting("arm")?;
+    let metrics = merge_optimisers(&bench, &each);
+    finish(context, &metrics, out, optimiser_table(&bench, &metrics).trim_end())
 }
 
 /// Keeps the figures of a benchmark and prints them, or `text` for people.

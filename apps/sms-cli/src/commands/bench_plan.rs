@@ -4,10 +4,15 @@ use super::bench_optimisers::{Family, finish, parse_seeds};
 use super::plan::summary;
 use crate::context::Context;
 use clap::{Args, ValueEnum};
-use sms_bench::{MaterialsTold, PlanScene, RobustBench, robust_table, run_full_shots, run_plan_speed};
+use serde_json::{Map, Value, json};
+use sms_bench::{
+    MaterialsTold, PlanScene, RobustBench, Shard, merge_plan_speed, part_of, robust_table, run_full_shots,
+    run_plan_speed,
+};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed, atomic};
 use sms_plan::PlanConfig;
+use sms_target::TargetEngine;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -23,6 +28,9 @@ pub(crate) struct BenchPlan {
     /// robot and the strikes to this folder, for other simulators (`benches/peers/pybullet_rollout.py`).
     #[arg(long, value_name = "DIR")]
     pub export: Option<PathBuf>,
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "export")]
+    pub shard: Option<String>,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -49,10 +57,20 @@ pub(crate) struct BenchRobust {
     /// planner's settings). Planning for the scanned world alone costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
-    /// Only every n-th scene, from the i-th (i/n, from 1).
-    #[arg(long, value_name = "I/N")]
+    /// Add planners like the first that believe the errors of scan and robot to be half and twice as wide as they are.
+    #[arg(long)]
+    pub misled: bool,
+    /// Let the arm strike, in planning and in the true worlds, in place of the finger that gives no way.
+    #[arg(long)]
+    pub arm: bool,
+    /// Engine of the true worlds; the planner's own is rapier.
+    #[arg(long, value_enum, default_value = "rapier")]
+    pub engine: TrueEngine,
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Results of earlier runs, interrupted ones too, or of other shards: what is in them is not run again.
+    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: what is in them is not
+    /// run again.
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
     /// File for the results; written after every plan.
@@ -68,6 +86,15 @@ pub(crate) struct BenchRebound {
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+}
+
+/// Engine of the true worlds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TrueEngine {
+    /// The planner's own.
+    Rapier,
+    /// PhysX, precise, at a quarter of the planner's time step.
+    Physx,
 }
 
 /// What the planner is told of materials.
@@ -96,26 +123,57 @@ impl Told {
 
 /// Plans with the settings of `[plan]`.
 pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
-    let mut full = run_full_shots(a.export.as_deref(), &context.cancel)?;
+    if a.export.is_some() {
+        let full = run_full_shots(a.export.as_deref(), &context.cancel)?;
+        return finish(context, &full, a.out.as_ref(), &full_text(&full));
+    }
+    let part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
+    let config = context.settings.section("plan", PlanConfig::default())?;
+    let mut shard =
+        Shard::new("plan", part, settings([("family", json!(a.family.family())), ("plan", json!(config))]));
+    if part.0 == 1 {
+        shard.add(FULL, &run_full_shots(None, &context.cancel)?);
+    }
+    for seed in part_of(parse_seeds(&a.seeds)?, part) {
+        let scene = PlanScene::new(a.family.family(), seed)?;
+        let figures = run_plan_speed(&[scene], &config, context.progress.as_ref(), &context.cancel)?;
+        shard.add(&seed.to_string(), &figures);
+    }
+    if let (Some(out), Some(_)) = (&a.out, &a.shard) {
+        shard.save(&Shard::path_beside(out))?;
+    }
+    show_plan(context, &shard, a.out.as_ref())
+}
+
+/// The item of shots that are not a seed's.
+const FULL: &str = "full";
+
+/// Figures and text of a run of `sms bench plan`, or of merged parts.
+pub(crate) fn show_plan(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let full = whole.figures(FULL);
+    let each: Vec<Metrics> = whole.items.keys().filter(|k| *k != FULL).map(|k| whole.figures(k)).collect();
+    let mut metrics = merge_plan_speed(&each);
+    let text = speed_text(&metrics);
+    let text = if whole.items.contains_key(FULL) { format!("{}\n{text}", full_text(&full)) } else { text };
+    metrics.merge(full);
+    finish(context, &metrics, out, &text)
+}
+
+fn full_text(full: &Metrics) -> String {
     let of = |key: &str| 1e3 * full.number(&format!("bench.plan.full_{key}")).unwrap_or(f64::NAN);
-    let full_text = format!(
+    format!(
         "a whole shot of 4 s among eight vessels of eight hulls: {:.1} ms with the arm, of which {:.1} ms to plan its sweep \
          and {:.1} ms for its dynamics and control; {:.1} ms with a finger that gives no way",
         of("evaluation_s"),
         of("sweep_plan_s"),
         of("arm_s"),
         of("finger_evaluation_s")
-    );
-    if a.export.is_some() {
-        return finish(context, &full, a.out.as_ref(), &full_text);
-    }
-    let seeds = parse_seeds(&a.seeds)?;
-    let config = context.settings.section("plan", PlanConfig::default())?;
-    let scenes: Vec<PlanScene> =
-        seeds.into_iter().map(|s| PlanScene::new(a.family.family(), s)).collect::<Result<_, _>>()?;
-    let metrics = run_plan_speed(&scenes, &config, context.progress.as_ref(), &context.cancel)?;
+    )
+}
+
+fn speed_text(metrics: &Metrics) -> String {
     let get = |key: &str| metrics.number(&format!("bench.plan.{key}")).unwrap_or(f64::NAN);
-    let text = format!(
+    format!(
         "one shot: {:.1} ms ({:.0} a second on one thread), {:.0} steps, of which {:.0} by splitting\n  \
          engine {:.0} %, impacts {:.0} %, arm {:.0} %, planning its sweep {:.0} %, restore {:.1} %, other {:.0} %; with a \
          finger that gives no way {:.1} ms\n  \
@@ -139,19 +197,17 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
         get("scene_s"),
         get("robust_scene_s"),
         get("paper_scene_s"),
-    );
-    full.merge(metrics);
-    finish(context, &full, a.out.as_ref(), &format!("{full_text}\n{text}"))
+    )
+}
+
+/// Settings of a part by their names.
+pub(crate) fn settings<const N: usize>(all: [(&str, Value); N]) -> Map<String, Value> {
+    all.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {
-    let seeds = match &a.shard {
-        None => parse_seeds(&a.seeds)?,
-        Some(shard) => {
-            let (i, n) = parse_shard(shard)?;
-            parse_seeds(&a.seeds)?.into_iter().skip(i - 1).step_by(n).collect()
-        }
-    };
+    let part = a.shard.as_deref().map(parse_shard).transpose()?;
+    let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
     bench.told = a.materials.told();
     bench.worlds = a.worlds.max(1);
@@ -167,9 +223,19 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         }
         bench.planners = planners.into_iter().collect();
     }
+    if a.misled {
+        bench.add_misled();
+    }
+    bench.arm = a.arm;
+    bench.engine = match a.engine {
+        TrueEngine::Rapier => None,
+        TrueEngine::Physx => Some(TargetEngine::Physx),
+    };
     let mut known = Metrics::new();
     for path in &a.with {
-        known.merge(Metrics::load(path)?);
+        let earlier = Metrics::load(path)?;
+        bench.check_same(&earlier, path)?;
+        known.merge(earlier);
     }
     // What is done is kept at once: an interrupted run goes on with `--with` this file.
     let keep = |metrics: &Metrics| match &a.out {
@@ -177,7 +243,62 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         None => Ok(()),
     };
     let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    if let (Some(out), Some(part)) = (&a.out, part) {
+        let mut shard = Shard::new("robust", part, robust_settings(&bench));
+        for &seed in &bench.seeds {
+            let mut own = Metrics::new();
+            let of_scene = format!(".scene_{seed}.");
+            for (key, value) in metrics.iter().filter(|(key, _)| key.contains(&of_scene)) {
+                own.set(key.clone(), value.clone());
+            }
+            shard.add(&seed.to_string(), &own);
+        }
+        shard.save(&Shard::path_beside(out))?;
+    }
     finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
+}
+
+fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
+    settings([
+        ("family", json!(bench.family)),
+        ("materials", json!(bench.told)),
+        ("worlds", json!(bench.worlds)),
+        ("oracle", json!(bench.oracle_evaluations)),
+        ("planners", json!(bench.planners)),
+        ("chaos_runs", json!(bench.chaos_runs)),
+        ("errors", json!(bench.errors)),
+        ("arm", json!(bench.arm)),
+        ("engine", json!(bench.engine.map(TargetEngine::name))),
+    ])
+}
+
+/// Seeds that are the names of items, in order.
+pub(crate) fn seeds_of(whole: &Shard) -> Vec<u64> {
+    let mut seeds: Vec<u64> = whole.items.keys().filter_map(|k| k.parse().ok()).collect();
+    seeds.sort_unstable();
+    seeds
+}
+
+/// Figures and table of merged parts of `sms bench robust`: all is known, and nothing runs.
+pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let engine: Option<String> = whole.setting("engine")?;
+    let bench = RobustBench {
+        seeds: seeds_of(whole),
+        family: whole.setting("family")?,
+        told: whole.setting("materials")?,
+        worlds: whole.setting("worlds")?,
+        planners: whole.setting("planners")?,
+        oracle_evaluations: whole.setting("oracle")?,
+        chaos_runs: whole.setting("chaos_runs")?,
+        errors: whole.setting("errors")?,
+        arm: whole.setting("arm")?,
+        engine: engine.and_then(|name| TargetEngine::ALL.into_iter().find(|e| e.name() == name)),
+    };
+    let mut known = Metrics::new();
+    whole.items.keys().for_each(|k| known.merge(whole.figures(k)));
+    let keep = |_: &Metrics| Ok(());
+    let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    finish(context, &metrics, out, robust_table(&bench, &metrics).trim_end())
 }
 
 pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result<()> {

@@ -1,12 +1,20 @@
 //! `sms bench scenes`: which generated scenes can be solved, and how.
 
 use super::bench_optimisers::{finish, parse_seeds};
+use super::bench_plan::{parse_shard, settings};
+use crate::cli::EngineName;
 use crate::context::Context;
+use anyhow::Context as _;
 use clap::Args;
-use sms_bench::{Solvability, SolvabilityBench, run_solvability};
+use serde_json::{Value, json};
+use sms_bench::{
+    Shard, Solvability, SolvabilityBench, SolvedBench, part_of, run_solvability, run_solved, solved_metrics,
+    solved_table,
+};
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_synth::Layout;
+use sms_target::TargetEngine;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -24,24 +32,75 @@ pub(crate) struct BenchScenes {
     /// Shots per scene.
     #[arg(long, value_name = "N", default_value_t = 1500)]
     pub shots: u64,
+    /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "engine")]
+    pub shard: Option<String>,
+    /// Carry the best shots on the fixed scenes out in this engine instead.
+    #[arg(long, value_enum, conflicts_with_all = ["layouts", "seeds", "obstacles"])]
+    pub engine: Option<EngineName>,
+    /// Numbers of the fixed scenes, such as 1..18 or 2,8, with `--engine`.
+    #[arg(long, value_name = "NUMBERS", default_value = "1..18", requires = "engine")]
+    pub scenes: String,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
 
 pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
+    if let Some(engine) = a.engine {
+        return run_in(context, a, engine.engine());
+    }
     let layouts = match &a.layouts {
         None => Layout::ALL.to_vec(),
         Some(text) => text.split(',').map(layout_of).collect::<Result<_, _>>()?,
     };
+    let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let bench = SolvabilityBench {
         layouts,
-        seeds: parse_seeds(&a.seeds)?,
+        seeds: part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1))),
         obstacles: a.obstacles,
         shots: a.shots.max(1),
     };
     let found = run_solvability(&bench, context.progress.as_ref(), &context.cancel)?;
+    if let (Some(out), Some(part)) = (&a.out, part) {
+        let settings = settings([("obstacles", json!(bench.obstacles)), ("shots", json!(bench.shots))]);
+        let mut shard = Shard::new("scenes", part, settings);
+        for s in &found {
+            let value = serde_json::to_value(s).context("a scene's result cannot be written")?;
+            shard.items.insert(format!("{} {}", s.layout.as_str(), s.seed), value);
+        }
+        shard.save(&Shard::path_beside(out))?;
+    }
     finish(context, &metrics(&found), a.out.as_ref(), table(&found).trim_end())
+}
+
+/// Figures and table of merged parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let mut found: Vec<Solvability> = whole.items.values().map(scene_of).collect::<Result<_, _>>()?;
+    let place = |s: &Solvability| Layout::ALL.iter().position(|l| *l == s.layout);
+    found.sort_by_key(|s| (place(s), s.seed));
+    finish(context, &metrics(&found), out, table(&found).trim_end())
+}
+
+/// A scene's result as a part has it: JSON knows no infinity, which is null there.
+fn scene_of(value: &Value) -> anyhow::Result<Solvability> {
+    let mut value = value.clone();
+    let best = value.get("best_m").cloned().unwrap_or_default();
+    let best: [Option<f64>; 3] = serde_json::from_value(best).context("a part holds no results of scenes")?;
+    value["best_m"] = json!([0.0, 0.0, 0.0]);
+    let mut found: Solvability =
+        serde_json::from_value(value).context("a part holds no results of scenes")?;
+    found.best_m = best.map(|v| v.unwrap_or(f64::INFINITY));
+    Ok(found)
+}
+
+/// The fixed scenes in a target engine.
+fn run_in(context: &Context, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
+    let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
+    let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
+    let target = engine.target()?;
+    let found = run_solved(&bench, target.as_ref(), context.progress.as_ref(), &context.cancel)?;
+    finish(context, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
 }
 
 fn metrics(found: &[Solvability]) -> Metrics {
@@ -85,4 +144,24 @@ fn table(found: &[Solvability]) -> String {
         let _ = writeln!(text, "   {:>4.0} %", 100.0 * s.refused_share);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_without_a_shot_of_some_kind_survives_a_part() {
+        let found = Solvability {
+            layout: Layout::ALL[1],
+            seed: 1001,
+            obstacles: 6,
+            best_m: [0.1, f64::INFINITY, 0.3],
+            success_share: [0.1, 0.0, 0.2],
+            best_action: vec![0.5, 0.1],
+            refused_share: 0.2,
+        };
+        let text = serde_json::to_string(&found).unwrap();
+        assert_eq!(scene_of(&serde_json::from_str(&text).unwrap()).unwrap(), found);
+    }
 }

@@ -58,7 +58,7 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
         cli::Plan { run: root.clone(), task: recording.join("task.toml"), seed: None, robust: None };
     let base = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     plan::run_with(context, &plan_arguments, &task, &context.settings.section("plan", base)?)?;
-    execute::run(context, &cli::Execute { run: root.clone(), engine: None })?;
+    execute::run(context, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
     evaluate::run(context, &cli::Evaluate { run: root.clone(), objects: None })?;
     let page = report::run(context, &cli::Report { run: root.clone() })?;
 

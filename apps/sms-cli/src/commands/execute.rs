@@ -2,12 +2,13 @@
 
 use super::materialize::run_settings;
 use super::{inputs_hash, length_text, of_what, run_stage, shown};
-use crate::cli::{EngineName, Execute};
+use crate::cli::{ArmName, EngineName, Execute};
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder};
 use sms_plan::load_plan;
 use sms_scene::load_scene;
+use sms_sim::ArmKind;
 use sms_synth::read_truth;
 use sms_target::{TargetEngine, TargetOptions, execute_on};
 use sms_task::{Execution, Task};
@@ -32,8 +33,20 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?;
     // The same robot as in the plan, wherever it would stand now.
-    let options = TargetOptions { robot: plan.robot.clone().unwrap_or_default(), ..TargetOptions::default() };
-    let target = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine).target()?;
+    let engine = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine);
+    let arm = match a.arm {
+        ArmName::Shared => ArmKind::Shared,
+        ArmName::Articulation if matches!(engine, TargetEngine::Physx | TargetEngine::PhysxStock) => {
+            ArmKind::Articulation
+        }
+        ArmName::Articulation => {
+            let what = format!("{} has no articulation of its own for the arm", engine.name());
+            return Err(InputError::new(what, "--arm", "add `--engine physx`, or leave `--arm` out").into());
+        }
+    };
+    let robot = plan.robot.clone().unwrap_or_default();
+    let options = TargetOptions { robot, arm, ..TargetOptions::default() };
+    let target = engine.target()?;
     let mut read = Hasher::new();
     read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
     read.text(target.label());

@@ -5,6 +5,7 @@ mod bench_billiards;
 mod bench_engines;
 mod bench_masks;
 mod bench_materialize;
+mod bench_merge;
 mod bench_optimisers;
 mod bench_physics;
 mod bench_plan;
@@ -23,6 +24,7 @@ pub(crate) mod sample;
 pub(crate) mod scan;
 pub(crate) mod settings;
 pub(crate) mod simulate;
+pub(crate) mod synth;
 pub(crate) mod view;
 pub(crate) mod vlm;
 

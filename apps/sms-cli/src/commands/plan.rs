@@ -115,8 +115,8 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
                 line.push_str(&format!("{:>9}", length_text(v)));
             }
             line.push_str(&format!("{:>7.0} %", 100.0 * p.success_share));
-            if p.invalid > 0 {
-                line.push_str(&format!("  ({} of {} not valid)", p.invalid, p.worlds));
+            if let Some(missing) = p.missing_text() {
+                line.push_str(&format!("  ({missing})"));
             }
         } else if let Some(text) = s.unbelievable_text() {
             line.push_str(&format!("  {text}"));

@@ -10,8 +10,7 @@ use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder, atomic};
 use sms_plan::{Plan, load_plan};
 use sms_robot::{
-    JointProgram, RobotConfig, StrikeCheck, StrikeConfig, Sweep, Workspace, check_strike, obstacles,
-    plan_strike,
+    JointProgram, RobotConfig, StrikeCheck, Sweep, Workspace, check_strike, obstacles, plan_strike,
 };
 use sms_scene::load_scene;
 use sms_task::Task;
@@ -42,7 +41,7 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     let task = Task::read(&plan_dir.join("task.toml"))?.resolve(&scene)?;
     let motion = task.strike(&plan.action);
     let sweep =
-        Sweep::of_ball(motion.contact_w, motion.ball_radius, motion.angle, motion.speed, config.front_m);
+        Sweep::of_ball(motion.contact_w, motion.ball_radius, motion.angle, motion.speed, config.half_m().x);
     run.record_settings("robot", &config)?;
 
     let mut read = Hasher::new();
@@ -53,8 +52,7 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     let read_robot = format!("{robot:?}");
     let hash = inputs_hash(&[&read.finish()], &(&config, read_robot))?;
     let dir = run_stage(context, &run, "robot", &["robot."], &hash, |stage, _| {
-        // Of another robot's tool it is not known whether its back is as good as its front.
-        let settings = StrikeConfig { symmetric_tool: config.urdf.is_none(), ..StrikeConfig::default() };
+        let settings = config.strike_config();
         let mut ws = Workspace::default();
         let around = obstacles(&scene, task.cue().index);
         let strike = plan_strike(&robot, &sweep, &around, &settings, &mut ws)

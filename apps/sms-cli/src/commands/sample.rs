@@ -37,6 +37,11 @@ pub(crate) fn write(
     folder: &Path,
 ) -> anyhow::Result<()> {
     write_recording(truth, settings, folder, context.progress.as_ref(), &context.cancel)?;
+    write_beside(truth, folder)
+}
+
+/// Writes the task and the place of the robot of a recording.
+pub(crate) fn write_beside(truth: &TruthScene, folder: &Path) -> anyhow::Result<()> {
     task_of(truth).write(&folder.join("task.toml"))?;
     robot::write_place(folder, &sms_bench::robot_of(truth))?;
     Ok(())

@@ -1,6 +1,6 @@
 //! The figures of the table.
 
-use super::{BilliardsScene, Row};
+use super::{BilliardsScene, Replaced, Row};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
@@ -53,7 +53,11 @@ pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
             for (row, seconds) in &s.seconds {
                 metrics.set(format!("{prefix}.{}_plan_s", row.as_str()), *seconds);
             }
+            for (part, seconds) in &s.cpu_s {
+                metrics.set(format!("{prefix}.cpu_{part}_s"), *seconds);
+            }
         }
+        add_ablation(&mut metrics, told, &of_told);
     }
     for (engine, why) in scenes.iter().flat_map(|s| &s.not_run) {
         metrics.set(format!("bench.billiards.{engine}.not_run"), why.clone());
@@ -95,9 +99,44 @@ fn add_row(metrics: &mut Metrics, prefix: &str, engine: &str, row: Row, scenes: 
         unfinished += outcomes.map_or(0, |v| v.iter().filter(|v| v.is_none()).count());
     }
     metrics.set(format!("{prefix}.unfinished"), unfinished);
-    metrics.set(format!("{prefix}.evaluations"), mean_sd(&spent).0);
-    if row == Row::Paper {
+    if row != Row::Grid {
+        metrics.set(format!("{prefix}.evaluations"), mean_sd(&spent).0);
         metrics.set(format!("{prefix}.iterations"), mean_sd(&iterations).0);
+    }
+}
+
+/// What plans are worth with something replaced by the truth. Of what was told first there is no word in the keys.
+fn add_ablation(metrics: &mut Metrics, told: MaterialsTold, scenes: &[&BilliardsScene]) {
+    let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
+    let Some(ablation) = there.first().and_then(|s| s.ablation.as_ref()) else { return };
+    let plain = "bench.billiards.ablation";
+    let is_first = metrics.get(&format!("{plain}.materials_told")).is_none();
+    let prefix = if is_first { plain.to_owned() } else { format!("{plain}.{}", told.as_str()) };
+    metrics.set(format!("{prefix}.materials_told"), told.as_str());
+    metrics.set(format!("{prefix}.judge"), ablation.judge.clone());
+    metrics.set(format!("{prefix}.starts"), ablation.starts);
+    metrics.set(format!("{prefix}.scenes"), there.len());
+    for what in Replaced::ALL {
+        for (row, name, of_scene) in [
+            (Row::Ours, "realised_mean_m", "realised_mean_m"),
+            (Row::Robust, "robust_single_mean_m", "robust_single_m"),
+        ] {
+            let mut values = Vec::new();
+            for s in &there {
+                let value = s.ablation.as_ref().and_then(|a| a.realised_m(what, row, s.idle_m));
+                if let Some(value) = value {
+                    let key = format!("{prefix}.scene_{:02}.{}.{of_scene}", s.number, what.as_str());
+                    metrics.set(key, value);
+                    values.push(value);
+                }
+            }
+            metrics.set(format!("{prefix}.{}.{name}", what.as_str()), mean_sd(&values).0);
+        }
+    }
+    for s in &there {
+        if let Some(value) = s.ablation.as_ref().and_then(|a| a.sensitivity_m) {
+            metrics.set(format!("{prefix}.scene_{:02}.sensitivity_m", s.number), value);
+        }
     }
 }
 

@@ -2,12 +2,16 @@
 //! from many starts, and carry every plan out in the target worlds.
 //!
 //! What the planner sees is made in `seen.rs` from the recording and the materials it is told; plans in `rows.rs` are made
-//! of that alone. `realise.rs` is the only place where the truth decides anything. Every scene is a file that is written
+//! of that alone. `realise.rs` and `ablation.rs` are the only places where the truth decides anything. Every scene is a file that is written
 //! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
 //! in one folder.
 
+mod ablation;
+mod cause;
+mod drawing;
 mod figures;
 mod options;
+mod pictures;
 mod realise;
 mod result;
 mod rows;
@@ -15,8 +19,11 @@ mod run;
 mod seen;
 mod table;
 
+pub use ablation::{Ablated, Ablation, Replaced};
+pub use drawing::{Drawing, Way};
 pub use figures::billiards_metrics;
-pub use options::{BilliardsBench, BilliardsGeometry};
+pub use options::{BilliardsBench, BilliardsGeometry, paper_entities};
+pub use pictures::write_pictures;
 pub use result::{BilliardsScene, Row, Shot, read_billiards, write_shots};
 pub use run::run_billiards;
 pub use table::billiards_table;

@@ -2,15 +2,46 @@
 
 use crate::{BenchOptions, MaskChoice, MaterializeOptions, MaterialsTold};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use sms_convex::ConvexConfig;
 use sms_core::{Hash, Seed, hash_serializable};
+use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
 use sms_gaussians::Preset;
 use sms_plan::{Disturbances, GridBaseline, PlanConfig};
 use sms_synth::FixedScene;
 use sms_target::TargetEngine;
 use std::path::{Path, PathBuf};
 
+/// Target engines: the judge first, and what takes longest last.
+pub(super) const ENGINES: [TargetEngine; 4] =
+    [TargetEngine::Physx, TargetEngine::PhysxStock, TargetEngine::Rapier, TargetEngine::Mujoco];
 /// Counts up when what is kept of a scene, or how it is made, changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+
+/// The paper's way from Gaussians to bodies (section "Physics-ready scene"; where it is silent, its released code): discs
+/// sampled evenly and not moved to the measured depth, tetrahedra pruned by edge length, spheres as exact bodies and nothing
+/// else, convex parts at CoACD's threshold of 0.075. Hulls have at most 64 corners, not 256, as the engines here allow,
+/// and objects at most 32 hulls: bumpy as pruned tetrahedra are, they would have sixty, and rollouts take twice as long.
+/// Stacks and things that do not rest are repaired as in our own way: the paper speaks of post-processing without saying how.
+pub fn paper_entities() -> EntitiesConfig {
+    let own = EntitiesConfig::default();
+    EntitiesConfig {
+        mesh: MeshRule::Prune,
+        prune_factor: 2.25,
+        prune_neighbors: 10,
+        prune_length: None,
+        density_per_m2: 25_000.0,
+        // None is sampled more finely for being small.
+        point_budget: 50,
+        disc_sigmas: 2.5,
+        refine_to_depth: false,
+        face_budget: 750,
+        primitive: PrimitiveConfig { enabled: false, ..own.primitive.clone() },
+        convex: ConvexConfig { threshold: 0.075, floor: 0.0, max_parts: 32, max_vertices: 64 },
+        texture: TextureConfig { enabled: false, ..own.texture.clone() },
+        ..own
+    }
+}
 
 /// Where the planner's geometry comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -43,18 +74,22 @@ pub struct BilliardsBench {
     pub geometry: BilliardsGeometry,
     /// How scenes are scanned, and where scans are kept.
     pub scan: MaterializeOptions,
-    /// Target worlds.
+    /// Target worlds; the first is the judge of the ablation.
     pub engines: Vec<TargetEngine>,
     /// Plans of row `paper` and of row `ours` (paper: 30).
     pub starts: usize,
     /// Row `paper`; its number of starts is [`BilliardsBench::starts`].
     pub paper: PlanConfig,
+    /// How row `paper` makes bodies of the scan.
+    pub paper_entities: EntitiesConfig,
     /// Row `ours`: each start is a whole plan with these settings from a seed of its own.
     pub ours: PlanConfig,
     /// The one plan a scene that a user would carry out.
     pub robust: PlanConfig,
     /// The paper's baseline.
     pub grid: GridBaseline,
+    /// Starts of row `ours` with each thing replaced by the truth (see [`crate::Replaced`]); 0 leaves the ablation out.
+    pub ablation_starts: usize,
     /// Seed of all plans.
     pub seed: Seed,
     /// Folder of the results.
@@ -75,12 +110,14 @@ impl BilliardsBench {
                 keep: keep.to_owned(),
                 rescan: false,
             },
-            engines: TargetEngine::ALL.into_iter().filter(|e| e.is_built_in()).collect(),
+            engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
             starts: 30,
             paper: PlanConfig::paper(),
+            paper_entities: paper_entities(),
             ours: Self::small(),
             robust: PlanConfig { sensitivity_rollouts: 0, ..PlanConfig::default() },
             grid: GridBaseline::default(),
+            ablation_starts: 0,
             seed: Seed(0),
             out: out.into(),
         }
@@ -113,11 +150,42 @@ impl BilliardsBench {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => Some((
                 (&bench.read, &bench.load, &bench.masks, masks, &bench.scan, bench.frames),
-                &bench.entities,
+                (&bench.entities, &self.paper_entities),
             )),
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
         hash_serializable(&(VERSION, scene.generate(), told, seen, plans))
+    }
+
+    /// What the figures depend on, besides scenes and code, for comparing parts of a run.
+    pub fn settings(&self) -> Map<String, Value> {
+        let bench = &self.scan.bench;
+        let mut map = Map::new();
+        let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
+        for (name, value) in [
+            ("materials", json!(self.told)),
+            ("geometry", json!(self.geometry)),
+            ("preset", json!(bench.preset_name())),
+            ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
+            ("frames", json!(bench.frames)),
+            ("read", json!(bench.read)),
+            ("load", json!(bench.load)),
+            ("masks", json!(bench.masks)),
+            ("scan", json!(bench.scan)),
+            ("entities", json!(bench.entities)),
+            ("paper_entities", json!(self.paper_entities)),
+            ("engines", json!(engines)),
+            ("starts", json!(self.starts)),
+            ("ablation_starts", json!(self.ablation_starts)),
+            ("paper", json!(self.paper)),
+            ("ours", json!(self.ours)),
+            ("robust", json!(self.robust)),
+            ("grid", json!(self.grid)),
+            ("seed", json!(self.seed)),
+        ] {
+            map.insert(name.to_owned(), value);
+        }
+        map
     }
 
     /// File of a scene.

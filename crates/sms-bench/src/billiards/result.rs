@@ -1,6 +1,6 @@
 //! What is kept of a scene.
 
-use super::{BilliardsBench, BilliardsGeometry};
+use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing};
 use crate::{BenchError, MaterialsTold};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
@@ -14,7 +14,7 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Row {
-    /// The paper's: plain Nelder-Mead from random starts, each its own plan.
+    /// The paper's: plain Nelder-Mead from random starts, each its own plan, in bodies made of the scan the paper's way.
     Paper,
     /// Ours: a small plan from each of as many seeds.
     Ours,
@@ -50,10 +50,24 @@ pub struct Shot {
     pub predicted_mean_m: Option<f64>,
     /// Rollouts.
     pub evaluations: usize,
-    /// Iterations of the local search, of one that has a single one.
+    /// Iterations of the local searches (`paper`: of the one search, which ends when it has converged or after 30).
     pub iterations: usize,
     /// Whether the arm can make the strike; else a finger that gives no way makes it (the baseline knows no arm).
     pub by_arm: bool,
+}
+
+impl Shot {
+    /// Nothing is done, and the target ball stays so far from the goal.
+    pub(super) fn nothing(idle_m: f64) -> Self {
+        Self {
+            action: None,
+            predicted_m: idle_m,
+            predicted_mean_m: None,
+            evaluations: 0,
+            iterations: 0,
+            by_arm: true,
+        }
+    }
 }
 
 /// A scene's plans and what became of them.
@@ -89,6 +103,15 @@ pub struct BilliardsScene {
     /// Engines that could not be used, with the reason.
     #[serde(default)]
     pub not_run: BTreeMap<String, String>,
+    /// CPU seconds of this process in each part: `see` (reading or making scan and bodies), `plan_{row}`, `{engine}`.
+    #[serde(default)]
+    pub cpu_s: BTreeMap<String, f64>,
+    /// What pictures need.
+    #[serde(default)]
+    pub drawing: Drawing,
+    /// What is lost where.
+    #[serde(default)]
+    pub ablation: Option<Ablation>,
 }
 
 impl BilliardsScene {

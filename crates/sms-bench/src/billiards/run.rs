@@ -1,15 +1,19 @@
 //! Scene by scene.
 
+use super::ablation::ablate;
+use super::drawing::{outlines, ways};
+use super::realise::Table;
 use super::result::kept;
-use super::rows::make;
-use super::seen::see;
-use super::{BilliardsBench, BilliardsScene};
-use crate::{BenchError, MaterialsTold, robot_of};
+use super::rows::{View, make};
+use super::seen::{Seen, see};
+use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
+use crate::{BenchError, MaterialsTold, cpu_seconds, robot_of};
 use glamx::DVec2;
-use sms_core::{Cancel, Progress, atomic};
+use sms_core::{Cancel, Progress, Seed, atomic};
 use sms_plan::PlanError;
+use sms_robot::RobotConfig;
 use sms_synth::{FixedScene, TruthScene};
-use sms_target::TargetEngine;
+use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::TaskError;
 use std::collections::BTreeMap;
 
@@ -46,49 +50,29 @@ fn run_scene(
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
     };
-    if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty()) {
+    let ablated = |r: &BilliardsScene| {
+        bench.ablation_starts == 0
+            || r.ablation.as_ref().is_some_and(|a| a.starts == bench.ablation_starts.min(bench.starts))
+    };
+    if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty() && ablated(r)) {
         return Ok(result.clone());
     }
     let truth = fixed.generate();
     let robot = robot_of(&truth);
+    let clock = Clock::start();
     let seen = see(bench, fixed, &truth, told, progress, cancel)?;
+    let see_s = clock.cpu_s();
+    let seed = bench.seed.derive_index("billiards", fixed.number as u64);
     let mut result = match before {
         Some(result) => result,
         None => {
-            let mut result = BilliardsScene {
-                key: bench.key(fixed, told),
-                number: fixed.number,
-                layout: fixed.layout,
-                told,
-                geometry: bench.geometry,
-                idle_m: idle_m(&truth),
-                objects: truth.objects.len(),
-                matched: seen.matched,
-                strays: seen.strays,
-                problem: None,
-                plans: BTreeMap::new(),
-                seconds: BTreeMap::new(),
-                realised: BTreeMap::new(),
-                not_run: BTreeMap::new(),
-            };
-            let seed = bench.seed.derive_index("billiards", fixed.number as u64);
-            match make(bench, &seen, &robot, seed, progress, cancel) {
-                Ok(plans) => {
-                    for (row, (shots, seconds)) in plans {
-                        result.plans.insert(row, shots);
-                        result.seconds.insert(row, seconds);
-                    }
-                }
-                // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
-                Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
-                    result.do_nothing(bench, &e.to_string())
-                }
-                Err(e) => return Err(e),
-            }
+            let mut result = plan_all(bench, fixed, told, &seen, &truth, &robot, seed, progress, cancel)?;
+            result.cpu_s.extend(see_s.map(|s| ("see".to_owned(), s)));
             atomic::write_json(&path, &result)?;
             result
         }
     };
+    let view_of = |row: Row| View { task: &seen.task, scene: seen.scene_of(row) };
     for engine in missing(&result) {
         let target = match engine.target() {
             Ok(target) => target,
@@ -99,39 +83,111 @@ fn run_scene(
             }
         };
         result.not_run.remove(engine.key());
-        let realised = super::realise::realise(
-            &*target,
-            &seen,
-            &truth,
-            &robot,
-            &result.plans,
-            result.idle_m,
-            progress,
-            cancel,
-        )?;
-        result.realised.insert(engine.key().to_owned(), realised);
+        let clock = Clock::start();
+        let table = Table { target: &*target, truth: &truth, robot: &robot, idle_m: result.idle_m };
+        let realised = table.realise(&view_of, &result.plans, progress, cancel)?;
+        result.realised.insert(engine.key().to_owned(), realised.rows);
+        if let Some(motion) = &realised.motion {
+            result.drawing.realised.insert(engine.key().to_owned(), ways(motion));
+        }
+        result.cpu_s.extend(clock.cpu_s().map(|s| (engine.key().to_owned(), s)));
+        atomic::write_json(&path, &result)?;
+    }
+    if !ablated(&result) {
+        let clock = Clock::start();
+        let ablation = ablate(bench, &result, &seen, &truth, &robot, seed, progress, cancel)?;
+        result.ablation = Some(ablation);
+        result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
         atomic::write_json(&path, &result)?;
     }
     Ok(result)
 }
 
-impl BilliardsScene {
-    /// Nothing could be planned.
-    fn do_nothing(&mut self, bench: &BilliardsBench, why: &str) {
-        use super::{Row, Shot};
-        self.problem = Some(why.to_owned());
-        let nothing = Shot {
-            action: None,
-            predicted_m: self.idle_m,
-            predicted_mean_m: None,
-            evaluations: 0,
-            iterations: 0,
-            by_arm: true,
-        };
-        for row in Row::ALL {
-            let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
-            self.plans.insert(row, vec![nothing.clone(); count]);
+/// All plans of a scene.
+fn plan_all(
+    bench: &BilliardsBench,
+    fixed: &FixedScene,
+    told: MaterialsTold,
+    seen: &Seen,
+    truth: &TruthScene,
+    robot: &RobotConfig,
+    seed: Seed,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<BilliardsScene, BenchError> {
+    let mut result = BilliardsScene {
+        key: bench.key(fixed, told),
+        number: fixed.number,
+        layout: fixed.layout,
+        told,
+        geometry: bench.geometry,
+        idle_m: idle_m(truth),
+        objects: truth.objects.len(),
+        matched: seen.matched,
+        strays: seen.strays,
+        problem: None,
+        plans: BTreeMap::new(),
+        seconds: BTreeMap::new(),
+        realised: BTreeMap::new(),
+        not_run: BTreeMap::new(),
+        cpu_s: BTreeMap::new(),
+        drawing: drawing(seen, truth)?,
+        ablation: None,
+    };
+    for row in [Row::Grid, Row::Robust, Row::Ours, Row::Paper] {
+        let view = View { task: &seen.task, scene: seen.scene_of(row) };
+        match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
+            Ok(planned) => {
+                result.plans.insert(row, planned.shots);
+                result.seconds.insert(row, planned.seconds);
+                result.cpu_s.extend(planned.cpu_s.map(|s| (format!("plan_{}", row.as_str()), s)));
+                if let Some(motion) = planned.motion {
+                    result.drawing.predicted = ways(&motion);
+                }
+            }
+            // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
+            Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
+                if row != Row::Paper {
+                    result.problem = Some(e.to_string());
+                }
+                let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
+                result.plans.insert(row, vec![Shot::nothing(result.idle_m); count]);
+            }
+            Err(e) => return Err(e),
         }
+    }
+    Ok(result)
+}
+
+/// What stands there, as planned and in truth.
+fn drawing(seen: &Seen, truth: &TruthScene) -> Result<Drawing, BenchError> {
+    let mut real = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
+    let x_wt = seen.scene.x_world_recording;
+    for body in &mut real.bodies {
+        body.x_wb = x_wt * body.x_wb;
+    }
+    let resolved = seen.task.resolve(&seen.scene).ok();
+    let goal = DVec2::from_array(truth.goal_w).extend(0.0);
+    Ok(Drawing {
+        goal_w: Some(x_wt.transform_point(goal).truncate().to_array()),
+        balls: resolved.map(|t| [t.cue().name.clone(), t.target().name.clone()]),
+        true_balls: [truth.cue.clone(), truth.target.clone()],
+        planned: outlines(&seen.scene),
+        truth: outlines(&real),
+        ..Drawing::default()
+    })
+}
+
+/// CPU seconds of this process, where the system tells.
+struct Clock(Option<f64>);
+
+impl Clock {
+    fn start() -> Self {
+        Self(cpu_seconds())
+    }
+
+    fn cpu_s(&self) -> Option<f64> {
+        Some(cpu_seconds()? - self.0?)
     }
 }
 
@@ -143,10 +199,12 @@ fn idle_m(truth: &TruthScene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::billiards::rows;
-    use crate::{BilliardsGeometry, Row, billiards_metrics, billiards_table, read_billiards, write_shots};
+    use crate::{
+        BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_pictures,
+        write_shots,
+    };
+    use sms_core::NoProgress;
     use sms_core::table::read_table;
-    use sms_core::{NoProgress, Seed};
     use sms_plan::PlanConfig;
     use sms_synth::{FIXED_SCENES, redraw_materials};
     use std::path::Path;
@@ -221,6 +279,48 @@ mod tests {
     }
 
     #[test]
+    fn with_everything_true_plans_do_what_they_promise_and_pictures_are_complete() {
+        let dir = tempfile::tempdir().unwrap();
+        let bench = BilliardsBench { ablation_starts: 1, ..tiny(dir.path(), &[8]) };
+        let run = || run_billiards(&bench, &|_| {}, &NoProgress, &Cancel::new()).unwrap();
+        run();
+        let all = read_billiards(&bench).unwrap();
+        let ablation = all[0].ablation.as_ref().unwrap();
+        assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier_f64", Replaced::ALL.len()));
+        for row in [Row::Ours, Row::Robust] {
+            // Nothing differs: neither what is known nor the engine nor its step.
+            let of = &ablation.rows[&Replaced::All][&row];
+            let realised = of.realised_m[0].unwrap();
+            assert!((realised - of.predicted_m[0]).abs() < 1e-5, "{realised} {:?}", of.predicted_m);
+            // Nothing replaced is what was run anyway.
+            let none = &ablation.rows[&Replaced::None][&row];
+            assert_eq!(none.realised_m[0], all[0].realised["rapier_f64"][&row][0]);
+        }
+        let metrics = billiards_metrics(&all);
+        for what in Replaced::ALL {
+            for name in ["realised_mean_m", "robust_single_mean_m"] {
+                let key = format!("bench.billiards.ablation.{}.{name}", what.as_str());
+                assert!(metrics.number(&key).is_some_and(f64::is_finite), "{key}");
+            }
+        }
+        // A finished ablation is not made again.
+        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        run();
+        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        assert_eq!(before.modified().unwrap(), after.modified().unwrap());
+
+        write_pictures(dir.path(), &all, "a < b").unwrap();
+        let page = std::fs::read_to_string(dir.path().join("index.html")).unwrap();
+        assert!(page.contains("a &lt; b") && page.contains("row ours") && page.contains("row paper"));
+        // Each body of the true scene is drawn in the picture of what was realised, and the balls leave ghosts.
+        let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
+        let picture = std::fs::read_to_string(picture).unwrap();
+        assert_eq!(picture.matches("aria-label=\"the shot from above\"").count(), 2);
+        assert!(picture.matches("<circle").count() > 10 && picture.contains("realised"), "{picture}");
+        assert!(page.len() > picture.len() && !page.contains("href"));
+    }
+
+    #[test]
     fn plans_do_not_depend_on_true_materials_that_are_not_told() {
         let dir = tempfile::tempdir().unwrap();
         let bench = tiny(dir.path(), &[8]);
@@ -228,8 +328,11 @@ mod tests {
         let plans = |truth: &TruthScene, told| {
             let seen = see(&bench, &fixed, truth, told, &NoProgress, &Cancel::new()).unwrap();
             let robot = robot_of(truth);
-            let plans = rows::make(&bench, &seen, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap();
-            plans.into_iter().map(|(row, (shots, _))| (row, shots)).collect::<Vec<_>>()
+            let make = |row| {
+                let view = View { task: &seen.task, scene: seen.scene_of(row) };
+                make(&bench, view, row, 2, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap().shots
+            };
+            Row::ALL.map(make)
         };
         let truth = fixed.generate();
         let other = redraw_materials(&truth, Seed(9));

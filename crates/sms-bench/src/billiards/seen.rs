@@ -1,6 +1,6 @@
 //! The scene that the planner sees.
 
-use super::{BilliardsBench, BilliardsGeometry};
+use super::{BilliardsBench, BilliardsGeometry, Row};
 use crate::materialize::scan_key;
 use crate::told::set_material;
 use crate::{BenchError, BenchOptions, BenchScene, MaskChoice, MaterialsTold, train};
@@ -8,7 +8,7 @@ use glamx::DMat3;
 use sms_core::{
     Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, Warnings, hash_serializable,
 };
-use sms_entities::build_entities;
+use sms_entities::{EntitiesConfig, build_entities};
 use sms_materials::MaterialTable;
 use sms_plan::PlanError;
 use sms_scene::{Body, BodyKind, BodyShape, Scene, build_scene, load_scene, save_scene};
@@ -24,11 +24,22 @@ const SEED: Seed = Seed(0);
 #[derive(Debug, Clone)]
 pub(super) struct Seen {
     pub(super) scene: Scene,
+    /// The same scan made into bodies the paper's way, for row `paper`.
+    pub(super) paper: Scene,
     pub(super) task: Task,
+    /// Seed of what is told of materials.
+    pub(super) told_seed: Seed,
     /// True objects in whose place a body is.
     pub(super) matched: usize,
     /// Bodies in whose place no object is.
     pub(super) strays: usize,
+}
+
+impl Seen {
+    /// What a row plans in.
+    pub(super) fn scene_of(&self, row: Row) -> &Scene {
+        if row == Row::Paper { &self.paper } else { &self.scene }
+    }
 }
 
 /// Makes it, or finds it where it was kept: the geometry with the prior's materials, then what is told.
@@ -40,15 +51,21 @@ pub(super) fn see(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Seen, BenchError> {
-    let mut scene = match bench.geometry {
+    let (mut scene, mut paper) = match bench.geometry {
         BilliardsGeometry::Truth => {
             let mut scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
             scene.bodies.iter_mut().for_each(forget_material);
-            scene
+            (scene.clone(), scene)
         }
-        BilliardsGeometry::Scan => scanned(bench, fixed, progress, cancel)?,
+        BilliardsGeometry::Scan => {
+            let entities = [&bench.scan.bench.entities, &bench.paper_entities];
+            let [ours, papers] = entities.map(|e| scanned(bench, fixed, e, progress, cancel));
+            (ours?, papers?)
+        }
     };
-    let pairs = tell_matched(&mut scene, truth, told, Seed(fixed.seed))?;
+    let told_seed = Seed(fixed.seed);
+    let pairs = tell_matched(&mut scene, truth, told, told_seed)?;
+    tell_matched(&mut paper, truth, told, told_seed)?;
     let goal = truth.goal_w;
     let goal_w = scene
         .x_world_recording
@@ -65,12 +82,13 @@ pub(super) fn see(
         }
     };
     let bodies = scene.bodies.iter().filter(|b| is_object(b)).count();
-    Ok(Seen { task: Task::Billiards(task), matched: pairs, strays: bodies - pairs, scene })
+    let task = Task::Billiards(task);
+    Ok(Seen { task, told_seed, matched: pairs, strays: bodies - pairs, scene, paper })
 }
 
 /// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
 /// is rounded, because the last bits of a quotient tell of the divisor.
-fn forget_material(body: &mut Body) {
+pub(super) fn forget_material(body: &mut Body) {
     let is_sphere = matches!(body.shape, BodyShape::Sphere { .. });
     let prior = MaterialTable::builtin().prior(is_sphere);
     let density = body.material.effective_density();
@@ -87,13 +105,14 @@ fn forget_material(body: &mut Body) {
 fn scanned(
     bench: &BilliardsBench,
     fixed: &FixedScene,
+    entities: &EntitiesConfig,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Scene, BenchError> {
     let which = BenchScene::Fixed(fixed.number);
     let true_masks = bench.scan.masks == MaskChoice::Truth;
     let options = BenchOptions { true_masks, ..bench.scan.bench.clone() };
-    let key = hash_serializable(&(scan_key(&which, &options)?, fixed.generate(), &options.entities, SEED)).0;
+    let key = hash_serializable(&(scan_key(&which, &options)?, fixed.generate(), entities, SEED)).0;
     let dir = bench.scan.keep.join("scenes").join(format!("{which}-{}", &key[..12]));
     if !bench.scan.rescan && dir.join("scene.json").is_file() {
         return Ok(load_scene(&dir)?);
@@ -111,7 +130,7 @@ fn scanned(
         &trained.model,
         &trained.sequence,
         &trained.labels,
-        &options.entities,
+        entities,
         SEED,
         progress,
         cancel,
@@ -131,13 +150,13 @@ fn scanned(
 }
 
 /// Whether it is a thing of some size, and not the floor or the background.
-fn is_object(body: &Body) -> bool {
+pub(super) fn is_object(body: &Body) -> bool {
     !matches!(body.shape, BodyShape::HalfSpace) && body.mass.is_some()
 }
 
 /// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
 /// are. Names of the two scenes have nothing to do with each other.
-fn tell_matched(
+pub(super) fn tell_matched(
     scene: &mut Scene,
     truth: &TruthScene,
     told: MaterialsTold,

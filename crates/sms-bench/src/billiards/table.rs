@@ -1,10 +1,13 @@
 //! The paper's Table 1 with ours beside it.
 
-use super::{BilliardsScene, Row, billiards_metrics};
+use super::cause::{cause, promised_m};
+use super::options::ENGINES;
+use super::{BilliardsScene, Replaced, Row, billiards_metrics};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
 use sms_synth::FIXED_SCENES;
 use sms_target::TargetEngine;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// The paper's figures (Table 1), centimetres: label, key, SMS, baseline. The baseline is one plan a scene.
@@ -16,8 +19,6 @@ const PAPER: [(&str, &str, &str, &str); 6] = [
     ("realised, best per scene", "realised_best_", "5.5 (8.3)", ""),
     ("realised, worst per scene", "realised_worst_", "41.2 (22.1)", ""),
 ];
-/// Objective up to which a shot counts as done, metres (the task's default).
-const DONE_M: f64 = 0.05;
 
 /// The table of results, one block for each engine and what was told, with one line for each scene below it: those where
 /// the robust plan fares worst come first.
@@ -31,11 +32,11 @@ pub fn billiards_table(scenes: &[BilliardsScene]) -> String {
             continue;
         }
         // The judge first.
-        for engine in
-            [TargetEngine::Physx, TargetEngine::PhysxStock, TargetEngine::Mujoco, TargetEngine::Rapier]
-        {
+        for engine in ENGINES {
             block(&mut text, &metrics, &of_told, told, engine);
         }
+        ablation(&mut text, &of_told);
+        time(&mut text, &of_told);
     }
     text.push_str("materials vlm: not run\n");
     text
@@ -92,6 +93,13 @@ fn block(
     }
     let single = cell("ours", "robust_single_");
     let _ = writeln!(text, "  {:<28}{:>14}{:>14}{single:>14}", "one robust plan, realised", "", "");
+    for (label, key) in [("rollouts a start", "evaluations"), ("iterations a start", "iterations")] {
+        let of = |row: &str| {
+            let value = metrics.number(&format!("{prefix}.{row}.{}.{key}", told.as_str()));
+            value.map_or_else(|| "-".to_owned(), |v| format!("{v:.0}"))
+        };
+        let _ = writeln!(text, "  {label:<28}{:>14}{:>14}{:>14}", "", of("paper"), of("ours"));
+    }
     per_scene(text, &there, key);
 }
 
@@ -114,10 +122,10 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
             format!("{:>10.1} {:>5.1} {:>5.1}", 1e2 * mean, 1e2 * best, 1e2 * worst)
         };
         let shot = s.plans.get(&Row::Robust).and_then(|v| v.first());
-        let promised = shot.map_or(f64::NAN, |p| p.predicted_mean_m.unwrap_or(p.predicted_m));
+        let promised = shot.map_or(f64::NAN, promised_m);
         let _ = writeln!(
             text,
-            "  {:>2} {:<10} {:>8.1} {:>7}    {}    {}  {:>6.1}   {}/{}{}",
+            "  {:>2} {:<10} {:>8.1} {:>7}    {}    {}  {:>6.1}   {}/{}",
             s.number,
             s.layout.as_str(),
             1e2 * single(s),
@@ -126,32 +134,58 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
             spread(Row::Paper),
             1e2 * of(s, Row::Grid).first().copied().unwrap_or(f64::NAN),
             s.matched,
-            s.objects,
-            cause(s, single(s), promised, engine)
+            s.objects
         );
+        let why = cause(s, engine);
+        if !why.is_empty() {
+            let _ = writeln!(text, "       {why}");
+        }
     }
 }
 
-/// Why the robust plan of a scene missed, as far as the figures tell.
-fn cause(s: &BilliardsScene, realised: f64, promised: f64, engine: &str) -> String {
-    if let Some(problem) = &s.problem {
-        return format!("  nothing planned: {problem}");
+/// What row `ours` and the robust plan are worth with one thing after another replaced by the truth.
+fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
+    let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
+    let Some(first) = there.first().and_then(|s| s.ablation.as_ref()) else { return };
+    let _ = writeln!(
+        text,
+        "what is lost where: {} scenes, {} starts, judge {}; cm realised, means\n  {:<22}{:>12}{:>12}",
+        there.len(),
+        first.starts,
+        first.judge,
+        "replaced by the truth",
+        "row ours",
+        "robust plan"
+    );
+    for what in Replaced::ALL {
+        let mean = |row| {
+            let of = |s: &&BilliardsScene| s.ablation.as_ref()?.realised_m(what, row, s.idle_m);
+            let values: Vec<f64> = there.iter().filter_map(of).collect();
+            1e2 * super::figures::mean_sd(&values).0
+        };
+        let _ = writeln!(text, "  {:<22}{:>12.1}{:>12.1}", what.as_str(), mean(Row::Ours), mean(Row::Robust));
     }
-    if realised <= DONE_M {
-        return String::new();
+}
+
+/// Where the time goes.
+fn time(text: &mut String, scenes: &[&BilliardsScene]) {
+    let mut parts: BTreeMap<&str, (f64, f64)> = BTreeMap::new();
+    for (part, &seconds) in scenes.iter().flat_map(|s| &s.cpu_s) {
+        let part = parts.entry(part.as_str()).or_default();
+        *part = (part.0 + seconds, part.1.max(seconds));
     }
-    let unfinished = s
-        .realised
-        .get(engine)
-        .and_then(|of| of.get(&Row::Robust))
-        .is_some_and(|v| v.first().is_some_and(Option::is_none));
-    if unfinished {
-        "  the engine could not finish the shot".into()
-    } else if promised > DONE_M {
-        "  no shot was found that holds in disturbed worlds".into()
-    } else if s.matched < s.objects {
-        format!("  {} objects are not where the scan has any", s.objects - s.matched)
-    } else {
-        "  the target differs from what the plan allows for".into()
+    if parts.is_empty() {
+        return;
     }
+    let mut parts: Vec<(&str, (f64, f64))> = parts.into_iter().collect();
+    parts.sort_by(|a, b| b.1.0.total_cmp(&a.1.0));
+    let all: f64 = parts.iter().map(|p| p.1.0).sum();
+    let list: Vec<String> =
+        parts.iter().map(|(p, (sum, most))| format!("{p} {sum:.0} ({most:.0})")).collect();
+    let _ = writeln!(
+        text,
+        "CPU seconds, all scenes (most in one): {}; together {:.1} CPU-minutes",
+        list.join(", "),
+        all / 60.0
+    );
 }

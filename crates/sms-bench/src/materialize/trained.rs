@@ -118,8 +118,8 @@ pub fn train(
     }))
 }
 
-/// Names a scan by everything that it was made from but the code: the model's files or the scene's seed, and all settings
-/// up to the scan.
+/// Names a scan by everything that it was made from but the code: the model's files, the fixed scene's truth or the scene's
+/// seed, and all settings up to the scan.
 pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<String, CoreError> {
     let mut hasher = Hasher::new();
     if let BenchScene::Model(name) = scene {
@@ -132,6 +132,12 @@ pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<Strin
         for file in files {
             hasher.file(&file)?;
         }
+    }
+    // A number stays when its scene is made otherwise.
+    if let BenchScene::Fixed(_) = scene
+        && let Some(made) = generated(scene)?
+    {
+        hasher.text(&hash_serializable(&made.scene).0);
     }
     let settings =
         (&bench.read, &bench.load, &bench.masks, bench.true_masks, &bench.scan, bench.frames, SCAN_SEED);

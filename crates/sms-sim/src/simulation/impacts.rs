@@ -63,6 +63,9 @@ impl Simulation {
                 By::Finger(motion) => {
                     return Path::Sweep { motion, start_s: self.world_s - strike.start_s };
                 }
+                By::EngineArm(_) => {
+                    return Path::Free { state: &self.states[body], acceleration_w: DVec3::ZERO };
+                }
                 By::Arm(arm) => {
                     let acceleration_w = arm.acceleration_w();
                     return Path::Free { state: &self.states[body], acceleration_w };

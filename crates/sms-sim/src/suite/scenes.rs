@@ -89,7 +89,11 @@ pub(super) fn simulate_with(
         x_world_recording: DPose3::IDENTITY,
         bodies,
     };
-    Simulation::new(factory, &scene, &WorldOptions { dt: DT, sleep: false, contact_timing })
+    Simulation::new(
+        factory,
+        &scene,
+        &WorldOptions { dt: DT, sleep: false, contact_timing, ..WorldOptions::default() },
+    )
 }
 
 /// Sets a body in motion from where it is.

@@ -87,7 +87,7 @@ pub fn scene(gravity: f64, bodies: Vec<Body>) -> Scene {
 }
 
 pub fn awake() -> WorldOptions {
-    WorldOptions { dt: DT, sleep: false, contact_timing: true }
+    WorldOptions { dt: DT, sleep: false, ..WorldOptions::default() }
 }
 
 pub fn simulate(factory: &dyn WorldFactory, scene: &Scene, options: &WorldOptions) -> Simulation {

@@ -49,7 +49,7 @@ pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Vessel(wall),
         sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, 0.022, 0.5),
+        texture: texture(rng, Pattern::Bands, glaze, 0.022, 0.8),
     }
 }
 
@@ -67,7 +67,7 @@ pub(super) fn plate(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Vessel(wall),
         sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, 0.008, 0.5),
+        texture: texture(rng, Pattern::Bands, glaze, 0.008, 0.8),
     }
 }
 
@@ -93,7 +93,7 @@ pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Vessel(wall),
         sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, (height / 2.6) as f32, 0.5),
+        texture: texture(rng, Pattern::Bands, glaze, (height / 2.6) as f32, 0.8),
     }
 }
 
@@ -126,7 +126,7 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Vessel(wall),
         sphere_radius: None,
-        texture: texture(rng, pattern, glaze, 0.03, 0.5),
+        texture: texture(rng, pattern, glaze, 0.03, 0.8),
     }
 }
 
@@ -156,7 +156,7 @@ pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, colors, (0.35 * height) as f32, 0.6),
+        texture: texture(rng, Pattern::Bands, colors, (0.35 * height) as f32, 0.55),
     }
 }
 
@@ -189,7 +189,7 @@ pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
             ([178, 40, 92], [240, 236, 236]),
         ],
     );
-    let mut texture = texture(rng, Pattern::Bands, colors, 0.05, 0.55);
+    let mut texture = texture(rng, Pattern::Bands, colors, 0.05, 0.65);
     let cap_color = [40, 44, 60];
     let cap_height = (0.08 * height) as f32;
     texture.spots.push(Spot {

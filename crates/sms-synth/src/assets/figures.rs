@@ -1,6 +1,6 @@
 //! Statues and toys.
 
-use super::{Blueprint, HollowKind, SEGMENTS, pick, texture, uniform};
+use super::{Blueprint, HollowKind, SEGMENTS, brass, pick, texture, uniform};
 use crate::shapes::{Cuboid, Ellipsoid, cuboid_union, ellipsoid_union, lathe_solid};
 use crate::texture::{Pattern, Spot};
 use glamx::DVec3;
@@ -9,7 +9,7 @@ use sms_core::StageRng;
 /// Mesh size of figures made of ellipsoids; at 5 mm chords lie 0.2 mm below a surface of 15 mm radius.
 const FIGURE_CELL_M: f64 = 0.005;
 
-pub(super) fn turned_statue(rng: &mut StageRng, size: f64, brass: bool) -> Blueprint {
+pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> Blueprint {
     let (height, base) = (uniform(rng, 0.11, 0.16) * size, uniform(rng, 0.034, 0.042) * size);
     let head = uniform(rng, 0.52, 0.62) * base;
     // A chess pawn: stepped base, waist, collar, round head.
@@ -37,12 +37,12 @@ pub(super) fn turned_statue(rng: &mut StageRng, size: f64, brass: bool) -> Bluep
             profile.push((head * angle.sin(), z));
         }
     }
-    let (name, class, material, texture) = if brass {
-        let colors = ([196, 152, 70], [112, 76, 30]);
-        ("brass_statue", "brass statue", "brass", texture(rng, Pattern::Marble, colors, 0.035, 0.9))
+    let (name, class, material, texture) = if of_brass {
+        let colors = ([222, 182, 102], [176, 132, 64]);
+        ("brass_statue", "brass statue", "brass", brass(texture(rng, Pattern::Marble, colors, 0.035, 0.9)))
     } else {
         let colors = pick(rng, &[([222, 220, 214], [110, 112, 122]), ([90, 112, 98], [206, 214, 200])]);
-        ("marble_statue", "marble statue", "marble", texture(rng, Pattern::Marble, colors, 0.025, 0.6))
+        ("marble_statue", "marble statue", "marble", texture(rng, Pattern::Marble, colors, 0.025, 0.72))
     };
     Blueprint {
         name,
@@ -83,7 +83,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
         ],
         s,
     );
-    let mut texture = texture(rng, Pattern::Plain, ([240, 196, 36], [220, 160, 20]), 0.018, 0.3);
+    let mut texture = texture(rng, Pattern::Plain, ([240, 196, 36], [220, 160, 20]), 0.018, 0.45);
     texture.spots = spots(
         &[
             ([0.050, 0.017, 0.090], [0.007, 0.007, 0.007], [16, 16, 20]),
@@ -121,7 +121,7 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
         s,
     );
     let colors = pick(rng, &[([150, 96, 60], [110, 66, 38]), ([96, 140, 176], [60, 96, 130])]);
-    let mut texture = texture(rng, Pattern::Speckle, colors, 0.010, 0.45);
+    let mut texture = texture(rng, Pattern::Speckle, colors, 0.010, 0.78);
     texture.spots = spots(
         &[
             ([0.044, 0.0, 0.096], [0.006, 0.006, 0.005], [24, 18, 18]),
@@ -169,7 +169,7 @@ pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
-        texture: texture(rng, Pattern::Marble, colors, 0.03, 0.6),
+        texture: texture(rng, Pattern::Marble, colors, 0.03, 0.72),
     }
 }
 
@@ -189,7 +189,7 @@ pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
         rng,
         &[([210, 52, 44], [246, 206, 60]), ([44, 150, 88], [240, 240, 236]), ([230, 120, 30], [40, 60, 120])],
     );
-    let mut texture = texture(rng, Pattern::Plain, colors, 0.02, 0.3);
+    let mut texture = texture(rng, Pattern::Plain, colors, 0.02, 0.6);
     texture.spots = spots(
         &[
             ([0.020, 0.010, 0.110], [0.004, 0.006, 0.006], [20, 24, 34]),

@@ -133,7 +133,21 @@ fn texture(
     gloss: f32,
 ) -> Texture {
     let seed = rng.random::<u32>();
-    Texture { pattern, color: colors.0, accent: colors.1, scale_m, seed, gloss, spots: Vec::new() }
+    Texture {
+        pattern,
+        color: colors.0,
+        accent: colors.1,
+        scale_m,
+        seed,
+        gloss,
+        metalness: 0.0,
+        spots: Vec::new(),
+    }
+}
+
+/// Bare brass, filed and a little tarnished.
+fn brass(texture: Texture) -> Texture {
+    Texture { metalness: 0.95, gloss: 0.62, ..texture }
 }
 
 /// Makes an obstacle standing at `p_w` on the floor, turned by `yaw` radians about z.
@@ -217,7 +231,7 @@ fn ball(
 fn soccer_ball(rng: &mut StageRng, size: f64) -> Blueprint {
     let radius = uniform(rng, 0.058, 0.072) * size;
     let colors = ([236, 236, 232], pick(rng, &[[24, 24, 28], [150, 20, 30], [16, 70, 60]]));
-    let texture = texture(rng, Pattern::Soccer, colors, radius as f32, 0.35);
+    let texture = texture(rng, Pattern::Soccer, colors, radius as f32, 0.45);
     let mut blueprint = ball(radius, texture, "soccer_ball", "small soccer ball", "synthetic_leather");
     blueprint.hollow = HollowKind::Shell(uniform(rng, 0.0025, 0.004));
     blueprint
@@ -238,7 +252,7 @@ fn cardboard_box(rng: &mut StageRng, size: f64) -> Blueprint {
         void: Some(void),
         hollow: HollowKind::Shell(wall),
         sphere_radius: None,
-        texture: texture(rng, Pattern::Cardboard, colors, (0.3 * extents.z) as f32, 0.05),
+        texture: texture(rng, Pattern::Cardboard, colors, (0.3 * extents.z) as f32, 0.12),
     }
 }
 
@@ -254,7 +268,7 @@ fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
-        texture: texture(rng, Pattern::Wood, colors, 0.03, 0.12),
+        texture: texture(rng, Pattern::Wood, colors, 0.03, 0.4),
     }
 }
 
@@ -269,7 +283,7 @@ fn brass_block(rng: &mut StageRng, size: f64) -> Blueprint {
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: None,
-        texture: texture(rng, Pattern::Marble, ([204, 164, 84], [138, 100, 44]), 0.04, 0.9),
+        texture: brass(texture(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9)),
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod library;
 mod model;
+mod near;
 mod world;
 
 pub use library::MUJOCO_VARIABLE;

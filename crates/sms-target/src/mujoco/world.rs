@@ -2,6 +2,7 @@
 
 use super::library::{Data, Library};
 use super::model::{KinematicSpec, LONGEST_STEP_S, text};
+use super::near::Bounds;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_scene::{Body, BodyKind, Scene};
 use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
@@ -9,6 +10,11 @@ use std::sync::Arc;
 
 /// Share by which a tool's mass may differ from that of the model, which has to be compiled for another one.
 const MASS_TOLERANCE: f64 = 1e-3;
+/// Distance, beyond what both travel in a step, from which a tool's mass matters, metres. A model takes tens of milliseconds
+/// to compile; compiling it whenever the arm had moved took as long as the shot.
+const NEAR_M: f64 = 1e-3;
+/// How far a turning body reaches at most, metres.
+const REACH_M: f64 = 0.5;
 
 /// A world of MuJoCo. Its bodies never sleep.
 pub(super) struct MujocoWorld {
@@ -23,6 +29,8 @@ pub(super) struct MujocoWorld {
     /// Six of each body, the world's first.
     wrenches: Vec<f64>,
     bodies: Vec<BodyInfo>,
+    /// Of the scene's bodies.
+    bounds: Vec<Bounds>,
     kinematics: Vec<Kinematic>,
     /// A body that strikes and that MuJoCo refuses; nothing moves any more then.
     failed: Option<BodyId>,
@@ -43,6 +51,8 @@ struct BodyInfo {
 struct Kinematic {
     body: BodyId,
     spec: KinematicSpec,
+    /// Mass that a tool has now; that of the model follows when the tool comes near something.
+    mass: Option<f64>,
     target_x_wk: DPose3,
 }
 
@@ -89,6 +99,7 @@ impl MujocoWorld {
             a: vec![0.0; 6 * joints],
             wrenches: vec![0.0; 6 * (bodies.len() + 1)],
             bodies,
+            bounds: scene.bodies.iter().map(|b| Bounds::of(&b.shape)).collect(),
             kinematics: Vec::new(),
             failed: None,
             saved: None,
@@ -136,10 +147,33 @@ impl MujocoWorld {
         self.wrenches.extend([0.0; 6]);
         let x_wb = spec.x_wk;
         self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
-        self.kinematics.push(Kinematic { body, spec, target_x_wk: x_wb });
+        self.kinematics.push(Kinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
         self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
         self.recompile_for(body);
         body
+    }
+
+    /// Gives tools that may touch something in a step of `dt` the mass that they have.
+    fn weigh_tools(&mut self, dt: f64) {
+        for index in 0..self.kinematics.len() {
+            let k = &self.kinematics[index];
+            let (Some(of_model), Some(mass)) = (k.spec.mass, k.mass) else { continue };
+            if !k.spec.enabled || (of_model - mass).abs() <= MASS_TOLERANCE * mass || !self.is_near(k, dt) {
+                continue;
+            }
+            let body = k.body;
+            self.kinematics[index].spec.mass = Some(mass);
+            self.recompile_for(body);
+        }
+    }
+
+    fn is_near(&self, k: &Kinematic, dt: f64) -> bool {
+        let tool = self.state(k.body);
+        self.bounds.iter().enumerate().any(|(body, bounds)| {
+            let state = self.state(body);
+            let speed = tool.v_w.distance(state.v_w) + state.w_w.length() * REACH_M;
+            bounds.is_near(&state.x_wb, k.spec.shape, &tool.x_wb, NEAR_M + speed * dt)
+        })
     }
 
     fn step_once(&mut self, dt: f64) {
@@ -176,6 +210,10 @@ impl World for MujocoWorld {
         }
         // MuJoCo's search for contacts need not end for what is not finite; the state says what is wrong.
         if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
+            return;
+        }
+        self.weigh_tools(dt);
+        if self.failed.is_some() {
             return;
         }
         let steps = (dt / LONGEST_STEP_S - 1e-9).ceil().max(1.0);
@@ -271,10 +309,10 @@ impl World for MujocoWorld {
 
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {
         self.put(body, state);
-        let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
-        if k.spec.mass.is_some_and(|m| (m - mass).abs() > MASS_TOLERANCE * mass) && mass > 0.0 {
-            k.spec.mass = Some(mass);
-            self.recompile_for(body);
+        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body && k.spec.mass.is_some())
+            && mass > 0.0
+        {
+            k.mass = Some(mass);
         }
     }
 

@@ -1,5 +1,6 @@
 //! A scene of PhysX with its actors: what is thrown away and made again when a world is restored.
 
+use super::arm::Arm;
 use super::contacts::{self, GROUP_DYNAMIC, GROUP_KINEMATIC, GROUP_STATIC, GROUP_TOOL};
 use super::sdk::{Sdk, take_error};
 use super::shapes::{Shape, transform, vector};
@@ -8,7 +9,13 @@ use crate::principal::principal;
 use glamx::{DPose3, DVec3};
 use physx_sys::*;
 use sms_core::MassProperties;
+use sms_robot::ArmStrike;
 use std::ptr::{null, null_mut};
+
+/// Moment of inertia of a tool, kg·m²: no contact turns it. TGS solves for angular velocities times the root of the inertia and
+/// leaves that of an infinite one out: what a turning tool touched then felt the speed of its middle, and not that of the
+/// touched point (0.6 % too fast a ball, where the blow had turned the arm).
+const TOOL_MOMENT: f64 = 1e3;
 
 /// What a body is made of, apart from its state.
 pub(super) struct Blueprint {
@@ -30,6 +37,8 @@ pub(super) enum Role {
     Kinematic,
     /// A dynamic body without weight that contacts push and do not turn. Its mass is given before each step.
     Tool,
+    /// The link of an articulation that carries the tool.
+    Arm,
 }
 
 impl Role {
@@ -66,6 +75,8 @@ pub(super) struct Instance {
     scene: *mut PxScene,
     dispatcher: *mut PxDefaultCpuDispatcher,
     actors: Vec<*mut PxRigidActor>,
+    /// Articulations and the indices of their tools among the actors.
+    arms: Vec<(usize, Arm)>,
 }
 
 // SAFETY: a scene and its actors are used by the one thread that owns the instance; PhysX keeps nothing of a scene in
@@ -107,7 +118,7 @@ impl Instance {
                 PxDefaultCpuDispatcher_release_mut(dispatcher);
                 return Err(take_error().unwrap_or_else(|| "PhysX makes no scene".to_owned()));
             }
-            Ok(Self { scene, dispatcher, actors: Vec::new() })
+            Ok(Self { scene, dispatcher, actors: Vec::new(), arms: Vec::new() })
         }
     }
 
@@ -122,6 +133,9 @@ impl Instance {
         tuning: &Tuning,
         may_sleep: bool,
     ) -> Result<(), String> {
+        if matches!(blueprint.role, Role::Arm) {
+            return Err("an arm is made by `add_arm`".to_owned());
+        }
         let sdk = Sdk::get();
         let _lock = sdk.lock();
         take_error();
@@ -146,7 +160,7 @@ impl Instance {
         // SAFETY: `body` is used where the role says that the actor is dynamic.
         unsafe {
             match &blueprint.role {
-                Role::Static => {}
+                Role::Static | Role::Arm => {}
                 Role::Dynamic { x_bp, mass, moments, is_ball } => {
                     PxRigidBody_setCMassLocalPose_mut(body.cast(), x_bp);
                     PxRigidBody_setMass_mut(body.cast(), *mass);
@@ -173,9 +187,10 @@ impl Instance {
                 }
                 Role::Kinematic | Role::Tool => {
                     // To PhysX no mass is an infinite one, and no moment of inertia an infinite one.
-                    let mass = if matches!(blueprint.role, Role::Tool) { 1.0 } else { 0.0 };
+                    let (mass, moment) =
+                        if matches!(blueprint.role, Role::Tool) { (1.0, TOOL_MOMENT) } else { (0.0, 0.0) };
                     PxRigidBody_setMass_mut(body.cast(), mass);
-                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::ZERO));
+                    PxRigidBody_setMassSpaceInertiaTensor_mut(body.cast(), &vector(DVec3::splat(moment)));
                     PxRigidBody_setAngularDamping_mut(body.cast(), 0.0);
                     PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
                     PxActor_setActorFlag_mut(actor.cast(), PxActorFlag::DisableGravity, true);
@@ -198,6 +213,27 @@ impl Instance {
         Ok(())
     }
 
+    /// Adds an arm, whose tool is the body that comes next. `false` where PhysX cannot have this robot.
+    ///
+    /// # Errors
+    /// What PhysX says.
+    pub(super) fn add_arm(&mut self, strike: &ArmStrike, fist: &Shape) -> Result<bool, String> {
+        let Some(arm) = Arm::new(self.scene, strike, fist)? else { return Ok(false) };
+        self.arms.push((self.actors.len(), arm));
+        let arm = &self.arms[self.arms.len() - 1].1;
+        self.actors.push(arm.tool_link());
+        Ok(true)
+    }
+
+    /// The arm whose tool is a body.
+    pub(super) fn arm(&mut self, index: usize) -> Option<&mut Arm> {
+        self.arms.iter_mut().find(|a| a.0 == index).map(|a| &mut a.1)
+    }
+
+    pub(super) fn arm_at(&self, index: usize) -> Option<&Arm> {
+        self.arms.iter().find(|a| a.0 == index).map(|a| &a.1)
+    }
+
     /// The state of a body that is no static one.
     pub(super) fn kept(&self, index: usize, role: &Role) -> Kept {
         let actor = self.actors[index];
@@ -207,10 +243,15 @@ impl Instance {
             if matches!(role, Role::Static) {
                 return Kept { x_wb, v_w: vector(DVec3::ZERO), w_w: vector(DVec3::ZERO), awake_s: None };
             }
+            let (v_w, w_w) =
+                (PxRigidBody_getLinearVelocity(actor.cast()), PxRigidBody_getAngularVelocity(actor.cast()));
+            if matches!(role, Role::Arm) {
+                return Kept { x_wb, v_w, w_w, awake_s: None };
+            }
             Kept {
                 x_wb,
-                v_w: PxRigidBody_getLinearVelocity(actor.cast()),
-                w_w: PxRigidBody_getAngularVelocity(actor.cast()),
+                v_w,
+                w_w,
                 awake_s: Some(if PxRigidDynamic_isSleeping(actor.cast()) {
                     0.0
                 } else {
@@ -218,6 +259,17 @@ impl Instance {
                 }),
             }
         }
+    }
+
+    pub(super) fn pose(&self, index: usize) -> PxTransform {
+        // SAFETY: a getter of a living actor.
+        unsafe { PxRigidActor_getGlobalPose(self.actors[index]) }
+    }
+
+    /// Puts a dynamic body to sleep.
+    pub(super) fn put_to_sleep(&mut self, index: usize) {
+        // SAFETY: the caller says that it is dynamic; no step is under way.
+        unsafe { PxRigidDynamic_putToSleep_mut(self.actors[index].cast()) };
     }
 
     pub(super) fn set_pose(&mut self, index: usize, x_wb: &PxTransform, wake: bool) {
@@ -255,12 +307,18 @@ impl Instance {
     }
 
     pub(super) fn is_asleep(&self, index: usize, role: &Role) -> bool {
+        if matches!(role, Role::Arm) {
+            return false;
+        }
         // SAFETY: a getter of a living actor that is dynamic.
         matches!(role, Role::Static) || unsafe { PxRigidDynamic_isSleeping(self.actors[index].cast()) }
     }
 
-    /// Takes a body out of the scene, or puts it back; it stays alive.
+    /// Takes a body out of the scene, or puts it back; it stays alive. An arm does not come back.
     pub(super) fn set_present(&mut self, index: usize, present: bool) {
+        if let Some((_, arm)) = self.arms.iter_mut().find(|a| a.0 == index) {
+            return arm.leave(self.scene);
+        }
         let actor: *mut PxActor = self.actors[index].cast();
         // SAFETY: the actor is alive, in no other scene, and no step is under way.
         unsafe {
@@ -293,11 +351,15 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
+        // They lock the SDK themselves.
+        let tools: Vec<usize> = self.arms.drain(..).map(|a| a.0).collect();
         let _lock = Sdk::get().lock();
         // SAFETY: this owns the actors, the scene and the dispatcher, and releases what depends on others first.
         unsafe {
-            for &actor in &self.actors {
-                PxActor_release_mut(actor.cast());
+            for (index, &actor) in self.actors.iter().enumerate() {
+                if !tools.contains(&index) {
+                    PxActor_release_mut(actor.cast());
+                }
             }
             PxScene_release_mut(self.scene);
             PxDefaultCpuDispatcher_release_mut(self.dispatcher);
@@ -311,6 +373,6 @@ pub(super) fn group(role: &Role) -> u16 {
         Role::Static => GROUP_STATIC,
         Role::Dynamic { .. } => GROUP_DYNAMIC,
         Role::Kinematic => GROUP_KINEMATIC,
-        Role::Tool => GROUP_TOOL,
+        Role::Tool | Role::Arm => GROUP_TOOL,
     }
 }

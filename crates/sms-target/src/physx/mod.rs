@@ -4,10 +4,14 @@
 //!   The nearest to a real table; the judge of the published tables.
 //! - [`PhysxFactory::Stock`]: the engine's defaults apart from the threshold of bouncing, in whole steps, with the errors
 //!   that come of that.
+//!
+//! Both can have a robot's arm as an articulation of their own ([`sms_sim::ArmKind`]).
 #![allow(unsafe_code, reason = "PhysX is C++; every call is wrapped in the modules below")]
 
+mod arm;
 mod contacts;
 mod instance;
+mod rest;
 mod sdk;
 mod shapes;
 mod tuning;

@@ -41,6 +41,8 @@ pub(super) struct Tuning {
     /// compares with it the *sum* of the velocities in the steps of 0.2 s, 320 of them here: a box's tremor of 5e-5 m/s at
     /// rest comes to 0.016. A far larger value puts balls to sleep that are struck just when they were about to fall asleep.
     pub(super) sleep_speeds: Option<(f64, f64)>,
+    /// Whether what stays where it is falls asleep, however it trembles (`rest`).
+    pub(super) sleeps_where_it_stays: bool,
 }
 
 /// The defaults of PhysX 5.1, but for the threshold of bouncing: with its 2 m/s nothing on a table bounces.
@@ -61,10 +63,10 @@ pub(super) const STOCK: Tuning = Tuning {
     free_motion: false,
     push_out_speed: None,
     sleep_speeds: None,
+    sleeps_where_it_stays: false,
 };
 
-/// As near to a real table as the engine comes: within every limit of the closed-form suite but that of the arm's blow, which
-/// it misses by a tenth of a percent of the speed.
+/// As near to a real table as the engine comes: within every limit of the closed-form suite.
 ///
 /// - The solver is TGS, whose friction is bounded by a circle. That of PGS is bounded axis by axis, along and across the
 ///   velocity of the centres and not of the slip: a ball that rolls threw the one that it struck at a cut by up to 3.8° too
@@ -89,4 +91,5 @@ pub(super) const PRECISE: Tuning = Tuning {
     free_motion: true,
     push_out_speed: Some(0.1),
     sleep_speeds: Some((1e-3, 3e-2)),
+    sleeps_where_it_stays: true,
 };

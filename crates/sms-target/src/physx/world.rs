@@ -1,10 +1,12 @@
 //! The adapter between the seam and PhysX.
 
 use super::instance::{Blueprint, Instance, Kept, Role, group};
+use super::rest::Rest;
 use super::shapes::{Shaper, Surface, transform};
 use super::tuning::Tuning;
 use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::{PxTransform, PxVec3};
+use sms_robot::ArmStrike;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 
@@ -19,6 +21,9 @@ pub(super) struct PhysxWorld {
     kinematics: Vec<Kinematic>,
     tools: Vec<Tool>,
     pushes: Vec<Push>,
+    /// Tools of the arms that are in the scene.
+    arms: Vec<BodyId>,
+    rest: Rest,
     /// A body that was given a state that is not finite. PhysX must not see it, and steps no more.
     failed: Option<BodyId>,
     saved: Option<Saved>,
@@ -87,6 +92,8 @@ impl PhysxWorld {
             kinematics: Vec::new(),
             tools: Vec::new(),
             pushes: Vec::new(),
+            arms: Vec::new(),
+            rest: Rest::default(),
             failed: None,
             saved: None,
         };
@@ -94,6 +101,7 @@ impl PhysxWorld {
             let blueprint = world.blueprint(body).map_err(|why| refuse(&body.name, why))?;
             world.add(blueprint, &Kept::at(&body.x_wb)).map_err(|why| refuse(&body.name, why))?;
         }
+        world.rest.begin(&world.instance, world.blueprints.len());
         Ok(world)
     }
 
@@ -140,7 +148,9 @@ impl PhysxWorld {
             instance.set_present(t.body, false);
         }
         self.instance = instance;
+        self.rest.begin(&self.instance, saved.states.len());
         self.pushes.clear();
+        self.arms.clear();
         self.failed = None;
         self.kinematics.clone_from(&saved.kinematics);
         self.tools.clone_from(&saved.tools);
@@ -170,7 +180,7 @@ impl PhysxWorld {
     }
 
     fn is_dynamic(&self, body: BodyId) -> bool {
-        matches!(self.blueprints[body].role, Role::Dynamic { .. })
+        is_dynamic(&self.blueprints[body].role)
     }
 }
 
@@ -207,6 +217,11 @@ impl World for PhysxWorld {
             for push in &pushes {
                 self.instance.push(push.body, push.force_w, push.torque_w, push.wake);
             }
+            for &arm in &self.arms {
+                if let Some(arm) = self.instance.arm(arm) {
+                    arm.before_step();
+                }
+            }
             for k in self.kinematics.iter().filter(|k| k.enabled) {
                 self.instance.set_velocity(k.body, k.v_w, k.w_w);
             }
@@ -219,6 +234,9 @@ impl World for PhysxWorld {
         for k in &mut self.kinematics {
             k.x_wk = k.target_x_wk;
         }
+        if self.may_sleep && self.tuning.sleeps_where_it_stays {
+            self.rest.after_step(dt, &mut self.instance, &self.blueprints);
+        }
     }
 
     fn body_count(&self) -> usize {
@@ -227,6 +245,12 @@ impl World for PhysxWorld {
 
     fn state(&self, body: BodyId) -> BodyState {
         let kept = self.instance.kept(body, &self.blueprints[body].role);
+        if let Some(arm) = self.instance.arm_at(body) {
+            let (x_wl, v_w, w_w) =
+                (pose_from_engine(&kept.x_wb), from_engine(&kept.v_w), from_engine(&kept.w_w));
+            let (x_wb, v_w, w_w) = arm.tool(&x_wl, v_w, w_w);
+            return BodyState { x_wb, v_w, w_w };
+        }
         BodyState {
             x_wb: pose_from_engine(&kept.x_wb),
             v_w: from_engine(&kept.v_w),
@@ -242,9 +266,9 @@ impl World for PhysxWorld {
         if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
             (k.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
         }
-        let is_dynamic = self.is_dynamic(body);
-        self.instance.set_pose(body, &transform(&state.x_wb), is_dynamic);
-        if is_dynamic {
+        let wakes = self.is_dynamic(body);
+        self.instance.set_pose(body, &transform(&state.x_wb), wakes);
+        if wakes {
             self.instance.set_velocity(body, state.v_w, state.w_w);
         }
     }
@@ -303,10 +327,42 @@ impl World for PhysxWorld {
         }
     }
 
+    fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
+        let surface = Surface { friction, restitution };
+        let shaper = Shaper { surface, group: group(&Role::Arm), is_ball: false, tuning: self.tuning };
+        let fist = shaper.kinematic(KinematicShape::Cuboid { half: strike.half }).ok()?;
+        // What goes wrong here is the robot's, and the tool alone will do.
+        if !self.instance.add_arm(strike, &fist).ok()? {
+            return None;
+        }
+        let body = self.blueprints.len();
+        self.blueprints.push(Blueprint { shapes: vec![fist], role: Role::Arm });
+        self.arms.push(body);
+        Some(body)
+    }
+
+    fn arm_joints(&self, body: BodyId, q: &mut [f64], qd: &mut [f64]) {
+        if let Some(arm) = self.instance.arm_at(body) {
+            arm.joints(q, qd);
+        }
+    }
+
+    fn set_arm_torques(&mut self, body: BodyId, tau: &[f64]) {
+        if !tau.iter().all(|t| t.is_finite()) {
+            self.failed = Some(body);
+        } else if let Some(arm) = self.instance.arm(body) {
+            arm.set_torques(tau);
+        }
+    }
+
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool) {
         if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
             k.enabled = enabled;
             self.instance.set_present(body, enabled);
+        }
+        if !enabled && self.arms.contains(&body) {
+            self.arms.retain(|a| *a != body);
+            self.instance.set_present(body, false);
         }
         if let Some(t) = self.tools.iter_mut().find(|t| t.body == body) {
             t.enabled = enabled;
@@ -315,6 +371,9 @@ impl World for PhysxWorld {
     }
 
     fn save(&mut self) -> bool {
+        if !self.arms.is_empty() {
+            return false;
+        }
         let states =
             self.blueprints.iter().enumerate().map(|(b, p)| self.instance.kept(b, &p.role)).collect();
         let saved = Saved { states, kinematics: self.kinematics.clone(), tools: self.tools.clone() };
@@ -337,6 +396,10 @@ impl World for PhysxWorld {
     fn first_failed(&self) -> Option<BodyId> {
         self.failed
     }
+}
+
+pub(super) fn is_dynamic(role: &Role) -> bool {
+    matches!(role, Role::Dynamic { .. })
 }
 
 fn from_engine(v: &PxVec3) -> DVec3 {

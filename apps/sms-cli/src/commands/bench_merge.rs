@@ -1,0 +1,47 @@
+//! `sms bench merge`: parts of a benchmark that ran with `--shard`, as one.
+
+use super::{bench_billiards, bench_materialize, bench_optimisers, bench_plan, bench_scenes};
+use crate::context::Context;
+use clap::Args;
+use sms_bench::merge_shards;
+use sms_core::InputError;
+use std::path::PathBuf;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchMerge {
+    /// Files `*.shard.json` that runs with `--shard` wrote beside their results, or folders of such.
+    #[arg(value_name = "PARTS", required = true)]
+    pub parts: Vec<PathBuf>,
+    /// Folder for results.json (of `billiards`, pictures and shots.parquet too).
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchMerge) -> anyhow::Result<()> {
+    let (whole, missing) = merge_shards(&a.parts)?;
+    if !missing.is_empty() {
+        eprintln!("warning: parts that are missing: {}", missing.join(", "));
+    }
+    let results = a.out.as_ref().map(|dir| dir.join("results.json"));
+    let out = results.as_ref();
+    match whole.bench.as_str() {
+        "billiards" => match &a.out {
+            Some(dir) => bench_billiards::show_merged(context, &whole, dir),
+            None => {
+                let cure = "say where its pictures and results go";
+                Err(InputError::new("`bench billiards` needs a folder", "--out", cure).into())
+            }
+        },
+        "robust" => bench_plan::show_robust(context, &whole, out),
+        "plan" => bench_plan::show_plan(context, &whole, out),
+        "optimisers" => bench_optimisers::show_merged(context, &whole, out),
+        "materialize" => bench_materialize::show_merged(context, &whole, out),
+        "scenes" => bench_scenes::show_merged(context, &whole, out),
+        other => Err(InputError::new(
+            format!("nothing is known of merging `bench {other}`"),
+            "merge",
+            "use the version that wrote these parts",
+        )
+        .into()),
+    }
+}

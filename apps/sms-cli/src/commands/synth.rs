@@ -1,0 +1,88 @@
+//! `sms synth`: a generated recording of any scene.
+
+use super::{sample, shown};
+use crate::cli::{FamilyName, PathName, Synth};
+use crate::context::Context;
+use sms_core::{InputError, Seed};
+use sms_synth::{
+    BilliardsSettings, CameraPath, FIXED_SCENES, Layout, ModelScene, RecordingSettings, generate_billiards,
+    generate_billiards_among, generate_challenge, read_models, record_views,
+};
+
+pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
+    let made = scene(context, a)?;
+    let truth = &made.scene;
+    let path = match a.path {
+        PathName::High => CameraPath::default(),
+        PathName::Paper => CameraPath::paper(),
+    };
+    let settings = RecordingSettings {
+        frames: a.frames,
+        width: a.width,
+        height: a.width * 5 / 8,
+        path,
+        pose_noise_m: a.pose_noise_mm * 1e-3,
+        pose_noise_rad: a.pose_noise_deg.to_radians(),
+        seed: Seed(a.seed),
+        ..RecordingSettings::default()
+    };
+    let poses = settings.path.poses(truth, settings.frames);
+    let source = made.skins.iter().filter(|s| s.is_some()).count().to_string();
+    record_views(
+        truth,
+        &made.skins,
+        &poses,
+        &source,
+        &settings,
+        &a.folder,
+        context.progress.as_ref(),
+        &context.cancel,
+    )?;
+    sample::write_beside(truth, &a.folder)?;
+    context.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), shown(&a.folder)));
+    Ok(())
+}
+
+fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
+    let plain = |scene| ModelScene { scene, skins: Vec::new() };
+    if a.meshes.is_some() && a.family != FamilyName::Billiards {
+        let what = "scanned models stand in scenes of the family billiards only";
+        return Err(InputError::new(what, "--meshes", "add --family billiards, or leave it out").into());
+    }
+    match a.family {
+        FamilyName::Billiards => {
+            let defaults = BilliardsSettings::default();
+            let settings = BilliardsSettings { objects: a.objects.unwrap_or(defaults.objects), ..defaults };
+            let models = match &a.meshes {
+                Some(dir) if dir.is_dir() => read_models(dir)?,
+                Some(dir) => {
+                    context.say(format!(
+                        "there is no folder {}: without scanned models, obstacles are made in code",
+                        shown(dir)
+                    ));
+                    Vec::new()
+                }
+                None => Vec::new(),
+            };
+            if models.is_empty() {
+                return Ok(plain(generate_billiards(Seed(a.seed), &settings)));
+            }
+            Ok(generate_billiards_among(Seed(a.seed), &settings, &models))
+        }
+        FamilyName::Challenge => {
+            let layout = Layout::ALL[(a.seed % Layout::ALL.len() as u64) as usize];
+            let drawn = generate_challenge(layout, Seed(a.seed), a.objects.unwrap_or(4));
+            drawn.map(plain).ok_or_else(|| {
+                let what =
+                    format!("the layout `{}` of this seed does not fit into the workspace", layout.as_str());
+                InputError::new(what, "--seed", "try the next seed, or fewer objects").into()
+            })
+        }
+        FamilyName::Fixed => {
+            let fixed = FIXED_SCENES.iter().find(|s| s.number as u64 == a.seed).ok_or_else(|| {
+                InputError::new("there is no such fixed scene", "--seed", "give a number from 1 to 18")
+            })?;
+            Ok(plain(fixed.generate()))
+        }
+    }
+}

@@ -1,0 +1,286 @@
+//! Parts of a benchmark that ran apart, put together again.
+//!
+//! A run with `--shard i/n` writes one file: the benchmark's name, the settings that its figures depend on, and what it
+//! found out about each item (a scene, a seed). [`merge_shards`] puts such files together, where their settings are the same;
+//! means and tables are made of the items afterwards, by the code that makes them of a run in one piece.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use sms_core::metrics::Metrics;
+use sms_core::{CoreError, Hash, InputError, atomic, hash_serializable};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Version of the files; others are refused.
+const VERSION: u32 = 1;
+/// How the files' names end.
+const ENDING: &str = ".shard.json";
+
+/// A part of a benchmark.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shard {
+    version: u32,
+    /// Version of the program that wrote it.
+    pub program: String,
+    /// The benchmark: `robust`, `billiards`, …
+    pub bench: String,
+    /// Which part of how many, from 1; after merging 1 of 1 where nothing is missing.
+    pub part: (usize, usize),
+    /// What the figures depend on, besides the items.
+    pub settings: Map<String, Value>,
+    /// Hash of the settings.
+    pub settings_hash: Hash,
+    /// What was found out about each item, by its name.
+    pub items: BTreeMap<String, Value>,
+}
+
+impl Shard {
+    /// A part without items yet.
+    pub fn new(bench: &str, part: (usize, usize), settings: Map<String, Value>) -> Self {
+        Self {
+            version: VERSION,
+            program: env!("CARGO_PKG_VERSION").to_owned(),
+            bench: bench.to_owned(),
+            part,
+            settings_hash: hash_serializable(&settings),
+            settings,
+            items: BTreeMap::new(),
+        }
+    }
+
+    /// Adds what was found out about an item, as figures.
+    pub fn add(&mut self, item: &str, figures: &Metrics) {
+        let map = figures.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
+        self.items.insert(item.to_owned(), Value::Object(map));
+    }
+
+    /// The figures of an item; empty where there are none.
+    pub fn figures(&self, item: &str) -> Metrics {
+        let mut metrics = Metrics::new();
+        if let Some(Value::Object(map)) = self.items.get(item) {
+            for (key, value) in map {
+                metrics.set(key.clone(), value.clone());
+            }
+        }
+        metrics
+    }
+
+    /// A setting, read as what it was written from.
+    ///
+    /// # Errors
+    /// [`InputError`] where there is none of that name and kind.
+    pub fn setting<T: serde::de::DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
+        let value = self.settings.get(name).cloned().unwrap_or(Value::Null);
+        serde_json::from_value(value).map_err(|e| {
+            InputError::new(
+                format!("a part of `bench {}` has no usable setting `{name}`: {e}", self.bench),
+                "merge",
+                "run the parts again with this version",
+            )
+        })
+    }
+
+    /// Where a part goes whose results go to `out`: beside it (`part2.json`: `part2.shard.json`).
+    pub fn path_beside(out: &Path) -> PathBuf {
+        out.with_extension("shard.json")
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), CoreError> {
+        atomic::write_json(path, self)
+    }
+
+    fn load(path: &Path) -> Result<Self, CoreError> {
+        let shard: Self = atomic::read_json(path)?;
+        let bad = |what: &str| {
+            let cure = "run that part again with this version";
+            CoreError::from(InputError::new(what, path, cure))
+        };
+        if shard.version != VERSION {
+            return Err(bad("this part was written by another version of the program"));
+        }
+        if shard.settings_hash != hash_serializable(&shard.settings) {
+            return Err(bad("the settings in this file are not those that it was written with"));
+        }
+        Ok(shard)
+    }
+}
+
+/// Splits `2/4`-like parts off a list: every n-th from the i-th, counted from 1.
+pub fn part_of<T>(all: Vec<T>, (i, n): (usize, usize)) -> Vec<T> {
+    all.into_iter().skip(i.saturating_sub(1)).step_by(n.max(1)).collect()
+}
+
+/// The parts in files and folders (all `*.shard.json` in them), put together, with the parts that are missing (as `2/4`).
+///
+/// # Errors
+/// [`InputError`] where there is none, where they are of different benchmarks, programs or settings (it says which), or
+/// where two parts hold the same item with different results; [`CoreError`] of a file that cannot be read.
+pub fn merge_shards(paths: &[PathBuf]) -> Result<(Shard, Vec<String>), CoreError> {
+    let mut files = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            let entries = std::fs::read_dir(path).map_err(CoreError::read(path))?;
+            let mut inside: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
+            inside.retain(|p| p.to_string_lossy().ends_with(ENDING));
+            inside.sort();
+            if inside.is_empty() {
+                let cure = "give folders that `sms bench … --shard` wrote to";
+                return Err(
+                    InputError::new(format!("no file `*{ENDING}` is in this folder"), path, cure).into()
+                );
+            }
+            files.extend(inside);
+        } else {
+            files.push(path.clone());
+        }
+    }
+    let mut whole: Option<(Shard, PathBuf)> = None;
+    let mut parts: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for file in files {
+        let shard = Shard::load(&file)?;
+        parts.entry(shard.part.1).or_default().push(shard.part.0);
+        match &mut whole {
+            None => whole = Some((shard, file)),
+            Some((whole, first)) => join(whole, first, shard, &file)?,
+        }
+    }
+    let Some((mut whole, _)) = whole else {
+        return Err(InputError::new("nothing to merge", "merge", "give folders or files of parts").into());
+    };
+    // Of the finest splitting: parts of another one may fill its gaps, and only the items would tell.
+    let missing: Vec<String> = parts
+        .iter()
+        .flat_map(|(n, there)| (1..=*n).filter(|i| !there.contains(i)).map(move |i| format!("{i}/{n}")))
+        .collect();
+    if missing.is_empty() {
+        whole.part = (1, 1);
+    }
+    Ok((whole, missing))
+}
+
+fn join(whole: &mut Shard, first: &Path, shard: Shard, file: &Path) -> Result<(), CoreError> {
+    let refuse = |what: String, cure: &str| Err(CoreError::from(InputError::new(what, file, cure)));
+    let first = first.display();
+    if shard.bench != whole.bench {
+        let what =
+            format!("a part of `bench {}`, while {first} is one of `bench {}`", shard.bench, whole.bench);
+        return refuse(what, "merge parts of one benchmark");
+    }
+    if shard.program != whole.program {
+        let what = format!("written by version {}, and {first} by {}", shard.program, whole.program);
+        return refuse(what, "run all parts with one version");
+    }
+    if shard.settings_hash != whole.settings_hash {
+        let keys: std::collections::BTreeSet<&String> =
+            shard.settings.keys().chain(whole.settings.keys()).collect();
+        let differ: Vec<String> = keys
+            .into_iter()
+            .filter(|k| shard.settings.get(*k) != whole.settings.get(*k))
+            .map(|k| difference(k, whole.settings.get(k), shard.settings.get(k)))
+            .collect();
+        let what = format!("other settings than in {first}: {}", differ.join("; "));
+        return refuse(what, "run all parts with the same settings");
+    }
+    for (item, value) in shard.items {
+        match whole.items.get(&item) {
+            Some(there) if *there != value => {
+                let what = format!("`{item}` is in {first} or a part after it, too, with other results");
+                return refuse(what, "give each part once");
+            }
+            _ => {
+                whole.items.insert(item, value);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Which setting differs, down to the innermost keys of tables.
+fn difference(name: &str, a: Option<&Value>, b: Option<&Value>) -> String {
+    if let (Some(Value::Object(a)), Some(Value::Object(b))) = (a, b) {
+        let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+        let inner: Vec<String> = keys
+            .into_iter()
+            .filter(|k| a.get(*k) != b.get(*k))
+            .map(|k| difference(&format!("{name}.{k}"), a.get(k), b.get(k)))
+            .collect();
+        return inner.join("; ");
+    }
+    let text = |v: Option<&Value>| v.map_or_else(|| "nothing".to_owned(), Value::to_string);
+    format!("`{name}` is {} and {}", text(a), text(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn settings(worlds: usize, robust: f64) -> Map<String, Value> {
+        let Value::Object(map) = json!({"worlds": worlds, "plan": {"robust": robust, "starts": 8}}) else {
+            panic!("an object")
+        };
+        map
+    }
+
+    fn write(
+        dir: &Path,
+        part: (usize, usize),
+        settings: Map<String, Value>,
+        items: &[(&str, f64)],
+    ) -> PathBuf {
+        let mut shard = Shard::new("robust", part, settings);
+        for (item, value) in items {
+            let mut figures = Metrics::new();
+            figures.set("bench.value", *value);
+            shard.add(item, &figures);
+        }
+        let path = Shard::path_beside(&dir.join(format!("part{}.json", part.0)));
+        shard.save(&path).unwrap();
+        path
+    }
+
+    #[test]
+    fn parts_make_the_whole_in_any_order_and_missing_ones_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let a = write(dir.path(), (1, 3), settings(4, 0.5), &[("1001", 0.1), ("1003", 0.3)]);
+        let b = write(dir.path(), (2, 3), settings(4, 0.5), &[("1002", 0.2)]);
+        let (one, missing) = merge_shards(&[a.clone(), b.clone()]).unwrap();
+        assert_eq!(missing, ["3/3"]);
+        assert_eq!(merge_shards(&[b, a]).unwrap().0.items, one.items);
+        assert_eq!(one.items.keys().collect::<Vec<_>>(), ["1001", "1002", "1003"]);
+        assert_eq!(one.figures("1002").number("bench.value"), Some(0.2));
+        write(dir.path(), (3, 3), settings(4, 0.5), &[]);
+        let (whole, missing) = merge_shards(&[dir.path().to_owned()]).unwrap();
+        assert!(missing.is_empty() && whole.part == (1, 1));
+        assert_eq!(whole.setting::<usize>("worlds").unwrap(), 4);
+        assert!(whole.setting::<usize>("nothing").unwrap_err().to_string().contains("nothing"));
+        let parts: Vec<i32> =
+            [1, 2, 3].into_iter().flat_map(|i| part_of((0..10).collect(), (i, 3))).collect();
+        assert_eq!(parts, [0, 3, 6, 9, 1, 4, 7, 2, 5, 8]);
+    }
+
+    #[test]
+    fn what_does_not_belong_together_is_refused_with_what_differs() {
+        let dir = tempfile::tempdir().unwrap();
+        let a = write(dir.path(), (1, 2), settings(4, 0.5), &[("1001", 0.1)]);
+        let b = write(dir.path(), (2, 2), settings(4, 0.6), &[("1002", 0.2)]);
+        let told = |paths: &[PathBuf]| merge_shards(paths).unwrap_err().to_string();
+        let message = told(&[a.clone(), b.clone()]);
+        assert!(message.contains("`plan.robust` is 0.5 and 0.6") && !message.contains("worlds"), "{message}");
+        let other = dir.path().join("other");
+        let c = write(&other, (1, 2), settings(4, 0.5), &[("1001", 0.7)]);
+        assert!(told(&[a.clone(), c]).contains("`1001`"));
+        let empty = dir.path().join("empty");
+        std::fs::create_dir(&empty).unwrap();
+        assert!(told(&[empty]).contains("no file"));
+        let mut text = std::fs::read_to_string(&b).unwrap();
+        text = text.replace("0.6", "0.7");
+        std::fs::write(&b, text).unwrap();
+        assert!(told(&[b]).contains("not those that it was written with"));
+    }
+}

@@ -1,0 +1,348 @@
+//! A scene from above, as SVG: outlines, ways, a goal.
+
+use glamx::DVec2;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+
+const MARGIN_M: f64 = 0.15;
+const BACKGROUND: &str = "#f4f1ea";
+
+/// Outline of a body in the plane of the world, metres.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum TopShape {
+    /// A disc, of a ball.
+    Disc {
+        /// Centre.
+        center_w: [f64; 2],
+        /// Radius.
+        radius: f64,
+    },
+    /// Convex polygons, counter-clockwise, whose union it is.
+    Polygons {
+        /// Their corners.
+        polygons_w: Vec<Vec<[f64; 2]>>,
+    },
+}
+
+/// A body as seen from above.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TopOutline {
+    /// Written on it where names are shown.
+    pub name: String,
+    /// sRGB.
+    pub color: [u8; 3],
+    /// Where it is.
+    pub shape: TopShape,
+}
+
+impl TopOutline {
+    /// The least and the greatest coordinates, metres; `None` without a point.
+    pub fn bounds(&self) -> Option<(DVec2, DVec2)> {
+        match &self.shape {
+            TopShape::Disc { center_w, radius } => {
+                let center = DVec2::from_array(*center_w);
+                Some((center - *radius, center + *radius))
+            }
+            TopShape::Polygons { polygons_w } => bounds(polygons_w.iter().flatten().map(|&p| p.into())),
+        }
+    }
+}
+
+fn bounds(points: impl Iterator<Item = DVec2>) -> Option<(DVec2, DVec2)> {
+    points.fold(None, |b, p| Some(b.map_or((p, p), |(low, high): (DVec2, DVec2)| (low.min(p), high.max(p)))))
+}
+
+/// A line along which something moves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TopPath {
+    /// Its points, metres in the plane of the world.
+    pub points_w: Vec<DVec2>,
+    /// Colour of the line, as SVG writes it.
+    pub color: String,
+    /// Width, pixels.
+    pub width: f64,
+    /// Opacity.
+    pub opacity: f64,
+    /// Whether the line is broken, as realised motion is where planned motion is beside it.
+    pub dashed: bool,
+    /// A ball of this radius, metres, and sRGB colour is drawn again and again along it, ever stronger.
+    pub ghosts: Option<(f64, [u8; 3])>,
+}
+
+impl TopPath {
+    /// A plain line of three pixels.
+    pub fn line(points_w: Vec<DVec2>, color: &str) -> Self {
+        Self { points_w, color: color.to_owned(), width: 3.0, opacity: 1.0, dashed: false, ghosts: None }
+    }
+
+    /// The sweep of a finger that is taken away afterwards (that jump is no path).
+    pub fn sweep(points_w: &[DVec2]) -> Self {
+        let sweep = points_w.windows(2).take_while(|w| (w[1] - w[0]).length() < 0.05).map(|w| w[1]);
+        let moving = points_w.first().copied().into_iter().chain(sweep).collect();
+        Self { width: 6.0, opacity: 0.35, ..Self::line(moving, "#555") }
+    }
+}
+
+/// A picture from above: x to the right, y up, with lines every 10 cm. Motion is cut where the picture ends.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TopView {
+    /// Bodies.
+    pub outlines: Vec<TopOutline>,
+    /// Ways, over the bodies.
+    pub paths: Vec<TopPath>,
+    /// Goal.
+    pub goal_w: Option<[f64; 2]>,
+    /// Whether bodies are named.
+    pub names: bool,
+    /// Written in the upper left corner.
+    pub title: String,
+    /// What is shown, metres; by default all outlines and the goal, with a margin: balls roll far beyond once they have
+    /// passed the goal, and what happens among the objects is the shot.
+    pub window_w: Option<(DVec2, DVec2)>,
+    /// Pixels of the longer side.
+    pub size_px: f64,
+}
+
+impl TopView {
+    /// Least and greatest coordinates that are shown where nothing else is asked for, metres.
+    pub fn window(&self) -> Option<(DVec2, DVec2)> {
+        let corners = self.outlines.iter().filter_map(TopOutline::bounds).flat_map(|(low, high)| [low, high]);
+        let (low, high) = bounds(corners.chain(self.goal_w.map(DVec2::from_array)))?;
+        Some((low - MARGIN_M, high + MARGIN_M))
+    }
+
+    /// The picture; `None` where there is nothing to show. What is in `extra` is drawn above everything, in pixels.
+    pub fn svg(&self, extra: impl FnOnce(&mut String, f64)) -> Option<String> {
+        let (min, max) = self.window_w.or_else(|| self.window())?;
+        let size = max - min;
+        let scale = self.size_px / size.max_element();
+        let canvas = Canvas { min, size, scale };
+        let (w, h) = (size.x * scale, size.y * scale);
+        let mut svg = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" \
+             aria-label=\"the shot from above\" font-family=\"system-ui,sans-serif\">\
+             <rect width=\"100%\" height=\"100%\" fill=\"{BACKGROUND}\"/>"
+        );
+        canvas.grid(&mut svg);
+        if let Some(goal) = self.goal_w {
+            canvas.goal(&mut svg, goal.into());
+        }
+        for outline in &self.outlines {
+            canvas.outline(&mut svg, outline, self.names);
+        }
+        for path in &self.paths {
+            canvas.path(&mut svg, path);
+        }
+        if !self.title.is_empty() {
+            let size = (self.size_px / 22.0).clamp(9.0, 16.0);
+            let _ = write!(
+                svg,
+                "<text x=\"8\" y=\"{:.0}\" font-size=\"{size:.0}\" fill=\"#222\">{}</text>",
+                1.4 * size,
+                self.title
+            );
+        }
+        extra(&mut svg, h);
+        svg.push_str("</svg>");
+        Some(svg)
+    }
+}
+
+struct Canvas {
+    min: DVec2,
+    size: DVec2,
+    scale: f64,
+}
+
+impl Canvas {
+    fn at(&self, p: DVec2) -> DVec2 {
+        DVec2::new((p.x - self.min.x) * self.scale, (self.size.y - (p.y - self.min.y)) * self.scale)
+    }
+
+    fn points(&self, points: impl Iterator<Item = DVec2>) -> String {
+        points.map(|p| self.at(p)).map(|p| format!("{:.1},{:.1}", p.x, p.y)).collect::<Vec<_>>().join(" ")
+    }
+
+    fn grid(&self, svg: &mut String) {
+        let step = 0.1;
+        let lines = |from: f64, length: f64| {
+            let (first, last) = ((from / step).ceil() as i64, ((from + length) / step).floor() as i64);
+            (first..=last).map(move |i| i as f64 * step)
+        };
+        let (min, size, scale) = (self.min, self.size, self.scale);
+        for x in lines(min.x, size.x) {
+            let (x, h) = (self.at(DVec2::new(x, min.y)).x, size.y * scale);
+            let _ =
+                write!(svg, "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"0\" y2=\"{h:.1}\" stroke=\"#ddd6c8\"/>");
+        }
+        for y in lines(min.y, size.y) {
+            let (y, w) = (self.at(DVec2::new(min.x, y)).y, size.x * scale);
+            let _ =
+                write!(svg, "<line y1=\"{y:.1}\" y2=\"{y:.1}\" x1=\"0\" x2=\"{w:.1}\" stroke=\"#ddd6c8\"/>");
+        }
+    }
+
+    fn goal(&self, svg: &mut String, goal_w: DVec2) {
+        let c = self.at(goal_w);
+        for (r, color) in [(0.045, "#d33"), (0.03, "#fff"), (0.015, "#d33")] {
+            let _ = write!(
+                svg,
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{color}\" fill-opacity=\"0.85\"/>",
+                c.x,
+                c.y,
+                r * self.scale
+            );
+        }
+    }
+
+    fn outline(&self, svg: &mut String, outline: &TopOutline, named: bool) {
+        let fill = rgb(outline.color);
+        match &outline.shape {
+            TopShape::Disc { center_w, radius } => {
+                let c = self.at((*center_w).into());
+                let _ = write!(
+                    svg,
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{fill}\" stroke=\"#333\"/>",
+                    c.x,
+                    c.y,
+                    radius * self.scale
+                );
+            }
+            TopShape::Polygons { polygons_w } => {
+                // Edges first and areas above them, so that parts make one outline.
+                let each: Vec<String> =
+                    polygons_w.iter().map(|p| self.points(p.iter().map(|&p| p.into()))).collect();
+                for points in &each {
+                    let _ = write!(
+                        svg,
+                        "<polygon points=\"{points}\" fill=\"none\" stroke=\"#333\" stroke-width=\"2\"/>"
+                    );
+                }
+                for points in &each {
+                    let _ = write!(svg, "<polygon points=\"{points}\" fill=\"{fill}\"/>");
+                }
+            }
+        }
+        if let Some((low, high)) = outline.bounds().filter(|_| named) {
+            let c = self.at(0.5 * (low + high));
+            let _ = write!(
+                svg,
+                "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"15\" text-anchor=\"middle\" fill=\"#222\" \
+                 stroke=\"{BACKGROUND}\" stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
+                c.x,
+                c.y + 4.0,
+                outline.name
+            );
+        }
+    }
+
+    fn path(&self, svg: &mut String, path: &TopPath) {
+        if let Some((radius, color)) = path.ghosts {
+            // Two radii apart, so that they are told from each other.
+            let mut shown: Vec<DVec2> = Vec::new();
+            for &p in &path.points_w {
+                if shown.last().is_none_or(|q| q.distance(p) > 2.0 * radius) {
+                    shown.push(p);
+                }
+            }
+            let count = shown.len().max(2) as f64 - 1.0;
+            for (k, &p) in shown.iter().enumerate() {
+                let (c, opacity) = (self.at(p), 0.15 + 0.45 * k as f64 / count);
+                let _ = write!(
+                    svg,
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{}\" stroke=\"#333\" \
+                     stroke-opacity=\"0.45\" fill-opacity=\"{opacity:.2}\"/>",
+                    c.x,
+                    c.y,
+                    radius * self.scale,
+                    rgb(color)
+                );
+            }
+        }
+        let dash = if path.dashed { " stroke-dasharray=\"7 5\"" } else { "" };
+        let _ = write!(
+            svg,
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"{}\" stroke-opacity=\"{}\"{dash} \
+             stroke-linejoin=\"round\" stroke-linecap=\"round\"/>",
+            self.points(path.points_w.iter().copied()),
+            path.color,
+            path.width,
+            path.opacity
+        );
+    }
+}
+
+fn rgb(c: [u8; 3]) -> String {
+    format!("rgb({},{},{})", c[0], c[1], c[2])
+}
+
+/// Convex hull of points in the plane, counter-clockwise (Andrew's monotone chain).
+pub fn footprint(mut points: Vec<DVec2>) -> Vec<DVec2> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    points.dedup();
+    if points.len() < 3 {
+        return points;
+    }
+    let half = |points: &mut dyn Iterator<Item = DVec2>| {
+        let mut hull: Vec<DVec2> = Vec::new();
+        for p in points {
+            while hull.len() >= 2 {
+                let (a, b) = (hull[hull.len() - 2], hull[hull.len() - 1]);
+                if (b - a).perp_dot(p - a) > 0.0 {
+                    break;
+                }
+                hull.pop();
+            }
+            hull.push(p);
+        }
+        hull.pop();
+        hull
+    };
+    let mut hull = half(&mut points.iter().copied());
+    hull.extend(half(&mut points.iter().rev().copied()));
+    hull
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hull_of_a_square_with_inner_points_is_the_square() {
+        let mut points: Vec<DVec2> =
+            (0..5).flat_map(|i| (0..5).map(move |j| DVec2::new(f64::from(i), f64::from(j)))).collect();
+        points.push(DVec2::new(2.0, 2.0));
+        let hull = footprint(points);
+        assert_eq!(hull.len(), 4);
+        let area: f64 = (0..4).map(|i| hull[i].perp_dot(hull[(i + 1) % 4])).sum::<f64>() / 2.0;
+        assert_eq!(area, 16.0, "counter-clockwise");
+    }
+
+    #[test]
+    fn the_picture_shows_what_there_is_with_y_up() {
+        let disc = |x: f64, y: f64| TopOutline {
+            name: "ball".into(),
+            color: [1, 2, 3],
+            shape: TopShape::Disc { center_w: [x, y], radius: 0.05 },
+        };
+        let mut view =
+            TopView { size_px: 500.0, outlines: vec![disc(0.0, 0.0), disc(0.0, 0.6)], ..TopView::default() };
+        let (low, high) = view.window().unwrap();
+        assert!(low.distance(DVec2::new(-0.2, -0.2)) < 1e-12 && high.distance(DVec2::new(0.2, 0.8)) < 1e-12);
+        let svg = view.svg(|_, _| {}).unwrap();
+        assert!(svg.contains("cx=\"100.0\" cy=\"400.0\" r=\"25.0\" fill=\"rgb(1,2,3)\""), "{svg}");
+        assert!(svg.contains("cx=\"100.0\" cy=\"100.0\""), "{svg}");
+        let way = (0..=6).map(|k| DVec2::new(0.0, 0.1 * f64::from(k))).collect();
+        view.paths = vec![TopPath { ghosts: Some((0.05, [9, 9, 9])), ..TopPath::line(way, "#123") }];
+        let svg = view.svg(|_, _| {}).unwrap();
+        assert!(svg.matches("rgb(9,9,9)").count() >= 3 && svg.contains("#123"), "{svg}");
+        assert!(TopView::default().svg(|_, _| {}).is_none());
+    }
+
+    #[test]
+    fn a_sweep_ends_where_the_finger_is_taken_away() {
+        let points: Vec<DVec2> = [0.0, 0.01, 0.02, 0.4].map(|x| DVec2::new(x, 0.0)).to_vec();
+        assert_eq!(TopPath::sweep(&points).points_w.len(), 3);
+    }
+}

@@ -1,0 +1,105 @@
+//! Whether the places of a task can be come to.
+
+use crate::Ball;
+use crate::resolved::{bodies_of, horizontal};
+use glamx::DVec2;
+use sms_core::InputError;
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use sms_sim::signed_distance;
+use std::path::Path;
+
+/// Farther than this from every body nothing of a scan is left, metres.
+const FARTHEST_M: f64 = 3.0;
+
+/// A body nearer than this to what does not move stands on it, metres.
+const STANDS_M: f64 = 0.01;
+
+/// A ball that is deeper than this in something has no room there, metres: meshes are rough.
+const TOUCH_M: f64 = 0.005;
+
+/// Places that are tried around one: rings, and directions of each.
+const RINGS: u32 = 8;
+const DIRECTIONS: u32 = 24;
+
+/// A place that nothing of the scene is near to is a slip of units or axes.
+pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
+    let nearest = scene
+        .bodies
+        .iter()
+        .filter(|b| !matches!(b.shape, BodyShape::HalfSpace))
+        .map(|b| horizontal(b.x_wb.translation).distance(place_w))
+        .fold(f64::INFINITY, f64::min);
+    if nearest <= FARTHEST_M {
+        return Ok(());
+    }
+    Err(InputError::new(
+        format!(
+            "{what}, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
+            place_w.x, place_w.y
+        ),
+        path,
+        format!("give world coordinates in metres; the scene has {}", bodies_of(scene)),
+    ))
+}
+
+/// A place on the floor that the body cannot come within `enough_m` of, at the height at which it stands: what does not
+/// move is in the way, or nothing carries it there.
+pub(crate) fn check_reachable(
+    path: &Path,
+    what: &str,
+    place_w: DVec2,
+    enough_m: f64,
+    body: &Ball,
+    scene: &Scene,
+) -> Result<(), InputError> {
+    let is_sphere = matches!(scene.bodies[body.index].shape, BodyShape::Sphere { .. });
+    let still: Vec<&Body> = scene.bodies.iter().filter(|b| b.kind == BodyKind::Static).collect();
+    let refuse = |why: String, cure: &str| {
+        let name = &body.name;
+        Err(InputError::new(
+            format!("{what}, at [{:.3}, {:.3}], cannot be reached by `{name}`: {why}", place_w.x, place_w.y),
+            path,
+            format!("{cure}; the scene has {}", bodies_of(scene)),
+        ))
+    };
+    if is_sphere {
+        let is_in_way = |b: &&&Body, p_w: DVec2| {
+            !matches!(b.shape, BodyShape::HalfSpace)
+                && signed_distance(b, p_w.extend(body.center_w.z)) < body.radius - TOUCH_M
+        };
+        let in_way = |p_w: DVec2| still.iter().find(|b| is_in_way(b, p_w));
+        // As far from the place as counts as having come to it, in all directions.
+        let mut around = (1..=RINGS).flat_map(|ring| {
+            (0..DIRECTIONS).map(move |k| {
+                let turn = std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS);
+                place_w + enough_m * f64::from(ring) / f64::from(RINGS) * DVec2::from_angle(turn)
+            })
+        });
+        if let Some(obstacle) = in_way(place_w)
+            && around.all(|p_w| in_way(p_w).is_some())
+        {
+            return refuse(
+                format!(
+                    "`{}`, which does not move, keeps it more than {:.0} mm away",
+                    obstacle.name,
+                    1e3 * enough_m
+                ),
+                "choose a place beside it",
+            );
+        }
+    }
+    // A place on the floor is on what the body itself stands on, or on a floor without end.
+    let lowest_w = |p_w: DVec2| p_w.extend(body.center_w.z - body.radius);
+    let gap_m =
+        |p_w: DVec2| still.iter().map(|b| signed_distance(b, lowest_w(p_w))).fold(f64::INFINITY, f64::min);
+    let here_m = gap_m(horizontal(body.center_w)).max(0.0);
+    let there_m = gap_m(place_w);
+    // What stands on something that moves says nothing about the floor.
+    if here_m < STANDS_M && there_m > here_m + enough_m {
+        return refuse(
+            format!("there is no floor, nor within {:.0} mm", 1e3 * there_m),
+            "choose a place on the floor, or a box `{ min_w, max_w }` for a place off it",
+        );
+    }
+    Ok(())
+}

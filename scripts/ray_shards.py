@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+"""Runs the parts of a benchmark as Ray tasks and merges them. See docs/large-runs.md.
+
+    pip install ray
+    python scripts/ray_shards.py --parts 8 --results RESULTS robust --seeds 1001..1032
+    python scripts/ray_shards.py --parts 18 --results RESULTS --address auto billiards
+
+Without --address a Ray of this machine's cores is started. RESULTS is a folder that all nodes see; the program (--sms) lies
+in the same place on all of them. A part that fails is started again up to --retries times; billiards goes on where it was.
+"""
+
+import argparse
+import os
+import pathlib
+import subprocess
+import sys
+
+import ray
+
+
+def command(options: argparse.Namespace, part: int) -> list[str]:
+    """What runs one part, counted from 1."""
+    results = pathlib.Path(options.results).resolve()
+    parts = results / "parts"
+    out = [str(parts)] if options.bench == "billiards" else [str(parts / f"{options.bench}-{part}.json")]
+    keep = ["--keep", str(results / "scans")] if options.bench in ("billiards", "materialize") else []
+    shard = ["--shard", f"{part}/{options.parts}"]
+    return [options.sms, "bench", options.bench, *shard, "--out", *out, *keep, *options.rest]
+
+
+@ray.remote
+def run(arguments: list[str], threads: int) -> tuple[int, str]:
+    """Exit code and the end of what it said."""
+    environment = {**os.environ, "RAYON_NUM_THREADS": str(threads)}
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, (done.stdout + done.stderr)[-2000:]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", type=int, required=True, help="number of parts")
+    parser.add_argument("--results", required=True, help="folder that all nodes see")
+    parser.add_argument("--sms", default="sms", help="the program")
+    parser.add_argument("--threads", type=int, default=2, help="cores of each part")
+    parser.add_argument("--retries", type=int, default=1)
+    parser.add_argument("--address", help="a Ray cluster, such as auto")
+    parser.add_argument("bench", help="benchmark: billiards, robust, optimisers, plan, materialize, scenes")
+    parser.add_argument("rest", nargs=argparse.REMAINDER, help="its options")
+    options = parser.parse_args()
+
+    parts = pathlib.Path(options.results).resolve() / "parts"
+    parts.mkdir(parents=True, exist_ok=True)
+    ray.init(address=options.address, log_to_driver=False)
+    task = run.options(num_cpus=options.threads)
+    running = {task.remote(command(options, i), options.threads): (i, 0) for i in range(1, options.parts + 1)}
+    failed = []
+    while running:
+        (ready,), _ = ray.wait(list(running), num_returns=1)
+        part, tries = running.pop(ready)
+        try:
+            code, said = ray.get(ready)
+        except ray.exceptions.RayError as error:
+            code, said = 1, str(error)
+        if code == 0:
+            print(f"part {part}/{options.parts} is done", flush=True)
+        elif tries < options.retries:
+            print(f"part {part}/{options.parts} failed and is started again", flush=True)
+            running[task.remote(command(options, part), options.threads)] = (part, tries + 1)
+        else:
+            print(f"part {part}/{options.parts} failed:\n{said}", file=sys.stderr, flush=True)
+            failed.append(part)
+    ray.shutdown()
+    if failed:
+        return 1
+    merge = [options.sms, "bench", "merge", str(parts), "--out", str(parts.parent / "merged")]
+    return subprocess.run(merge, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+#!/bin/bash
+# One part of a benchmark per task of a Slurm job array. See docs/large-runs.md.
+#
+#   sbatch --array=1-18 scripts/slurm_array.sh RESULTS billiards
+#   sbatch --array=1-8  scripts/slurm_array.sh RESULTS robust --seeds 1..200 --family crowded
+#
+# To run parts 7 and 9 of 18 again: PARTS=18 sbatch --array=7,9 scripts/slurm_array.sh RESULTS billiards
+#
+# RESULTS is a folder that all nodes see. SMS names the program (default: sms). What follows the benchmark's name goes to it
+# as it is. Afterwards: sms bench merge RESULTS/parts --out RESULTS/merged
+#SBATCH --job-name=sms-bench
+#SBATCH --cpus-per-task=2
+#SBATCH --mem=6G
+#SBATCH --time=04:00:00
+#SBATCH --output=%x-%A_%a.log
+set -euo pipefail
+
+if [ $# -lt 2 ]; then
+    echo "usage: sbatch --array=1-N $0 RESULTS BENCHMARK [OPTIONS...]" >&2
+    exit 2
+fi
+results=$1 bench=$2
+shift 2
+part="$SLURM_ARRAY_TASK_ID/${PARTS:-$SLURM_ARRAY_TASK_COUNT}"
+parts="$results/parts"
+mkdir -p "$parts"
+export RAYON_NUM_THREADS="${SLURM_CPUS_PER_TASK:-2}"
+
+case "$bench" in
+# Its results are a folder. Each scene is in one part only, so all parts may share folders.
+billiards) out=(--out "$parts" --keep "$results/scans") ;;
+materialize) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json" --keep "$results/scans") ;;
+*) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json") ;;
+esac
+exec "${SMS:-sms}" bench "$bench" --shard "$part" "${out[@]}" "$@"
