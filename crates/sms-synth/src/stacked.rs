@@ -95,6 +95,7 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
         goal_w: [0.0; 2],
         robot_base_w: DVec3::ZERO,
         workspace_center_w: DVec3::ZERO,
+        landing: None,
     };
     scene.workspace_center_w = bounds_w(&scene).center();
     scene
@@ -108,7 +109,7 @@ pub fn bounds_w(scene: &TruthScene) -> Aabb {
 }
 
 /// Lifts an object that stands on the floor onto the top of another.
-fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
+pub(crate) fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
     let lift = DPose3::from_translation(DVec3::Z * below.aabb_w().max.z);
     object.x_wb = lift * object.x_wb;
     object
@@ -133,7 +134,9 @@ mod tests {
                 assert!(scene.objects.len() >= 2);
                 for (i, o) in scene.objects.iter().enumerate() {
                     let own = o.aabb_w();
-                    assert!(o.mass.mass() > 0.0 && (o.sphere_radius.is_some() || o.mesh.is_closed_oriented()));
+                    assert!(
+                        o.mass.mass() > 0.0 && (o.sphere_radius.is_some() || o.mesh.is_closed_oriented())
+                    );
                     let below = match structure {
                         Structure::BallAgainstMug => 0.0,
                         _ if i == 0 => 0.0,
@@ -152,10 +155,12 @@ mod tests {
             let centers: Vec<DVec3> = scene.objects.iter().map(|o| o.x_wb.translation).collect();
             let r = crate::BALL_RADIUS_M;
             assert!((centers[1].distance(centers[2]) - 2.0 * r).abs() < 1e-9);
-            let near = scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
+            let near =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
             // The wall has facets, and its corners lie up to a few millimetres from where the ball touches.
             assert!(near > r - 1e-4 && near < r + 0.004, "{near}");
-            let other = scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);
+            let other =
+                scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);
             assert!(other > r, "{other}");
         }
     }
