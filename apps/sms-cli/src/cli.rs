@@ -473,6 +473,9 @@ pub(crate) enum FamilyName {
     Challenge,
     /// The eighteen scenes of `sms bench billiards`: seeds 1 to 18.
     Fixed,
+    /// Structures that a quadrotor could topple by landing on them: seeds 1 to 4 are the four fixed ones (box on step ladder,
+    /// tote on stool, board on recycling bin, board on stool), others are drawn, in turns; filmed from a helix.
+    Landing,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -505,7 +508,7 @@ pub(crate) struct Synth {
     /// Image width in pixels; the height is 5/8 of it.
     #[arg(long, default_value_t = 1280)]
     pub width: usize,
-    /// Heights of the camera's path.
+    /// Heights of the camera's path (not of the family landing).
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,
     /// Standard deviation of the recorded camera position per axis, millimetres.

@@ -99,6 +99,7 @@ pub fn generate_billiards(seed: Seed, settings: &BilliardsSettings) -> TruthScen
         goal_w: shot.goal.to_array(),
         robot_base_w: DVec3::ZERO,
         workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
+        landing: None,
     }
 }
 

@@ -140,6 +140,7 @@ pub fn generate_challenge(layout: Layout, scene_seed: Seed, obstacles: usize) ->
         goal_w: shot.goal.to_array(),
         robot_base_w: DVec3::ZERO,
         workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
+        landing: None,
     })
 }
 

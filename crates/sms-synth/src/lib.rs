@@ -3,6 +3,8 @@
 //! - [`generate_billiards`]: a seeded scene of two pool balls, a goal and household obstacles, each with its exact
 //!   surface, convex pieces, true material and mass properties.
 //! - [`generate_stacked`]: things that stand on each other or touch, for masks.
+//! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
+//!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] films them.
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
 //!   the depth as imperfect as that of a real stereo camera.
 //! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
@@ -32,6 +34,7 @@ mod challenge;
 mod depth_camera;
 mod eighteen;
 mod floor_light;
+mod landing;
 mod materials;
 mod model;
 mod path;
@@ -45,15 +48,17 @@ mod skin;
 mod stacked;
 mod stage;
 mod texture;
+mod tipping;
 
 pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIXED_SCENES, FixedScene};
+pub use landing::{LandingStructure, LandingTruth, generate_landing};
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
-pub use path::{CameraPath, paper_billiards_path};
+pub use path::{CameraPath, HelicalPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};
 pub use scanned::{NamedModel, generate_billiards_among, read_models};
@@ -61,3 +66,4 @@ pub use scene::{Hollow, TRUTH_VERSION, TruthFloor, TruthObject, TruthScene, read
 pub use skin::Skin;
 pub use stacked::{Structure, bounds_w, generate_stacked};
 pub use texture::{Pattern, Spot, Texture};
+pub use tipping::Support;

@@ -191,6 +191,7 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
         floor: draw_floor(seed, seed),
         goal_w: [0.0; 2],
         robot_base_w: DVec3::ZERO,
+        landing: None,
     };
     ModelScene { scene, skins: vec![skin] }
 }

@@ -84,6 +84,46 @@ impl CameraPath {
     }
 }
 
+/// The paper's path around a landing structure (appendix "Scene Imaging and Reconstruction"): a helix with the camera
+/// "focused on the center of the structure", from 0.35 to 1.35 m in three orbits. The paper does not give its radius.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HelicalPath {
+    /// Orbits.
+    pub orbits: usize,
+    /// Distance of the camera from the vertical line through the structure's centre, metres. The default keeps the longest
+    /// overhang beyond a depth camera's nearest distance, and the whole structure in view.
+    pub radius_m: f64,
+    /// Height above the floor at the first and at the last frame, metres.
+    pub height_range_m: [f64; 2],
+}
+
+impl Default for HelicalPath {
+    fn default() -> Self {
+        Self { orbits: 3, radius_m: 1.2, height_range_m: [0.35, 1.35] }
+    }
+}
+
+impl HelicalPath {
+    /// Camera poses `X_WC` (OpenCV axes) for a scan of `frames` frames (paper: 60) of the scene; they look at the centre of
+    /// its workspace, from the side of the world's −x first.
+    pub fn poses(&self, scene: &TruthScene, frames: usize) -> Vec<DPose3> {
+        let target = scene.workspace_center_w;
+        // Only the pose is used.
+        let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
+        let [low, high] = self.height_range_m;
+        (0..frames)
+            .map(|i| {
+                let progress = i as f64 / frames.saturating_sub(1).max(1) as f64;
+                let angle = std::f64::consts::PI + std::f64::consts::TAU * self.orbits as f64 * progress;
+                let flat = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.radius_m;
+                let eye = (target + flat).with_z(low + (high - low) * progress);
+                Camera::look_at(intrinsics, eye, target, DVec3::Z).x_wc
+            })
+            .collect()
+    }
+}
+
 /// The default path around a billiards scene: `X_WC` of each frame. See [`CameraPath`] for its heights.
 pub fn paper_billiards_path(scene: &TruthScene, frames: usize) -> Vec<DPose3> {
     CameraPath::default().poses(scene, frames)

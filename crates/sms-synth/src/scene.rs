@@ -1,5 +1,6 @@
 //! The truth of a generated scene. The planner never reads it: `execute`, `evaluate` and benchmarks do.
 
+use crate::landing::LandingTruth;
 use crate::texture::Texture;
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -33,6 +34,9 @@ pub struct TruthScene {
     pub robot_base_w: DVec3,
     /// Centre of the workspace, at which the cameras look.
     pub workspace_center_w: DVec3,
+    /// What is true of a landing structure; `None` in other scenes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub landing: Option<LandingTruth>,
 }
 
 /// One object. Its body frame `B` has its origin at the centre of mass and its axes parallel to the world's at

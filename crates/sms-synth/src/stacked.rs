@@ -95,6 +95,7 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
         goal_w: [0.0; 2],
         robot_base_w: DVec3::ZERO,
         workspace_center_w: DVec3::ZERO,
+        landing: None,
     };
     scene.workspace_center_w = bounds_w(&scene).center();
     scene
@@ -108,7 +109,7 @@ pub fn bounds_w(scene: &TruthScene) -> Aabb {
 }
 
 /// Lifts an object that stands on the floor onto the top of another.
-fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
+pub(crate) fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
     let lift = DPose3::from_translation(DVec3::Z * below.aabb_w().max.z);
     object.x_wb = lift * object.x_wb;
     object

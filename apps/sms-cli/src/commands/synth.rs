@@ -5,8 +5,9 @@ use crate::cli::{FamilyName, PathName, Synth};
 use crate::context::Context;
 use sms_core::{InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, CameraPath, FIXED_SCENES, Layout, ModelScene, RecordingSettings, generate_billiards,
-    generate_billiards_among, generate_challenge, read_models, record_views,
+    BilliardsSettings, CameraPath, FIXED_SCENES, HelicalPath, LandingStructure, Layout, ModelScene,
+    RecordingSettings, generate_billiards, generate_billiards_among, generate_challenge, generate_landing,
+    read_models, record_views,
 };
 
 pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
@@ -26,7 +27,10 @@ pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
         seed: Seed(a.seed),
         ..RecordingSettings::default()
     };
-    let poses = settings.path.poses(truth, settings.frames);
+    let poses = match &truth.landing {
+        Some(_) => HelicalPath::default().poses(truth, settings.frames),
+        None => settings.path.poses(truth, settings.frames),
+    };
     let source = made.skins.iter().filter(|s| s.is_some()).count().to_string();
     record_views(
         truth,
@@ -83,6 +87,12 @@ fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
                 InputError::new("there is no such fixed scene", "--seed", "give a number from 1 to 18")
             })?;
             Ok(plain(fixed.generate()))
+        }
+        FamilyName::Landing => {
+            let all = LandingStructure::ALL;
+            let fixed = (a.seed as usize).checked_sub(1).and_then(|i| all.get(i));
+            let drawn = || generate_landing(all[(a.seed % all.len() as u64) as usize], Seed(a.seed));
+            Ok(plain(fixed.map_or_else(drawn, |s| s.fixed())))
         }
     }
 }

@@ -3,8 +3,10 @@
 mod dishware;
 mod figures;
 mod furniture;
+mod household;
 
 pub(crate) use furniture::Furniture;
+pub(crate) use household::Household;
 
 use crate::materials::{draw_material, with_effective_density};
 use crate::scene::{Hollow, TruthObject};
@@ -183,6 +185,19 @@ pub(crate) fn make_asset(
 /// Makes a piece of furniture standing at `p_w` on the floor, turned by `yaw` radians about z.
 pub(crate) fn make_furniture(kind: Furniture, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
     let blueprint = furniture::blueprint(kind, rng);
+    place(blueprint, p_w, yaw, rng)
+}
+
+/// Makes a household thing standing at `p_w` on the floor, turned by `yaw` radians about z; its sizes differ from the usual
+/// ones by up to the share `spread`.
+pub(crate) fn make_household(
+    kind: Household,
+    spread: f64,
+    p_w: DVec2,
+    yaw: f64,
+    rng: &mut StageRng,
+) -> TruthObject {
+    let blueprint = household::blueprint(kind, spread, rng);
     place(blueprint, p_w, yaw, rng)
 }
 

@@ -1,0 +1,192 @@
+//! Structures on which a quadrotor lands, and which its wash or its weight could topple (paper, appendix on the quadrotor).
+
+use crate::assets::{Household, make_household};
+use crate::billiards::{draw_floor, uniform};
+use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use crate::stacked::{bounds_w, on_top};
+use crate::tipping::{Support, convex_hull, support};
+use glamx::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::Seed;
+
+/// How much the sizes of a drawn structure differ from the usual ones.
+const SPREAD: f64 = 0.08;
+/// Load at the far end of the overhang that topples a structure, newtons: a quarter of the weight of the paper's quadrotor
+/// (1.182 kg). Structures are built to it.
+const FIXED_END_LOAD_N: f64 = 3.0;
+const END_LOADS_N: [f64; 2] = [2.0, 3.5];
+/// Ballast ends this far from the platform's end, metres.
+const BALLAST_INSET_M: f64 = 0.02;
+/// Starts of flights: their number, the radius of their circle, and how far they are above the platform, metres.
+const STARTS: usize = 10;
+const START_RADIUS_M: f64 = 2.0;
+/// Flights go this far above the platform (issue "landing": "in the plane 0.35 m above the platform").
+const FLIGHT_HEIGHT_M: f64 = 0.35;
+/// The floor reaches farther than in other scenes: flights start above it.
+const FLOOR_HALF_SIZE_M: f64 = 2.5;
+
+/// What a quadrotor lands on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LandingStructure {
+    /// A flat cardboard box that overhangs the platform of a step ladder.
+    BoxOnLadder,
+    /// A closed tote that overhangs the seat of a stool.
+    ToteOnStool,
+    /// A board that juts out from a recycling bin, held down by a brass bar.
+    BoardOnBin,
+    /// A board that juts out from a stool of counter height, held down by a slab of marble.
+    BoardOnStool,
+}
+
+impl LandingStructure {
+    /// All of them, as `sms synth --family landing` numbers them from 1.
+    pub const ALL: [Self; 4] = [Self::BoxOnLadder, Self::ToteOnStool, Self::BoardOnBin, Self::BoardOnStool];
+
+    /// The word in files, names and seeds.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::BoxOnLadder => "box_on_ladder",
+            Self::ToteOnStool => "tote_on_stool",
+            Self::BoardOnBin => "board_on_bin",
+            Self::BoardOnStool => "board_on_stool",
+        }
+    }
+
+    /// What stands on the floor, what is landed on, and the ballast.
+    fn things(self) -> (Household, Household, Option<Household>) {
+        match self {
+            Self::BoxOnLadder => (Household::StepLadder, Household::FlatBox, None),
+            Self::ToteOnStool => (Household::Stool, Household::LiddedTote, None),
+            Self::BoardOnBin => (Household::RecyclingBin, Household::Board, Some(Household::BrassBar)),
+            Self::BoardOnStool => (Household::CounterStool, Household::Board, Some(Household::MarbleSlab)),
+        }
+    }
+
+    /// The fixed scene of the benchmark: usual sizes, and 3 N at the end of the overhang topple it. Frozen: a test holds the
+    /// hash of all four.
+    pub fn fixed(self) -> TruthScene {
+        let number = self as usize + 1;
+        let mut scene = build(self, Seed(number as u64), 0.0, [FIXED_END_LOAD_N; 2]);
+        scene.name = format!("landing scene {number} of 4 ({})", self.as_str());
+        scene
+    }
+}
+
+/// What is true of a landing structure besides its objects.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingTruth {
+    /// Name of the object to land on.
+    pub platform: String,
+    /// Height of its top, metres.
+    pub top_m: f64,
+    /// Outline of its top, counterclockwise in the world's x and y, metres.
+    pub outline_w: Vec<[f64; 2]>,
+    /// Unit vector in the world's x and y from the base to the overhang's end.
+    pub overhang_w: [f64; 2],
+    /// The middle of the overhang's end, in the world's x and y, metres.
+    pub end_w: [f64; 2],
+    /// The levels at which the stack could come apart; see [`TruthScene::tipping_load_n`].
+    pub supports: Vec<Support>,
+    /// Where flights of the benchmark start: on a circle of 2 m around the structure, 0.35 m above the platform.
+    pub starts_w: Vec<DVec3>,
+}
+
+/// A structure whose sizes, colours, materials, turns and overhang follow from the seed; its base stands at the world's
+/// origin. It is slid over its base as far as lets 2 to 3.5 N at the end of the overhang topple it. Frozen: the same seed gives
+/// the same scene.
+pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
+    build(structure, seed, SPREAD, END_LOADS_N)
+}
+
+fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: [f64; 2]) -> TruthScene {
+    let seed = scene_seed.derive("landing v1").derive(structure.as_str());
+    let mut rng = seed.derive("layout").rng();
+    let yaw = uniform(&mut rng, [0.0, std::f64::consts::TAU]);
+    let turn = yaw + uniform(&mut rng, [-0.06, 0.06]);
+    let ballast_yaw = turn + uniform(&mut rng, [-0.08, 0.08]);
+    let end_load = uniform(&mut rng, end_loads);
+    let make = |kind: Household, yaw: f64| {
+        make_household(kind, spread, DVec2::ZERO, yaw, &mut seed.derive(kind.as_str()).rng())
+    };
+    let (base, platform, ballast) = structure.things();
+    let base = make(base, yaw);
+    let platform = on_top(make(platform, turn), &base);
+    let overhang = DVec2::from_angle(turn);
+    let reach = |o: &TruthObject| {
+        o.mesh_w().vertices.iter().map(|v| v.truncate().dot(overhang)).fold(f64::MIN, f64::max)
+    };
+    let half_length = reach(&platform);
+    let mut objects = vec![base, platform];
+    if let Some(kind) = ballast {
+        let mut weight = on_top(make(kind, ballast_yaw), &objects[1]);
+        let back = half_length - BALLAST_INSET_M - reach(&weight);
+        weight.x_wb.translation -= (overhang * back).extend(0.0);
+        objects.push(weight);
+    }
+    let mut scene = TruthScene {
+        version: TRUTH_VERSION,
+        name: format!("landing on {}, seed {}", structure.as_str(), scene_seed.0),
+        seed: scene_seed,
+        objects,
+        floor: draw_floor(scene_seed, seed),
+        cue: String::new(),
+        target: String::new(),
+        goal_w: [0.0; 2],
+        robot_base_w: DVec3::ZERO,
+        workspace_center_w: DVec3::ZERO,
+        landing: None,
+    };
+    scene.floor.half_size_m = FLOOR_HALF_SIZE_M;
+    let slid = |by: f64| {
+        let mut slid = scene.clone();
+        slid.objects[1..].iter_mut().for_each(|o| o.x_wb.translation += (overhang * by).extend(0.0));
+        slid.landing = Some(landing_truth(&slid, overhang, half_length));
+        slid
+    };
+    // The farther out, the smaller the load that topples it. Far in nothing does.
+    let (mut near, mut far) = (-0.5 * half_length, half_length);
+    for _ in 0..40 {
+        let middle = 0.5 * (near + far);
+        let trial = slid(middle);
+        let end: DVec2 = trial.landing.as_ref().map_or(DVec2::ZERO, |l| l.end_w.into());
+        if trial.tipping_load_n(end).is_some_and(|load| load > end_load) {
+            near = middle
+        } else {
+            far = middle
+        }
+    }
+    let mut scene = slid(near);
+    let bounds = bounds_w(&scene);
+    scene.workspace_center_w = bounds.center();
+    if let Some(landing) = &mut scene.landing {
+        let center = bounds.center().with_z(landing.top_m + FLIGHT_HEIGHT_M);
+        let step = std::f64::consts::TAU / STARTS as f64;
+        let start = |k: usize| center + (DVec2::from_angle(step * k as f64) * START_RADIUS_M).extend(0.0);
+        landing.starts_w = (0..STARTS).map(start).collect();
+    }
+    scene
+}
+
+/// Of a base, a platform and perhaps ballast, in this order; without starts.
+fn landing_truth(scene: &TruthScene, overhang: DVec2, half_length: f64) -> LandingTruth {
+    let [base, platform, ballast @ ..] = &scene.objects[..] else {
+        unreachable!("a landing structure has a base and a platform");
+    };
+    let above: Vec<&TruthObject> = ballast.iter().collect();
+    let all: Vec<&TruthObject> = std::iter::once(platform).chain(ballast).collect();
+    let mut supports = vec![support(base, None, &all), support(platform, Some(base), &above)];
+    supports.extend(ballast.iter().map(|b| support(b, Some(platform), &[])));
+    let top = platform.aabb_w().max.z;
+    let corners = platform.mesh_w().vertices.into_iter().filter(|v| top - v.z < 1e-6).map(|v| v.truncate());
+    let center = platform.aabb_w().center().truncate();
+    LandingTruth {
+        platform: platform.name.clone(),
+        top_m: top,
+        outline_w: convex_hull(corners.collect()).into_iter().map(|p| p.to_array()).collect(),
+        overhang_w: overhang.to_array(),
+        end_w: (center + overhang * half_length).to_array(),
+        supports,
+        starts_w: Vec::new(),
+    }
+}

@@ -1,0 +1,191 @@
+//! When a stack topples: closed forms of statics.
+
+use crate::scene::{TruthObject, TruthScene};
+use glamx::DVec2;
+use serde::{Deserialize, Serialize};
+
+/// Acceleration of gravity, m/s².
+const GRAVITY: f64 = 9.81;
+/// Faces within this height of each other touch, metres.
+const TOUCH_M: f64 = 1e-6;
+
+/// A level at which a stack stands on what is below.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Support {
+    /// The objects above the level: the one that stands on it, and all that it carries.
+    pub above: Vec<String>,
+    /// What they stand on; `None` is the floor.
+    pub below: Option<String>,
+    /// Height of the level, metres.
+    pub height_m: f64,
+    /// Convex hull of the contact, counterclockwise in the world's x and y, metres.
+    pub footprint_w: Vec<[f64; 2]>,
+}
+
+impl Support {
+    /// The smallest force straight down at `p_w` (metres) that tips what is above, of the given mass (kg) and centre of mass,
+    /// over an edge of the contact, newtons. Infinite where no force does, 0 where it topples without one.
+    ///
+    /// What is above stays as long as the common centre of pressure of weight and load lies within the hull of the contact.
+    /// With the inward normal `n` of an edge through `q`: `M g n·(c − q) + F n·(p − q) = 0`.
+    pub fn tipping_load_n(&self, mass_kg: f64, com_w: DVec2, p_w: DVec2) -> f64 {
+        let corners: Vec<DVec2> = self.footprint_w.iter().map(|&q| q.into()).collect();
+        if corners.len() < 3 {
+            return 0.0;
+        }
+        let mut least = f64::INFINITY;
+        for (i, &q) in corners.iter().enumerate() {
+            let inward = (corners[(i + 1) % corners.len()] - q).perp().normalize_or_zero();
+            let (weight_arm, load_arm) = (inward.dot(com_w - q), inward.dot(p_w - q));
+            if weight_arm <= 0.0 {
+                return 0.0;
+            }
+            if load_arm < 0.0 {
+                least = least.min(mass_kg * GRAVITY * weight_arm / -load_arm);
+            }
+        }
+        least
+    }
+}
+
+impl TruthScene {
+    /// The smallest force straight down at a point (world, metres) of the landing platform that topples the structure: the
+    /// platform off what it stands on, or the whole off its feet. Newtons; infinite where no force does, 0 if it topples by
+    /// itself. `None` when the scene has no landing platform.
+    pub fn tipping_load_n(&self, p_w: DVec2) -> Option<f64> {
+        let landing = self.landing.as_ref()?;
+        let carrying = landing.supports.iter().filter(|s| s.above.contains(&landing.platform));
+        Some(carrying.map(|s| self.support_load_n(s, p_w)).fold(f64::INFINITY, f64::min))
+    }
+
+    /// As [`TruthScene::tipping_load_n`], of one level; the point may lie on anything above it.
+    pub fn support_load_n(&self, support: &Support, p_w: DVec2) -> f64 {
+        let above = || self.objects.iter().filter(|o| support.above.contains(&o.name));
+        let mass: f64 = above().map(|o| o.mass.mass()).sum();
+        let moment: DVec2 = above().map(|o| o.x_wb.translation.truncate() * o.mass.mass()).sum();
+        support.tipping_load_n(mass, moment / mass, p_w)
+    }
+}
+
+/// The level at which `upper` stands on `lower` (the floor: `None`): the convex hull of where its lowest faces meet upper faces.
+pub(crate) fn support(upper: &TruthObject, lower: Option<&TruthObject>, carried: &[&TruthObject]) -> Support {
+    let height = upper.aabb_w().min.z;
+    let feet = level_faces(upper, height, false);
+    let points: Vec<DVec2> = match lower {
+        None => feet.concat(),
+        Some(lower) => {
+            let tops = level_faces(lower, height, true);
+            let pairs = feet.iter().flat_map(|foot| tops.iter().map(move |top| common(foot, top)));
+            pairs.flatten().collect()
+        }
+    };
+    let names = std::iter::once(upper).chain(carried.iter().copied()).map(|o| o.name.clone());
+    Support {
+        above: names.collect(),
+        below: lower.map(|o| o.name.clone()),
+        height_m: height,
+        footprint_w: convex_hull(points).into_iter().map(|p| p.to_array()).collect(),
+    }
+}
+
+/// The highest or lowest faces of an object's convex pieces at a height, each counterclockwise.
+fn level_faces(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
+    let face = |part: &sms_core::Mesh| {
+        let corners = || part.vertices.iter().map(|v| object.x_wb * *v);
+        let end = match upper {
+            true => corners().map(|p| p.z).fold(f64::MIN, f64::max),
+            false => corners().map(|p| p.z).fold(f64::MAX, f64::min),
+        };
+        if (end - height).abs() > TOUCH_M {
+            return None;
+        }
+        let level = corners().filter(|p| (p.z - end).abs() <= TOUCH_M).map(|p| p.truncate());
+        Some(convex_hull(level.collect())).filter(|f| f.len() >= 3)
+    };
+    object.parts.iter().filter_map(face).collect()
+}
+
+/// Corners of the convex hull, counterclockwise (Andrew's monotone chain, 1979).
+pub(crate) fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    points.dedup_by(|a, b| a.distance_squared(*b) < 1e-18);
+    if points.len() < 3 {
+        return points;
+    }
+    let chain = |points: &mut dyn Iterator<Item = DVec2>| {
+        let mut chain: Vec<DVec2> = Vec::new();
+        for p in points {
+            while let [.., a, b] = chain[..] {
+                if (b - a).perp_dot(p - b) > 1e-12 {
+                    break;
+                }
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = chain(&mut points.iter().copied());
+    hull.extend(chain(&mut points.iter().rev().copied()));
+    hull
+}
+
+/// What two convex polygons, both counterclockwise, have in common (Sutherland and Hodgman 1974).
+fn common(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
+    let mut left = subject.to_vec();
+    for (i, &q) in window.iter().enumerate() {
+        let inward = (window[(i + 1) % window.len()] - q).perp();
+        let depth = |p: DVec2| inward.dot(p - q);
+        let before = std::mem::take(&mut left);
+        for (k, &a) in before.iter().enumerate() {
+            let b = before[(k + 1) % before.len()];
+            let (da, db) = (depth(a), depth(b));
+            if da >= 0.0 {
+                left.push(a);
+            }
+            if (da > 0.0 && db < 0.0) || (da < 0.0 && db > 0.0) {
+                left.push(a.lerp(b, da / (da - db)));
+            }
+        }
+    }
+    left
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(half: f64) -> Support {
+        let footprint_w = vec![[-half, -half], [half, -half], [half, half], [-half, half]];
+        Support { above: vec![], below: None, height_m: 0.0, footprint_w }
+    }
+
+    #[test]
+    fn a_beam_tips_by_the_law_of_the_lever() {
+        let support = square(0.1);
+        let load = |p: [f64; 2]| support.tipping_load_n(2.0, DVec2::new(0.06, 0.0), p.into());
+        // The weight acts 4 cm within the edge at x = 0.1, the load 20 cm beyond it.
+        assert!((load([0.3, 0.0]) - 2.0 * 9.81 * 0.04 / 0.2).abs() < 1e-12);
+        assert!((load([-0.3, 0.0]) - 2.0 * 9.81 * 0.16 / 0.2).abs() < 1e-12);
+        // Beyond a corner the weaker edge counts.
+        assert!((load([0.3, 0.5]) - (2.0f64 * 9.81 * 0.04 / 0.2).min(2.0 * 9.81 * 0.1 / 0.4)).abs() < 1e-12);
+        assert_eq!(load([0.09, -0.09]), f64::INFINITY);
+        assert_eq!(support.tipping_load_n(2.0, DVec2::new(0.11, 0.0), DVec2::ZERO), 0.0);
+    }
+
+    #[test]
+    fn hulls_and_common_parts_of_squares() {
+        let at = |x: f64, y: f64| DVec2::new(x, y);
+        let grid = (0..25).map(|i| at(f64::from(i % 5), f64::from(i / 5))).collect();
+        assert_eq!(convex_hull(grid), [at(0.0, 0.0), at(4.0, 0.0), at(4.0, 4.0), at(0.0, 4.0)]);
+        let unit = [at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)];
+        let moved = unit.map(|p| p + at(0.75, 0.5));
+        let both = convex_hull(common(&unit, &moved));
+        assert_eq!(both, [at(0.75, 0.5), at(1.0, 0.5), at(1.0, 1.0), at(0.75, 1.0)]);
+        assert!(common(&unit, &unit.map(|p| p + at(2.0, 0.0))).is_empty());
+        // A diamond within the square is all that they share.
+        let diamond = [at(0.5, 0.1), at(0.9, 0.5), at(0.5, 0.9), at(0.1, 0.5)];
+        assert_eq!(convex_hull(common(&diamond, &unit)).len(), 4);
+    }
+}
