@@ -80,9 +80,10 @@ fn with_budget(config: &PlanConfig, budget: usize) -> PlanConfig {
 
 /// Best objective in metres that each method finds within each budget, over the scenes. Keys are
 /// `bench.optimisers.{name}.{evaluations}.{mean_m, median_m, success_share, blind_starts_share, difference_m,
-/// difference_low_m, difference_high_m}`; `blind_starts_share` is the share of local searches that end without any value:
-/// every strike that they tried was refused by the robot or could not be believed. The differences are those of the means to the baseline with a paired 95 % bootstrap interval
-/// over scenes. The figures do not depend on the number of threads.
+/// difference_low_m, difference_high_m}`; `blind_starts_share` is the share of local searches that end without any value,
+/// mean over scenes: every strike that they tried was refused by the robot or could not be believed. The differences are
+/// those of the means to the baseline with a paired 95 % bootstrap interval over scenes. The figures do not depend on the
+/// number of threads.
 ///
 /// # Errors
 /// [`BenchError`]: interruption, or settings out of range.
@@ -139,9 +140,8 @@ pub fn run_optimisers(
             set("mean_m", values.iter().sum::<f64>() / n);
             set("median_m", median(&values));
             set("success_share", column(e, b).iter().filter(|v| v.success).count() as f64 / n);
-            let starts: usize = column(e, b).iter().map(|v| v.starts).sum();
-            let blind: usize = column(e, b).iter().map(|v| v.blind).sum();
-            set("blind_starts_share", blind as f64 / starts.max(1) as f64);
+            let blind = column(e, b).iter().map(|v| v.blind as f64 / v.starts.max(1) as f64).sum::<f64>();
+            set("blind_starts_share", blind / n);
             if let Some(other) = baseline.filter(|&o| o != e) {
                 let others: Vec<f64> = column(other, b).iter().map(|v| v.objective).collect();
                 if let Some(d) = paired_difference(&values, &others) {

@@ -22,7 +22,9 @@ pub fn merge_optimisers(bench: &OptimiserBench, each: &[Metrics]) -> Metrics {
             let values = column(name, budget, "mean_m");
             set("mean_m", mean(&values));
             set("median_m", median(&values));
-            set("success_share", mean(&column(name, budget, "success_share")));
+            for share in ["success_share", "blind_starts_share"] {
+                set(share, mean(&column(name, budget, share)));
+            }
             let others = column(&bench.baseline, budget, "mean_m");
             if *name != bench.baseline
                 && let Some(d) = paired_difference(&values, &others)

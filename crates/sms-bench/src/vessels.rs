@@ -1,8 +1,9 @@
 //! The scene of the speed target: two balls and eight vessels of eight hulls each, struck by the arm, simulated for four
 //! seconds without ending early; and the same for another simulator.
 
+use crate::BenchError;
 use crate::plan_scenes::STAND_BACK_M;
-use crate::{BenchError, cpu_seconds};
+use crate::process::thread_cpu_seconds;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
@@ -149,14 +150,15 @@ struct PeerFile {
     strikes: Vec<StrikeFile>,
 }
 
-/// CPU seconds so far, where the system tells; else those of the clock on the wall.
+/// CPU seconds of this thread so far, where the system tells; else those of the clock on the wall. Not the process's: what
+/// other threads have used is gone from its sum when they end.
 fn cpu() -> f64 {
     static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    cpu_seconds().unwrap_or_else(|| START.get_or_init(Instant::now).elapsed().as_secs_f64())
+    thread_cpu_seconds().unwrap_or_else(|| START.get_or_init(Instant::now).elapsed().as_secs_f64())
 }
 
-/// Times whole rollouts of [`vessel_scene`] on this thread, in CPU seconds of the process (nothing else may run in it), and writes the scene as URDF, the robot and the strikes to
-/// `folder`, where one is given. Keys: `bench.plan.{full_evaluation_s, full_finger_evaluation_s, full_sweep_plan_s,
+/// Times whole rollouts of [`vessel_scene`] on this thread, in CPU seconds (nothing of them runs on another thread), and
+/// writes the scene as URDF, the robot and the strikes to `folder`, where one is given. Keys: `bench.plan.{full_evaluation_s, full_finger_evaluation_s, full_sweep_plan_s,
 /// full_arm_s}`; the first is with the planning of the arm's sweep.
 ///
 /// # Errors

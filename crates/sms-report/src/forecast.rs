@@ -406,7 +406,7 @@ mod tests {
         );
         assert_eq!(html.matches("class=\"world\"").count(), 3);
         assert!(html.contains("worse than in 67 % of 3 predicted worlds"));
-        assert!(html.contains("1 of 4 rollouts could not be believed"));
+        assert!(html.contains("Not shown: 1 of 4 not valid."));
         assert!(html.contains("could not be believed: 4 of 4 rollouts"));
         assert!(html.contains("it relies on <b class=\"name\">a&lt;b</b>.") && html.contains("± 4.00 mm"));
         // Ranks at the ends, and a value off the predicted ones.
