@@ -1,6 +1,6 @@
 //! `sms bench optimisers`: search methods at equal numbers of rollouts.
 
-use crate::{BenchError, PlanScene, SceneFamily, paired_difference};
+use crate::{BenchError, PlanScene, SceneFamily, median, paired_difference};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, Progress, Seed};
@@ -153,16 +153,6 @@ pub fn run_optimisers(
         }
     }
     Ok(metrics)
-}
-
-pub(crate) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
-    }
 }
 
 /// The figures of [`run_optimisers`] as a table, millimetres.

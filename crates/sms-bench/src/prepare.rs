@@ -4,6 +4,7 @@ use crate::disturb::Disturbance;
 use crate::scenes::{BenchScene, HOLDOUT, generated, real_data_dir, recording};
 use crate::{BenchError, process};
 use glamx::DPose3;
+use serde_json::{Value, json};
 use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, Warnings};
 use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
@@ -72,6 +73,19 @@ impl BenchOptions {
             Preset::Standard => "standard",
             Preset::Fine => "fine",
         }
+    }
+
+    /// What a scan and the bodies made of it depend on, by name, besides scene and masks; for comparing parts of a run.
+    pub fn settings(&self) -> [(&'static str, Value); 7] {
+        [
+            ("preset", json!(self.preset_name())),
+            ("frames", json!(self.frames)),
+            ("read", json!(self.read)),
+            ("load", json!(self.load)),
+            ("masks", json!(self.masks)),
+            ("scan", json!(self.scan)),
+            ("entities", json!(self.entities)),
+        ]
     }
 }
 

@@ -1,7 +1,6 @@
 //! Figures of benchmarks whose seeds ran apart, put together as if they had run at once.
 
-use crate::optimisers::median;
-use crate::{OptimiserBench, paired_difference};
+use crate::{OptimiserBench, median, paired_difference};
 use sms_core::metrics::Metrics;
 
 /// The figures of [`crate::run_optimisers`] over all seeds, of those of one seed each in the order of `bench.seeds`.

@@ -2,7 +2,7 @@
 
 use crate::assets::{Household, make_household};
 use crate::billiards::{draw_floor, uniform};
-use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use crate::scene::{TruthObject, TruthScene};
 use crate::stacked::{bounds_w, on_top};
 use crate::tipping::{Support, convex_hull, support};
 use glamx::{DVec2, DVec3};
@@ -124,19 +124,8 @@ fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: 
         weight.x_wb.translation -= (overhang * back).extend(0.0);
         objects.push(weight);
     }
-    let mut scene = TruthScene {
-        version: TRUTH_VERSION,
-        name: format!("landing on {}, seed {}", structure.as_str(), scene_seed.0),
-        seed: scene_seed,
-        objects,
-        floor: draw_floor(scene_seed, seed),
-        cue: String::new(),
-        target: String::new(),
-        goal_w: [0.0; 2],
-        robot_base_w: DVec3::ZERO,
-        workspace_center_w: DVec3::ZERO,
-        landing: None,
-    };
+    let name = format!("landing on {}, seed {}", structure.as_str(), scene_seed.0);
+    let mut scene = TruthScene::of_objects(name, scene_seed, objects, draw_floor(scene_seed, seed));
     scene.floor.half_size_m = FLOOR_HALF_SIZE_M;
     let slid = |by: f64| {
         let mut slid = scene.clone();

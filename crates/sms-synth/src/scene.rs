@@ -103,6 +103,23 @@ pub struct TruthFloor {
 }
 
 impl TruthScene {
+    /// Objects on a floor, without balls, goal or robot; the workspace's centre is the origin.
+    pub(crate) fn of_objects(name: String, seed: Seed, objects: Vec<TruthObject>, floor: TruthFloor) -> Self {
+        Self {
+            version: TRUTH_VERSION,
+            name,
+            seed,
+            objects,
+            floor,
+            cue: String::new(),
+            target: String::new(),
+            goal_w: [0.0; 2],
+            robot_base_w: DVec3::ZERO,
+            workspace_center_w: DVec3::ZERO,
+            landing: None,
+        }
+    }
+
     /// The object of this name.
     pub fn object(&self, name: &str) -> Option<&TruthObject> {
         self.objects.iter().find(|o| o.name == name)

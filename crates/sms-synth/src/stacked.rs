@@ -2,7 +2,7 @@
 
 use crate::assets::{AssetKind, Furniture, make_asset, make_furniture, make_pool_ball};
 use crate::billiards::{draw_floor, name_uniquely};
-use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use crate::scene::{TruthObject, TruthScene};
 use glamx::{DPose3, DVec2, DVec3};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -84,19 +84,8 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
         }
     }
     name_uniquely(&mut objects);
-    let mut scene = TruthScene {
-        version: TRUTH_VERSION,
-        name: format!("{}, seed {}", structure.as_str(), scene_seed.0),
-        seed: scene_seed,
-        objects,
-        floor: draw_floor(scene_seed, seed),
-        cue: String::new(),
-        target: String::new(),
-        goal_w: [0.0; 2],
-        robot_base_w: DVec3::ZERO,
-        workspace_center_w: DVec3::ZERO,
-        landing: None,
-    };
+    let name = format!("{}, seed {}", structure.as_str(), scene_seed.0);
+    let mut scene = TruthScene::of_objects(name, scene_seed, objects, draw_floor(scene_seed, seed));
     scene.workspace_center_w = bounds_w(&scene).center();
     scene
 }

@@ -126,22 +126,14 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
 }
 
 fn part_settings(options: &MaterializeOptions) -> Map<String, Value> {
-    let bench = &options.bench;
     let masks = match options.masks {
         MaskChoice::Auto => "auto",
         MaskChoice::Geometry => "geometry",
         MaskChoice::Truth => "truth",
     };
-    settings([
-        ("preset", json!(bench.preset_name())),
-        ("choice_of_masks", json!(masks)),
-        ("frames", json!(bench.frames)),
-        ("read", json!(bench.read)),
-        ("load", json!(bench.load)),
-        ("masks", json!(bench.masks)),
-        ("scan", json!(bench.scan)),
-        ("entities", json!(bench.entities)),
-    ])
+    let mut all = settings(options.bench.settings());
+    all.insert("choice_of_masks".to_owned(), json!(masks));
+    all
 }
 
 /// Figures and table of merged parts.

@@ -159,20 +159,14 @@ impl BilliardsBench {
 
     /// What the figures depend on, besides scenes and code, for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
-        let bench = &self.scan.bench;
-        let mut map = Map::new();
+        let scan = self.scan.bench.settings();
+        let mut map: Map<String, Value> =
+            scan.map(|(name, value)| (name.to_owned(), value)).into_iter().collect();
         let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
         for (name, value) in [
             ("materials", json!(self.told)),
             ("geometry", json!(self.geometry)),
-            ("preset", json!(bench.preset_name())),
             ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
-            ("frames", json!(bench.frames)),
-            ("read", json!(bench.read)),
-            ("load", json!(bench.load)),
-            ("masks", json!(bench.masks)),
-            ("scan", json!(bench.scan)),
-            ("entities", json!(bench.entities)),
             ("paper_entities", json!(self.paper_entities)),
             ("engines", json!(engines)),
             ("starts", json!(self.starts)),

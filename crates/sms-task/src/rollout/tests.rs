@@ -60,8 +60,8 @@ fn a_ball_deep_inside_of_a_box_is_no_valid_rollout() {
     assert!(error.to_string().contains("`blue` is") && error.to_string().contains("inside"), "{error}");
 }
 
-#[test]
-fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
+/// A strike that the watch has let pass for so long, in a world of two balls.
+fn watched_strike(duration_s: f64) -> (Simulation, WorldBodies, Watch, f64) {
     let scene = scene([]);
     let task = task(&scene);
     let bodies = task.bodies_in(&scene, "blue").unwrap();
@@ -71,11 +71,17 @@ fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
     let mut watch = watch_of(&simulation, &bodies, motion.speed);
     watch.striker = simulation.strike(motion, 0.6, 0.7);
     let mut time_s = 0.0;
-    while time_s < 1.5 {
+    while time_s < duration_s {
         simulation.advance(options.dt).unwrap();
         time_s += options.dt;
         watch.check(time_s, &simulation, &bodies).unwrap();
     }
+    (simulation, bodies, watch, time_s)
+}
+
+#[test]
+fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
+    let (mut simulation, bodies, mut watch, time_s) = watched_strike(1.5);
     assert!(simulation.is_strike_over());
     let mut state = simulation.state(bodies.target);
     state.v_w += DVec3::new(0.0, 3.0, 0.0);
@@ -91,20 +97,7 @@ fn watch_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) ->
 
 #[test]
 fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
-    let scene = scene([]);
-    let task = task(&scene);
-    let bodies = task.bodies_in(&scene, "blue").unwrap();
-    let options = task.world_options();
-    let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
-    let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
-    let mut watch = watch_of(&simulation, &bodies, motion.speed);
-    watch.striker = simulation.strike(motion, 0.6, 0.7);
-    let mut time_s = 0.0;
-    while time_s < 0.3 {
-        simulation.advance(options.dt).unwrap();
-        time_s += options.dt;
-        watch.check(time_s, &simulation, &bodies).unwrap();
-    }
+    let (mut simulation, bodies, mut watch, time_s) = watched_strike(0.3);
     assert!(!simulation.is_strike_over());
     let mut state = simulation.state(bodies.target);
     // Away from everything: nothing but the energy is wrong.
