@@ -76,6 +76,7 @@ mod steps;
 mod surface;
 mod table;
 mod told;
+mod trainer;
 mod true_worlds;
 mod truth;
 mod vessels;
@@ -83,8 +84,8 @@ mod vessels;
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use billiards::{
     Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot, Way,
-    billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, write_pictures,
-    write_shots,
+    billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, scan_billiards,
+    write_pictures, write_shots,
 };
 pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
@@ -125,6 +126,7 @@ pub use table::{Target, add_means, table, targets};
 pub use told::{
     DENSITY_LOG_SD, FRICTION_ERROR, MaterialsTold, RESTITUTION_ERROR, ROLLING_LOG_SD, tell_materials,
 };
+pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;
 pub use truth::{
     OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,

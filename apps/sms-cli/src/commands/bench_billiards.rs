@@ -1,15 +1,18 @@
 //! `sms bench billiards`: the paper's billiards experiment.
 
+use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{Told, parse_shard};
 use super::length_text;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
+use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use sms_bench::{
     BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
-    billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, write_pictures, write_shots,
+    billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, scan_billiards,
+    write_pictures, write_shots,
 };
 use sms_core::{InputError, Seed};
 use sms_entities::EntitiesConfig;
@@ -70,6 +73,12 @@ pub(crate) struct BenchBilliards {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
+    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
+    pub device: Device,
+    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    #[arg(long, conflicts_with = "table")]
+    pub scans_only: bool,
     /// Run nothing: print what the folder holds.
     #[arg(long)]
     pub table: bool,
@@ -95,6 +104,16 @@ pub(crate) enum Masks {
 
 pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
     let bench = bench(context, a)?;
+    if a.scans_only {
+        let line = |s: &FixedScene, matched: usize, objects: usize| {
+            context.say(format!(
+                "scene {:>2} ({}): {matched} of {objects} objects seen",
+                s.number,
+                s.layout.as_str()
+            ));
+        };
+        return Ok(scan_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?);
+    }
     if !a.table {
         let line = |s: &BilliardsScene| context.say(scene_line(s));
         run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
@@ -160,6 +179,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
         ..base
     };
     bench.scan.rescan = a.rescan;
+    bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
     bench.scan.masks = match a.masks {
         Masks::Geometry => MaskChoice::Geometry,
         Masks::Truth => MaskChoice::Truth,

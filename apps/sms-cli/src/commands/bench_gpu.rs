@@ -1,8 +1,13 @@
 //! `sms bench scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
 
 use crate::context::Context;
-use sms_bench::{BenchOptions, BenchScene};
+use crate::device::Device;
+use sms_bench::{BenchOptions, BenchScene, TrainerMaker};
+#[cfg(feature = "gpu")]
+use sms_core::Seed;
 use sms_core::Warnings;
+#[cfg(feature = "gpu")]
+use sms_gaussians::TrainConfig;
 use std::path::Path;
 
 /// Scans a scene on a GPU and measures it; never on the CPU instead.
@@ -15,17 +20,10 @@ pub(crate) fn run(
     dir: &Path,
     warnings: &Warnings,
 ) -> anyhow::Result<()> {
-    use sms_bench::{BenchError, Prepared, run_scene_with};
-    use sms_core::InputError;
+    use sms_bench::{Prepared, run_scene_with};
     use sms_core::metrics::Metrics;
-    use sms_gaussians_gpu::{Choice, GpuTrainer, checked_trainer};
-    let choice = index.map_or(Choice::Best, Choice::Index);
-    let make = |train: &sms_gaussians::TrainConfig, classes, seed| {
-        checked_trainer(train, classes, seed, choice).map_err(|error| {
-            let cure = "`sms devices` lists what there is";
-            BenchError::Input(InputError::new(error.to_string(), "--device", cure))
-        })
-    };
+    use sms_gaussians_gpu::GpuTrainer;
+    let make = |train: &TrainConfig, classes, seed| checked(train, classes, seed, index);
     let figures = |prefix: &str, trainer: &mut GpuTrainer, _: &Prepared| {
         let mut metrics = Metrics::new();
         metrics.set(format!("{prefix}device"), trainer.adapter().name.clone());
@@ -41,6 +39,42 @@ pub(crate) fn run(
     };
     run_scene_with(scene, options, dir, make, figures, context.progress.as_ref(), &context.cancel, warnings)?;
     Ok(())
+}
+
+/// A GPU's trainer, never the CPU's instead.
+#[cfg(feature = "gpu")]
+fn checked(
+    train: &TrainConfig,
+    classes: usize,
+    seed: Seed,
+    index: Option<usize>,
+) -> Result<sms_gaussians_gpu::GpuTrainer, sms_bench::BenchError> {
+    use sms_gaussians_gpu::{Choice, checked_trainer};
+    let choice = index.map_or(Choice::Best, Choice::Index);
+    checked_trainer(train, classes, seed, choice).map_err(|error| {
+        let cure = "`sms devices` lists what there is";
+        sms_core::InputError::new(error.to_string(), "--device", cure).into()
+    })
+}
+
+/// What computes scans that a benchmark keeps: `auto` is the CPU, so that figures stay comparable.
+#[cfg(feature = "gpu")]
+pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
+    Ok(match device {
+        Device::Auto | Device::Cpu => TrainerMaker::default(),
+        Device::Gpu(index) => TrainerMaker::new("gpu", move |train, classes, seed| {
+            Ok(Box::new(checked(train, classes, seed, index)?))
+        }),
+    })
+}
+
+/// A program without GPUs says so.
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
+    match device {
+        Device::Auto | Device::Cpu => Ok(TrainerMaker::default()),
+        Device::Gpu(_) => Err(crate::device::without_gpu().into()),
+    }
 }
 
 /// Wall-clock milliseconds of one step on the scene's finished Gaussians and its first frame: the median of several

@@ -1,10 +1,12 @@
 //! `sms bench materialize`: meshes of scanned models against the models.
 
 use super::bench::read_baseline;
+use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{parse_shard, settings};
 use crate::cli::PresetName;
 use crate::context::Context;
+use crate::device::Device;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 use sms_bench::{
@@ -41,6 +43,9 @@ pub(crate) struct BenchMaterialize {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
+    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
+    pub device: Device,
     /// Only every n-th object, from the i-th (i/n, from 1); for `sms bench merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
@@ -192,5 +197,6 @@ fn options(context: &Context, a: &BenchMaterialize) -> anyhow::Result<Materializ
         },
         keep: a.keep.clone(),
         rescan: a.rescan,
+        trainer: bench_gpu::trainer_maker(a.device)?,
     })
 }

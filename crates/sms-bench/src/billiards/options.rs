@@ -1,6 +1,6 @@
 //! What the experiment depends on.
 
-use crate::{BenchOptions, MaskChoice, MaterializeOptions, MaterialsTold};
+use crate::{BenchOptions, MaskChoice, MaterializeOptions, MaterialsTold, TrainerMaker};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_convex::ConvexConfig;
@@ -109,6 +109,7 @@ impl BilliardsBench {
                 masks: MaskChoice::Geometry,
                 keep: keep.to_owned(),
                 rescan: false,
+                trainer: TrainerMaker::default(),
             },
             engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
             starts: 30,

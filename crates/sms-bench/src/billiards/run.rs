@@ -37,6 +37,28 @@ pub fn run_billiards(
     Ok(())
 }
 
+/// Only scans the scenes of `bench` and makes their bodies; [`run_billiards`] finds them in the folder where scans are
+/// kept, on another machine too. `done` is told, of every scene, in the place of how many of its true objects a body is.
+///
+/// # Errors
+/// [`BenchError`].
+pub fn scan_billiards(
+    bench: &BilliardsBench,
+    done: &dyn Fn(&FixedScene, usize, usize),
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(), BenchError> {
+    // What bodies are made of is told later.
+    let told = MaterialsTold::Prior;
+    for scene in &bench.scenes {
+        cancel.check()?;
+        let truth = scene.generate();
+        let seen = see(bench, scene, &truth, told, progress, cancel)?;
+        done(scene, seen.matched, truth.objects.len());
+    }
+    Ok(())
+}
+
 fn run_scene(
     bench: &BilliardsBench,
     fixed: &FixedScene,

@@ -16,6 +16,7 @@ pub use table::{
 pub(crate) use trained::scan_key;
 pub use trained::{Inputs, Trained, train};
 
+use crate::TrainerMaker;
 use crate::prepare::BenchOptions;
 use std::path::PathBuf;
 
@@ -43,4 +44,6 @@ pub struct MaterializeOptions {
     pub keep: PathBuf,
     /// Whether scans are made again even if they are there.
     pub rescan: bool,
+    /// What computes scans. A kept scan is used whatever computed it; its `scan.json` says what did.
+    pub trainer: TrainerMaker,
 }

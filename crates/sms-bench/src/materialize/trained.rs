@@ -1,12 +1,12 @@
 //! Scans kept on disk, so that the entities stage can be measured again and again.
 
 use super::{MaskChoice, MaterializeOptions};
-use crate::BenchError;
 use crate::matching::{Overlaps, match_labels};
 use crate::prepare::{BenchOptions, prepare};
 use crate::scenes::{BenchScene, generated, model_path};
 use crate::surface::{DiscSampling, disc_points, score_labelled};
 use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface_at_most, true_surfaces, true_views};
+use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 use sms_core::{
@@ -14,7 +14,7 @@ use sms_core::{
     hash_serializable,
 };
 use sms_frames::Sequence;
-use sms_gaussians::{CpuTrainer, GaussianModel, read_ply, scan, write_ply};
+use sms_gaussians::{GaussianModel, read_ply, scan, write_ply};
 use sms_masks::{load_labels, save_labels};
 use sms_synth::TruthObject;
 use std::path::{Path, PathBuf};
@@ -66,6 +66,9 @@ pub struct Inputs {
 
 #[derive(Serialize, Deserialize)]
 struct Record {
+    /// What computed the scan.
+    #[serde(default)]
+    device: String,
     truth_of: Vec<u16>,
     observed: Vec<usize>,
     inputs: Inputs,
@@ -100,7 +103,7 @@ pub fn train(
         if dir.exists() {
             std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
         }
-        make(scene, &bench, &dir, progress, cancel, warnings)?;
+        make(scene, &bench, &options.trainer, &dir, progress, cancel, warnings)?;
     }
     let record: Record = atomic::read_json(&record_path)?;
     let sequence = Sequence::load(&dir.join("frames"))?;
@@ -149,6 +152,7 @@ pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<Strin
 fn make(
     scene: &BenchScene,
     bench: &BenchOptions,
+    maker: &TrainerMaker,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
@@ -159,7 +163,7 @@ fn make(
     let aside = dir.with_extension(format!("partial-{}", std::process::id()));
     let work = aside.join("work");
     std::fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
-    let mut trainer = CpuTrainer::new(&bench.scan.train, prepared.labels.class_count(), SCAN_SEED);
+    let mut trainer = maker.make(&bench.scan.train, prepared.labels.class_count(), SCAN_SEED)?;
     let timer = std::time::Instant::now();
     let result = scan(
         &prepared.sequence,
@@ -167,7 +171,7 @@ fn make(
         &bench.scan,
         SCAN_SEED,
         &work,
-        &mut trainer,
+        trainer.as_mut(),
         progress,
         cancel,
         warnings,
@@ -205,7 +209,8 @@ fn make(
         gaussians_median_m: Some(gaussians.median_m).filter(|m| m.is_finite()),
         gaussians_f1_2p5mm: gaussians.f1,
     };
-    let record = Record { truth_of, observed: observed.iter().map(Vec::len).collect(), inputs };
+    let observed = observed.iter().map(Vec::len).collect();
+    let record = Record { device: maker.device().to_owned(), truth_of, observed, inputs };
     atomic::write_json(&aside.join("scan.json"), &record)?;
     match std::fs::rename(&aside, dir) {
         Err(error) if !dir.join("scan.json").is_file() => Err(CoreError::write(dir)(error).into()),
