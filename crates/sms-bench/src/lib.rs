@@ -83,9 +83,9 @@ mod vessels;
 
 pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use billiards::{
-    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot, Way,
-    billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards, scan_billiards,
-    write_pictures, write_shots,
+    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot,
+    Unfinished, Way, billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards,
+    scan_billiards, write_pictures, write_shots,
 };
 pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};

@@ -437,8 +437,8 @@ struct Watch {
 impl Watch {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
         let unphysical = |why: String| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
-        // Balls alone: of other bodies the bound from corners and inner balls is not yet fit to refuse a shot. In PhysX it
-        // says 22 mm of statues that only stand beside something.
+        // Balls alone: in PhysX toys of many corners do sink into the floor when they are pushed, by up to 20 mm
+        // (docs/target-study.md), and shots whose ball was right would be refused for it.
         for m in bodies.dynamic.iter().filter(|m| m.radius.is_some() && !simulation.is_asleep(m.id)) {
             let depth_m = simulation.penetration(m.id);
             if depth_m > DEEPEST_M {

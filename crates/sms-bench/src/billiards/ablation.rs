@@ -4,7 +4,7 @@
 use super::realise::Table;
 use super::rows::{View, make};
 use super::seen::{Seen, forget_material, is_object, tell_matched};
-use super::{BilliardsBench, BilliardsScene, Row, Shot};
+use super::{BilliardsBench, BilliardsScene, Row, Shot, Unfinished};
 use crate::told::set_material;
 use crate::{BenchError, MaterialsTold};
 use glamx::DVec3;
@@ -68,6 +68,16 @@ pub struct Ablated {
     pub predicted_m: Vec<f64>,
     /// Objectives realised, metres; `None` where the engine could not finish the shot.
     pub realised_m: Vec<Option<f64>>,
+    /// Why not.
+    #[serde(default)]
+    pub unfinished: Unfinished,
+}
+
+impl Ablated {
+    /// Number of shots that the engine could not finish.
+    pub fn unfinished(&self) -> usize {
+        self.realised_m.iter().filter(|v| v.is_none()).count()
+    }
 }
 
 /// A scene's ablation.
@@ -156,15 +166,16 @@ pub(super) fn ablate(
         };
         let target: &dyn Target =
             if matches!(what, Replaced::Engine | Replaced::All) { &PlannersOwn } else { &*judge };
-        let realised = table(target).realise(&|_| view, &plans, progress, cancel)?;
-        let row = |(row, shots): (Row, Vec<Shot>)| {
+        let mut realised = table(target).realise(&|_| view, &plans, progress, cancel)?;
+        let mut ablated_row = |(row, shots): (Row, Vec<Shot>)| {
             let ablated = Ablated {
                 predicted_m: shots.iter().map(|s| s.predicted_m).collect(),
                 realised_m: realised.rows[&row].clone(),
+                unfinished: realised.unfinished.remove(&row).unwrap_or_default(),
             };
             (row, ablated)
         };
-        ablation.rows.insert(what, plans.into_iter().map(row).collect());
+        ablation.rows.insert(what, plans.into_iter().map(&mut ablated_row).collect());
     }
     Ok(ablation)
 }

@@ -33,7 +33,8 @@ pub(super) fn cause(s: &BilliardsScene, engine: &str) -> String {
         return "refused: no strike was found that the arm can make and that comes nearer to the goal".into();
     }
     if outcome.is_none() {
-        return "the engine could not finish the shot".into();
+        let why = s.why_unfinished(engine, Row::Robust, 0).unwrap_or("the file does not say why");
+        return format!("the engine could not finish the shot: {why}");
     }
     let promised = promised_m(shot);
     let told = if promised > DONE_M {
@@ -97,7 +98,7 @@ fn loss(s: &BilliardsScene, engine: &str, realised: f64, promised: f64) -> Optio
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::MaterialsTold;
     use crate::billiards::{Ablated, Ablation, BilliardsGeometry, Drawing};
@@ -106,7 +107,7 @@ mod tests {
     use sms_task::Action;
     use std::collections::BTreeMap;
 
-    fn scene(predicted_m: f64, realised_m: Option<f64>) -> BilliardsScene {
+    pub(in crate::billiards) fn scene(predicted_m: f64, realised_m: Option<f64>) -> BilliardsScene {
         let shot = Shot { action: Some(Action(vec![0.5, 0.1])), predicted_m, ..Shot::nothing(0.4) };
         let of = |v| BTreeMap::from([(Row::Robust, vec![v])]);
         BilliardsScene {
@@ -123,6 +124,7 @@ mod tests {
             plans: BTreeMap::from([(Row::Robust, vec![shot])]),
             seconds: BTreeMap::new(),
             realised: BTreeMap::from([("judge".to_owned(), of(realised_m))]),
+            unfinished: BTreeMap::new(),
             not_run: BTreeMap::new(),
             cpu_s: BTreeMap::new(),
             drawing: Drawing::default(),
@@ -132,7 +134,7 @@ mod tests {
 
     fn with_ablation(mut s: BilliardsScene, sensitivity_m: f64, values: [f64; 5]) -> BilliardsScene {
         let row = |v: f64| {
-            let ablated = Ablated { predicted_m: vec![0.0], realised_m: vec![Some(v)] };
+            let ablated = Ablated { predicted_m: vec![0.0], realised_m: vec![Some(v)], ..Ablated::default() };
             BTreeMap::from([(Row::Robust, ablated)])
         };
         let rows = Replaced::ALL[1..].iter().zip(values).map(|(&what, v)| (what, row(v))).collect();
@@ -145,7 +147,11 @@ mod tests {
     fn each_kind_of_failure_has_its_sentence() {
         let told = |s: &BilliardsScene| cause(s, "judge");
         assert_eq!(told(&scene(0.01, Some(0.04))), "");
-        assert!(told(&scene(0.01, None)).contains("could not finish"));
+        let mut lost = scene(0.01, None);
+        assert!(told(&lost).ends_with("could not finish the shot: the file does not say why"));
+        let why = BTreeMap::from([(0, "blew up".to_owned())]);
+        lost.unfinished = BTreeMap::from([("judge".to_owned(), BTreeMap::from([(Row::Robust, why)]))]);
+        assert!(told(&lost).ends_with("could not finish the shot: blew up"));
         assert!(told(&scene(0.2, Some(0.3))).contains("predicted was bad already (20.0 cm"));
         assert!(told(&scene(0.01, Some(0.3))).contains("--ablation"));
         let mut refused = scene(0.4, Some(0.4));

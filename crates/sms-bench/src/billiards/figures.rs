@@ -143,7 +143,10 @@ fn add_ablation(metrics: &mut Metrics, told: MaterialsTold, scenes: &[&Billiards
 /// The one robust plan of each scene.
 fn add_single(metrics: &mut Metrics, prefix: &str, engine: &str, scenes: &[&BilliardsScene]) {
     let (mut realised, mut predicted) = (Vec::new(), Vec::new());
+    let mut unfinished = 0usize;
     for s in scenes {
+        let outcomes = s.realised.get(engine).and_then(|of| of.get(&Row::Robust));
+        unfinished += outcomes.map_or(0, |v| v.iter().filter(|v| v.is_none()).count());
         let Some(value) = s.realised_m(engine, Row::Robust).and_then(|v| v.first().copied()) else {
             continue;
         };
@@ -158,5 +161,6 @@ fn add_single(metrics: &mut Metrics, prefix: &str, engine: &str, scenes: &[&Bill
     let (mean, sd) = mean_sd(&realised);
     metrics.set(format!("{prefix}.robust_single_mean_m"), mean);
     metrics.set(format!("{prefix}.robust_single_sd_m"), sd);
+    metrics.set(format!("{prefix}.robust_single_unfinished"), unfinished);
     metrics.set(format!("{prefix}.robust_single_predicted_mean_m"), mean_sd(&predicted).0);
 }

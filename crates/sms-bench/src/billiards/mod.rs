@@ -24,6 +24,6 @@ pub use drawing::{Drawing, Way};
 pub use figures::billiards_metrics;
 pub use options::{BilliardsBench, BilliardsGeometry, paper_entities};
 pub use pictures::write_pictures;
-pub use result::{BilliardsScene, Row, Shot, read_billiards, write_shots};
+pub use result::{BilliardsScene, Row, Shot, Unfinished, read_billiards, write_shots};
 pub use run::{run_billiards, scan_billiards};
 pub use table::billiards_table;

@@ -1,7 +1,7 @@
 //! What becomes of plans in the target worlds. The truth is looked at here.
 
 use super::rows::View;
-use super::{Row, Shot};
+use super::{Row, Shot, Unfinished};
 use crate::BenchError;
 use rayon::prelude::*;
 use sms_core::{Cancel, Progress};
@@ -26,6 +26,8 @@ fn key(row: Row, shot: &Shot) -> Option<Key> {
 pub(super) struct Realised {
     /// Objectives, metres; `None` where the engine could not finish the shot.
     pub(super) rows: BTreeMap<Row, Vec<Option<f64>>>,
+    /// Why not, of rows that have such shots.
+    pub(super) unfinished: BTreeMap<Row, Unfinished>,
     /// Motion of the robust plan.
     pub(super) motion: Option<Trajectory>,
 }
@@ -40,18 +42,18 @@ pub(super) struct Table<'a> {
 }
 
 impl Table<'_> {
-    /// One shot: its objective and its motion; `None` where the engine cannot finish it.
+    /// One shot: its objective and its motion, or why the engine cannot finish it.
     fn shoot(
         &self,
         view: View<'_>,
         action: &Action,
         by_arm: bool,
-    ) -> Result<Option<(f64, Trajectory)>, BenchError> {
+    ) -> Result<Result<(f64, Trajectory), String>, BenchError> {
         let robot = if by_arm { self.robot.clone() } else { RobotConfig::default() };
         let options = TargetOptions { chaos_runs: 0, robot, ..TargetOptions::default() };
         match execute_on(self.target, view.task, action, view.scene, self.truth, &options) {
-            Ok(execution) => Ok(Some((execution.objective, execution.trajectory))),
-            Err(e) if is_failed_shot(&e) => Ok(None),
+            Ok(execution) => Ok(Ok((execution.objective, execution.trajectory))),
+            Err(e) if is_failed_shot(&e) => Ok(Err(e.to_string())),
             Err(e) => Err(BenchError::from(e)),
         }
     }
@@ -90,7 +92,7 @@ impl Table<'_> {
         let distinct: Vec<(Key, (Row, &Action))> = distinct.into_iter().collect();
         progress.begin(&format!("bench billiards: {}", self.target.label()), distinct.len() as u64);
         let done = AtomicU64::new(0);
-        let outcomes: BTreeMap<Key, Option<(f64, Trajectory)>> = distinct
+        let outcomes: BTreeMap<Key, Result<(f64, Trajectory), String>> = distinct
             .into_par_iter()
             .map(|(key, (row, action))| {
                 cancel.check()?;
@@ -101,13 +103,22 @@ impl Table<'_> {
             .collect::<Result<_, BenchError>>()?;
         progress.end("");
         let of = |row: Row, shot: &Shot| match key(row, shot) {
-            Some(key) => outcomes[&key].as_ref().map(|o| o.0),
+            Some(key) => outcomes[&key].as_ref().ok().map(|o| o.0),
             None => Some(self.idle_m),
+        };
+        let why = |row: Row, shots: &[Shot]| -> Unfinished {
+            let why = |shot| outcomes[&key(row, shot)?].as_ref().err().cloned();
+            shots.iter().enumerate().filter_map(|(i, shot)| Some((i, why(shot)?))).collect()
         };
         let robust = plans.get(&Row::Robust).and_then(|v| key(Row::Robust, v.first()?));
         Ok(Realised {
             rows: plans.iter().map(|(&row, v)| (row, v.iter().map(|s| of(row, s)).collect())).collect(),
-            motion: robust.and_then(|key| outcomes[&key].as_ref().map(|o| o.1.clone())),
+            unfinished: plans
+                .iter()
+                .map(|(&row, v)| (row, why(row, v)))
+                .filter(|(_, why)| !why.is_empty())
+                .collect(),
+            motion: robust.and_then(|key| outcomes[&key].as_ref().ok().map(|o| o.1.clone())),
         })
     }
 }

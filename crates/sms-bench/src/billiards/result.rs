@@ -39,6 +39,9 @@ impl Row {
     }
 }
 
+/// Why shots of a row were not finished, by their place in it.
+pub type Unfinished = BTreeMap<usize, String>;
+
 /// One plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
@@ -100,6 +103,9 @@ pub struct BilliardsScene {
     /// Realised objectives, metres, by the engine's name in metrics, in the order of `plans`; `None` where the engine could
     /// not finish the shot.
     pub realised: BTreeMap<String, BTreeMap<Row, Vec<Option<f64>>>>,
+    /// Why an engine could not finish a shot, by its name in metrics, row and place in `realised`.
+    #[serde(default)]
+    pub unfinished: BTreeMap<String, BTreeMap<Row, Unfinished>>,
     /// Engines that could not be used, with the reason.
     #[serde(default)]
     pub not_run: BTreeMap<String, String>,
@@ -119,6 +125,11 @@ impl BilliardsScene {
     pub fn realised_m(&self, engine: &str, row: Row) -> Option<Vec<f64>> {
         let values = self.realised.get(engine)?.get(&row)?;
         Some(values.iter().map(|v| v.unwrap_or(self.idle_m)).collect())
+    }
+
+    /// Why the engine could not finish a shot; `None` where it could, or where the file does not tell (of an earlier version).
+    pub fn why_unfinished(&self, engine: &str, row: Row, start: usize) -> Option<&str> {
+        self.unfinished.get(engine)?.get(&row)?.get(&start).map(String::as_str)
     }
 
     /// Predicted objectives of a row, metres.
@@ -158,13 +169,13 @@ pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, Ben
 }
 
 /// Writes one row for every shot and engine as Parquet: `scene`, `layout`, `geometry`, `materials`, `engine`, `row`,
-/// `start`, `predicted_m`, `realised_m`, `finished`, `evaluations`, `iterations`, `by_arm`, `speed_mps`, `angle_rad`.
+/// `start`, `predicted_m`, `realised_m`, `finished`, `why`, `evaluations`, `iterations`, `by_arm`, `speed_mps`, `angle_rad`.
 ///
 /// # Errors
 /// [`CoreError::Write`].
 pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreError> {
     let (mut scene, mut start, mut evaluations, mut iterations) = (vec![], vec![], vec![], vec![]);
-    let (mut finished, mut by_arm) = (vec![], vec![]);
+    let (mut finished, mut why, mut by_arm) = (vec![], vec![], vec![]);
     let (mut layout, mut geometry, mut told, mut engines, mut rows) =
         (vec![], vec![], vec![], vec![], vec![]);
     let (mut predicted, mut realised, mut speed, mut angle) = (vec![], vec![], vec![], vec![]);
@@ -184,6 +195,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
                     predicted.push(shot.predicted_m);
                     realised.push(value.unwrap_or(s.idle_m));
                     finished.push(i32::from(value.is_some()));
+                    why.push(s.why_unfinished(engine, *row, i).unwrap_or_default().to_owned());
                     evaluations.push(shot.evaluations as i32);
                     iterations.push(shot.iterations as i32);
                     by_arm.push(i32::from(shot.by_arm));
@@ -204,6 +216,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
         ("predicted_m", Column::F64(predicted)),
         ("realised_m", Column::F64(realised)),
         ("finished", Column::I32(finished)),
+        ("why", Column::Text(why)),
         ("evaluations", Column::I32(evaluations)),
         ("iterations", Column::I32(iterations)),
         ("by_arm", Column::I32(by_arm)),

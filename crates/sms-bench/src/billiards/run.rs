@@ -109,6 +109,7 @@ fn run_scene(
         let table = Table { target: &*target, truth: &truth, robot: &robot, idle_m: result.idle_m };
         let realised = table.realise(&view_of, &result.plans, progress, cancel)?;
         result.realised.insert(engine.key().to_owned(), realised.rows);
+        result.unfinished.insert(engine.key().to_owned(), realised.unfinished);
         if let Some(motion) = &realised.motion {
             result.drawing.realised.insert(engine.key().to_owned(), ways(motion));
         }
@@ -151,6 +152,7 @@ fn plan_all(
         plans: BTreeMap::new(),
         seconds: BTreeMap::new(),
         realised: BTreeMap::new(),
+        unfinished: BTreeMap::new(),
         not_run: BTreeMap::new(),
         cpu_s: BTreeMap::new(),
         drawing: drawing(seen, truth)?,
@@ -229,6 +231,8 @@ mod tests {
     use sms_core::table::read_table;
     use sms_plan::PlanConfig;
     use sms_synth::{FIXED_SCENES, redraw_materials};
+    use sms_target::SameEngineTarget;
+    use sms_task::Action;
     use std::path::Path;
     use std::sync::Mutex;
 
@@ -340,6 +344,38 @@ mod tests {
         assert_eq!(picture.matches("aria-label=\"the shot from above\"").count(), 2);
         assert!(picture.matches("<circle").count() > 10 && picture.contains("realised"), "{picture}");
         assert!(page.len() > picture.len() && !page.contains("href"));
+    }
+
+    #[test]
+    fn a_shot_that_is_not_finished_says_why() {
+        let dir = tempfile::tempdir().unwrap();
+        let bench = tiny(dir.path(), &[1]);
+        let (fixed, told) = (bench.scenes[0], MaterialsTold::Class);
+        let truth = fixed.generate();
+        let robot = robot_of(&truth);
+        let seen = see(&bench, &fixed, &truth, told, &NoProgress, &Cancel::new()).unwrap();
+        let view = View { task: &seen.task, scene: &seen.scene };
+        let table = Table { target: &SameEngineTarget, truth: &truth, robot: &robot, idle_m: 0.2 };
+        // Faster than any arm.
+        let fast = Shot { action: Some(Action(vec![60.0, 0.0, 0.0, 0.0])), ..Shot::nothing(0.01) };
+        let plans =
+            BTreeMap::from([(Row::Ours, vec![Shot::nothing(0.2), fast.clone()]), (Row::Robust, vec![fast])]);
+        let realised = table.realise(&|_| view, &plans, &NoProgress, &Cancel::new()).unwrap();
+        assert_eq!(realised.rows[&Row::Ours], [Some(0.2), None]);
+        let why = &realised.unfinished[&Row::Ours];
+        assert!(why.len() == 1 && why[&1].contains("the robot cannot make this strike"), "{why:?}");
+
+        let (rows, unfinished) = (realised.rows, realised.unfinished);
+        let mut result = crate::billiards::cause::tests::scene(0.01, None);
+        result.plans = plans;
+        result.realised = BTreeMap::from([("rapier_f64".to_owned(), rows)]);
+        result.unfinished = BTreeMap::from([("rapier_f64".to_owned(), unfinished)]);
+        let text = billiards_table(std::slice::from_ref(&result));
+        assert!(text.contains("not finished, scene  3: ours 2, robust 1: the robot cannot make"), "{text}");
+        let metrics = billiards_metrics(std::slice::from_ref(&result));
+        for key in ["unfinished", "robust_single_unfinished"] {
+            assert_eq!(metrics.number(&format!("bench.billiards.rapier_f64.ours.class.{key}")), Some(1.0));
+        }
     }
 
     #[test]

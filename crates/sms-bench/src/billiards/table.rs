@@ -100,7 +100,25 @@ fn block(
         };
         let _ = writeln!(text, "  {label:<28}{:>14}{:>14}{:>14}", "", of("paper"), of("ours"));
     }
+    unfinished(text, &there, key);
     per_scene(text, &there, key);
+}
+
+/// Shots that the engine could not finish, with the reasons: they count as shots that do nothing.
+fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
+    for s in scenes {
+        let mut whys: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+        for row in Row::ALL {
+            let outcomes = s.realised.get(engine).and_then(|of| of.get(&row)).map_or(&[][..], Vec::as_slice);
+            for start in (0..outcomes.len()).filter(|&i| outcomes[i].is_none()) {
+                let why = s.why_unfinished(engine, row, start).unwrap_or("the file does not say why");
+                whys.entry(why).or_default().push(format!("{} {}", row.as_str(), start + 1));
+            }
+        }
+        for (why, shots) in whys {
+            let _ = writeln!(text, "  not finished, scene {:>2}: {}: {why}", s.number, shots.join(", "));
+        }
+    }
 }
 
 /// One line a scene, worst robust plan first.
@@ -163,7 +181,15 @@ fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
             let values: Vec<f64> = there.iter().filter_map(of).collect();
             1e2 * super::figures::mean_sd(&values).0
         };
-        let _ = writeln!(text, "  {:<22}{:>12.1}{:>12.1}", what.as_str(), mean(Row::Ours), mean(Row::Robust));
+        let lost = |row| -> usize {
+            let of =
+                |s: &&BilliardsScene| Some(s.ablation.as_ref()?.rows.get(&what)?.get(&row)?.unfinished());
+            there.iter().filter_map(of).sum()
+        };
+        let lost = lost(Row::Ours) + lost(Row::Robust);
+        let lost = if lost == 0 { String::new() } else { format!("   {lost} not finished") };
+        let (ours, robust) = (mean(Row::Ours), mean(Row::Robust));
+        let _ = writeln!(text, "  {:<22}{ours:>12.1}{robust:>12.1}{lost}", what.as_str());
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::MaterializeOptions;
 use super::overlap::{collision_solids, parts_overlap};
+use super::placed::placed_figures;
 use super::trained::{SAMPLES, Trained, train};
 use crate::BenchError;
 use crate::prepare::Timer;
@@ -182,6 +183,7 @@ fn measure(trained: &Trained, set: &EntitySet) -> Vec<Measured> {
             let entity = &set.entities[indices[k]];
             let mut figures = surface_figures(&found[k], &seen[k], truth, &trained.observed[t]);
             figures.extend(solid_figures(entity, truth));
+            figures.extend(placed_figures(entity, &x_tw, truth));
             Measured { name: truth.name.clone(), entity: Some(indices[k]), figures }
         })
         .collect()

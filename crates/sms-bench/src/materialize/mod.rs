@@ -5,6 +5,7 @@
 
 mod measure;
 mod overlap;
+mod placed;
 mod table;
 mod trained;
 

@@ -1,5 +1,6 @@
 //! Means, targets and tables of `sms bench materialize`.
 
+use super::placed::largest_ratios;
 use crate::scenes::BenchScene;
 use sms_core::metrics::Metrics;
 use std::fmt::Write;
@@ -126,6 +127,7 @@ pub fn materialize_table(metrics: &Metrics, scenes: &[BenchScene], baseline: Opt
             target.limit
         );
     }
+    text.push_str(&largest_ratios(metrics, PREFIX));
     if let Some(seconds) = metrics.number(&format!("{PREFIX}seconds")) {
         let _ = writeln!(text, "entities of all models in {seconds:.1} s");
     }

@@ -1,7 +1,8 @@
 //! MuJoCo (feature `mujoco`), a second opinion: soft contacts, solved implicitly, in double precision.
 //!
 //! The library is loaded at run time from where [`MUJOCO_VARIABLE`] says, which PyPI's wheel `mujoco` brings; every
-//! version from 3.2 on will do. Steps are made of steps of at most 50 µs, so that the impact of a ball takes several.
+//! version from 3.2 on will do. Steps are made of steps of at most 50 µs, so that the impact of a ball takes several. What sleeps
+//! is not in the model until something comes near.
 #![allow(unsafe_code, reason = "MuJoCo is C; every call is wrapped in `library`")]
 
 mod library;

@@ -9,7 +9,7 @@ use crate::principal::principal;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
-use sms_sim::KinematicShape;
+use sms_sim::{BodyId, KinematicShape};
 use std::fmt::Write;
 
 /// Angular frequency of contacts, rad/s: an impact takes half a period, 0.6 ms, and goes 0.2 mm deep at 1 m/s.
@@ -70,12 +70,12 @@ struct Writer {
     geoms: Vec<Geom>,
 }
 
-/// The text of a scene with kinematic bodies; bodies that move have free joints, in the order of the scene, kinematic ones
-/// last.
-pub(super) fn text(scene: &Scene, kinematics: &[KinematicSpec]) -> String {
+/// The text of those bodies of a scene of which `present` says so, with kinematic bodies; bodies that move have free joints, in
+/// the order of the scene, kinematic ones last.
+pub(super) fn text(scene: &Scene, present: &dyn Fn(BodyId) -> bool, kinematics: &[KinematicSpec]) -> String {
     let mut w = Writer { assets: String::new(), world: String::new(), geoms: Vec::new() };
     let reach = scene.bodies.iter().map(|b| b.x_wb.translation.abs().max_element()).fold(0.0, f64::max);
-    for (index, body) in scene.bodies.iter().enumerate() {
+    for (index, body) in scene.bodies.iter().enumerate().filter(|(index, _)| present(*index)) {
         w.body(index, body, reach + SLAB_MARGIN);
     }
     for (k, kinematic) in kinematics.iter().enumerate() {

@@ -16,12 +16,26 @@ const NEAR_M: f64 = 1e-3;
 /// How far a turning body reaches at most, metres.
 const REACH_M: f64 = 0.5;
 
-/// A world of MuJoCo. Its bodies never sleep.
+/// Time over which a body must stay where it is to fall asleep, seconds, and the largest way, metres, and turn, radians, in
+/// that time: a body that stands on an edge and is so near to its balance needs seconds to fall.
+const WINDOW_S: f64 = 0.1;
+const MOVED_M: f64 = 1e-5;
+const TURNED_RAD: f64 = 1e-4;
+/// Distance at which something awake wakes a body, metres, beyond what both travel in a step: one that is struck in a step
+/// travels up to 3 mm in it.
+const WAKE_M: f64 = 0.005;
+
+/// A world of MuJoCo.
+///
+/// What sleeps is not in the model: MuJoCo solves for each contact of a body at rest in each of its short steps, which took nine
+/// tenths of a shot. The model is compiled anew, with the body in it, before anything that moves comes near.
 pub(super) struct MujocoWorld {
     engine: &'static str,
     library: &'static Library,
     scene: Scene,
-    data: Data,
+    may_sleep: bool,
+    /// The model of what is awake or fixed; `None` while nothing that could move is.
+    compiled: Option<Compiled>,
     /// Positions and velocities of the free joints, 7 and 6 of each, and the last accelerations.
     q: Vec<f64>,
     v: Vec<f64>,
@@ -31,8 +45,13 @@ pub(super) struct MujocoWorld {
     bodies: Vec<BodyInfo>,
     /// Of the scene's bodies.
     bounds: Vec<Bounds>,
+    /// Which of the scene's bodies sleep.
+    asleep: Vec<bool>,
+    /// Time since places of the scene's bodies were noted, and these.
+    elapsed_s: f64,
+    places: Vec<DPose3>,
     kinematics: Vec<Kinematic>,
-    /// A body that strikes and that MuJoCo refuses; nothing moves any more then.
+    /// A body with which MuJoCo refuses the model; nothing moves any more then.
     failed: Option<BodyId>,
     saved: Option<Saved>,
 }
@@ -60,7 +79,24 @@ struct Saved {
     q: Vec<f64>,
     v: Vec<f64>,
     a: Vec<f64>,
+    asleep: Vec<bool>,
+    elapsed_s: f64,
+    places: Vec<DPose3>,
     kinematics: Vec<Kinematic>,
+}
+
+/// A model with the bodies that are in it.
+struct Compiled {
+    data: Data,
+    /// In the model's order, the world left out.
+    bodies: Vec<BodyId>,
+    /// Of their joints, in the model's order.
+    joints: Vec<usize>,
+    // Of the model; kept for their memory.
+    q: Vec<f64>,
+    v: Vec<f64>,
+    a: Vec<f64>,
+    wrenches: Vec<f64>,
 }
 
 impl MujocoWorld {
@@ -68,7 +104,7 @@ impl MujocoWorld {
         engine: &'static str,
         library: &'static Library,
         scene: &Scene,
-        _options: &WorldOptions,
+        options: &WorldOptions,
     ) -> Result<Self, SimError> {
         let refuse = |body: &str, why: &str| SimError::Body { body: body.to_owned(), why: why.to_owned() };
         let mut bodies: Vec<BodyInfo> = Vec::with_capacity(scene.bodies.len() + 1);
@@ -87,19 +123,23 @@ impl MujocoWorld {
             }
             bodies.push(info);
         }
-        let data = compile(library, scene, &[])
+        compile(library, scene, &|_| true, &[])
             .map_err(|why| refuse(culprit(library, scene).unwrap_or(&scene.name), &why))?;
         let mut world = Self {
             engine,
             library,
             scene: scene.clone(),
-            data,
+            may_sleep: options.sleep,
+            compiled: None,
             q: vec![0.0; 7 * joints],
             v: vec![0.0; 6 * joints],
             a: vec![0.0; 6 * joints],
             wrenches: vec![0.0; 6 * (bodies.len() + 1)],
             bodies,
             bounds: scene.bodies.iter().map(|b| Bounds::of(&b.shape)).collect(),
+            asleep: vec![false; scene.bodies.len()],
+            elapsed_s: 0.0,
+            places: scene.bodies.iter().map(|b| b.x_wb).collect(),
             kinematics: Vec::new(),
             failed: None,
             saved: None,
@@ -107,18 +147,138 @@ impl MujocoWorld {
         for (body, from) in scene.bodies.iter().enumerate() {
             world.put(body, &BodyState { x_wb: from.x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
         }
+        world.recompile().map_err(|why| refuse(&scene.name, &why))?;
         Ok(world)
     }
 
-    /// Compiles the model anew, for other kinematic bodies or collisions.
+    /// Compiles the model anew, for other bodies, kinematic ones or collisions.
     fn recompile(&mut self) -> Result<(), String> {
         let specs: Vec<KinematicSpec> = self.kinematics.iter().map(|k| k.spec).collect();
-        self.data = compile(self.library, &self.scene, &specs)?;
-        self.data.set_warm_start(&self.a);
+        let asleep = &self.asleep;
+        let of_scene = (0..self.scene.bodies.len()).filter(|&b| !asleep[b]);
+        let bodies: Vec<BodyId> = of_scene.chain(self.kinematics.iter().map(|k| k.body)).collect();
+        let joints: Vec<usize> = bodies.iter().filter_map(|&b| self.bodies[b].joint).collect();
+        self.compiled = None;
+        if joints.is_empty() {
+            return Ok(());
+        }
+        let mut compiled = Compiled {
+            data: compile(self.library, &self.scene, &|b| !asleep[b], &specs)?,
+            q: vec![0.0; 7 * joints.len()],
+            v: vec![0.0; 6 * joints.len()],
+            a: vec![0.0; 6 * joints.len()],
+            wrenches: vec![0.0; 6 * (bodies.len() + 1)],
+            bodies,
+            joints,
+        };
+        compiled.warm_start(&self.a);
+        self.compiled = Some(compiled);
         Ok(())
     }
 
-    /// Compiles the model anew for a body that strikes.
+    /// Wakes everything that something awake is about to touch, and what that touches.
+    fn wake_neighbours(&mut self, dt: f64) {
+        if !self.asleep.contains(&true) {
+            return;
+        }
+        let mut woken = None;
+        let mut awake: Vec<BodyId> = (0..self.asleep.len()).filter(|&b| self.is_awake(b)).collect();
+        for k in self.kinematics.iter().filter(|k| k.spec.enabled) {
+            let tool = self.state(k.body);
+            for body in 0..self.asleep.len() {
+                let margin = WAKE_M + tool.v_w.length() * dt;
+                if self.asleep[body]
+                    && self.bounds[body].is_near(&self.state(body).x_wb, k.spec.shape, &tool.x_wb, margin)
+                {
+                    self.asleep[body] = false;
+                    awake.push(body);
+                    woken = Some(body);
+                }
+            }
+        }
+        while let Some(mover) = awake.pop() {
+            for body in 0..self.asleep.len() {
+                if self.asleep[body] && self.is_beside(mover, body, dt) {
+                    self.asleep[body] = false;
+                    awake.push(body);
+                    woken = Some(body);
+                }
+            }
+        }
+        if let Some(body) = woken {
+            self.recompile_for(body);
+        }
+    }
+
+    /// Whether a body of the scene moves and does not sleep.
+    fn is_awake(&self, body: BodyId) -> bool {
+        self.bodies[body].joint.is_some() && !self.asleep[body]
+    }
+
+    /// Whether two bodies of the scene may touch in a step of `dt`.
+    fn is_beside(&self, a: BodyId, b: BodyId, dt: f64) -> bool {
+        let (of_a, of_b) = (self.state(a), self.state(b));
+        let speed = of_a.v_w.distance(of_b.v_w) + (of_a.w_w.length() + of_b.w_w.length()) * REACH_M;
+        let margin = WAKE_M + speed * dt;
+        let most = self.bounds[a].reach() + self.bounds[b].reach() + margin;
+        of_a.x_wb.translation.distance_squared(of_b.x_wb.translation) < most * most
+            && self.bounds[a].meets(&of_a.x_wb, &self.bounds[b], &of_b.x_wb, margin)
+    }
+
+    /// After a step of `dt`: puts to sleep what has stayed where it is, unless something that has not is beside it.
+    fn put_to_sleep(&mut self, dt: f64) {
+        self.elapsed_s += dt;
+        if !self.may_sleep || self.elapsed_s < WINDOW_S {
+            return;
+        }
+        let awake: Vec<BodyId> = (0..self.asleep.len()).filter(|&b| self.is_awake(b)).collect();
+        let stays = |&body: &BodyId| {
+            let (then, now) = (&self.places[body], self.state(body).x_wb);
+            then.translation.distance(now.translation) < MOVED_M
+                && then.rotation.angle_between(now.rotation) < TURNED_RAD
+        };
+        let (mut still, mut restless): (Vec<BodyId>, Vec<BodyId>) = awake.into_iter().partition(stays);
+        let tools: Vec<&Kinematic> = self.kinematics.iter().filter(|k| k.spec.enabled).collect();
+        let beside_tool = |&body: &BodyId| {
+            let x_wb = self.state(body).x_wb;
+            let near = |k: &&Kinematic| {
+                let tool = self.state(k.body);
+                let margin = WAKE_M + tool.v_w.length() * dt;
+                self.bounds[body].is_near(&x_wb, k.spec.shape, &tool.x_wb, margin)
+            };
+            tools.iter().any(near)
+        };
+        restless.extend(still.extract_if(.., |b| beside_tool(b)));
+        while let Some(mover) = restless.pop() {
+            restless.extend(still.extract_if(.., |b| self.is_beside(mover, *b, dt)));
+        }
+        for &body in &still {
+            self.asleep[body] = true;
+            if let Some(joint) = self.bodies[body].joint {
+                self.v[6 * joint..6 * joint + 6].fill(0.0);
+                self.a[6 * joint..6 * joint + 6].fill(0.0);
+            }
+        }
+        self.note_places();
+        if let Some(&first) = still.first() {
+            self.recompile_for(first);
+        }
+    }
+
+    fn note_places(&mut self) {
+        self.elapsed_s = 0.0;
+        self.places = (0..self.scene.bodies.len()).map(|b| self.state(b).x_wb).collect();
+    }
+
+    /// Wakes a body of the scene.
+    fn wake(&mut self, body: BodyId) {
+        if self.asleep.get(body) == Some(&true) {
+            self.asleep[body] = false;
+            self.recompile_for(body);
+        }
+    }
+
+    /// Compiles the model anew for a body that strikes, wakes or falls asleep.
     fn recompile_for(&mut self, body: BodyId) {
         if self.recompile().is_err() {
             self.failed = self.failed.or(Some(body));
@@ -177,25 +337,64 @@ impl MujocoWorld {
     }
 
     fn step_once(&mut self, dt: f64) {
-        self.data.set_motion(&self.q, &self.v);
-        self.data.set_wrenches(&self.wrenches);
-        self.data.accelerations(&mut self.a);
-        for (v, a) in self.v.iter_mut().zip(&self.a) {
+        let Some(c) = &mut self.compiled else { return };
+        c.gather(&self.q, &self.v, &self.wrenches);
+        c.data.set_motion(&c.q, &c.v);
+        c.data.set_wrenches(&c.wrenches);
+        c.data.accelerations(&mut c.a);
+        for (v, a) in c.v.iter_mut().zip(&c.a) {
             *v += dt * a;
         }
-        self.data.model().integrate(&mut self.q, &self.v, dt);
+        c.data.model().integrate(&mut c.q, &c.v, dt);
+        c.scatter(&mut self.q, &mut self.v, &mut self.a);
     }
 }
 
-fn compile(library: &'static Library, scene: &Scene, kinematics: &[KinematicSpec]) -> Result<Data, String> {
-    let model = library.model(&text(scene, kinematics))?;
-    Data::new(Arc::new(model), scene.bodies.len() + kinematics.len() + 1)
+impl Compiled {
+    fn gather(&mut self, q: &[f64], v: &[f64], wrenches: &[f64]) {
+        for (k, &joint) in self.joints.iter().enumerate() {
+            self.q[7 * k..7 * k + 7].copy_from_slice(&q[7 * joint..7 * joint + 7]);
+            self.v[6 * k..6 * k + 6].copy_from_slice(&v[6 * joint..6 * joint + 6]);
+        }
+        // The world is MuJoCo's first body, and ours.
+        for (k, &body) in self.bodies.iter().enumerate() {
+            let (to, from) = (6 * (k + 1), 6 * (body + 1));
+            self.wrenches[to..to + 6].copy_from_slice(&wrenches[from..from + 6]);
+        }
+    }
+
+    fn scatter(&self, q: &mut [f64], v: &mut [f64], a: &mut [f64]) {
+        for (k, &joint) in self.joints.iter().enumerate() {
+            q[7 * joint..7 * joint + 7].copy_from_slice(&self.q[7 * k..7 * k + 7]);
+            v[6 * joint..6 * joint + 6].copy_from_slice(&self.v[6 * k..6 * k + 6]);
+            a[6 * joint..6 * joint + 6].copy_from_slice(&self.a[6 * k..6 * k + 6]);
+        }
+    }
+
+    /// Lets the solver start from accelerations of all joints of the world.
+    fn warm_start(&mut self, a: &[f64]) {
+        for (k, &joint) in self.joints.iter().enumerate() {
+            self.a[6 * k..6 * k + 6].copy_from_slice(&a[6 * joint..6 * joint + 6]);
+        }
+        self.data.set_warm_start(&self.a);
+    }
+}
+
+fn compile(
+    library: &'static Library,
+    scene: &Scene,
+    present: &dyn Fn(BodyId) -> bool,
+    kinematics: &[KinematicSpec],
+) -> Result<Data, String> {
+    let model = library.model(&text(scene, present, kinematics))?;
+    let bodies = (0..scene.bodies.len()).filter(|&b| present(b)).count();
+    Data::new(Arc::new(model), bodies + kinematics.len() + 1)
 }
 
 /// The body of a refused scene that is refused alone, if one is.
 fn culprit<'a>(library: &'static Library, scene: &'a Scene) -> Option<&'a str> {
     let alone = |body: &Body| Scene { bodies: vec![body.clone()], ..scene.clone() };
-    let refused = scene.bodies.iter().find(|b| compile(library, &alone(b), &[]).is_err());
+    let refused = scene.bodies.iter().find(|b| compile(library, &alone(b), &|_| true, &[]).is_err());
     refused.map(|b| b.name.as_str())
 }
 
@@ -212,6 +411,7 @@ impl World for MujocoWorld {
         if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
             return;
         }
+        self.wake_neighbours(dt);
         self.weigh_tools(dt);
         if self.failed.is_some() {
             return;
@@ -251,6 +451,7 @@ impl World for MujocoWorld {
             self.put(body, &BodyState { x_wb, v_w, w_w });
         }
         self.wrenches.fill(0.0);
+        self.put_to_sleep(dt);
     }
 
     fn body_count(&self) -> usize {
@@ -277,9 +478,17 @@ impl World for MujocoWorld {
             (k.spec.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
         }
         self.put(body, state);
+        self.wake(body);
+        if let Some(place) = self.places.get_mut(body) {
+            // It has moved.
+            *place = DPose3::from_translation(DVec3::INFINITY);
+        }
     }
 
-    fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, _wake: bool) {
+    fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool) {
+        if wake {
+            self.wake(body);
+        }
         // The world is MuJoCo's first body.
         let at = 6 * (body + 1);
         let six = [force_w.x, force_w.y, force_w.z, torque_w.x, torque_w.y, torque_w.z];
@@ -289,7 +498,7 @@ impl World for MujocoWorld {
     }
 
     fn is_asleep(&self, body: BodyId) -> bool {
-        self.bodies[body].joint.is_none()
+        self.bodies[body].joint.is_none() || self.asleep.get(body) == Some(&true)
     }
 
     fn add_kinematic(
@@ -335,6 +544,9 @@ impl World for MujocoWorld {
             q: self.q.clone(),
             v: self.v.clone(),
             a: self.a.clone(),
+            asleep: self.asleep.clone(),
+            elapsed_s: self.elapsed_s,
+            places: self.places.clone(),
             kinematics: self.kinematics.clone(),
         });
         true
@@ -345,12 +557,16 @@ impl World for MujocoWorld {
         self.q.clone_from(&saved.q);
         self.v.clone_from(&saved.v);
         self.a.clone_from(&saved.a);
-        let others = self.kinematics.len() != saved.kinematics.len()
+        let others = self.asleep != saved.asleep
+            || self.kinematics.len() != saved.kinematics.len()
             || self
                 .kinematics
                 .iter()
                 .zip(&saved.kinematics)
                 .any(|(a, b)| (a.spec.enabled, a.spec.mass) != (b.spec.enabled, b.spec.mass));
+        self.asleep.clone_from(&saved.asleep);
+        self.elapsed_s = saved.elapsed_s;
+        self.places.clone_from(&saved.places);
         self.kinematics.clone_from(&saved.kinematics);
         self.bodies.truncate(self.scene.bodies.len() + self.kinematics.len());
         self.wrenches.resize(6 * (self.bodies.len() + 1), 0.0);
@@ -360,7 +576,9 @@ impl World for MujocoWorld {
         if others {
             return self.recompile().is_ok();
         }
-        self.data.set_warm_start(&self.a);
+        if let Some(compiled) = &mut self.compiled {
+            compiled.warm_start(&self.a);
+        }
         true
     }
 
