@@ -100,8 +100,11 @@ fn split(
     let voxel = config.voxel_m;
     let mut segments = Segments::patches(surfels, graph, &piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
+    let length = extents(surfels, &piece)[2];
+    // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
     let is_thread = |s: &Segments, a: usize, b: usize, border: &Border| {
-        s.size(a).min(s.size(b)) >= smallest
+        length > config.clutter_m
+            && s.size(a).min(s.size(b)) >= smallest
             && s.width(a, b, border) < THREAD
             && neck(s, a, b, border) < THREAD_NECK
     };
@@ -120,7 +123,6 @@ fn split(
         let [_, middle, long] = extents(surfels, members);
         middle < config.min_object_m || long < 1.5 * config.min_object_m
     });
-    let length = extents(surfels, &piece)[2];
     segments.merge_while(
         |s, a, b, border| {
             if are_distinct(s, a, b, border, length, config) { 0.0 } else { 1.0 / (1.0 + s.contrast(a, b)) }
