@@ -42,7 +42,7 @@ sections! {
     "read": ReadOptions, "how a recording is read";
     "frames": LoadSettings, "frames: size, choice, alignment";
     "poses": PosesConfig, "refinement of the camera poses";
-    "masks": GeometryConfig, "objects by geometry";
+    "masks": GeometryConfig, "objects by geometry; borders of masks and what their source missed";
     "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
     "vlm": VlmConfig, "vision-language model that is asked for materials";

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, ColorImage, Image, Labels, Progress, Warnings, write_png_color};
 use sms_frames::{Recording, Sequence, load};
-use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, label_color};
+use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, complete, label_color};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
@@ -131,6 +131,7 @@ pub fn run_masks(
     let began = Instant::now();
     let geometry = GeometryMasks { config: options.masks.clone() };
     let found = geometry.segment(&sequence, progress, cancel, warnings)?;
+    let (found, _) = complete(found, &sequence, &options.masks, progress, cancel)?;
     let seconds = began.elapsed().as_secs_f64();
     if let Some(dir) = dir {
         write_masks_panel(&dir.join(format!("{scene}.png")), &sequence, &truth, &found)?;

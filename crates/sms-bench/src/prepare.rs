@@ -9,7 +9,7 @@ use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, Warnings};
 use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_gaussians::{Preset, ScanConfig};
-use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks};
+use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, complete};
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use sms_synth::TruthScene;
 use std::path::PathBuf;
@@ -206,6 +206,7 @@ pub fn prepare(
         Some(_) => &geometry,
     };
     let labels = masks.segment(&sequence, progress, cancel, warnings)?;
+    let (labels, _) = complete(labels, &sequence, &options.masks, progress, cancel)?;
     let masks_seconds = timer.seconds();
     let real = truth.is_none().then_some(dir);
     Ok(Some(Prepared {

@@ -10,7 +10,7 @@
 //! - [`TruthMasks`]: the truth of a generated recording, for ablations only and named so.
 //!
 //! [`refine_edges`] is the paper's correction of mask borders by nearest neighbours in the back-projected cloud, and
-//! [`add_unknown`] adds what a source missed; [`save_labels`] / [`load_labels`] keep labels in the run folder, where names
+//! [`add_unknown`] adds what a source missed; [`complete`] does both for the sources that need it; [`save_labels`] / [`load_labels`] keep labels in the run folder, where names
 //! may be edited and objects merged.
 //!
 //! ```
@@ -25,6 +25,7 @@
 //! # Ok::<(), sms_masks::MasksError>(())
 //! ```
 
+mod complete;
 mod error;
 mod files;
 mod geometry;
@@ -39,6 +40,7 @@ mod voxels;
 #[cfg(test)]
 mod fixture;
 
+pub use complete::{Completed, complete};
 pub use error::MasksError;
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};

@@ -25,6 +25,14 @@ pub fn scaled_margin_px(width: usize) -> usize {
     (DEFAULT_MARGIN_PX * width as f64 / 1280.0).round().max(1.0) as usize
 }
 
+/// Voters further away say nothing about a pixel: between two surfaces lie flying pixels.
+const REACH_M: f64 = 0.012;
+/// Spread of colour on one surface, 8-bit levels: noise and light.
+const COLOR_SIGMA: f64 = 20.0;
+/// Weight of a voter of quite another colour than the pixel's, against 1 of one of its own. Near silhouettes the depth of a
+/// pixel is often that of the other surface while its colour is right.
+const UNLIKE_WEIGHT: f64 = 0.01;
+
 /// A voter: a mean point of one label in one cell.
 #[derive(Debug, Clone, Copy)]
 struct Voter {
@@ -32,11 +40,14 @@ struct Voter {
     label: u16,
     p_w: DVec3,
     weight: f32,
+    /// Mean sRGB colour, 8-bit levels.
+    color: [f32; 3],
 }
 
 /// Gives every pixel within `margin_px` pixels of a mask edge, where depth was measured, the label that wins a vote of
 /// its `k` nearest neighbours in the cloud back-projected from all frames, each weighted by the inverse of its
-/// distance. Pixels within the margin of their own frame's edges vote with a tenth of the weight.
+/// distance. Pixels within the margin of their own frame's edges vote with a tenth of the weight. Beyond the paper, voters of
+/// the pixel's colour count more than others, which spares right masks where depth is wrong at a silhouette.
 ///
 /// Pixels without depth keep their label. Labels, names and sizes stay as they are.
 ///
@@ -84,7 +95,11 @@ pub fn refine_edges(
                 }
                 let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
                 let near = tree.nearest_n::<SquaredEuclidean>(&p_w.to_array(), k);
-                *value = vote(near.iter().map(|n| (&cloud[n.item as usize], n.distance)), *value);
+                *value = vote(
+                    near.iter().map(|n| (&cloud[n.item as usize], n.distance)),
+                    *value,
+                    frame.color.data[pixel].map(f32::from),
+                );
             }
             map
         })
@@ -132,7 +147,13 @@ fn voters(frame: &Frame, map: &LabelMap, margin: &[bool]) -> Vec<Voter> {
             let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
             let key = key_of(p_w, CELL_M)?;
             let weight = if margin[pixel] { DOUBTFUL_WEIGHT } else { 1.0 };
-            (z > 0.0).then_some(Voter { key, label: map.data[pixel], p_w, weight })
+            (z > 0.0).then_some(Voter {
+                key,
+                label: map.data[pixel],
+                p_w,
+                weight,
+                color: frame.color.data[pixel].map(f32::from),
+            })
         })
         .collect()
 }
@@ -144,17 +165,25 @@ fn merge(mut all: Vec<Voter>) -> Vec<Voter> {
         .map(|same| {
             let total: f32 = same.iter().map(|v| v.weight).sum();
             let p_w = same.iter().map(|v| v.p_w * f64::from(v.weight)).sum::<DVec3>() / f64::from(total);
-            Voter { p_w, weight: total, ..same[0] }
+            let mut color = [0.0; 3];
+            for v in same {
+                for k in 0..3 {
+                    color[k] += v.color[k] * v.weight / total;
+                }
+            }
+            Voter { p_w, weight: total, color, ..same[0] }
         })
         .collect()
 }
 
-/// The label with the largest sum of weight / distance; `present` wins ties.
-fn vote<'a>(near: impl Iterator<Item = (&'a Voter, f64)>, present: u16) -> u16 {
+/// The label with the largest sum of weight / distance among the voters of colour like `own`; `present` wins ties.
+fn vote<'a>(near: impl Iterator<Item = (&'a Voter, f64)>, present: u16, own: [f32; 3]) -> u16 {
     let mut sums: Vec<(u16, f64)> = vec![(present, 0.0)];
-    for (voter, squared) in near {
+    for (voter, squared) in near.filter(|n| n.1 < REACH_M * REACH_M) {
         // Below a millimetre distances say nothing.
         let weight = f64::from(voter.weight.min(8.0)) / (squared.sqrt() + 1e-3);
+        let unlike: f32 = own.iter().zip(&voter.color).map(|(a, b)| (a - b).powi(2)).sum();
+        let weight = weight * (UNLIKE_WEIGHT + (-0.5 * f64::from(unlike) / COLOR_SIGMA.powi(2)).exp());
         match sums.iter_mut().find(|s| s.0 == voter.label) {
             Some(sum) => sum.1 += weight,
             None => sums.push((voter.label, weight)),

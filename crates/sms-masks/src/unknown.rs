@@ -1,18 +1,20 @@
 //! Objects that a source of masks missed.
 
 use crate::geometry::Clustered;
+use crate::names::unique;
 use crate::{GeometryConfig, MasksError};
 use rayon::prelude::*;
-use sms_core::{BACKGROUND, Cancel, LabelInfo, Labels, Progress};
+use sms_core::{BACKGROUND, Cancel, LabelInfo, LabelMap, Labels, Progress};
 use sms_frames::Sequence;
 
-/// Of a leftover at most this share may bear a label, and as much may lie beside what does.
+/// Of a leftover at most this share may bear a label, and as much may lie beside what does, or beside a wall.
 const EXPLAINED: f64 = 0.1;
 /// Labels are looked up in at most so many frames.
 const FRAMES: usize = 40;
 
 /// Adds what stands free and no label explains: clusters of [`crate::GeometryMasks`] of which at most a tenth bears a label
-/// and at most a tenth touches what does. They are called `unknown_01`, `unknown_02`, … and take the pixels that have no
+/// and at most a tenth touches what does, or a wall, and which a fifth of the frames
+/// ([`GeometryConfig::min_seen_share`]) shows whole. They are called `unknown_01`, `unknown_02`, … and take the pixels that have no
 /// label yet. What cannot be told from a labelled object or from the surroundings stays background, and so static.
 ///
 /// # Errors
@@ -49,22 +51,27 @@ pub fn add_unknown(
             };
             share(&|i| explained[i]) <= EXPLAINED
                 && share(&|i| !explained[i] && clustered.graph.of(i).any(|j| explained[j])) <= EXPLAINED
+                && share(&|i| clustered.touches_wall(i)) <= EXPLAINED
         })
         .collect();
+    if !missed.contains(&true) {
+        return Ok(labels.clone());
+    }
+    let seen = clustered.maps(sequence, config, cancel)?;
+    let whole = seen_whole(&seen, missed.len());
+    let least = (config.min_seen_share * seen.len() as f64).max(1.0);
     let mut labels = labels.clone();
     let first = labels.class_count();
     let ids: Vec<Option<u16>> = missed
         .iter()
-        .scan(first, |next, &missed| {
-            let id = (missed && *next < usize::from(u16::MAX)).then_some(*next as u16);
+        .zip(whole)
+        .scan(first, |next, (&missed, whole)| {
+            let is_new = missed && whole as f64 >= least;
+            let id = (is_new && *next < usize::from(u16::MAX)).then_some(*next as u16);
             *next += usize::from(id.is_some());
             Some(id)
         })
         .collect();
-    if ids.iter().all(Option::is_none) {
-        return Ok(labels);
-    }
-    let seen = clustered.maps(sequence, config, cancel)?;
     labels.maps.par_iter_mut().zip(&seen).for_each(|(map, seen)| {
         for (label, &cluster) in map.data.iter_mut().zip(&seen.data) {
             let id = usize::from(cluster).checked_sub(1).and_then(|c| ids[c]);
@@ -74,10 +81,29 @@ pub fn add_unknown(
         }
     });
     for (count, id) in ids.into_iter().flatten().enumerate() {
-        let name = format!("unknown_{:02}", count + 1);
+        let taken: Vec<String> = labels.objects.iter().map(|o| o.name.clone()).collect();
+        let name = unique(format!("unknown_{:02}", count + 1), &taken);
         labels.objects.push(LabelInfo { id, name, description: String::new() });
     }
     Ok(labels)
+}
+
+/// In how many frames each cluster (label less 1) is seen and does not reach the image's border.
+fn seen_whole(maps: &[LabelMap], clusters: usize) -> Vec<usize> {
+    let mut frames = vec![0; clusters];
+    for map in maps {
+        let (w, h) = map.size();
+        let (mut seen, mut cut) = (vec![false; clusters + 1], vec![false; clusters + 1]);
+        for (i, &label) in map.data.iter().enumerate() {
+            let (x, y) = (i % w, i / w);
+            seen[usize::from(label)] = true;
+            cut[usize::from(label)] |= x == 0 || y == 0 || x + 1 == w || y + 1 == h;
+        }
+        for (k, count) in frames.iter_mut().enumerate() {
+            *count += usize::from(seen[k + 1] && !cut[k + 1]);
+        }
+    }
+    frames
 }
 
 #[cfg(test)]
@@ -119,6 +145,37 @@ mod tests {
         // With all of them labelled there is nothing to add.
         let all = some_labels(&truth, &[1, 2, 3, 4, 5]);
         assert_eq!(add_unknown(&all, &sequence, &config, &NoProgress, &Cancel::new()).unwrap(), all);
+    }
+
+    #[test]
+    fn what_leans_on_a_wall_or_is_never_seen_whole_stays_static() {
+        let wall = Solid::Box(DVec3::new(-0.25, 0.0, 0.2), DVec3::new(0.003, 0.5, 0.2), 0.0);
+        let thing = |x: f64| Solid::Box(DVec3::new(x, 0.0, 0.04), DVec3::new(0.03, 0.05, 0.04), 0.0);
+        let unknown = |solids: &[Solid], width: usize| {
+            let (mut sequence, truth) = scene(solids, Sensor { frames: 12, ..Sensor::default() }, 5);
+            // The images end in the middle of what lies in their middle.
+            for frame in &mut sequence.frames {
+                frame.depth = crop(&frame.depth, width);
+                frame.color = crop(&frame.color, width);
+                frame.normal_c = crop(&frame.normal_c, width);
+                frame.camera.intrinsics.width = width;
+            }
+            let maps: Vec<_> = truth.iter().map(|m| crop(m, width)).collect();
+            let none = some_labels(&maps, &[]);
+            let config = GeometryConfig::default();
+            add_unknown(&none, &sequence, &config, &NoProgress, &Cancel::new()).unwrap().objects.len()
+        };
+        assert_eq!(unknown(&[wall, thing(0.0)], 320), 1);
+        // A board against the wall.
+        let board = Solid::Box(DVec3::new(-0.237, 0.0, 0.04), DVec3::new(0.01, 0.05, 0.04), 0.0);
+        assert_eq!(unknown(&[wall, board], 320), 0);
+        assert_eq!(unknown(&[thing(0.0)], 320), 1);
+        assert_eq!(unknown(&[thing(0.0)], 160), 0);
+    }
+
+    fn crop<T: Copy>(image: &sms_core::Image<T>, width: usize) -> sms_core::Image<T> {
+        let rows = image.data.chunks(image.width).flat_map(|row| row[..width].to_vec());
+        sms_core::Image::from_vec(width, image.height, rows.collect())
     }
 
     #[test]

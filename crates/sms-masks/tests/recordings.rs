@@ -1,6 +1,6 @@
 //! The recordings in `SMS_TEST_DATA` (by default `../shared/data` beside the workspace), skipped where absent.
 
-use sms_core::{Cancel, LabelMap, NoProgress, Warnings};
+use sms_core::{Cancel, LabelMap, Labels, NoProgress, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_masks::{FileMasks, GeometryMasks, Segmenter};
 use std::path::PathBuf;
@@ -28,6 +28,15 @@ fn overlap(a: &[LabelMap], a_id: u16, b: &[LabelMap], b_id: u16) -> (usize, usiz
     })
 }
 
+/// Intersection over union of a given object with the label that overlaps it most.
+fn best_overlap(given: &Labels, id: u16, found: &Labels) -> f64 {
+    let ious = found.objects.iter().map(|o| {
+        let (both, own, other) = overlap(&given.maps, id, &found.maps, o.id);
+        both as f64 / (own + other - both) as f64
+    });
+    ious.fold(0.0, f64::max)
+}
+
 #[test]
 fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
     let Some(sequence) = recording("seq_tabletop_bin") else { return };
@@ -39,17 +48,10 @@ fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
     let found = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
     println!("bin: {} objects in {:.1} s", found.objects.len(), began.elapsed().as_secs_f64());
     assert!((4..=40).contains(&found.objects.len()));
-    let best = found
-        .objects
-        .iter()
-        .map(|o| {
-            let (both, own, other) = overlap(&given.maps, 1, &found.maps, o.id);
-            (both as f64 / (own + other - both) as f64, &o.name)
-        })
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    println!("bin: the bottle is {best:.3?}");
+    let best = best_overlap(&given, 1, &found);
+    println!("bin: the bottle is {best:.3}");
     // The given masks are themselves projected from a model, with borders off by a few pixels.
-    assert!(best.is_some_and(|b| b.0 > 0.6));
+    assert!(best > 0.6);
 }
 
 #[test]
@@ -62,5 +64,8 @@ fn a_shelf_that_is_hardly_seen_is_labelled_without_complaint() {
     let found = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
     println!("shelf: {} objects in {:.1} s", found.objects.len(), began.elapsed().as_secs_f64());
     assert_eq!(found.maps.len(), sequence.len());
-    assert!(!found.objects.is_empty());
+    let ious: Vec<f64> = given.objects.iter().map(|o| best_overlap(&given, o.id, &found)).collect();
+    println!("shelf: {ious:.3?}");
+    // The published mask of the stems lies beside what the images show of them by a third of their width.
+    assert!(ious.iter().all(|iou| *iou > 0.3) && ious.iter().sum::<f64>() > 1.1, "{ious:.3?}");
 }

@@ -1,5 +1,5 @@
-//! Times the full-size networks with random weights: `speed owlv2|encoder|track [REPEATS] [OBJECTS]`. One JSON object is
-//! printed; `benches/peers/nets.py` sets it beside PyTorch's.
+//! Times the full-size networks with random weights: `speed owlv2|encoder|track|reprompt [REPEATS] [OBJECTS]`. One JSON object
+//! is printed, with the time of every repeat and the peak memory; `benches/peers/nets.py` sets it beside PyTorch's.
 
 use candle_core::{Device, Tensor};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
@@ -12,6 +12,13 @@ fn cpu_seconds() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let times = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("schedstat")).ok());
     times.filter_map(|text| text.split_whitespace().next()?.parse::<f64>().ok()).sum::<f64>() * 1e-9
+}
+
+/// Largest resident memory so far in bytes, where the system tells (Linux); else 0.
+fn peak_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    peak.and_then(|text| text.trim().trim_end_matches("kB").trim().parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
 fn main() -> Result<(), NetsError> {
@@ -63,9 +70,13 @@ fn main() -> Result<(), NetsError> {
     }
     let best = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
     println!(
-        "{{\"what\": \"{what}\", \"seconds\": {seconds:?}, \"best_s\": {:.4}, \"best_cpu_s\": {:.4}}}",
+        "{{\"what\": \"{what}\", \"seconds\": {seconds:?}, \"best_s\": {:.4}, \"best_cpu_s\": {:.4}, \
+         \"total_s\": {:.1}, \"total_cpu_s\": {:.1}, \"peak_bytes\": {}}}",
         best(&seconds),
-        best(&cpu_used)
+        best(&cpu_used),
+        seconds.iter().sum::<f64>(),
+        cpu_used.iter().sum::<f64>(),
+        peak_bytes()
     );
     Ok(())
 }

@@ -13,7 +13,7 @@ use sms_core::{
     BACKGROUND, Cancel, ColorImage, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
 };
 use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
-use sms_masks::{DEFAULT_NEIGHBORS, MasksError, Segmenter, refine_edges, scaled_margin_px};
+use sms_masks::{MasksError, Segmenter};
 use std::path::{Path, PathBuf};
 
 const STAGE: &str = "masks";
@@ -351,7 +351,8 @@ fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> La
 }
 
 impl Segmenter for NetsMasks {
-    /// Objects that never get a pixel keep their id and are named in a warning.
+    /// Objects that never get a pixel keep their id and are named in a warning. The networks' borders waver by some pixels:
+    /// [`sms_masks::complete`] corrects them, as it does those of other sources.
     fn segment(
         &self,
         sequence: &Sequence,
@@ -374,8 +375,6 @@ impl Segmenter for NetsMasks {
             self.track(sequence, &found, progress, cancel, warnings)?
         };
         cancel.check()?;
-        let labels = Labels { maps, objects: label_infos(&names), source };
-        // The networks' borders waver by some pixels; depth tells where the edge is (paper, appendix).
-        refine_edges(&labels, sequence, scaled_margin_px(first.color.width), DEFAULT_NEIGHBORS)
+        Ok(Labels { maps, objects: label_infos(&names), source })
     }
 }

@@ -3,7 +3,7 @@
 use sha2::{Digest, Sha256};
 use sms_core::{Cancel, NoProgress};
 use sms_nets::NetsError;
-use sms_nets::hub::{HubConfig, Model, model};
+use sms_nets::hub::{HubConfig, MODELS, Model, model};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
@@ -12,8 +12,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
-const MODEL: Model =
-    Model { name: "toy", repository: "org/toy", about: "", files: &["config.json", "model.safetensors"] };
+const MODEL: Model = Model {
+    name: "toy",
+    repository: "org/toy",
+    revision: "main",
+    about: "",
+    files: &["config.json", "model.safetensors"],
+};
 
 /// One request as it came.
 #[derive(Debug, Clone)]
@@ -188,7 +193,7 @@ fn hub(server: &Server, cache: &Path) -> HubConfig {
         cache: cache.into(),
         token: None,
         is_offline: false,
-        revision: "main".into(),
+        revision: Some("main".into()),
         attempts: 3,
         pause: Duration::from_millis(1),
     }
@@ -223,6 +228,22 @@ fn a_model_is_fetched_once_into_the_standard_cache() {
     assert_eq!(server.asked().len(), before, "nothing is asked again");
     let offline = HubConfig { is_offline: true, ..hub };
     assert_eq!(fetch(&offline).unwrap(), folder);
+}
+
+#[test]
+fn a_pinned_commit_is_asked_for_and_needs_no_branch() {
+    let server = Server::new(|_, _| Fault::None);
+    let cache = tempfile::tempdir().unwrap();
+    let hub = HubConfig { revision: None, ..hub(&server, cache.path()) };
+    let pinned = Model { revision: COMMIT, ..MODEL };
+    let folder = hub.fetch(&pinned, &NoProgress, &Cancel::new()).unwrap();
+    is_whole(&folder);
+    assert!(server.asked().iter().filter(|a| a.path.contains("/resolve/")).all(|a| a.path.contains(COMMIT)));
+    assert_eq!(hub.cached(&pinned).map(|c| c.commit).as_deref(), Some(COMMIT));
+    assert!(!cache.path().join("models--org--toy/refs").exists());
+    for model in &MODELS[..2] {
+        assert!(model.revision.len() == 40 && model.revision.bytes().all(|b| b.is_ascii_hexdigit()));
+    }
 }
 
 #[test]

@@ -36,8 +36,10 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
     let metrics = Metrics::load(&run.metrics_path())?;
     let warnings: Vec<Warning> = read_optional(&run.warnings_path())?.unwrap_or_default();
     let views = views(&run, &model, settings.holdout)?;
-    let mut subtitle =
-        format!("{} · masks from {} · preset {}", settings.recording_name(), settings.masks, settings.preset);
+    let unknown = metrics.number("masks.unknown").filter(|n| *n > 0.0);
+    let unknown = unknown.map_or_else(String::new, |n| format!(" and {n} unknown"));
+    let (name, preset) = (settings.recording_name(), &settings.preset);
+    let mut subtitle = format!("{name} · masks from {}{unknown} · preset {preset}", settings.masks);
     if let Some(e) = &execution {
         subtitle += &format!(" · executed in {}", e.engine);
     }

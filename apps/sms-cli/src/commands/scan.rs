@@ -12,7 +12,10 @@ use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::ScanConfig;
-use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, load_labels, save_labels};
+use sms_masks::{
+    Completed, FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, complete, load_labels,
+    save_labels,
+};
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use std::path::Path;
 use std::time::Instant;
@@ -99,10 +102,11 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
 
     let nets = (a.masks == MasksName::Sam2).then(|| models::Chosen::new(context, &a.nets)).transpose()?;
     let kind = nets.as_ref().map_or_else(|| settings.masks.clone(), models::Chosen::settings);
-    let masks_settings = (kind, (a.masks == MasksName::Geometry).then_some(&geometry));
+    // Geometry finds objects, or those that the other sources missed; the truth it leaves alone.
+    let masks_settings = (kind, (a.masks != MasksName::Truth).then_some(&geometry));
     let names = mask_names_hash(&recording, a.masks)?;
     let masks_hash = inputs_hash(&[&frames_hash, &names], &masks_settings)?;
-    if a.masks == MasksName::Geometry {
+    if a.masks != MasksName::Truth {
         run.record_settings("masks", &geometry)?;
     }
     let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
@@ -113,9 +117,19 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
             MasksName::Sam2 => models::segmenter(context, nets.as_ref())?,
         };
         let labels = segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)?;
+        let pixels: usize = labels.maps.iter().map(|m| m.data.len()).sum();
+        let (labels, done) =
+            complete(labels, &sequence, &geometry, context.progress.as_ref(), &context.cancel)?;
         save_labels(stage.dir(), &labels)?;
         let mut metrics = Metrics::new();
         metrics.set("masks.objects", labels.objects.len()).set("masks.source", settings.masks.clone());
+        if let Some(moved) = done.moved_pixels {
+            metrics.set("masks.refined_share", moved as f64 / pixels.max(1) as f64);
+        }
+        if let Some(unknown) = done.unknown {
+            metrics.set("masks.unknown", unknown);
+        }
+        context.say(masks_line(&settings.masks, labels.objects.len(), pixels, &done));
         Ok(metrics)
     })?;
     let labels = load_labels(&masks_dir)?;
@@ -262,6 +276,20 @@ fn hash_file(hasher: &mut Hasher, path: &Path) -> anyhow::Result<()> {
         hasher.file(path)?;
     }
     Ok(())
+}
+
+/// One line on the masks: how many objects, whence, and what was done to them.
+fn masks_line(source: &str, objects: usize, pixels: usize, done: &Completed) -> String {
+    let mut line = format!("masks: {objects} objects from {source}");
+    if let Some(unknown @ 1..) = done.unknown {
+        line += &format!(", {unknown} of them unknown to it (masks.add_unknown)");
+    }
+    if let Some(moved) = done.moved_pixels {
+        let percent = 100.0 * moved as f64 / pixels.max(1) as f64;
+        line +=
+            &format!("; borders refined in 3-D, {percent:.2} % of the pixels changed (masks.refine_edges)");
+    }
+    line
 }
 
 fn summary(context: &Context, run: &RunFolder, objects: usize) -> anyhow::Result<()> {

@@ -99,15 +99,23 @@ fn split(
 ) -> Vec<Vec<usize>> {
     let voxel = config.voxel_m;
     let mut segments = Segments::patches(surfels, graph, &piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
+    let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
+    let length = extents(surfels, &piece)[2];
+    // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
+    let is_thread = |s: &Segments, a: usize, b: usize, border: &Border| {
+        length > config.clutter_m
+            && s.size(a).min(s.size(b)) >= smallest
+            && s.width(a, b, border) < THREAD
+            && neck(s, a, b, border) < THREAD_NECK
+    };
     // Greedy merging leaks through a border here and there. It is done twice, led by colour and by shape, and what one of
     // them keeps apart stays apart.
     let [by_color, by_shape] = LIGHTS.map(|light| {
         let mut merged = segments.clone();
-        merged.merge_convex(config.crease_share, light);
+        merged.merge_convex(config.crease_share, light, is_thread);
         merged
     });
     segments.merge_agreed(&by_color, &by_shape);
-    let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
     segments.merge_small(|members| {
         if members.len() < smallest {
             return true;
@@ -115,7 +123,6 @@ fn split(
         let [_, middle, long] = extents(surfels, members);
         middle < config.min_object_m || long < 1.5 * config.min_object_m
     });
-    let length = extents(surfels, &piece)[2];
     segments.merge_while(
         |s, a, b, border| {
             if are_distinct(s, a, b, border, length, config) { 0.0 } else { 1.0 / (1.0 + s.contrast(a, b)) }
@@ -127,6 +134,11 @@ fn split(
 
 /// Levels by which light alone may change the colours of neighbouring patches, when colour leads and when shape does.
 const LIGHTS: [f64; 2] = [15.0, 60.0];
+
+/// Large segments whose border is narrower than this ([`Segments::width`]), and hardly wider than the smaller of them (in
+/// its widths), hang together by a thread: noise where they are near. The legs of a stool join over several of their widths.
+const THREAD: f64 = 12.0;
+const THREAD_NECK: f64 = 1.2;
 
 /// What adjoins other surfaces and shows less than this (m²) is a detail of them, whatever its colour.
 const DETAIL_M2: f64 = 2.5e-3;
@@ -176,10 +188,10 @@ fn are_distinct(
         if bent < 0.25 && contrast < 2.4 {
             return false;
         }
-        let width = border.pairs / (s.size(a).min(s.size(b)) as f64).sqrt();
+        let width = s.width(a, b, border);
         return (contrast > 1.2 && (bent > 0.3 || neck < 1.0 || contrast > 2.4))
             || narrow
-            || width < 12.0
+            || width < THREAD
             || (length > 0.35 && level && bent > 0.35);
     }
     let least = s.size(a).min(s.size(b)) as f64 > 0.2 * s.size(a).max(s.size(b)) as f64;

@@ -59,6 +59,11 @@ pub struct GeometryConfig {
     pub min_seen_share: f64,
     /// For the random draws of plane fitting.
     pub seed: Seed,
+    /// Of masks from any source but the truth: whether their borders are corrected in 3-D ([`crate::refine_edges`]).
+    pub refine_edges: bool,
+    /// Of masks from any source but geometry and the truth: whether what stands free and bears no label becomes an object
+    /// ([`crate::add_unknown`]).
+    pub add_unknown: bool,
 }
 
 impl Default for GeometryConfig {
@@ -79,6 +84,8 @@ impl Default for GeometryConfig {
             clutter_m: 0.22,
             min_seen_share: 0.2,
             seed: Seed(0),
+            refine_edges: true,
+            add_unknown: true,
         }
     }
 }
@@ -133,6 +140,8 @@ pub(crate) struct Clustered {
     surfels: Vec<fuse::Surfel>,
     /// Which surfels are near each other.
     pub(crate) graph: fuse::Neighbors,
+    /// What belongs to large planes.
+    is_static: Vec<bool>,
     /// The objects: sorted surfels, the largest first.
     pub(crate) clusters: Vec<Vec<usize>>,
 }
@@ -154,12 +163,17 @@ impl Clustered {
         let clusters = cluster::clusters(&surfels, &graph, &is_static, &planes, sequence, config);
         cancel.check()?;
         progress.update(3, &format!("{} objects", clusters.len()));
-        Ok(Self { surfels, graph, clusters })
+        Ok(Self { surfels, graph, is_static, clusters })
     }
 
     /// Which surfels hold, by their position in the world.
     pub(crate) fn surfels_where(&self, holds: impl Fn(DVec3) -> bool + Sync) -> Vec<bool> {
         self.surfels.par_iter().map(|s| holds(s.p_w)).collect()
+    }
+
+    /// Whether a surfel lies beside a wall or another upright static surface.
+    pub(crate) fn touches_wall(&self, i: usize) -> bool {
+        self.graph.of(i).any(|j| self.is_static[j] && self.surfels[j].n_w.z < planes::ROUGHLY_ALIGNED)
     }
 
     /// A label map of every frame, of the clusters' positions plus 1.

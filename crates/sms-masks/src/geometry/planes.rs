@@ -36,7 +36,7 @@ const DRAWS: usize = 160;
 /// Cosine of the angle between the normals of a plane and of its coarse surfels.
 const ALIGNED: f64 = 0.92;
 /// The same for fine surfels, whose normals are noisier.
-const ROUGHLY_ALIGNED: f64 = 0.75;
+pub(crate) const ROUGHLY_ALIGNED: f64 = 0.75;
 /// Size of the coarse cells that planes are found on, in fine cells.
 const COARSE: f64 = 3.0;
 /// Real floors, walls and sensors bend so far from the plane.
@@ -58,7 +58,15 @@ pub(crate) fn static_surfels(
     let (coarse, coarse_graph, parent) = coarsen(surfels, cell_m);
     let mut children: Vec<Vec<u32>> = vec![vec![]; coarse.len()];
     parent.iter().enumerate().for_each(|(i, &c)| children[c as usize].push(i as u32));
-    let pieces = large_pieces(&coarse, &coarse_graph, cell_m, sequence, config, cancel)?;
+    let mut pieces = large_pieces(&coarse, &coarse_graph, cell_m, sequence, config, cancel)?;
+    if pieces.iter().all(|(_, n_w)| n_w.z < 0.9)
+        && let Some((members, n_w)) = scattered_ground(surfels, graph, config)
+    {
+        let mut cells: Vec<usize> = members.iter().map(|&i| parent[i] as usize).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        pieces.push((cells, n_w));
+    }
     let mut is_static = vec![false; surfels.len()];
     let mut planes = Vec::with_capacity(pieces.len());
     for (members, n_w) in pieces {
@@ -99,7 +107,8 @@ fn large_pieces(
     // A piece of least area that is long enough to be static.
     let smallest = (STRIP * config.max_face_m2 / cell_m.powi(2)) as usize;
     let band = (3.0 * median(coarse.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
-    // Things stand on something: where nothing large faces up, it is the lowest piece that does and has some area.
+    // Things stand on something: where nothing large faces up, it is the lowest piece that does, has some area, and is no thing
+    // that stands on something itself.
     let mut support: Option<(Vec<usize>, DVec3, f64)> = None;
     for _ in 0..MAX_FITS {
         cancel.check()?;
@@ -134,7 +143,8 @@ fn large_pieces(
             for m in &pieces {
                 let height = m.iter().map(|&i| coarse[i].p_w.z).sum::<f64>() / m.len() as f64;
                 let lower = support.as_ref().is_none_or(|s| height < s.2);
-                if lower && m.len() as f64 * cell_m * cell_m > SUPPORT * config.max_face_m2 {
+                let wide = m.len() as f64 * cell_m * cell_m > SUPPORT * config.max_face_m2;
+                if lower && wide && is_ground(coarse, m, p_w, n_w, cell_m) {
                     support = Some((m.clone(), n_w, height));
                 }
             }
@@ -148,10 +158,8 @@ fn large_pieces(
         };
         large.extend(pieces.into_iter().filter(is_static).map(|m| (m, n_w)));
     }
-    if let Some((members, n_w, _)) = support
-        && large.iter().all(|(_, n)| n.z < 0.9)
-    {
-        large.push((members, n_w));
+    if large.iter().all(|(_, n)| n.z < 0.9) {
+        large.extend(support.map(|(members, n_w, _)| (members, n_w)));
     }
     Ok(large)
 }
@@ -203,6 +211,80 @@ fn is_large(
 
 /// Of the normal's upward part, what a top and its edges have, and a wall has not.
 const UPWARD: f64 = 0.15;
+
+/// The lowest level plane that patches which face up share, where together they span more than a face of an object: of metal,
+/// glass and what is looked along, depth cameras measure a patch here and there. Sorted surfels, and the normal.
+fn scattered_ground(
+    surfels: &[Surfel],
+    graph: &Neighbors,
+    config: &GeometryConfig,
+) -> Option<(Vec<usize>, DVec3)> {
+    /// Surface that a patch shows at least, and that all of them do, in that of the least object.
+    const PATCH: f64 = 0.25;
+    const SHOWN: f64 = 4.0;
+    /// Normals of a level plane stray from the vertical by less than 6°; single surfels by more.
+    const LEVEL: f64 = 0.995;
+    let band = (3.0 * median(surfels.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
+    let least = PATCH * config.min_area_m2 / config.voxel_m.powi(2);
+    let patches = |p_w: DVec3, n_w: DVec3| -> Vec<usize> {
+        let on = |s: &Surfel| n_w.dot(s.p_w - p_w).abs() < band && s.n_w.dot(n_w) > ROUGHLY_ALIGNED;
+        let mut pieces = graph.components(|i| on(&surfels[i]));
+        pieces.retain(|m| m.len() as f64 >= least);
+        let mut members = pieces.concat();
+        members.sort_unstable();
+        members
+    };
+    let mut heights: Vec<f64> =
+        surfels.iter().filter(|s| s.n_w.z > ROUGHLY_ALIGNED).map(|s| s.p_w.z).collect();
+    heights.sort_by(f64::total_cmp);
+    let mut next = f64::NEG_INFINITY;
+    for z in heights {
+        if z < next {
+            continue;
+        }
+        next = z + 0.5 * band;
+        let (mut p_w, mut n_w) = (DVec3::Z * z, DVec3::Z);
+        let mut members = patches(p_w, n_w);
+        for _ in 0..6 {
+            let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
+            let Some((mean, covariance, _)) = mean_and_covariance(points) else { break };
+            let n = aligned(symmetric_eigen(covariance).1[0], DVec3::Z);
+            // Patches along a line do not tell the plane across it.
+            (p_w, n_w) = (mean, if n.z > LEVEL { n } else { DVec3::Z });
+            members = patches(p_w, n_w);
+        }
+        let [_, middle, long] = extents(surfels, &members);
+        let area = members.len() as f64 * config.voxel_m.powi(2);
+        if area > SHOWN * config.min_area_m2 && middle * long > config.max_face_m2 {
+            return Some((members, n_w));
+        }
+    }
+    None
+}
+
+/// Whether nothing beside a piece that faces up reaches below it: what stands on the same ground as the piece does, and
+/// the walls around both.
+fn is_ground(coarse: &[Surfel], members: &[usize], p_w: DVec3, n_w: DVec3, cell_m: f64) -> bool {
+    /// How far aside, in cells.
+    const ASIDE: i64 = 3;
+    /// Share of the piece's cells from which what lies below is more than noise and mirror images.
+    const BELOW: f64 = 0.1;
+    let u = n_w.any_orthonormal_vector();
+    let v = n_w.cross(u);
+    let cell = |s: &Surfel| {
+        let d = s.p_w - p_w;
+        ((u.dot(d) / cell_m).floor() as i64, (v.dot(d) / cell_m).floor() as i64)
+    };
+    let own: BTreeSet<(i64, i64)> = members.iter().map(|&i| cell(&coarse[i])).collect();
+    let beside: BTreeSet<(i64, i64)> = own
+        .iter()
+        .flat_map(|&(x, y)| (-ASIDE..=ASIDE).flat_map(move |i| (-ASIDE..=ASIDE).map(move |j| (x + i, y + j))))
+        .collect();
+    let below = coarse
+        .iter()
+        .filter(|s| (-4.0 * BEND_M..-BEND_M).contains(&n_w.dot(s.p_w - p_w)) && beside.contains(&cell(s)));
+    (below.count() as f64) < BELOW * members.len() as f64
+}
 
 /// Share of a rim past which the surroundings must be seen, for what faces up and for the rest: the rim of a table's top is
 /// interrupted by what stands on it.

@@ -273,11 +273,24 @@ impl Segments {
         self.looks[a].distance(&self.looks[b], OTHER_LIGHT)
     }
 
+    /// Pairs of neighbours across a border, in units of the smaller segment's length (its surfels' square root).
+    pub(crate) fn width(&self, a: usize, b: usize, border: &Border) -> f64 {
+        border.pairs / (self.size(a).min(self.size(b)) as f64).sqrt()
+    }
+
     /// Merges what is locally convex and of one colour: the border that bends inwards least first, until every border bends
     /// by at least `crease_share`. `light` is how much the colours of neighbouring patches may differ by light alone, in
-    /// 8-bit levels: the less, the more colours count.
-    pub(crate) fn merge_convex(&mut self, crease_share: f64, light: f64) {
+    /// 8-bit levels: the less, the more colours count. What hangs together by a thread stays apart.
+    pub(crate) fn merge_convex(
+        &mut self,
+        crease_share: f64,
+        light: f64,
+        is_thread: impl Fn(&Self, usize, usize, &Border) -> bool,
+    ) {
         let score = |s: &Self, a: usize, b: usize, border: &Border| {
+            if is_thread(s, a, b, border) {
+                return 0.0;
+            }
             1.0 - border.crease / border.pairs - 0.1 * s.looks[a].distance(&s.looks[b], light).min(2.0)
         };
         self.merge_while(score, 1.0 - crease_share);

@@ -90,6 +90,33 @@ fn walls_and_a_bin_floor_are_static() {
 }
 
 #[test]
+fn a_flat_thing_is_not_its_own_support_where_the_support_is_hardly_measured() {
+    let solids = [
+        Solid::Box(DVec3::new(-0.1, 0.0, 0.06), DVec3::new(0.05, 0.06, 0.06), 0.2),
+        Solid::Box(DVec3::new(0.08, 0.0, 0.0125), DVec3::new(0.04, 0.09, 0.0125), 0.2),
+    ];
+    let (mut sequence, truth) = scene(&solids, Sensor::default(), 6);
+    // Bare metal: depth here and there only, in patches of 3 cm every 12 cm.
+    for (frame, map) in sequence.frames.iter_mut().zip(&truth) {
+        for i in (0..map.data.len()).filter(|&i| map.data[i] == 0) {
+            let p_w =
+                frame.camera.unproject_pixel(i % map.width, i / map.width, f64::from(frame.depth.data[i]));
+            let is_patch = |v: f64| v.rem_euclid(0.12) < 0.03;
+            if !is_patch(p_w.x) || !is_patch(p_w.y) {
+                frame.depth.data[i] = 0.0;
+            }
+        }
+    }
+    let (labels, _) = segment(&sequence);
+    assert_eq!(labels.objects.len(), 2);
+    for value in [1, 2] {
+        let (iou, _) = best_iou(&truth, value, &labels);
+        println!("solid {value}: {iou:.3}");
+        assert!(iou > 0.8, "solid {value}: {iou:.3}");
+    }
+}
+
+#[test]
 fn labels_do_not_depend_on_the_number_of_threads() {
     let (sequence, _) = scene(&table_scene(), Sensor { frames: 8, ..Sensor::default() }, 7);
     let with = |threads: usize| {

@@ -18,8 +18,8 @@ pub struct HubConfig {
     pub token: Option<String>,
     /// Whether the network must not be asked (`HF_HUB_OFFLINE`).
     pub is_offline: bool,
-    /// Branch, tag or commit.
-    pub revision: String,
+    /// Branch, tag or commit, in place of each model's own ([`Model::revision`]).
+    pub revision: Option<String>,
     /// How often a download is begun again.
     pub attempts: usize,
     /// Pause before the second attempt, doubled each time; what the server asks for goes before.
@@ -69,10 +69,15 @@ impl HubConfig {
             cache: set("HF_HUB_CACHE").map_or_else(|| home.join("hub"), PathBuf::from),
             token: set("HF_TOKEN").or_else(stored).filter(|t| !t.is_empty()),
             is_offline: set("HF_HUB_OFFLINE").is_some_and(is_on),
-            revision: "main".into(),
+            revision: None,
             attempts: 5,
             pause: Duration::from_secs(1),
         }
+    }
+
+    /// Branch, tag or commit of a model.
+    pub(crate) fn revision<'a>(&'a self, model: &'a Model) -> &'a str {
+        self.revision.as_deref().unwrap_or(model.revision)
     }
 
     /// A model's folder in the cache.
@@ -83,11 +88,12 @@ impl HubConfig {
     /// The model, if all of its files are in the cache.
     pub fn cached(&self, model: &Model) -> Option<CachedModel> {
         let repository = self.repository(model);
-        let is_commit = self.revision.len() == 40 && self.revision.bytes().all(|b| b.is_ascii_hexdigit());
+        let revision = self.revision(model);
+        let is_commit = revision.len() == 40 && revision.bytes().all(|b| b.is_ascii_hexdigit());
         let commit = if is_commit {
-            self.revision.clone()
+            revision.to_owned()
         } else {
-            std::fs::read_to_string(repository.join("refs").join(&self.revision)).ok()?.trim().to_owned()
+            std::fs::read_to_string(repository.join("refs").join(revision)).ok()?.trim().to_owned()
         };
         let folder = repository.join("snapshots").join(&commit);
         let is_whole = model.files.iter().all(|f| folder.join(f).is_file());
@@ -115,7 +121,8 @@ impl HubConfig {
         }
         let client = Client::new(self, model);
         let repository = self.repository(model);
-        let mut revision = self.revision.clone();
+        let asked = self.revision(model);
+        let mut revision = asked.to_owned();
         for file in model.files {
             cancel.check()?;
             let remote = client.look(&revision, file, cancel)?;
@@ -127,12 +134,9 @@ impl HubConfig {
             revision.clone_from(&remote.commit);
             link(&blob, &repository.join("snapshots").join(&remote.commit).join(file))?;
         }
-        if revision != self.revision {
+        if revision != asked {
             // Last: from now on the model is in the cache.
-            sms_core::atomic::write_bytes(
-                &repository.join("refs").join(&self.revision),
-                revision.as_bytes(),
-            )?;
+            sms_core::atomic::write_bytes(&repository.join("refs").join(asked), revision.as_bytes())?;
         }
         Ok(repository.join("snapshots").join(&revision))
     }

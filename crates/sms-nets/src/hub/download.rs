@@ -228,7 +228,7 @@ impl<'a> Client<'a> {
             404 => input(
                 format!(
                     "the hub has no {file} of {repository} at revision `{}` (status 404)",
-                    self.hub.revision
+                    self.hub.revision(self.model)
                 ),
                 format!("check the revision; or {}", self.hub.by_hand(self.model)),
             ),

@@ -2,7 +2,8 @@
 //!
 //! The cache is shared with every other program that uses the hub: `models--ORG--NAME/snapshots/COMMIT/FILE` are links to
 //! `blobs/CHECKSUM`, and `refs/REVISION` names the commit that a branch had when it was last asked for. What is there is
-//! taken without asking the network, so a model stays the one that was fetched first until it is deleted.
+//! taken without asking the network. Of the default models a commit is pinned; another stays the one that was fetched first until
+//! it is deleted.
 
 mod cache;
 mod download;
@@ -20,6 +21,8 @@ pub struct Model {
     pub name: &'static str,
     /// Repository on the hub.
     pub repository: &'static str,
+    /// Commit, where one is pinned, else the branch `main`: the commit that it has when the model is first fetched.
+    pub revision: &'static str,
     /// What it is for.
     pub about: &'static str,
     /// Files that are needed.
@@ -29,35 +32,43 @@ pub struct Model {
 const DETECTOR_FILES: &[&str] = &["config.json", "vocab.json", "merges.txt", "model.safetensors"];
 const TRACKER_FILES: &[&str] = &["config.json", "model.safetensors"];
 
+/// The branch of models without a pinned commit.
+const MAIN: &str = "main";
+
 /// The models known by name, the default detector and the default tracker first.
 pub const MODELS: [Model; 5] = [
     Model {
         name: "owlv2",
         repository: "google/owlv2-base-patch16-ensemble",
+        revision: "cfd3195ba4ea9592eec887ded089f4c08eff231d",
         about: "finds what text names (620 MB)",
         files: DETECTOR_FILES,
     },
     Model {
         name: "sam2-tiny",
         repository: "facebook/sam2.1-hiera-tiny",
+        revision: "de431c4043854a71d8101e17995dfe596bf101a5",
         about: "masks and tracking, the fastest (156 MB)",
         files: TRACKER_FILES,
     },
     Model {
         name: "sam2-small",
         repository: "facebook/sam2.1-hiera-small",
+        revision: MAIN,
         about: "masks and tracking (184 MB)",
         files: TRACKER_FILES,
     },
     Model {
         name: "sam2-base-plus",
         repository: "facebook/sam2.1-hiera-base-plus",
+        revision: MAIN,
         about: "masks and tracking (323 MB)",
         files: TRACKER_FILES,
     },
     Model {
         name: "sam2-large",
         repository: "facebook/sam2.1-hiera-large",
+        revision: MAIN,
         about: "masks and tracking, the most exact (898 MB)",
         files: TRACKER_FILES,
     },

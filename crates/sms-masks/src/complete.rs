@@ -1,0 +1,95 @@
+//! What is done to the masks of every source but the truth.
+
+use crate::{DEFAULT_NEIGHBORS, GeometryConfig, MasksError, add_unknown, refine_edges, scaled_margin_px};
+use sms_core::{Cancel, Labels, MaskSource, Progress};
+use sms_frames::Sequence;
+
+/// What [`complete`] did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Completed {
+    /// Pixels of all frames whose label the refinement of edges changed; `None` where it was not asked for.
+    pub moved_pixels: Option<usize>,
+    /// Objects that the source missed; `None` where they were not asked for.
+    pub unknown: Option<usize>,
+}
+
+/// Corrects the borders of masks ([`refine_edges`], the paper's margin at the images' width) and adds what their source missed
+/// ([`add_unknown`]), as far as `config` wants it.
+///
+/// The truth stays as it is, and geometry has found all that it can find.
+///
+/// # Errors
+/// As [`refine_edges`] and [`add_unknown`].
+pub fn complete(
+    labels: Labels,
+    sequence: &Sequence,
+    config: &GeometryConfig,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(Labels, Completed), MasksError> {
+    let mut done = Completed::default();
+    let Some(first) = sequence.frames.first() else { return Ok((labels, done)) };
+    if labels.source == MaskSource::Truth {
+        return Ok((labels, done));
+    }
+    let mut labels = labels;
+    if config.refine_edges {
+        cancel.check()?;
+        let margin_px = scaled_margin_px(first.depth.width);
+        let refined = refine_edges(&labels, sequence, margin_px, DEFAULT_NEIGHBORS)?;
+        let pairs = labels.maps.iter().zip(&refined.maps);
+        let moved = pairs.map(|(a, b)| a.data.iter().zip(&b.data).filter(|(a, b)| a != b).count()).sum();
+        done.moved_pixels = Some(moved);
+        labels = refined;
+    }
+    if config.add_unknown && labels.source != MaskSource::Geometry {
+        let given = labels.objects.len();
+        labels = add_unknown(&labels, sequence, config, progress, cancel)?;
+        done.unknown = Some(labels.objects.len() - given);
+    }
+    Ok((labels, done))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{Sensor, scene, table_scene};
+    use sms_core::{BACKGROUND, LabelInfo, NoProgress};
+
+    #[test]
+    fn every_source_gets_what_it_needs_and_settings_switch_it_off() {
+        let (sequence, truth) = scene(&table_scene(), Sensor { frames: 8, ..Sensor::default() }, 3);
+        let maps = truth.iter().map(|map| {
+            let mut map = map.clone();
+            map.data.iter_mut().filter(|v| **v == 3).for_each(|v| *v = BACKGROUND);
+            map
+        });
+        let info = |id| LabelInfo { id, name: format!("unknown_{id:02}"), description: String::new() };
+        let given = Labels {
+            maps: maps.collect(),
+            objects: [1, 2, 4, 5].map(info).to_vec(),
+            source: MaskSource::Files,
+        };
+        let run = |source, config: &GeometryConfig| {
+            let labels = Labels { source, ..given.clone() };
+            complete(labels, &sequence, config, &NoProgress, &Cancel::new()).unwrap()
+        };
+        let on = GeometryConfig::default();
+        for source in [MaskSource::Files, MaskSource::Foundation] {
+            let (labels, done) = run(source, &on);
+            assert_eq!(done.unknown, Some(1));
+            assert!(done.moved_pixels.is_some_and(|n| n > 0));
+            // The name that a user had given already is not given again.
+            assert_eq!(labels.objects[4].name, "unknown_01_2");
+        }
+        let (labels, done) = run(MaskSource::Geometry, &on);
+        assert_eq!((labels.objects.len(), done.unknown), (4, None));
+        assert!(done.moved_pixels.is_some());
+        assert_eq!(
+            run(MaskSource::Truth, &on),
+            (Labels { source: MaskSource::Truth, ..given.clone() }, Completed::default())
+        );
+        let off = GeometryConfig { refine_edges: false, add_unknown: false, ..on };
+        assert_eq!(run(MaskSource::Files, &off), (given.clone(), Completed::default()));
+    }
+}
