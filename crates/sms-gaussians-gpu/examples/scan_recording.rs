@@ -7,9 +7,10 @@
 use sms_core::glamx::Vec3;
 use sms_core::{Camera, Cancel, NoProgress, Seed, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
+use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
     Classifier, CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig,
-    Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
+    Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
 };
 use sms_gaussians_gpu::{Choice, checked_trainer};
 use sms_masks::{GeometryMasks, Segmenter};
@@ -54,6 +55,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         scan(&sequence, &labels, &config, seed, &dir, &mut trainer, &NoProgress, &cancel, &warnings)?;
     let seconds = began.elapsed().as_secs_f64();
     println!("{device} {preset}: {seconds:.2} s, opening and self-check {opened_s:.2} s");
+    for (stage, seconds) in result.stages.iter() {
+        println!("  stage {stage:12} {seconds:7.3} s");
+    }
     for (call, (seconds, count)) in trainer.times.borrow().iter() {
         println!("  {call:12} {seconds:7.3} s in {count} calls");
     }
@@ -112,6 +116,27 @@ impl Trainer for Timed {
         let began = Instant::now();
         let out = self.trainer.steps(frames);
         self.note("steps", began);
+        out
+    }
+
+    fn batches(&mut self, batches: &[StepBatch]) -> Vec<StepStats> {
+        let began = Instant::now();
+        let out = self.trainer.batches(batches);
+        self.note("batches", began);
+        out
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
+        let began = Instant::now();
+        let out = self.trainer.edit(change);
+        self.note("edit", began);
+        out
+    }
+
+    fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
+        let began = Instant::now();
+        let out = self.trainer.places();
+        self.note("places", began);
         out
     }
 

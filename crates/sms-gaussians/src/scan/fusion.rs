@@ -6,7 +6,6 @@
 
 use super::config::ScanConfig;
 use crate::parameters::{LOG_SCALE, POSITION, Parameters, ROTATION, Row};
-use crate::{Trainer, TrainerError};
 use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_frames::Frame;
@@ -18,21 +17,12 @@ const SAME_SURFACE_COSINE: f64 = 0.7;
 
 /// Moves every Gaussian along its normal onto the mean of what `frames` measure there, and turns it to their mean
 /// normal. Gaussians that no frame measures stay as they are; moments are kept.
-///
-/// # Errors
-/// [`TrainerError::BadState`], which would be a defect of the back end.
-pub(crate) fn fuse(
-    trainer: &mut dyn Trainer,
-    frames: &[&Frame],
-    config: &ScanConfig,
-) -> Result<(), TrainerError> {
-    let mut parameters = Parameters::decode(&trainer.snapshot())?;
+pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &ScanConfig) {
     parameters.rows.par_iter_mut().for_each(|row| {
         for _ in 0..PASSES {
             fuse_one(row, frames, config);
         }
     });
-    trainer.restore(&parameters.encode())
 }
 
 fn fuse_one(row: &mut Row, frames: &[&Frame], config: &ScanConfig) {
@@ -107,7 +97,7 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
 mod tests {
     use super::super::fixture::{Recorded, SMALL, record};
     use super::*;
-    use crate::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig};
+    use crate::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig, Trainer};
     use sms_core::{Camera, Image, Intrinsics, Seed};
 
     #[test]
@@ -130,7 +120,7 @@ mod tests {
             seedling(below, 0.3),
         ]);
         let before = trainer.model();
-        fuse(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+        trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();
         let model = trainer.model();
         for i in 0..2 {
             assert!(model.positions_w[i].z.abs() < 5e-5, "{}", model.positions_w[i]);
@@ -171,7 +161,7 @@ mod tests {
                     color: [0.5; 3],
                     affinity: [0.0; AFFINITY_DIM],
                 }]);
-                fuse(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+                trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();
                 let model = trainer.model();
                 assert!((model.positions_w[0].z - expected_z).abs() < 1e-5, "{}", model.positions_w[0]);
                 let (normal, [(long, _), _]) = model.disc(0);
