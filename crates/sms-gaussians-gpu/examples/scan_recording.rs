@@ -1,5 +1,5 @@
 //! A whole scan of a recording on the CPU or a GPU, with its time and quality:
-//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]`.
+//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--steps-frame N] [--paper]`.
 //!
 //! Masks come from geometry, every eighth frame is held out, and frames are loaded at 640 pixels, the paper's half
 //! resolution, whatever the preset.
@@ -22,7 +22,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [recording, device, options @ ..] = &arguments[..] else {
-        return Err("give RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]".into());
+        return Err("give RECORDING cpu|gpu[:N] [draft|standard|fine] [--steps-frame N] [--paper]".into());
     };
     let (cancel, warnings, seed) = (Cancel::new(), Warnings::new(), Seed(0));
     let recording = Recording::open(Path::new(recording), &ReadOptions::default())?;
@@ -31,6 +31,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let labels = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings)?;
     let preset = options.first().filter(|o| !o.starts_with('-')).map_or("fine", String::as_str);
     let mut config = ScanConfig { holdout: 8, ..ScanConfig::preset(preset.parse::<Preset>()?) };
+    if let Some(at) = options.iter().position(|o| o == "--steps-frame") {
+        config.steps_frame = options.get(at + 1).ok_or("--steps-frame takes a number")?.parse()?;
+    }
     if options.iter().any(|o| o == "--paper") {
         // The paper's number of steps, none of them saved.
         (config.steps_first, config.steps_frame) = (1000, 100);
@@ -119,9 +122,13 @@ impl Trainer for Timed {
         out
     }
 
-    fn batches(&mut self, batches: &[StepBatch]) -> Vec<StepStats> {
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
         let began = Instant::now();
-        let out = self.trainer.batches(batches);
+        let out = self.trainer.batches(batches, next);
         self.note("batches", began);
         out
     }

@@ -196,10 +196,9 @@ impl GpuTrainer {
         step
     }
 
-    /// Submits steps, at most [`BATCH`], a few at a time so that the device begins while the rest is recorded, waits for
-    /// the last, adds their terms to the sums and returns how many were taken: fewer when the room for pairs was too
-    /// little, which it is not any more then. `None` after a failure.
-    fn submit(&mut self, planned: &[Planned], sums: &mut [LossTerms]) -> Option<usize> {
+    /// Submits steps, at most [`BATCH`], a few at a time so that the device begins while the rest is recorded. `None` after
+    /// a failure.
+    fn submit(&mut self, planned: &[Planned]) -> Option<()> {
         let frames: Vec<FrameId> = planned.iter().map(|p| p.frame).collect();
         self.prepare(&frames);
         let steps: Vec<Step> =
@@ -210,8 +209,7 @@ impl GpuTrainer {
         }
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, &uniforms);
         let Self { gpu, kernels, work, store, views, staging, .. } = self;
-        let control_bytes = 4 * CONTROL_WORDS as u64;
-        let stats_bytes = 4 * (STATS * steps.len()) as u64;
+        let (control_bytes, stats_bytes) = result_bytes(steps.len());
         let mut at = 0;
         while at < steps.len() {
             let end = (at + TOGETHER).min(steps.len());
@@ -231,12 +229,19 @@ impl GpuTrainer {
             gpu.queue.submit([encoder.finish()]);
             at = end;
         }
+        Some(())
+    }
+
+    /// Waits for the steps that were submitted last, adds their terms to the sums and returns how many were taken: fewer
+    /// when the room for pairs was too little, which it is not any more then. `None` after a failure.
+    fn collect(&mut self, planned: &[Planned], sums: &mut [LossTerms]) -> Option<usize> {
+        let (control_bytes, stats_bytes) = result_bytes(planned.len());
         let (control, stats): (Vec<u32>, Vec<f32>) =
-            gpu.read_staging(staging, control_bytes + stats_bytes, |bytes| {
+            self.gpu.read_staging(&self.staging, control_bytes + stats_bytes, |bytes| {
                 let (control, stats) = bytes.split_at(control_bytes as usize);
                 (bytemuck::pod_collect_to_vec(control), bytemuck::pod_collect_to_vec(stats))
             })?;
-        let done = (control[STEPS_DONE] as usize).min(steps.len());
+        let done = (control[STEPS_DONE] as usize).min(planned.len());
         for (planned, stats) in planned.iter().zip(stats.chunks_exact(STATS)).take(done) {
             if let Some(batch) = planned.batch {
                 add(&mut sums[batch], &self.terms(planned.frame, stats));
@@ -364,6 +369,11 @@ impl GpuTrainer {
     }
 }
 
+/// Bytes of the control buffer and of the statistics of so many steps, as they are read back.
+fn result_bytes(steps: usize) -> (u64, u64) {
+    (4 * CONTROL_WORDS as u64, 4 * (STATS * steps) as u64)
+}
+
 /// A step that is to be taken.
 struct Planned {
     frame: FrameId,
@@ -471,12 +481,16 @@ impl Trainer for GpuTrainer {
     /// When a frame was not added.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats {
         let batch = StepBatch { rates: self.config.rates, own: frames.to_vec(), replayed: Vec::new() };
-        self.batches(&[batch]).pop().unwrap_or_default()
+        self.batches(&[batch], &|| None).0.pop().unwrap_or_default()
     }
 
     /// # Panics
     /// When a frame was not added.
-    fn batches(&mut self, batches: &[StepBatch]) -> Vec<StepStats> {
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
         let mut planned = Vec::new();
         for (i, batch) in batches.iter().enumerate() {
             self.config.rates = batch.rates;
@@ -491,17 +505,28 @@ impl Trainer for GpuTrainer {
             }));
         }
         let mut sums = vec![LossTerms::default(); batches.len()];
+        let (mut next, mut added) = (Some(next), None);
         let mut rest = &planned[..];
         while !rest.is_empty() && self.gpu.failure().is_none() {
-            let Some(done) = self.submit(&rest[..rest.len().min(BATCH)], &mut sums) else { break };
+            let some = &rest[..rest.len().min(BATCH)];
+            if self.submit(some).is_none() {
+                break;
+            }
+            if let Some(make) = next.take() {
+                added = make().map(|frame| self.add_frame(frame));
+            }
+            let Some(done) = self.collect(some, &mut sums) else { break };
             rest = &rest[done..];
+        }
+        if let Some(make) = next.take() {
+            added = make().map(|frame| self.add_frame(frame));
         }
         let left = |i: usize| rest.iter().filter(|p| p.batch == Some(i)).count();
         let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| StepStats {
             loss: averaged(sum, batch.own.len()),
             steps: (batch.own.len() - left(i)) as u32,
         };
-        batches.iter().zip(&sums).enumerate().map(stats).collect()
+        (batches.iter().zip(&sums).enumerate().map(stats).collect(), added)
     }
 
     fn set_background(&mut self, rgb: [f32; 3]) {

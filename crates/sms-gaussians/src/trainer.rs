@@ -152,9 +152,14 @@ pub trait Trainer: Send {
     fn retain(&mut self, mask: &[bool]);
     /// One step per entry, in order.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats;
-    /// [`Trainer::set_rates`] and all steps of one batch after the other; what their own steps report. A device need not
-    /// tell of a batch before the next one begins, so that these cost less than batch by batch.
-    fn batches(&mut self, batches: &[StepBatch]) -> Vec<StepStats> {
+    /// [`Trainer::set_rates`] and all steps of one batch after the other; returns what their own steps report. Also adds
+    /// the frame that `next` makes, if it makes one, and returns its id. A device need not tell of a batch before the
+    /// next one begins, and takes steps while the frame is made and added.
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
         let take = |batch: &StepBatch| {
             self.set_rates(&batch.rates);
             let stats = self.steps(&batch.own);
@@ -163,7 +168,8 @@ pub trait Trainer: Send {
             }
             stats
         };
-        batches.iter().map(take).collect()
+        let stats = batches.iter().map(take).collect();
+        (stats, next().map(|frame| self.add_frame(frame)))
     }
     /// The constant colour b behind all Gaussians (0 to 1; black until set): a pixel shows Σ c·α·T + T_final·b, in
     /// training and rendering alike. It is not learnt and no part of the state: callers set it before anything else.

@@ -47,19 +47,22 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         .filter(|((_, measured), alpha)| **measured > 0.0 && **alpha >= COVERED)
         .map(|((shown, measured), _)| f64::from((shown - measured).abs()))
         .collect();
-    let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
-    for (&squared, &measured) in squared.iter().zip(&frame.depth.data) {
-        all = (all.0 + squared, all.1 + 3);
-        if measured > 0.0 {
-            at_depth = (at_depth.0 + squared, at_depth.1 + 3);
-        }
-    }
+    let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
+    let (depth_median_m, (all, at_depth)) = rayon::join(
+        || median(&mut errors),
+        || {
+            let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
+            for (&squared, &measured) in squared.iter().zip(&frame.depth.data) {
+                all = (all.0 + squared, all.1 + 3);
+                if measured > 0.0 {
+                    at_depth = (at_depth.0 + squared, at_depth.1 + 3);
+                }
+            }
+            (all, at_depth)
+        },
+    );
     let psnr = |(sum, count): (f64, usize)| -10.0 * (sum / count.max(1) as f64).max(1e-10).log10();
     let coverage = errors.len() as f64 / (at_depth.1 / 3).max(1) as f64;
-    let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
-    let middle = errors.len() / 2;
-    let depth_median_m =
-        if errors.is_empty() { f64::NAN } else { *errors.select_nth_unstable_by(middle, f64::total_cmp).1 };
     ViewScore {
         frame_index: frame.index,
         held_out,
@@ -69,6 +72,12 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         depth_median_m,
         coverage,
     }
+}
+
+/// Not a number where there is none.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Pixel counts of rendered against observed labels.

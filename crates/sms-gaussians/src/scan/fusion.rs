@@ -68,8 +68,8 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());
     let (fx, fy) = (u - 0.5 - x, v - 0.5 - y);
     let gate = config.tolerance_m(z);
-    let precision = config.noise.sigma_m(z).powi(-2);
-    let to_camera = (frame.camera.center_w() - center_w).normalize();
+    // Most frames do not see the surface, and need neither.
+    let mut precision_and_direction = None;
     for (dx, dy, share) in
         [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
     {
@@ -79,6 +79,9 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
         if depth <= 0.0 || normal_c == [0.0; 3] || (f64::from(depth) - z).abs() > gate {
             continue;
         }
+        let (precision, to_camera) = *precision_and_direction.get_or_insert_with(|| {
+            (config.noise.sigma_m(z).powi(-2), (frame.camera.center_w() - center_w).normalize())
+        });
         let normal_w = rotation_wc * DVec3::from_array(normal_c.map(f64::from));
         let cosine = normal_w.dot(axis_w);
         if normal_w.dot(to_camera) < config.seeding.min_cosine || cosine.abs() < SAME_SURFACE_COSINE {

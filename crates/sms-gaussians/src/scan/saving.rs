@@ -106,10 +106,14 @@ mod tests {
 
     #[test]
     fn frames_save_at_once_only_where_that_is_cheap() {
-        let saver = |seconds, took_s| Saver { took_s, ..Saver::new("nowhere".into(), seconds) };
+        let saver = |seconds, took_s| {
+            let mut saver = Saver::new("nowhere".into(), seconds);
+            saver.took_s = took_s;
+            saver
+        };
         assert!(saver(0.0, 0.0).due_after_frame() && saver(0.0, 3.0).due_after_frame());
         assert!(!saver(5.0, 0.0).due_after_frame() && !saver(5.0, 0.0).due());
-        let later = |mut saver: Saver, seconds| {
+        let later = |mut saver: Saver, seconds: f64| {
             saver.saved -= std::time::Duration::from_secs_f64(seconds);
             saver
         };

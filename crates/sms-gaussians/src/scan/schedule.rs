@@ -19,7 +19,7 @@ use super::seeding::{AffinityCodes, seed_frame, shuffle};
 use super::settings::{Settings, settings_hash};
 use super::so_far::SoFar;
 use super::stages::StageSeconds;
-use crate::{FrameId, GaussianModel, RenderedMaps, StepBatch, StepStats, TrainFrame, Trainer, TrainerError};
+use crate::{FrameId, GaussianModel, RenderedMaps, StepBatch, StepStats, Trainer, TrainerError};
 use glamx::Vec3;
 use rand::RngExt;
 use rayon::prelude::*;
@@ -113,7 +113,6 @@ pub fn scan_observed(
             saver: Saver::new(work_dir.join("checkpoint.bin"), config.checkpoint_seconds),
             codes: AffinityCodes::new(labels.class_count(), seed),
             ids: Vec::with_capacity(trained.len()),
-            upcoming: None,
             positions_w: None,
             trained,
             place: Place::default(),
@@ -152,10 +151,8 @@ struct Schedule<'a> {
     /// Sequence indices of the frames trained on; a slot is a position in this list.
     trained: Vec<usize>,
     codes: AffinityCodes,
-    /// The trainer's ids of the slots reached so far.
+    /// The trainer's ids of the slots reached so far, and of the next one once this one's steps have begun.
     ids: Vec<FrameId>,
-    /// The frame that the trainer gets next, made while it takes steps.
-    upcoming: Option<TrainFrame>,
     /// Where the Gaussians are, as long as nothing has moved them since that was found out.
     positions_w: Option<Vec<Vec3>>,
     place: Place,
@@ -251,8 +248,7 @@ impl Schedule<'_> {
         let began = Instant::now();
         while self.ids.len() < self.trained.len().min(self.place.slot + 1) {
             let index = self.trained[self.ids.len()];
-            let make = || train_frame(&self.sequence.frames[index], &self.labels.maps[index]);
-            let frame = self.upcoming.take().unwrap_or_else(make);
+            let frame = train_frame(&self.sequence.frames[index], &self.labels.maps[index]);
             self.ids.push(self.trainer.add_frame(frame));
         }
         self.stages.add("frames", began);
@@ -386,19 +382,16 @@ impl Schedule<'_> {
         count.min(seconds.map_or(1.0, |s| moment / s) as usize).max(1)
     }
 
-    /// Takes them. The frame that comes next is made meanwhile.
+    /// Takes them. The next slot's frame is added meanwhile.
     fn certain_batches(&mut self, limit: usize, stop: &StopConfig) -> Result<(), ScanError> {
         let (began, count, batch) = (Instant::now(), self.certain(limit, stop), self.batch());
         let of_batch = |i: usize| self.batch_at(self.place.step + i * batch);
         let batches: Vec<StepBatch> = (0..count).map(of_batch).collect();
         let (sequence, labels) = (self.sequence, self.labels);
-        let next = self.trained.get(self.ids.len()).filter(|_| self.upcoming.is_none()).copied();
-        let trainer = &mut *self.trainer;
-        let (stats, made) = rayon::join(
-            || trainer.batches(&batches),
-            || next.map(|i| train_frame(&sequence.frames[i], &labels.maps[i])),
-        );
-        self.upcoming = self.upcoming.take().or(made);
+        let next = self.trained.get(self.ids.len()).filter(|_| self.ids.len() == self.place.slot + 1);
+        let make = || next.map(|&i| train_frame(&sequence.frames[i], &labels.maps[i]));
+        let (stats, added) = self.trainer.batches(&batches, &make);
+        self.ids.extend(added);
         self.positions_w = None;
         self.check_device()?;
         self.pace.stepped(count * batch, began.elapsed().as_secs_f64());
