@@ -2,6 +2,7 @@
 
 use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
 use crate::kernels::{GAUSSIANS, Kernel, KernelForm, Kernels};
+use crate::maps::maps_of;
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::Target;
@@ -380,32 +381,6 @@ struct Planned {
     rates: LearningRates,
     /// The batch that reports its losses, if any does.
     batch: Option<usize>,
-}
-
-/// Nine values per pixel, row by row, as the kernel `maps` leaves them.
-fn maps_of(values: &[f32], width: usize) -> RenderedMaps {
-    let pixels = values.len() / 9;
-    let mut maps = RenderedMaps {
-        width,
-        height: pixels / width,
-        color: vec![[0.0; 3]; pixels],
-        alpha: vec![0.0; pixels],
-        depth: vec![0.0; pixels],
-        normal_w: vec![[0.0; 3]; pixels],
-        label: vec![0; pixels],
-    };
-    let scalars = maps.alpha.par_iter_mut().zip(&mut maps.depth).zip(&mut maps.label);
-    let vectors = maps.color.par_iter_mut().zip(&mut maps.normal_w);
-    values.par_chunks_exact(9).zip(scalars).zip(vectors).with_min_len(4096).for_each(
-        |((pixel, ((alpha, depth), label)), (color, normal_w))| {
-            *color = [pixel[0], pixel[1], pixel[2]];
-            *alpha = pixel[3];
-            *depth = pixel[4];
-            *normal_w = [pixel[5], pixel[6], pixel[7]];
-            *label = pixel[8] as u16;
-        },
-    );
-    maps
 }
 
 /// Adds every term.
