@@ -130,7 +130,7 @@ pub(crate) enum PresetName {
     Draft,
     /// 320 px, at most 200 + 30 a frame + 300 steps: objects and planning. The default.
     Standard,
-    /// 640 px, at most 400 + 60 a frame + 1000 steps: thin parts, views to look at; nine times standard's steps × pixels.
+    /// 640 px, at most 400 + 30 a frame + 1000 steps: thin parts, views to look at; six times standard's steps × pixels.
     Fine,
 }
 

@@ -116,6 +116,9 @@ pub fn run_scene_with<T: Trainer>(
     set("total_seconds", stages.iter().map(|s| s.0).sum());
     set("total_cpu_seconds", stages.iter().map(|s| s.1).sum());
     set("seconds_per_frame", scan_seconds.0 / frames);
+    for (stage, seconds) in result.stages.iter() {
+        set(&format!("stage_{stage}_s"), seconds);
+    }
     if let Some(bytes) = peak {
         set("peak_bytes", bytes as f64);
     }

@@ -1,5 +1,5 @@
 //! A whole scan of a recording on the CPU or a GPU, with its time and quality:
-//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]`.
+//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--steps-frame N] [--paper]`.
 //!
 //! Masks come from geometry, every eighth frame is held out, and frames are loaded at 640 pixels, the paper's half
 //! resolution, whatever the preset.
@@ -7,9 +7,10 @@
 use sms_core::glamx::Vec3;
 use sms_core::{Camera, Cancel, NoProgress, Seed, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
+use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
     Classifier, CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig,
-    Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
+    Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
 };
 use sms_gaussians_gpu::{Choice, checked_trainer};
 use sms_masks::{GeometryMasks, Segmenter};
@@ -21,7 +22,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [recording, device, options @ ..] = &arguments[..] else {
-        return Err("give RECORDING cpu|gpu[:N] [draft|standard|fine] [--paper]".into());
+        return Err("give RECORDING cpu|gpu[:N] [draft|standard|fine] [--steps-frame N] [--paper]".into());
     };
     let (cancel, warnings, seed) = (Cancel::new(), Warnings::new(), Seed(0));
     let recording = Recording::open(Path::new(recording), &ReadOptions::default())?;
@@ -30,6 +31,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let labels = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings)?;
     let preset = options.first().filter(|o| !o.starts_with('-')).map_or("fine", String::as_str);
     let mut config = ScanConfig { holdout: 8, ..ScanConfig::preset(preset.parse::<Preset>()?) };
+    if let Some(at) = options.iter().position(|o| o == "--steps-frame") {
+        config.steps_frame = options.get(at + 1).ok_or("--steps-frame takes a number")?.parse()?;
+    }
     if options.iter().any(|o| o == "--paper") {
         // The paper's number of steps, none of them saved.
         (config.steps_first, config.steps_frame) = (1000, 100);
@@ -54,11 +58,26 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         scan(&sequence, &labels, &config, seed, &dir, &mut trainer, &NoProgress, &cancel, &warnings)?;
     let seconds = began.elapsed().as_secs_f64();
     println!("{device} {preset}: {seconds:.2} s, opening and self-check {opened_s:.2} s");
+    for (stage, seconds) in result.stages.iter() {
+        println!("  stage {stage:12} {seconds:7.3} s");
+    }
     for (call, (seconds, count)) in trainer.times.borrow().iter() {
         println!("  {call:12} {seconds:7.3} s in {count} calls");
     }
     for (key, value) in result.metrics.iter() {
         println!("  {key} {value}");
+    }
+    if device != "cpu" {
+        // On a wall no splat is close to the camera; here some are.
+        let mut batches: Vec<f64> = (0..7)
+            .map(|_| {
+                let began = Instant::now();
+                trainer.trainer.steps(&[0; 50]);
+                began.elapsed().as_secs_f64() * 1e3 / 50.0
+            })
+            .collect();
+        batches.sort_by(f64::total_cmp);
+        println!("  {:.3} ms a step on the finished Gaussians and the first frame", batches[3]);
     }
     // Best effort: a temporary folder.
     let _ = std::fs::remove_dir_all(dir);
@@ -112,6 +131,31 @@ impl Trainer for Timed {
         let began = Instant::now();
         let out = self.trainer.steps(frames);
         self.note("steps", began);
+        out
+    }
+
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
+        let began = Instant::now();
+        let out = self.trainer.batches(batches, next);
+        self.note("batches", began);
+        out
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
+        let began = Instant::now();
+        let out = self.trainer.edit(change);
+        self.note("edit", began);
+        out
+    }
+
+    fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
+        let began = Instant::now();
+        let out = self.trainer.places();
+        self.note("places", began);
         out
     }
 

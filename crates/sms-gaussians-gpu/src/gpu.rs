@@ -229,8 +229,13 @@ impl Gpu {
         })
     }
 
-    /// The first `bytes` of a staging buffer once all work submitted is done; `None` after a failure.
-    pub(crate) fn read_staging(&self, staging: &wgpu::Buffer, bytes: u64) -> Option<Vec<u8>> {
+    /// What `see` makes of the first `bytes` of a staging buffer once all work submitted is done; `None` after a failure.
+    pub(crate) fn read_staging<T>(
+        &self,
+        staging: &wgpu::Buffer,
+        bytes: u64,
+        see: impl FnOnce(&[u8]) -> T,
+    ) -> Option<T> {
         let (sender, receiver) = mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, ..bytes, move |result| {
             let _ = sender.send(result.is_ok());
@@ -243,13 +248,18 @@ impl Gpu {
             self.fail("results could not be read back".to_owned());
             return None;
         }
-        let bytes = staging.get_mapped_range(..bytes).ok()?.to_vec();
+        let seen = see(&staging.get_mapped_range(..bytes).ok()?);
         staging.unmap();
-        Some(bytes)
+        Some(seen)
     }
 
-    /// The first `bytes` of each buffer; `None` after a failure.
-    pub(crate) fn read(&self, parts: &[(&wgpu::Buffer, u64)]) -> Option<Vec<Vec<u8>>> {
+    /// What `see` makes of the first `bytes` of each buffer, a multiple of four each; `None` after a failure. It sees
+    /// them where the device left them: a copy of the state takes as long as several steps.
+    pub(crate) fn read_with<T, const N: usize>(
+        &self,
+        parts: [(&wgpu::Buffer, u64); N],
+        see: impl FnOnce([&[u8]; N]) -> T,
+    ) -> Option<T> {
         let total: u64 = parts.iter().map(|(_, bytes)| bytes).sum();
         let mut kept = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.as_ref().is_none_or(|buffer| buffer.size() < total) {
@@ -263,13 +273,13 @@ impl Gpu {
             at += bytes;
         }
         self.queue.submit([encoder.finish()]);
-        let all = self.read_staging(staging, total)?;
-        let mut rest = &all[..];
-        let split = |(_, bytes): &(&wgpu::Buffer, u64)| {
-            let (part, after) = rest.split_at(*bytes as usize);
-            rest = after;
-            part.to_vec()
-        };
-        Some(parts.iter().map(split).collect())
+        self.read_staging(staging, total, |all| {
+            let mut rest = all;
+            see(parts.map(|(_, bytes)| {
+                let (part, after) = rest.split_at(bytes as usize);
+                rest = after;
+                part
+            }))
+        })
     }
 }

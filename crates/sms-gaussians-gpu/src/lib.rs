@@ -26,6 +26,7 @@ mod check;
 mod compare;
 mod gpu;
 mod kernels;
+mod maps;
 mod probe;
 mod rows;
 mod steps;

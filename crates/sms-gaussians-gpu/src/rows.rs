@@ -24,14 +24,12 @@ const PLACES: [usize; PARAMETERS] = {
 };
 
 /// The host's order to the device's.
-pub(crate) fn to_device(rows: &[Row], out: &mut Vec<[f32; ROW]>) {
-    out.extend(rows.iter().map(|Row(row)| {
-        let mut to = [0.0; ROW];
-        for (place, value) in PLACES.into_iter().zip(row) {
-            to[place] = *value;
-        }
-        to
-    }));
+pub(crate) fn to_device(Row(row): &Row) -> [f32; ROW] {
+    let mut to = [0.0; ROW];
+    for (place, value) in PLACES.into_iter().zip(row) {
+        to[place] = *value;
+    }
+    to
 }
 
 /// The device's order to the host's.
@@ -51,9 +49,8 @@ mod tests {
     fn rows_come_back_as_they_went() {
         let mut row = [0.0; ROW];
         (0..PARAMETERS).for_each(|i| row[i] = i as f32 + 1.0);
-        let mut there = Vec::new();
-        to_device(&[Row(row)], &mut there);
-        assert_eq!(to_host(&there[0]), Row(row));
-        assert_eq!((there[0][3], there[0][4], there[0][8]), (11.0, 4.0, 8.0));
+        let there = to_device(&Row(row));
+        assert_eq!(to_host(&there), Row(row));
+        assert_eq!((there[3], there[4], there[8]), (11.0, 4.0, 8.0));
     }
 }

@@ -112,7 +112,8 @@ pub(crate) fn timed(
     }
     encoder.resolve_query_set(&queries, 0..count, &resolved, 0);
     gpu.queue.submit([encoder.finish()]);
-    let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&gpu.read(&[(&resolved, bytes)])?[0]);
+    let ticks: Vec<u64> =
+        gpu.read_with([(&resolved, bytes)], |[ticks]| bytemuck::pod_collect_to_vec(ticks))?;
     let times = ticks.chunks_exact(2).map(|t| t[1].saturating_sub(t[0]) as f64 * unit_ms);
     Some(dispatches.iter().map(|d| d.name).zip(times).collect())
 }

@@ -3,6 +3,7 @@
 use crate::gpu::Gpu;
 use crate::kernels::{CORRECTIONS, classifier_vectors};
 use crate::rows::{to_device, to_host};
+use rayon::prelude::*;
 use sms_gaussians::parameters::{ClassifierState, Parameters, ROW, Row, classifier_len};
 use wgpu::BufferUsages;
 
@@ -27,6 +28,8 @@ pub(crate) struct Store {
     /// Of each Gaussian first moments, then second.
     pub(crate) moments: wgpu::Buffer,
     pub(crate) steps: wgpu::Buffer,
+    /// Where the Gaussians that are kept go next: rows, moments, steps with the same room.
+    spare: Option<[wgpu::Buffer; 3]>,
     pub(crate) classes: usize,
     pub(crate) classifier: wgpu::Buffer,
     /// First moments, then second.
@@ -53,6 +56,7 @@ impl Store {
             rows: gpu.buffer("rows", 0, BufferUsages::empty()),
             moments: gpu.buffer("moments", 0, BufferUsages::empty()),
             steps: gpu.buffer("steps", 0, BufferUsages::empty()),
+            spare: None,
             classes,
             classifier: gpu.buffer("classifier", bytes, BufferUsages::UNIFORM),
             classifier_moments: gpu.buffer("classifier moments", 2 * bytes, BufferUsages::empty()),
@@ -66,7 +70,7 @@ impl Store {
     }
 
     /// Buffers for `capacity` Gaussians beside the present ones: rows, moments, steps.
-    pub(crate) fn fresh(gpu: &Gpu, capacity: usize) -> [wgpu::Buffer; 3] {
+    fn fresh(gpu: &Gpu, capacity: usize) -> [wgpu::Buffer; 3] {
         let n = capacity as u64;
         let none = BufferUsages::empty();
         [
@@ -76,12 +80,27 @@ impl Store {
         ]
     }
 
+    /// Buffers with the room of the present ones; what they hold means nothing.
+    pub(crate) fn take_spare(&mut self, gpu: &Gpu) -> [wgpu::Buffer; 3] {
+        self.spare.take().unwrap_or_else(|| Self::fresh(gpu, self.capacity))
+    }
+
+    /// Puts `count` Gaussians in buffers of [`Store::take_spare`] in the place of the present ones.
+    pub(crate) fn replace(&mut self, [rows, moments, steps]: [wgpu::Buffer; 3], count: usize) {
+        let rows = std::mem::replace(&mut self.rows, rows);
+        let moments = std::mem::replace(&mut self.moments, moments);
+        let steps = std::mem::replace(&mut self.steps, steps);
+        self.spare = Some([rows, moments, steps]);
+        self.count = count;
+    }
+
     /// Makes room for `capacity` Gaussians and keeps those that there are.
     pub(crate) fn reserve(&mut self, gpu: &Gpu, capacity: usize) {
         if capacity <= self.capacity {
             return;
         }
         let capacity = capacity.max(self.capacity + self.capacity / 2);
+        self.spare = None;
         let [rows, moments, steps] = Self::fresh(gpu, capacity);
         let n = self.count as u64;
         if n > 0 {
@@ -96,8 +115,7 @@ impl Store {
 
     /// Appends Gaussians with zeroed moments; there must be room for them.
     pub(crate) fn append(&mut self, gpu: &Gpu, rows: &[Row]) {
-        let mut words = Vec::with_capacity(rows.len());
-        to_device(rows, &mut words);
+        let words: Vec<_> = rows.par_iter().map(to_device).collect();
         let (at, n) = (self.count as u64, rows.len() as u64);
         gpu.queue.write_buffer(&self.rows, at * ROW_BYTES, bytemuck::cast_slice(&words));
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -111,12 +129,9 @@ impl Store {
     pub(crate) fn set(&mut self, gpu: &Gpu, parameters: &Parameters) {
         self.count = 0;
         self.reserve(gpu, parameters.rows.len());
-        let mut rows = Vec::new();
-        to_device(&parameters.rows, &mut rows);
-        let mut moments = Vec::with_capacity(2 * rows.len());
-        for (first, second) in parameters.first.iter().zip(&parameters.second) {
-            to_device(&[*first, *second], &mut moments);
-        }
+        let rows: Vec<_> = parameters.rows.par_iter().map(to_device).collect();
+        let both = parameters.first.par_iter().zip(&parameters.second);
+        let moments: Vec<_> = both.map(|(first, second)| [to_device(first), to_device(second)]).collect();
         gpu.queue.write_buffer(&self.rows, 0, bytemuck::cast_slice(&rows));
         gpu.queue.write_buffer(&self.moments, 0, bytemuck::cast_slice(&moments));
         gpu.queue.write_buffer(&self.steps, 0, bytemuck::cast_slice(&parameters.steps));
@@ -144,39 +159,35 @@ impl Store {
     pub(crate) fn read(&self, gpu: &Gpu) -> Option<Parameters> {
         let n = self.count as u64;
         let classifier = self.classifier.size();
-        let [rows, moments, steps, values, value_moments, control]: [Vec<u8>; 6] = gpu
-            .read(&[
-                (&self.rows, n * ROW_BYTES),
-                (&self.moments, 2 * n * ROW_BYTES),
-                (&self.steps, 4 * n),
-                (&self.classifier, classifier),
-                (&self.classifier_moments, 2 * classifier),
-                (&self.control, 4 * CONTROL_WORDS as u64),
-            ])?
-            .try_into()
-            .ok()?;
-        let (mut first, mut second) = (Vec::new(), Vec::new());
-        for pair in rows_of(&moments).chunks_exact(2) {
-            first.push(pair[0]);
-            second.push(pair[1]);
-        }
-        let length = classifier_len(self.classes);
-        let padded = 4 * classifier_vectors(self.classes) as usize;
-        let moments: Vec<f32> = bytemuck::pod_collect_to_vec(&value_moments);
-        let control: Vec<u32> = bytemuck::pod_collect_to_vec(&control);
-        let values: Vec<f32> = bytemuck::pod_collect_to_vec(&values);
-        Some(Parameters {
-            rows: rows_of(&rows),
-            first,
-            second,
-            steps: bytemuck::pod_collect_to_vec(&steps),
-            classifier: ClassifierState {
-                classes: self.classes,
-                values: values[..length].to_vec(),
-                first: moments[..length].to_vec(),
-                second: moments[padded..padded + length].to_vec(),
-                steps: control[CLASSIFIER_STEPS_NEXT],
-            },
+        let parts = [
+            (&self.rows, n * ROW_BYTES),
+            (&self.moments, 2 * n * ROW_BYTES),
+            (&self.steps, 4 * n),
+            (&self.classifier, classifier),
+            (&self.classifier_moments, 2 * classifier),
+            (&self.control, 4 * CONTROL_WORDS as u64),
+        ];
+        gpu.read_with(parts, |[rows, moments, steps, values, value_moments, control]| {
+            let length = classifier_len(self.classes);
+            let padded = 4 * classifier_vectors(self.classes) as usize;
+            let rows: &[[f32; ROW]] = bytemuck::cast_slice(rows);
+            let moments: &[[[f32; ROW]; 2]] = bytemuck::cast_slice(moments);
+            let (values, value_moments): (&[f32], &[f32]) =
+                (bytemuck::cast_slice(values), bytemuck::cast_slice(value_moments));
+            let control: &[u32] = bytemuck::cast_slice(control);
+            Parameters {
+                rows: rows.par_iter().map(to_host).collect(),
+                first: moments.par_iter().map(|[first, _]| to_host(first)).collect(),
+                second: moments.par_iter().map(|[_, second]| to_host(second)).collect(),
+                steps: bytemuck::cast_slice(steps).to_vec(),
+                classifier: ClassifierState {
+                    classes: self.classes,
+                    values: values[..length].to_vec(),
+                    first: value_moments[..length].to_vec(),
+                    second: value_moments[padded..padded + length].to_vec(),
+                    steps: control[CLASSIFIER_STEPS_NEXT],
+                },
+            }
         })
     }
 
@@ -191,11 +202,6 @@ impl Store {
             &self.corrections,
             &self.control,
         ];
-        buffers.iter().map(|b| b.size()).sum()
+        buffers.into_iter().chain(self.spare.iter().flatten()).map(|b| b.size()).sum()
     }
-}
-
-fn rows_of(bytes: &[u8]) -> Vec<Row> {
-    let rows: Vec<[f32; ROW]> = bytemuck::pod_collect_to_vec(bytes);
-    rows.iter().map(to_host).collect()
 }

@@ -2,6 +2,7 @@
 
 use crate::gpu::Gpu;
 use crate::uniforms::{Step, UsedPixels};
+use rayon::prelude::*;
 use sms_gaussians::TrainFrame;
 
 /// Measured depths beyond this are not believed, metres.
@@ -10,6 +11,9 @@ const DEPTH_MAX: f32 = 1e3;
 const COLOR_MAX: f32 = 1e3;
 /// Set in the word of the label where the colour may be used.
 const COLORED: u32 = 0x1_0000;
+
+/// The label of a pixel without one.
+const UNLABELLED: u32 = 0xffff;
 
 /// A view to train on.
 pub(crate) struct Target {
@@ -24,33 +28,38 @@ pub(crate) struct Target {
 /// The words of a frame. A pixel whose colour, depth or normal is not finite is left out of that term, and a label that
 /// is not below `classes` out of the segmentation.
 pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, UsedPixels) {
+    let pixels = frame.color.par_iter().zip(&frame.depth).zip(&frame.normal_w).zip(&frame.label);
+    let words: Vec<[u32; 8]> = pixels
+        .map(|(((color, depth), normal), label)| {
+            let mut words = [0; 8];
+            let mut label_word = UNLABELLED;
+            if usize::from(*label) < classes {
+                label_word = u32::from(*label);
+            }
+            if color.iter().all(|c| c.abs() <= COLOR_MAX) {
+                label_word |= COLORED;
+                (0..3).for_each(|c| words[c] = color[c].to_bits());
+            }
+            if *depth > 0.0 && *depth <= DEPTH_MAX {
+                words[3] = depth.to_bits();
+            }
+            let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
+            if (length - 1.0).abs() < 0.5 {
+                (0..3).for_each(|c| words[4 + c] = normal[c].to_bits());
+            }
+            words[7] = label_word;
+            words
+        })
+        .collect();
     let mut used = UsedPixels::default();
-    let pixels = frame.color.iter().zip(&frame.depth).zip(&frame.normal_w).zip(&frame.label);
-    let words = pixels.map(|(((color, depth), normal), label)| {
-        let mut words = [0; 8];
-        let mut label_word = u32::from(u16::MAX);
-        if usize::from(*label) < classes {
-            used.labelled += 1;
-            label_word = u32::from(*label);
-        }
-        if color.iter().all(|c| c.abs() <= COLOR_MAX) {
-            used.colored += 1;
-            label_word |= COLORED;
-            (0..3).for_each(|c| words[c] = color[c].to_bits());
-        }
-        if *depth > 0.0 && *depth <= DEPTH_MAX {
-            used.deep += 1;
-            words[3] = depth.to_bits();
-        }
-        let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
-        if (length - 1.0).abs() < 0.5 {
-            used.oriented += 1;
-            (0..3).for_each(|c| words[4 + c] = normal[c].to_bits());
-        }
-        words[7] = label_word;
-        words
-    });
-    (words.collect(), used)
+    for words in &words {
+        used.colored += usize::from(words[7] & COLORED != 0);
+        used.deep += usize::from(words[3] != 0);
+        // A normal is marked as unknown by zeros.
+        used.oriented += usize::from(words[4..7] != [0; 3]);
+        used.labelled += usize::from(words[7] & UNLABELLED != UNLABELLED);
+    }
+    (words, used)
 }
 
 impl Target {

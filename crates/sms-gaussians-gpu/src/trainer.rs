@@ -2,17 +2,19 @@
 
 use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
 use crate::kernels::{GAUSSIANS, Kernel, KernelForm, Kernels};
+use crate::maps::maps_of;
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::Target;
 use crate::uniforms::{STRIDE, Step};
 use crate::work::{BATCH, Room, STATS, Work, bind};
 use glamx::Vec3;
+use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use sms_gaussians::parameters::{Parameters, Row, sigmoid};
 use sms_gaussians::{
-    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
-    TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
+    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepBatch,
+    StepStats, TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
 
 /// Most classes that the kernels take.
@@ -20,6 +22,8 @@ pub const MAX_CLASSES: usize = 48;
 
 /// Pairs of splat and tile per Gaussian that there is room for at first.
 const PAIRS_PER_GAUSSIAN: u32 = 12;
+/// Steps that are recorded and submitted together.
+const TOGETHER: usize = 8;
 /// Room for pairs is at least this.
 const PAIRS_MIN: u32 = 1 << 14;
 
@@ -121,7 +125,7 @@ impl GpuTrainer {
     /// When the frame was not added.
     pub fn timed_step(&mut self, frame: FrameId) -> Option<Vec<(&'static str, f64)>> {
         self.prepare(&[frame]);
-        let step = self.step_of(frame, 0);
+        let step = self.step_of(frame, &self.config.rates, 0);
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
         let Self { gpu, kernels, work, store, views, .. } = self;
         let bindings = work.bindings(gpu, kernels, store);
@@ -175,10 +179,11 @@ impl GpuTrainer {
         Room { gaussians, pairs: self.pairs_wanted, ..Room::default() }
     }
 
-    /// The numbers of a step on `frame`, at `index` in its batch.
-    fn step_of(&self, frame: FrameId, index: usize) -> Step {
+    /// The numbers of a step on `frame`, at `index` in its submission.
+    fn step_of(&self, frame: FrameId, rates: &LearningRates, index: usize) -> Step {
         let target = &self.targets[frame];
-        self.completed(target.camera.trained(&self.config, &target.pixels), index)
+        let config = TrainConfig { rates: *rates, ..self.config };
+        self.completed(target.camera.trained(&config, &target.pixels), index)
     }
 
     fn completed(&self, mut step: Step, index: usize) -> Step {
@@ -192,37 +197,56 @@ impl GpuTrainer {
         step
     }
 
-    /// Submits steps on these frames, at most [`BATCH`], adds their terms to `sum` and returns how many were taken: fewer
-    /// when the room for pairs was too little, which it is not any more then. `None` after a failure.
-    fn submit(&mut self, frames: &[FrameId], sum: &mut LossTerms) -> Option<usize> {
-        self.prepare(frames);
-        let steps: Vec<Step> = frames.iter().enumerate().map(|(i, &f)| self.step_of(f, i)).collect();
+    /// Submits steps, at most [`BATCH`], a few at a time so that the device begins while the rest is recorded. `None` after
+    /// a failure.
+    fn submit(&mut self, planned: &[Planned]) -> Option<()> {
+        let frames: Vec<FrameId> = planned.iter().map(|p| p.frame).collect();
+        self.prepare(&frames);
+        let steps: Vec<Step> =
+            planned.iter().enumerate().map(|(i, p)| self.step_of(p.frame, &p.rates, i)).collect();
         let mut uniforms = vec![0u8; STRIDE as usize * steps.len()];
         for (to, step) in uniforms.chunks_exact_mut(STRIDE as usize).zip(&steps) {
             to[..size_of::<Step>()].copy_from_slice(bytemuck::bytes_of(step));
         }
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, &uniforms);
         let Self { gpu, kernels, work, store, views, staging, .. } = self;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let bindings = work.bindings(gpu, kernels, store);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            for (i, (step, &frame)) in steps.iter().zip(frames).enumerate() {
-                record(&mut pass, &of_step(kernels, bindings, step), views[frame].as_ref()?, i);
+        let (control_bytes, stats_bytes) = result_bytes(steps.len());
+        let mut at = 0;
+        while at < steps.len() {
+            let end = (at + TOGETHER).min(steps.len());
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let bindings = work.bindings(gpu, kernels, store);
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                for i in at..end {
+                    let view = views[frames[i]].as_ref()?;
+                    record(&mut pass, &of_step(kernels, bindings, &steps[i]), view, i);
+                }
             }
+            if end == steps.len() {
+                encoder.copy_buffer_to_buffer(&store.control, 0, staging, 0, control_bytes);
+                encoder.copy_buffer_to_buffer(&work.stats, 0, staging, control_bytes, stats_bytes);
+            }
+            gpu.queue.submit([encoder.finish()]);
+            at = end;
         }
-        let control_bytes = 4 * CONTROL_WORDS as u64;
-        let stats_bytes = 4 * (STATS * frames.len()) as u64;
-        encoder.copy_buffer_to_buffer(&store.control, 0, staging, 0, control_bytes);
-        encoder.copy_buffer_to_buffer(&work.stats, 0, staging, control_bytes, stats_bytes);
-        gpu.queue.submit([encoder.finish()]);
-        let bytes = gpu.read_staging(staging, control_bytes + stats_bytes)?;
-        let (control, stats) = bytes.split_at(control_bytes as usize);
-        let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
-        let stats: Vec<f32> = bytemuck::pod_collect_to_vec(stats);
-        let done = (control[STEPS_DONE] as usize).min(frames.len());
-        for (i, &frame) in frames.iter().enumerate().take(done) {
-            add(sum, &self.terms(frame, &stats[STATS * i..STATS * (i + 1)]));
+        Some(())
+    }
+
+    /// Waits for the steps that were submitted last, adds their terms to the sums and returns how many were taken: fewer
+    /// when the room for pairs was too little, which it is not any more then. `None` after a failure.
+    fn collect(&mut self, planned: &[Planned], sums: &mut [LossTerms]) -> Option<usize> {
+        let (control_bytes, stats_bytes) = result_bytes(planned.len());
+        let (control, stats): (Vec<u32>, Vec<f32>) =
+            self.gpu.read_staging(&self.staging, control_bytes + stats_bytes, |bytes| {
+                let (control, stats) = bytes.split_at(control_bytes as usize);
+                (bytemuck::pod_collect_to_vec(control), bytemuck::pod_collect_to_vec(stats))
+            })?;
+        let done = (control[STEPS_DONE] as usize).min(planned.len());
+        for (planned, stats) in planned.iter().zip(stats.chunks_exact(STATS)).take(done) {
+            if let Some(batch) = planned.batch {
+                add(&mut sums[batch], &self.terms(planned.frame, stats));
+            }
         }
         self.after(&control);
         Some(done)
@@ -271,8 +295,9 @@ impl GpuTrainer {
         terms
     }
 
-    /// Renders once; `Ok(None)` when there was too little room for pairs, of which there is enough then.
-    fn try_render(&mut self, camera: &Step) -> Option<Option<Vec<f32>>> {
+    /// Renders once; `Some(None)` when there was too little room for pairs, of which there is enough then; `None` after a
+    /// failure.
+    fn try_render(&mut self, camera: &Step) -> Option<Option<RenderedMaps>> {
         let mut room = self.room_for_gaussians();
         (room.tiles, room.shown) = (camera.tiles(), camera.pixels() as u32);
         self.work.reserve(&self.gpu, self.store.classes, &room);
@@ -288,10 +313,13 @@ impl GpuTrainer {
         }
         gpu.queue.submit([encoder.finish()]);
         let parts = [(&store.control, 4 * CONTROL_WORDS as u64), (work.maps(), 36 * camera.pixels() as u64)];
-        let [control, maps]: [Vec<u8>; 2] = gpu.read(&parts)?.try_into().ok()?;
-        let control: Vec<u32> = bytemuck::pod_collect_to_vec(&control);
+        let (control, maps) = gpu.read_with(parts, |[control, maps]| {
+            let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
+            let fits = control[OVERFLOWED] == 0;
+            (control, fits.then(|| maps_of(bytemuck::cast_slice(maps), camera.size[0] as usize)))
+        })?;
         self.after(&control);
-        Some((control[OVERFLOWED] == 0).then(|| bytemuck::pod_collect_to_vec(&maps)))
+        Some(maps)
     }
 
     /// Runs a kernel over the Gaussians that there are, apart from any step.
@@ -312,8 +340,8 @@ impl GpuTrainer {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// Positions and logits of the opacities; zeros after a failure.
-    fn places(&self) -> Vec<[f32; 4]> {
+    /// What `see` makes of each Gaussian's position and logit of the opacity; of zeros after a failure.
+    fn seen_places<T: Send>(&self, see: impl Fn(&[f32; 4]) -> T + Sync) -> Vec<T> {
         let count = self.store.count;
         if count == 0 {
             return Vec::new();
@@ -321,10 +349,10 @@ impl GpuTrainer {
         let places = self.gpu.buffer("places", 16 * count as u64, wgpu::BufferUsages::empty());
         let groups = (count as u32).div_ceil(GAUSSIANS);
         self.run_over(&self.kernels.places, &[&self.store.rows, &places], count as u32, groups);
-        match self.gpu.read(&[(&places, 16 * count as u64)]) {
-            Some(bytes) => bytemuck::pod_collect_to_vec(&bytes[0]),
-            None => vec![[0.0; 4]; count],
-        }
+        let all = self.gpu.read_with([(&places, 16 * count as u64)], |[places]| {
+            bytemuck::cast_slice(places).par_iter().with_min_len(4096).map(&see).collect()
+        });
+        all.unwrap_or_else(|| (0..count).map(|_| see(&[0.0; 4])).collect())
     }
 
     /// The whole state; zeros after a failure.
@@ -340,6 +368,19 @@ impl GpuTrainer {
             }
         })
     }
+}
+
+/// Bytes of the control buffer and of the statistics of so many steps, as they are read back.
+fn result_bytes(steps: usize) -> (u64, u64) {
+    (4 * CONTROL_WORDS as u64, 4 * (STATS * steps) as u64)
+}
+
+/// A step that is to be taken.
+struct Planned {
+    frame: FrameId,
+    rates: LearningRates,
+    /// The batch that reports its losses, if any does.
+    batch: Option<usize>,
 }
 
 /// Adds every term.
@@ -399,38 +440,68 @@ impl Trainer for GpuTrainer {
         if kept.len() == mask.len() {
             return;
         }
-        let [rows, moments, steps] = Store::fresh(&self.gpu, self.store.capacity);
+        let kept_in = self.store.take_spare(&self.gpu);
         if !kept.is_empty() {
             let indices = self.gpu.upload("kept", bytemuck::cast_slice(&kept), wgpu::BufferUsages::STORAGE);
-            let store = &self.store;
-            let from = [&indices, &store.rows, &store.moments, &store.steps, &rows, &moments, &steps];
+            let (store, [rows, moments, steps]) = (&self.store, &kept_in);
+            let from = [&indices, &store.rows, &store.moments, &store.steps, rows, moments, steps];
             let count = kept.len() as u32;
             self.run_over(&self.kernels.compact, &from, count, (8 * count).div_ceil(256));
         }
-        (self.store.rows, self.store.moments, self.store.steps) = (rows, moments, steps);
-        self.store.count = kept.len();
+        self.store.replace(kept_in, kept.len());
         self.work.forget_bindings();
     }
 
     /// # Panics
     /// When a frame was not added.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats {
-        let mut sum = LossTerms::default();
-        let mut rest = frames;
-        while !rest.is_empty() && self.gpu.failure().is_none() {
+        let batch = StepBatch { rates: self.config.rates, own: frames.to_vec(), replayed: Vec::new() };
+        self.batches(&[batch], &|| None).0.pop().unwrap_or_default()
+    }
+
+    /// # Panics
+    /// When a frame was not added.
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
+        let mut planned = Vec::new();
+        for (i, batch) in batches.iter().enumerate() {
+            self.config.rates = batch.rates;
+            let own = batch.own.iter().map(|&frame| (frame, Some(i)));
+            let all = own.chain(batch.replayed.iter().map(|&frame| (frame, None)));
             // A view without pixels teaches nothing, and no kernel need know of it.
-            if self.targets[rest[0]].camera.pixels() == 0 {
-                rest = &rest[1..];
-                continue;
-            }
-            let empty = rest.iter().position(|&f| self.targets[f].camera.pixels() == 0);
-            let (batch, _) = rest.split_at(empty.unwrap_or(rest.len()).min(BATCH));
-            let Some(done) = self.submit(batch, &mut sum) else {
+            let shown = all.filter(|(frame, _)| self.targets[*frame].camera.pixels() > 0);
+            planned.extend(shown.map(|(frame, batch_of)| Planned {
+                frame,
+                rates: batch.rates,
+                batch: batch_of,
+            }));
+        }
+        let mut sums = vec![LossTerms::default(); batches.len()];
+        let (mut next, mut added) = (Some(next), None);
+        let mut rest = &planned[..];
+        while !rest.is_empty() && self.gpu.failure().is_none() {
+            let some = &rest[..rest.len().min(BATCH)];
+            if self.submit(some).is_none() {
                 break;
-            };
+            }
+            if let Some(make) = next.take() {
+                added = make().map(|frame| self.add_frame(frame));
+            }
+            let Some(done) = self.collect(some, &mut sums) else { break };
             rest = &rest[done..];
         }
-        StepStats { loss: averaged(&sum, frames.len()), steps: (frames.len() - rest.len()) as u32 }
+        if let Some(make) = next.take() {
+            added = make().map(|frame| self.add_frame(frame));
+        }
+        let left = |i: usize| rest.iter().filter(|p| p.batch == Some(i)).count();
+        let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| StepStats {
+            loss: averaged(sum, batch.own.len()),
+            steps: (batch.own.len() - left(i)) as u32,
+        };
+        (batches.iter().zip(&sums).enumerate().map(stats).collect(), added)
     }
 
     fn set_background(&mut self, rgb: [f32; 3]) {
@@ -444,33 +515,28 @@ impl Trainer for GpuTrainer {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let step = Step::of_camera(camera);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let mut maps = RenderedMaps { width, height, ..RenderedMaps::default() };
         if width * height == 0 {
-            return maps;
+            return RenderedMaps { width, height, ..RenderedMaps::default() };
         }
-        let rendered = loop {
+        loop {
             match self.try_render(&step) {
-                Some(Some(values)) => break values,
+                Some(Some(maps)) => return maps,
                 Some(None) => {}
-                None => break vec![0.0; 9 * width * height],
+                None => return maps_of(&vec![0.0; 9 * width * height], width),
             }
-        };
-        for pixel in rendered.chunks_exact(9) {
-            maps.color.push([pixel[0], pixel[1], pixel[2]]);
-            maps.alpha.push(pixel[3]);
-            maps.depth.push(pixel[4]);
-            maps.normal_w.push([pixel[5], pixel[6], pixel[7]]);
-            maps.label.push(pixel[8] as u16);
         }
-        maps
     }
 
     fn opacities(&self) -> Vec<f32> {
-        self.places().iter().map(|place| sigmoid(place[3])).collect()
+        self.seen_places(|place| sigmoid(place[3]))
     }
 
     fn positions_w(&self) -> Vec<Vec3> {
-        self.places().iter().map(|place| Vec3::from_slice(&place[..3])).collect()
+        self.seen_places(|place| Vec3::from_slice(&place[..3]))
+    }
+
+    fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
+        self.seen_places(|place| (Vec3::from_slice(&place[..3]), sigmoid(place[3]))).into_iter().unzip()
     }
 
     fn classifier(&self) -> Classifier {
@@ -492,6 +558,17 @@ impl Trainer for GpuTrainer {
                 "it has {} classes, the masks have {}",
                 parameters.classifier.classes, self.store.classes
             )));
+        }
+        self.store.set(&self.gpu, &parameters);
+        self.work.forget_bindings();
+        Ok(())
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
+        let mut parameters = self.parameters();
+        change(&mut parameters);
+        if !parameters.is_finite() {
+            return Err(TrainerError::BadState("it holds a number that is not finite".to_owned()));
         }
         self.store.set(&self.gpu, &parameters);
         self.work.forget_bindings();

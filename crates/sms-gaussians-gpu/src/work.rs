@@ -13,6 +13,9 @@ pub(crate) const BATCH: usize = 64;
 /// Numbers of a step in the statistics: seven sums and the Gaussians in view.
 pub(crate) const STATS: usize = 8;
 
+/// With fewer Gaussians memory is not scarce.
+const FEW: u32 = 100_000;
+
 /// What the buffers have room for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Room {
@@ -138,8 +141,9 @@ impl Work {
             return;
         }
         let (a, b) = (self.room, wanted);
-        // Gaussians and pairs grow little by little.
-        let grown = |has: u32, wants: u32| if wants > has { wants.saturating_add(wants / 4) } else { has };
+        // Gaussians and pairs grow little by little; while they are few, by half, since all buffers are made again.
+        let more = if b.gaussians < FEW { 2 } else { 4 };
+        let grown = |has: u32, wants: u32| if wants > has { wants.saturating_add(wants / more) } else { has };
         let room = Room {
             gaussians: grown(a.gaussians, b.gaussians),
             tiles: a.tiles.max(b.tiles),

@@ -55,10 +55,11 @@ pub use cpu::{CpuTrainer, SimdForm, StepTimes};
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM};
 pub use scan::{
     BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
-    SeedingConfig, SlotDone, StopConfig, ViewRender, ViewScore, classifier_path, read_ply, render_views,
-    render_views_with, scan, scan_observed, seedlings_of, state_of_model, write_ply,
+    SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, classifier_path, read_ply,
+    render_views, render_views_with, scan, scan_observed, seedlings_of, state_of_model, write_ply,
 };
 pub use trainer::{
-    FrameId, LossTerms, RenderedMaps, Seedling, StepStats, TrainFrame, TrainState, Trainer, TrainerError,
+    FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,
+    TrainerError,
 };
 pub use wall::{WALL_CLASSES, fill_wall};

@@ -3,7 +3,8 @@
 //! Seeding, schedule, random state and early stopping live above this trait, once for every back end; parameters and
 //! Adam moments live below it, on the device.
 
-use crate::{AFFINITY_DIM, Classifier, GaussianModel};
+use crate::parameters::Parameters;
+use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Camera, CoreError};
@@ -70,6 +71,17 @@ pub struct StepStats {
     pub steps: u32,
 }
 
+/// Steps that are taken together: those whose losses are reported, then others.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepBatch {
+    /// Learning rates of all of them.
+    pub rates: LearningRates,
+    /// Frames of the steps whose losses are reported, in order.
+    pub own: Vec<FrameId>,
+    /// Frames of the steps after them.
+    pub replayed: Vec<FrameId>,
+}
+
 /// Rendered images of one camera, row-major.
 #[derive(Debug, Clone, Default)]
 pub struct RenderedMaps {
@@ -114,6 +126,13 @@ pub enum TrainerError {
     Core(#[from] CoreError),
 }
 
+impl TrainerError {
+    /// A state with a number that is not finite.
+    pub(crate) fn not_finite() -> Self {
+        Self::BadState("it holds a number that is not finite".to_owned())
+    }
+}
+
 /// Index of a frame given to [`Trainer::add_frame`].
 pub type FrameId = usize;
 
@@ -133,18 +152,41 @@ pub trait Trainer: Send {
     fn retain(&mut self, mask: &[bool]);
     /// One step per entry, in order.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats;
+    /// [`Trainer::set_rates`] and all steps of one batch after the other; returns what their own steps report. Also adds
+    /// the frame that `next` makes, if it makes one, and returns its id. A device need not tell of a batch before the
+    /// next one begins, and takes steps while the frame is made and added.
+    fn batches(
+        &mut self,
+        batches: &[StepBatch],
+        next: &dyn Fn() -> Option<TrainFrame>,
+    ) -> (Vec<StepStats>, Option<FrameId>) {
+        let take = |batch: &StepBatch| {
+            self.set_rates(&batch.rates);
+            let stats = self.steps(&batch.own);
+            if !batch.replayed.is_empty() {
+                self.steps(&batch.replayed);
+            }
+            stats
+        };
+        let stats = batches.iter().map(take).collect();
+        (stats, next().map(|frame| self.add_frame(frame)))
+    }
     /// The constant colour b behind all Gaussians (0 to 1; black until set): a pixel shows Σ c·α·T + T_final·b, in
     /// training and rendering alike. It is not learnt and no part of the state: callers set it before anything else.
     fn set_background(&mut self, rgb: [f32; 3]);
     /// Replaces the learning rates from the next step on: back ends start with those of their [`crate::TrainConfig`].
     /// They are no part of the state.
-    fn set_rates(&mut self, rates: &crate::LearningRates);
+    fn set_rates(&mut self, rates: &LearningRates);
     /// Renders a view (no gradients).
     fn render(&mut self, camera: &Camera) -> RenderedMaps;
     /// Opacities in order.
     fn opacities(&self) -> Vec<f32>;
     /// Centres in order.
     fn positions_w(&self) -> Vec<Vec3>;
+    /// Centres and opacities in order, at the cost of one of them on a device.
+    fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
+        (self.positions_w(), self.opacities())
+    }
     /// The classifier.
     fn classifier(&self) -> Classifier;
     /// The model in natural units with labels filled in.
@@ -156,6 +198,15 @@ pub trait Trainer: Send {
     /// # Errors
     /// [`TrainerError::BadState`].
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
+    /// Changes the state. The number of Gaussians must stay, and so must the number of classes.
+    ///
+    /// # Errors
+    /// [`TrainerError::BadState`] when a number was made that is not finite.
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
+        let mut parameters = Parameters::decode(&self.snapshot())?;
+        change(&mut parameters);
+        self.restore(&parameters.encode())
+    }
     /// What the device failed with, if it did: it was lost, or ran out of memory. Nothing that the trainer returns
     /// afterwards means anything.
     fn failure(&self) -> Option<String> {

@@ -283,6 +283,11 @@ impl Trainer for CpuTrainer {
         self.parameters = parameters;
         Ok(())
     }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
+        change(&mut self.parameters);
+        if self.parameters.is_finite() { Ok(()) } else { Err(TrainerError::not_finite()) }
+    }
 }
 
 /// Copies one pixel of a tile into the maps.

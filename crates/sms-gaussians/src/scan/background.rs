@@ -1,6 +1,7 @@
 //! The colour behind all Gaussians: that of the sky or a far backdrop, where no depth is measured and therefore no
 //! Gaussian is seeded.
 
+use rayon::prelude::*;
 use sms_frames::Frame;
 
 /// Pixels this near to measured depth (in rows or columns) may be dropouts at the edge of an object.
@@ -11,28 +12,37 @@ const LEAST_SHARE: f64 = 0.01;
 /// Mean colour (0 to 1) of the pixels that have no measured depth within [`CLEARANCE_PX`], over all frames; black where
 /// they are too few. The mean, because it is the constant of least squared error.
 pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
+    let each: Vec<([u64; 3], u64, u64)> = frames.par_iter().map(|frame| sum_of_frame(frame)).collect();
     let (mut sum, mut count, mut pixels) = ([0u64; 3], 0u64, 0u64);
-    for frame in frames {
-        let (width, height) = frame.depth.size();
-        let measured: Vec<bool> = frame.depth.data.iter().map(|&z| z > 0.0).collect();
-        let mut in_row = vec![false; measured.len()];
-        for y in 0..height {
-            spread(&measured, &mut in_row, y * width, 1, width);
-        }
-        let mut near = vec![false; measured.len()];
-        for x in 0..width {
-            spread(&in_row, &mut near, x, width, height);
-        }
-        pixels += near.len() as u64;
-        for (color, _) in frame.color.data.iter().zip(&near).filter(|(_, near)| !**near) {
-            (0..3).for_each(|c| sum[c] += u64::from(color[c]));
-            count += 1;
-        }
+    for (frame_sum, frame_count, frame_pixels) in each {
+        (0..3).for_each(|c| sum[c] += frame_sum[c]);
+        count += frame_count;
+        pixels += frame_pixels;
     }
     if count == 0 || (count as f64) < LEAST_SHARE * pixels as f64 {
         return [0.0; 3];
     }
     sum.map(|s| (s as f64 / (255.0 * count as f64)) as f32)
+}
+
+/// Sum and number of the pixels of a frame that are clear of depth, and the number of all.
+fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
+    let (width, height) = frame.depth.size();
+    let measured: Vec<bool> = frame.depth.data.iter().map(|&z| z > 0.0).collect();
+    let mut in_row = vec![false; measured.len()];
+    for y in 0..height {
+        spread(&measured, &mut in_row, y * width, 1, width);
+    }
+    let mut near = vec![false; measured.len()];
+    for x in 0..width {
+        spread(&in_row, &mut near, x, width, height);
+    }
+    let (mut sum, mut count) = ([0u64; 3], 0u64);
+    for (color, _) in frame.color.data.iter().zip(&near).filter(|(_, near)| !**near) {
+        (0..3).for_each(|c| sum[c] += u64::from(color[c]));
+        count += 1;
+    }
+    (sum, count, near.len() as u64)
 }
 
 /// Marks the places of a line (its first index, step and length) with a set place of `from` within the clearance.

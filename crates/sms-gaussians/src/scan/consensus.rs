@@ -7,7 +7,7 @@
 
 use super::config::ScanConfig;
 use crate::parameters::{AFFINITY, PARAMETERS, Parameters};
-use crate::{AFFINITY_DIM, GaussianModel, Trainer, TrainerError};
+use crate::{AFFINITY_DIM, GaussianModel};
 use glamx::Vec3;
 use rayon::prelude::*;
 use sms_core::LabelMap;
@@ -17,22 +17,18 @@ use sms_frames::Frame;
 const MAJORITY: f64 = 0.6;
 
 /// Corrects labels that the masks of `frames` contradict.
-///
-/// # Errors
-/// [`TrainerError::BadState`], which would be a defect of the back end.
 pub(crate) fn correct_labels(
-    trainer: &mut dyn Trainer,
+    parameters: &mut Parameters,
     frames: &[(&Frame, &LabelMap)],
     config: &ScanConfig,
-) -> Result<(), TrainerError> {
-    let model = trainer.model();
+) {
+    let model = parameters.model();
     let votes: Vec<Option<u16>> = model
         .positions_w
         .par_iter()
         .map(|p| voted_label(*p, frames, model.classifier.classes, config))
         .collect();
     let surest = surest_of_labels(&model, &votes);
-    let mut parameters = Parameters::decode(&trainer.snapshot())?;
     for (i, vote) in votes.iter().enumerate() {
         let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
         if let Some(affinity) = surest[usize::from(label)] {
@@ -41,7 +37,6 @@ pub(crate) fn correct_labels(
             parameters.first[i].0[AFFINITY..PARAMETERS].fill(0.0);
         }
     }
-    trainer.restore(&parameters.encode())
 }
 
 /// The label that a clear majority of the frames which measure a surface at `p_w` give it.
@@ -88,7 +83,7 @@ fn surest_of_labels(model: &GaussianModel, votes: &[Option<u16>]) -> Vec<Option<
 mod tests {
     use super::super::fixture::{BALL, BALL_CENTER, BALL_RADIUS, Recorded, SMALL, record};
     use super::*;
-    use crate::{CpuTrainer, Seedling, TrainConfig};
+    use crate::{CpuTrainer, Seedling, TrainConfig, Trainer};
     use glamx::Quat;
     use sms_core::Seed;
 
@@ -122,7 +117,7 @@ mod tests {
             seedling(Vec3::new(0.01, -0.12, 0.0), 0),
         ]);
         assert_eq!(trainer.model().labels, [BALL, 0, 0, BALL, 0]);
-        correct_labels(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+        trainer.edit(&mut |p| correct_labels(p, &frames, &ScanConfig::default())).unwrap();
         assert_eq!(trainer.model().labels, [BALL, BALL, 0, 0, 0]);
     }
 }

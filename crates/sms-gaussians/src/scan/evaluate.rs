@@ -1,6 +1,7 @@
 //! How well rendered views agree with what was observed.
 
 use crate::RenderedMaps;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::LabelMap;
 use sms_core::metrics::Metrics;
@@ -30,30 +31,38 @@ pub struct ViewScore {
 
 /// Scores one view.
 pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> ViewScore {
-    let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
-    let mut errors = Vec::new();
-    for i in 0..maps.color.len() {
-        let squared: f64 = (0..3)
-            .map(|c| {
-                let observed = f64::from(frame.color.data[i][c]) / 255.0;
-                (f64::from(maps.color[i][c].clamp(0.0, 1.0)) - observed).powi(2)
-            })
-            .sum();
-        all = (all.0 + squared, all.1 + 3);
-        let depth = frame.depth.data[i];
-        if depth > 0.0 {
-            at_depth = (at_depth.0 + squared, at_depth.1 + 3);
-            if maps.alpha[i] >= COVERED {
-                errors.push(f64::from((maps.depth[i] - depth).abs()));
+    // What a pixel costs is computed in parallel; sums are taken in the pixels' order.
+    let squared: Vec<f64> = maps
+        .color
+        .par_iter()
+        .zip(&frame.color.data)
+        .map(|(shown, observed)| {
+            let square =
+                |c: usize| (f64::from(shown[c].clamp(0.0, 1.0)) - f64::from(observed[c]) / 255.0).powi(2);
+            (0..3).map(square).sum()
+        })
+        .collect();
+    let depths = maps.depth.par_iter().zip(&frame.depth.data).zip(&maps.alpha);
+    let mut errors: Vec<f64> = depths
+        .filter(|((_, measured), alpha)| **measured > 0.0 && **alpha >= COVERED)
+        .map(|((shown, measured), _)| f64::from((shown - measured).abs()))
+        .collect();
+    let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
+    let (depth_median_m, (all, at_depth)) = rayon::join(
+        || median(&mut errors),
+        || {
+            let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
+            for (&squared, &measured) in squared.iter().zip(&frame.depth.data) {
+                all = (all.0 + squared, all.1 + 3);
+                if measured > 0.0 {
+                    at_depth = (at_depth.0 + squared, at_depth.1 + 3);
+                }
             }
-        }
-    }
+            (all, at_depth)
+        },
+    );
     let psnr = |(sum, count): (f64, usize)| -10.0 * (sum / count.max(1) as f64).max(1e-10).log10();
     let coverage = errors.len() as f64 / (at_depth.1 / 3).max(1) as f64;
-    let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
-    let middle = errors.len() / 2;
-    let depth_median_m =
-        if errors.is_empty() { f64::NAN } else { *errors.select_nth_unstable_by(middle, f64::total_cmp).1 };
     ViewScore {
         frame_index: frame.index,
         held_out,
@@ -63,6 +72,12 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         depth_median_m,
         coverage,
     }
+}
+
+/// Not a number where there is none.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Pixel counts of rendered against observed labels.
@@ -75,6 +90,13 @@ pub(crate) struct Confusion {
 impl Confusion {
     pub(crate) fn new(classes: usize) -> Self {
         Self { classes, counts: vec![0; classes * classes] }
+    }
+
+    /// Adds what another one counted.
+    pub(crate) fn merge(&mut self, other: &Self) {
+        for (sum, count) in self.counts.iter_mut().zip(&other.counts) {
+            *sum += count;
+        }
     }
 
     /// Counts one view. Pixels without any Gaussian count as background.

@@ -2,6 +2,7 @@
 
 use crate::TrainFrame;
 use glamx::DVec3;
+use rayon::prelude::*;
 use sms_core::{InputError, LabelMap, Labels};
 use sms_frames::{Frame, Sequence};
 
@@ -11,9 +12,9 @@ pub(crate) fn train_frame(frame: &Frame, labels: &LabelMap) -> TrainFrame {
     let to_world = |n: &[f32; 3]| (rotation_wc * DVec3::from_array(n.map(f64::from))).as_vec3().to_array();
     TrainFrame {
         camera: frame.camera,
-        color: frame.color.data.iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect(),
+        color: frame.color.data.par_iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect(),
         depth: frame.depth.data.clone(),
-        normal_w: frame.normal_c.data.iter().map(to_world).collect(),
+        normal_w: frame.normal_c.data.par_iter().map(to_world).collect(),
         label: labels.data.clone(),
     }
 }

@@ -6,7 +6,6 @@
 
 use super::config::ScanConfig;
 use crate::parameters::{LOG_SCALE, POSITION, Parameters, ROTATION, Row};
-use crate::{Trainer, TrainerError};
 use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_frames::Frame;
@@ -18,21 +17,12 @@ const SAME_SURFACE_COSINE: f64 = 0.7;
 
 /// Moves every Gaussian along its normal onto the mean of what `frames` measure there, and turns it to their mean
 /// normal. Gaussians that no frame measures stay as they are; moments are kept.
-///
-/// # Errors
-/// [`TrainerError::BadState`], which would be a defect of the back end.
-pub(crate) fn fuse(
-    trainer: &mut dyn Trainer,
-    frames: &[&Frame],
-    config: &ScanConfig,
-) -> Result<(), TrainerError> {
-    let mut parameters = Parameters::decode(&trainer.snapshot())?;
+pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &ScanConfig) {
     parameters.rows.par_iter_mut().for_each(|row| {
         for _ in 0..PASSES {
             fuse_one(row, frames, config);
         }
     });
-    trainer.restore(&parameters.encode())
 }
 
 fn fuse_one(row: &mut Row, frames: &[&Frame], config: &ScanConfig) {
@@ -78,8 +68,8 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());
     let (fx, fy) = (u - 0.5 - x, v - 0.5 - y);
     let gate = config.tolerance_m(z);
-    let precision = config.noise.sigma_m(z).powi(-2);
-    let to_camera = (frame.camera.center_w() - center_w).normalize();
+    // Most frames do not see the surface, and need neither.
+    let mut precision_and_direction = None;
     for (dx, dy, share) in
         [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
     {
@@ -89,6 +79,9 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
         if depth <= 0.0 || normal_c == [0.0; 3] || (f64::from(depth) - z).abs() > gate {
             continue;
         }
+        let (precision, to_camera) = *precision_and_direction.get_or_insert_with(|| {
+            (config.noise.sigma_m(z).powi(-2), (frame.camera.center_w() - center_w).normalize())
+        });
         let normal_w = rotation_wc * DVec3::from_array(normal_c.map(f64::from));
         let cosine = normal_w.dot(axis_w);
         if normal_w.dot(to_camera) < config.seeding.min_cosine || cosine.abs() < SAME_SURFACE_COSINE {
@@ -107,7 +100,7 @@ fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: 
 mod tests {
     use super::super::fixture::{Recorded, SMALL, record};
     use super::*;
-    use crate::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig};
+    use crate::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig, Trainer};
     use sms_core::{Camera, Image, Intrinsics, Seed};
 
     #[test]
@@ -130,7 +123,7 @@ mod tests {
             seedling(below, 0.3),
         ]);
         let before = trainer.model();
-        fuse(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+        trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();
         let model = trainer.model();
         for i in 0..2 {
             assert!(model.positions_w[i].z.abs() < 5e-5, "{}", model.positions_w[i]);
@@ -171,7 +164,7 @@ mod tests {
                     color: [0.5; 3],
                     affinity: [0.0; AFFINITY_DIM],
                 }]);
-                fuse(&mut trainer, &frames, &ScanConfig::default()).unwrap();
+                trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();
                 let model = trainer.model();
                 assert!((model.positions_w[0].z - expected_z).abs() < 1e-5, "{}", model.positions_w[0]);
                 let (normal, [(long, _), _]) = model.disc(0);

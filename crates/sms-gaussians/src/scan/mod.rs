@@ -17,9 +17,12 @@ mod occupancy;
 mod pace;
 mod ply;
 mod pruning;
+mod saving;
 mod schedule;
 mod seeding;
+mod settings;
 mod so_far;
+mod stages;
 mod validate;
 mod views;
 
@@ -37,4 +40,5 @@ pub use losses::LossSample;
 pub use observer::{BatchDone, ScanObserver, SlotDone};
 pub use ply::{classifier_path, read_ply, seedlings_of, write_ply};
 pub use schedule::{ScanResult, scan, scan_observed};
+pub use stages::StageSeconds;
 pub use views::{ViewRender, render_views, render_views_with, state_of_model};

@@ -1,37 +1,88 @@
 //! Which space is taken: a hash grid of points that answers "is there one within a radius?".
 
 use glamx::Vec3;
-use std::collections::HashMap;
 
-/// Points in cells; looked up, never iterated, so that the hasher's order does not matter.
+/// End of a chain.
+const NONE: u32 = u32::MAX;
+/// Fewest chains.
+const CHAINS_MIN: usize = 1 << 10;
+
+/// Points in chains by the hash of their cell. Cells that share a chain only cost time, since every point of a chain is
+/// asked for its distance.
 pub(crate) struct Occupancy {
     cell: f32,
-    cells: HashMap<[i32; 3], Vec<Vec3>>,
+    /// First point of each chain; a power of two of them.
+    first: Vec<u32>,
+    /// Of each point, the next one of its chain.
+    next: Vec<u32>,
+    points: Vec<Vec3>,
 }
 
 impl Occupancy {
     /// For queries of at most `radius` metres.
     pub(crate) fn new(radius: f32) -> Self {
-        Self { cell: radius.max(1e-6), cells: HashMap::new() }
+        Self { cell: radius.max(1e-6), first: vec![NONE; CHAINS_MIN], next: Vec::new(), points: Vec::new() }
+    }
+
+    /// [`Occupancy::new`] with these points in it.
+    pub(crate) fn of(radius: f32, points: &[Vec3]) -> Self {
+        let mut occupancy = Self::new(radius);
+        occupancy.points = points.to_vec();
+        occupancy.chain_all();
+        occupancy
     }
 
     fn cell_of(&self, p: Vec3) -> [i32; 3] {
         (p / self.cell).to_array().map(|v| v.floor() as i32)
     }
 
+    fn chain_of(&self, cell: [i32; 3]) -> usize {
+        const FACTORS: [u64; 3] = [0x9e37_79b9_7f4a_7c15, 0xc2b2_ae3d_27d4_eb4f, 0x1656_67b1_9e37_79f9];
+        let mixed = (0..3).fold(0u64, |sum, k| sum.wrapping_add((cell[k] as u64).wrapping_mul(FACTORS[k])));
+        // The upper bits are the well mixed ones.
+        (mixed >> 32) as usize & (self.first.len() - 1)
+    }
+
+    /// Chains all points anew, twice as many chains as points.
+    fn chain_all(&mut self) {
+        let chains = (2 * self.points.len()).next_power_of_two().max(CHAINS_MIN);
+        self.first = vec![NONE; chains];
+        self.next.clear();
+        for i in 0..self.points.len() {
+            self.chain(i);
+        }
+    }
+
+    fn chain(&mut self, i: usize) {
+        let chain = self.chain_of(self.cell_of(self.points[i]));
+        self.next.push(std::mem::replace(&mut self.first[chain], i as u32));
+    }
+
     pub(crate) fn insert(&mut self, p: Vec3) {
-        self.cells.entry(self.cell_of(p)).or_default().push(p);
+        self.points.push(p);
+        if self.points.len() > self.first.len() {
+            self.chain_all();
+        } else {
+            self.chain(self.points.len() - 1);
+        }
     }
 
     /// Whether a point lies nearer than `radius` to `p`. `radius` must not exceed that of [`Occupancy::new`].
     pub(crate) fn any_within(&self, p: Vec3, radius: f32) -> bool {
         debug_assert!(radius <= self.cell * 1.0001);
         let [x, y, z] = self.cell_of(p);
-        let offsets = (0..27).map(|k| [x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1]);
-        offsets
-            .filter_map(|c| self.cells.get(&c))
-            .flatten()
-            .any(|q| (*q - p).length_squared() < radius * radius)
+        (0..27).any(|k| {
+            // Cells at the ends of the range wrap into chains without such points, or with some too far away.
+            let cell = [x.wrapping_add(k % 3 - 1), y.wrapping_add(k / 3 % 3 - 1), z.wrapping_add(k / 9 - 1)];
+            let mut at = self.first[self.chain_of(cell)];
+            while at != NONE {
+                if (self.points[at as usize] - p).length_squared() < radius * radius {
+                    return true;
+                }
+                at = self.next[at as usize];
+            }
+            false
+        })
     }
 }
 
@@ -47,11 +98,25 @@ mod tests {
             query in prop::array::uniform3(-0.12f32..0.12),
             radius in 0.001f32..0.05,
         ) {
+            let points: Vec<Vec3> = points.iter().map(|p| Vec3::from_array(*p)).collect();
             let mut occupancy = Occupancy::new(0.05);
-            points.iter().for_each(|p| occupancy.insert(Vec3::from_array(*p)));
+            points.iter().for_each(|p| occupancy.insert(*p));
+            let at_once = Occupancy::of(0.05, &points);
             let query = Vec3::from_array(query);
-            let expected = points.iter().any(|p| (Vec3::from_array(*p) - query).length() < radius);
+            let expected = points.iter().any(|p| (*p - query).length() < radius);
             prop_assert_eq!(occupancy.any_within(query, radius), expected);
+            prop_assert_eq!(at_once.any_within(query, radius), expected);
+        }
+    }
+
+    #[test]
+    fn more_points_than_chains_are_all_found() {
+        let mut occupancy = Occupancy::new(0.5);
+        let point = |i: usize| Vec3::new((i % 50) as f32, (i / 50) as f32, -3.0);
+        (0..3 * CHAINS_MIN).for_each(|i| occupancy.insert(point(i)));
+        for i in 0..3 * CHAINS_MIN {
+            assert!(occupancy.any_within(point(i) + 0.1, 0.2));
+            assert!(!occupancy.any_within(point(i) + 0.5, 0.5));
         }
     }
 }

@@ -48,6 +48,11 @@ impl Pace {
         self.limits.get(slot).copied().unwrap_or(0)
     }
 
+    /// Seconds a step; `None` before any was taken.
+    pub(crate) fn seconds_per_step(&self) -> Option<f64> {
+        self.seconds_per_step
+    }
+
     /// So many steps took so many seconds.
     pub(crate) fn stepped(&mut self, steps: usize, seconds: f64) {
         if steps == 0 {

@@ -14,30 +14,34 @@ pub(crate) fn prune_transparent(trainer: &mut dyn Trainer, config: &ScanConfig) 
     }
 }
 
-/// Removes Gaussians that more of `frames` look through than measure a surface near, and those near which fewer than
-/// `least` measure one: hidden ones that nothing supports.
-pub(crate) fn prune_floaters(
+/// Removes Gaussians below the opacity threshold and, where floaters go, those that more of `frames` look through than
+/// measure a surface near, and those near which fewer than `least` measure one: hidden ones that nothing supports.
+/// Returns the centres of those that stay.
+pub(crate) fn prune_all(
     trainer: &mut dyn Trainer,
     frames: &[&Frame],
     least: usize,
     config: &ScanConfig,
-) {
-    let keep: Vec<bool> = trainer
-        .positions_w()
+) -> Vec<Vec3> {
+    let (positions_w, opacities) = trainer.places();
+    let stands = |p: Vec3| {
+        let sights = frames.iter().map(|f| sight(f, p, config));
+        let (mut through, mut surface) = (0, 0);
+        for sight in sights {
+            through += usize::from(sight == Sight::Through);
+            surface += usize::from(sight == Sight::Surface);
+        }
+        surface >= through.max(least)
+    };
+    let keep: Vec<bool> = positions_w
         .par_iter()
-        .map(|p| {
-            let sights = frames.iter().map(|f| sight(f, *p, config));
-            let (mut through, mut surface) = (0, 0);
-            for sight in sights {
-                through += usize::from(sight == Sight::Through);
-                surface += usize::from(sight == Sight::Surface);
-            }
-            surface >= through.max(least)
-        })
+        .zip(opacities)
+        .map(|(p, o)| o >= config.pruning.opacity_below && (!config.pruning.floaters || stands(*p)))
         .collect();
     if keep.contains(&false) {
         trainer.retain(&keep);
     }
+    positions_w.into_iter().zip(keep).filter_map(|(p, keep)| keep.then_some(p)).collect()
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,7 +4,7 @@
 use super::ScanError;
 use super::background::background_color;
 use super::checkpoint::{self, Found, Place};
-use super::config::ScanConfig;
+use super::config::{ScanConfig, StopConfig};
 use super::consensus::correct_labels;
 use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
 use super::frames::{check_inputs, held_out_frames, train_frame, trained_frames};
@@ -13,16 +13,26 @@ use super::losses::{LossSample, stalled};
 use super::observer::{BatchDone, ScanObserver, SlotDone};
 use super::pace::Pace;
 use super::ply::write_ply;
-use super::pruning::{prune_floaters, prune_transparent};
+use super::pruning::{prune_all, prune_transparent};
+use super::saving::Saver;
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
+use super::settings::{Settings, settings_hash};
 use super::so_far::SoFar;
-use crate::{FrameId, GaussianModel, LearningRates, Trainer, TrainerError};
+use super::stages::StageSeconds;
+use crate::{FrameId, GaussianModel, RenderedMaps, StepBatch, StepStats, Trainer, TrainerError};
+use glamx::Vec3;
 use rand::RngExt;
+use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, Hash, Hasher, Labels, Progress, Seed, Status, Warnings, atomic};
+use sms_core::{Cancel, CoreError, Labels, Progress, Seed, Status, Warnings, atomic};
 use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
+
+/// Steps are taken without a look at clock and cancellation for no longer than about this, seconds.
+const TOGETHER_S: f64 = 0.1;
+/// Most rendered views that are kept to be scored together.
+const VIEWS_AT_ONCE: usize = 16;
 
 /// The stage's name in warnings.
 const STAGE: &str = "scan";
@@ -40,6 +50,8 @@ pub struct ScanResult {
     pub views: Vec<ViewScore>,
     /// Wall-clock seconds, those of interrupted attempts included.
     pub seconds: f64,
+    /// Where they went, those of interrupted attempts not included.
+    pub stages: StageSeconds,
 }
 
 /// Runs the scan into `work_dir`: `scene.ply` with its classifier, `losses.json`, `views.json`, `checkpoint.bin`.
@@ -84,33 +96,40 @@ pub fn scan_observed(
     config.validate()?;
     check_inputs(sequence, labels, config.holdout)?;
     let trained = trained_frames(sequence, config.holdout);
+    let began = Instant::now();
     let background = background_color(&trained.iter().map(|&i| &sequence.frames[i]).collect::<Vec<_>>());
     trainer.set_background(background);
+    let mut stages = StageSeconds::default();
+    stages.add("background", began);
     let limits = (0..=trained.len()).map(|slot| slot_limit(config, slot, trained.len())).collect();
-    let mut schedule = Schedule {
-        sequence,
-        labels,
-        config,
-        seed,
-        settings: settings_hash(sequence, labels, config, seed, background),
-        checkpoint: work_dir.join("checkpoint.bin"),
-        codes: AffinityCodes::new(labels.class_count(), seed),
-        ids: Vec::with_capacity(trained.len()),
-        trained,
-        place: Place::default(),
-        saved: Instant::now(),
-        pace: Pace::new(limits, sequence.len()),
-        last_psnr_db: None,
-        so_far: SoFar::new(work_dir),
-        trainer,
-        observer,
-        progress,
-        cancel,
-        warnings,
-    };
-    schedule.resume();
-    schedule.run()?;
-    schedule.finish(work_dir)
+    std::thread::scope(|scope| {
+        let hash = scope.spawn(move || settings_hash(sequence, labels, config, seed, background));
+        let mut schedule = Schedule {
+            sequence,
+            labels,
+            config,
+            seed,
+            settings: Settings::Coming(Some(hash)),
+            saver: Saver::new(work_dir.join("checkpoint.bin"), config.checkpoint_seconds),
+            codes: AffinityCodes::new(labels.class_count(), seed),
+            ids: Vec::with_capacity(trained.len()),
+            positions_w: None,
+            trained,
+            place: Place::default(),
+            pace: Pace::new(limits, sequence.len()),
+            last_psnr_db: None,
+            so_far: SoFar::new(work_dir),
+            stages,
+            trainer,
+            observer,
+            progress,
+            cancel,
+            warnings,
+        };
+        schedule.resume();
+        schedule.run()?;
+        schedule.finish(work_dir)
+    })
 }
 
 /// Most steps of a slot; the one after the last frame is the refinement.
@@ -122,48 +141,27 @@ fn slot_limit(config: &ScanConfig, slot: usize, frames: usize) -> usize {
     }
 }
 
-/// Hash of everything that the result depends on.
-fn settings_hash(
-    sequence: &Sequence,
-    labels: &Labels,
-    config: &ScanConfig,
-    seed: Seed,
-    background: [f32; 3],
-) -> Hash {
-    // How often checkpoints are written changes nothing.
-    let config = ScanConfig { checkpoint_seconds: 0.0, ..config.clone() };
-    let mut hasher = Hasher::new();
-    hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count(), background)).0);
-    for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
-        hasher.text(&sms_core::hash_serializable(&frame.camera).0);
-        hasher.bytes(frame.color.data.as_flattened());
-        hasher.bytes(&frame.depth.data.iter().flat_map(|z| z.to_le_bytes()).collect::<Vec<u8>>());
-        let normals = frame.normal_c.data.as_flattened();
-        hasher.bytes(&normals.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<u8>>());
-        hasher.bytes(&map.data.iter().flat_map(|l| l.to_le_bytes()).collect::<Vec<u8>>());
-    }
-    hasher.finish()
-}
-
 struct Schedule<'a> {
     sequence: &'a Sequence,
     labels: &'a Labels,
     config: &'a ScanConfig,
     seed: Seed,
-    settings: Hash,
-    checkpoint: std::path::PathBuf,
+    settings: Settings<'a>,
+    saver: Saver,
     /// Sequence indices of the frames trained on; a slot is a position in this list.
     trained: Vec<usize>,
     codes: AffinityCodes,
-    /// The trainer's ids of the slots reached so far.
+    /// The trainer's ids of the slots reached so far, and of the next one once this one's steps have begun.
     ids: Vec<FrameId>,
+    /// Where the Gaussians are, as long as nothing has moved them since that was found out.
+    positions_w: Option<Vec<Vec3>>,
     place: Place,
-    saved: Instant,
     /// For the time left, not for the result.
     pace: Pace,
     /// Of the frame done last.
     last_psnr_db: Option<f64>,
     so_far: SoFar,
+    stages: StageSeconds,
     trainer: &'a mut dyn Trainer,
     observer: &'a mut dyn ScanObserver,
     progress: &'a dyn Progress,
@@ -173,7 +171,11 @@ struct Schedule<'a> {
 
 impl Schedule<'_> {
     fn resume(&mut self) {
-        let damage = match checkpoint::load(&self.checkpoint, &self.settings) {
+        if !self.saver.path().exists() {
+            return;
+        }
+        let settings = self.settings.hash();
+        let damage = match checkpoint::load(self.saver.path(), &settings) {
             Found::Nothing => return,
             Found::Damaged(reason) => reason,
             Found::Resume(place, state) => match self.trainer.restore(&state) {
@@ -189,7 +191,7 @@ impl Schedule<'_> {
         self.warnings.add(
             STAGE,
             "checkpoint_damaged",
-            format!("{} is damaged ({damage}); the scan starts again", self.checkpoint.display()),
+            format!("{} is damaged ({damage}); the scan starts again", self.saver.path().display()),
             "",
         );
     }
@@ -204,12 +206,14 @@ impl Schedule<'_> {
     }
 
     fn save(&mut self) -> Result<(), ScanError> {
-        self.saved = Instant::now();
+        let began = Instant::now();
         let state = self.trainer.snapshot();
         // What a failed device returns must not take the place of a good checkpoint.
         self.check_device()?;
         self.so_far.save(self.warnings)?;
-        checkpoint::save(&self.checkpoint, &self.settings, &self.place, &state)?;
+        let settings = self.settings.hash();
+        self.saver.save(began, settings, self.place.clone(), state)?;
+        self.stages.add("saving", began);
         Ok(())
     }
 
@@ -232,9 +236,7 @@ impl Schedule<'_> {
                 losses: std::mem::take(&mut self.place.losses),
                 ..Place::default()
             };
-            // On a GPU frames are done faster than the state is read back and written.
-            let recent = self.saved.elapsed().as_secs_f64() < (0.2 * self.config.checkpoint_seconds).min(1.0);
-            if !recent || self.place.slot > slots {
+            if self.saver.due_after_frame() || self.place.slot > slots {
                 self.save()?;
             }
         }
@@ -243,11 +245,13 @@ impl Schedule<'_> {
 
     /// Makes the frames up to the current slot known to the trainer.
     fn add_frames(&mut self) {
+        let began = Instant::now();
         while self.ids.len() < self.trained.len().min(self.place.slot + 1) {
             let index = self.trained[self.ids.len()];
             let frame = train_frame(&self.sequence.frames[index], &self.labels.maps[index]);
             self.ids.push(self.trainer.add_frame(frame));
         }
+        self.stages.add("frames", began);
     }
 
     fn is_refinement(&self) -> bool {
@@ -267,33 +271,32 @@ impl Schedule<'_> {
         while self.place.step < limit && !stalled(&self.place.batch_losses, &stop) {
             if self.cancel.is_cancelled() {
                 self.save()?;
+                self.saver.written()?;
                 return Err(CoreError::Interrupted.into());
             }
-            if self.saved.elapsed().as_secs_f64() > self.config.checkpoint_seconds {
+            if self.saver.due() {
                 self.save()?;
             }
-            let before = (Instant::now(), self.place.step);
-            self.batch_of_steps();
-            self.check_device()?;
-            let seconds = before.0.elapsed().as_secs_f64();
-            stepping_s += seconds;
-            self.pace.stepped(self.place.step - before.1, seconds);
-            self.report_batch();
+            let before = Instant::now();
+            self.certain_batches(limit, &stop)?;
+            stepping_s += before.elapsed().as_secs_f64();
+            self.stages.add("steps", before);
             if !self.place.pruned_midway && 2 * self.place.step >= limit {
+                let began = Instant::now();
                 prune_transparent(self.trainer, self.config);
                 self.place.pruned_midway = true;
+                self.stages.add("pruning", began);
             }
         }
-        prune_transparent(self.trainer, self.config);
-        if self.config.pruning.floaters {
-            let seen = match self.trained.get(self.place.slot) {
-                Some(i) => std::slice::from_ref(i),
-                None => &self.trained,
-            };
-            let seen: Vec<&Frame> = seen.iter().map(|&i| &self.sequence.frames[i]).collect();
-            let least = usize::from(self.is_refinement());
-            prune_floaters(self.trainer, &seen, least, self.config);
-        }
+        let pruning = Instant::now();
+        let seen = match self.trained.get(self.place.slot) {
+            Some(i) => std::slice::from_ref(i),
+            None => &self.trained,
+        };
+        let seen: Vec<&Frame> = seen.iter().map(|&i| &self.sequence.frames[i]).collect();
+        let least = usize::from(self.is_refinement());
+        self.positions_w = Some(prune_all(self.trainer, &seen, least, self.config));
+        self.stages.add("pruning", pruning);
         if self.is_refinement() {
             self.fuse_all()?;
         }
@@ -305,14 +308,23 @@ impl Schedule<'_> {
 
     /// Brings geometry and labels in line with all frames together.
     fn fuse_all(&mut self) -> Result<(), ScanError> {
-        let frames = || self.trained.iter().map(|&i| &self.sequence.frames[i]);
-        if self.config.fuse_depth {
-            fuse(self.trainer, &frames().collect::<Vec<_>>(), self.config)?;
+        let began = Instant::now();
+        let labelled: Vec<_> =
+            self.trained.iter().map(|&i| (&self.sequence.frames[i], &self.labels.maps[i])).collect();
+        let frames: Vec<&Frame> = labelled.iter().map(|(frame, _)| *frame).collect();
+        let config = self.config;
+        self.positions_w = None;
+        if config.fuse_depth || config.correct_labels {
+            self.trainer.edit(&mut |parameters| {
+                if config.fuse_depth {
+                    fuse(parameters, &frames, config);
+                }
+                if config.correct_labels {
+                    correct_labels(parameters, &labelled, config);
+                }
+            })?;
         }
-        if self.config.correct_labels {
-            let labelled: Vec<_> = frames().zip(self.trained.iter().map(|&i| &self.labels.maps[i])).collect();
-            correct_labels(self.trainer, &labelled, self.config)?;
-        }
+        self.stages.add("fusion", began);
         Ok(())
     }
 
@@ -325,8 +337,11 @@ impl Schedule<'_> {
             return self.fuse_all();
         };
         let frame = &self.sequence.frames[index];
+        let began = Instant::now();
         let rendered = (!self.trainer.is_empty()).then(|| self.trainer.render(&frame.camera));
-        let positions_w = self.trainer.positions_w();
+        self.stages.add("rendering", began);
+        let began = Instant::now();
+        let positions_w = self.positions_w.take().unwrap_or_else(|| self.trainer.positions_w());
         let room = self.config.max_gaussians.saturating_sub(positions_w.len());
         let seed = self.seed.derive_index("seeding", self.place.slot as u64);
         let labels = (&self.labels.maps[index], &self.codes);
@@ -343,6 +358,7 @@ impl Schedule<'_> {
             );
         }
         self.trainer.insert(&seedlings);
+        self.stages.add("seeding", began);
         Ok(())
     }
 
@@ -350,16 +366,47 @@ impl Schedule<'_> {
         self.config.batch_steps.max(1)
     }
 
-    fn batch_of_steps(&mut self) {
-        let (own, replayed) = self.batch_frames();
-        self.trainer.set_rates(&self.rates());
-        let stats = self.trainer.steps(&own);
-        if !replayed.is_empty() {
-            self.trainer.steps(&replayed);
+    /// Batches that will be taken whatever the losses of those before them: up to the end of the slot, the pruning midway,
+    /// or the first look at whether the losses stall, and no more than a moment's.
+    fn certain(&self, limit: usize, stop: &StopConfig) -> usize {
+        let until = |step: usize| step.saturating_sub(self.place.step).div_ceil(self.batch());
+        let mut count = until(limit);
+        if !self.place.pruned_midway {
+            count = count.min(until(limit.div_ceil(2)));
         }
-        let taken = own.len() + replayed.len();
-        self.place.step += taken;
-        self.place.total_steps += taken as u64;
+        if stop.enabled {
+            count = count.min((2 * stop.window.max(1)).saturating_sub(self.place.batch_losses.len()));
+        }
+        let seconds = self.pace.seconds_per_step().map(|s| s * self.batch() as f64);
+        let moment = TOGETHER_S.min(self.config.checkpoint_seconds);
+        count.min(seconds.map_or(1.0, |s| moment / s) as usize).max(1)
+    }
+
+    /// Takes them. The next slot's frame is added meanwhile.
+    fn certain_batches(&mut self, limit: usize, stop: &StopConfig) -> Result<(), ScanError> {
+        let (began, count, batch) = (Instant::now(), self.certain(limit, stop), self.batch());
+        let of_batch = |i: usize| self.batch_at(self.place.step + i * batch);
+        let batches: Vec<StepBatch> = (0..count).map(of_batch).collect();
+        let (sequence, labels) = (self.sequence, self.labels);
+        let next = self.trained.get(self.ids.len()).filter(|_| self.ids.len() == self.place.slot + 1);
+        let make = || next.map(|&i| train_frame(&sequence.frames[i], &labels.maps[i]));
+        let (stats, added) = self.trainer.batches(&batches, &make);
+        self.ids.extend(added);
+        self.positions_w = None;
+        self.check_device()?;
+        self.pace.stepped(count * batch, began.elapsed().as_secs_f64());
+        for (batch, stats) in batches.iter().zip(stats) {
+            let taken = batch.own.len() + batch.replayed.len();
+            self.place.step += taken;
+            self.place.total_steps += taken as u64;
+            self.note(&stats);
+            self.report_batch();
+        }
+        Ok(())
+    }
+
+    /// Keeps the losses of a batch.
+    fn note(&mut self, stats: &StepStats) {
         if !stats.loss.total.is_finite() {
             self.warnings.add(STAGE, "loss_not_finite", "a training loss was not a finite number", "");
             return;
@@ -373,21 +420,21 @@ impl Schedule<'_> {
         });
     }
 
-    /// Learning rates of the next batch: a function of the place alone. Those of the refinement fall, so that it ends
-    /// near the mean of what the views ask for rather than where the last of them pulled.
-    fn rates(&self) -> LearningRates {
-        let rates = &self.config.train.rates;
-        if !self.is_refinement() {
-            return *rates;
+    /// The batch at this step of the slot: a function of the seed and the place alone. Learning rates of the refinement
+    /// fall, so that it ends near the mean of what the views ask for rather than where the last of them pulled.
+    fn batch_at(&self, step: usize) -> StepBatch {
+        let mut rates = self.config.train.rates;
+        if self.is_refinement() {
+            let done = step as f32 / self.config.final_steps.max(1) as f32;
+            rates = rates.scaled(self.config.final_decay.powf(done.min(1.0)));
         }
-        let done = self.place.step as f32 / self.config.final_steps.max(1) as f32;
-        rates.scaled(self.config.final_decay.powf(done.min(1.0)))
+        let (own, replayed) = self.batch_frames(step);
+        StepBatch { rates, own, replayed }
     }
 
-    /// The frames of the next batch: those whose losses are recorded, and replayed ones. A function of the seed and
-    /// the place alone.
-    fn batch_frames(&self) -> (Vec<FrameId>, Vec<FrameId>) {
-        let (slot, step, batch) = (self.place.slot, self.place.step, self.batch());
+    /// The frames of the batch at this step: those whose losses are recorded, and replayed ones.
+    fn batch_frames(&self, step: usize) -> (Vec<FrameId>, Vec<FrameId>) {
+        let (slot, batch) = (self.place.slot, self.batch());
         if self.is_refinement() {
             let n = self.ids.len();
             let frame_at = |k: usize| {
@@ -451,7 +498,10 @@ impl Schedule<'_> {
         let began = Instant::now();
         let rendered = self.trainer.render(&frame.camera);
         self.pace.rendered(began.elapsed().as_secs_f64());
+        self.stages.add("rendering", began);
+        let began = Instant::now();
         let score = score_view(frame, &rendered, false);
+        self.stages.add("scoring", began);
         self.last_psnr_db = Some(score.psnr_db);
         let trainer = &*self.trainer;
         self.observer.slot(&SlotDone {
@@ -481,12 +531,15 @@ impl Schedule<'_> {
         train_views.extend(held_out_views);
         train_views.sort_by_key(|v| v.frame_index);
 
+        let began = Instant::now();
         let model = self.trainer.model();
         self.check_device()?;
         atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
         atomic::write_json(&work_dir.join("views.json"), &train_views)?;
         write_ply(&model, &work_dir.join("scene.ply"))?;
+        self.saver.written()?;
         self.so_far.remove();
+        self.stages.add("writing", began);
         self.progress.end(&format!("{} Gaussians, {} steps", model.len(), self.place.total_steps));
         Ok(ScanResult {
             model,
@@ -494,6 +547,7 @@ impl Schedule<'_> {
             losses: std::mem::take(&mut self.place.losses),
             views: train_views,
             seconds: self.so_far.seconds(),
+            stages: std::mem::take(&mut self.stages),
         })
     }
 
@@ -502,14 +556,31 @@ impl Schedule<'_> {
         indices: &[usize],
         held_out: bool,
     ) -> Result<(Vec<ViewScore>, Option<f64>), ScanError> {
-        let mut confusion = Confusion::new(self.labels.class_count());
+        let classes = self.labels.class_count();
+        let mut confusion = Confusion::new(classes);
         let mut views = Vec::with_capacity(indices.len());
-        for &i in indices {
-            self.cancel.check()?;
-            let frame = &self.sequence.frames[i];
-            let maps = self.trainer.render(&frame.camera);
-            confusion.add(&maps, &self.labels.maps[i]);
-            views.push(ViewScore { frame_index: i, ..score_view(frame, &maps, held_out) });
+        // As many views wait to be scored at once as there are threads.
+        for part in indices.chunks(rayon::current_num_threads().clamp(1, VIEWS_AT_ONCE)) {
+            let began = Instant::now();
+            let mut shown = Vec::with_capacity(part.len());
+            for &i in part {
+                self.cancel.check()?;
+                shown.push(self.trainer.render(&self.sequence.frames[i].camera));
+            }
+            self.stages.add("rendering", began);
+            let began = Instant::now();
+            let score = |(&i, maps): (&usize, &RenderedMaps)| {
+                let mut own = Confusion::new(classes);
+                own.add(maps, &self.labels.maps[i]);
+                let score = score_view(&self.sequence.frames[i], maps, held_out);
+                (ViewScore { frame_index: i, ..score }, own)
+            };
+            let scored: Vec<_> = part.par_iter().zip(&shown).map(score).collect();
+            for (view, own) in scored {
+                confusion.merge(&own);
+                views.push(view);
+            }
+            self.stages.add("scoring", began);
         }
         Ok((views, confusion.mean_iou()))
     }

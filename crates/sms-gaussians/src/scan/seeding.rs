@@ -11,6 +11,7 @@ use super::occupancy::Occupancy;
 use crate::{AFFINITY_DIM, RenderedMaps, Seedling};
 use glamx::{DMat3, DQuat, DVec3, Quat, Vec3};
 use rand::RngExt;
+use rayon::prelude::*;
 use sms_core::{Camera, LabelMap, Seed, StageRng};
 use sms_frames::Frame;
 
@@ -53,7 +54,7 @@ pub(crate) fn seed_frame(
     let k = frame.camera.intrinsics;
     let mut rng = seed.derive("order").rng();
     let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
-        candidates(frame, rendered, config).into_iter().partition(|&i| is_edge(frame, i, config));
+        candidates(frame, rendered, config).into_par_iter().partition(|&i| is_edge(frame, i, config));
     shuffle(&mut edges, &mut rng);
     shuffle(&mut others, &mut rng);
 
@@ -68,16 +69,23 @@ pub(crate) fn seed_frame(
         .chain(others.iter().map(|&i| (i, spacing(i, false))))
         .collect();
     let widest = tries.iter().map(|t| radius(t.1)).fold(0.0, f32::max);
-    let mut taken = Occupancy::new(widest);
-    positions_w.iter().for_each(|p| taken.insert(*p));
+    let existing = Occupancy::of(widest, positions_w);
+    let surfaces: Vec<Option<Surface>> = tries
+        .par_iter()
+        .map(|&(i, spacing_m)| {
+            let surface = surface_at(frame, i, config);
+            (!existing.any_within(surface.point_w.as_vec3(), radius(spacing_m))).then_some(surface)
+        })
+        .collect();
 
+    let mut taken = Occupancy::new(widest);
     let mut affinity_rng = seed.derive("affinity").rng();
     let mut seedlings = Vec::new();
-    for (i, spacing_m) in tries {
+    for ((i, spacing_m), surface) in tries.into_iter().zip(surfaces) {
         if seedlings.len() == room {
             break;
         }
-        let surface = surface_at(frame, i, config);
+        let Some(surface) = surface else { continue };
         let position_w = surface.point_w.as_vec3();
         if taken.any_within(position_w, radius(spacing_m)) {
             continue;
@@ -103,7 +111,7 @@ fn candidates(frame: &Frame, rendered: Option<&RenderedMaps>, config: &ScanConfi
         let cosine = -normal_c.dot(ray_c(&frame.camera, i).normalize());
         normal_c.length_squared() > 0.5 && cosine >= config.seeding.min_cosine
     };
-    let depths = frame.depth.data.iter().enumerate();
+    let depths = frame.depth.data.par_iter().enumerate();
     depths.filter(|&(i, &depth)| depth > 0.0 && unexplained(i, depth) && seen(i)).map(|(i, _)| i).collect()
 }
 

@@ -1,0 +1,62 @@
+//! The hash of everything that a scan's result depends on. It takes as long as a hundred steps on a GPU, so it is made
+//! while the first frame is trained.
+
+use super::config::ScanConfig;
+use sms_core::{Hash, Hasher, Labels, Seed};
+use sms_frames::Sequence;
+use std::thread::ScopedJoinHandle;
+
+/// Hash of everything that the result depends on.
+pub(crate) fn settings_hash(
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &ScanConfig,
+    seed: Seed,
+    background: [f32; 3],
+) -> Hash {
+    // How often checkpoints are written changes nothing.
+    let config = ScanConfig { checkpoint_seconds: 0.0, ..config.clone() };
+    let mut hasher = Hasher::new();
+    hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count(), background)).0);
+    for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
+        hasher.text(&sms_core::hash_serializable(&frame.camera).0);
+        hasher.bytes(frame.color.data.as_flattened());
+        hasher.bytes(&bytes_of(&frame.depth.data, |z| z.to_le_bytes()));
+        hasher.bytes(&bytes_of(frame.normal_c.data.as_flattened(), |n| n.to_le_bytes()));
+        hasher.bytes(&bytes_of(&map.data, |l| l.to_le_bytes()));
+    }
+    hasher.finish()
+}
+
+fn bytes_of<T: Copy, const N: usize>(values: &[T], bytes: impl Fn(T) -> [u8; N]) -> Vec<u8> {
+    let mut all = vec![0; N * values.len()];
+    for (to, value) in all.as_chunks_mut::<N>().0.iter_mut().zip(values) {
+        *to = bytes(*value);
+    }
+    all
+}
+
+/// The hash, or the thread that makes it.
+pub(crate) enum Settings<'scope> {
+    Known(Hash),
+    Coming(Option<ScopedJoinHandle<'scope, Hash>>),
+}
+
+impl Settings<'_> {
+    /// The hash, once it is made.
+    pub(crate) fn hash(&mut self) -> Hash {
+        if let Self::Coming(thread) = self
+            && let Some(thread) = thread.take()
+        {
+            match thread.join() {
+                Ok(hash) => *self = Self::Known(hash),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        match self {
+            Self::Known(hash) => hash.clone(),
+            // Its thread panicked, and so did whoever asked first.
+            Self::Coming(_) => Hash(String::new()),
+        }
+    }
+}
