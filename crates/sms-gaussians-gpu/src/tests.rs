@@ -7,7 +7,7 @@ use crate::{Choice, GpuTrainer, KernelForm, adapters};
 use sms_core::Seed;
 use sms_gaussians::oracle::Oracle;
 use sms_gaussians::parameters::Parameters;
-use sms_gaussians::{CpuTrainer, DepthTerm, LearningRates, LossWeights, TrainConfig, Trainer};
+use sms_gaussians::{CpuTrainer, DepthTerm, LearningRates, LossWeights, StepBatch, TrainConfig, Trainer};
 
 const SIZE: (usize, usize) = (61, 37);
 const COUNT: usize = 150;
@@ -185,6 +185,35 @@ fn one_submission_of_many_steps_is_many_submissions_of_one() {
     assert_eq!(stats.steps, 70);
     assert!((f64::from(stats.loss.total) - total / 70.0).abs() < 1e-5 * total / 70.0);
     assert_eq!(one.snapshot(), many.snapshot(), "the same bytes, in whatever order workgroups ran");
+}
+
+#[test]
+fn batches_together_are_batches_one_by_one_and_a_frame_is_added_meanwhile() {
+    let (Some(mut together), Some(mut apart)) =
+        (gpu(&TrainConfig::default(), FAST), gpu(&TrainConfig::default(), FAST))
+    else {
+        return;
+    };
+    fill(&mut together, SIZE, COUNT);
+    fill(&mut apart, SIZE, COUNT);
+    let batch = |i: i32| StepBatch {
+        rates: LearningRates::default().scaled(0.5f32.powi(i)),
+        own: vec![0; 5],
+        replayed: vec![1; 3],
+    };
+    let batches: Vec<StepBatch> = (0..3).map(batch).collect();
+    let another = || frame(&camera(SIZE), Seed(6));
+    let (stats, added) = together.batches(&batches, &|| Some(another()));
+    let one_by_one = batches.iter().map(|batch| {
+        apart.set_rates(&batch.rates);
+        let own = apart.steps(&batch.own);
+        apart.steps(&batch.replayed);
+        own
+    });
+    assert_eq!(stats, one_by_one.collect::<Vec<_>>());
+    assert_eq!(together.snapshot(), apart.snapshot());
+    assert_eq!((added, apart.add_frame(another())), (Some(2), 2));
+    assert_eq!(together.steps(&[2]), apart.steps(&[2]));
 }
 
 #[test]
