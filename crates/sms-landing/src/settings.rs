@@ -76,7 +76,8 @@ impl Default for LandingSettings {
             forecast_worlds: 8,
             toppled: 1.0,
             disturbances: LandingDisturbances::default(),
-            jet: StreamSettings::default(),
+            // Half as many flow lines as the model's default: this one only sorts out.
+            jet: StreamSettings { rings: 6, spokes: 12, ..StreamSettings::default() },
             sph: SphSettings::default(),
         }
     }
