@@ -2,7 +2,7 @@
 //!
 //! `landing_study WHAT SCENES STARTS [key=value …]` with WHAT one of `cost`, `over`, `straight`, `random`, `plan`; SCENES such as
 //! `1,3`, STARTS such as `0,5`. Keys: `engine`, `seed`, `target` (0: the planner's world alone), `speed` (m/s), `slide` (metres by which
-//! the overhang is longer), `draft`.
+//! the overhang is longer), `draft`, `spacing` (metres: of the planner's particles, of which the target's is half).
 
 use glamx::DVec2;
 use rand::RngExt;
@@ -30,6 +30,8 @@ fn cpu_s() -> f64 {
 }
 
 struct Case {
+    /// Spacing of the planner's particles, of which the target's is half.
+    spacing: Option<f64>,
     truth: TruthScene,
     scene: Scene,
     landing: ResolvedLanding,
@@ -41,7 +43,7 @@ impl Case {
         let mut task = LandingTask::new(start_w.to_array());
         task.flight.speed = speed.unwrap_or(task.flight.speed);
         let landing = task.resolve(&scene)?;
-        Ok(Self { truth, scene, landing })
+        Ok(Self { spacing: None, truth, scene, landing })
     }
 
     fn at_start(number: usize, start: usize, speed: Option<f64>, slide: f64) -> Result<Self, Failed> {
@@ -76,6 +78,8 @@ impl Case {
         let Some(target) = target else { return Ok((text, sph.is_success())) };
         let options =
             LandingTargetOptions { recording: None, enough: Some(1.0), ..LandingTargetOptions::default() };
+        let mut options = options;
+        options.planner_sph.spacing = self.spacing.unwrap_or(options.planner_sph.spacing);
         let (cpu, wall) = (cpu_s(), Instant::now());
         let done = execute_landing(target, &self.landing, action, &self.scene, &self.truth, &options)?;
         text += &format!(
@@ -170,12 +174,13 @@ fn main() -> Result<(), Failed> {
     let target = target.as_deref();
     let seed: u64 = value("seed").map_or(Ok(0), |s| s.parse())?;
     let speed: Option<f64> = value("speed").map(|s| s.parse()).transpose()?;
+    let spacing: Option<f64> = value("spacing").map(|s| s.parse()).transpose()?;
     let slide: f64 = value("slide").map_or(Ok(0.0), |s| s.parse())?;
     for number in numbers(scenes)? {
         let mut good = 0;
         let starts = numbers(starts)?;
         for &start in &starts {
-            let case = Case::at_start(number, start, speed, slide)?;
+            let case = Case { spacing, ..Case::at_start(number, start, speed, slide)? };
             let s = case.landing.surface();
             println!(
                 "scene {number}, start {start}: `{}` {:.2} m high, places {:.2} × {:.2} m, {} cells, safest bears {:.0} N",
@@ -195,7 +200,7 @@ fn main() -> Result<(), Failed> {
                     // From beyond the end of the overhang, straight over it to the safest place.
                     let along = case.truth.landing.as_ref().ok_or("no landing scene")?.overhang_w;
                     let start_w = case.safest() + 2.0 * DVec2::from(along);
-                    let case = Case::new(case.truth, start_w, speed)?;
+                    let case = Case { spacing, ..Case::new(case.truth, start_w, speed)? };
                     let (text, ok) = case.everywhere(target, &case.landing.straight(case.safest()))?;
                     println!("  straight over the overhang: {text}");
                     ok
