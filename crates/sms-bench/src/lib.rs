@@ -29,6 +29,8 @@
 //! [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, and carry out in the target
 //! worlds.
 //!
+//! [`run_landings`] is its landing experiment on four structures, beside planners that know nothing of wash.
+//!
 //! # In parts
 //! What is too long for one machine runs as `--shard i/n` on several: [`Shard`] is what each writes, [`merge_shards`] puts
 //! them together.
@@ -52,6 +54,7 @@ mod disturb;
 mod engines;
 mod export;
 mod images;
+mod landing;
 mod masks;
 mod matching;
 mod materialize;
@@ -91,6 +94,10 @@ pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
+pub use landing::{
+    LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight, LandingPart, LandingPlanned, landing_metrics,
+    landing_table, read_landings, run_landings,
+};
 pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
 pub use matching::{Overlaps, match_labels};
 pub use materialize::{
@@ -162,6 +169,9 @@ pub enum BenchError {
     /// A scene could not be kept.
     #[error(transparent)]
     Scene(#[from] sms_scene::SceneError),
+    /// A landing could not be planned.
+    #[error(transparent)]
+    Landing(#[from] sms_landing::LandingError),
     /// A target world could not be built.
     #[error(transparent)]
     Target(#[from] sms_target::TargetError),

@@ -175,7 +175,11 @@ pub fn prepare(
     let true_cameras = sequence.frames.iter().map(|f| f.camera).collect();
     let seed = match scene {
         BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
-        BenchScene::Real(_) | BenchScene::Model(_) | BenchScene::Fixed(_) | BenchScene::Stacked(_) => Seed(0),
+        BenchScene::Real(_)
+        | BenchScene::Model(_)
+        | BenchScene::Fixed(_)
+        | BenchScene::Stacked(_)
+        | BenchScene::Landing(_) => Seed(0),
     };
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, ModelScene, RecordingSettings, Skin, Structure, TruthScene, bounds_w,
+    BilliardsSettings, FIXED_SCENES, HelicalPath, LandingStructure, ModelScene, RecordingSettings, Skin, Structure, TruthScene, bounds_w,
     generate_billiards, generate_stacked, model_scene, orbit_poses, read_model, record_views,
     write_recording,
 };
@@ -61,6 +61,8 @@ pub enum BenchScene {
     Fixed(usize),
     /// Things that stand on each other or touch (`stacked_box_on_stool`), seen from an orbit.
     Stacked(Structure),
+    /// One of the four fixed landing structures, by its number from 1 (`landing_1`), seen from a helix.
+    Landing(usize),
 }
 
 /// Seed of the stacked structures that are measured; masks are tuned on seeds from 1001 on.
@@ -74,6 +76,7 @@ impl fmt::Display for BenchScene {
             Self::Real(name) | Self::Model(name) => f.write_str(name),
             Self::Fixed(number) => write!(f, "fixed_{number:02}"),
             Self::Stacked(structure) => write!(f, "stacked_{}", structure.as_str()),
+            Self::Landing(number) => write!(f, "landing_{number}"),
         }
     }
 }
@@ -171,6 +174,12 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             None => Ok(None),
         },
         BenchScene::Stacked(structure) => plain(generate_stacked(*structure, Seed(STACKED_SEED))),
+        BenchScene::Landing(number) => {
+            match number.checked_sub(1).and_then(|i| LandingStructure::ALL.get(i)) {
+                Some(structure) => plain(structure.fixed()),
+                None => Ok(None),
+            }
+        }
         BenchScene::Real(_) => Ok(None),
     }
 }
@@ -198,6 +207,7 @@ pub fn recording(
     let orbit = match (scene, truth.objects.first()) {
         (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
         (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
+        (BenchScene::Landing(_), _) => Some(HelicalPath::default().poses(truth, frames)),
         _ => None,
     };
     let (hash, version) = (hash_serializable(truth).0, env!("CARGO_PKG_VERSION"));

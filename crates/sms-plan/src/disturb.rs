@@ -295,7 +295,7 @@ fn symmetric(rng: &mut impl Rng) -> f64 {
 
 /// The quantile `q` in [0, 1] of values, linear between order statistics (type 7 of Hyndman and Fan 1996). NaN
 /// when there are none.
-pub(crate) fn quantile(values: &[f64], q: f64) -> f64 {
+pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };

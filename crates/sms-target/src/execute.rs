@@ -52,6 +52,9 @@ pub enum TargetError {
     /// The target's world could not be built or blew up.
     #[error(transparent)]
     Sim(#[from] SimError),
+    /// The landing cannot be flown.
+    #[error(transparent)]
+    Landing(#[from] sms_landing::LandingError),
     /// The truth names masses that no body has.
     #[error("the truth cannot be simulated: {0}")]
     Truth(#[from] InertiaError),

@@ -4,6 +4,8 @@
 //! really happens, on [`SameEngineTarget`]. [`execute_on`] takes any [`Target`]; [`TargetEngine`] lists those that there
 //! are: PhysX with the feature `physx`, MuJoCo with the feature `mujoco`.
 //!
+//! [`execute_landing`] does the same for landings (`sms-landing`).
+//!
 //! ```
 //! use sms_core::Seed;
 //! use sms_synth::{BilliardsSettings, generate_billiards};
@@ -23,6 +25,7 @@
 
 mod engines;
 mod execute;
+mod landing;
 mod matching;
 #[cfg(feature = "mujoco")]
 mod mujoco;
@@ -35,6 +38,7 @@ mod target;
 
 pub use engines::{TargetEngine, engine_factories};
 pub use execute::{TargetError, TargetOptions, disturbed, execute, execute_on};
+pub use landing::{LANDING_EXECUTION_FILE, LandingExecution, LandingTargetOptions, execute_landing};
 pub use matching::match_bodies;
 #[cfg(feature = "mujoco")]
 pub use mujoco::{MUJOCO_VARIABLE, MujocoFactory};

@@ -212,9 +212,11 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
 /// Whether it is a real recording that is not here.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
-        BenchScene::Billiards(_) | BenchScene::Ten(_) | BenchScene::Fixed(_) | BenchScene::Stacked(_) => {
-            false
-        }
+        BenchScene::Billiards(_)
+        | BenchScene::Ten(_)
+        | BenchScene::Fixed(_)
+        | BenchScene::Stacked(_)
+        | BenchScene::Landing(_) => false,
         BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
         BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
     }

@@ -16,7 +16,7 @@ mod realise;
 mod result;
 mod rows;
 mod run;
-mod seen;
+pub(crate) mod seen;
 mod table;
 
 pub use ablation::{Ablated, Ablation, Replaced};

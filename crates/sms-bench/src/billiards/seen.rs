@@ -3,7 +3,9 @@
 use super::{BilliardsBench, BilliardsGeometry, Row};
 use crate::materialize::scan_key;
 use crate::told::set_material;
-use crate::{BenchError, BenchOptions, BenchScene, MaskChoice, MaterialsTold, train};
+use crate::{
+    BenchError, BenchOptions, BenchScene, MaskChoice, MaterializeOptions, MaterialsTold, generated, train,
+};
 use glamx::DMat3;
 use sms_core::{
     Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, Warnings, hash_serializable,
@@ -59,7 +61,8 @@ pub(super) fn see(
         }
         BilliardsGeometry::Scan => {
             let entities = [&bench.scan.bench.entities, &bench.paper_entities];
-            let [ours, papers] = entities.map(|e| scanned(bench, fixed, e, progress, cancel));
+            let which = BenchScene::Fixed(fixed.number);
+            let [ours, papers] = entities.map(|e| scanned(&bench.scan, &which, e, progress, cancel));
             (ours?, papers?)
         }
     };
@@ -88,7 +91,7 @@ pub(super) fn see(
 
 /// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
 /// is rounded, because the last bits of a quotient tell of the divisor.
-pub(super) fn forget_material(body: &mut Body) {
+pub(crate) fn forget_material(body: &mut Body) {
     let is_sphere = matches!(body.shape, BodyShape::Sphere { .. });
     let prior = MaterialTable::builtin().prior(is_sphere);
     let density = body.material.effective_density();
@@ -101,31 +104,31 @@ pub(super) fn forget_material(body: &mut Body) {
     body.material = prior;
 }
 
-/// The scene that scan and materialize make of the recording. Materials are the prior's.
-fn scanned(
-    bench: &BilliardsBench,
-    fixed: &FixedScene,
+/// The scene that scan and materialize make of a generated scene's recording. Materials are the prior's.
+pub(crate) fn scanned(
+    scan: &MaterializeOptions,
+    which: &BenchScene,
     entities: &EntitiesConfig,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Scene, BenchError> {
-    let which = BenchScene::Fixed(fixed.number);
-    let true_masks = bench.scan.masks == MaskChoice::Truth;
-    let options = BenchOptions { true_masks, ..bench.scan.bench.clone() };
-    let key = hash_serializable(&(scan_key(&which, &options)?, fixed.generate(), entities, SEED)).0;
-    let dir = bench.scan.keep.join("scenes").join(format!("{which}-{}", &key[..12]));
-    if !bench.scan.rescan && dir.join("scene.json").is_file() {
+    let missing = || {
+        sms_core::InputError::new(
+            format!("there is no generated scene {which}"),
+            "--scenes",
+            "give numbers of scenes that there are",
+        )
+    };
+    let truth = generated(which)?.ok_or_else(missing)?.scene;
+    let true_masks = scan.masks == MaskChoice::Truth;
+    let options = BenchOptions { true_masks, ..scan.bench.clone() };
+    let key = hash_serializable(&(scan_key(which, &options)?, truth, entities, SEED)).0;
+    let dir = scan.keep.join("scenes").join(format!("{which}-{}", &key[..12]));
+    if !scan.rescan && dir.join("scene.json").is_file() {
         return Ok(load_scene(&dir)?);
     }
     let warnings = Warnings::new();
-    let missing = || {
-        sms_core::InputError::new(
-            format!("there is no scene {}", fixed.number),
-            "--scenes",
-            "give numbers from 1 to 18",
-        )
-    };
-    let trained = train(&which, &bench.scan, progress, cancel, &warnings)?.ok_or_else(missing)?;
+    let trained = train(which, scan, progress, cancel, &warnings)?.ok_or_else(missing)?;
     let set = build_entities(
         &trained.model,
         &trained.sequence,
@@ -156,7 +159,7 @@ pub(super) fn is_object(body: &Body) -> bool {
 
 /// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
 /// are. Names of the two scenes have nothing to do with each other.
-pub(super) fn tell_matched(
+pub(crate) fn tell_matched(
     scene: &mut Scene,
     truth: &TruthScene,
     told: MaterialsTold,

@@ -1,0 +1,15 @@
+//! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures: scan, materialize, plan
+//! from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
+//!
+//! Plans are made of what the scan and the told materials give; only `run.rs` looks at the truth, to fly them. Every flight is a file,
+//! so that a run goes on where it was interrupted, and shards of a run meet in one folder.
+
+mod options;
+mod result;
+mod run;
+mod table;
+
+pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingPart};
+pub use result::{LandingFlight, LandingPlanned, read_landings};
+pub use run::run_landings;
+pub use table::{landing_metrics, landing_table};

@@ -1,0 +1,183 @@
+//! What the experiment depends on.
+
+use crate::{BenchError, BenchOptions, BilliardsGeometry, MaskChoice, MaterializeOptions, MaterialsTold};
+use serde_json::{Map, Value, json};
+use sms_core::{Hash, Seed, hash_serializable};
+use sms_gaussians::Preset;
+use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
+use sms_scene::Scene;
+use sms_synth::LandingStructure;
+use sms_target::TargetEngine;
+use std::path::{Path, PathBuf};
+
+/// Counts up when what is kept of a flight, or how it is made, changes.
+const VERSION: u32 = 1;
+
+/// The numbers of the fixed structures with their words in keys, as `sms synth --family landing` numbers them.
+pub const LANDING_SCENES: [(usize, LandingStructure); 4] = [
+    (1, LandingStructure::BoxOnLadder),
+    (2, LandingStructure::ToteOnStool),
+    (3, LandingStructure::BoardOnBin),
+    (4, LandingStructure::BoardOnStool),
+];
+
+/// A planner to compare with, by its name in tables and keys. It is given what ours is given, and chooses; `None` where it cannot.
+pub struct LandingBaseline<'a> {
+    /// The name ("geometric", "random", "visual_prompting").
+    pub name: String,
+    /// Chooses a landing in the planner's scene.
+    pub choose: Box<
+        dyn Fn(&ResolvedLanding, &Scene, Seed) -> Result<Option<LandingAction>, BenchError> + Sync + 'a,
+    >,
+}
+
+/// One flight of the experiment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LandingPart {
+    /// Number of the scene.
+    pub scene: usize,
+    /// Number of the start, from 0.
+    pub start: usize,
+    /// What the planner is told of materials.
+    pub told: MaterialsTold,
+    /// Which draw of the noise; 0 where there is none.
+    pub draw: usize,
+}
+
+/// What to run.
+pub struct LandingBench<'a> {
+    /// Numbers of scenes (see [`LANDING_SCENES`]).
+    pub scenes: Vec<usize>,
+    /// Starts on the circle (paper: 10), evenly spread.
+    pub starts: usize,
+    /// Draws of noisy materials for each scene; 0 leaves the noisy rows out.
+    pub noisy_draws: usize,
+    /// Starts for each of them.
+    pub noisy_starts: usize,
+    /// Only every n-th flight, from the i-th (from 1).
+    pub part: (usize, usize),
+    /// Where the planner's geometry comes from.
+    pub geometry: BilliardsGeometry,
+    /// How scenes are scanned, and where scans are kept.
+    pub scan: MaterializeOptions,
+    /// Target world.
+    pub engine: TargetEngine,
+    /// The planner.
+    pub settings: LandingSettings,
+    /// Planners to compare with; they fly with materials `class` alone.
+    pub baselines: Vec<LandingBaseline<'a>>,
+    /// Seed of all plans.
+    pub seed: Seed,
+    /// Folder of the results.
+    pub out: PathBuf,
+}
+
+impl LandingBench<'_> {
+    /// The headline experiment (materials `class`, masks by geometry) with scans in `keep` and results in `out`.
+    pub fn new(scenes: Vec<usize>, keep: &Path, out: impl Into<PathBuf>) -> Self {
+        Self {
+            scenes,
+            starts: 10,
+            noisy_draws: 0,
+            noisy_starts: 4,
+            part: (1, 1),
+            geometry: BilliardsGeometry::Scan,
+            scan: MaterializeOptions {
+                bench: BenchOptions::new(Preset::Standard, keep.join("recordings")),
+                masks: MaskChoice::Geometry,
+                keep: keep.to_owned(),
+                rescan: false,
+            },
+            engine: TargetEngine::preferred(),
+            settings: LandingSettings::default(),
+            baselines: Vec::new(),
+            seed: Seed(0),
+            out: out.into(),
+        }
+    }
+
+    /// One scene with four starts and a draft scan.
+    pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
+        let mut bench = Self::new(vec![1], keep, out);
+        bench.starts = 4;
+        bench.scan.bench =
+            BenchOptions { frames: 24, ..BenchOptions::new(Preset::Draft, keep.join("recordings")) };
+        bench.settings = LandingSettings::draft();
+        bench
+    }
+
+    /// All flights of the whole run, in their order.
+    pub fn flights(&self) -> Vec<LandingPart> {
+        let mut all = Vec::new();
+        for &scene in &self.scenes {
+            for start in 0..self.starts {
+                // Spread over the ten starts of the scene.
+                let start = start * 10 / self.starts.max(1);
+                all.push(LandingPart { scene, start, told: MaterialsTold::Class, draw: 0 });
+            }
+        }
+        for &scene in &self.scenes {
+            for draw in 0..self.noisy_draws {
+                for start in 0..self.noisy_starts {
+                    let start = start * 10 / self.noisy_starts.max(1);
+                    all.push(LandingPart { scene, start, told: MaterialsTold::Noisy, draw });
+                }
+            }
+        }
+        all
+    }
+
+    /// Names a flight by everything it is made from but the code.
+    pub(super) fn key(&self, part: LandingPart) -> Hash {
+        let bench = &self.scan.bench;
+        let masks = self.scan.masks == MaskChoice::Truth;
+        let seen = match self.geometry {
+            BilliardsGeometry::Truth => None,
+            BilliardsGeometry::Scan => Some((
+                (&bench.read, &bench.load, &bench.masks, masks, &bench.scan, bench.frames),
+                &bench.entities,
+            )),
+        };
+        let which = (part.scene, part.start, part.told, part.draw);
+        let truth = structure(part.scene).map(LandingStructure::fixed);
+        hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed))
+    }
+
+    /// File of a flight.
+    pub(super) fn file(&self, part: LandingPart) -> PathBuf {
+        let folder = format!("{}-{}", self.geometry.as_str(), part.told.as_str());
+        let name = format!("landing_{}_draw_{}_start_{}.json", part.scene, part.draw, part.start);
+        self.out.join(folder).join(name)
+    }
+
+    /// What the figures depend on, besides scenes and code, for comparing parts of a run.
+    pub fn settings(&self) -> Map<String, Value> {
+        let bench = &self.scan.bench;
+        let mut map = Map::new();
+        for (name, value) in [
+            ("geometry", json!(self.geometry)),
+            ("preset", json!(bench.preset_name())),
+            ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
+            ("frames", json!(bench.frames)),
+            ("read", json!(bench.read)),
+            ("load", json!(bench.load)),
+            ("masks", json!(bench.masks)),
+            ("scan", json!(bench.scan)),
+            ("entities", json!(bench.entities)),
+            ("engine", json!(self.engine.key())),
+            ("starts", json!(self.starts)),
+            ("noisy_draws", json!(self.noisy_draws)),
+            ("noisy_starts", json!(self.noisy_starts)),
+            ("landing", json!(self.settings)),
+            ("seed", json!(self.seed)),
+        ] {
+            map.insert(name.to_owned(), value);
+        }
+        map
+    }
+}
+
+/// The structure of a number.
+pub(super) fn structure(number: usize) -> Option<LandingStructure> {
+    LANDING_SCENES.iter().find(|(n, _)| *n == number).map(|(_, s)| *s)
+}

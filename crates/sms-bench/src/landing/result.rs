@@ -1,0 +1,86 @@
+//! What is kept of a flight.
+
+use super::{LandingBench, LandingPart};
+use crate::{BenchError, MaterialsTold};
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, Hash, atomic};
+use sms_landing::LandingAction;
+use std::collections::BTreeMap;
+
+/// One planner's landing, and what became of it in the target.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingPlanned {
+    /// What is flown; `None` where the planner found nothing to fly, which is a failure.
+    pub action: Option<LandingAction>,
+    /// Why nothing was planned.
+    pub problem: Option<String>,
+    /// Share of the planner's worlds in which it succeeds, where it has such.
+    pub predicted_share: Option<f64>,
+    /// Objective in the planner's own world, where it has one.
+    pub predicted: Option<f64>,
+    /// Whether it succeeds in the target.
+    pub success: bool,
+    /// Why not, in words.
+    pub failure: Option<String>,
+    /// The kind of failure.
+    pub failure_kind: Option<String>,
+    /// Whether the air toppled the structure before anything was touched.
+    pub in_the_air: bool,
+    /// Objective in the target (large ones are cut short).
+    pub realised: Option<f64>,
+    /// Whether it succeeds where the target's wash is a turbulent jet.
+    pub jet_success: Option<bool>,
+    /// CPU seconds of planning.
+    pub plan_cpu_s: f64,
+    /// CPU seconds of both flights in the target.
+    pub target_cpu_s: f64,
+}
+
+/// All planners' landings from one start.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingFlight {
+    /// What it was made from, as a hash.
+    pub key: Hash,
+    /// Number of the scene.
+    pub scene: usize,
+    /// Number of the start.
+    pub start: usize,
+    /// What the planner was told of materials.
+    pub told: MaterialsTold,
+    /// Which draw of the noise.
+    pub draw: usize,
+    /// True objects of the structure, and those among them in whose place the planner's scene has a body.
+    pub objects: usize,
+    /// The latter.
+    pub matched: usize,
+    /// Wall-clock seconds of one evaluation with `sph`, alone on all cores.
+    pub evaluation_s: Option<f64>,
+    /// Ours, by the name `sms`, and baselines.
+    pub planned: BTreeMap<String, LandingPlanned>,
+}
+
+/// Name of our planner's row.
+pub(super) const OURS: &str = "sms";
+
+/// What is kept of a flight; `None` where nothing is, or where it was made from something else.
+pub(super) fn kept(bench: &LandingBench<'_>, part: LandingPart) -> Result<Option<LandingFlight>, CoreError> {
+    let path = bench.file(part);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    // A file of an earlier version is made again.
+    let Ok(found) = atomic::read_json::<LandingFlight>(&path) else { return Ok(None) };
+    Ok(Some(found).filter(|f| f.key == bench.key(part)))
+}
+
+/// All results in the folder that were made with the settings of `bench`, of all its parts.
+///
+/// # Errors
+/// [`BenchError`] of a file that cannot be read.
+pub fn read_landings(bench: &LandingBench<'_>) -> Result<Vec<LandingFlight>, BenchError> {
+    let mut all = Vec::new();
+    for part in bench.flights() {
+        all.extend(kept(bench, part)?);
+    }
+    Ok(all)
+}

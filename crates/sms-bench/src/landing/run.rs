@@ -1,0 +1,257 @@
+//! Running the experiment.
+
+use super::options::structure;
+use super::result::{OURS, kept};
+use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned};
+use crate::billiards::seen::{forget_material, scanned, tell_matched};
+use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
+use glamx::DVec3;
+use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings, atomic};
+use sms_landing::{
+    LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, plan_landing,
+};
+use sms_scene::Scene;
+use sms_sim::RapierFactory;
+use sms_synth::{LandingStructure, TruthScene};
+use sms_target::{LandingTargetOptions, Target, TargetError, execute_landing, scene_from_truth};
+use sms_wash::{WashModel, WashSettings};
+use std::time::Instant;
+
+/// Objective beyond which a flight in the target need not be followed: success was out of reach long before.
+const ENOUGH: f64 = 1.0;
+
+/// The scene that the planner sees.
+struct Seen {
+    scene: Scene,
+    matched: usize,
+}
+
+/// Runs the flights that are not in the folder yet, each of ours and of every baseline, and calls `line` after each.
+///
+/// # Errors
+/// [`BenchError`] of scans, files and engines. A scene in which nothing can be planned is a result.
+pub fn run_landings(
+    bench: &LandingBench<'_>,
+    line: &dyn Fn(&LandingFlight),
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(), BenchError> {
+    let target = bench.engine.target()?;
+    let mut geometry: Option<(usize, Scene)> = None;
+    for part in part_of(bench.flights(), bench.part) {
+        cancel.check()?;
+        let mut flight = match kept(bench, part)? {
+            Some(flight) if is_done(bench, part, &flight) => continue,
+            Some(flight) => flight,
+            None => LandingFlight {
+                key: bench.key(part),
+                scene: part.scene,
+                start: part.start,
+                told: part.told,
+                draw: part.draw,
+                objects: 0,
+                matched: 0,
+                evaluation_s: None,
+                planned: Default::default(),
+            },
+        };
+        let truth = fixed(part.scene)?.fixed();
+        let scene = match &geometry {
+            Some((number, scene)) if *number == part.scene => scene.clone(),
+            _ => {
+                let scene = geometry_of(bench, part.scene, &truth, progress, cancel)?;
+                geometry = Some((part.scene, scene.clone()));
+                scene
+            }
+        };
+        let seen = see(scene, &truth, part)?;
+        (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
+        let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
+        let start_w = seen.scene.x_world_recording.transform_point(start_w);
+        let task = LandingTask::new(start_w.truncate().to_array());
+        match task.resolve(&seen.scene) {
+            Ok(landing) => {
+                for name in names(bench, part) {
+                    if flight.planned.contains_key(&name) {
+                        continue;
+                    }
+                    let planned =
+                        carry_out(bench, part, &name, &landing, &seen.scene, &truth, target.as_ref(), cancel)?;
+                    if name == OURS {
+                        let action = planned.action;
+                        flight.evaluation_s = action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
+                    }
+                    flight.planned.insert(name, planned);
+                    atomic::write_json(&bench.file(part), &flight)?;
+                }
+            }
+            Err(e) if e.input().is_some() => {
+                for name in names(bench, part) {
+                    flight.planned.insert(name, LandingPlanned::nothing(&e));
+                }
+                atomic::write_json(&bench.file(part), &flight)?;
+            }
+            Err(e) => return Err(e.into()),
+        }
+        line(&flight);
+    }
+    Ok(())
+}
+
+/// The planners of a flight.
+fn names(bench: &LandingBench<'_>, part: LandingPart) -> Vec<String> {
+    let others = bench.baselines.iter().filter(|_| part.told == MaterialsTold::Class);
+    std::iter::once(OURS.to_owned()).chain(others.map(|b| b.name.clone())).collect()
+}
+
+fn is_done(bench: &LandingBench<'_>, part: LandingPart, flight: &LandingFlight) -> bool {
+    names(bench, part).iter().all(|n| flight.planned.contains_key(n))
+}
+
+fn fixed(number: usize) -> Result<LandingStructure, InputError> {
+    structure(number).ok_or_else(|| {
+        InputError::new(format!("there is no landing scene {number}"), "--scenes", "give numbers from 1 to 4")
+    })
+}
+
+/// Bodies with the prior's materials.
+fn geometry_of(
+    bench: &LandingBench<'_>,
+    number: usize,
+    truth: &TruthScene,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<Scene, BenchError> {
+    match bench.geometry {
+        BilliardsGeometry::Truth => {
+            let mut scene = scene_from_truth(truth).map_err(TargetError::from)?;
+            scene.bodies.iter_mut().for_each(forget_material);
+            Ok(scene)
+        }
+        BilliardsGeometry::Scan => {
+            let which = BenchScene::Landing(number);
+            scanned(&bench.scan, &which, &bench.scan.bench.entities, progress, cancel)
+        }
+    }
+}
+
+/// The same with what is told.
+fn see(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<Seen, BenchError> {
+    let seed = truth.seed.derive_index("landing materials", part.draw as u64);
+    let matched = tell_matched(&mut scene, truth, part.told, seed)?;
+    Ok(Seen { scene, matched })
+}
+
+impl LandingPlanned {
+    fn nothing(why: &LandingError) -> Self {
+        Self {
+            action: None,
+            problem: Some(why.to_string()),
+            predicted_share: None,
+            predicted: None,
+            success: false,
+            failure: Some("nothing was planned".to_owned()),
+            failure_kind: Some("no_plan".to_owned()),
+            in_the_air: false,
+            realised: None,
+            jet_success: None,
+            plan_cpu_s: 0.0,
+            target_cpu_s: 0.0,
+        }
+    }
+}
+
+/// Plans and flies one landing.
+fn carry_out(
+    bench: &LandingBench<'_>,
+    part: LandingPart,
+    name: &str,
+    landing: &ResolvedLanding,
+    scene: &Scene,
+    truth: &TruthScene,
+    target: &dyn Target,
+    cancel: &Cancel,
+) -> Result<LandingPlanned, BenchError> {
+    let seed = bench.seed.derive_index("landing", part.scene as u64).derive_index("start", part.start as u64);
+    let seed = seed.derive_index("draw", part.draw as u64);
+    let began = cpu_seconds();
+    let since = |from: Option<f64>| cpu_seconds().zip(from).map_or(0.0, |(now, from)| now - from);
+    let mut planned = match plan(bench, name, landing, scene, seed, cancel) {
+        Ok(planned) => planned,
+        Err(BenchError::Landing(e)) if e.input().is_some() || matches!(e, LandingError::Nothing { .. }) => {
+            LandingPlanned::nothing(&e)
+        }
+        Err(e) => return Err(e),
+    };
+    planned.plan_cpu_s = since(began);
+    let Some(action) = planned.action else { return Ok(planned) };
+    let began = cpu_seconds();
+    let options = LandingTargetOptions {
+        planner_sph: bench.settings.sph,
+        recording: None,
+        enough: Some(ENOUGH),
+        ..LandingTargetOptions::default()
+    };
+    let done = execute_landing(target, landing, &action, scene, truth, &options)?;
+    planned.target_cpu_s = since(began);
+    let o = &done.outcome;
+    planned.success = o.is_success();
+    planned.failure = o.failure.as_ref().map(ToString::to_string);
+    planned.failure_kind = o.failure.as_ref().map(|f| f.as_str().to_owned());
+    planned.in_the_air = o.is_toppled_by_wash();
+    planned.realised = o.objective;
+    planned.jet_success = done.second_opinion.map(|o| o.is_success());
+    Ok(planned)
+}
+
+fn plan(
+    bench: &LandingBench<'_>,
+    name: &str,
+    landing: &ResolvedLanding,
+    scene: &Scene,
+    seed: Seed,
+    cancel: &Cancel,
+) -> Result<LandingPlanned, BenchError> {
+    let chosen = |action: Option<LandingAction>| LandingPlanned {
+        action,
+        problem: action.is_none().then(|| "it found no place".to_owned()),
+        failure: action.is_none().then(|| "nothing was planned".to_owned()),
+        failure_kind: action.is_none().then(|| "no_plan".to_owned()),
+        predicted_share: None,
+        predicted: None,
+        success: false,
+        in_the_air: false,
+        realised: None,
+        jet_success: None,
+        plan_cpu_s: 0.0,
+        target_cpu_s: 0.0,
+    };
+    if let Some(baseline) = bench.baselines.iter().find(|b| b.name == name) {
+        return Ok(chosen((baseline.choose)(landing, scene, seed)?));
+    }
+    let warnings = Warnings::new();
+    let plan =
+        plan_landing(landing, scene, &RapierFactory, &bench.settings, seed, &NoProgress, cancel, &warnings)?
+            .plan;
+    Ok(LandingPlanned {
+        predicted_share: plan.predicted.map(|p| p.success_share),
+        predicted: plan.nominal.objective,
+        ..chosen(Some(plan.action))
+    })
+}
+
+/// Wall-clock seconds of one rollout with `sph` on all cores, the world being built.
+fn evaluate(
+    bench: &LandingBench<'_>,
+    landing: &ResolvedLanding,
+    scene: &Scene,
+    action: &LandingAction,
+) -> Result<f64, BenchError> {
+    let wash = WashSettings { model: WashModel::Sph, stream: bench.settings.jet, sph: bench.settings.sph };
+    let options = landing.world_options();
+    let mut world =
+        LandingWorld::new(&RapierFactory, &options, scene, landing, landing.structure(), &wash)?;
+    let began = Instant::now();
+    world.fly(action, &RolloutOptions::default())?;
+    Ok(began.elapsed().as_secs_f64())
+}

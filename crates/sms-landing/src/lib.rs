@@ -1,0 +1,67 @@
+//! The landing task (paper section "Quadrotor Landing Scenario"): a scene goes in, a [`LandingPlan`] comes out.
+//!
+//! A [`LandingTask`] is a TOML file. [`LandingTask::resolve`] finds in a scene the surface to land on and the bodies that must stay
+//! as they are, and gives a [`ResolvedLanding`], which says how a [`LandingAction`] is flown. [`rollout_landing`] flies it in any
+//! world, the planner's or a target's, with any model of wash, and gives a [`LandingOutcome`]. [`plan_landing`] searches:
+//! many approaches with `jet`, the promising ones with `sph`, and the final choice in worlds that differ within what is known.
+//!
+//! ```
+//! use glamx::{DPose3, DVec3};
+//! use sms_core::{Mesh, box_mass_properties};
+//! use sms_landing::{LandingTask, RolloutOptions, rollout_landing};
+//! use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material, floor_body};
+//! use sms_sim::RapierFactory;
+//! use sms_wash::WashSettings;
+//!
+//! // A heavy table.
+//! let half = DVec3::new(0.3, 0.3, 0.3);
+//! let table = Body {
+//!     name: "table".into(),
+//!     kind: BodyKind::Dynamic,
+//!     x_wb: DPose3::from_translation(DVec3::new(0.0, 0.0, 0.3)),
+//!     shape: BodyShape::Box { half_extents: half },
+//!     mass: Some(box_mass_properties(half, 300.0)?),
+//!     ..floor_body(0.0, example_material())
+//! };
+//! let scene = Scene {
+//!     version: sms_scene::SCENE_VERSION,
+//!     name: "table".into(),
+//!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
+//!     x_world_recording: DPose3::IDENTITY,
+//!     bodies: vec![floor_body(0.0, example_material()), table],
+//! };
+//! let landing = LandingTask::new([1.0, 0.0]).resolve(&scene)?;
+//! assert_eq!(landing.surface().body, "table");
+//! let action = landing.straight(landing.surface().point([0.5, 0.5]));
+//! let wash = WashSettings::default();
+//! let outcome = rollout_landing(&RapierFactory, &wash, &scene, &landing, &action, &RolloutOptions::default())?;
+//! assert!(outcome.is_success(), "{:?}", outcome.failure);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod action;
+mod disturb;
+mod disturb_worlds;
+mod error;
+mod outcome;
+mod plan;
+mod planner;
+mod resolved;
+mod rollout;
+mod settings;
+mod surface;
+mod task;
+
+pub use action::LandingAction;
+pub use error::LandingError;
+pub use outcome::{BodyChange, LandingFailure, LandingOutcome, ParticleFrame, QUADROTOR};
+pub use plan::{
+    LANDING_PLAN_FILE, LandingAlternative, LandingEvaluations, LandingPlan, LandingPlanOutcome,
+    LandingPrediction,
+};
+pub use planner::plan_landing;
+pub use resolved::{CarriedOut, ResolvedLanding};
+pub use rollout::{LandingRecording, LandingWorld, RolloutOptions, rollout_landing};
+pub use settings::{LandingDisturbances, LandingSettings};
+pub use surface::LandingSurface;
+pub use task::{FootMaterial, LandingBounds, LandingKind, LandingSuccess, LandingTask, SurfaceLimits};

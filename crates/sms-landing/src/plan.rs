@@ -1,0 +1,121 @@
+//! What planning gives.
+
+use crate::{LandingAction, LandingOutcome, LandingSurface, LandingTask, ResolvedLanding};
+use serde::{Deserialize, Serialize};
+use sms_core::{CoreError, atomic};
+use sms_plan::Trial;
+use sms_task::{Parameter, json};
+use sms_wash::{Quadrotor, WashModel};
+use std::path::Path;
+
+/// Where the plan lies in a run's folder of the stage.
+pub const LANDING_PLAN_FILE: &str = "landing.json";
+
+/// What is predicted of an action over worlds that differ within what is known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingPrediction {
+    /// Model of wash.
+    pub wash: WashModel,
+    /// Number of worlds.
+    pub worlds: usize,
+    /// Rollouts among them that cannot be believed; they are failures and in none of the figures below.
+    pub invalid: usize,
+    /// Share of the worlds in which the landing succeeds.
+    pub success_share: f64,
+    /// Mean of the objective (what has toppled counts as [`crate::LandingSettings::toppled`]).
+    pub mean: f64,
+    /// 10 % quantile.
+    pub q10: f64,
+    /// Median.
+    pub q50: f64,
+    /// 90 % quantile.
+    pub q90: f64,
+    /// Why it fails where it does: the kind of failure ([`crate::LandingFailure::as_str`]) with the number of worlds.
+    pub failures: Vec<(String, usize)>,
+}
+
+/// Another action that was looked at to the end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingAlternative {
+    /// The action.
+    pub action: LandingAction,
+    /// Its objective in the scanned world, by the better model of wash; `None` where that rollout cannot be believed.
+    pub objective: Option<f64>,
+    /// What is predicted of it, from the worlds in which it was chosen or dropped.
+    pub prediction: Option<LandingPrediction>,
+}
+
+/// How many rollouts of each model a plan took.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LandingEvaluations {
+    /// With `jet`.
+    pub jet: usize,
+    /// With `sph`.
+    pub sph: usize,
+    /// Of all, those that cannot be believed.
+    pub invalid: usize,
+}
+
+/// The chosen landing with what it is predicted to do.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingPlan {
+    /// The task, with every setting that was in force.
+    pub task: LandingTask,
+    /// Engine that predicted.
+    pub engine: String,
+    /// The vehicle.
+    pub vehicle: Quadrotor,
+    /// Where it lands.
+    pub surface: LandingSurface,
+    /// The bodies that must stay.
+    pub structure: Vec<String>,
+    /// Ranges of the action's values, in the order of [`LandingAction::values`].
+    pub parameters: Vec<Parameter>,
+    /// The chosen action.
+    pub action: LandingAction,
+    /// What it does in the scanned world, with the recorded motion.
+    pub nominal: LandingOutcome,
+    /// What it is predicted to do in worlds that played no part in choosing it; `None` for a plan for the scanned world alone.
+    pub predicted: Option<LandingPrediction>,
+    /// Other actions that came far, best first.
+    pub alternatives: Vec<LandingAlternative>,
+    /// Rollouts.
+    pub evaluations: LandingEvaluations,
+}
+
+/// A plan with its trial log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LandingPlanOutcome {
+    /// The plan.
+    pub plan: LandingPlan,
+    /// Every rollout, in an order that does not depend on threads.
+    pub trials: Vec<Trial>,
+}
+
+impl LandingPlan {
+    /// Writes [`LANDING_PLAN_FILE`] into a folder.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save(&self, dir: &Path) -> Result<(), CoreError> {
+        json::write(&dir.join(LANDING_PLAN_FILE), self)
+    }
+
+    /// Reads it.
+    ///
+    /// # Errors
+    /// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
+    pub fn load(dir: &Path) -> Result<Self, CoreError> {
+        atomic::read_json(&dir.join(LANDING_PLAN_FILE))
+    }
+
+    /// The task as it was planned, to fly it again: the same surface, whatever the scene looks like now.
+    pub fn landing(&self) -> ResolvedLanding {
+        ResolvedLanding::of(
+            self.task.clone(),
+            self.vehicle.clone(),
+            self.surface.clone(),
+            self.structure.clone(),
+        )
+    }
+}

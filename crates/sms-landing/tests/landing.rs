@@ -1,0 +1,330 @@
+//! Landings against closed forms, and faults.
+
+use glamx::{DPose3, DVec2, DVec3};
+use sms_core::{Cancel, NoProgress, Seed, Warnings, box_mass_properties};
+use sms_landing::{
+    LandingAction, LandingError, LandingPlan, LandingRecording, LandingSettings, LandingTask, LandingWorld,
+    QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
+};
+use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
+use sms_sim::{RapierF64Factory, RapierFactory};
+use sms_wash::{WashModel, WashSettings};
+
+const G: f64 = 9.81;
+/// Weight of the paper's vehicle, newtons.
+const WEIGHT_N: f64 = 1.182 * G;
+const BASE_TOP: f64 = 0.6;
+const HALF: DVec3 = DVec3::new(0.4, 0.2, 0.015);
+/// The base's edge is so far from its middle.
+const EDGE: f64 = 0.2;
+
+fn cuboid(name: &str, center_w: DVec3, half: DVec3, mass: f64) -> Body {
+    let volume = 8.0 * half.element_product();
+    Body {
+        name: name.into(),
+        kind: BodyKind::Dynamic,
+        x_wb: DPose3::from_translation(center_w),
+        shape: BodyShape::Box { half_extents: half },
+        mass: Some(box_mass_properties(half, mass / volume).unwrap()),
+        ..floor_body(0.0, example_material())
+    }
+}
+
+/// A board on a heavy base, slid along x so that its middle is `over` from the base's; the base's edge is at [`EDGE`].
+fn board(mass: f64, over: f64) -> Scene {
+    let base_half = DVec3::new(EDGE, EDGE, 0.5 * BASE_TOP);
+    Scene {
+        version: SCENE_VERSION,
+        name: "board".into(),
+        gravity_w: DVec3::new(0.0, 0.0, -G),
+        x_world_recording: DPose3::IDENTITY,
+        bodies: vec![
+            floor_body(0.0, example_material()),
+            cuboid("base", DVec3::new(0.0, 0.0, base_half.z), base_half, 40.0),
+            cuboid("board", DVec3::new(over, 0.0, BASE_TOP + HALF.z), HALF, mass),
+        ],
+    }
+}
+
+fn wash(model: WashModel) -> WashSettings {
+    WashSettings { model, ..WashSettings::default() }
+}
+
+fn task() -> LandingTask {
+    LandingTask::new([-1.5, 0.0])
+}
+
+fn over_the_middle(landing: &ResolvedLanding, x: f64) -> LandingAction {
+    landing.straight(DVec2::new(x, 0.0))
+}
+
+#[test]
+fn the_platform_is_found_with_where_the_feet_stand_and_what_touches_it() {
+    let scene = board(3.0, 0.1);
+    let landing = task().resolve(&scene).unwrap();
+    let s = landing.surface();
+    assert_eq!(s.body, "board");
+    assert!((s.top_w - BASE_TOP - 2.0 * HALF.z).abs() < 1e-9);
+    assert!((s.area_m2 / (4.0 * HALF.x * HALF.y) - 1.0).abs() < 0.05, "{}", s.area_m2);
+    assert_eq!(landing.structure(), ["base", "board"]);
+    // Feet at ±0.1 m, 8 mm wide, on a grid of a centimetre.
+    for (half, extent) in s.half.iter().zip([HALF.x, HALF.y]) {
+        assert!((half - (extent - 0.108)).abs() < 0.015, "{half} of {extent}");
+    }
+    assert!(DVec2::from(s.center_w).distance(DVec2::new(0.1, 0.0)) < 0.01);
+    assert!(DVec2::from(s.along_w).distance(DVec2::X) < 1e-6);
+    assert!(s.fits(DVec2::new(0.35, 0.05)) && !s.fits(DVec2::new(0.42, 0.0)));
+    // The vehicle's centre flies 0.35 m above where it stands.
+    assert!((landing.flight_height_w() - (s.top_w + 0.05 + 0.35)).abs() < 1e-9);
+    // Unit points and actions convert both ways.
+    for u in [[0.1, 0.2, 0.3, 0.4], [0.9, 0.5, 0.01, 0.99]] {
+        let back = landing.unit(&landing.action_at(&u));
+        assert!(u.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-12), "{back:?}");
+    }
+}
+
+#[test]
+fn ballast_and_its_surroundings_are_no_place_to_land() {
+    let mut scene = board(3.0, 0.0);
+    let top = BASE_TOP + 2.0 * HALF.z;
+    scene.bodies.push(cuboid("brick", DVec3::new(-0.3, 0.0, top + 0.05), DVec3::new(0.05, 0.1, 0.05), 4.0));
+    let landing = task().resolve(&scene).unwrap();
+    assert_eq!(landing.surface().body, "board");
+    assert_eq!(landing.structure(), ["base", "board", "brick"]);
+    assert!(!landing.surface().fits(DVec2::new(-0.3, 0.0)));
+    // 10 cm high, it reaches above the propellers: 0.21 m from its side they would meet it.
+    assert!(!landing.surface().fits(DVec2::new(-0.06, 0.0)) && landing.surface().fits(DVec2::new(0.0, 0.0)));
+}
+
+#[test]
+fn what_cannot_be_landed_on_is_refused_with_the_reason() {
+    let scene = board(3.0, 0.0);
+    let resolve = |task: &LandingTask, scene: &Scene| task.resolve(scene).unwrap_err();
+    let mut low = task();
+    low.surface.height_m = 0.7;
+    let e = resolve(&low, &scene);
+    assert!(matches!(e, LandingError::NoSurface(_)), "{e}");
+    assert!(e.to_string().contains("board") && e.to_string().contains("0.63 m"), "{e}");
+    let unknown = LandingTask { platform: "bord".into(), ..task() };
+    let e = resolve(&unknown, &scene);
+    assert!(matches!(e, LandingError::UnknownBody(_)) && e.to_string().contains("board"), "{e}");
+    let unknown = LandingTask { structure: vec!["base".into(), "bse".into()], ..task() };
+    assert!(resolve(&unknown, &scene).to_string().contains("bse"));
+    let mut narrow = scene.clone();
+    narrow.bodies[2] = cuboid("shelf", DVec3::new(0.0, 0.0, BASE_TOP + 0.2), DVec3::new(0.4, 0.09, 0.2), 3.0);
+    narrow.bodies[1].shape = BodyShape::Box { half_extents: DVec3::new(0.09, 0.09, 0.3) };
+    let e = resolve(&task(), &narrow);
+    assert!(matches!(e, LandingError::TooNarrow(_)), "{e}");
+    assert!(e.to_string().contains("shelf") && e.to_string().contains("0.22 m"), "{e}");
+    assert!(e.input().is_some());
+}
+
+/// A board whose middle is beyond the base's edge falls by itself.
+#[test]
+fn a_structure_that_is_falling_is_refused() {
+    let scene = board(3.0, EDGE + 0.02);
+    let landing = task().resolve(&scene).unwrap();
+    let e = landing.check_rest(&RapierFactory, &scene).unwrap_err();
+    assert!(matches!(e, LandingError::AlreadyFalling(_)) && e.to_string().contains("board"), "{e}");
+    let stands = board(3.0, EDGE - 0.02);
+    let drifts = task().resolve(&stands).unwrap().check_rest(&RapierFactory, &stands).unwrap();
+    assert!(drifts.iter().all(|d| d.moved_m < 1e-3), "{drifts:?}");
+}
+
+/// From the cut height the vehicle falls freely with the speed of its descent: the closed form of when it touches down, and it stands
+/// where it should.
+#[test]
+fn the_vehicle_falls_freely_from_the_cut_height_and_stands() {
+    let scene = board(30.0, 0.0);
+    let mut task = task();
+    task.flight.cut_height = 0.05;
+    let landing = task.resolve(&scene).unwrap();
+    let action = over_the_middle(&landing, 0.0);
+    let options = RolloutOptions {
+        recording: Some(LandingRecording { every_s: 0.0025, particles: false }),
+        ..RolloutOptions::default()
+    };
+    let outcome =
+        rollout_landing(&RapierF64Factory, &wash(WashModel::None), &scene, &landing, &action, &options)
+            .unwrap();
+    assert!(outcome.is_success(), "{:?}", outcome.failure);
+    assert!(outcome.landing_error_m < 5e-3 && outcome.objective.unwrap() < 0.02, "{outcome:?}");
+    assert!(!outcome.touched_early);
+    let cut_s = outcome.cut_s.unwrap();
+    let flown_s = 1.5 / 0.7 + 0.3 / 0.3;
+    assert!((cut_s - flown_s).abs() < 0.003, "{cut_s}");
+    let track = outcome.trajectory.body(QUADROTOR).unwrap();
+    // 0.3 t + g t²/2 = 0.05: the fastest moment is the touchdown.
+    let fall_s = ((0.3f64 * 0.3 + 2.0 * G * 0.05).sqrt() - 0.3) / G;
+    let slowest =
+        track.states.iter().map(|s| s.v_w.z).enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+    let touchdown_s = outcome.trajectory.times_s[slowest.0];
+    assert!((touchdown_s - cut_s - fall_s).abs() < 0.006, "{touchdown_s} {cut_s} {fall_s}");
+    assert!((slowest.1 + (0.3 + G * fall_s)).abs() < 0.05, "{}", slowest.1);
+    // It starts where the task says, and the whole flight is there.
+    assert_eq!(outcome.trajectory.times_s[0], 0.0);
+    assert!(track.states[0].x_wb.translation.distance(landing.start_w()) < 1e-12);
+}
+
+/// A weight beyond the edge tips the board when weight × lever exceeds the board's, statically; touching down multiplies it.
+#[test]
+fn landing_beyond_the_edge_topples_a_light_board_and_not_a_heavy_one() {
+    let at = EDGE + 0.15;
+    // The board's middle is 10 cm inside of the edge.
+    let threshold = WEIGHT_N * 0.15 / (G * 0.1);
+    for (mass, stands) in [(0.8 * threshold, false), (4.0 * threshold, true)] {
+        let scene = board(mass, 0.1);
+        let landing = task().resolve(&scene).unwrap();
+        let action = over_the_middle(&landing, at);
+        assert!(landing.is_possible(&action));
+        let o = rollout_landing(
+            &RapierFactory,
+            &wash(WashModel::None),
+            &scene,
+            &landing,
+            &action,
+            &RolloutOptions::default(),
+        )
+        .unwrap();
+        assert_eq!(o.is_success(), stands, "{mass} kg: {:?}", o.failure);
+        assert_eq!(o.toppled_s.is_none(), stands);
+        assert!(!o.is_toppled_by_wash(), "there is no wash");
+    }
+}
+
+/// Hovering wash carries the vehicle's weight: a board tips under it where statics says so, with no touch at all.
+#[test]
+fn wash_topples_what_is_below_the_threshold_and_leaves_what_is_above() {
+    // It flies along x over the board's end, 0.5 m beyond the base's middle, and lands on the base's middle from the far side; over
+    // the end of the board the whole stream has a lever of at least 0.2 m for most of a second.
+    let start = LandingTask::new([1.6, 0.0]);
+    let mass = |share: f64| share * WEIGHT_N * 0.15 / (G * 0.1);
+    for model in [WashModel::Jet, WashModel::Sph] {
+        for (share, stands) in [(0.35, false), (3.0, true)] {
+            let scene = board(mass(share), 0.1);
+            let landing = start.resolve(&scene).unwrap();
+            let action = landing.straight(DVec2::ZERO);
+            let o = rollout_landing(
+                &RapierFactory,
+                &wash(model),
+                &scene,
+                &landing,
+                &action,
+                &RolloutOptions::default(),
+            )
+            .unwrap();
+            assert_eq!(o.is_success(), stands, "{model:?} {share}: {:?}", o.failure);
+            assert_eq!(o.is_toppled_by_wash(), !stands);
+            let board = o.bodies.iter().find(|b| b.body == "board").unwrap();
+            assert!(board.wash_peak_n > 0.7 * WEIGHT_N, "{}", board.wash_peak_n);
+            // What it feels in all is at most the thrust for as long as it flies there.
+            assert!(board.wash_impulse_w.z < 0.0 && board.wash_impulse_w.z > -1.6 * WEIGHT_N * o.end_s);
+        }
+    }
+}
+
+#[test]
+fn worlds_repeat_themselves_and_searches_end_early_with_the_same_verdict() {
+    let scene = board(1.0, 0.12);
+    let landing = LandingTask::new([1.6, 0.0]).resolve(&scene).unwrap();
+    let air = wash(WashModel::Jet);
+    let options = landing.world_options();
+    let mut world =
+        LandingWorld::new(&RapierFactory, &options, &scene, &landing, landing.structure(), &air).unwrap();
+    let action = landing.straight(DVec2::ZERO);
+    let all = RolloutOptions::default();
+    let first = world.fly(&action, &all).unwrap();
+    assert!(world.is_reusable());
+    let other = world.fly(&over_the_middle(&landing, -0.05), &all).unwrap();
+    assert_ne!(first, other);
+    assert_eq!(world.fly(&action, &all).unwrap(), first);
+    assert!(!first.is_success());
+    let short = world.fly(&action, &RolloutOptions { enough: Some(1.0), ..all }).unwrap();
+    assert!(short.end_s < first.end_s && !short.is_success());
+    assert_eq!((short.score(1.0), first.score(1.0)), (1.0, 1.0));
+}
+
+/// Few rollouts, with everything that a plan goes through.
+fn quick() -> LandingSettings {
+    let sph = sms_wash::SphSettings { spacing: 0.04, ..sms_wash::SphSettings::default() };
+    LandingSettings {
+        screening: 24,
+        candidates: 4,
+        jet_worlds: 2,
+        refine: 2,
+        polish_starts: 1,
+        polish: 2,
+        finalists: 2,
+        worlds: 2,
+        forecast_worlds: 2,
+        sph,
+        ..LandingSettings::default()
+    }
+}
+
+fn plan_with(threads: usize) -> sms_landing::LandingPlanOutcome {
+    let scene = board(1.2, 0.12);
+    let landing = LandingTask::new([1.6, 0.3]).resolve(&scene).unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        plan_landing(
+            &landing,
+            &scene,
+            &RapierFactory,
+            &quick(),
+            Seed(3),
+            &NoProgress,
+            &Cancel::new(),
+            &Warnings::new(),
+        )
+    })
+    .unwrap()
+}
+
+#[test]
+fn plans_land_and_do_not_depend_on_threads() {
+    let planned = plan_with(1);
+    assert_eq!(plan_with(3), planned);
+    let plan = &planned.plan;
+    assert!(plan.nominal.is_success(), "{:?}", plan.nominal.failure);
+    let e = plan.evaluations;
+    assert_eq!((e.jet, e.sph), (24 + 4 * 2, 2 + 2 + 2 * 2 + 2 + 1));
+    assert_eq!(planned.trials.len(), e.jet + e.sph - 1);
+    assert_eq!(plan.predicted.as_ref().unwrap().worlds, 2);
+    // Straight over the overhang it would have toppled.
+    let scene = board(1.2, 0.12);
+    let straight = plan.landing().straight(plan.action.landing());
+    let o = rollout_landing(
+        &RapierFactory,
+        &wash(WashModel::Jet),
+        &scene,
+        &plan.landing(),
+        &straight,
+        &RolloutOptions::default(),
+    )
+    .unwrap();
+    assert!(!o.is_success());
+    let dir = tempfile::tempdir().unwrap();
+    plan.save(dir.path()).unwrap();
+    assert_eq!(&LandingPlan::load(dir.path()).unwrap(), plan);
+}
+
+#[test]
+fn a_cancelled_plan_says_so() {
+    let scene = board(3.0, 0.1);
+    let landing = task().resolve(&scene).unwrap();
+    let cancel = Cancel::new();
+    cancel.cancel();
+    let e = plan_landing(
+        &landing,
+        &scene,
+        &RapierFactory,
+        &quick(),
+        Seed(1),
+        &NoProgress,
+        &cancel,
+        &Warnings::new(),
+    )
+    .unwrap_err();
+    assert!(matches!(e, LandingError::Core(sms_core::CoreError::Interrupted)), "{e}");
+}
