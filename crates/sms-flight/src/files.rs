@@ -35,7 +35,7 @@ impl FlightFiles {
     /// # Errors
     /// [`InputError`] that names the key and what is allowed.
     pub fn validate(&self) -> Result<(), InputError> {
-        let r = Ranges::of("flight_files");
+        let r = Ranges::of("flight");
         r.within("period_s", self.period_s, 0.001, 0.5)?;
         r.within("ground_m", self.ground_m, -1e3, 1e3)?;
         r.within("east_yaw", self.east_yaw, -10.0, 10.0)?;
