@@ -93,7 +93,7 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     finish(context, &landing_metrics(&found), Some(&a.out.join("results.json")), text.trim_end())
 }
 
-fn bench<'a>(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'a>> {
+fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut scenes = a.scenes.clone();
     if scenes.is_empty() {
@@ -145,10 +145,10 @@ fn bench<'a>(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench
 }
 
 /// A chooser among the candidates of geometry; it chooses nothing where there are none.
-fn baseline<'a>(
+fn baseline(
     name: &str,
-    choose: impl Fn(&Sites, &ResolvedLanding, &ApproachSettings, Seed) -> Choice + Sync + 'a,
-) -> LandingBaseline<'a> {
+    choose: impl Fn(&Sites, &ResolvedLanding, &ApproachSettings, Seed) -> Choice + Sync + 'static,
+) -> LandingBaseline<'static> {
     let choose = move |landing: &ResolvedLanding, scene: &Scene, seed: Seed| -> Result<_, BenchError> {
         let limits = landing.task().surface;
         let settings = SiteSettings {
