@@ -13,13 +13,15 @@ use sms_sim::{
     BodyId, BodyState, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions, wash_surfaces,
 };
 use sms_task::{BodyTrack, Trajectory};
-use sms_wash::{Flight, Rotor, VehicleState, WashSettings};
+use sms_wash::{Flight, Rotor, VehicleState, WashModel, WashSettings};
 
 /// A world stands so long before it is used, seconds: contacts find their forces.
 const SETTLE_S: f64 = 0.25;
 /// The simulation begins when the vehicle's centre comes this close to the box around the structure, seen from above, metres: no
 /// stream reaches it from farther away.
 const NEAR_M: f64 = 0.5;
+/// Steps for which the wrenches of streams are held: at 0.7 m/s the vehicle flies 7 mm in 10 ms.
+const HOLD: usize = 4;
 /// A change of velocity in a step that is not gravity's, by which the vehicle notes that it touches something, m/s.
 const TOUCH_SPEED: f64 = 0.02;
 /// Nothing changes any more when no body has been faster than this for a while: m/s, rad/s, seconds.
@@ -64,6 +66,8 @@ pub struct LandingWorld {
     rotors: Vec<Rotor>,
     hover: Vec<f64>,
     gravity: DVec3,
+    /// Steps for which the air's wrenches are held.
+    hold: usize,
     used: bool,
     can_restore: bool,
 }
@@ -121,6 +125,8 @@ impl LandingWorld {
             rotors: vehicle.propellers(),
             hover: vehicle.hover_thrusts(scene.gravity_w.length()),
             gravity: scene.gravity_w,
+            // Particles move as far as they can in a step; streams without memory change as slowly as the vehicle flies.
+            hold: if wash.model == WashModel::Sph { 1 } else { HOLD },
             used: false,
             can_restore: false,
         };
@@ -213,7 +219,7 @@ impl LandingWorld {
             self.record(log, options, t, Some(flight));
             let state = BodyState { x_wb: now.x_wv, v_w: now.v_w, w_w: DVec3::ZERO };
             self.simulation.set_state(self.vehicle, &state);
-            self.advance(&state, &thrusts, dt, log)?;
+            self.advance(&state, &thrusts, dt, (step - first).is_multiple_of(self.hold), log)?;
             step += 1;
             let bodies = self.note(log, &success, step as f64 * dt);
             if enough(&bodies) {
@@ -234,7 +240,7 @@ impl LandingWorld {
             let t = cut_s + k as f64 * dt;
             self.record(log, options, t, None);
             let state = self.simulation.state(self.vehicle);
-            self.advance(&state, &off, dt, log)?;
+            self.advance(&state, &off, dt, true, log)?;
             let bodies = self.note(log, &success, t + dt);
             let is_over = enough(&bodies) || self.is_still(log, dt);
             if is_over && options.recording.is_none() {
@@ -247,12 +253,13 @@ impl LandingWorld {
         Ok(self.outcome(log, bodies, standing_w, Some(cut_s), touched_early, end_s))
     }
 
-    /// One step of the air and of the bodies.
+    /// One step of the bodies, with the air's wrenches of now, or of the last step where they are not `fresh`.
     fn advance(
         &mut self,
         vehicle: &BodyState,
         thrusts: &[f64],
         dt: f64,
+        fresh: bool,
         log: &mut Log,
     ) -> Result<(), SimError> {
         let blows = thrusts.iter().any(|t| *t > 0.0);
@@ -260,7 +267,16 @@ impl LandingWorld {
             return self.simulation.advance(dt);
         };
         let now = VehicleState { x_wv: vehicle.x_wb, v_w: vehicle.v_w, rotors: &self.rotors, thrusts };
-        wash.advance(&mut self.simulation, &now, dt)?;
+        if fresh {
+            wash.advance(&mut self.simulation, &now, dt)?;
+        } else {
+            for (body, wrench) in wash.wrenches().iter().enumerate() {
+                if wrench.force_w != DVec3::ZERO {
+                    self.simulation.apply_wrench(body, wrench.force_w, wrench.torque_w);
+                }
+            }
+            self.simulation.advance(dt)?;
+        }
         for (i, (_, id)) in self.structure.iter().enumerate() {
             let force_w = wash.wrenches()[*id].force_w;
             log.impulses_w[i] += dt * force_w;

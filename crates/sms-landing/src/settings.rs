@@ -65,9 +65,9 @@ pub struct LandingSettings {
 impl Default for LandingSettings {
     fn default() -> Self {
         Self {
-            screening: 160,
-            candidates: 16,
-            jet_worlds: 6,
+            screening: 300,
+            candidates: 24,
+            jet_worlds: 8,
             refine: 6,
             polish_starts: 1,
             polish: 6,

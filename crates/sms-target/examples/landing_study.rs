@@ -121,9 +121,9 @@ fn cost(case: &Case) -> Result<(), Failed> {
     Ok(())
 }
 
-fn plan(case: &Case, target: Option<&dyn Target>, seed: u64) -> Result<bool, Failed> {
+fn plan(case: &Case, target: Option<&dyn Target>, seed: u64, draft: bool) -> Result<bool, Failed> {
     let (cpu, wall) = (cpu_s(), Instant::now());
-    let settings = LandingSettings::default();
+    let settings = if draft { LandingSettings::draft() } else { LandingSettings::default() };
     let planned = plan_landing(
         &case.landing,
         &case.scene,
@@ -215,7 +215,7 @@ fn main() -> Result<(), Failed> {
                     println!("  random: {text}");
                     ok
                 }
-                "plan" => plan(&case, target, seed)?,
+                "plan" => plan(&case, target, seed, value("draft").is_some())?,
                 _ => return Err(format!("what is `{what}`?").into()),
             });
         }

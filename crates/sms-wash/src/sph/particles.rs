@@ -92,10 +92,12 @@ impl Particles {
 
     /// Takes over state (places, velocities, ages) without giving up memory.
     pub(super) fn copy_from(&mut self, other: &Self) {
-        self.resize(other.len);
+        let len = other.len;
+        self.resize(len);
+        // Without what pads: where nothing ever was, there is no padding.
         for axis in 0..3 {
-            self.x[axis].copy_from_slice(&other.x[axis]);
-            self.v[axis].copy_from_slice(&other.v[axis]);
+            self.x[axis][..len].copy_from_slice(&other.x[axis][..len]);
+            self.v[axis][..len].copy_from_slice(&other.v[axis][..len]);
         }
         self.age.copy_from_slice(&other.age);
     }
@@ -103,5 +105,21 @@ impl Particles {
     /// Sum of all velocities.
     pub(super) fn velocity_sum(&self) -> [f64; 3] {
         std::array::from_fn(|a| self.v[a][..self.len].iter().map(|v| f64::from(*v)).sum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn air_in_which_nothing_ever_was_can_be_returned_to() {
+        let (mut air, none) = (Particles::with_capacity(4), Particles::default());
+        air.push([0.1; 3], [1.0; 3], 0.0);
+        air.copy_from(&none);
+        assert_eq!(air.len(), 0);
+        let mut saved = Particles::default();
+        saved.copy_from(&Particles::with_capacity(4));
+        assert_eq!(saved.velocity_sum(), [0.0; 3]);
     }
 }
