@@ -351,3 +351,125 @@ fn prediction_text(p: &LandingPrediction) -> String {
         invalid
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::box_mass_properties;
+    use sms_landing::{BodyChange, LandingEvaluations, LandingFailure, LandingTask};
+    use sms_sim::BodyState;
+    use sms_task::BodyTrack;
+
+    fn scene() -> Scene {
+        let half = DVec3::new(0.4, 0.3, 0.3);
+        let table = Body {
+            name: "table".into(),
+            kind: BodyKind::Dynamic,
+            x_wb: DPose3::from_translation(DVec3::Z * 0.3),
+            shape: BodyShape::Box { half_extents: half },
+            visual: Mesh::cuboid(half),
+            mass: Some(box_mass_properties(half, 300.0).unwrap()),
+            ..sms_scene::floor_body(0.0, sms_scene::example_material())
+        };
+        Scene {
+            version: sms_scene::SCENE_VERSION,
+            name: "table".into(),
+            gravity_w: DVec3::NEG_Z * 9.81,
+            x_world_recording: DPose3::IDENTITY,
+            bodies: vec![sms_scene::floor_body(0.0, sms_scene::example_material()), table],
+        }
+    }
+
+    fn outcome(body: &str, moved_m: f64, failure: Option<LandingFailure>) -> LandingOutcome {
+        let state = |p_w: DVec3| BodyState {
+            x_wb: DPose3::from_translation(p_w),
+            v_w: DVec3::ZERO,
+            w_w: DVec3::ZERO,
+        };
+        let track = |name: &str, from: DVec3, to: DVec3| BodyTrack {
+            name: name.into(),
+            states: vec![state(from), state(to)],
+        };
+        let change = BodyChange {
+            body: body.into(),
+            moved_m,
+            turned_rad: 0.0,
+            wash_impulse_w: DVec3::ZERO,
+            wash_peak_n: 7.25,
+        };
+        LandingOutcome {
+            engine: "e".into(),
+            wash: "sph".into(),
+            objective: Some(moved_m),
+            failure,
+            bodies: vec![change],
+            landing_error_m: 0.012,
+            tilt_rad: 0.0,
+            speed: 0.0,
+            cut_s: Some(2.0),
+            touched_early: false,
+            toppled_s: None,
+            end_s: 3.0,
+            trajectory: Trajectory {
+                times_s: vec![0.0, 3.0],
+                bodies: vec![
+                    track(body, DVec3::Z * 0.3, DVec3::new(moved_m, 0.0, 0.3)),
+                    track(QUADROTOR, DVec3::new(2.0, 0.0, 1.0), DVec3::new(0.1, 0.0, 0.65)),
+                ],
+            },
+            particles: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_picture_and_the_tables_tell_planned_from_realised() {
+        let scene = scene();
+        let landing = LandingTask::new([2.0, 0.0]).resolve(&scene).unwrap();
+        let plan = LandingPlan {
+            task: landing.task().clone(),
+            engine: "rapier".into(),
+            vehicle: landing.vehicle().clone(),
+            surface: landing.surface().clone(),
+            structure: landing.structure().to_vec(),
+            parameters: landing.parameters(),
+            action: landing.straight(DVec2::new(0.1, 0.0)),
+            nominal: outcome("table", 0.0, None),
+            predicted: None,
+            alternatives: Vec::new(),
+            evaluations: LandingEvaluations::default(),
+        };
+        let there = outcome(
+            "true_table",
+            0.2,
+            Some(LandingFailure::Moved { body: "true_table".into(), moved_m: 0.2 }),
+        );
+        let matches = [("table".to_owned(), "true_table".to_owned())];
+        let realised =
+            LandingRealised { engine: "physx", outcome: &there, second_opinion: None, matches: &matches };
+        let planned_alone = LandingInput { plan: &plan, realised: None };
+        let input = LandingInput { realised: Some(realised), ..planned_alone };
+
+        let both = landing_svg(&scene, &input).unwrap();
+        let alone = landing_svg(&scene, &planned_alone).unwrap();
+        assert!(both.contains("planned") && both.contains("blown at") && both.contains(">table<"));
+        // The vehicle, its way, and the table where it went.
+        assert_eq!(both.matches("polyline").count(), alone.matches("polyline").count() + 3);
+        let html = landing_section(&input);
+        assert!(
+            html.contains("7.2 N") && html.contains("20.00 cm, 0.0°") && html.contains("was moved by 20 cm"),
+            "{html}"
+        );
+        assert_eq!(predicted_card(&plan).0, "success");
+
+        let shown = with_vehicle(&scene, Some(&input));
+        let vehicle = shown.body(QUADROTOR).unwrap();
+        assert!(
+            vehicle.x_wb.translation.distance(DVec3::new(2.0, 0.0, 1.0)) < 1e-9,
+            "{}",
+            vehicle.x_wb.translation
+        );
+        assert_eq!(with_vehicle(&scene, None).bodies.len(), 2);
+        assert_eq!(planner_name(&matches, "true_table").as_deref(), Some("table"));
+        assert_eq!(planner_name(&matches, QUADROTOR).as_deref(), Some(QUADROTOR));
+    }
+}
