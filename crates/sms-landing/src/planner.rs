@@ -8,7 +8,7 @@ use crate::{
 };
 use sms_core::{Cancel, Progress, Seed, Warnings};
 use sms_plan::{Halton, LocalSearch, NelderMead, Phase, Trial};
-use sms_scene::Scene;
+use sms_scene::{BodyKind, Scene};
 use sms_sim::WorldFactory;
 use sms_wash::{WashModel, WashSettings};
 use std::path::Path;
@@ -130,7 +130,7 @@ pub fn plan_landing(
         alternatives: found[1..].iter().map(Candidate::alternative).collect(),
         evaluations: planning.evaluations,
     };
-    warn(&plan, warnings);
+    warn(&plan, scene, warnings);
     Ok(LandingPlanOutcome { plan, trials: planning.trials })
 }
 
@@ -298,7 +298,16 @@ fn trial(phase: Phase, start: i32, iteration: usize, action: LandingAction, scor
     Trial::new(phase, start, iteration as i32, action.values(), score)
 }
 
-fn warn(plan: &LandingPlan, warnings: &Warnings) {
+fn warn(plan: &LandingPlan, scene: &Scene, warnings: &Warnings) {
+    let platform = &plan.surface.body;
+    if scene.body(platform).is_some_and(|b| b.kind == BodyKind::Static) {
+        warnings.add(
+            "plan",
+            "platform_fixed",
+            format!("`{platform}` is fixed in the scene: nothing can topple it, whatever the vehicle does"),
+            "look at its reconstruction: what does not rest by itself, or is taken for background, is fixed",
+        );
+    }
     if let Some(failure) = &plan.nominal.failure {
         warnings.add(
             "plan",

@@ -20,7 +20,7 @@ const SETTLE_S: f64 = 0.25;
 /// The simulation begins when the vehicle's centre comes this close to the box around the structure, seen from above, metres: no
 /// stream reaches it from farther away.
 const NEAR_M: f64 = 0.5;
-/// Steps for which the wrenches of streams are held: at 0.7 m/s the vehicle flies 7 mm in 10 ms.
+/// Steps for which the wrenches of streams are held: at 0.5 m/s the vehicle flies 5 mm in 10 ms.
 const HOLD: usize = 4;
 /// A change of velocity in a step that is not gravity's, by which the vehicle notes that it touches something, m/s.
 const TOUCH_SPEED: f64 = 0.02;

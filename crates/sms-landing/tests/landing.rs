@@ -151,7 +151,7 @@ fn the_vehicle_falls_freely_from_the_cut_height_and_stands() {
     assert!(outcome.landing_error_m < 5e-3 && outcome.objective.unwrap() < 0.02, "{outcome:?}");
     assert!(!outcome.touched_early);
     let cut_s = outcome.cut_s.unwrap();
-    let flown_s = 1.5 / 0.7 + 0.3 / 0.3;
+    let flown_s = 1.5 / 0.5 + 0.3 / 0.3;
     assert!((cut_s - flown_s).abs() < 0.003, "{cut_s}");
     let track = outcome.trajectory.body(QUADROTOR).unwrap();
     // 0.3 t + g t²/2 = 0.05: the fastest moment is the touchdown.
@@ -216,7 +216,9 @@ fn wash_topples_what_is_below_the_threshold_and_leaves_what_is_above() {
             assert_eq!(o.is_success(), stands, "{model:?} {share}: {:?}", o.failure);
             assert_eq!(o.is_toppled_by_wash(), !stands);
             let board = o.bodies.iter().find(|b| b.body == "board").unwrap();
-            assert!(board.wash_peak_n > 0.7 * WEIGHT_N, "{}", board.wash_peak_n);
+            // Above its middle it feels the whole vehicle; to topple it takes what statics says, at the end.
+            let least = if stands { 0.9 * WEIGHT_N } else { mass(share) * G * 0.1 / 0.3 };
+            assert!(board.wash_peak_n > least, "{model:?} {share}: {} N", board.wash_peak_n);
             // What it feels in all is at most the thrust for as long as it flies there.
             assert!(board.wash_impulse_w.z < 0.0 && board.wash_impulse_w.z > -1.6 * WEIGHT_N * o.end_s);
         }
@@ -307,6 +309,29 @@ fn plans_land_and_do_not_depend_on_threads() {
     let dir = tempfile::tempdir().unwrap();
     plan.save(dir.path()).unwrap();
     assert_eq!(&LandingPlan::load(dir.path()).unwrap(), plan);
+}
+
+#[test]
+fn a_plan_on_something_fixed_warns() {
+    let mut scene = board(3.0, 0.1);
+    scene.bodies[2].kind = BodyKind::Static;
+    scene.bodies[2].mass = None;
+    let landing = task().resolve(&scene).unwrap();
+    assert_eq!(landing.structure(), ["base"]);
+    let (warnings, settings) = (Warnings::new(), LandingSettings { worlds: 0, polish_starts: 0, ..quick() });
+    let planned = plan_landing(
+        &landing,
+        &scene,
+        &RapierFactory,
+        &settings,
+        Seed(1),
+        &NoProgress,
+        &Cancel::new(),
+        &warnings,
+    )
+    .unwrap();
+    assert!(planned.plan.nominal.is_success() && planned.plan.predicted.is_none());
+    assert!(warnings.snapshot().iter().any(|w| w.code == "platform_fixed"));
 }
 
 #[test]

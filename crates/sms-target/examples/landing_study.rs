@@ -1,7 +1,8 @@
 //! Landings on the fixed structures with true geometry: what rollouts cost, what toppled, what plans are worth.
 //!
 //! `landing_study WHAT SCENES STARTS [key=value …]` with WHAT one of `cost`, `over`, `straight`, `random`, `plan`; SCENES such as
-//! `1,3`, STARTS such as `0,5`. Keys: `engine`, `seed`, `target` (0: the planner's world alone).
+//! `1,3`, STARTS such as `0,5`. Keys: `engine`, `seed`, `target` (0: the planner's world alone), `speed` (m/s), `slide` (metres by which
+//! the overhang is longer), `draft`, `spacing` (metres: of the planner's particles, of which the target's is half).
 
 use glamx::DVec2;
 use rand::RngExt;
@@ -29,37 +30,42 @@ fn cpu_s() -> f64 {
 }
 
 struct Case {
+    /// Spacing of the planner's particles, of which the target's is half.
+    spacing: Option<f64>,
     truth: TruthScene,
     scene: Scene,
     landing: ResolvedLanding,
 }
 
 impl Case {
-    fn new(truth: TruthScene, start_w: DVec2) -> Result<Self, Failed> {
+    fn new(truth: TruthScene, start_w: DVec2, speed: Option<f64>) -> Result<Self, Failed> {
         let scene = scene_from_truth(&truth)?;
-        let landing = LandingTask::new(start_w.to_array()).resolve(&scene)?;
-        Ok(Self { truth, scene, landing })
+        let mut task = LandingTask::new(start_w.to_array());
+        task.flight.speed = speed.unwrap_or(task.flight.speed);
+        let landing = task.resolve(&scene)?;
+        Ok(Self { spacing: None, truth, scene, landing })
     }
 
-    fn at_start(number: usize, start: usize) -> Result<Self, Failed> {
-        let truth = LandingStructure::ALL[number - 1].fixed();
-        let start_w = truth.landing.as_ref().ok_or("no landing scene")?.starts_w[start];
-        Self::new(truth, start_w.truncate())
+    fn at_start(number: usize, start: usize, speed: Option<f64>, slide: f64) -> Result<Self, Failed> {
+        let mut truth = LandingStructure::ALL[number - 1].fixed();
+        let landing = truth.landing.as_ref().ok_or("no landing scene")?;
+        let (start_w, along) = (landing.starts_w[start], DVec2::from(landing.overhang_w));
+        truth.objects[1..].iter_mut().for_each(|o| o.x_wb.translation += (along * slide).extend(0.0));
+        Self::new(truth, start_w.truncate(), speed)
     }
 
-    /// A place on the middle line where statics lets the most weight be put.
+    /// Where the vehicle fits and is nearest to the middle of the base.
     fn safest(&self) -> DVec2 {
-        let load = |p: &DVec2| self.truth.tipping_load_n(*p).unwrap_or(0.0).min(1e3);
-        let middle = DVec2::from(self.landing.surface().center_w);
-        let rank = |p: &DVec2| load(p) - 10.0 * p.distance(middle);
-        self.landing.surface().places().max_by(|a, b| rank(a).total_cmp(&rank(b))).unwrap_or(middle)
+        let base = self.truth.objects[0].aabb_w().center().truncate();
+        let off = |p: &DVec2| p.distance(base);
+        self.landing.surface().places().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(base)
     }
 
     fn fly(&self, model: WashModel, action: &LandingAction) -> Result<LandingOutcome, Failed> {
         let wash = WashSettings { model, ..WashSettings::default() };
         let (l, s) = (&self.landing, &self.scene);
         let mut world = LandingWorld::new(&RapierFactory, &l.world_options(), s, l, l.structure(), &wash)?;
-        Ok(world.fly(action, &RolloutOptions::default())?)
+        Ok(world.fly(action, &RolloutOptions { enough: Some(1.0), ..RolloutOptions::default() })?)
     }
 
     fn everywhere(
@@ -72,6 +78,8 @@ impl Case {
         let Some(target) = target else { return Ok((text, sph.is_success())) };
         let options =
             LandingTargetOptions { recording: None, enough: Some(1.0), ..LandingTargetOptions::default() };
+        let mut options = options;
+        options.planner_sph.spacing = self.spacing.unwrap_or(options.planner_sph.spacing);
         let (cpu, wall) = (cpu_s(), Instant::now());
         let done = execute_landing(target, &self.landing, action, &self.scene, &self.truth, &options)?;
         text += &format!(
@@ -165,11 +173,14 @@ fn main() -> Result<(), Failed> {
     let target = if value("target").as_deref() == Some("0") { None } else { Some(engine.target()?) };
     let target = target.as_deref();
     let seed: u64 = value("seed").map_or(Ok(0), |s| s.parse())?;
+    let speed: Option<f64> = value("speed").map(|s| s.parse()).transpose()?;
+    let spacing: Option<f64> = value("spacing").map(|s| s.parse()).transpose()?;
+    let slide: f64 = value("slide").map_or(Ok(0.0), |s| s.parse())?;
     for number in numbers(scenes)? {
         let mut good = 0;
         let starts = numbers(starts)?;
         for &start in &starts {
-            let case = Case::at_start(number, start)?;
+            let case = Case { spacing, ..Case::at_start(number, start, speed, slide)? };
             let s = case.landing.surface();
             println!(
                 "scene {number}, start {start}: `{}` {:.2} m high, places {:.2} × {:.2} m, {} cells, safest bears {:.0} N",
@@ -189,7 +200,7 @@ fn main() -> Result<(), Failed> {
                     // From beyond the end of the overhang, straight over it to the safest place.
                     let along = case.truth.landing.as_ref().ok_or("no landing scene")?.overhang_w;
                     let start_w = case.safest() + 2.0 * DVec2::from(along);
-                    let case = Case::new(case.truth, start_w)?;
+                    let case = Case { spacing, ..Case::new(case.truth, start_w, speed)? };
                     let (text, ok) = case.everywhere(target, &case.landing.straight(case.safest()))?;
                     println!("  straight over the overhang: {text}");
                     ok

@@ -84,7 +84,8 @@ pub struct FlightSettings {
 
 impl Default for FlightSettings {
     fn default() -> Self {
-        Self { speed: 0.7, descent_speed: 0.3, height: 0.35, cut_height: 0.01 }
+        // So slow that it need not brake hard over the platform.
+        Self { speed: 0.5, descent_speed: 0.3, height: 0.35, cut_height: 0.01 }
     }
 }
 
