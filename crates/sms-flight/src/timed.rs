@@ -138,9 +138,12 @@ pub(crate) mod tests {
     use sms_core::table::read_table;
     use sms_wash::{BezierPath, FlightSettings};
 
+    /// m/s.
+    const SPEED: f64 = 0.7;
+
     pub(crate) fn flight() -> Flight {
         let path = BezierPath::approach(DVec3::new(-1.6, 1.2, 1.15), DVec3::new(0.2, -0.1, 0.8), 1.4, 1.2);
-        Flight::new(path, FlightSettings::default()).unwrap()
+        Flight::new(path, FlightSettings { speed: SPEED, ..FlightSettings::default() }).unwrap()
     }
 
     #[test]
@@ -151,9 +154,9 @@ pub(crate) mod tests {
             let dt = pair[1].time_s - pair[0].time_s;
             assert!(dt > 0.0 && dt < 0.05 + 1e-9);
             if pair[0].phase == Phase::Approach {
-                assert!((pair[0].v_w.length() - 0.7).abs() < 1e-9);
+                assert!((pair[0].v_w.length() - SPEED).abs() < 1e-9);
                 // What is flown in a step is what the speed says, but for the curve's bend.
-                assert!((pair[1].p_w.distance(pair[0].p_w) - 0.7 * dt).abs() < 1e-4);
+                assert!((pair[1].p_w.distance(pair[0].p_w) - SPEED * dt).abs() < 1e-4);
             }
         }
         let at = |phase| timed.points.iter().find(|p| p.phase == phase).unwrap();
