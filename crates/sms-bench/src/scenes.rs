@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, HelicalPath, LandingStructure, ModelScene, RecordingSettings, Skin, Structure, TruthScene, bounds_w,
-    generate_billiards, generate_stacked, model_scene, orbit_poses, read_model, record_views,
-    write_recording,
+    BilliardsSettings, FIXED_SCENES, HelicalPath, LandingStructure, ModelScene, RecordingSettings, Skin,
+    Structure, TruthScene, bounds_w, generate_billiards, generate_stacked, model_scene, orbit_poses,
+    read_model, record_views, write_recording,
 };
 use std::fmt;
 use std::path::{Path, PathBuf};

@@ -65,15 +65,15 @@ pub struct LandingSettings {
 impl Default for LandingSettings {
     fn default() -> Self {
         Self {
-            screening: 300,
-            candidates: 24,
-            jet_worlds: 8,
-            refine: 6,
+            screening: 200,
+            candidates: 16,
+            jet_worlds: 6,
+            refine: 4,
             polish_starts: 1,
-            polish: 6,
-            finalists: 4,
-            worlds: 8,
-            forecast_worlds: 8,
+            polish: 4,
+            finalists: 3,
+            worlds: 6,
+            forecast_worlds: 6,
             toppled: 1.0,
             disturbances: LandingDisturbances::default(),
             // Half as many flow lines as the model's default: this one only sorts out.
@@ -84,7 +84,7 @@ impl Default for LandingSettings {
 }
 
 impl LandingSettings {
-    /// A quick plan, of about a third of the rollouts.
+    /// A quick plan, of about half of the rollouts.
     pub fn draft() -> Self {
         Self {
             screening: 96,

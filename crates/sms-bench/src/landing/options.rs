@@ -26,9 +26,8 @@ pub struct LandingBaseline<'a> {
     /// The name ("geometric", "random", "visual_prompting").
     pub name: String,
     /// Chooses a landing in the planner's scene.
-    pub choose: Box<
-        dyn Fn(&ResolvedLanding, &Scene, Seed) -> Result<Option<LandingAction>, BenchError> + Sync + 'a,
-    >,
+    pub choose:
+        Box<dyn Fn(&ResolvedLanding, &Scene, Seed) -> Result<Option<LandingAction>, BenchError> + Sync + 'a>,
 }
 
 /// One flight of the experiment.

@@ -75,11 +75,20 @@ pub fn run_landings(
                     if flight.planned.contains_key(&name) {
                         continue;
                     }
-                    let planned =
-                        carry_out(bench, part, &name, &landing, &seen.scene, &truth, target.as_ref(), cancel)?;
+                    let planned = carry_out(
+                        bench,
+                        part,
+                        &name,
+                        &landing,
+                        &seen.scene,
+                        &truth,
+                        target.as_ref(),
+                        cancel,
+                    )?;
                     if name == OURS {
                         let action = planned.action;
-                        flight.evaluation_s = action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
+                        flight.evaluation_s =
+                            action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
                     }
                     flight.planned.insert(name, planned);
                     atomic::write_json(&bench.file(part), &flight)?;
@@ -249,8 +258,7 @@ fn evaluate(
 ) -> Result<f64, BenchError> {
     let wash = WashSettings { model: WashModel::Sph, stream: bench.settings.jet, sph: bench.settings.sph };
     let options = landing.world_options();
-    let mut world =
-        LandingWorld::new(&RapierFactory, &options, scene, landing, landing.structure(), &wash)?;
+    let mut world = LandingWorld::new(&RapierFactory, &options, scene, landing, landing.structure(), &wash)?;
     let began = Instant::now();
     world.fly(action, &RolloutOptions::default())?;
     Ok(began.elapsed().as_secs_f64())

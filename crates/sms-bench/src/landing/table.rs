@@ -48,11 +48,8 @@ fn baselines(flights: &[LandingFlight]) -> BTreeSet<&str> {
 pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
     let mut metrics = Metrics::new();
     let (class, noisy) = (MaterialsTold::Class, MaterialsTold::Noisy);
-    let scenes: Vec<usize> = LANDING_SCENES
-        .iter()
-        .map(|(n, _)| *n)
-        .filter(|n| flights.iter().any(|f| f.scene == *n))
-        .collect();
+    let scenes: Vec<usize> =
+        LANDING_SCENES.iter().map(|(n, _)| *n).filter(|n| flights.iter().any(|f| f.scene == *n)).collect();
     let mut figures: Vec<(String, Vec<f64>)> = Vec::new();
     for &scene in &scenes {
         let word = structure(scene).map_or("unknown", |s| s.as_str());
@@ -85,10 +82,7 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
         }
     }
     for (key, values) in figures {
-        metrics.set(
-            format!("bench.landing.mean.{key}"),
-            values.iter().sum::<f64>() / values.len() as f64,
-        );
+        metrics.set(format!("bench.landing.mean.{key}"), values.iter().sum::<f64>() / values.len() as f64);
     }
     metrics.set("bench.landing.flights", flights.len() as f64);
     metrics
@@ -207,7 +201,8 @@ mod tests {
         assert_eq!(at("box_on_ladder.noisy_success_rate"), None);
         assert_eq!(at("mean.evaluation_s"), Some(0.8));
         let text = landing_table(&flights);
-        for part in ["ours, materials class", "random (baseline)", "paper, SMS", "scene 2, start 0", "40 cm"] {
+        for part in ["ours, materials class", "random (baseline)", "paper, SMS", "scene 2, start 0", "40 cm"]
+        {
             assert!(text.contains(part), "{text}");
         }
     }
