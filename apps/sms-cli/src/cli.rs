@@ -317,6 +317,33 @@ pub(crate) struct Plan {
     /// (default: the setting `plan.disturbances.worlds`).
     #[arg(long, value_name = "N")]
     pub robust: Option<usize>,
+    /// Who chooses a landing: the search, or a baseline that knows nothing of wash (tasks of the kind `landing` only).
+    #[arg(long, value_enum, value_name = "WHO", default_value_t = ChooserName::Ours)]
+    pub chooser: ChooserName,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ChooserName {
+    /// The search in simulation.
+    Ours,
+    /// The centre of the top face, straight there.
+    Geometric,
+    /// Any of fifteen sites and nine approaches.
+    Random,
+    /// A vision-language model that sees these on a frame (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
+    Visual,
+}
+
+impl ChooserName {
+    /// As metrics name it.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Ours => "ours",
+            Self::Geometric => "geometric",
+            Self::Random => "random",
+            Self::Visual => "visual prompting",
+        }
+    }
 }
 
 #[derive(Debug, Args, Clone)]
@@ -429,6 +456,8 @@ pub(crate) struct View {
 pub(crate) enum DemoName {
     /// Strike the cue ball so that the target ball passes over the goal.
     Billiards,
+    /// Land a quadrotor on a structure that its wash could topple (seeds 1 to 4 are the fixed structures).
+    Landing,
 }
 
 #[derive(Debug, Args, Clone)]
@@ -439,7 +468,7 @@ pub(crate) struct Demo {
     /// Seed of the scene and of everything else.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Folder of the run (default: runs/billiards-SEED).
+    /// Folder of the run (default: runs/NAME-SEED).
     #[arg(long, value_name = "RUN")]
     pub out: Option<PathBuf>,
     /// A smaller recording and less search: about half a minute.

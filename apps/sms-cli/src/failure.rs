@@ -50,6 +50,7 @@ fn is_input_error(error: &anyhow::Error) -> bool {
         PlanError::OutOfReach(_) => true,
         PlanError::Task(TaskError::Input(_)) => true,
         TargetError::Task(TaskError::Input(_)) => true,
+        TargetError::Landing(e) => e.input().is_some(),
     );
     error.downcast_ref::<InputError>().is_some()
 }
@@ -57,6 +58,7 @@ fn is_input_error(error: &anyhow::Error) -> bool {
 fn core_error(error: &anyhow::Error) -> Option<&CoreError> {
     use sms_entities::EntitiesError;
     use sms_gaussians::ScanError;
+    use sms_landing::LandingError;
     use sms_masks::MasksError;
     use sms_plan::PlanError;
     use sms_report::{EvaluateError, ReportError};
@@ -73,6 +75,8 @@ fn core_error(error: &anyhow::Error) -> Option<&CoreError> {
         PlanError::Core(core) => Some(core),
         PlanError::Task(TaskError::Core(core)) => Some(core),
         TargetError::Task(TaskError::Core(core)) => Some(core),
+        LandingError::Core(core) => Some(core),
+        TargetError::Landing(LandingError::Core(core)) => Some(core),
         EvaluateError::Core(core) => Some(core),
         ReportError::Core(core) => Some(core),
     );

@@ -3,8 +3,10 @@
 use serde::{Serialize, de::DeserializeOwned};
 use sms_core::{InputError, atomic};
 use sms_entities::EntitiesConfig;
+use sms_flight::FlightFiles;
 use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::ScanConfig;
+use sms_landing::LandingSettings;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
@@ -47,6 +49,8 @@ sections! {
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
     "vlm": VlmConfig, "vision-language model that is asked for materials";
     "plan": PlanConfig, "search of an action";
+    "landing": LandingSettings, "search of a landing";
+    "flight": FlightFiles, "files of a planned flight, and where the vehicle is armed";
     "robot": RobotConfig, "the arm that strikes, and where it stands";
     "evaluate": EvaluateSettings, "comparison with known models";
 }
@@ -70,8 +74,15 @@ validated!(
     EntitiesConfig,
     VlmConfig,
     RobotConfig,
-    EvaluateSettings
+    EvaluateSettings,
+    FlightFiles
 );
+
+impl Section for LandingSettings {
+    fn validate(&self) -> Result<(), InputError> {
+        Self::validate(self, Path::new("[landing]"))
+    }
+}
 
 impl Section for PlanConfig {
     fn validate(&self) -> Result<(), InputError> {

@@ -8,6 +8,7 @@ use crate::environment;
 use crate::grid::{PointGrid, quantile};
 use crate::recognise::{recognise_sphere, sunk};
 use crate::sphere::SphereFit;
+use crate::stack;
 use crate::support::{self, Carrier, Rest, Surroundings};
 use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
@@ -116,6 +117,7 @@ pub fn build_entities(
         let message = format!("`{a}` and `{b}` overlapped by {:.1} mm; {fate}", 1e3 * overlap.depth);
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
     }
+    stack::close_gaps(&mut entities, support_height.unwrap_or(0.0), config.convex.max_vertices);
     for (entity, before) in entities.iter().zip(before) {
         let lost = 1.0 - solid(entity) / before;
         if lost > 0.1 {

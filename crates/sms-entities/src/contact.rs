@@ -109,7 +109,7 @@ fn move_apart(a: &mut Entity, b: &mut Entity, b_from_a: DVec3) {
     }
 }
 
-fn translate(entity: &mut Entity, by: DVec3) {
+pub(crate) fn translate(entity: &mut Entity, by: DVec3) {
     match &mut entity.shape {
         EntityShape::Sphere { center_w, .. } => *center_w += by,
         EntityShape::Box { x_ws, .. } | EntityShape::Cylinder { x_ws, .. } => x_ws.translation += by,
@@ -139,7 +139,7 @@ fn give_up_smaller(a: &mut Entity, i: usize, b: &mut Entity, j: usize) {
 }
 
 /// Exact solids keep their shape; hulls give way to them.
-fn is_exact(entity: &Entity) -> bool {
+pub(crate) fn is_exact(entity: &Entity) -> bool {
     entity.shape.is_primitive()
 }
 

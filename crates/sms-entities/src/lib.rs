@@ -52,6 +52,7 @@ mod recognise;
 mod refine;
 mod save;
 mod sphere;
+mod stack;
 mod support;
 mod surface;
 mod texture;

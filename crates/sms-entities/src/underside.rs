@@ -121,7 +121,7 @@ fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
 }
 
 /// Convex outline, counter-clockwise (Andrew's monotone chain).
-fn convex_outline(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+pub(crate) fn convex_outline(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
     sorted.dedup();

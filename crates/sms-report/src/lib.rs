@@ -17,6 +17,7 @@ mod colormap;
 mod evaluate;
 mod figures;
 mod forecast;
+mod landing;
 #[cfg(feature = "rerun")]
 mod live;
 mod page;
@@ -37,6 +38,7 @@ pub use evaluate::{
     evaluate_object, read_known_objects,
 };
 pub use figures::ViewPair;
+pub use landing::{LandingInput, LandingRealised};
 #[cfg(feature = "rerun")]
 pub use live::{LiveError, LiveScan, Viewer};
 pub use page::{LossPoint, ReportError, ReportInput, write_report};

@@ -2,12 +2,14 @@
 
 use crate::figures::{ViewPair, view_rows};
 use crate::forecast::forecast_section;
+use crate::landing::{LandingInput, landing_section, landing_svg, predicted_card, verdict};
 use crate::shot::shot_svg;
 use crate::view3d::view_data;
+use base64::Engine;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, Warning, atomic, length_text};
+use sms_core::{ColorImage, CoreError, Warning, atomic, length_text, write_png_color};
 use sms_gaussians::GaussianModel;
 use sms_plan::Plan;
 use sms_scene::{BodyKind, BodyShape, Scene};
@@ -59,6 +61,10 @@ pub struct ReportInput<'a> {
     pub plan: Option<&'a Plan>,
     /// The execution in the target world.
     pub execution: Option<&'a Execution>,
+    /// A landing, in the place of plan and execution.
+    pub landing: Option<LandingInput<'a>>,
+    /// Pictures of the choice, with what they show: what was put to a vision-language model.
+    pub pictures: Vec<(String, ColorImage)>,
     /// Goal on the floor, metres.
     pub goal_w: Option<[f64; 2]>,
     /// Half extents of the striker's box, metres.
@@ -81,22 +87,28 @@ pub struct ReportInput<'a> {
 /// [`ReportError::Core`] when a file cannot be written.
 pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, ReportError> {
     let views = view_rows(&input.views, dir)?;
-    let shot = shot_svg(input);
+    let (file, shot) = match (&input.landing, input.scene) {
+        (Some(landing), Some(scene)) => ("landing.svg", landing_svg(scene, landing)),
+        _ => ("shot.svg", shot_svg(input)),
+    };
     if let Some(svg) = &shot {
-        atomic::write_bytes(&dir.join("shot.svg"), svg.as_bytes())?;
+        atomic::write_bytes(&dir.join(file), svg.as_bytes())?;
     }
+    let pictures = choice_pictures(&input.pictures, dir)?;
     // `</` inside a script element would end it.
     let data = view_data(input).to_string().replace("</", "<\\/");
     let missing = |what: &str, command: &str| {
         format!("<p class=\"missing\">No {what} in this run yet: <code>sms {command}</code> makes it.</p>")
     };
-    let parts: [(&str, String); 15] = [
+    let parts: [(&str, String); 17] = [
         ("title", escape(&input.title)),
         ("subtitle", escape(&input.subtitle)),
         ("style", STYLE.to_owned()),
         ("cards", cards(input)),
         ("shot", shot.unwrap_or_else(|| missing("scene", "simulate RUN"))),
-        ("plan", plan_section(input)),
+        ("from_above", if input.landing.is_some() { "The approach" } else { "The shot" }.to_owned()),
+        ("plan", input.landing.as_ref().map_or_else(|| plan_section(input), landing_section)),
+        ("pictures", pictures),
         ("forecast", forecast_section(input.plan, input.execution)),
         ("objects", objects_table(input)),
         ("views", if views.is_empty() { missing("rendered views", "scan DIR --out RUN") } else { views }),
@@ -170,6 +182,17 @@ fn cards(input: &ReportInput<'_>) -> String {
         let note = format!("{verdict}{rank}; in {}; chaos floor {}", e.engine, length_text(e.chaos_floor));
         card(&mut html, "Realised miss", &length_text(e.objective), &note, class);
     }
+    if let Some(landing) = &input.landing {
+        let (value, note) = predicted_card(landing.plan);
+        card(&mut html, "Predicted", &value, &note, "main");
+        if let Some(r) = landing.realised {
+            let (class, value) =
+                if r.outcome.is_success() { ("main good", "landed") } else { ("main bad", "failed") };
+            let text =
+                if r.outcome.is_success() { String::new() } else { format!("{}; ", verdict(r.outcome)) };
+            card(&mut html, "Realised", value, &format!("{text}in {}", r.engine), class);
+        }
+    }
     if let Some(psnr) = m("scan.holdout_psnr_db").or(m("scan.train_psnr_db")) {
         let held = m("scan.holdout_psnr_db").is_some();
         let note = if held { "views kept out of training" } else { "training views" };
@@ -196,6 +219,28 @@ fn cards(input: &ReportInput<'_>) -> String {
         card(&mut html, "Time", &format!("{seconds:.0} s"), "scan, materialize, plan", "");
     }
     html
+}
+
+/// Writes the pictures as `choice_N.png` and returns the section that shows them; empty without any.
+fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<String, CoreError> {
+    if pictures.is_empty() {
+        return Ok(String::new());
+    }
+    let mut html = String::from("<section><h2>What was chosen from</h2><div class=\"columns\">");
+    for (k, (text, image)) in pictures.iter().enumerate() {
+        let path = dir.join(format!("choice_{}.png", k + 1));
+        write_png_color(&path, image)?;
+        let bytes = std::fs::read(&path).map_err(CoreError::read(&path))?;
+        let data = base64::engine::general_purpose::STANDARD.encode(bytes);
+        let text = escape(text);
+        let _ = write!(
+            html,
+            "<figure><img style=\"max-width:100%\" alt=\"{text}\" src=\"data:image/png;base64,{data}\">\
+             <figcaption>{text}</figcaption></figure>"
+        );
+    }
+    html.push_str("</div></section>");
+    Ok(html)
 }
 
 fn plan_section(input: &ReportInput<'_>) -> String {

@@ -3,8 +3,9 @@
 //! Timelines: `step` (training steps; what the viewer opens on, so that curves, pictures and scene are all there),
 //! `time` (seconds of the shot) and `frame` (of the recording). Entities: `world/camera` (images, depth, labels, as
 //! observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as predicted), `world/realised/*`,
-//! `world/paths/*`, `losses/*`.
+//! `world/paths/*`, `world/air` (particles of a landing's wash), `losses/*`.
 
+use crate::landing::{planner_name, with_vehicle};
 use crate::page::ReportInput;
 use crate::rerun_parts::{APPLICATION, Logged, Points, color_image, depth_image, pinhole, transform};
 use rerun::blueprint::{
@@ -14,6 +15,7 @@ use rerun::blueprint::{
 use rerun::{RecordingStream, RecordingStreamBuilder};
 use sms_core::Mesh;
 use sms_core::glamx::DVec3;
+use sms_landing::ParticleFrame;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_task::Trajectory;
 use std::path::{Path, PathBuf};
@@ -66,6 +68,7 @@ fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     log_views(rec, input)?;
     log_gaussians(rec, input)?;
     if let Some(scene) = input.scene {
+        let scene = &*with_vehicle(scene, input.landing.as_ref());
         log_bodies(rec, scene, "world/bodies", None)?;
         if let Some(plan) = input.plan {
             log_motion(rec, scene, &plan.trajectory, "world/bodies", |n| Some(n.to_owned()))?;
@@ -77,6 +80,20 @@ fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
             log_motion(rec, scene, &e.trajectory, "world/realised", matched)?;
             log_paths(rec, &e.trajectory, "realised", [73, 209, 124])?;
         }
+        if let Some(landing) = &input.landing {
+            let planned = &landing.plan.nominal.trajectory;
+            log_motion(rec, scene, planned, "world/bodies", |n| Some(n.to_owned()))?;
+            log_paths(rec, planned, "predicted", [31, 95, 208])?;
+            if let Some(r) = landing.realised {
+                log_bodies(rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
+                let there = &r.outcome.trajectory;
+                log_motion(rec, scene, there, "world/realised", |n| planner_name(r.matches, n))?;
+                log_paths(rec, there, "realised", [73, 209, 124])?;
+            }
+        }
+    }
+    if let Some(landing) = &input.landing {
+        log_particles(rec, &landing.plan.nominal.particles)?;
     }
     if let Some([x, y]) = input.goal_w {
         let goal = rerun::Points3D::new([[x as f32, y as f32, 0.002]])
@@ -199,6 +216,19 @@ fn log_motion(
             rec.set_duration_secs("time", *time);
             rec.log(format!("{root}/{}", body.name), &transform(&(state.x_wb * x_offset)))?;
         }
+    }
+    rec.reset_time();
+    Ok(())
+}
+
+/// The air's particles over the time of the flight.
+fn log_particles(rec: &RecordingStream, frames: &[ParticleFrame]) -> Logged {
+    for frame in frames {
+        rec.set_duration_secs("time", frame.time_s);
+        let points = rerun::Points3D::new(frame.particles_w.iter().copied())
+            .with_radii([0.006])
+            .with_colors([rerun::Color::from_unmultiplied_rgba(90, 160, 230, 110)]);
+        rec.log("world/air", &points)?;
     }
     rec.reset_time();
     Ok(())

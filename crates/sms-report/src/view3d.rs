@@ -1,5 +1,6 @@
 //! Data of the interactive 3-D view: binary buffers as base64 inside JSON.
 
+use crate::landing::{planner_name, with_vehicle};
 use crate::page::ReportInput;
 use base64::Engine;
 use serde_json::{Value, json};
@@ -79,17 +80,22 @@ pub(crate) fn view_data(input: &ReportInput<'_>) -> Value {
         })
     });
     let matches = input.execution.map(|e| e.matches.as_slice()).unwrap_or_default();
+    let scene = input.scene.map(|s| with_vehicle(s, input.landing.as_ref()));
+    let landing_realised = input.landing.and_then(|l| l.realised);
+    let predicted = input.plan.map(|p| &p.trajectory).or(input.landing.map(|l| &l.plan.nominal.trajectory));
     json!({
         "points": points,
-        "bodies": input.scene.map(|s| s.bodies.iter().map(body_value).collect::<Vec<_>>()).unwrap_or_default(),
+        "bodies": scene.map(|s| s.bodies.iter().map(body_value).collect::<Vec<_>>()).unwrap_or_default(),
         "goal": input.goal_w,
         "striker": input.striker_half_m,
-        "predicted": input.plan.map(|p| trajectory_value(&p.trajectory, |n| Some(n.to_owned()))),
+        "predicted": predicted.map(|t| trajectory_value(t, |n| Some(n.to_owned()))),
         "realised": input.execution.map(|e| trajectory_value(&e.trajectory, |n| {
             if n == "striker" {
                 return Some(n.to_owned());
             }
             matches.iter().find(|m| m.1 == n).map(|m| m.0.clone())
+        })).or_else(|| landing_realised.map(|r| {
+            trajectory_value(&r.outcome.trajectory, |n| planner_name(r.matches, n))
         })),
     })
 }

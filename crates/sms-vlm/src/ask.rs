@@ -3,7 +3,7 @@
 use crate::answer::{Fault, Reading, read_reply};
 use crate::cache::{Cache, Entry};
 use crate::client::{CallError, Client, Usage};
-use crate::prompt::{SYSTEM, question, repair};
+use crate::prompt::{SYSTEM, form, question, repair};
 use crate::quantity::shortened;
 use base64::Engine;
 use serde_json::{Value, json};
@@ -240,8 +240,9 @@ impl Session<'_> {
         let mut tokens = (0, 0);
         let mut complaint = "it replied nothing".to_owned();
         let repairs = self.client.config().max_repairs;
+        let form = form();
         for round in 0..=repairs {
-            let completion = match self.client.complete(&q.name, &messages, self.cancel) {
+            let completion = match self.client.complete(&q.name, &form, &messages, self.cancel) {
                 Ok(completion) => completion,
                 Err(CallError::Failed(_) | CallError::Declined(_)) if best.is_some() => break,
                 Err(e) => return Err(e),

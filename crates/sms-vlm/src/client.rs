@@ -1,7 +1,7 @@
 //! A conversation with a server: retries, what it refuses, when to give up.
 
 use crate::VlmConfig;
-use crate::dialect::{Completion, Dialect, NoReply, Rung, completion, words_of_error};
+use crate::dialect::{Completion, Dialect, Form, NoReply, Rung, completion, words_of_error};
 use crate::pause::{Pause, STEP, Sleep, retry_after, seconds_before};
 use crate::transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
 use serde_json::Value;
@@ -132,6 +132,7 @@ impl Client {
     pub(crate) fn complete(
         &self,
         name: &str,
+        form: &Form,
         messages: &[Value],
         cancel: &Cancel,
     ) -> Result<Completion, CallError> {
@@ -140,8 +141,8 @@ impl Client {
         loop {
             cancel.check()?;
             let dialect = self.current();
-            let body =
-                dialect.body(&self.config.model, self.config.max_tokens, self.config.temperature, messages);
+            let config = &self.config;
+            let body = dialect.body(&config.model, config.max_tokens, config.temperature, form, messages);
             let reply = self.post(body.to_string().into_bytes(), cancel)?;
             // A server that was silent for the whole time limit gets one more chance only: the limit is long.
             let is_silent = matches!(reply, Err(TransportError::Timeout(_)));

@@ -1,6 +1,5 @@
 //! How servers differ: what they enforce, what they refuse, and where they put the reply.
 
-use crate::prompt::{flat_schema, nested_schema};
 use crate::quantity::shortened;
 use serde_json::{Map, Value, json};
 
@@ -15,6 +14,17 @@ pub enum Rung {
     JsonObject,
     /// By the prompt alone.
     Prompt,
+}
+
+/// The form that a reply is asked for in, where the server can enforce one.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Form {
+    /// Its name, as servers want one.
+    pub name: &'static str,
+    /// With objects in objects.
+    pub nested: Value,
+    /// With plain keys only.
+    pub flat: Value,
 }
 
 /// What a server has been found to take.
@@ -34,7 +44,14 @@ impl Default for Dialect {
 
 impl Dialect {
     /// The body of a request.
-    pub(crate) fn body(&self, model: &str, max_tokens: usize, temperature: f64, messages: &[Value]) -> Value {
+    pub(crate) fn body(
+        &self,
+        model: &str,
+        max_tokens: usize,
+        temperature: f64,
+        form: &Form,
+        messages: &[Value],
+    ) -> Value {
         let mut body = Map::new();
         body.insert("model".to_owned(), json!(model));
         body.insert("messages".to_owned(), json!(messages));
@@ -44,10 +61,10 @@ impl Dialect {
         if self.sends_temperature {
             body.insert("temperature".to_owned(), json!(temperature));
         }
-        let schema = |schema: Value| json!({"type": "json_schema", "json_schema": {"name": "object_properties", "strict": true, "schema": schema}});
+        let schema = |schema: &Value| json!({"type": "json_schema", "json_schema": {"name": form.name, "strict": true, "schema": schema}});
         let format = match self.rung {
-            Rung::NestedSchema => Some(schema(nested_schema())),
-            Rung::FlatSchema => Some(schema(flat_schema())),
+            Rung::NestedSchema => Some(schema(&form.nested)),
+            Rung::FlatSchema => Some(schema(&form.flat)),
             Rung::JsonObject => Some(json!({"type": "json_object"})),
             Rung::Prompt => None,
         };
@@ -286,7 +303,7 @@ mod tests {
         assert!(
             !after(first, "'temperature' does not support 0.0 with this model").unwrap().sends_temperature
         );
-        let body = none.body("m", 10, 0.0, &[]);
+        let body = none.body("m", 10, 0.0, &crate::prompt::form(), &[]);
         assert!(body.get("max_tokens").is_none() && body.get("temperature").is_some());
         assert_eq!(body["response_format"]["json_schema"]["strict"], true);
     }

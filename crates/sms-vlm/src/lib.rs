@@ -8,6 +8,8 @@
 //! the model at most twice. Every question ends as an [`Outcome`]: values that were checked, or a fallback that is named in
 //! the warnings. Replies are kept on disk by image, prompt and model ([`Cache`]).
 //!
+//! [`choose`] asks the same servers for one of several numbered marks in a picture (visual prompting).
+//!
 //! ```
 //! use sms_vlm::read_reply;
 //! let reading = read_reply("Sure: {\"material\": \"glass\", \"density\": \"2.5 g/cm3\", \"friction\": 40}").unwrap();
@@ -19,6 +21,7 @@
 mod answer;
 mod ask;
 mod cache;
+mod choose;
 mod client;
 mod config;
 mod dialect;
@@ -33,6 +36,7 @@ mod view;
 pub use answer::{Fault, Reading, read_reply};
 pub use ask::{Asked, GivenUp, Outcome, Question, ask};
 pub use cache::Cache;
+pub use choose::{ChoiceQuestion, ChooseError, Chosen, choose, read_choice};
 pub use client::{Client, Usage};
 pub use config::VlmConfig;
 pub use dialect::Rung;

@@ -1,6 +1,7 @@
 //! What is asked, in words and as a schema.
 
 use crate::answer::Fault;
+use crate::dialect::Form;
 use crate::property::Property;
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
@@ -76,8 +77,13 @@ pub(crate) fn repair(faults: &[Fault]) -> String {
     text
 }
 
+/// The form of the answer.
+pub(crate) fn form() -> Form {
+    Form { name: "object_properties", nested: nested_schema(), flat: flat_schema() }
+}
+
 /// The schema of the answer, with the properties as objects in an object.
-pub(crate) fn nested_schema() -> Value {
+fn nested_schema() -> Value {
     let range = object([
         ("best", json!({"type": "number"})),
         ("low", json!({"type": "number"})),
@@ -90,7 +96,7 @@ pub(crate) fn nested_schema() -> Value {
 }
 
 /// The same without nesting, for servers that cannot enforce that: the ends have keys of their own.
-pub(crate) fn flat_schema() -> Value {
+fn flat_schema() -> Value {
     let number = || json!({"type": "number"});
     let names: Vec<String> = Property::ALL
         .iter()
@@ -111,7 +117,7 @@ fn words() -> Vec<(&'static str, Value)> {
 }
 
 /// An object schema as strict modes want it: all keys required, no others.
-fn object<'a>(fields: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
+pub(crate) fn object<'a>(fields: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
     let properties: Map<String, Value> = fields.into_iter().map(|(k, v)| (k.to_owned(), v)).collect();
     let required: Vec<String> = properties.keys().cloned().collect();
     json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false})

@@ -3,6 +3,7 @@
 use super::bench_billiards::{self, BenchBilliards};
 use super::bench_engines::{self, BenchEngines};
 use super::bench_gpu;
+use super::bench_landing::{self, BenchLanding};
 use super::bench_masks::{self, BenchMasks};
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_merge::{self, BenchMerge};
@@ -66,6 +67,9 @@ pub(crate) enum BenchCommand {
     /// The paper's billiards experiment: eighteen scenes are scanned, planned in from many starts, and every plan is carried
     /// out in the target engines. Run again on the same folder, it goes on where it was, and shards meet there.
     Billiards(Box<BenchBilliards>),
+    /// The paper's landing experiment: four structures are scanned, landings planned from ten starts, and every one flown in the
+    /// target world, beside baselines that know nothing of wash. Run again on the same folder, it goes on where it was.
+    Landing(Box<BenchLanding>),
     /// Put parts of a benchmark that ran with --shard on several machines together: the same tables and keys as one run.
     Merge(BenchMerge),
 }
@@ -151,6 +155,7 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
         BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
         BenchCommand::Billiards(billiards) => bench_billiards::run(context, billiards),
+        BenchCommand::Landing(landing) => bench_landing::run(context, landing),
         BenchCommand::Merge(merge) => bench_merge::run(context, merge),
     }
 }

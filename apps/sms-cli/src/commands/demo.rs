@@ -1,63 +1,35 @@
 //! `sms demo`: the whole flow on a generated scene.
 
-use super::{evaluate, execute, length_text, materialize, plan, report, sample, scan, shown, simulate};
+use super::{
+    evaluate, execute, landing, length_text, materialize, plan, report, sample, scan, shown, simulate, synth,
+};
 use crate::cli::{self, Demo, DemoName, PresetName};
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed};
+use sms_landing::LandingSettings;
 use sms_plan::PlanConfig;
-use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards};
-use std::path::PathBuf;
+use sms_synth::{BilliardsSettings, HelicalPath, RecordingSettings, generate_billiards, record_views};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// The design keeps every eighth frame out of training in demos, so that quality is measured on unseen views.
 const HOLDOUT: usize = 8;
 
 pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
-    let DemoName::Billiards = a.name;
-    let began = Instant::now();
-    let root = a.out.clone().unwrap_or_else(|| {
-        PathBuf::from("runs").join(format!("billiards-{}{}", a.seed, if a.quick { "-quick" } else { "" }))
-    });
-    let recording = root.join("recording");
-    let occupied = root.read_dir().is_ok_and(|mut entries| entries.next().is_some());
-    if occupied && !recording.exists() {
-        return Err(InputError::new(
-            "this folder holds something else",
-            &root,
-            "name a new folder with --out",
-        )
-        .into());
+    if a.name == DemoName::Landing {
+        return run_landing(context, a);
     }
+    let began = Instant::now();
+    let (root, recording) = folders(a, "billiards")?;
     context.say(format!("billiards, seed {}: recording a generated scene …", a.seed));
     let truth = generate_billiards(Seed(a.seed), &BilliardsSettings::default());
     let settings = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
     sample::write(context, &truth, &RecordingSettings { seed: Seed(a.seed), ..settings }, &recording)?;
 
-    let preset = a.preset.or(a.quick.then_some(PresetName::Draft));
-    let scan_arguments = cli::Scan {
-        recording: recording.clone(),
-        out: root.clone(),
-        preset,
-        masks: a.masks,
-        nets: cli::NetsArguments::default(),
-        holdout: Some(HOLDOUT),
-        seed: Some(a.seed),
-        up: None,
-        refine_poses: None,
-        no_check: false,
-        device: crate::device::Device::Auto,
-        live: a.live.clone(),
-    };
-    drop(scan::run(context, &scan_arguments)?);
-    materialize::run(
-        context,
-        &cli::Materialize { run: root.clone(), materials: None, vlm: cli::VlmMode::default() },
-    )?;
-    simulate::run(context, &cli::Simulate { run: root.clone(), seconds: 1.0 })?;
+    scan_and_materialize(context, a, &root, &recording, 1.0)?;
     let task = sample::task_of(&truth);
-    let plan_arguments =
-        cli::Plan { run: root.clone(), task: recording.join("task.toml"), seed: None, robust: None };
+    let plan_arguments = plan_arguments(&root, &recording);
     let base = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     plan::run_with(context, &plan_arguments, &task, &context.settings.section("plan", base)?)?;
     execute::run(context, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
@@ -69,14 +41,90 @@ pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
     context.say("");
     context.say(format!("predicted: {} from the goal", length("plan.objective")));
     context.say(format!("realised:  {} from the goal", length("execute.objective")));
-    context.say(format!("report:    {}", shown(&page)));
+    say_end(context, &root, &page, began);
+    if context.json {
+        context.print_json(&m)?;
+    }
+    Ok(())
+}
+
+/// Where the run and its recording lie; refused where something else lies there.
+fn folders(a: &Demo, name: &str) -> anyhow::Result<(PathBuf, PathBuf)> {
+    let root = a.out.clone().unwrap_or_else(|| {
+        PathBuf::from("runs").join(format!("{name}-{}{}", a.seed, if a.quick { "-quick" } else { "" }))
+    });
+    let recording = root.join("recording");
+    let occupied = root.read_dir().is_ok_and(|mut entries| entries.next().is_some());
+    if occupied && !recording.exists() {
+        let what = "this folder holds something else";
+        return Err(InputError::new(what, &root, "name a new folder with --out").into());
+    }
+    Ok((root, recording))
+}
+
+fn scan_and_materialize(
+    context: &Context,
+    a: &Demo,
+    root: &Path,
+    recording: &Path,
+    rest_s: f64,
+) -> anyhow::Result<()> {
+    let scan_arguments = cli::Scan {
+        recording: recording.to_owned(),
+        out: root.to_owned(),
+        preset: a.preset.or(a.quick.then_some(PresetName::Draft)),
+        masks: a.masks,
+        nets: cli::NetsArguments::default(),
+        holdout: Some(HOLDOUT),
+        seed: Some(a.seed),
+        up: None,
+        refine_poses: None,
+        no_check: false,
+        device: crate::device::Device::Auto,
+        live: a.live.clone(),
+    };
+    drop(scan::run(context, &scan_arguments)?);
+    let run = root.to_owned();
+    materialize::run(context, &cli::Materialize { run, materials: None, vlm: cli::VlmMode::default() })?;
+    simulate::run(context, &cli::Simulate { run: root.to_owned(), seconds: rest_s })
+}
+
+fn plan_arguments(root: &Path, recording: &Path) -> cli::Plan {
+    let task = recording.join("task.toml");
+    cli::Plan { run: root.to_owned(), task, seed: None, robust: None, chooser: cli::ChooserName::Ours }
+}
+
+fn say_end(context: &Context, root: &Path, page: &Path, began: Instant) {
+    context.say(format!("report:    {}", shown(page)));
     context.say(format!(
         "           ({:.0} s in all; `sms view {}` opens it)",
         began.elapsed().as_secs_f64(),
-        shown(&root)
+        shown(root)
     ));
+}
+
+/// The landing: a structure filmed from a helix, and a flight whose straight way would lead over its overhang.
+fn run_landing(context: &Context, a: &Demo) -> anyhow::Result<()> {
+    let began = Instant::now();
+    let (root, recording) = folders(a, "landing")?;
+    let truth = synth::landing_scene(a.seed);
+    context.say(format!("{}: recording a generated scene …", truth.name));
+    let base = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
+    let settings = RecordingSettings { seed: Seed(a.seed), ..base };
+    let poses = HelicalPath::default().poses(&truth, settings.frames);
+    let (progress, cancel) = (context.progress.as_ref(), &context.cancel);
+    record_views(&truth, &[], &poses, "0", &settings, &recording, progress, cancel)?;
+    sample::write_beside(&truth, &recording)?;
+    scan_and_materialize(context, a, &root, &recording, 2.0)?;
+    let config = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };
+    landing::plan(context, &plan_arguments(&root, &recording), config)?;
+    execute::run(context, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
+    evaluate::run(context, &cli::Evaluate { run: root.clone(), objects: None })?;
+    let page = report::run(context, &cli::Report { run: root.clone() })?;
+    context.say("");
+    say_end(context, &root, &page, began);
     if context.json {
-        context.print_json(&m)?;
+        context.print_json(&Metrics::load(&root.join("metrics.json"))?)?;
     }
     Ok(())
 }

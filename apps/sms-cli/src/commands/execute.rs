@@ -1,16 +1,18 @@
 //! `sms execute`: the plan in the target world.
 
+use super::landing;
 use super::materialize::run_settings;
 use super::{inputs_hash, length_text, of_what, run_stage, shown};
 use crate::cli::{ArmName, EngineName, Execute};
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder};
+use sms_landing::LANDING_PLAN_FILE;
 use sms_plan::load_plan;
 use sms_scene::load_scene;
 use sms_sim::ArmKind;
 use sms_synth::read_truth;
-use sms_target::{TargetEngine, TargetOptions, execute_on};
+use sms_target::{LandingTargetOptions, TargetEngine, TargetOptions, execute_on};
 use sms_task::{Execution, Task};
 use std::path::Path;
 
@@ -29,6 +31,9 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
              plan/plan.json to your robot",
         )
         .into());
+    }
+    if landing::is_planned(&plan_dir) {
+        return run_landing(context, a, &run, &plan_dir, &scene_dir, Path::new(&recording));
     }
     let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?;
@@ -102,4 +107,30 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     });
     context.say(format!("  in {}", shown(&dir.join("execution.json"))));
     context.print_metrics(&run)
+}
+
+/// The same of a landing.
+fn run_landing(
+    context: &Context,
+    a: &Execute,
+    run: &RunFolder,
+    plan_dir: &Path,
+    scene_dir: &Path,
+    recording: &Path,
+) -> anyhow::Result<()> {
+    let engine = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine);
+    let target = engine.target()?;
+    let options = LandingTargetOptions::default();
+    let mut read = Hasher::new();
+    read.file(&plan_dir.join(LANDING_PLAN_FILE))?.file(&scene_dir.join("scene.json"))?;
+    read.file(&recording.join("truth").join("truth.json"))?.text(target.label());
+    let hash = inputs_hash(&[&read.finish()], &options)?;
+    let dir = run_stage(context, run, "target", &["execute."], &hash, |stage, _| {
+        let (scene, truth) = (load_scene(scene_dir)?, read_truth(recording)?);
+        landing::execute(&*target, plan_dir, &scene, &truth, stage.dir(), &options)
+    })?;
+    for line in landing::execution_summary(&dir)? {
+        context.say(line);
+    }
+    context.print_metrics(run)
 }

@@ -1,17 +1,25 @@
 //! `sms plan`: the best action for a task.
 
 use super::materialize::run_settings;
-use super::robot;
 use super::{inputs_hash, length_text, of_what, run_stage, shown, timed};
-use crate::cli::Plan;
+use super::{landing, robot};
+use crate::cli::{ChooserName, Plan};
 use crate::context::Context;
-use sms_core::{Hasher, RunFolder, Seed};
+use sms_core::{Hasher, InputError, RunFolder, Seed};
+use sms_landing::{LandingSettings, LandingTask};
 use sms_plan::{Plan as Planned, PlanConfig, PlanError, load_plan, plan, save_plan};
 use sms_scene::load_scene;
 use sms_sim::RapierFactory;
 use sms_task::Task;
 
 pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
+    if LandingTask::is_landing(&a.task) {
+        return landing::plan(context, a, LandingSettings::default());
+    }
+    if a.chooser != ChooserName::Ours {
+        let what = "only landings have other choosers";
+        return Err(InputError::new(what, "--chooser", "leave `--chooser` out").into());
+    }
     let task = Task::read(&a.task)?;
     let config = context.settings.section("plan", PlanConfig::default())?;
     run_with(context, a, &task, &config)

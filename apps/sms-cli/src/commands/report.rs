@@ -1,5 +1,6 @@
 //! `sms report`: one page of everything that the run has.
 
+use super::landing;
 use super::materialize::{read_optional, run_settings};
 use super::shown;
 use crate::cli::Report;
@@ -10,7 +11,7 @@ use sms_frames::Sequence;
 use sms_gaussians::{GaussianModel, LossSample, read_ply, render_views};
 use sms_masks::load_labels;
 use sms_plan::load_plan;
-use sms_report::{LossPoint, ReportInput, ViewPair, write_report};
+use sms_report::{LandingInput, LandingRealised, LossPoint, ReportInput, ViewPair, write_report};
 use sms_scene::load_scene;
 use sms_sim::FINGER_HALF;
 use sms_task::{Execution, ResolvedTask, Task};
@@ -26,9 +27,11 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
     let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
     let model = read_ply(&gaussians_dir.join("scene.ply"))?;
     let scene = run.stage_dir("scene", "materialize").ok().map(|d| load_scene(&d)).transpose()?;
-    let plan_dir = run.stage_dir("plan", "plan").ok();
+    let landed = landing::reported(&run, scene.as_ref())?;
+    let plan_dir = run.stage_dir("plan", "plan").ok().filter(|_| landed.is_none());
     let plan = plan_dir.as_deref().map(load_plan).transpose()?;
-    let execution = run.stage_dir("target", "execute").ok().map(|d| Execution::load(&d)).transpose()?;
+    let target_dir = run.stage_dir("target", "execute").ok().filter(|_| landed.is_none());
+    let execution = target_dir.map(|d| Execution::load(&d)).transpose()?;
     let resolved = match (&plan_dir, &scene) {
         (Some(dir), Some(scene)) => Some(Task::read(&dir.join("task.toml"))?.resolve(scene)?),
         _ => None,
@@ -40,17 +43,35 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
     let unknown = unknown.map_or_else(String::new, |n| format!(" and {n} unknown"));
     let (name, preset) = (settings.recording_name(), &settings.preset);
     let mut subtitle = format!("{name} · masks from {}{unknown} · preset {preset}", settings.masks);
-    if let Some(e) = &execution {
-        subtitle += &format!(" · executed in {}", e.engine);
+    let engine = execution.as_ref().map(|e| &e.engine);
+    let landed_in = landed.as_ref().and_then(|l| l.execution.as_ref()).map(|e| &e.engine);
+    if let Some(engine) = engine.or(landed_in) {
+        subtitle += &format!(" · executed in {engine}");
     }
+    let landing = landed.as_ref().map(|l| LandingInput {
+        plan: &l.plan,
+        realised: l.execution.as_ref().map(|e| LandingRealised {
+            engine: &e.engine,
+            outcome: &e.outcome,
+            second_opinion: e.second_opinion.as_ref(),
+            matches: &e.matches,
+        }),
+    });
+    let is_generated = Path::new(&settings.recording).join("truth").is_dir();
+    let title = match (&landing, is_generated) {
+        (Some(_), true) => format!("Landing, seed {}", settings.seed),
+        _ => title(&settings.recording, resolved.as_ref(), settings.seed),
+    };
     let input = ReportInput {
-        title: title(&settings.recording, resolved.as_ref(), settings.seed),
+        title,
         subtitle,
         views,
         gaussians: Some(&model),
         scene: scene.as_ref(),
         plan: plan.as_ref(),
         execution: execution.as_ref(),
+        landing,
+        pictures: landed.as_ref().map(|l| l.pictures.clone()).unwrap_or_default(),
         goal_w: resolved.as_ref().and_then(|t| t.goal_w()).map(|p| p.to_array()),
         striker_half_m: Some(FINGER_HALF.to_array()),
         roles: resolved.as_ref().map(roles).unwrap_or_default(),

@@ -3,7 +3,9 @@
 use super::{robot, shown};
 use crate::cli::Sample;
 use crate::context::Context;
+use sms_core::glamx::DVec3;
 use sms_core::{InputError, Seed};
+use sms_landing::LandingTask;
 use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billiards, write_recording};
 use sms_task::{Billiards, Selector, Task};
 use std::path::Path;
@@ -42,9 +44,22 @@ pub(crate) fn write(
 
 /// Writes the task and the place of the robot of a recording.
 pub(crate) fn write_beside(truth: &TruthScene, folder: &Path) -> anyhow::Result<()> {
+    if let Some(task) = landing_task_of(truth) {
+        task.write(&folder.join("task.toml"))?;
+        return Ok(());
+    }
     task_of(truth).write(&folder.join("task.toml"))?;
     robot::write_place(folder, &sms_bench::robot_of(truth))?;
     Ok(())
+}
+
+/// Land, starting where the straight way leads over the structure's overhang; `None` for scenes of other kinds. Nothing of the
+/// truth but the start of the flight is in it.
+pub(crate) fn landing_task_of(truth: &TruthScene) -> Option<LandingTask> {
+    let landing = truth.landing.as_ref()?;
+    let outward = |p: &DVec3| p.truncate().dot(landing.overhang_w.into());
+    let start_w = landing.starts_w.iter().max_by(|a, b| outward(a).total_cmp(&outward(b)))?;
+    Some(LandingTask::new(start_w.truncate().to_array()))
 }
 
 /// What a user would say: strike the white ball so that the blue one reaches the goal. Nothing of the truth but the

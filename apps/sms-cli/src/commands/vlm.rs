@@ -16,7 +16,7 @@ use sms_vlm::{
 use std::time::Instant;
 
 /// Folder of the stored replies in a run. It is no stage: replies stay when the scene is made again.
-const REPLIES: &str = "vlm";
+pub(crate) const REPLIES: &str = "vlm";
 /// Background so near to the support plane is the floor, metres.
 const FLOOR_BAND_M: f64 = 0.01;
 

@@ -1,0 +1,176 @@
+//! `sms bench landing`: the paper's landing experiment.
+
+use super::bench_billiards::{Geometry, Masks};
+use super::bench_optimisers::finish;
+use super::bench_plan::parse_shard;
+use super::landing::action_of;
+use crate::cli::{EngineName, PresetName};
+use crate::context::Context;
+use clap::Args;
+use sms_bench::{
+    BenchError, BenchOptions, BilliardsGeometry, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench,
+    LandingFlight, MaskChoice, landing_metrics, landing_table, read_landings, run_landings,
+};
+use sms_core::{InputError, Seed};
+use sms_entities::EntitiesConfig;
+use sms_frames::ReadOptions;
+use sms_landing::{LandingSettings, ResolvedLanding};
+use sms_masks::GeometryConfig;
+use sms_prompting::{
+    ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
+};
+use sms_scene::Scene;
+use std::path::PathBuf;
+
+/// Starts for each draw of the noise.
+const NOISY_STARTS: usize = 4;
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct BenchLanding {
+    /// Numbers of structures, 1 to 4 (default: all, with --quick 1).
+    #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
+    pub scenes: Vec<usize>,
+    /// Starts on the circle (default: 10, with --quick 4).
+    #[arg(long, value_name = "N")]
+    pub starts: Option<usize>,
+    /// Also plan with noisy materials: so many draws of the noise for each structure (default: 5), four starts each.
+    #[arg(long, value_name = "DRAWS", num_args = 0..=1, default_missing_value = "5")]
+    pub noisy: Option<usize>,
+    /// Only every n-th flight, from the i-th (i/n, from 1); shards meet in the folder of the results.
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<String>,
+    /// Where the planner's geometry comes from.
+    #[arg(long, value_enum, default_value = "scan")]
+    pub geometry: Geometry,
+    /// Masks that the scans are given.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: Masks,
+    /// How much work the scans are given (default: standard, with --quick draft).
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Frames that are recorded of each structure (default: 60, with --quick 24).
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Target engine (default: physx where it is built in, else rapier).
+    #[arg(long, value_enum)]
+    pub engine: Option<EngineName>,
+    /// Seed of all plans.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// One structure, four starts, a draft scan: at most five minutes.
+    #[arg(long)]
+    pub quick: bool,
+    /// Folder of the results: a file for each flight, and results.json.
+    #[arg(long, value_name = "DIR", default_value = "runs/bench-landing")]
+    pub out: PathBuf,
+    /// Where recordings and scans are kept (default: the folder of the results).
+    #[arg(long, value_name = "DIR")]
+    pub keep: Option<PathBuf>,
+    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    #[arg(long)]
+    pub rescan: bool,
+    /// Run nothing: print what the folder holds.
+    #[arg(long)]
+    pub table: bool,
+}
+
+pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
+    let bench = bench(context, a)?;
+    if !a.table {
+        let line = |f: &LandingFlight| context.say(flight_line(f));
+        run_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+    }
+    let found = read_landings(&bench)?;
+    if found.is_empty() {
+        return Err(InputError::new(
+            "nothing in this folder was made with these settings",
+            &a.out,
+            "run it without --table, or with the settings that it was made with",
+        )
+        .into());
+    }
+    let text = landing_table(&found);
+    finish(context, &landing_metrics(&found), Some(&a.out.join("results.json")), text.trim_end())
+}
+
+fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
+    let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
+    let mut scenes = a.scenes.clone();
+    if scenes.is_empty() {
+        scenes = if a.quick { vec![1] } else { LANDING_SCENES.iter().map(|s| s.0).collect() };
+    }
+    if let Some(wrong) = scenes.iter().find(|n| LANDING_SCENES.iter().all(|s| s.0 != **n)) {
+        let what = format!("there is no structure {wrong}");
+        return Err(InputError::new(what, "--scenes", "give numbers from 1 to 4").into());
+    }
+    let mut bench = if a.quick {
+        LandingBench { scenes, ..LandingBench::quick(&keep, &a.out) }
+    } else {
+        LandingBench::new(scenes, &keep, &a.out)
+    };
+    let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
+    let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
+    bench.scan.bench = BenchOptions {
+        load: context.settings.section("frames", base.load.clone())?,
+        read: context.settings.section("read", ReadOptions::default())?,
+        masks: context.settings.section("masks", GeometryConfig::default())?,
+        scan: context.settings.section("scan", base.scan.clone())?,
+        entities: context.settings.section("entities", EntitiesConfig::default())?,
+        frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
+        ..base
+    };
+    bench.scan.rescan = a.rescan;
+    bench.scan.masks = match a.masks {
+        Masks::Geometry => MaskChoice::Geometry,
+        Masks::Truth => MaskChoice::Truth,
+    };
+    bench.geometry = match a.geometry {
+        Geometry::Scan => BilliardsGeometry::Scan,
+        Geometry::Truth => BilliardsGeometry::Truth,
+    };
+    bench.starts = a.starts.unwrap_or(bench.starts).clamp(1, 10);
+    (bench.noisy_draws, bench.noisy_starts) = (a.noisy.unwrap_or(0), NOISY_STARTS);
+    bench.seed = Seed(a.seed);
+    bench.part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
+    if let Some(engine) = a.engine {
+        bench.engine = engine.engine();
+    }
+    let settings = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };
+    bench.settings = context.settings.section("landing", settings)?;
+    bench.baselines = vec![
+        baseline("geometric", |sites, landing, ways, _| geometric(sites, landing.start_w(), ways)),
+        baseline("random", |sites, landing, ways, seed| random(sites, landing.start_w(), ways, seed)),
+    ];
+    Ok(bench)
+}
+
+/// A chooser among the candidates of geometry; it chooses nothing where there are none.
+fn baseline(
+    name: &str,
+    choose: impl Fn(&Sites, &ResolvedLanding, &ApproachSettings, Seed) -> Choice + Sync + 'static,
+) -> LandingBaseline<'static> {
+    let choose = move |landing: &ResolvedLanding, scene: &Scene, seed: Seed| -> Result<_, BenchError> {
+        let limits = landing.task().surface;
+        let settings = SiteSettings {
+            min_height: limits.height_m,
+            max_tilt: limits.slope_rad,
+            ..SiteSettings::default()
+        };
+        let sites = landing_sites(&surfaces_of(scene), landing.vehicle(), &settings).ok();
+        let ways = ApproachSettings::default();
+        Ok(sites.map(|sites| action_of(&choose(&sites, landing, &ways, seed))))
+    };
+    LandingBaseline { name: name.to_owned(), choose: Box::new(choose) }
+}
+
+fn flight_line(f: &LandingFlight) -> String {
+    let each: Vec<String> = f
+        .planned
+        .iter()
+        .map(|(name, p)| {
+            let why = p.failure.as_deref().map(|why| format!(" ({why})")).unwrap_or_default();
+            format!("{name}: {}{why}", if p.success { "landed" } else { "failed" })
+        })
+        .collect();
+    format!("scene {}, start {}, {}: {}", f.scene, f.start, f.told.as_str(), each.join("; "))
+}

@@ -1,0 +1,185 @@
+//! Faces on which objects stand on each other. No camera saw them: the lower one's surface is made up there and bulges into the
+//! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
+
+use crate::contact::{is_exact, translate};
+use crate::underside::convex_outline;
+use glamx::{DVec2, DVec3};
+use sms_convex::convex_hull;
+use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+
+/// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
+const REACH_M: f64 = 0.005;
+/// What ends lower than this above the floor stands on that, metres.
+const OFF_FLOOR_M: f64 = 0.03;
+/// What carries another reaches down at least so far below the face, metres.
+const BELOW_M: f64 = 0.005;
+/// Gaps that physics engines do not notice, metres.
+const CLOSED_M: f64 = 1e-5;
+
+/// Closes what is left open between objects that stand on each other, from the lowest up: tops of a carrier's convex pieces that end
+/// below the other's bottom are brought up to it; what stands on an exact solid is put down on it.
+pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usize) {
+    let mut order: Vec<usize> = (0..entities.len()).filter(|&i| can_stand(&entities[i], floor)).collect();
+    order.sort_by(|&a, &b| bottom(&entities[a]).total_cmp(&bottom(&entities[b])));
+    for upper in order {
+        let outline = bottom_outline(&entities[upper]);
+        if outline.len() < 3 {
+            continue;
+        }
+        let mut drop = f64::INFINITY;
+        for lower in (0..entities.len()).filter(|&i| i != upper) {
+            let height = bottom(&entities[upper]);
+            let carrier = &mut entities[lower];
+            if carrier.kind != EntityKind::Dynamic || bottom(carrier) > height - BELOW_M {
+                continue;
+            }
+            if is_exact(carrier) {
+                drop = drop.min(gap_over_exact(carrier, &outline, height));
+                continue;
+            }
+            for part in &mut carrier.parts {
+                if raise_top(part, &outline, height, max_vertices) {
+                    drop = 0.0;
+                }
+            }
+        }
+        if drop > CLOSED_M && drop <= REACH_M {
+            translate(&mut entities[upper], DVec3::NEG_Z * drop);
+        }
+    }
+}
+
+/// Whether an object stands on something, and not on the floor. Balls touch at a point, which is seen to elsewhere.
+fn can_stand(entity: &Entity, floor: f64) -> bool {
+    let is_ball = matches!(entity.shape, EntityShape::Sphere { .. });
+    entity.kind == EntityKind::Dynamic && !is_ball && bottom(entity) > floor + OFF_FLOOR_M
+}
+
+fn vertices(entity: &Entity) -> Box<dyn Iterator<Item = DVec3> + '_> {
+    if is_exact(entity) {
+        return Box::new(entity.mesh.vertices.iter().copied());
+    }
+    Box::new(entity.parts.iter().flat_map(|p| p.vertices.iter().copied()))
+}
+
+fn bottom(entity: &Entity) -> f64 {
+    vertices(entity).map(|v| v.z).fold(f64::INFINITY, f64::min)
+}
+
+/// Convex outline of an object's bottom from above, counterclockwise.
+fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
+    let low = bottom(entity) + REACH_M;
+    outline_of(vertices(entity).filter(|v| v.z < low))
+}
+
+fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
+    let flat: Vec<[f64; 2]> = points.map(|v| [v.x, v.y]).collect();
+    convex_outline(&flat).into_iter().map(DVec2::from_array).collect()
+}
+
+fn is_under(outline: &[DVec2], p: DVec2) -> bool {
+    (0..outline.len()).all(|i| {
+        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
+        (b - a).perp_dot(p - a) >= -REACH_M * (b - a).length()
+    })
+}
+
+/// Height of the bottom over an exact solid's top where one is above the other, else infinite; negative where they overlap.
+fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
+    let Some(bounds) = carrier.mesh.aabb() else { return f64::INFINITY };
+    let top = outline_of(carrier.mesh.vertices.iter().copied().filter(|v| v.z > bounds.max.z - 1e-3));
+    let meets = outline.iter().any(|&p| is_under(&top, p)) || top.iter().any(|&p| is_under(outline, p));
+    if top.len() >= 3 && meets { height - bounds.max.z } else { f64::INFINITY }
+}
+
+/// Brings the corners of a piece that lie under the outline, and at most [`REACH_M`] below `height`, up to it.
+fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> bool {
+    let is_raised =
+        |v: &DVec3| v.z > height - REACH_M && v.z < height + CLOSED_M && is_under(outline, v.truncate());
+    // A corner or an edge alone is a detail, no face.
+    if part.vertices.iter().filter(|v| is_raised(v)).count() < 3 {
+        return false;
+    }
+    let raised: Vec<DVec3> =
+        part.vertices.iter().map(|v| if is_raised(v) { v.with_z(height) } else { *v }).collect();
+    match convex_hull(&raised, max_vertices, 1e-6) {
+        Some(hull) => {
+            *part = hull;
+            true
+        }
+        None => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use sms_core::PointCloud;
+
+    fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
+        let parts = if shape.is_primitive() { Vec::new() } else { vec![mesh.clone()] };
+        Entity {
+            label: 1,
+            name: name.into(),
+            description: String::new(),
+            kind: EntityKind::Dynamic,
+            shape,
+            cloud: PointCloud::default(),
+            mesh,
+            texture: None,
+            parts,
+            observed_share: 1.0,
+            residual_m: 0.0,
+            mean_color: [0; 3],
+        }
+    }
+
+    fn cuboid(name: &str, half: DVec3, center: DVec3, exact: bool) -> Entity {
+        let x_ws = DPose3::from_translation(center);
+        let mesh = Mesh::cuboid(half).transformed(&x_ws);
+        let shape = if exact { EntityShape::Box { x_ws, half_extents: half } } else { EntityShape::Convex };
+        entity(name, mesh, shape)
+    }
+
+    #[test]
+    fn a_step_below_a_box_is_filled_and_what_was_seen_beside_it_stays() {
+        // A stool whose top ends 1.7 mm below the box on one side, 2.5 mm on the other.
+        let mut stool = cuboid("stool", DVec3::new(0.2, 0.2, 0.3), DVec3::Z * 0.3, false);
+        for v in stool.parts[0].vertices.iter_mut().filter(|v| v.z > 0.5) {
+            v.z -= if v.x > 0.0 { 0.0017 } else { 0.0025 };
+        }
+        let mut all = [stool, cuboid("box", DVec3::new(0.3, 0.3, 0.05), DVec3::new(0.0, 0.0, 0.65), true)];
+        close_gaps(&mut all, 0.0, 64);
+        let top: Vec<DVec3> = all[0].parts[0].vertices.iter().filter(|v| v.z > 0.5).copied().collect();
+        assert!(top.len() == 4 && top.iter().all(|v| (v.z - 0.6).abs() < 1e-12), "{top:?}");
+        assert!(all[0].parts[0].is_closed_oriented() && (bottom(&all[1]) - 0.6).abs() < 1e-12);
+
+        // Beside the box the top is as it was seen.
+        let wide = cuboid("table", DVec3::new(0.5, 0.5, 0.299), DVec3::Z * 0.299, false);
+        let mut all =
+            [wide.clone(), cuboid("box", DVec3::new(0.1, 0.1, 0.05), DVec3::new(0.0, 0.0, 0.65), true)];
+        close_gaps(&mut all, 0.0, 64);
+        assert_eq!(all[0], wide);
+    }
+
+    #[test]
+    fn exact_solids_are_put_down_on_each_other_from_the_lowest_up() {
+        let mut all = [
+            cuboid("ballast", DVec3::splat(0.04), DVec3::new(0.1, 0.0, 0.464), true),
+            cuboid("board", DVec3::new(0.3, 0.1, 0.01), DVec3::new(0.1, 0.0, 0.4125), true),
+            cuboid("crate", DVec3::splat(0.2), DVec3::Z * 0.2, true),
+        ];
+        close_gaps(&mut all, 0.0, 64);
+        let heights: Vec<f64> = all.iter().map(bottom).collect();
+        assert!((heights[1] - 0.4).abs() < 1e-9 && (heights[0] - 0.42).abs() < 1e-9, "{heights:?}");
+        assert_eq!(heights[2], 0.0);
+        // Ten centimetres of air are no error of a scan, and neighbours do not carry.
+        let high = cuboid("lamp", DVec3::splat(0.05), DVec3::Z * 0.55, true);
+        let beside = cuboid("shelf", DVec3::splat(0.05), DVec3::new(0.5, 0.0, 0.452), true);
+        let mut all =
+            [high.clone(), beside.clone(), cuboid("crate", DVec3::splat(0.2), DVec3::Z * 0.2, true)];
+        close_gaps(&mut all, 0.0, 64);
+        assert_eq!((&all[0], &all[1]), (&high, &beside));
+    }
+}

@@ -1,0 +1,229 @@
+//! One of several marks in a picture, chosen by the model (visual prompting: Nasiriany et al. 2024, PIVOT).
+
+use crate::cache::{Cache, Entry};
+use crate::client::{CallError, Client};
+use crate::dialect::Form;
+use crate::node::{NoObject, Node, objects};
+use crate::prompt::object;
+use crate::quantity::{plain, shortened};
+use base64::Engine;
+use serde_json::{Value, json};
+use sms_core::{Cancel, CoreError, Warnings};
+
+/// So much of a reply is quoted back to the model that is to put it right.
+const QUOTED_CHARS: usize = 6000;
+
+/// A picture with numbered marks, of which one is to be chosen.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChoiceQuestion {
+    /// What is chosen ("landing site"); for messages.
+    pub name: String,
+    /// The system message.
+    pub system: String,
+    /// The question. The form of the answer is added to it.
+    pub text: String,
+    /// The picture with its marks, JPEG.
+    pub jpeg: Vec<u8>,
+    /// The numbers in the picture.
+    pub ids: Vec<u32>,
+}
+
+/// What the model chose.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Chosen {
+    /// One of [`ChoiceQuestion::ids`].
+    pub id: u32,
+    /// Why, in its words; empty where it gave no reason.
+    pub reasoning: String,
+    /// Whether it came from the cache.
+    pub is_cached: bool,
+}
+
+/// Why nothing was chosen.
+#[derive(Debug, thiserror::Error)]
+pub enum ChooseError {
+    /// The server cannot be used, or what the model said names none of the marks.
+    #[error("no {name} was chosen: {what}\n  cure: {cure}")]
+    NoAnswer {
+        /// What should have been chosen.
+        name: String,
+        /// Why it was not.
+        what: String,
+        /// What can be done.
+        cure: String,
+    },
+    /// A stop was asked for, or the cache cannot be written.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+}
+
+/// Asks which mark to take, from the cache where that has the reply. A reply that names none of them is told so and asked
+/// again, at most `max_repairs` times.
+///
+/// # Errors
+/// [`ChooseError`].
+pub fn choose(
+    question: &ChoiceQuestion,
+    client: &Client,
+    cache: &Cache,
+    cancel: &Cancel,
+    warnings: &Warnings,
+) -> Result<Chosen, ChooseError> {
+    let text = format!("{}\n\n{}", question.text, form_of_answer(&question.ids));
+    let config = client.config();
+    let key = Cache::key(&question.jpeg, &format!("{}\n\n{text}", question.system), &config.model);
+    if let Some(entry) = cache.get(&key, &question.name, warnings)
+        && let Ok((id, reasoning)) = read_choice(&entry.reply, &question.ids)
+    {
+        return Ok(Chosen { id, reasoning, is_cached: true });
+    }
+    let no_answer = |what: String, cure: &str| ChooseError::NoAnswer {
+        name: question.name.clone(),
+        what,
+        cure: cure.to_owned(),
+    };
+    if config.cache_only {
+        let what = "its reply is not in the cache, and no requests are allowed".to_owned();
+        return Err(no_answer(what, "allow requests, or use another chooser"));
+    }
+    let picture = base64::engine::general_purpose::STANDARD.encode(&question.jpeg);
+    let mut messages = vec![
+        json!({"role": "system", "content": question.system}),
+        json!({"role": "user", "content": [
+            {"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{picture}")}},
+            {"type": "text", "text": text},
+        ]}),
+    ];
+    let schema = schema(&question.ids);
+    let form = Form { name: "choice", nested: schema.clone(), flat: schema };
+    let (mut tokens, mut complaint) = ((0, 0), String::new());
+    for _ in 0..=config.max_repairs {
+        let completion = match client.complete(&question.name, &form, &messages, cancel) {
+            Ok(completion) => completion,
+            Err(CallError::Core(e)) => return Err(e.into()),
+            Err(CallError::Fatal { what, cure }) => return Err(no_answer(what, &cure)),
+            Err(e) => return Err(no_answer(e.to_string(), "see whether the server is well, and ask again")),
+        };
+        tokens.0 += completion.prompt_tokens;
+        tokens.1 += completion.completion_tokens;
+        match read_choice(&completion.text, &question.ids) {
+            Ok((id, reasoning)) => {
+                let entry = Entry::new(&config.model, &question.name, &completion.text, tokens);
+                cache.put(&key, &entry)?;
+                return Ok(Chosen { id, reasoning, is_cached: false });
+            }
+            Err(what) => complaint = what,
+        }
+        let said = shortened(&completion.text, QUOTED_CHARS);
+        let said = if said.is_empty() { "(nothing)".to_owned() } else { said };
+        messages.push(json!({"role": "assistant", "content": said}));
+        let again = format!("Your answer cannot be used: {complaint}. {}", form_of_answer(&question.ids));
+        messages.push(json!({"role": "user", "content": again}));
+    }
+    Err(no_answer(complaint, "use a model that reads numbers in pictures, or another chooser"))
+}
+
+fn listed(ids: &[u32]) -> String {
+    ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn form_of_answer(ids: &[u32]) -> String {
+    format!(
+        "Answer with one JSON object and nothing else: {{\"reasoning\": \"what speaks for and against, in a few sentences\", \
+         \"decision\": ID}}, where ID is the number alone, one of {}.",
+        listed(ids)
+    )
+}
+
+fn schema(ids: &[u32]) -> Value {
+    object([("reasoning", json!({"type": "string"})), ("decision", json!({"type": "integer", "enum": ids}))])
+}
+
+/// The mark that a reply names, and its reasons: of the last JSON object with a decision, else of the last line that begins with
+/// "Decision:".
+///
+/// # Errors
+/// What to tell the model when there is none, or it is none of `ids`.
+pub fn read_choice(text: &str, ids: &[u32]) -> Result<(u32, String), String> {
+    let (decision, reasoning) = match objects(text) {
+        Ok(found) => found.maps.iter().rev().find_map(|map| {
+            let field = |names: &[&str]| map.iter().find(|(k, _)| names.contains(&plain(k).as_str()));
+            let words = |node: &Node| match node {
+                Node::Number(t) | Node::Text(t) => Some(t.trim().to_owned()),
+                _ => None,
+            };
+            let (_, decision) = field(&["decision", "id", "choice", "answer"])?;
+            let reasoning = field(&["reasoning", "reason", "thoughts"]).and_then(|(_, node)| words(node));
+            Some((words(decision)?, reasoning.unwrap_or_default()))
+        }),
+        Err(NoObject::CutOff) => return Err("the JSON object in the reply is not closed".to_owned()),
+        Err(NoObject::Missing) => None,
+    }
+    .or_else(|| decision_line(text))
+    .ok_or("there is no decision in the reply")?;
+    let numbers: Vec<&str> = decision
+        .split(|c: char| !c.is_ascii_digit() && c != '.' && c != '-')
+        .filter(|t| !t.is_empty())
+        .collect();
+    let [number] = numbers[..] else {
+        return Err(format!("the decision `{}` is not one number", shortened(&decision, 60)));
+    };
+    let id = number.trim_end_matches(".0").trim_end_matches('.').parse::<u32>().ok();
+    match id.filter(|id| ids.contains(id)) {
+        Some(id) => Ok((id, reasoning)),
+        None => Err(format!("there is no mark {}: the marks are {}", shortened(number, 20), listed(ids))),
+    }
+}
+
+/// The paper's own form: "Reasoning: …" and "Decision: 3", each on a line.
+fn decision_line(text: &str) -> Option<(String, String)> {
+    let stripped = |line: &str| line.trim().trim_start_matches(['*', '#', '-', ' ']).to_owned();
+    let lines: Vec<String> = text.lines().map(stripped).collect();
+    let at = lines.iter().rposition(|l| l.get(..8).is_some_and(|w| w.eq_ignore_ascii_case("decision")))?;
+    let line = &lines[at];
+    let reasoning = lines[..at].join(" ");
+    let reasoning = reasoning.trim().strip_prefix("Reasoning:").unwrap_or(reasoning.trim());
+    let reasoning = reasoning.trim_matches(['*', ' ']).to_owned();
+    Some((line["decision".len()..].trim_matches([':', '*', ' ']).to_owned(), reasoning))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decision_is_read_in_the_forms_that_models_give_it() {
+        for text in [
+            r#"{"reasoning": "over the legs", "decision": 7}"#,
+            r#"Sure: ```json
+            {"reasoning": "over the legs", "decision": "ID 7",}
+            ```"#,
+            r#"{"Reasoning": "over the legs", "ID": 7.0}"#,
+            "Reasoning: over the legs\nDecision: 7",
+            "**Reasoning:** over the legs\n**Decision:** 7.",
+            "<think>{\"decision\": 2}</think>{\"reasoning\": \"over the legs\", \"decision\": 7}",
+        ] {
+            let (id, reasoning) = read_choice(text, &[2, 7]).unwrap_or_else(|e| panic!("{text}: {e}"));
+            assert_eq!(id, 7, "{text}");
+            assert!(reasoning.ends_with("over the legs"), "{reasoning}");
+        }
+    }
+
+    #[test]
+    fn what_names_no_mark_says_why() {
+        for (text, why) in [
+            (r#"{"decision": 12}"#, "no mark 12: the marks are 1, 2"),
+            (r#"{"decision": "1 or 2"}"#, "not one number"),
+            (r#"{"decision": 1.5}"#, "no mark 1.5"),
+            (r#"{"decision": -1}"#, "no mark -1"),
+            (r#"{"decision": 1"#, "not closed"),
+            ("I would rather not.", "no decision"),
+            ("", "no decision"),
+            (r#"{"reasoning": "both are bad"}"#, "no decision"),
+            ("Decision: none", "not one number"),
+        ] {
+            let error = read_choice(text, &[1, 2]).unwrap_err();
+            assert!(error.contains(why), "{text}: {error}");
+        }
+    }
+}
