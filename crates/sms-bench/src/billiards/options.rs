@@ -1,12 +1,11 @@
 //! What the experiment depends on.
 
-use crate::{BenchOptions, MaskChoice, MaterializeOptions, MaterialsTold, TrainerMaker};
+use crate::{MaskChoice, MaterializeOptions, MaterialsTold};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_convex::ConvexConfig;
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
-use sms_gaussians::Preset;
 use sms_plan::{Disturbances, GridBaseline, PlanConfig};
 use sms_synth::FixedScene;
 use sms_target::TargetEngine;
@@ -104,13 +103,7 @@ impl BilliardsBench {
             scenes,
             told: vec![MaterialsTold::Class],
             geometry: BilliardsGeometry::Scan,
-            scan: MaterializeOptions {
-                bench: BenchOptions::new(Preset::Standard, keep.join("recordings")),
-                masks: MaskChoice::Geometry,
-                keep: keep.to_owned(),
-                rescan: false,
-                trainer: TrainerMaker::default(),
-            },
+            scan: MaterializeOptions::standard(keep),
             engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
             starts: 30,
             paper: PlanConfig::paper(),

@@ -81,12 +81,7 @@ impl LandingBench<'_> {
             noisy_starts: 4,
             part: (1, 1),
             geometry: BilliardsGeometry::Scan,
-            scan: MaterializeOptions {
-                bench: BenchOptions::new(Preset::Standard, keep.join("recordings")),
-                masks: MaskChoice::Geometry,
-                keep: keep.to_owned(),
-                rescan: false,
-            },
+            scan: MaterializeOptions::standard(keep),
             engine: TargetEngine::preferred(),
             settings: LandingSettings::default(),
             baselines: Vec::new(),

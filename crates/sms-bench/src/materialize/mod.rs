@@ -19,7 +19,8 @@ pub use trained::{Inputs, Trained, train};
 
 use crate::TrainerMaker;
 use crate::prepare::BenchOptions;
-use std::path::PathBuf;
+use sms_gaussians::Preset;
+use std::path::{Path, PathBuf};
 
 /// Which masks a scan is given.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -47,4 +48,17 @@ pub struct MaterializeOptions {
     pub rescan: bool,
     /// What computes scans. A kept scan is used whatever computed it; its `scan.json` says what did.
     pub trainer: TrainerMaker,
+}
+
+impl MaterializeOptions {
+    /// Scans of preset `standard` with masks by geometry, on the CPU, kept in `keep`.
+    pub fn standard(keep: &Path) -> Self {
+        Self {
+            bench: BenchOptions::new(Preset::Standard, keep.join("recordings")),
+            masks: MaskChoice::Geometry,
+            keep: keep.to_owned(),
+            rescan: false,
+            trainer: TrainerMaker::default(),
+        }
+    }
 }
