@@ -165,6 +165,6 @@ mod tests {
         c.number(8, DVec2::new(0.0, 40.0), 14.0, [255; 3], [0, 0, 255]);
         c.disc(DVec2::new(-100.0, 500.0), 30.0, [255; 3], 1.0);
         c.line(&[Some(DVec2::new(-1e9, 3.0)), Some(DVec2::new(-1e3, 3.0))], 3.0, [255; 3]);
-        assert!(c.image.data.iter().any(|p| *p == [255; 3]));
+        assert!(c.image.data.contains(&[255; 3]));
     }
 }
