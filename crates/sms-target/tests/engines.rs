@@ -416,3 +416,47 @@ fn what_falls_slowly_does_not_fall_asleep() {
         assert!((low - half.x).abs() < 1e-3, "{}: it is at {low} m", factory.engine());
     }
 }
+
+/// PhysX's cache of contacts kept "none" of a pair whose bounds overlapped until a body had come 10 mm nearer.
+#[test]
+fn what_came_near_without_a_touch_is_caught_when_it_touches() {
+    // Upright bounds of what is turned by 45° reach farther than it: the pair is there long before the contact.
+    let turn = DQuat::from_rotation_y(std::f64::consts::FRAC_PI_4);
+    let surface = || material(0.3, 0.0, 0.0);
+    let round = Mesh::icosphere(0.04, 1);
+    let lowest = round.vertices.iter().map(|&v| (turn * v).z).fold(f64::INFINITY, f64::min);
+    let gap = 0.003;
+    let x_wb = |x: f64, z: f64| DPose3::from_parts(DVec3::new(x, 0.0, z), turn);
+    let hull = Body {
+        mass: Some(polyhedron_mass_properties(&round, 500.0).unwrap()),
+        shape: BodyShape::Hulls { hulls: vec![round] },
+        ..cuboid("hull", x_wb(0.0, gap - lowest), DVec3::ONE, BodyKind::Dynamic, surface())
+    };
+    let half = DVec3::new(0.05, 0.1, 0.02);
+    // The ball is over the slope, which it will touch in the middle.
+    let over = turn * DVec3::Z * (half.z + R) + DVec3::Z * (0.1 + gap);
+    let bodies = vec![
+        floor(surface()),
+        hull,
+        cuboid("slope", x_wb(0.5, 0.1), half, BodyKind::Static, surface()),
+        ball("ball", over + DVec3::X * 0.5, surface()),
+    ];
+    for (engine, factory) in engines() {
+        // The defaults let everything sink in; MuJoCo's contacts are soft.
+        if engine != TargetEngine::Physx {
+            continue;
+        }
+        let mut simulation = simulate(&*factory, &scene(G, bodies.clone()), &awake());
+        let [mut hull_m, mut ball_m] = [0.0f64; 2];
+        let mut has_touched = false;
+        while simulation.time_s() < 0.1 {
+            run(&mut simulation, DT);
+            hull_m = hull_m.max(simulation.penetration(1));
+            ball_m = ball_m.max(simulation.penetration(3));
+            has_touched |= simulation.state(3).v_w.x > 0.05;
+        }
+        println!("{}: hull {:.3} mm, ball {:.3} mm deep", factory.engine(), 1e3 * hull_m, 1e3 * ball_m);
+        assert!(has_touched, "the slope turned the ball");
+        assert!(hull_m < 2e-4 && ball_m < 2e-4, "{}: hull {hull_m}, ball {ball_m}", factory.engine());
+    }
+}

@@ -5,13 +5,23 @@ use super::sdk::{Sdk, take_error};
 use super::tuning::Tuning;
 use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::*;
+use sms_convex::convex_hull;
 use sms_core::Mesh;
 use sms_scene::BodyShape;
 use sms_sim::KinematicShape;
+use std::borrow::Cow;
 use std::ptr::{from_ref, null_mut};
 
 /// Corners of the prism that stands for a cylinder: PhysX 5.1 has none, and a hull may have 255.
 const CYLINDER_SEGMENTS: usize = 96;
+
+/// Corners of a hull at most: one of triangles alone has 252 faces then. PhysX builds no more than 255, and where a hull has more
+/// it stops half-way without a word.
+const MOST_CORNERS: usize = 128;
+
+/// Distance from a hull, metres, within which PhysX leaves corners out that are still to be added. Its default is 0.7 mm at least,
+/// however small the hull is.
+const PLANE_TOLERANCE: f32 = 1e-6;
 
 /// Surface of a shape.
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +85,13 @@ impl Shaper<'_> {
             }
             BodyShape::HalfSpace => self.half_space().map(|s| vec![s]),
             BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
-            BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(|(i, h)| self.hull(i, h)).collect(),
+            BodyShape::Hulls { hulls } => {
+                let parts = hulls
+                    .iter()
+                    .enumerate()
+                    .flat_map(|(i, h)| within_limits(h).into_iter().map(move |p| (i, p)));
+                parts.map(|(i, part)| self.hull(i, &part)).collect()
+            }
             BodyShape::TriMesh { mesh } => self.mesh(mesh).map(|s| vec![s]),
         }
     }
@@ -129,7 +145,8 @@ impl Shaper<'_> {
             let _lock = sdk.lock();
             take_error();
             unsafe {
-                let parameters = PxCookingParams_new(sdk.scale());
+                let mut parameters = PxCookingParams_new(sdk.scale());
+                parameters.planeTolerance = PLANE_TOLERANCE;
                 let mut description = PxConvexMeshDesc_new();
                 description.points.count = points.len() as u32;
                 description.points.stride = size_of::<PxVec3>() as u32;
@@ -240,5 +257,64 @@ impl Shaper<'_> {
             );
             Ok(Shape(shape))
         }
+    }
+}
+
+/// A hull, cut in parts that PhysX can build.
+fn within_limits(hull: &Mesh) -> Vec<Cow<'_, Mesh>> {
+    let too_many = hull.vertices.len() > MOST_CORNERS && hull.vertices.iter().all(|v| v.is_finite());
+    match too_many.then(|| halves(hull)).flatten() {
+        Some(halves) => halves
+            .iter()
+            .flat_map(|half| within_limits(half).into_iter().map(|p| Cow::Owned(p.into_owned())))
+            .collect(),
+        None => vec![Cow::Borrowed(hull)],
+    }
+}
+
+/// Both halves of a hull, cut across its longest side; `None` where that leaves as many corners, or no volume.
+fn halves(hull: &Mesh) -> Option<[Mesh; 2]> {
+    let whole = convex_hull(&hull.vertices, usize::MAX, 0.0)?;
+    let bounds = whole.aabb()?;
+    let (center, extents) = (bounds.center(), bounds.extents());
+    let axis = [DVec3::X, DVec3::Y, DVec3::Z]
+        .into_iter()
+        .max_by(|a, b| a.dot(extents).total_cmp(&b.dot(extents)))?;
+    let height = |p: DVec3| axis.dot(p - center);
+    let mut cut = Vec::new();
+    for [a, b, c] in (0..whole.triangles.len()).map(|t| whole.corners(t)) {
+        for (p, q) in [(a, b), (b, c), (c, a)] {
+            // Each edge once: its other triangle has it the other way round.
+            if height(p) < 0.0 && height(q) > 0.0 {
+                cut.push(p.lerp(q, height(p) / (height(p) - height(q))));
+            }
+        }
+    }
+    let half = |sign: f64| {
+        let corners = whole.vertices.iter().copied().filter(|&v| sign * height(v) >= 0.0);
+        let corners: Vec<DVec3> = corners.chain(cut.iter().copied()).collect();
+        convex_hull(&corners, usize::MAX, 0.0).filter(|h| h.vertices.len() < whole.vertices.len())
+    };
+    Some([half(-1.0)?, half(1.0)?])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An egg that is cut flat below, as parts of statues and toys are.
+    #[test]
+    fn a_hull_of_many_corners_is_cut_and_loses_nothing() {
+        let scale = DVec3::new(0.03, 0.035, 0.045);
+        let round = Mesh::icosphere(1.0, 2).vertices.into_iter().map(|v| v * scale);
+        let egg = Mesh::new(round.map(|v| v.with_z(v.z.max(-0.03))).collect(), Vec::new());
+        let parts = within_limits(&egg);
+        assert!(egg.vertices.len() > MOST_CORNERS && parts.len() > 1);
+        assert!(parts.iter().all(|p| p.vertices.len() <= MOST_CORNERS && p.triangles.len() <= 255));
+        let whole = convex_hull(&egg.vertices, usize::MAX, 0.0).unwrap().volume();
+        let volume: f64 = parts.iter().map(|p| p.volume()).sum();
+        assert!((volume / whole - 1.0).abs() < 1e-9, "{volume} of {whole}");
+        let cube = Mesh::cuboid(DVec3::ONE);
+        assert_eq!(within_limits(&cube), [Cow::Borrowed(&cube)]);
     }
 }
