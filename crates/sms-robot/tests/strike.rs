@@ -364,3 +364,35 @@ fn a_robot_elsewhere_strikes_there() {
     let off = a.q_start.iter().zip(&b.q_start).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(off < 1e-6, "{off}");
 }
+
+#[test]
+fn what_can_be_swept_but_not_started_takes_another_posture_or_is_refused() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    let around = [floor(0.0)];
+    let (mut swept, mut mended, mut refused) = (0, 0, 0);
+    for (x, y) in [(0.22, 0.0), (0.27, 0.1), (0.32, 0.0), (0.32, -0.15), (0.37, 0.1)] {
+        for degrees in [-150.0, -100.0, -60.0, -20.0, 20.0, 60.0, 100.0, 150.0] {
+            let sweep = ball_at(x, y, degrees, 0.4);
+            let Ok(alone) = plan_sweep(&model, &sweep, &around, &config, &mut ws) else { continue };
+            swept += 1;
+            match plan_strike(&model, &sweep, &around, &config, &mut ws) {
+                Ok(plan) => {
+                    let check = check_strike(&model, &plan, &around, &config, &mut ws);
+                    let failed: Vec<&str> = check.failed().map(|i| i.detail.as_str()).collect();
+                    assert!(failed.is_empty(), "{x} {y} {degrees}°: {failed:?}");
+                    mended += usize::from(plan.sweep.q_start != alone.q_start);
+                }
+                Err(e @ StrikeError::Unstartable { .. }) => {
+                    assert!(e.reason().contains("on the way to the start"), "{e}");
+                    assert!(e.cure().contains("further away"), "{}", e.cure());
+                    refused += 1;
+                }
+                Err(e) => panic!("{x} {y} {degrees}°: {e}"),
+            }
+        }
+    }
+    println!("of {swept} sweeps {mended} are made in another posture, {refused} cannot be started");
+    assert!(mended > 0 && swept > 20, "{mended} of {swept}");
+}
