@@ -118,7 +118,7 @@ struct Detail {
     look_s: f64,
 }
 
-/// For strikes that are only looked at: a hundredth of a rollout's time.
+/// For strikes that are only looked at: half of the time that their sweep takes to plan.
 const COARSE: Detail = Detail { period_s: 0.02, settle: false, look_s: 0.05 };
 
 /// From home to the start of a sweep.

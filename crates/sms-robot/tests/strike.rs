@@ -366,12 +366,12 @@ fn a_robot_elsewhere_strikes_there() {
 }
 
 #[test]
-fn what_can_be_swept_but_not_started_takes_another_posture_or_is_refused() {
+fn near_the_robot_what_is_planned_passes_every_check_or_is_refused() {
     let model = RobotModel::fr3();
     let config = StrikeConfig::default();
     let mut ws = Workspace::default();
     let around = [floor(0.0)];
-    let (mut swept, mut mended, mut refused) = (0, 0, 0);
+    let (mut swept, mut passed, mut mended, mut refused) = (0, 0, 0, 0);
     for (x, y) in [(0.22, 0.0), (0.27, 0.1), (0.32, 0.0), (0.32, -0.15), (0.37, 0.1)] {
         for degrees in [-150.0, -100.0, -60.0, -20.0, 20.0, 60.0, 100.0, 150.0] {
             let sweep = ball_at(x, y, degrees, 0.4);
@@ -382,6 +382,7 @@ fn what_can_be_swept_but_not_started_takes_another_posture_or_is_refused() {
                     let check = check_strike(&model, &plan, &around, &config, &mut ws);
                     let failed: Vec<&str> = check.failed().map(|i| i.detail.as_str()).collect();
                     assert!(failed.is_empty(), "{x} {y} {degrees}°: {failed:?}");
+                    passed += 1;
                     mended += usize::from(plan.sweep.q_start != alone.q_start);
                 }
                 Err(e @ StrikeError::Unstartable { .. }) => {
@@ -389,10 +390,12 @@ fn what_can_be_swept_but_not_started_takes_another_posture_or_is_refused() {
                     assert!(e.cure().contains("further away"), "{}", e.cure());
                     refused += 1;
                 }
+                // Only the whole motion, with the rest after the sweep, shows a joint at its end.
+                Err(StrikeError::Infeasible(e)) => assert!(e.limit == LimitKind::Position, "{e}"),
                 Err(e) => panic!("{x} {y} {degrees}°: {e}"),
             }
         }
     }
-    println!("of {swept} sweeps {mended} are made in another posture, {refused} cannot be started");
-    assert!(mended > 0 && swept > 20, "{mended} of {swept}");
+    println!("of {swept} sweeps {passed} pass, {mended} in another posture; {refused} cannot be started");
+    assert!(swept > 20 && 4 * passed > 3 * swept, "{passed} of {swept}");
 }
