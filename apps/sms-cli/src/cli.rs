@@ -428,9 +428,12 @@ pub(crate) struct Robot {
     /// Folder of the run.
     pub run: PathBuf,
     /// Where the base stands in the run's world: x, y, z in metres and the yaw in degrees, such as 0,0,0,0. Without it
-    /// `robot.x_world_robot` or `robot.x_recording_robot` of the settings.
+    /// the robot that was planned for, or `robot.x_world_robot` or `robot.x_recording_robot` of the settings.
     #[arg(long, value_name = "X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
     pub at: Option<String>,
+    /// Writes a motion that did not pass every check, too, as program.not-executable.json and .parquet, for looking at.
+    #[arg(long)]
+    pub keep_failed: bool,
 }
 
 #[derive(Debug, Args, Clone)]

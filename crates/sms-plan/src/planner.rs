@@ -127,6 +127,10 @@ pub fn plan(
             known: &known,
         };
         let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?, seed.derive("robust scan"))?;
+        if chosen.is_empty() {
+            let refused = counter.refusals(&struck);
+            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, total(&refused))));
+        }
         // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
         let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
         let fresh = family(2 * d.worlds..2 * d.worlds + fresh)?;
@@ -310,7 +314,8 @@ fn out_of_reach(task: &ResolvedTask, refusals: &[Refusal], evaluations: usize) -
             list.join(", ")
         ),
         "[robot]",
-        "check where the robot stands (`x_world_robot`), lower the task's speeds, or plan without it",
+        "place the robot nearer or further away (`x_world_robot` of [robot]; 0.1 to 0.2 m further where its links would meet each \
+         other), take away what stands beside the struck body, lower the task's speeds, or plan without the robot",
     )
 }
 

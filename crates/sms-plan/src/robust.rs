@@ -50,7 +50,8 @@ pub(crate) fn key(x: &[f64]) -> Vec<u64> {
 }
 
 impl Choice<'_> {
-    /// The best action of each strategy, best strategy first. With disturbed worlds:
+    /// The best action of each strategy that the robot can carry out from home to its end, best strategy first; empty where
+    /// there is none. With disturbed worlds:
     ///
     /// 1. Candidates are the nominally best actions and the best of a scan, each point of which is tried in one
     ///    disturbed world: what works in the world as told alone does not get through.
@@ -105,18 +106,45 @@ impl Choice<'_> {
                 self.ranked(&all, &polished).into_iter().take(2 * STRATEGIES).collect();
             alive.extend(self.looked_at(&mut all, &polished, trials)?);
             alive = self.ranked(&all, &alive);
+            alive = self.executable(&all, &alive)?;
             alive = self.best_with_strategies(&all, &alive, config.finalists);
             self.run(&mut all, &alive, worlds, half..worlds.len(), trials)?;
             alive = self.ranked(&all, &alive);
         }
+        let is_checked = worlds.len() > 0;
         let mut best: Vec<Candidate> = Vec::new();
         for i in alive {
-            if !best.iter().any(|b| b.strategy == all[i].strategy) {
+            let is_new = best.len() < STRATEGIES && !best.iter().any(|b| b.strategy == all[i].strategy);
+            if is_new && (is_checked || self.counter.executable(self.task, &all[i].action)?) {
                 best.push(all[i].clone());
             }
         }
-        best.truncate(STRATEGIES);
+        if best.is_empty() {
+            best.extend(self.best_executable(&found.scored)?);
+        }
         Ok(best)
+    }
+
+    /// Those whose whole motion, from home to strike, passes every check of the robot.
+    fn executable(&self, all: &[Candidate], who: &[usize]) -> Result<Vec<usize>, PlanError> {
+        let can: Vec<bool> = who
+            .par_iter()
+            .map(|&i| self.counter.executable(self.task, &all[i].action))
+            .collect::<Result<_, _>>()?;
+        Ok(who.iter().zip(can).filter_map(|(&i, can)| can.then_some(i)).collect())
+    }
+
+    /// The nominally best action of the search that the robot can carry out from home to its end.
+    fn best_executable(&self, scored: &[Scored]) -> Result<Option<Candidate>, PlanError> {
+        let mut order: Vec<&Scored> = scored.iter().filter(|s| s.objective.is_finite()).collect();
+        order.sort_by(|a, b| a.objective.total_cmp(&b.objective));
+        for s in order {
+            let candidate = self.candidate(s.x.clone(), s.objective);
+            if self.counter.executable(self.task, &candidate.action)? {
+                return Ok(Some(candidate));
+            }
+        }
+        Ok(None)
     }
 
     /// Distinct actions that do better than nothing, best first: half of them the nominally best ones, half from every

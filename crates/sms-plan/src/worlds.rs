@@ -91,6 +91,21 @@ impl<'a> Counter<'a> {
         }
     }
 
+    /// Whether the whole motion of an action's strike, from home to the lift after it, passes every check of the robot;
+    /// counted among the refused where it does not.
+    pub(crate) fn executable(
+        &self,
+        task: &ResolvedTask,
+        action: &sms_task::Action,
+    ) -> Result<bool, PlanError> {
+        self.cancel.check()?;
+        let Some(reason) = task.not_executable(&task.strike(action)) else { return Ok(true) };
+        if let Ok(mut passed_over) = self.passed_over.lock() {
+            *passed_over.entry(reason).or_default() += 1;
+        }
+        Ok(false)
+    }
+
     /// The next point of a search whose strike the robot can make; `None` when the search has ended.
     pub(crate) fn next_feasible(
         &self,

@@ -36,6 +36,22 @@ pub enum CheckKind {
     ContactDirection,
 }
 
+impl CheckKind {
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::JointPositions => "joints' positions",
+            Self::JointSpeeds => "joints' speeds",
+            Self::JointTorques => "joints' torques",
+            Self::TorqueRates => "changes of torques",
+            Self::SelfCollision => "links against each other",
+            Self::Obstacle => "links against obstacles",
+            Self::ContactSpeed => "speed at the contact",
+            Self::ContactDirection => "direction at the contact",
+        }
+    }
+}
+
 /// One thing that was looked at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CheckItem {
@@ -63,6 +79,11 @@ impl StrikeCheck {
     /// Whether everything passes.
     pub fn executable(&self) -> bool {
         self.items.iter().all(|i| i.passed)
+    }
+
+    /// What does not pass.
+    pub fn failed(&self) -> impl Iterator<Item = &CheckItem> {
+        self.items.iter().filter(|i| !i.passed)
     }
 }
 

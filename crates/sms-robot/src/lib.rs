@@ -56,7 +56,7 @@ mod workspace;
 
 use glamx::DVec3;
 
-pub use approach::{Phase, StrikePlan, plan_strike};
+pub use approach::{Phase, StrikePlan, plan_startable_sweep, plan_strike};
 pub use arm_sim::ArmSim;
 pub use check::{CheckItem, CheckKind, DIRECTION_TOLERANCE_RAD, SPEED_TOLERANCE, StrikeCheck, check_strike};
 pub use config::RobotConfig;

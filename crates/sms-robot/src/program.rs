@@ -1,6 +1,7 @@
 //! The motion of a strike as a table that a robot's own program replays, in JSON and Parquet.
 
 use crate::approach::{Phase, StrikePlan};
+use crate::check::StrikeCheck;
 use crate::model::RobotModel;
 use crate::motion::{JointSample, motor_torques};
 use crate::osc::joint_friction;
@@ -10,6 +11,9 @@ use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
+
+/// What a program says of itself that no check has looked at.
+const NOT_CHECKED: &str = "nothing was checked";
 
 /// Version of the files.
 pub const PROGRAM_VERSION: u32 = 1;
@@ -59,12 +63,18 @@ pub struct JointProgram {
     pub contact_s: f64,
     /// Asked speed of the tool at the contact, m/s.
     pub contact_speed: f64,
+    /// Whether every check of [`crate::check_strike`] passed. What says nothing of it is not executable.
+    #[serde(default)]
+    pub executable: bool,
+    /// The checks that did not pass, in words.
+    #[serde(default)]
+    pub failed_checks: Vec<String>,
     /// The points.
     pub points: Vec<ProgramPoint>,
 }
 
 impl JointProgram {
-    /// The program of a strike, one point every `period_s` seconds.
+    /// The program of a strike, one point every `period_s` seconds; not executable until it is [`Self::checked`].
     pub fn of_strike(model: &RobotModel, plan: &StrikePlan, period_s: f64, ws: &mut Workspace) -> Self {
         let n = model.dof();
         let total: f64 = plan.phases.iter().map(|(_, m)| m.duration_s()).sum();
@@ -105,8 +115,16 @@ impl JointProgram {
             period_s,
             contact_s: plan.contact_s(),
             contact_speed: plan.sweep.sweep.speed,
+            executable: false,
+            failed_checks: vec![NOT_CHECKED.to_owned()],
             points,
         }
+    }
+
+    /// The same program, marked with what its check found.
+    pub fn checked(self, check: &StrikeCheck) -> Self {
+        let failed_checks = check.failed().map(|i| i.detail.clone()).collect();
+        Self { executable: check.executable(), failed_checks, ..self }
     }
 
     /// Pose of the base, `X_WR`.
@@ -137,7 +155,7 @@ impl JointProgram {
         Ok(program)
     }
 
-    /// Writes one row for each point to a Parquet file: `time_s`, `phase`, for each joint `q_NAME`, `qd_NAME`,
+    /// Writes one row for each point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each joint `q_NAME`, `qd_NAME`,
     /// `tau_NAME`, `tau_command_NAME`, and the tool's `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw`; units as in
     /// [`ProgramPoint`].
     ///
@@ -147,8 +165,12 @@ impl JointProgram {
         let column =
             |value: &dyn Fn(&ProgramPoint) -> f64| Column::F64(self.points.iter().map(value).collect());
         let phases = self.points.iter().map(|p| p.phase.name().to_owned()).collect();
-        let mut columns: Vec<(String, Column)> =
-            vec![("time_s".to_owned(), column(&|p| p.time_s)), ("phase".to_owned(), Column::Text(phases))];
+        let executable = vec![i32::from(self.executable); self.points.len()];
+        let mut columns: Vec<(String, Column)> = vec![
+            ("time_s".to_owned(), column(&|p| p.time_s)),
+            ("phase".to_owned(), Column::Text(phases)),
+            ("executable".to_owned(), Column::I32(executable)),
+        ];
         for (i, joint) in self.joints.iter().enumerate() {
             columns.push((format!("q_{joint}"), column(&|p| p.q[i])));
             columns.push((format!("qd_{joint}"), column(&|p| p.qd[i])));

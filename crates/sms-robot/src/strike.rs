@@ -1,5 +1,6 @@
 //! From an asked strike to a sweep that the arm can make, or the reason why there is none.
 
+use crate::approach::Phase;
 use crate::hold::{Hold, groups, tool_blocked};
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
@@ -60,6 +61,9 @@ impl Default for StrikeConfig {
     }
 }
 
+/// How many times `candidates` postures are followed at most, where the first can make the sweep but not come to its start.
+const MOST_ROUNDS: usize = 3;
+
 /// How far the wrist moves at most when the tool is held otherwise, metres.
 const HOLD_REACH_M: f64 = 0.15;
 
@@ -86,6 +90,14 @@ pub enum StrikeError {
         /// When, seconds from the start of the sweep.
         at_s: f64,
     },
+    /// The sweep could be made, but something is in the way to its start in every posture that can make it.
+    #[error("the robot's {} would come within {:.1} mm of {} in the {} before the sweep", .clearance.link, 1e3 * .clearance.distance_m, .clearance.other, .phase.name())]
+    Unstartable {
+        /// What comes near what.
+        clearance: Clearance,
+        /// On which part of the way.
+        phase: Phase,
+    },
 }
 
 impl StrikeError {
@@ -95,7 +107,7 @@ impl StrikeError {
         match self {
             Self::Unreachable(e) => e.position_error_m < HOLD_REACH_M,
             Self::Infeasible(e) => e.limit == LimitKind::Position,
-            Self::Blocked { .. } => true,
+            Self::Blocked { .. } | Self::Unstartable { .. } => true,
             Self::Invalid { .. } => false,
         }
     }
@@ -116,7 +128,32 @@ impl StrikeError {
             Self::Blocked { clearance, .. } => {
                 format!("{} would come too near {}", clearance.link, clearance.other)
             }
+            Self::Unstartable { clearance, .. } => {
+                format!("{} would come too near {} on the way to the start", clearance.link, clearance.other)
+            }
             Self::Invalid { .. } => "there is no such strike".to_owned(),
+        }
+    }
+
+    /// What to do about it, in words.
+    pub fn cure(&self) -> &'static str {
+        match self {
+            Self::Unreachable(_) => {
+                "place the robot nearer or turned otherwise (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
+            }
+            Self::Infeasible(_) => {
+                "lower the task's speeds, or place the robot so that the strike goes across its front rather than towards or \
+                 away from it (`x_world_robot` of [robot], or --at)"
+            }
+            Self::Blocked { .. } => {
+                "place the robot on another side of the struck body (`x_world_robot` of [robot], or --at), or take away what \
+                 stands beside that; all holds of the tool were tried (docs/robot.md, \"The strike\")"
+            }
+            Self::Unstartable { .. } => {
+                "place the robot 0.1 to 0.2 m further away from the struck body (`x_world_robot` of [robot], or --at), or \
+                 take away what stands between; all postures and holds of the tool were tried (docs/robot.md, \"The strike\")"
+            }
+            Self::Invalid { .. } => "check the task's action and the settings of [robot]",
         }
     }
 }
@@ -166,6 +203,22 @@ pub fn plan_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
+    plan_sweep_where(model, sweep, obstacles, config, &|_, _| Ok(()), ws)
+}
+
+/// Says of a sweep that the arm can make whether it may be taken, or why not.
+pub(crate) type May<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<(), StrikeError>;
+
+/// [`plan_sweep`] that passes over sweeps which `may` refuses, as it does over those that break a limit: other postures and
+/// other holds are tried.
+pub(crate) fn plan_sweep_where(
+    model: &RobotModel,
+    sweep: &Sweep,
+    obstacles: &[Obstacle],
+    config: &StrikeConfig,
+    may: May<'_>,
+    ws: &mut Workspace,
+) -> Result<SweepPlan, StrikeError> {
     refuse_nonsense(sweep, config)?;
     let mut upright: Option<StrikeError> = None;
     // There are many others: less is spent on each.
@@ -173,7 +226,7 @@ pub fn plan_sweep(
     let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
     for holds in groups(config.symmetric_tool, config.turned_tool) {
         let config = if upright.is_none() { config } else { &fewer };
-        match plan_held(model, sweep, &holds, obstacles, config, ws) {
+        match plan_held(model, sweep, &holds, obstacles, config, may, ws) {
             Ok(plan) => return Ok(plan),
             Err((e, may_another_do)) => {
                 if !may_another_do {
@@ -193,6 +246,7 @@ fn plan_held(
     holds: &[Hold],
     obstacles: &[Obstacle],
     config: &StrikeConfig,
+    may: May<'_>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, (StrikeError, bool)> {
     // The postures of an arm with joints to spare are found from a few by moving along their families; those of other
@@ -222,40 +276,53 @@ fn plan_held(
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
     // Postures that are nearly the same would be followed for nothing.
     let mut followed: Vec<Vec<f64>> = Vec::new();
-    let mut passing: Vec<(f64, SweepPlan)> = Vec::new();
-    for (strain, path, q_contact) in all {
-        if followed.len() >= config.candidates.max(1) {
-            break;
-        }
-        if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
-            continue;
-        }
-        if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
-            let at_s = path.sweep.contact_s();
-            keep_better(&mut refused, strain, StrikeError::Blocked { clearance, at_s });
-            continue;
-        }
-        let start = IkTarget::Pose(path.at(0.0).x_wt);
-        match model.refine(&start, &q_contact, &config.ik, ws) {
-            Ok(q_start) => match follow_sweep(model, &path, q_start, obstacles, config, ws) {
-                Ok((badness, plan)) => passing.push((badness, plan)),
-                Err((badness, e)) => keep_better(&mut refused, badness, e),
-            },
-            Err(e) => keep_nearest(&mut unreachable, e),
-        }
-        followed.push(q_contact);
-    }
-    passing.sort_by(|a, b| a.0.total_cmp(&b.0));
-    for (_, mut plan) in passing {
-        let path = plan.path();
-        let fine = config.period_s.max(path.duration_s() / 200.0);
-        plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
-        match plan.motion.check(model, config.osc.torque_rate) {
-            Ok(uses) => {
-                plan.uses = uses;
-                return Ok(plan);
+    let mut all = all.into_iter();
+    for round in 1..=MOST_ROUNDS {
+        let mut passing: Vec<(f64, SweepPlan)> = Vec::new();
+        while followed.len() < round * config.candidates.max(1) {
+            let Some((strain, path, q_contact)) = all.next() else { break };
+            if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
+                continue;
             }
-            Err(e) => keep_better(&mut refused, f64::INFINITY, StrikeError::Infeasible(e)),
+            if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
+                let at_s = path.sweep.contact_s();
+                keep_better(&mut refused, strain, StrikeError::Blocked { clearance, at_s });
+                continue;
+            }
+            let start = IkTarget::Pose(path.at(0.0).x_wt);
+            match model.refine(&start, &q_contact, &config.ik, ws) {
+                Ok(q_start) => match follow_sweep(model, &path, q_start, obstacles, config, ws) {
+                    Ok((badness, plan)) => passing.push((badness, plan)),
+                    Err((badness, e)) => keep_better(&mut refused, badness, e),
+                },
+                Err(e) => keep_nearest(&mut unreachable, e),
+            }
+            followed.push(q_contact);
+        }
+        passing.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut unstartable = false;
+        for (_, mut plan) in passing {
+            let path = plan.path();
+            let fine = config.period_s.max(path.duration_s() / 200.0);
+            plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
+            match plan.motion.check(model, config.osc.torque_rate) {
+                Ok(uses) => match may(&plan, ws) {
+                    Ok(()) => {
+                        plan.uses = uses;
+                        return Ok(plan);
+                    }
+                    // Nearer to being executable than what breaks a limit.
+                    Err(e) => {
+                        unstartable = true;
+                        keep_better(&mut refused, f64::NEG_INFINITY, e);
+                    }
+                },
+                Err(e) => keep_better(&mut refused, f64::INFINITY, StrikeError::Infeasible(e)),
+            }
+        }
+        // More postures are looked at only where the sweep itself is none of the difficulties.
+        if !unstartable {
+            break;
         }
     }
     let e = match (refused, unreachable) {
@@ -333,8 +400,20 @@ pub(crate) fn blocked(
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Option<(Clearance, f64)> {
+    blocked_every(model, motion, 0.1, obstacles, clearance_m, ws)
+}
+
+/// [`blocked`], looked at in places not farther apart than `look_s` seconds.
+pub(crate) fn blocked_every(
+    model: &RobotModel,
+    motion: &JointMotion,
+    look_s: f64,
+    obstacles: &[Obstacle],
+    clearance_m: f64,
+    ws: &mut Workspace,
+) -> Option<(Clearance, f64)> {
     let last = motion.samples.len() - 1;
-    let places = 12.max((motion.duration_s() / 0.1) as usize).min(last.max(1));
+    let places = 12.max((motion.duration_s() / look_s) as usize).min(last.max(1));
     (0..=places).map(|k| k * last / places).find_map(|index| {
         let near = too_near(model, &motion.samples[index].q, obstacles, clearance_m, ws)?;
         Some((near, index as f64 * motion.period_s))

@@ -88,7 +88,7 @@ fn the_files_hold_the_program() {
     let column = |name: &str| (0..schema.num_columns()).find(|&c| schema.column(c).name() == name).unwrap();
     let (time, phase) = (column("time_s"), column("phase"));
     let (tau, command, z) = (column("tau_fr3_joint4"), column("tau_command_fr3_joint4"), column("z"));
-    assert_eq!(schema.num_columns(), 2 + 4 * 7 + 7);
+    assert_eq!(schema.num_columns(), 3 + 4 * 7 + 7);
     let mut rows = 0;
     for (row, point) in reader.get_row_iter(None).unwrap().zip(&program.points) {
         let row = row.unwrap();

@@ -364,3 +364,38 @@ fn a_robot_elsewhere_strikes_there() {
     let off = a.q_start.iter().zip(&b.q_start).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(off < 1e-6, "{off}");
 }
+
+#[test]
+fn near_the_robot_what_is_planned_passes_every_check_or_is_refused() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    let around = [floor(0.0)];
+    let (mut swept, mut passed, mut mended, mut refused) = (0, 0, 0, 0);
+    for (x, y) in [(0.22, 0.0), (0.27, 0.1), (0.32, 0.0), (0.32, -0.15), (0.37, 0.1)] {
+        for degrees in [-150.0, -100.0, -60.0, -20.0, 20.0, 60.0, 100.0, 150.0] {
+            let sweep = ball_at(x, y, degrees, 0.4);
+            let Ok(alone) = plan_sweep(&model, &sweep, &around, &config, &mut ws) else { continue };
+            swept += 1;
+            match plan_strike(&model, &sweep, &around, &config, &mut ws) {
+                Ok(plan) => {
+                    let check = check_strike(&model, &plan, &around, &config, &mut ws);
+                    let failed: Vec<&str> = check.failed().map(|i| i.detail.as_str()).collect();
+                    assert!(failed.is_empty(), "{x} {y} {degrees}°: {failed:?}");
+                    passed += 1;
+                    mended += usize::from(plan.sweep.q_start != alone.q_start);
+                }
+                Err(e @ StrikeError::Unstartable { .. }) => {
+                    assert!(e.reason().contains("on the way to the start"), "{e}");
+                    assert!(e.cure().contains("further away"), "{}", e.cure());
+                    refused += 1;
+                }
+                // Only the whole motion, with the rest after the sweep, shows a joint at its end.
+                Err(StrikeError::Infeasible(e)) => assert!(e.limit == LimitKind::Position, "{e}"),
+                Err(e) => panic!("{x} {y} {degrees}°: {e}"),
+            }
+        }
+    }
+    println!("of {swept} sweeps {passed} pass, {mended} in another posture; {refused} cannot be started");
+    assert!(swept > 20 && 4 * passed > 3 * swept, "{passed} of {swept}");
+}

@@ -24,6 +24,7 @@ impl Task {
     pub fn read(path: &Path) -> Result<Self, CoreError> {
         // The kind decides which keys exist, so it is looked at first; the typed reading then reports lines.
         let table: toml::Table = atomic::read_toml(path)?;
+        refuse_robot(&table, path)?;
         match table.get("kind").and_then(toml::Value::as_str) {
             Some("billiards") => {
                 let mut task: Billiards = atomic::read_toml(path)?;
@@ -62,6 +63,38 @@ impl Task {
         match self {
             Self::Billiards(_) => "billiards",
             Self::Strike(_) => "strike",
+        }
+    }
+}
+
+/// Where the robot stands is no part of a task.
+fn refuse_robot(table: &toml::Table, path: &Path) -> Result<(), InputError> {
+    let is_place = |key: &&String| {
+        ["x_world_robot", "x_recording_robot", "robot"].iter().any(|k| key.eq_ignore_ascii_case(k))
+    };
+    let Some(key) = table.keys().find(is_place) else { return Ok(()) };
+    Err(InputError::new(
+        format!("`{key}` is no key of a task: a task says what is wanted, not where the robot stands"),
+        path,
+        "write `[robot]` with `x_world_robot = [[…], […], […], [0, 0, 0, 1]]` in a settings file and give it with --settings \
+         (docs/robot.md)",
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_in_a_task_file_is_sent_to_the_settings() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("task.toml");
+        for text in
+            ["X_world_robot = [[1.0]]\nkind = \"billiards\"", "kind = \"strike\"\n[robot]\nfront_m = 0.01"]
+        {
+            std::fs::write(&path, text).unwrap();
+            let e = Task::read(&path).unwrap_err().to_string();
+            assert!(e.contains("[robot]") && e.contains("--settings"), "{e}");
         }
     }
 }

@@ -21,11 +21,13 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     let scene_dir = run.stage_dir("scene", "materialize")?;
     let plan_dir = run.stage_dir("plan", "plan")?;
     let scene = load_scene(&scene_dir)?;
-    let mut config = place(context, &run)?.config;
+    let stated = place(context, &run)?;
     let plan = load_plan(&plan_dir)?;
-    if let (None, None, Some(planned)) = (&a.at, config.x_wr(&scene.x_world_recording), &plan.robot) {
-        config = RobotConfig { period_s: config.period_s, ..planned.clone() };
-    }
+    // What was planned is what is checked.
+    let config = match &plan.robot {
+        Some(planned) => RobotConfig { period_s: stated.config.period_s, ..planned.clone() },
+        None => stated.config.clone(),
+    };
     let x_wr = match &a.at {
         Some(text) => pose_of(text)?,
         None => config.x_wr(&scene.x_world_recording).ok_or_else(|| {
@@ -50,25 +52,28 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         .file(&scene_dir.join("scene.json"))?;
     // All that was read of the robot counts: its URDF, and the meshes and packages that this names.
     let read_robot = format!("{robot:?}");
-    let hash = inputs_hash(&[&read.finish()], &(&config, read_robot))?;
+    let hash = inputs_hash(&[&read.finish()], &(&config, read_robot, a.keep_failed))?;
     let dir = run_stage(context, &run, "robot", &["robot."], &hash, |stage, _| {
         let settings = config.strike_config();
         let mut ws = Workspace::default();
         let around = obstacles(&scene, task.cue().index);
-        let strike = plan_strike(&robot, &sweep, &around, &settings, &mut ws)
-            .map_err(|e| {
-                InputError::new(
-                    format!("the arm cannot make this strike: {e}"),
-                    "[robot]",
-                    "check where the robot stands (`x_world_robot`, or --at), or plan again with its place known, so that \
-                     only strikes that it can make are looked at",
-                )
-            })?;
+        let strike = plan_strike(&robot, &sweep, &around, &settings, &mut ws).map_err(|e| {
+            InputError::new(
+                format!("the arm cannot make this strike: {e}"),
+                "[robot]",
+                format!(
+                    "{}; then plan again, so that only strikes that the arm can make are looked at",
+                    e.cure()
+                ),
+            )
+        })?;
         let check = check_strike(&robot, &strike, &around, &settings, &mut ws);
-        let program = JointProgram::of_strike(&robot, &strike, config.period_s, &mut ws);
+        let program = JointProgram::of_strike(&robot, &strike, config.period_s, &mut ws).checked(&check);
         atomic::write_json(&stage.dir().join("check.json"), &check)?;
-        program.write_json(&stage.dir().join("program.json"))?;
-        program.write_parquet(&stage.dir().join("program.parquet"))?;
+        if let Some(name) = program_name(&check, a.keep_failed) {
+            program.write_json(&stage.dir().join(format!("{name}.json")))?;
+            program.write_parquet(&stage.dir().join(format!("{name}.parquet")))?;
+        }
         let mut m = Metrics::new();
         m.set("robot.executable", check.executable());
         if let Some(contact) = &check.tracking.contact {
@@ -84,16 +89,48 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     if planned_at.is_none_or(|p| p.translation.distance(x_wr.translation) > 1e-6) {
         context.say(format!("  note: what is predicted of this plan is for {}", planned_with(&plan)));
     }
+    if plan.robot.is_some() && a.at.is_none() && !stated.is_the_recordings {
+        let stated_at = stated.config.x_wr(&scene.x_world_recording);
+        if stated_at.is_some_and(|p| p.translation.distance(x_wr.translation) > 1e-6) {
+            context.say(
+                "  note: the settings place the robot elsewhere than it was planned for; what was planned is checked. Plan \
+                 again, or give --at",
+            );
+        }
+    }
     for item in &check.items {
         context.say(format!("  {} {}", if item.passed { "ok  " } else { "FAIL" }, item.detail));
     }
-    let words = if check.executable() { "executable" } else { "not executable" };
-    context.say(format!("{words}: the motion is in {}", shown(&dir.join("program.json"))));
+    context.say(match (program_name(&check, a.keep_failed), check.executable()) {
+        (Some(name), true) => {
+            format!("executable: the motion is in {}", shown(&dir.join(format!("{name}.json"))))
+        }
+        (Some(name), false) => format!(
+            "not executable: the motion, marked so, is in {}",
+            shown(&dir.join(format!("{name}.json")))
+        ),
+        (None, _) => {
+            "not executable: no motion is written (--keep-failed writes it for looking at)".to_owned()
+        }
+    });
     context.print_metrics(&run)?;
     if !check.executable() {
-        anyhow::bail!("the strike did not pass every check");
+        anyhow::bail!(
+            "the strike did not pass every check; place the robot 0.1 to 0.2 m further away from what its links come near \
+             (`x_world_robot` of [robot], or --at), then plan again"
+        );
     }
     Ok(())
+}
+
+/// Name of the program's files, without extension; `None` where none is written: a robot's own program that looks for
+/// `program.json` must never find a motion that did not pass.
+fn program_name(check: &StrikeCheck, keep_failed: bool) -> Option<&'static str> {
+    match (check.executable(), keep_failed) {
+        (true, _) => Some("program"),
+        (false, true) => Some("program.not-executable"),
+        (false, false) => None,
+    }
 }
 
 fn planned_with(plan: &Plan) -> String {
