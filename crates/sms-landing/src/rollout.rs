@@ -466,14 +466,14 @@ fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, Landin
 /// use sms_landing::{LandingTask, RolloutOptions, rollout_landing};
 /// use sms_sim::RapierFactory;
 /// use sms_wash::WashSettings;
-/// # fn scene() -> sms_scene::Scene { unimplemented!() }
-/// let scene = scene();
-/// let landing = LandingTask::new([2.0, 0.0]).resolve(&scene)?;
+/// # fn land(scene: &sms_scene::Scene) -> Result<(), sms_landing::LandingError> {
+/// let landing = LandingTask::new([2.0, 0.0]).resolve(scene)?;
 /// let straight = landing.straight(landing.surface().point([0.5, 0.5]));
 /// let wash = WashSettings::default();
-/// let outcome = rollout_landing(&RapierFactory, &wash, &scene, &landing, &straight, &RolloutOptions::default())?;
+/// let outcome = rollout_landing(&RapierFactory, &wash, scene, &landing, &straight, &RolloutOptions::default())?;
 /// println!("{}", outcome.failure.map_or("landed".to_owned(), |f| f.to_string()));
-/// # Ok::<(), sms_landing::LandingError>(())
+/// # Ok(())
+/// # }
 /// ```
 ///
 /// # Errors

@@ -24,9 +24,6 @@ use sms_bench::{
 };
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, Warnings};
-use sms_entities::EntitiesConfig;
-use sms_frames::ReadOptions;
-use sms_masks::GeometryConfig;
 use sms_poses::PosesMode;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -283,8 +280,8 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
     }
-    let load = context.settings.section("frames", base.load.clone())?;
-    let mut poses = context.settings.section("poses", poses_defaults(&load))?;
+    let base = with_settings(context, base)?;
+    let mut poses = context.settings.section("poses", poses_defaults(&base.load))?;
     if let Some(mode) = a.refine_poses {
         poses.mode = match mode {
             RefinePoses::Off => PosesMode::Off,
@@ -292,16 +289,17 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
             RefinePoses::Auto => PosesMode::Auto,
         };
     }
+    Ok(BenchOptions { poses, frames: a.frames, disturbance, meshes: !a.no_meshes, ..base })
+}
+
+/// The user's settings of frames, masks, scan and entities over those of `base`.
+pub(super) fn with_settings(context: &Context, base: BenchOptions) -> anyhow::Result<BenchOptions> {
     Ok(BenchOptions {
-        load,
-        read: context.settings.section("read", ReadOptions::default())?,
-        masks: context.settings.section("masks", GeometryConfig::default())?,
-        scan: context.settings.section("scan", base.scan.clone())?,
-        entities: context.settings.section("entities", EntitiesConfig::default())?,
-        poses,
-        frames: a.frames,
-        disturbance,
-        meshes: !a.no_meshes,
+        load: context.settings.section("frames", base.load)?,
+        read: context.settings.section("read", base.read)?,
+        masks: context.settings.section("masks", base.masks)?,
+        scan: context.settings.section("scan", base.scan)?,
+        entities: context.settings.section("entities", base.entities)?,
         ..base
     })
 }

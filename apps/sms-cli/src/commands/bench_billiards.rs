@@ -1,5 +1,6 @@
 //! `sms bench billiards`: the paper's billiards experiment.
 
+use super::bench::with_settings;
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{Told, parse_shard};
@@ -15,9 +16,6 @@ use sms_bench::{
     write_pictures, write_shots,
 };
 use sms_core::{InputError, Seed};
-use sms_entities::EntitiesConfig;
-use sms_frames::ReadOptions;
-use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_synth::{FIXED_SCENES, FixedScene};
 use std::path::{Path, PathBuf};
@@ -102,6 +100,33 @@ pub(crate) enum Masks {
     Truth,
 }
 
+impl Geometry {
+    pub(super) fn choice(self) -> BilliardsGeometry {
+        match self {
+            Self::Scan => BilliardsGeometry::Scan,
+            Self::Truth => BilliardsGeometry::Truth,
+        }
+    }
+}
+
+impl Masks {
+    pub(super) fn choice(self) -> MaskChoice {
+        match self {
+            Self::Geometry => MaskChoice::Geometry,
+            Self::Truth => MaskChoice::Truth,
+        }
+    }
+}
+
+/// Why there is no table.
+pub(super) fn nothing_there(out: &Path) -> InputError {
+    InputError::new(
+        "nothing in this folder was made with these settings",
+        out,
+        "run it without --table, or with the settings that it was made with",
+    )
+}
+
 pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
     let bench = bench(context, a)?;
     if a.scans_only {
@@ -120,12 +145,7 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
     }
     let found = read_billiards(&bench)?;
     if found.is_empty() {
-        return Err(InputError::new(
-            "nothing in this folder was made with these settings",
-            &a.out,
-            "run it without --table, or with the settings that it was made with",
-        )
-        .into());
+        return Err(nothing_there(&a.out).into());
     }
     if let Some(part) = a.shard.as_deref().map(parse_shard).transpose()? {
         let mut shard = Shard::new("billiards", part, bench.settings());
@@ -170,24 +190,13 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     let mut bench = BilliardsBench::new(scenes(a)?, &keep, &a.out);
     let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
     bench.scan.bench = BenchOptions {
-        load: context.settings.section("frames", base.load.clone())?,
-        read: context.settings.section("read", ReadOptions::default())?,
-        masks: context.settings.section("masks", GeometryConfig::default())?,
-        scan: context.settings.section("scan", base.scan.clone())?,
-        entities: context.settings.section("entities", EntitiesConfig::default())?,
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
-        ..base
+        ..with_settings(context, base)?
     };
     bench.scan.rescan = a.rescan;
     bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
-    bench.scan.masks = match a.masks {
-        Masks::Geometry => MaskChoice::Geometry,
-        Masks::Truth => MaskChoice::Truth,
-    };
-    bench.geometry = match a.geometry {
-        Geometry::Scan => BilliardsGeometry::Scan,
-        Geometry::Truth => BilliardsGeometry::Truth,
-    };
+    bench.scan.masks = a.masks.choice();
+    bench.geometry = a.geometry.choice();
     bench.told = a.materials.iter().map(|t| t.told()).collect();
     if !a.engines.is_empty() {
         bench.engines = a.engines.iter().map(|e| e.engine()).collect();

@@ -1,6 +1,7 @@
 //! `sms bench landing`: the paper's landing experiment.
 
-use super::bench_billiards::{Geometry, Masks};
+use super::bench::with_settings;
+use super::bench_billiards::{Geometry, Masks, nothing_there};
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
 use super::landing::action_of;
@@ -8,14 +9,11 @@ use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
 use clap::Args;
 use sms_bench::{
-    BenchError, BenchOptions, BilliardsGeometry, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench,
-    LandingFlight, MaskChoice, landing_metrics, landing_table, read_landings, run_landings,
+    BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
+    landing_metrics, landing_table, read_landings, run_landings,
 };
 use sms_core::{InputError, Seed};
-use sms_entities::EntitiesConfig;
-use sms_frames::ReadOptions;
 use sms_landing::{LandingSettings, ResolvedLanding};
-use sms_masks::GeometryConfig;
 use sms_prompting::{
     ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
 };
@@ -82,12 +80,7 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     }
     let found = read_landings(&bench)?;
     if found.is_empty() {
-        return Err(InputError::new(
-            "nothing in this folder was made with these settings",
-            &a.out,
-            "run it without --table, or with the settings that it was made with",
-        )
-        .into());
+        return Err(nothing_there(&a.out).into());
     }
     let text = landing_table(&found);
     finish(context, &landing_metrics(&found), Some(&a.out.join("results.json")), text.trim_end())
@@ -111,23 +104,12 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
     let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
     bench.scan.bench = BenchOptions {
-        load: context.settings.section("frames", base.load.clone())?,
-        read: context.settings.section("read", ReadOptions::default())?,
-        masks: context.settings.section("masks", GeometryConfig::default())?,
-        scan: context.settings.section("scan", base.scan.clone())?,
-        entities: context.settings.section("entities", EntitiesConfig::default())?,
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
-        ..base
+        ..with_settings(context, base)?
     };
     bench.scan.rescan = a.rescan;
-    bench.scan.masks = match a.masks {
-        Masks::Geometry => MaskChoice::Geometry,
-        Masks::Truth => MaskChoice::Truth,
-    };
-    bench.geometry = match a.geometry {
-        Geometry::Scan => BilliardsGeometry::Scan,
-        Geometry::Truth => BilliardsGeometry::Truth,
-    };
+    bench.scan.masks = a.masks.choice();
+    bench.geometry = a.geometry.choice();
     bench.starts = a.starts.unwrap_or(bench.starts).clamp(1, 10);
     (bench.noisy_draws, bench.noisy_starts) = (a.noisy.unwrap_or(0), NOISY_STARTS);
     bench.seed = Seed(a.seed);

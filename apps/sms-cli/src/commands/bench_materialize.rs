@@ -1,6 +1,6 @@
 //! `sms bench materialize`: meshes of scanned models against the models.
 
-use super::bench::read_baseline;
+use super::bench::{read_baseline, with_settings};
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{parse_shard, settings};
@@ -15,9 +15,6 @@ use sms_bench::{
 };
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Warnings};
-use sms_entities::EntitiesConfig;
-use sms_frames::ReadOptions;
-use sms_masks::GeometryConfig;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
@@ -181,15 +178,7 @@ fn options(context: &Context, a: &BenchMaterialize) -> anyhow::Result<Materializ
     }
     let base = BenchOptions::new(a.preset.preset(), a.keep.join("recordings"));
     Ok(MaterializeOptions {
-        bench: BenchOptions {
-            load: context.settings.section("frames", base.load.clone())?,
-            read: context.settings.section("read", ReadOptions::default())?,
-            masks: context.settings.section("masks", GeometryConfig::default())?,
-            scan: context.settings.section("scan", base.scan.clone())?,
-            entities: context.settings.section("entities", EntitiesConfig::default())?,
-            frames: a.frames,
-            ..base
-        },
+        bench: BenchOptions { frames: a.frames, ..with_settings(context, base)? },
         masks: match a.masks {
             BenchMasks::Auto => MaskChoice::Auto,
             BenchMasks::Geometry => MaskChoice::Geometry,

@@ -138,14 +138,11 @@ impl BilliardsBench {
 
     /// Names the plans of a scene by everything they are made from but the code.
     pub(super) fn key(&self, scene: &FixedScene, told: MaterialsTold) -> Hash {
-        let bench = &self.scan.bench;
-        let masks = self.scan.masks == MaskChoice::Truth;
         let seen = match self.geometry {
             BilliardsGeometry::Truth => None,
-            BilliardsGeometry::Scan => Some((
-                (&bench.read, &bench.load, &bench.masks, masks, &bench.scan, bench.frames),
-                (&bench.entities, &self.paper_entities),
-            )),
+            BilliardsGeometry::Scan => {
+                Some((self.scan.made_from(), (&self.scan.bench.entities, &self.paper_entities)))
+            }
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
         hash_serializable(&(VERSION, scene.generate(), told, seen, plans))

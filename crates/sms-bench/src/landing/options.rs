@@ -1,7 +1,6 @@
 //! What the experiment depends on.
 
-use crate::{BenchError, BenchOptions, BilliardsGeometry, MaskChoice, MaterializeOptions, MaterialsTold};
-use serde_json::{Map, Value, json};
+use crate::{BenchError, BenchOptions, BilliardsGeometry, MaterializeOptions, MaterialsTold};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_gaussians::Preset;
 use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
@@ -123,14 +122,9 @@ impl LandingBench<'_> {
 
     /// Names a flight by everything it is made from but the code.
     pub(super) fn key(&self, part: LandingPart) -> Hash {
-        let bench = &self.scan.bench;
-        let masks = self.scan.masks == MaskChoice::Truth;
         let seen = match self.geometry {
             BilliardsGeometry::Truth => None,
-            BilliardsGeometry::Scan => Some((
-                (&bench.read, &bench.load, &bench.masks, masks, &bench.scan, bench.frames),
-                &bench.entities,
-            )),
+            BilliardsGeometry::Scan => Some((self.scan.made_from(), &self.scan.bench.entities)),
         };
         let which = (part.scene, part.start, part.told, part.draw);
         let truth = structure(part.scene).map(LandingStructure::fixed);
@@ -142,32 +136,6 @@ impl LandingBench<'_> {
         let folder = format!("{}-{}", self.geometry.as_str(), part.told.as_str());
         let name = format!("landing_{}_draw_{}_start_{}.json", part.scene, part.draw, part.start);
         self.out.join(folder).join(name)
-    }
-
-    /// What the figures depend on, besides scenes and code, for comparing parts of a run.
-    pub fn settings(&self) -> Map<String, Value> {
-        let bench = &self.scan.bench;
-        let mut map = Map::new();
-        for (name, value) in [
-            ("geometry", json!(self.geometry)),
-            ("preset", json!(bench.preset_name())),
-            ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
-            ("frames", json!(bench.frames)),
-            ("read", json!(bench.read)),
-            ("load", json!(bench.load)),
-            ("masks", json!(bench.masks)),
-            ("scan", json!(bench.scan)),
-            ("entities", json!(bench.entities)),
-            ("engine", json!(self.engine.key())),
-            ("starts", json!(self.starts)),
-            ("noisy_draws", json!(self.noisy_draws)),
-            ("noisy_starts", json!(self.noisy_starts)),
-            ("landing", json!(self.settings)),
-            ("seed", json!(self.seed)),
-        ] {
-            map.insert(name.to_owned(), value);
-        }
-        map
     }
 }
 

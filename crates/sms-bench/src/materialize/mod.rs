@@ -19,6 +19,7 @@ pub use trained::{Inputs, Trained, train};
 
 use crate::TrainerMaker;
 use crate::prepare::BenchOptions;
+use serde::Serialize;
 use sms_gaussians::Preset;
 use std::path::{Path, PathBuf};
 
@@ -60,5 +61,11 @@ impl MaterializeOptions {
             rescan: false,
             trainer: TrainerMaker::default(),
         }
+    }
+
+    /// What a scan depends on, besides scene, seed and code, for naming what was made of it.
+    pub(crate) fn made_from(&self) -> impl Serialize {
+        let (bench, true_masks) = (&self.bench, self.masks == MaskChoice::Truth);
+        (&bench.read, &bench.load, &bench.masks, true_masks, &bench.scan, bench.frames)
     }
 }
