@@ -2,7 +2,11 @@
 
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
-use crate::motion::{JointMotion, JointSample, LimitKind, follow, joint_move, motor_torques, roll_out};
+use crate::motion::{
+    Following, JointMotion, JointSample, LimitKind, Meter, SETTLE_S, joint_move, motor_torques, roll_out,
+    within_limits,
+};
+use crate::osc::TaskLaw;
 use crate::shape::{Clearance, Obstacle};
 use crate::strike::{StrikeConfig, StrikeError, SweepPlan, blocked_every, plan_sweep_where};
 use crate::sweep::{LinePath, Sweep};
@@ -64,7 +68,7 @@ pub fn plan_startable_sweep(
         let way = way_to_start(model, &plan.q_start, &plan.sweep, obstacles, config, &COARSE, ws)?;
         way.blocked.map_or(Ok(()), |(phase, clearance)| Err(StrikeError::Unstartable { clearance, phase }))
     };
-    plan_sweep_where(model, sweep, obstacles, config, &may, ws)
+    plan_sweep_where(model, sweep, obstacles, config, Some(&may), ws)
 }
 
 /// Plans the whole strike: approach, descent, sweep and lift. Obstacles are noticed in the sweep, and, in coarse steps, on the
@@ -206,18 +210,23 @@ fn lift(
     model.forward_kinematics(q, ws);
     let start = model.frame_pose(model.tool(), ws);
     let mut duration_s = 1.2;
+    let mut law = TaskLaw::default();
     for _ in 0..4 {
         let path = LinePath { start, by_w, duration_s };
-        let motion = if detail.settle {
-            roll_out(model, &path, q, q, &config.osc, detail.period_s)
-        } else {
-            follow(model, &path, q, q, &config.osc, detail.period_s, 0.0)
-        };
-        match motion.check(model, config.osc.torque_rate) {
-            Ok(_) => return Some(motion),
+        let settle_s = if detail.settle { SETTLE_S } else { 0.0 };
+        let mut motion = Following::new(model, &path, q, q, &config.osc, detail.period_s, settle_s);
+        let mut meter = Meter::new(model, config.osc.torque_rate, motion.period_s);
+        let mut broken = None;
+        while broken.is_none() {
+            let Some(sample) = motion.advance(&mut law) else { break };
+            meter.note(sample);
+            broken = within_limits(model, meter.uses).err();
+        }
+        match broken {
+            None => return Some(motion.into_motion()),
             // No slower motion stays within a limit of position.
-            Err(e) if e.limit == LimitKind::Position => return None,
-            Err(_) => duration_s *= 1.5,
+            Some(e) if e.limit == LimitKind::Position => return None,
+            Some(_) => duration_s *= 1.5,
         }
     }
     None

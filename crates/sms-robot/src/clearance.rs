@@ -63,6 +63,17 @@ impl RobotModel {
         })
     }
 
+    /// Whether the spheres about an obstacle and about a link that moves come within `enough` metres of each other: where not,
+    /// no distance is that small.
+    pub(crate) fn may_be_near(&self, poses: &[DPose3], obstacle: &Obstacle, enough: f64) -> bool {
+        let (center_w, radius) = obstacle.sphere_w();
+        let moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
+        moving.into_iter().any(|(c, x)| {
+            let most = enough + radius + c.radius;
+            center_w.distance_squared(x.translation) <= most * most
+        })
+    }
+
     /// Pairs of collision shapes that [`Self::self_clearance`] compares.
     pub fn compared_pairs(&self) -> impl Iterator<Item = (&str, &str)> {
         self.pairs.iter().map(|&(i, j)| (self.collisions[i].link.as_str(), self.collisions[j].link.as_str()))

@@ -37,6 +37,7 @@ mod clearance;
 mod config;
 mod drive;
 mod dynamics;
+mod followed;
 mod hold;
 mod ik;
 mod kinematics;

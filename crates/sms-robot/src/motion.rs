@@ -131,34 +131,9 @@ impl JointMotion {
     /// How far the motion goes to the limits; `torque_rate` is the largest change of torque per second, without that
     /// of Coulomb friction where a joint turns round (the joints' own controllers see to it).
     pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
-        let none = Use { share: 0.0, joint: 0, value: 0.0, bound: f64::INFINITY, at_s: 0.0 };
-        let mut uses = [LimitKind::Position, LimitKind::Velocity, LimitKind::Torque, LimitKind::TorqueRate]
-            .map(|kind| (kind, none));
-        for (k, s) in self.samples.iter().enumerate() {
-            let at_s = k as f64 * self.period_s;
-            let mut note = |kind: usize, share: f64, joint: usize, value: f64, bound: f64| {
-                if share.is_nan() || share > uses[kind].1.share {
-                    uses[kind].1 = Use { share, joint, value, bound, at_s };
-                }
-            };
-            for (i, joint) in model.joints().iter().enumerate() {
-                let l = &joint.limits;
-                if l.lower.is_finite() {
-                    let (middle, half) = (0.5 * (l.lower + l.upper), 0.5 * (l.upper - l.lower));
-                    let bound = if s.q[i] > middle { l.upper } else { l.lower };
-                    note(0, (s.q[i] - middle).abs() / half, i, s.q[i], bound);
-                }
-                note(1, s.qd[i].abs() / l.velocity, i, s.qd[i], l.velocity);
-                note(2, s.tau[i].abs() / l.effort, i, s.tau[i], l.effort);
-                if k > 0 {
-                    let before = &self.samples[k - 1];
-                    let smooth = |s: &JointSample| s.tau[i] - joint_friction(0.0, joint.friction, s.qd[i]);
-                    let rate = (smooth(s) - smooth(before)) / self.period_s;
-                    note(3, rate.abs() / torque_rate, i, rate, torque_rate);
-                }
-            }
-        }
-        uses
+        let mut meter = Meter::new(model, torque_rate, self.period_s);
+        self.samples.iter().for_each(|s| meter.note(s));
+        meter.uses
     }
 
     /// Checks all limits.
@@ -166,23 +141,84 @@ impl JointMotion {
     /// # Errors
     /// [`Infeasible`]: the limit that is broken by the largest share.
     pub fn check(&self, model: &RobotModel, torque_rate: f64) -> Result<Uses, Infeasible> {
-        let uses = self.uses(model, torque_rate);
-        let worst = uses.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
-        match worst {
-            // NaN counts as broken.
-            Some((limit, u)) if u.share.is_nan() || u.share > 1.0 => {
-                let joint = &model.joints()[u.joint];
-                Err(Infeasible {
-                    joint: joint.name.clone(),
-                    limit: *limit,
-                    value: u.value,
-                    bound: u.bound,
-                    at_s: u.at_s,
-                    turns: joint.kind.turns(),
-                })
-            }
-            _ => Ok(uses),
+        within_limits(model, self.uses(model, torque_rate))
+    }
+}
+
+/// The uses where all are within the limits.
+///
+/// # Errors
+/// [`Infeasible`]: the limit that is broken by the largest share.
+pub(crate) fn within_limits(model: &RobotModel, uses: Uses) -> Result<Uses, Infeasible> {
+    let worst = uses.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
+    match worst {
+        // NaN counts as broken.
+        Some((limit, u)) if u.share.is_nan() || u.share > 1.0 => {
+            let joint = &model.joints()[u.joint];
+            Err(Infeasible {
+                joint: joint.name.clone(),
+                limit: *limit,
+                value: u.value,
+                bound: u.bound,
+                at_s: u.at_s,
+                turns: joint.kind.turns(),
+            })
         }
+        _ => Ok(uses),
+    }
+}
+
+/// The uses of a motion as it grows, sample by sample.
+#[derive(Clone)]
+pub(crate) struct Meter<'a> {
+    model: &'a RobotModel,
+    torque_rate: f64,
+    period_s: f64,
+    /// Of the samples so far.
+    pub(crate) uses: Uses,
+    count: usize,
+    /// Torques of the last sample without Coulomb friction.
+    smooth: JointVector,
+}
+
+impl<'a> Meter<'a> {
+    pub(crate) fn new(model: &'a RobotModel, torque_rate: f64, period_s: f64) -> Self {
+        let none = Use { share: 0.0, joint: 0, value: 0.0, bound: f64::INFINITY, at_s: 0.0 };
+        let uses = [LimitKind::Position, LimitKind::Velocity, LimitKind::Torque, LimitKind::TorqueRate]
+            .map(|kind| (kind, none));
+        Self { model, torque_rate, period_s, uses, count: 0, smooth: [0.0; MAX_JOINTS] }
+    }
+
+    pub(crate) fn note(&mut self, s: &JointSample) {
+        let at_s = self.count as f64 * self.period_s;
+        let uses = &mut self.uses;
+        let mut note = |kind: usize, share: f64, joint: usize, value: f64, bound: f64| {
+            if share.is_nan() || share > uses[kind].1.share {
+                uses[kind].1 = Use { share, joint, value, bound, at_s };
+            }
+        };
+        for (i, joint) in self.model.joints().iter().enumerate() {
+            let l = &joint.limits;
+            if l.lower.is_finite() {
+                let (middle, half) = (0.5 * (l.lower + l.upper), 0.5 * (l.upper - l.lower));
+                let bound = if s.q[i] > middle { l.upper } else { l.lower };
+                note(0, (s.q[i] - middle).abs() / half, i, s.q[i], bound);
+            }
+            note(1, s.qd[i].abs() / l.velocity, i, s.qd[i], l.velocity);
+            note(2, s.tau[i].abs() / l.effort, i, s.tau[i], l.effort);
+            let smooth = s.tau[i] - joint_friction(0.0, joint.friction, s.qd[i]);
+            if self.count > 0 {
+                let rate = (smooth - self.smooth[i]) / self.period_s;
+                note(3, rate.abs() / self.torque_rate, i, rate, self.torque_rate);
+            }
+            self.smooth[i] = smooth;
+        }
+        self.count += 1;
+    }
+
+    /// The largest share of any limit.
+    pub(crate) fn largest(&self) -> f64 {
+        self.uses.iter().map(|u| u.1.share).fold(0.0, f64::max)
     }
 }
 
@@ -204,7 +240,7 @@ pub fn motor_torques(
 
 /// Share of the speed limits below which a joint is at rest, and how long that is waited for, seconds.
 const STILL: f64 = 2e-4;
-const SETTLE_S: f64 = 2.0;
+pub(crate) const SETTLE_S: f64 = 2.0;
 
 /// The motion of the joints under operational-space control along `path`, on a robot that is exactly its model: from
 /// `q` at rest, near `posture` where the tool leaves it free, in steps of about `period_s` (adjusted to divide the
@@ -230,39 +266,97 @@ pub(crate) fn follow(
     period_s: f64,
     settle_s: f64,
 ) -> JointMotion {
-    let n = model.dof();
-    let duration = path.duration_s();
-    let steps = (duration / period_s).ceil().max(1.0);
-    let h = duration / steps;
     let mut law = TaskLaw::default();
-    let mut rest = [0.0; MAX_JOINTS];
-    rest[..n].copy_from_slice(posture);
-    let mut s = JointSample { q: [0.0; MAX_JOINTS], qd: rest, qdd: rest, tau: rest };
-    s.q[..n].copy_from_slice(q);
-    s.qd = [0.0; MAX_JOINTS];
-    let friction = OscConfig { friction_compensation: true, ..*gains };
-    let mut samples = Vec::with_capacity(steps as usize + 1);
-    let longest = steps as usize + (settle_s / h) as usize;
-    for k in 0..=longest {
-        let t = k as f64 * h;
-        s.qdd = law.torques(model, &s.q, &s.qd, &path.at(t), &rest, &friction, &mut s.tau);
-        samples.push(s);
-        let still = (0..n).all(|i| s.qd[i].abs() < STILL * model.joints[i].limits.velocity);
-        if k >= steps as usize && still {
-            break;
-        }
-        let (mut q_mid, mut v_mid, mut unused) = (s.q, s.qd, s.tau);
-        for i in 0..n {
-            q_mid[i] += 0.5 * h * s.qd[i];
-            v_mid[i] += 0.5 * h * s.qdd[i];
-        }
-        let a_mid = law.torques(model, &q_mid, &v_mid, &path.at(t + 0.5 * h), &rest, &friction, &mut unused);
-        for i in 0..n {
-            s.q[i] += h * v_mid[i];
-            s.qd[i] += h * a_mid[i];
+    let mut following = Following::new(model, path, q, posture, gains, period_s, settle_s);
+    while following.advance(&mut law).is_some() {}
+    following.into_motion()
+}
+
+/// [`follow`], sample by sample: what is not to be looked at to the end need not be worked out to the end.
+pub(crate) struct Following<'a, P: ToolPath + ?Sized> {
+    model: &'a RobotModel,
+    path: &'a P,
+    posture: JointVector,
+    gains: OscConfig,
+    /// Time between samples, seconds.
+    pub(crate) period_s: f64,
+    steps: usize,
+    longest: usize,
+    /// The last sample's state, moved on to where the next one is.
+    next: JointSample,
+    samples: Vec<JointSample>,
+    ended: bool,
+}
+
+impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
+    pub(crate) fn new(
+        model: &'a RobotModel,
+        path: &'a P,
+        q: &[f64],
+        posture: &[f64],
+        gains: &OscConfig,
+        period_s: f64,
+        settle_s: f64,
+    ) -> Self {
+        let n = model.dof();
+        let duration = path.duration_s();
+        let steps = (duration / period_s).ceil().max(1.0);
+        let h = duration / steps;
+        let zero = [0.0; MAX_JOINTS];
+        let (mut rest, mut first) = (zero, zero);
+        rest[..n].copy_from_slice(posture);
+        first[..n].copy_from_slice(q);
+        Self {
+            model,
+            path,
+            posture: rest,
+            gains: OscConfig { friction_compensation: true, ..*gains },
+            period_s: h,
+            steps: steps as usize,
+            longest: steps as usize + (settle_s / h) as usize,
+            next: JointSample { q: first, qd: zero, qdd: zero, tau: zero },
+            samples: Vec::with_capacity(steps as usize + 1),
+            ended: false,
         }
     }
-    JointMotion { period_s: h, samples }
+
+    /// Works out one more sample; `None` where the motion is over.
+    pub(crate) fn advance(&mut self, law: &mut TaskLaw) -> Option<&JointSample> {
+        if self.ended {
+            return None;
+        }
+        let (n, h, k) = (self.model.dof(), self.period_s, self.samples.len());
+        let (model, rest, gains) = (self.model, &self.posture, &self.gains);
+        let t = k as f64 * h;
+        let s = &mut self.next;
+        s.qdd = law.torques(model, &s.q, &s.qd, &self.path.at(t), rest, gains, &mut s.tau);
+        self.samples.push(*s);
+        let still = (0..n).all(|i| s.qd[i].abs() < STILL * model.joints[i].limits.velocity);
+        self.ended = k >= self.longest || (k >= self.steps && still);
+        if !self.ended {
+            let (mut q_mid, mut v_mid) = (s.q, s.qd);
+            for i in 0..n {
+                q_mid[i] += 0.5 * h * s.qd[i];
+                v_mid[i] += 0.5 * h * s.qdd[i];
+            }
+            let a_mid = law.accelerations(model, &q_mid, &v_mid, &self.path.at(t + 0.5 * h), rest, gains);
+            for i in 0..n {
+                s.q[i] += h * v_mid[i];
+                s.qd[i] += h * a_mid[i];
+            }
+        }
+        self.samples.last()
+    }
+
+    /// Whether [`Self::advance`] has nothing left to do.
+    pub(crate) fn is_over(&self) -> bool {
+        self.ended
+    }
+
+    /// What was worked out.
+    pub(crate) fn into_motion(self) -> JointMotion {
+        JointMotion { period_s: self.period_s, samples: self.samples }
+    }
 }
 
 /// A motion from posture to posture, straight in joint space with minimum jerk, as fast as `share` of all limits of
@@ -294,10 +388,13 @@ pub fn joint_move(
     let torque_share = share.max(held + 0.1).min(1.0);
     // Slower motions need less torque: what speed adds falls with the square of the duration.
     for _ in 0..40 {
-        let motion = timed_move(model, from, to, duration, period_s, ws);
-        let uses = motion.uses(model, torque_rate);
-        if uses[2].1.share <= torque_share && uses[3].1.share <= share && uses[1].1.share <= share * 1.001 {
-            return motion.check(model, torque_rate).map(|_| motion);
+        let allowed = |uses: &Uses| {
+            uses[2].1.share <= torque_share && uses[3].1.share <= share && uses[1].1.share <= share * 1.001
+        };
+        // Given up at the first sample that uses more.
+        let (motion, uses) = timed_move_while(model, from, to, duration, period_s, torque_rate, &allowed, ws);
+        if allowed(&uses) {
+            return within_limits(model, uses).map(|_| motion);
         }
         duration *= 1.15;
     }
@@ -313,24 +410,43 @@ fn timed_move(
     period_s: f64,
     ws: &mut Workspace,
 ) -> JointMotion {
+    timed_move_while(model, from, to, duration, period_s, f64::INFINITY, &|_| true, ws).0
+}
+
+/// [`timed_move`] as far as the uses of all samples so far are `allowed`, with the uses: a motion that is not allowed to its
+/// end ends at the first sample at which it is not.
+fn timed_move_while(
+    model: &RobotModel,
+    from: &[f64],
+    to: &[f64],
+    duration: f64,
+    period_s: f64,
+    torque_rate: f64,
+    allowed: &dyn Fn(&Uses) -> bool,
+    ws: &mut Workspace,
+) -> (JointMotion, Uses) {
     let steps = (duration / period_s).ceil().max(1.0);
     let h = duration / steps;
-    let samples = (0..=steps as usize)
-        .map(|k| {
-            let [p, v, a] = minimum_jerk(k as f64 * h, duration);
-            let zero = [0.0; MAX_JOINTS];
-            let mut s = JointSample { q: zero, qd: zero, qdd: zero, tau: zero };
-            for i in 0..model.dof() {
-                let by = to[i] - from[i];
-                s.q[i] = from[i] + p * by;
-                s.qd[i] = v * by;
-                s.qdd[i] = a * by;
-            }
-            s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
-            s
-        })
-        .collect();
-    JointMotion { period_s: h, samples }
+    let mut meter = Meter::new(model, torque_rate, h);
+    let mut samples = Vec::with_capacity(steps as usize + 1);
+    for k in 0..=steps as usize {
+        let [p, v, a] = minimum_jerk(k as f64 * h, duration);
+        let zero = [0.0; MAX_JOINTS];
+        let mut s = JointSample { q: zero, qd: zero, qdd: zero, tau: zero };
+        for i in 0..model.dof() {
+            let by = to[i] - from[i];
+            s.q[i] = from[i] + p * by;
+            s.qd[i] = v * by;
+            s.qdd[i] = a * by;
+        }
+        s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
+        meter.note(&s);
+        samples.push(s);
+        if !allowed(&meter.uses) {
+            break;
+        }
+    }
+    (JointMotion { period_s: h, samples }, meter.uses)
 }
 
 /// The reference of a robot that stands still with its tool where it is.

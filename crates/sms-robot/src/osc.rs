@@ -204,10 +204,7 @@ impl TaskLaw {
         self.ws.mass_matrix[i][i]
     }
 
-    /// Torques of the law; returns the joint accelerations that they give on the model.
-    ///
-    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, a the tool's wanted acceleration and p the posture's, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
-    /// the tool has its way, and the posture what is left in the dynamically consistent null space.
+    /// Torques of the law; returns the joint accelerations that they give on the model ([`Self::accelerations`]).
     pub(crate) fn torques(
         &mut self,
         model: &RobotModel,
@@ -217,6 +214,31 @@ impl TaskLaw {
         posture: &JointVector,
         config: &OscConfig,
         tau: &mut JointVector,
+    ) -> JointVector {
+        let n = model.dof();
+        let qdd = self.accelerations(model, q, qd, reference, posture, config);
+        let mass_matrix = &self.ws.mass_matrix;
+        for i in 0..n {
+            tau[i] = self.bias[i] + (0..n).map(|j| mass_matrix[i][j] * qdd[j]).sum::<f64>();
+            if config.friction_compensation {
+                tau[i] += joint_friction(model.joints[i].damping, model.joints[i].friction, qd[i]);
+            }
+        }
+        qdd
+    }
+
+    /// The joint accelerations that the law asks for.
+    ///
+    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, a the tool's wanted acceleration and p the posture's, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
+    /// the tool has its way, and the posture what is left in the dynamically consistent null space.
+    pub(crate) fn accelerations(
+        &mut self,
+        model: &RobotModel,
+        q: &[f64],
+        qd: &[f64],
+        reference: &ToolReference,
+        posture: &JointVector,
+        config: &OscConfig,
     ) -> JointVector {
         let n = model.dof();
         let ws = &mut self.ws;
@@ -246,18 +268,19 @@ impl TaskLaw {
         // A mass matrix that cannot be factored belongs to a model without inertia, which is refused on reading.
         self.factor = Cholesky::new(&ws.mass_matrix, n);
         if let Some(mass) = &self.factor {
-            let mut columns = [[0.0; MAX_JOINTS]; 6];
-            for (r, column) in columns.iter_mut().enumerate() {
-                for i in 0..n {
-                    column[i] = jacobian.get(r, i);
-                }
-                mass.solve(&mut column[..n]);
+            let mut rows = [[0.0; 6]; MAX_JOINTS];
+            for (row, (v, w)) in rows[..n].iter_mut().zip(jacobian.linear_w.iter().zip(&jacobian.angular_w)) {
+                *row = [v.x, v.y, v.z, w.x, w.y, w.z];
             }
+            let mut columns = rows;
+            mass.solve_each(&mut columns[..n]);
             let mut mobility = [[0.0; 6]; 6];
-            for r in 0..6 {
-                for s in 0..=r {
-                    mobility[r][s] = (0..n).map(|i| jacobian.get(r, i) * columns[s][i]).sum();
+            for (row, column) in rows[..n].iter().zip(&columns[..n]) {
+                for r in 0..6 {
+                    (0..6).for_each(|s| mobility[r][s] += row[r] * column[s]);
                 }
+            }
+            for r in 0..6 {
                 // Keeps the force finite in directions that the arm has lost; 0.0001 % elsewhere.
                 mobility[r][r] += 1e-6;
             }
@@ -266,14 +289,8 @@ impl TaskLaw {
             if let Some(factor) = Cholesky::<6>::new(&mobility, 6) {
                 factor.solve(&mut wanted);
                 for i in 0..n {
-                    qdd[i] += (0..6).map(|r| columns[r][i] * wanted[r]).sum::<f64>();
+                    qdd[i] += (0..6).map(|r| columns[i][r] * wanted[r]).sum::<f64>();
                 }
-            }
-        }
-        for i in 0..n {
-            tau[i] = self.bias[i] + (0..n).map(|j| ws.mass_matrix[i][j] * qdd[j]).sum::<f64>();
-            if config.friction_compensation {
-                tau[i] += joint_friction(model.joints[i].damping, model.joints[i].friction, qd[i]);
             }
         }
         qdd

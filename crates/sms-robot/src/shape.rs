@@ -159,6 +159,11 @@ impl Obstacle {
         };
         Self { name: name.into(), x_wo, shape, bounds, part_bounds }
     }
+
+    /// A sphere that holds it: centre in the world, and radius.
+    pub(crate) fn sphere_w(&self) -> (DVec3, f64) {
+        (self.x_wo.transform_point(self.bounds.0), self.bounds.1)
+    }
 }
 
 /// A sphere about the middle of the points' box that holds them.
@@ -225,9 +230,12 @@ pub(crate) fn obstacle_distance(
             }
             let mut nearest = f64::INFINITY;
             for (b, &bounds) in parts.iter().zip(&obstacle.part_bounds) {
+                let most = enough.min(nearest);
                 let gap = gap_to(bounds);
-                let d = if gap > enough.min(nearest) { gap } else { distance(a, x_wa, b, &obstacle.x_wo) };
-                nearest = nearest.min(d);
+                // The planes between them are looked at before the iterations of the exact distance.
+                let far = |gap: f64| gap > most;
+                let gap = if far(gap) { gap } else { gap_between(a, x_wa, b, &obstacle.x_wo, bounds.0) };
+                nearest = nearest.min(if far(gap) { gap } else { distance(a, x_wa, b, &obstacle.x_wo) });
             }
             nearest
         }
@@ -239,6 +247,17 @@ pub(crate) fn obstacle_distance(
             a.with_parry(|sa| general_distance(sa, &a.parry_pose(x_wa), mesh.as_ref(), &obstacle.x_wo))
         }
     }
+}
+
+/// A lower bound of the distance of two convex shapes, metres: that of the planes which touch them, square to the line between
+/// their middles. `center_b` is the middle of `b` in its frame.
+fn gap_between(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose3, center_b: DVec3) -> f64 {
+    let Some(to_b_w) = (x_wb.transform_point(center_b) - x_wa.translation).try_normalize() else {
+        return f64::NEG_INFINITY;
+    };
+    let in_a = x_wa.rotation.inverse() * to_b_w;
+    let in_b = x_wb.rotation.inverse() * -to_b_w;
+    to_b_w.dot(x_wb.translation - x_wa.translation) - a.support(in_a) - b.support(in_b)
 }
 
 fn general_distance(a: &dyn Shape, x_wa: &DPose3, b: &dyn Shape, x_wb: &DPose3) -> f64 {
@@ -339,6 +358,27 @@ mod tests {
             let lowest = points.iter().map(|&p| x_wa.transform_point(p).z).fold(f64::INFINITY, f64::min) - radius;
             let ours = obstacle_distance((&shape, shape.bounding_radius()), &x_wa, &floor(height), 1.0);
             prop_assert!((ours - (lowest - height)).abs() < 1e-7, "{ours} {lowest}");
+        }
+    }
+
+    proptest! {
+        /// The planes between two shapes are never farther apart than the shapes.
+        #[test]
+        fn the_gap_of_planes_is_a_lower_bound(
+            a in prop::array::uniform6(-1.0..1.0f64), b in prop::array::uniform6(-1.0..1.0f64), kind in 0..4usize,
+        ) {
+            let hull = LinkShape::convex(&Mesh::icosphere(0.08, 1).vertices).unwrap();
+            let shapes = [
+                LinkShape::Capsule { half_length: 0.1, radius: 0.03 },
+                LinkShape::Cylinder { half_length: 0.1, radius: 0.03 },
+                LinkShape::Box { half: DVec3::new(0.1, 0.02, 0.05) },
+                LinkShape::Sphere { radius: 0.05 },
+            ];
+            let (x_wa, x_wb) = (pose(a), pose(b));
+            let apart = distance(&shapes[kind], &x_wa, &hull, &x_wb);
+            let gap = gap_between(&shapes[kind], &x_wa, &hull, &x_wb, DVec3::new(0.01, 0.0, -0.02));
+            prop_assert!(apart <= 0.0 || gap <= apart + 1e-9, "{gap} {apart}");
+            prop_assert!(apart > 0.0 || gap <= 1e-9, "{gap} {apart}");
         }
     }
 

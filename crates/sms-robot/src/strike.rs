@@ -1,12 +1,13 @@
 //! From an asked strike to a sweep that the arm can make, or the reason why there is none.
 
 use crate::approach::Phase;
+use crate::followed::Followed;
 use crate::hold::{Hold, groups, tool_blocked};
 use crate::ik::{IkConfig, IkTarget, Unreachable};
 use crate::linalg::MAX_JOINTS;
 use crate::model::RobotModel;
 use crate::motion::{Infeasible, JointMotion, LimitKind, Uses, follow};
-use crate::osc::{Osc, OscConfig};
+use crate::osc::{Osc, OscConfig, TaskLaw};
 use crate::posture::{postures, strain};
 use crate::shape::{Clearance, Obstacle};
 use crate::sweep::{Sweep, SweepPath, ToolPath};
@@ -63,6 +64,9 @@ impl Default for StrikeConfig {
 
 /// How many times `candidates` postures are followed at most, where the first can make the sweep but not come to its start.
 const MOST_ROUNDS: usize = 3;
+
+/// A sweep that uses less than this share of every limit in coarse steps stays within them in fine ones.
+const COARSE_ENOUGH: f64 = 0.8;
 
 /// How far the wrist moves at most when the tool is held otherwise, metres.
 const HOLD_REACH_M: f64 = 0.15;
@@ -203,20 +207,20 @@ pub fn plan_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    plan_sweep_where(model, sweep, obstacles, config, &|_, _| Ok(()), ws)
+    plan_sweep_where(model, sweep, obstacles, config, None, ws)
 }
 
 /// Says of a sweep that the arm can make whether it may be taken, or why not.
 pub(crate) type May<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<(), StrikeError>;
 
 /// [`plan_sweep`] that passes over sweeps which `may` refuses, as it does over those that break a limit: other postures and
-/// other holds are tried.
+/// other holds are tried. With `may`, the motion of a sweep that stays far from all limits is that of coarse steps.
 pub(crate) fn plan_sweep_where(
     model: &RobotModel,
     sweep: &Sweep,
     obstacles: &[Obstacle],
     config: &StrikeConfig,
-    may: May<'_>,
+    may: Option<May<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
     refuse_nonsense(sweep, config)?;
@@ -246,7 +250,7 @@ fn plan_held(
     holds: &[Hold],
     obstacles: &[Obstacle],
     config: &StrikeConfig,
-    may: May<'_>,
+    may: Option<May<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, (StrikeError, bool)> {
     // The postures of an arm with joints to spare are found from a few by moving along their families; those of other
@@ -277,8 +281,11 @@ fn plan_held(
     // Postures that are nearly the same would be followed for nothing.
     let mut followed: Vec<Vec<f64>> = Vec::new();
     let mut all = all.into_iter();
+    let mut law = TaskLaw::default();
     for round in 1..=MOST_ROUNDS {
-        let mut passing: Vec<(f64, SweepPlan)> = Vec::new();
+        // What is refused, in the order of the postures; `None` where that is not known yet, or the sweep can be made.
+        let mut refusals: Vec<Option<(f64, StrikeError)>> = Vec::new();
+        let mut running: Vec<(usize, SweepPath, Vec<f64>)> = Vec::new();
         while followed.len() < round * config.candidates.max(1) {
             let Some((strain, path, q_contact)) = all.next() else { break };
             if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
@@ -286,39 +293,42 @@ fn plan_held(
             }
             if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
                 let at_s = path.sweep.contact_s();
-                keep_better(&mut refused, strain, StrikeError::Blocked { clearance, at_s });
+                refusals.push(Some((strain, StrikeError::Blocked { clearance, at_s })));
                 continue;
             }
             let start = IkTarget::Pose(path.at(0.0).x_wt);
             match model.refine(&start, &q_contact, &config.ik, ws) {
-                Ok(q_start) => match follow_sweep(model, &path, q_start, obstacles, config, ws) {
-                    Ok((badness, plan)) => passing.push((badness, plan)),
-                    Err((badness, e)) => keep_better(&mut refused, badness, e),
-                },
+                Ok(q_start) => {
+                    running.push((refusals.len(), path, q_start));
+                    refusals.push(None);
+                }
                 Err(e) => keep_nearest(&mut unreachable, e),
             }
             followed.push(q_contact);
         }
-        passing.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut running: Vec<Followed<'_>> = running
+            .iter()
+            .map(|(slot, path, q_start)| Followed::new(model, *slot, path, q_start, config))
+            .collect();
         let mut unstartable = false;
-        for (_, mut plan) in passing {
-            let path = plan.path();
-            let fine = config.period_s.max(path.duration_s() / 200.0);
-            plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
-            match plan.motion.check(model, config.osc.torque_rate) {
-                Ok(uses) => match may(&plan, ws) {
-                    Ok(()) => {
-                        plan.uses = uses;
-                        return Ok(plan);
-                    }
-                    // Nearer to being executable than what breaks a limit.
+        let mut late: Vec<(f64, StrikeError)> = Vec::new();
+        while let Some(next) = Followed::least(&mut running, &mut law) {
+            let (slot, badness) = (next.slot, next.badness());
+            match next.into_plan(obstacles, config, ws) {
+                Err(e) => refusals[slot] = Some((badness, e)),
+                Ok(plan) => match accepted(model, plan, badness, config, may, ws) {
+                    Ok(plan) => return Ok(plan),
                     Err(e) => {
-                        unstartable = true;
-                        keep_better(&mut refused, f64::NEG_INFINITY, e);
+                        // Nearer to being executable than what breaks a limit.
+                        let could_be_made = !matches!(e, StrikeError::Infeasible(_));
+                        unstartable |= could_be_made;
+                        late.push((if could_be_made { f64::NEG_INFINITY } else { f64::INFINITY }, e));
                     }
                 },
-                Err(e) => keep_better(&mut refused, f64::INFINITY, StrikeError::Infeasible(e)),
             }
+        }
+        for (badness, e) in refusals.into_iter().flatten().chain(late) {
+            keep_better(&mut refused, badness, e);
         }
         // More postures are looked at only where the sweep itself is none of the difficulties.
         if !unstartable {
@@ -334,28 +344,23 @@ fn plan_held(
     Err((e, may_another_do))
 }
 
-/// Follows a sweep from a start in coarse steps: the largest share of any limit that it uses, with the plan, or with the
-/// reason why it is none.
-fn follow_sweep(
+/// The plan worked out finely, where it keeps all limits then and may be taken.
+fn accepted(
     model: &RobotModel,
-    path: &SweepPath,
-    q_start: Vec<f64>,
-    obstacles: &[Obstacle],
+    mut plan: SweepPlan,
+    badness: f64,
     config: &StrikeConfig,
+    may: Option<May<'_>>,
     ws: &mut Workspace,
-) -> Result<(f64, SweepPlan), (f64, StrikeError)> {
-    let coarse = 0.005f64.max(path.duration_s() / 40.0);
-    let motion = follow(model, path, &q_start, &q_start, &config.osc, coarse, 0.0);
-    let uses = motion.uses(model, config.osc.torque_rate);
-    let badness = uses.iter().map(|u| u.1.share).fold(0.0, f64::max);
-    if let Err(e) = motion.check(model, config.osc.torque_rate) {
-        return Err((badness, StrikeError::Infeasible(e)));
+) -> Result<SweepPlan, StrikeError> {
+    if may.is_none() || badness > COARSE_ENOUGH {
+        let path = plan.path();
+        let fine = config.period_s.max(path.duration_s() / 200.0);
+        plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
+        plan.uses = plan.motion.check(model, config.osc.torque_rate)?;
     }
-    if let Some((clearance, at_s)) = blocked(model, &motion, obstacles, config.clearance_m, ws) {
-        return Err((badness, StrikeError::Blocked { clearance, at_s }));
-    }
-    let (sweep, rotation_w) = (path.sweep, path.rotation_w);
-    Ok((badness, SweepPlan { sweep, rotation_w, q_start, motion, uses }))
+    may.map_or(Ok(()), |may| may(&plan, ws))?;
+    Ok(plan)
 }
 
 fn keep_better(best: &mut Option<(f64, StrikeError)>, badness: f64, e: StrikeError) {
@@ -431,11 +436,11 @@ fn too_near(
     let mut poses = Vec::new();
     model.forward_kinematics(q, ws);
     model.shape_poses(ws, &mut poses);
-    let with_itself = model.self_clearance(&poses, clearance_m);
-    let with_others = obstacles.iter().map(|o| model.obstacle_clearance(&poses, o, clearance_m));
-    std::iter::once(with_itself)
-        .chain(with_others)
-        .flatten()
-        .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
-        .filter(|c| c.distance_m < clearance_m)
+    let near = |c: Clearance| (c.distance_m < clearance_m).then_some(c);
+    let with_itself = model.self_clearance(&poses, clearance_m).and_then(near);
+    let with_others = obstacles
+        .iter()
+        .filter(|o| model.may_be_near(&poses, o, clearance_m))
+        .filter_map(|o| model.obstacle_clearance(&poses, o, clearance_m).and_then(near));
+    with_itself.into_iter().chain(with_others).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
 }

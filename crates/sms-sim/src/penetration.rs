@@ -1,8 +1,8 @@
 //! How deep bodies are inside of each other, on our own shapes, the same for every engine.
 
-use crate::BodyId;
 use crate::geometry::{BodyGeometry, Part};
 use crate::simulation::{Kind, Simulation};
+use crate::{BodyId, BodyState};
 use glamx::{DPose3, DVec3};
 
 impl Simulation {
@@ -11,16 +11,21 @@ impl Simulation {
     /// Of other bodies it is a lower bound, from the corners of both bodies, and from a ball inside each convex part
     /// against meshes.
     pub fn penetration(&self, body: BodyId) -> f64 {
+        self.penetration_at(body, &self.states)
+    }
+
+    /// The same, were the bodies in other states: those of before, say. Bodies beyond their number are left out.
+    pub fn penetration_at(&self, body: BodyId, states: &[BodyState]) -> f64 {
         let own = &self.bodies[body];
-        let pose = self.states[body].x_wb;
+        let pose = states[body].x_wb;
         let reach = match own.kind {
             Kind::Ball { radius, .. } => radius,
             Kind::Dynamic => own.geometry.bounding_radius,
             Kind::Static | Kind::Striker => return 0.0,
         };
         let mut deepest = 0.0f64;
-        for (other, theirs) in self.bodies.iter().enumerate() {
-            let their_pose = self.states[other].x_wb;
+        for (other, (theirs, state)) in self.bodies.iter().zip(states).enumerate() {
+            let their_pose = state.x_wb;
             let most = reach + theirs.geometry.bounding_radius;
             let is_far = pose.translation.distance_squared(their_pose.translation) > most * most;
             if other == body || is_far || theirs.kind == Kind::Striker {

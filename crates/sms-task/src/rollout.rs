@@ -24,6 +24,10 @@ const ARENA_MARGIN_M: f64 = 0.05;
 /// a few tenths of a millimetre.
 const DEEPEST_M: f64 = 0.005;
 
+/// The same of a body that is no ball, beyond what it was inside of others at the start: its convex parts are larger than
+/// it is, and rest in each other.
+const DEEPEST_BODY_M: f64 = 0.01;
+
 /// How much faster than the finger a body may become that it strikes again and again, as a factor.
 const FASTEST: f64 = 4.0;
 
@@ -191,8 +195,8 @@ impl ResolvedTask {
     ///
     /// # Errors
     /// [`SimError::Diverged`] when a state stops being finite; [`SimError::Unphysical`] when bodies have more energy than the
-    /// robot gave them, or gain some after it has gone, or when a ball is more than 5 mm inside of another body. Looked at
-    /// every 16 steps.
+    /// robot gave them, or gain some after it has gone, when a ball is more than 5 mm inside of another body, or another
+    /// moving body 10 mm deeper in others than at the start. Looked at every 16 steps.
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
@@ -202,6 +206,7 @@ impl ResolvedTask {
     ) -> Result<Rollout, SimError> {
         let settings = &self.common;
         let mut judge = Judge::new(&self.wish, simulation, bodies);
+        let start = simulation.states().to_vec();
         // The world is older: it settled.
         let start_s = simulation.time_s();
         let striker = striker.into();
@@ -214,7 +219,7 @@ impl ResolvedTask {
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;
         let rest = bodies.energy(simulation)[0];
-        let mut watch = Watch { left: None, rest, striker, finger_speed };
+        let mut watch = Watch { left: None, rest, start, striker, finger_speed };
         judge.observe(time_s, simulation);
         if let Some(r) = &mut recorder {
             r.record(time_s, simulation);
@@ -429,6 +434,8 @@ struct Watch {
     left: Option<(f64, f64)>,
     /// Energy at the start.
     rest: f64,
+    /// States of all bodies then.
+    start: Vec<BodyState>,
     striker: BodyId,
     /// Speed of a finger at the contact, m/s; 0 of an arm.
     finger_speed: f64,
@@ -437,11 +444,16 @@ struct Watch {
 impl Watch {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
         let unphysical = |why: String| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
-        // Balls alone: in PhysX toys of many corners do sink into the floor when they are pushed, by up to 20 mm
-        // (docs/target-study.md), and shots whose ball was right would be refused for it.
-        for m in bodies.dynamic.iter().filter(|m| m.radius.is_some() && !simulation.is_asleep(m.id)) {
+        for m in bodies.dynamic.iter().filter(|m| !simulation.is_asleep(m.id)) {
             let depth_m = simulation.penetration(m.id);
-            if depth_m > DEEPEST_M {
+            let is_too_deep = if m.radius.is_some() {
+                depth_m > DEEPEST_M
+            } else {
+                // Worked out only where it matters.
+                depth_m > DEEPEST_BODY_M
+                    && depth_m > DEEPEST_BODY_M + simulation.penetration_at(m.id, &self.start)
+            };
+            if is_too_deep {
                 return unphysical(format!("`{}` is {:.1} mm inside of another body", m.name, 1e3 * depth_m));
             }
         }

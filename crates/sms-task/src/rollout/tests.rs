@@ -91,8 +91,8 @@ fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
 }
 
 fn watch_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) -> Watch {
-    let rest = bodies.energy(simulation)[0];
-    Watch { left: None, rest, striker: simulation.states().len(), finger_speed }
+    let (rest, start) = (bodies.energy(simulation)[0], simulation.states().to_vec());
+    Watch { left: None, rest, striker: start.len(), start, finger_speed }
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn block(name: &str, kind: BodyKind, center_w: DVec3, half: DVec3) -> Body {
 }
 
 #[test]
-fn the_depth_of_a_body_in_the_floor_a_hull_or_a_mesh_is_told() {
+fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
     let cube = DVec3::splat(0.03);
     let crate_ = block("crate", BodyKind::Dynamic, DVec3::new(0.9, 0.0, 0.03), cube);
     // In the plate's height, and beside it.
@@ -133,17 +133,23 @@ fn the_depth_of_a_body_in_the_floor_a_hull_or_a_mesh_is_told() {
     };
     let scene = scene([crate_, post, shell]);
     let task = task(&scene);
+    let bodies = task.bodies_in(&scene, "blue").unwrap();
     let mut simulation = Simulation::new(&RapierFactory, &scene, &task.world_options()).unwrap();
+    let mut watch = watch_of(&simulation, &bodies, 0.5);
     let id = scene.bodies.iter().position(|b| b.name == "crate").unwrap();
     let at = |p: DVec3| BodyState { x_wb: DPose3::from_translation(p), v_w: DVec3::ZERO, w_w: DVec3::ZERO };
     let fine = [DVec3::new(0.9, 0.0, 0.025), DVec3::new(0.9, 0.375, 0.03), DVec3::new(0.9, -0.375, 0.03)];
     for (k, good) in fine.into_iter().enumerate() {
         simulation.set_state(id, &at(good));
-        let shallow_m = simulation.penetration(id);
+        watch.check(0.1, &simulation, &bodies).unwrap();
         // 20 mm farther in.
         let into = [DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y][k];
         simulation.set_state(id, &at(good + 0.02 * into));
-        let deep_m = simulation.penetration(id);
-        assert!(shallow_m < 0.01 && (0.0199..0.03).contains(&deep_m), "{k}: {shallow_m} m, then {deep_m} m");
+        let error = watch.check(0.1, &simulation, &bodies).unwrap_err();
+        assert!(error.to_string().contains("`crate` is 2"), "{k}: {error}");
     }
+    // What stood in another body from the start may stay there.
+    simulation.set_state(id, &at(fine[0] - DVec3::Z * 0.02));
+    let mut watch = watch_of(&simulation, &bodies, 0.5);
+    watch.check(0.1, &simulation, &bodies).unwrap();
 }
