@@ -98,7 +98,7 @@ pub fn plan_strike(
         .take(STRAIGHT_UP)
         .find_map(|by_w| {
             let up = lift(model, &last, by_w, config, &fine, ws)?;
-            let near = blocked_every(model, &up, fine.look_s, obstacles, config.clearance_m, ws);
+            let near = blocked_every(model, &up, fine.look_s, obstacles, false, config.clearance_m, ws);
             near.is_none().then_some(up)
         })
         // Where every lift meets something the arm stays where it is.
@@ -151,7 +151,8 @@ fn way_to_start(
     for by_w in ways_up(sweep, config) {
         let Some(up) = lift(model, &first, by_w, config, detail, ws) else { continue };
         let near = |m: &JointMotion, phase: Phase, ws: &mut Workspace| {
-            let (clearance, _) = blocked_every(model, m, detail.look_s, obstacles, config.clearance_m, ws)?;
+            let (clearance, _) =
+                blocked_every(model, m, detail.look_s, obstacles, true, config.clearance_m, ws)?;
             Some((phase, clearance))
         };
         let on_descent = near(&up, Phase::Descent, ws);
@@ -179,7 +180,7 @@ fn way_to_start(
     }
     // From home straight to the start, with the reason when even that fails.
     let approach = joint_move(model, model.home(), q_start, share, rate, 0.5, detail.period_s, ws)?;
-    let blocked = blocked_every(model, &approach, detail.look_s, obstacles, config.clearance_m, ws)
+    let blocked = blocked_every(model, &approach, detail.look_s, obstacles, true, config.clearance_m, ws)
         .map(|(clearance, _)| (Phase::Approach, clearance));
     Ok(Way { approach, descent: standing(model, &first, detail.period_s, ws), blocked })
 }

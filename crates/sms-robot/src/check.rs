@@ -91,7 +91,7 @@ impl StrikeCheck {
 const LOOK_S: f64 = 0.01;
 
 /// Checks a planned strike: positions, speeds, torques and their changes over all phases, links against each other and
-/// against all obstacles (the floor is one of them; leave out the ball that is to be struck) every 10 ms, and the
+/// against all obstacles (the floor is one of them; the body that is to be struck as [`Obstacle::struck`]) every 10 ms, and the
 /// sweep under control in free space.
 pub fn check_strike(
     model: &RobotModel,
@@ -189,12 +189,20 @@ fn distances(
         for k in (0..last).step_by(every).chain([last]) {
             model.forward_kinematics(&motion.samples[k].q, ws);
             model.shape_poses(ws, &mut poses);
-            let found = std::iter::once(model.self_clearance(&poses, enough))
-                .chain(obstacles.iter().map(|o| model.obstacle_clearance(&poses, o, enough)));
+            let at_s = k as f64 * motion.period_s;
+            let with_struck = matches!(phase, Phase::Approach | Phase::Descent);
+            let found =
+                std::iter::once(model.self_clearance(&poses, enough)).chain(obstacles.iter().map(|o| {
+                    if o.is_struck && !with_struck {
+                        None
+                    } else {
+                        model.obstacle_clearance(&poses, o, enough)
+                    }
+                }));
             for (slot, c) in nearest.iter_mut().zip(found) {
                 let Some(c) = c else { continue };
                 if slot.as_ref().is_none_or(|n| c.distance_m < n.0.distance_m) {
-                    *slot = Some((c, *phase, start_s + k as f64 * motion.period_s));
+                    *slot = Some((c, *phase, start_s + at_s));
                 }
             }
         }

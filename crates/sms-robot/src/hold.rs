@@ -92,7 +92,7 @@ pub(crate) fn tool_blocked(
         let x_wt = path.at(at_s).x_wt;
         shapes.iter().find_map(|(link, x_ts, shape, radius)| {
             let x_ws = x_wt * *x_ts;
-            obstacles.iter().find_map(|o| {
+            obstacles.iter().filter(|o| !o.is_struck).find_map(|o| {
                 let distance_m = obstacle_distance((shape, *radius), &x_ws, o, clearance_m);
                 (distance_m < clearance_m).then(|| {
                     (Clearance { link: (*link).to_owned(), other: o.name.clone(), distance_m }, at_s)

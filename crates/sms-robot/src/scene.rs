@@ -3,12 +3,14 @@
 use crate::{LinkShape, Obstacle, ObstacleShape};
 use sms_scene::{Body, BodyShape, Scene};
 
-/// Every body of a scene but the one that is struck, which the tool has to touch. Bodies without extent are left out.
+/// Every body of a scene; the one that is struck, which the tool has to touch, as [`Obstacle::struck`]. Bodies without extent
+/// are left out.
 pub fn obstacles(scene: &Scene, struck: usize) -> Vec<Obstacle> {
-    let others = scene.bodies.iter().enumerate().filter(|(i, _)| *i != struck);
-    others
-        .filter_map(|(_, body)| Some(Obstacle::new(body.name.clone(), body.x_wb, obstacle_shape(body)?)))
-        .collect()
+    let obstacle = |(i, body): (usize, &Body)| {
+        let obstacle = Obstacle::new(body.name.clone(), body.x_wb, obstacle_shape(body)?);
+        Some(if i == struck { obstacle.struck() } else { obstacle })
+    };
+    scene.bodies.iter().enumerate().filter_map(obstacle).collect()
 }
 
 fn obstacle_shape(body: &Body) -> Option<ObstacleShape> {

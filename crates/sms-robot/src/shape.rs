@@ -141,6 +141,8 @@ pub struct Obstacle {
     /// Spheres in the obstacle's frame that hold all of it, and each of its parts: centre and radius.
     bounds: (DVec3, f64),
     part_bounds: Vec<(DVec3, f64)>,
+    /// Whether the sweep is to touch it: it is in the way before that only.
+    pub(crate) is_struck: bool,
 }
 
 impl Obstacle {
@@ -157,7 +159,13 @@ impl Obstacle {
             }
             ObstacleShape::Surface(mesh) => (sphere_around(mesh.vertices()), Vec::new()),
         };
-        Self { name: name.into(), x_wo, shape, bounds, part_bounds }
+        Self { name: name.into(), x_wo, shape, bounds, part_bounds, is_struck: false }
+    }
+
+    /// The same, that the strike is meant to touch: nothing may come near it on the way to the start of the sweep; in the sweep
+    /// it is no obstacle.
+    pub fn struck(self) -> Self {
+        Self { is_struck: true, ..self }
     }
 
     /// A sphere that holds it: centre in the world, and radius.

@@ -291,7 +291,7 @@ fn plan_held(
             if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
                 continue;
             }
-            if let Some(clearance) = too_near(model, &q_contact, obstacles, config.clearance_m, ws) {
+            if let Some(clearance) = too_near(model, &q_contact, obstacles, false, config.clearance_m, ws) {
                 let at_s = path.sweep.contact_s();
                 refusals.push(Some((strain, StrikeError::Blocked { clearance, at_s })));
                 continue;
@@ -396,8 +396,8 @@ fn keep_nearest(best: &mut Option<Unreachable>, e: Unreachable) {
     }
 }
 
-/// The first place where links come too near each other or an obstacle, looked at in thirteen places of the motion, and
-/// not farther apart than 0.1 s.
+/// The first place of a sweep where links come too near each other or an obstacle, looked at in thirteen places of the motion,
+/// and not farther apart than 0.1 s.
 pub(crate) fn blocked(
     model: &RobotModel,
     motion: &JointMotion,
@@ -405,31 +405,34 @@ pub(crate) fn blocked(
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Option<(Clearance, f64)> {
-    blocked_every(model, motion, 0.1, obstacles, clearance_m, ws)
+    blocked_every(model, motion, 0.1, obstacles, false, clearance_m, ws)
 }
 
-/// [`blocked`], looked at in places not farther apart than `look_s` seconds.
+/// The first place of a motion where links come too near each other or an obstacle, looked at in thirteen places and not
+/// farther apart than `look_s` seconds; `with_struck` says whether what is to be struck is an obstacle.
 pub(crate) fn blocked_every(
     model: &RobotModel,
     motion: &JointMotion,
     look_s: f64,
     obstacles: &[Obstacle],
+    with_struck: bool,
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Option<(Clearance, f64)> {
     let last = motion.samples.len() - 1;
     let places = 12.max((motion.duration_s() / look_s) as usize).min(last.max(1));
     (0..=places).map(|k| k * last / places).find_map(|index| {
-        let near = too_near(model, &motion.samples[index].q, obstacles, clearance_m, ws)?;
+        let near = too_near(model, &motion.samples[index].q, obstacles, with_struck, clearance_m, ws)?;
         Some((near, index as f64 * motion.period_s))
     })
 }
 
-/// The nearest pair of a posture, when it is nearer than `clearance_m`.
+/// The nearest pair of a posture, when it is nearer than `clearance_m`; with or without what is to be struck.
 fn too_near(
     model: &RobotModel,
     q: &[f64],
     obstacles: &[Obstacle],
+    with_struck: bool,
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Option<Clearance> {
@@ -440,7 +443,7 @@ fn too_near(
     let with_itself = model.self_clearance(&poses, clearance_m).and_then(near);
     let with_others = obstacles
         .iter()
-        .filter(|o| model.may_be_near(&poses, o, clearance_m))
+        .filter(|o| (with_struck || !o.is_struck) && model.may_be_near(&poses, o, clearance_m))
         .filter_map(|o| model.obstacle_clearance(&poses, o, clearance_m).and_then(near));
     with_itself.into_iter().chain(with_others).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
 }
