@@ -42,6 +42,8 @@ pub struct BenchOptions {
     pub cache: PathBuf,
     /// Whether meshes are made and measured.
     pub meshes: bool,
+    /// Whether quality is measured: views, surfaces and meshes. Else only time and memory are.
+    pub quality: bool,
     /// Whether steps of a fixed scene are timed.
     pub steps: bool,
 }
@@ -62,6 +64,7 @@ impl BenchOptions {
             disturbance: Disturbance::default(),
             cache: cache.into(),
             meshes: true,
+            quality: true,
             steps: true,
         }
     }

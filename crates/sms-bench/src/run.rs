@@ -125,7 +125,9 @@ pub fn run_scene_with<T: Trainer>(
     if scan_seconds.1.is_finite() {
         metrics.set(format!("{prefix}scan_step_cpu_ms"), 1e3 * scan_seconds.1 / steps.max(1.0));
     }
-    let measured = if prepared.truth.is_some() {
+    let measured = if !options.quality {
+        Metrics::new()
+    } else if prepared.truth.is_some() {
         measure(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel, warnings)?
     } else {
         real_metrics(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel)?

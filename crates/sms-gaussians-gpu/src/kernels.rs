@@ -15,6 +15,8 @@ use wgpu::BufferBindingType;
 pub(crate) const MAX_GROUPS: u32 = 65_535;
 /// Gaussians per workgroup of projection, visits and updates.
 pub(crate) const GAUSSIANS: u32 = 128;
+/// Workgroups that visit large splats, and how many of them share one.
+pub(crate) const LARGE_GROUPS: [u32; 2] = [256, 4];
 /// Side of the blocks of SSIM and the pixel losses.
 pub(crate) const BLOCK: u32 = 16;
 /// Pixels of a tile.
@@ -52,6 +54,7 @@ pub(crate) struct Kernels {
     pub(crate) step_layout: wgpu::BindGroupLayout,
     pub(crate) project: Kernel,
     pub(crate) visit: Kernel,
+    pub(crate) visit_large: Kernel,
     pub(crate) place: Kernel,
     pub(crate) sort: Kernel,
     pub(crate) forward: Kernel,
@@ -215,9 +218,16 @@ impl Kernels {
         let adam = include_str!("shaders/adam.wgsl");
         const R: Slot = Read;
         const W: Slot = ReadWrite;
+        let columns = include_str!("shaders/columns.wgsl");
+        let visited = [R, R, W, W, W, W, W, Uniform, W];
         Self {
             project: kernel("project", &[R, W, W, W], &[gaussian, include_str!("shaders/project.wgsl")]),
-            visit: kernel("visit", &[R, R, W, W, W, W, W, Uniform], &[include_str!("shaders/visit.wgsl")]),
+            visit: kernel("visit", &visited, &[columns, include_str!("shaders/visit.wgsl")]),
+            visit_large: kernel(
+                "visit large",
+                &visited,
+                &[columns, include_str!("shaders/visit_large.wgsl")],
+            ),
             place: kernel("place", &[W, W, W], &[include_str!("shaders/place.wgsl")]),
             sort: kernel("sort", &[R, W, W, W], &[include_str!("shaders/sort.wgsl")]),
             forward: kernel("forward", &[R, R, R, R, W, W], &[alpha, include_str!("shaders/forward.wgsl")]),

@@ -3,18 +3,16 @@
 use rayon::prelude::*;
 use sms_gaussians::RenderedMaps;
 
-/// Nine values per pixel, row by row, as the kernel `maps` leaves them.
-pub(crate) fn maps_of(values: &[f32], width: usize) -> RenderedMaps {
+/// Nine values per pixel, row by row, as the kernel `maps` leaves them. `maps` may be any: their memory is used again, since
+/// fresh memory costs more than filling it.
+pub(crate) fn maps_of(values: &[f32], width: usize, mut maps: RenderedMaps) -> RenderedMaps {
     let pixels = values.len() / 9;
-    let mut maps = RenderedMaps {
-        width,
-        height: pixels / width,
-        color: vec![[0.0; 3]; pixels],
-        alpha: vec![0.0; pixels],
-        depth: vec![0.0; pixels],
-        normal_w: vec![[0.0; 3]; pixels],
-        label: vec![0; pixels],
-    };
+    (maps.width, maps.height) = (width, pixels / width);
+    maps.color.resize(pixels, [0.0; 3]);
+    maps.alpha.resize(pixels, 0.0);
+    maps.depth.resize(pixels, 0.0);
+    maps.normal_w.resize(pixels, [0.0; 3]);
+    maps.label.resize(pixels, 0);
     let scalars = maps.alpha.par_iter_mut().zip(&mut maps.depth).zip(&mut maps.label);
     let vectors = maps.color.par_iter_mut().zip(&mut maps.normal_w);
     values.par_chunks_exact(9).zip(scalars).zip(vectors).with_min_len(4096).for_each(

@@ -1,7 +1,7 @@
 //! What a step, or a rendered view, dispatches, and how it is recorded.
 
 use crate::gpu::Gpu;
-use crate::kernels::{BLOCK, GAUSSIANS, Kernel, Kernels, SEGMENT_GROUPS};
+use crate::kernels::{BLOCK, GAUSSIANS, Kernel, Kernels, LARGE_GROUPS, SEGMENT_GROUPS};
 use crate::uniforms::{STRIDE, Step};
 use crate::work::{Bindings, spread};
 
@@ -28,8 +28,10 @@ fn listed<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) -> Vec<Dispatc
     vec![
         dispatch("project", &kernels.project, &b.project, projected),
         dispatch("count", &kernels.visit, &b.count, gaussians),
+        dispatch("count_large", &kernels.visit_large, &b.count_large, LARGE_GROUPS),
         dispatch("place", &kernels.place, &b.place, [step.tiles().div_ceil(256), 1]),
         dispatch("fill", &kernels.visit, &b.fill, gaussians),
+        dispatch("fill_large", &kernels.visit_large, &b.fill_large, LARGE_GROUPS),
         dispatch("sort", &kernels.sort, &b.sort, tiles),
         dispatch("forward", &kernels.forward, &b.forward, tiles),
     ]

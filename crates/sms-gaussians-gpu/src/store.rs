@@ -8,7 +8,7 @@ use sms_gaussians::parameters::{ClassifierState, Parameters, ROW, Row, classifie
 use wgpu::BufferUsages;
 
 /// Words of the control buffer; see `shaders/common.wgsl`.
-pub(crate) const CONTROL_WORDS: usize = 8;
+pub(crate) const CONTROL_WORDS: usize = 12;
 pub(crate) const PAIRS: usize = 1;
 pub(crate) const OVERFLOWED: usize = 2;
 pub(crate) const PAIRS_WANTED: usize = 3;

@@ -319,6 +319,37 @@ fn long_lists_are_sorted_too() {
 }
 
 #[test]
+fn splats_over_many_tiles_are_listed_whole() {
+    let (Some(mut gpu), mut cpu) =
+        (gpu(&TrainConfig::default(), FAST), CpuTrainer::new(&TrainConfig::default(), CLASSES, SEED))
+    else {
+        return;
+    };
+    // More rows of tiles than a workgroup has lanes, more tiles than all lanes that visit a splat, and more such splats than
+    // are visited at once.
+    let camera = camera((64, 1100));
+    let mut seedlings = crate::probe::seedlings(&camera, 300, Seed(8));
+    for s in &mut seedlings {
+        s.opacity = 0.05;
+        s.scale *= 3.0;
+    }
+    for trainer in [&mut cpu as &mut dyn Trainer, &mut gpu] {
+        trainer.insert(&seedlings);
+        trainer.add_frame(frame(&camera, Seed(4)));
+    }
+    let spread = images(&gpu.render(&camera), &cpu.render(&camera));
+    let pairs = gpu.last_pairs();
+    println!("large splats: {pairs} pairs, image {spread}");
+    assert!(pairs > 300 * 500, "they meet hundreds of tiles each: {pairs}");
+    assert!(spread.p999 <= 1e-5, "{spread}");
+    gpu.steps(&[0]);
+    cpu.steps(&[0]);
+    for (name, spread) in first_moments(&gpu.snapshot(), &cpu.snapshot()).unwrap() {
+        assert!(spread.p999 <= 1e-3, "{name}: {spread}");
+    }
+}
+
+#[test]
 fn a_lost_device_is_told_and_nothing_panics() {
     let Some(mut gpu) = gpu(&TrainConfig::default(), FAST) else {
         return;

@@ -24,6 +24,8 @@ pub const MAX_CLASSES: usize = 48;
 const PAIRS_PER_GAUSSIAN: u32 = 12;
 /// Steps that are recorded and submitted together.
 const TOGETHER: usize = 8;
+/// Maps that are kept for their memory, at most.
+const SPARE_MAPS: usize = 16;
 /// Room for pairs is at least this.
 const PAIRS_MIN: u32 = 1 << 14;
 
@@ -49,6 +51,8 @@ pub struct GpuTrainer {
     pairs_wanted: u32,
     /// Pairs of the last step.
     last_pairs: u32,
+    /// Maps for their memory.
+    spare_maps: Vec<RenderedMaps>,
 }
 
 impl GpuTrainer {
@@ -100,6 +104,7 @@ impl GpuTrainer {
             staging,
             pairs_wanted: PAIRS_MIN,
             last_pairs: 0,
+            spare_maps: Vec::new(),
         })
     }
 
@@ -304,7 +309,7 @@ impl GpuTrainer {
         let step = self.completed(*camera, 0);
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
         let view = self.work.bind_view(&self.gpu, &self.kernels, &self.nothing);
-        let Self { gpu, kernels, work, store, .. } = self;
+        let Self { gpu, kernels, work, store, spare_maps, .. } = self;
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
             let bindings = work.bindings(gpu, kernels, store);
@@ -316,7 +321,11 @@ impl GpuTrainer {
         let (control, maps) = gpu.read_with(parts, |[control, maps]| {
             let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
             let fits = control[OVERFLOWED] == 0;
-            (control, fits.then(|| maps_of(bytemuck::cast_slice(maps), camera.size[0] as usize)))
+            let mut make = || {
+                let spare = spare_maps.pop().unwrap_or_default();
+                maps_of(bytemuck::cast_slice(maps), camera.size[0] as usize, spare)
+            };
+            (control, fits.then(&mut make))
         })?;
         self.after(&control);
         Some(maps)
@@ -522,8 +531,14 @@ impl Trainer for GpuTrainer {
             match self.try_render(&step) {
                 Some(Some(maps)) => return maps,
                 Some(None) => {}
-                None => return maps_of(&vec![0.0; 9 * width * height], width),
+                None => return maps_of(&vec![0.0; 9 * width * height], width, RenderedMaps::default()),
             }
+        }
+    }
+
+    fn recycle(&mut self, maps: RenderedMaps) {
+        if self.spare_maps.len() < SPARE_MAPS {
+            self.spare_maps.push(maps);
         }
     }
 

@@ -53,6 +53,7 @@ struct Buffers {
     records: wgpu::Buffer,
     outlines: wgpu::Buffer,
     spans: wgpu::Buffer,
+    large: wgpu::Buffer,
     sums: wgpu::Buffer,
     tile_counts: wgpu::Buffer,
     lists: wgpu::Buffer,
@@ -73,6 +74,8 @@ pub(crate) struct Bindings {
     pub(crate) project: wgpu::BindGroup,
     pub(crate) count: wgpu::BindGroup,
     pub(crate) fill: wgpu::BindGroup,
+    pub(crate) count_large: wgpu::BindGroup,
+    pub(crate) fill_large: wgpu::BindGroup,
     pub(crate) place: wgpu::BindGroup,
     pub(crate) sort: wgpu::BindGroup,
     pub(crate) forward: wgpu::BindGroup,
@@ -96,6 +99,7 @@ impl Buffers {
             records: buffer("records", 64 * n),
             outlines: buffer("outlines", 16 * n),
             spans: buffer("spans", 8 * n),
+            large: buffer("large", 4 * n),
             sums: buffer("sums", 128 * n),
             tile_counts: buffer("tile counts", 4 * tiles),
             lists: buffer("lists", 8 * tiles),
@@ -168,6 +172,8 @@ impl Work {
             project: bind(gpu, &kernels.project, &[&store.rows, &b.records, &b.outlines, &store.control]),
             count: bind(gpu, &kernels.visit, &b.visit(store, &modes[0])),
             fill: bind(gpu, &kernels.visit, &b.visit(store, &modes[1])),
+            count_large: bind(gpu, &kernels.visit_large, &b.visit(store, &modes[0])),
+            fill_large: bind(gpu, &kernels.visit_large, &b.visit(store, &modes[1])),
             place: bind(gpu, &kernels.place, &[&b.tile_counts, &b.lists, &store.control]),
             sort: bind(gpu, &kernels.sort, &[&b.lists, &b.tile_counts, &b.keys, &b.pair_slots]),
             forward: bind(
@@ -234,6 +240,7 @@ impl Work {
             &b.records,
             &b.outlines,
             &b.spans,
+            &b.large,
             &b.sums,
             &b.tile_counts,
             &b.lists,
@@ -272,7 +279,7 @@ impl Work {
 }
 
 impl Buffers {
-    fn visit<'a>(&'a self, store: &'a Store, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 8] {
+    fn visit<'a>(&'a self, store: &'a Store, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
         [
             &self.records,
             &self.outlines,
@@ -282,6 +289,7 @@ impl Buffers {
             &self.pair_slots,
             &store.control,
             mode,
+            &self.large,
         ]
     }
 }

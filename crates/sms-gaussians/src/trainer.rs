@@ -179,6 +179,10 @@ pub trait Trainer: Send {
     fn set_rates(&mut self, rates: &LearningRates);
     /// Renders a view (no gradients).
     fn render(&mut self, camera: &Camera) -> RenderedMaps;
+    /// Takes back maps that nobody needs any more, for their memory.
+    fn recycle(&mut self, maps: RenderedMaps) {
+        drop(maps);
+    }
     /// Opacities in order.
     fn opacities(&self) -> Vec<f32>;
     /// Centres in order.

@@ -106,6 +106,9 @@ pub(crate) struct BenchScan {
     /// Neither make nor measure meshes.
     #[arg(long)]
     pub no_meshes: bool,
+    /// Measure time and memory alone.
+    #[arg(long)]
+    pub no_quality: bool,
     /// Folder for results.json and, for each scene, scene.ply, metrics.json, objects.json and panel.png.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -289,7 +292,14 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
             RefinePoses::Auto => PosesMode::Auto,
         };
     }
-    Ok(BenchOptions { poses, frames: a.frames, disturbance, meshes: !a.no_meshes, ..base })
+    Ok(BenchOptions {
+        poses,
+        frames: a.frames,
+        disturbance,
+        meshes: !a.no_meshes,
+        quality: !a.no_quality,
+        ..base
+    })
 }
 
 /// The user's settings of frames, masks, scan and entities over those of `base`.

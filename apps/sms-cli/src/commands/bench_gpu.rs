@@ -24,13 +24,17 @@ pub(crate) fn run(
     use sms_core::metrics::Metrics;
     use sms_gaussians_gpu::GpuTrainer;
     let make = |train: &TrainConfig, classes, seed| checked(train, classes, seed, index);
-    let figures = |prefix: &str, trainer: &mut GpuTrainer, _: &Prepared| {
+    let figures = |prefix: &str, trainer: &mut GpuTrainer, prepared: &Prepared| {
         let mut metrics = Metrics::new();
         metrics.set(format!("{prefix}device"), trainer.adapter().name.clone());
         metrics.set(format!("{prefix}device_bytes"), trainer.device_bytes());
         metrics.set(format!("{prefix}pairs"), trainer.last_pairs());
-        if let Some(ms) = step_ms(trainer) {
+        if let Some(ms) = step_ms(trainer, &[0; 50], 7) {
             metrics.set(format!("{prefix}step_ms"), ms);
+        }
+        let views: Vec<usize> = (0..prepared.trained(options.scan.holdout).len()).collect();
+        if let Some(ms) = step_ms(trainer, &views, 3) {
+            metrics.set(format!("{prefix}step_views_ms"), ms);
         }
         for (kernel, ms) in trainer.timed_step(0).unwrap_or_default() {
             metrics.set(format!("{prefix}step_{kernel}_ms"), ms);
@@ -77,21 +81,19 @@ pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
     }
 }
 
-/// Wall-clock milliseconds of one step on the scene's finished Gaussians and its first frame: the median of several
-/// submissions. The scan's own steps are fewer to a submission, and the schedule works between them.
+/// Wall-clock milliseconds of a step on the scene's finished Gaussians: the median of several batches of steps on these
+/// frames. The scan's own steps are fewer to a submission, and the schedule works between them.
 #[cfg(feature = "gpu")]
-fn step_ms(trainer: &mut sms_gaussians_gpu::GpuTrainer) -> Option<f64> {
+fn step_ms(trainer: &mut sms_gaussians_gpu::GpuTrainer, frames: &[usize], batches: usize) -> Option<f64> {
     use sms_gaussians::Trainer;
-    const BATCHES: usize = 7;
-    const STEPS: usize = 50;
     let mut all = Vec::new();
-    for _ in 0..BATCHES {
+    for _ in 0..batches {
         let began = std::time::Instant::now();
-        trainer.steps(&[0; STEPS]);
-        all.push(began.elapsed().as_secs_f64() * 1e3 / STEPS as f64);
+        trainer.steps(frames);
+        all.push(began.elapsed().as_secs_f64() * 1e3 / frames.len().max(1) as f64);
     }
     all.sort_by(f64::total_cmp);
-    trainer.failure().is_none().then(|| all[BATCHES / 2])
+    trainer.failure().is_none().then(|| all[batches / 2])
 }
 
 /// A program without GPUs says so.

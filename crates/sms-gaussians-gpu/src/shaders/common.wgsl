@@ -49,6 +49,7 @@ const SEEN = 4u;
 const STEPS_DONE = 5u;
 const CLASSIFIER_STEPS = 6u;
 const CLASSIFIER_STEPS_NEXT = 7u;
+const LARGE = 8u;
 
 // Sections of the partial sums.
 const SUM_COLOR = 0u;

@@ -12,6 +12,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         control[LIST_COUNTER] = 0u;
         control[PAIRS] = 0u;
         control[SEEN] = 0u;
+        control[LARGE] = 0u;
         control[CLASSIFIER_STEPS] = control[CLASSIFIER_STEPS_NEXT];
     }
     if (g >= u.counts.x) { return; }

@@ -6,10 +6,9 @@
 //! of the surest Gaussian of the voted label, so that the classifier, the renders and the labels stay consistent.
 
 use super::config::ScanConfig;
+use super::nearby::map_nearby;
 use crate::parameters::{AFFINITY, PARAMETERS, Parameters};
 use crate::{AFFINITY_DIM, GaussianModel};
-use glamx::Vec3;
-use rayon::prelude::*;
 use sms_core::LabelMap;
 use sms_frames::Frame;
 
@@ -23,11 +22,8 @@ pub(crate) fn correct_labels(
     config: &ScanConfig,
 ) {
     let model = parameters.model();
-    let votes: Vec<Option<u16>> = model
-        .positions_w
-        .par_iter()
-        .map(|p| voted_label(*p, frames, model.classifier.classes, config))
-        .collect();
+    let classes = model.classifier.classes;
+    let votes = map_nearby(&model.positions_w, |group| voted_labels(group, &model, frames, classes, config));
     let surest = surest_of_labels(&model, &votes);
     for (i, vote) in votes.iter().enumerate() {
         let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
@@ -39,25 +35,34 @@ pub(crate) fn correct_labels(
     }
 }
 
-/// The label that a clear majority of the frames which measure a surface at `p_w` give it.
-fn voted_label(
-    p_w: Vec3,
+/// The label that a clear majority of the frames which measure a surface at each Gaussian give it.
+fn voted_labels(
+    gaussians: &[u32],
+    model: &GaussianModel,
     frames: &[(&Frame, &LabelMap)],
     classes: usize,
     config: &ScanConfig,
-) -> Option<u16> {
-    let mut counts = vec![0usize; classes];
+) -> Vec<Option<u16>> {
+    let mut counts = vec![0usize; classes * gaussians.len()];
     for (frame, labels) in frames {
-        let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { continue };
-        let Some(pixel) = frame.camera.pixel_at(u, v) else { continue };
-        let depth = f64::from(frame.depth[pixel]);
-        if depth > 0.0
-            && (depth - z).abs() <= config.tolerance_m(z)
-            && let Some(count) = counts.get_mut(usize::from(labels[pixel]))
-        {
-            *count += 1;
+        for (i, counts) in gaussians.iter().zip(counts.chunks_exact_mut(classes.max(1))) {
+            let p_w = model.positions_w[*i as usize];
+            let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { continue };
+            let Some(pixel) = frame.camera.pixel_at(u, v) else { continue };
+            let depth = f64::from(frame.depth[pixel]);
+            if depth > 0.0
+                && (depth - z).abs() <= config.tolerance_m(z)
+                && let Some(count) = counts.get_mut(usize::from(labels[pixel]))
+            {
+                *count += 1;
+            }
         }
     }
+    (0..gaussians.len()).map(|i| majority(&counts[classes * i..classes * (i + 1)])).collect()
+}
+
+/// The label with the most votes, the lower of equals, where its share is clear.
+fn majority(counts: &[usize]) -> Option<u16> {
     let total: usize = counts.iter().sum();
     let (label, most) =
         counts.iter().enumerate().max_by_key(|&(label, count)| (*count, std::cmp::Reverse(label)))?;
@@ -84,7 +89,7 @@ mod tests {
     use super::super::fixture::{BALL, BALL_CENTER, BALL_RADIUS, Recorded, SMALL, record};
     use super::*;
     use crate::{CpuTrainer, Seedling, TrainConfig, Trainer};
-    use glamx::Quat;
+    use glamx::{Quat, Vec3};
     use sms_core::Seed;
 
     #[test]

@@ -5,6 +5,7 @@
 //! as projective fusion of depth does (Curless and Levoy, SIGGRAPH 1996), side by side for walls seen from both.
 
 use super::config::ScanConfig;
+use super::nearby::map_nearby;
 use crate::parameters::{LOG_SCALE, POSITION, Parameters, ROTATION, Row};
 use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
@@ -18,35 +19,74 @@ const SAME_SURFACE_COSINE: f64 = 0.7;
 /// Moves every Gaussian along its normal onto the mean of what `frames` measure there, and turns it to their mean
 /// normal. Gaussians that no frame measures stay as they are; moments are kept.
 pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &ScanConfig) {
-    parameters.rows.par_iter_mut().for_each(|row| {
+    let rows = &parameters.rows;
+    let positions_w: Vec<Vec3> = rows.par_iter().map(|row| Vec3::from_slice(&row.0[POSITION..])).collect();
+    let fused = map_nearby(&positions_w, |group| {
+        let mut discs: Vec<Disc> = group.iter().map(|&i| Disc::of(&rows[i as usize])).collect();
         for _ in 0..PASSES {
-            fuse_one(row, frames, config);
+            let mut sums: Vec<[Measured; 2]> = discs.iter().map(|_| Default::default()).collect();
+            for frame in frames {
+                for (disc, sides) in discs.iter().zip(&mut sums) {
+                    add_frame(sides, frame, disc, config);
+                }
+            }
+            discs.iter_mut().zip(sums).for_each(|(disc, sides)| disc.adjust(sides));
         }
+        discs
     });
+    for (row, disc) in parameters.rows.iter_mut().zip(fused) {
+        row.0[POSITION..POSITION + 3].copy_from_slice(&disc.position_w.to_array());
+        row.0[ROTATION..ROTATION + 4].copy_from_slice(&disc.rotation_wg.to_array());
+    }
 }
 
-fn fuse_one(row: &mut Row, frames: &[&Frame], config: &ScanConfig) {
-    let center_w = Vec3::from_slice(&row.0[POSITION..]).as_dvec3();
-    let rotation_wg = Quat::from_slice(&row.0[ROTATION..]).as_dquat();
-    let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
-    let axis_w = rotation_wg * DVec3::AXES[axis];
-    // A thin wall is measured from both sides, and the mean of both would lie inside it: each disc belongs to the side
-    // that measures it most.
-    let mut sides = [Measured::default(), Measured::default()];
-    for frame in frames {
-        add_frame(&mut sides, frame, center_w, axis_w, config);
+/// A Gaussian as a disc.
+#[derive(Debug, Clone, Copy, Default)]
+struct Disc {
+    position_w: Vec3,
+    rotation_wg: Quat,
+    /// Its shortest axis: 0, 1 or 2.
+    axis: usize,
+    /// The same in double precision; the axis in the world.
+    center_w: DVec3,
+    axis_w: DVec3,
+}
+
+impl Disc {
+    fn of(row: &Row) -> Self {
+        let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
+        Self {
+            position_w: Vec3::from_slice(&row.0[POSITION..]),
+            rotation_wg: Quat::from_slice(&row.0[ROTATION..]),
+            axis,
+            ..Self::default()
+        }
+        .in_double()
     }
-    let [front, back] = sides;
-    let sum = if back.weight > front.weight { back } else { front };
-    if sum.weight > 0.0 {
-        let moved = center_w + axis_w * (sum.offset / sum.weight);
-        row.0[POSITION..POSITION + 3].copy_from_slice(&moved.as_vec3().to_array());
+
+    fn in_double(self) -> Self {
+        Self {
+            center_w: self.position_w.as_dvec3(),
+            axis_w: self.rotation_wg.as_dquat() * DVec3::AXES[self.axis],
+            ..self
+        }
     }
-    if sum.normal_w.length() > 0.0 {
-        let along = sum.normal_w * sum.normal_w.dot(axis_w).signum();
-        let turn = DQuat::from_rotation_arc(axis_w, along.normalize());
-        let turned = (turn * rotation_wg).normalize().as_quat();
-        row.0[ROTATION..ROTATION + 4].copy_from_slice(&turned.to_array());
+
+    /// Moved and turned to what was measured.
+    fn adjust(&mut self, [front, back]: [Measured; 2]) {
+        // A thin wall is measured from both sides, and the mean of both would lie inside it: each disc belongs to the side
+        // that measures it most.
+        let sum = if back.weight > front.weight { back } else { front };
+        let Self { center_w, axis_w, .. } = *self;
+        if sum.weight > 0.0 {
+            self.position_w = (center_w + axis_w * (sum.offset / sum.weight)).as_vec3();
+        }
+        if sum.normal_w.length() > 0.0 {
+            let along = sum.normal_w * sum.normal_w.dot(axis_w).signum();
+            let turn = DQuat::from_rotation_arc(axis_w, along.normalize());
+            self.rotation_wg = (turn * self.rotation_wg.as_dquat()).normalize().as_quat();
+        }
+        *self = self.in_double();
     }
 }
 
@@ -62,7 +102,8 @@ struct Measured {
 
 /// Adds what one frame measures at the four pixels round the projected centre, weighted bilinearly and by the inverse
 /// variance of the depth noise, to the side of the disc that the frame's camera sees: along its axis, or against it.
-fn add_frame(sides: &mut [Measured; 2], frame: &Frame, center_w: DVec3, axis_w: DVec3, config: &ScanConfig) {
+fn add_frame(sides: &mut [Measured; 2], frame: &Frame, disc: &Disc, config: &ScanConfig) {
+    let Disc { center_w, axis_w, .. } = *disc;
     let Some((u, v, z)) = frame.camera.project(center_w) else { return };
     let rotation_wc = frame.camera.x_wc.rotation;
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());

@@ -12,6 +12,7 @@ mod evaluate;
 mod frames;
 mod fusion;
 mod losses;
+mod nearby;
 mod observer;
 mod occupancy;
 mod pace;

@@ -19,9 +19,15 @@ pub(crate) struct Occupancy {
 }
 
 impl Occupancy {
-    /// For queries of at most `radius` metres.
+    /// For queries of about `radius` metres at most: wider ones are slow.
     pub(crate) fn new(radius: f32) -> Self {
-        Self { cell: radius.max(1e-6), first: vec![NONE; CHAINS_MIN], next: Vec::new(), points: Vec::new() }
+        // A query's ball then meets two cells along an axis at most.
+        Self {
+            cell: 2.1 * radius.max(1e-6),
+            first: vec![NONE; CHAINS_MIN],
+            next: Vec::new(),
+            points: Vec::new(),
+        }
     }
 
     /// [`Occupancy::new`] with these points in it.
@@ -67,14 +73,14 @@ impl Occupancy {
         }
     }
 
-    /// Whether a point lies nearer than `radius` to `p`. `radius` must not exceed that of [`Occupancy::new`].
+    /// Whether a point lies nearer than `radius` to `p`.
     pub(crate) fn any_within(&self, p: Vec3, radius: f32) -> bool {
-        debug_assert!(radius <= self.cell * 1.0001);
-        let [x, y, z] = self.cell_of(p);
-        (0..27).any(|k| {
-            // Cells at the ends of the range wrap into chains without such points, or with some too far away.
-            let cell = [x.wrapping_add(k % 3 - 1), y.wrapping_add(k / 3 % 3 - 1), z.wrapping_add(k / 9 - 1)];
-            let mut at = self.first[self.chain_of(cell)];
+        // A little generous, against rounding.
+        let reach = Vec3::splat(1.001 * radius) + p.abs() * 1e-6;
+        let (low, high) = (self.cell_of(p - reach), self.cell_of(p + reach));
+        // A cell's chain also holds points of other cells.
+        let near = |x, y, z| {
+            let mut at = self.first[self.chain_of([x, y, z])];
             while at != NONE {
                 if (self.points[at as usize] - p).length_squared() < radius * radius {
                     return true;
@@ -82,7 +88,8 @@ impl Occupancy {
                 at = self.next[at as usize];
             }
             false
-        })
+        };
+        (low[2]..=high[2]).any(|z| (low[1]..=high[1]).any(|y| (low[0]..=high[0]).any(|x| near(x, y, z))))
     }
 }
 
@@ -106,6 +113,9 @@ mod tests {
             let expected = points.iter().any(|p| (*p - query).length() < radius);
             prop_assert_eq!(occupancy.any_within(query, radius), expected);
             prop_assert_eq!(at_once.any_within(query, radius), expected);
+            // Wider than what it was made for.
+            let fine = Occupancy::of(0.004, &points);
+            prop_assert_eq!(fine.any_within(query, radius), expected);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Which Gaussians go: the transparent ones, and those that float in front of what was measured.
 
 use super::config::ScanConfig;
+use super::nearby::map_nearby;
 use crate::Trainer;
 use glamx::Vec3;
 use rayon::prelude::*;
@@ -24,24 +25,44 @@ pub(crate) fn prune_all(
     config: &ScanConfig,
 ) -> Vec<Vec3> {
     let (positions_w, opacities) = trainer.places();
-    let stands = |p: Vec3| {
-        let sights = frames.iter().map(|f| sight(f, p, config));
-        let (mut through, mut surface) = (0, 0);
-        for sight in sights {
-            through += usize::from(sight == Sight::Through);
-            surface += usize::from(sight == Sight::Surface);
-        }
-        surface >= through.max(least)
-    };
-    let keep: Vec<bool> = positions_w
-        .par_iter()
-        .zip(opacities)
-        .map(|(p, o)| o >= config.pruning.opacity_below && (!config.pruning.floaters || stands(*p)))
-        .collect();
+    let stands =
+        if config.pruning.floaters { standing(&positions_w, frames, least, config) } else { Vec::new() };
+    let stands = |i: usize| stands.get(i).is_none_or(|stands| *stands);
+    let opaque = |o: f32| o >= config.pruning.opacity_below;
+    let keep: Vec<bool> = opacities.iter().enumerate().map(|(i, o)| opaque(*o) && stands(i)).collect();
     if keep.contains(&false) {
         trainer.retain(&keep);
     }
     positions_w.into_iter().zip(keep).filter_map(|(p, keep)| keep.then_some(p)).collect()
+}
+
+/// Which points no more frames look through than measure a surface near them, with `least` such frames at least.
+fn standing(positions_w: &[Vec3], frames: &[&Frame], least: usize, config: &ScanConfig) -> Vec<bool> {
+    // Frames that look through a point, and that measure a surface near it.
+    let add = |(through, surface): &mut (usize, usize), frame: &Frame, p_w: Vec3| {
+        let sight = sight(frame, p_w, config);
+        *through += usize::from(sight == Sight::Through);
+        *surface += usize::from(sight == Sight::Surface);
+    };
+    let stands = |(through, surface): (usize, usize)| surface >= through.max(least);
+    if let [frame] = frames {
+        // One frame's depth stays in the caches whatever the order.
+        let of_point = |p_w: &Vec3| {
+            let mut counts = (0, 0);
+            add(&mut counts, frame, *p_w);
+            stands(counts)
+        };
+        return positions_w.par_iter().with_min_len(1024).map(of_point).collect();
+    }
+    map_nearby(positions_w, |group| {
+        let mut counts = vec![(0, 0); group.len()];
+        for frame in frames {
+            for (&i, counts) in group.iter().zip(&mut counts) {
+                add(counts, frame, positions_w[i as usize]);
+            }
+        }
+        counts.into_iter().map(stands).collect()
+    })
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -118,6 +118,7 @@ pub fn scan_observed(
             place: Place::default(),
             pace: Pace::new(limits, sequence.len()),
             last_psnr_db: None,
+            untold: None,
             so_far: SoFar::new(work_dir),
             stages,
             trainer,
@@ -160,6 +161,8 @@ struct Schedule<'a> {
     pace: Pace,
     /// Of the frame done last.
     last_psnr_db: Option<f64>,
+    /// The slot done last, as long as nobody was told of it.
+    untold: Option<Untold<'a>>,
     so_far: SoFar,
     stages: StageSeconds,
     trainer: &'a mut dyn Trainer,
@@ -167,6 +170,21 @@ struct Schedule<'a> {
     progress: &'a dyn Progress,
     cancel: &'a Cancel,
     warnings: &'a Warnings,
+}
+
+/// A slot that is done: what nobody was told yet.
+struct Untold<'a> {
+    slot: usize,
+    /// Steps since the start of the scan.
+    step: u64,
+    frame: &'a Frame,
+    rendered: RenderedMaps,
+}
+
+impl Untold<'_> {
+    fn score(&self) -> ViewScore {
+        score_view(self.frame, &self.rendered, false)
+    }
 }
 
 impl Schedule<'_> {
@@ -240,6 +258,7 @@ impl Schedule<'_> {
                 self.save()?;
             }
         }
+        self.tell_slot();
         Ok(())
     }
 
@@ -300,7 +319,7 @@ impl Schedule<'_> {
         if self.is_refinement() {
             self.fuse_all()?;
         }
-        self.report_slot();
+        self.show_slot();
         let beside_s = began.elapsed().as_secs_f64() - stepping_s;
         self.pace.finished(self.place.slot, self.place.step, Some(beside_s));
         Ok(())
@@ -334,6 +353,7 @@ impl Schedule<'_> {
             return Ok(());
         }
         let Some(&index) = self.trained.get(self.place.slot) else {
+            self.tell_slot();
             return self.fuse_all();
         };
         let frame = &self.sequence.frames[index];
@@ -345,7 +365,18 @@ impl Schedule<'_> {
         let room = self.config.max_gaussians.saturating_sub(positions_w.len());
         let seed = self.seed.derive_index("seeding", self.place.slot as u64);
         let labels = (&self.labels.maps[index], &self.codes);
-        let seedlings = seed_frame(frame, labels, rendered.as_ref(), &positions_w, room, self.config, seed);
+        let (config, untold) = (self.config, self.untold.take());
+        // The slot before is scored meanwhile.
+        let (seedlings, score) = rayon::join(
+            || seed_frame(frame, labels, rendered.as_ref(), &positions_w, room, config, seed),
+            || untold.as_ref().map(Untold::score),
+        );
+        if let (Some(untold), Some(score)) = (untold, score) {
+            self.tell(untold, score);
+        }
+        if let Some(rendered) = rendered {
+            self.trainer.recycle(rendered);
+        }
         if !seedlings.is_empty() && seedlings.len() == room {
             self.warnings.add(
                 STAGE,
@@ -491,28 +522,39 @@ impl Schedule<'_> {
         self.progress.status(&Status { done, message: &message, seconds_left, values: &values });
     }
 
-    /// Tells of the slot that is done; after the refinement, by the last frame.
-    fn report_slot(&mut self) {
+    /// Renders the slot that is done, after the refinement its last frame, to be told of before anything changes.
+    fn show_slot(&mut self) {
         let (slot, frames) = (self.place.slot, self.trained.len());
         let frame = &self.sequence.frames[self.trained[slot.min(frames - 1)]];
         let began = Instant::now();
         let rendered = self.trainer.render(&frame.camera);
         self.pace.rendered(began.elapsed().as_secs_f64());
         self.stages.add("rendering", began);
+        self.untold = Some(Untold { slot, step: self.place.total_steps, frame, rendered });
+    }
+
+    /// Tells of the slot that is done, if nobody was told yet.
+    fn tell_slot(&mut self) {
+        let Some(untold) = self.untold.take() else { return };
         let began = Instant::now();
-        let score = score_view(frame, &rendered, false);
+        let score = untold.score();
         self.stages.add("scoring", began);
+        self.tell(untold, score);
+    }
+
+    fn tell(&mut self, untold: Untold<'_>, score: ViewScore) {
         self.last_psnr_db = Some(score.psnr_db);
         let trainer = &*self.trainer;
         self.observer.slot(&SlotDone {
-            slot,
-            frames,
-            step: self.place.total_steps,
-            frame,
-            rendered: &rendered,
+            slot: untold.slot,
+            frames: self.trained.len(),
+            step: untold.step,
+            frame: untold.frame,
+            rendered: &untold.rendered,
             score,
             model: &|| trainer.model(),
         });
+        self.trainer.recycle(untold.rendered);
     }
 
     /// Measures the result and writes it.
@@ -580,6 +622,7 @@ impl Schedule<'_> {
                 confusion.merge(&own);
                 views.push(view);
             }
+            shown.into_iter().for_each(|maps| self.trainer.recycle(maps));
             self.stages.add("scoring", began);
         }
         Ok((views, confusion.mean_iou()))

@@ -53,23 +53,25 @@ pub(crate) fn seed_frame(
     let settings = &config.seeding;
     let k = frame.camera.intrinsics;
     let mut rng = seed.derive("order").rng();
-    let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
-        candidates(frame, rendered, config).into_par_iter().partition(|&i| is_edge(frame, i, config));
-    shuffle(&mut edges, &mut rng);
-    shuffle(&mut others, &mut rng);
-
+    let candidates = candidates(frame, rendered, config);
     let spacing = |i: usize, edge: bool| {
         let px = settings.spacing_px * if edge { settings.edge_spacing } else { 1.0 };
         px * k.pixel_footprint(f64::from(frame.depth.data[i]))
     };
     let radius = |spacing_m: f64| spacing_m.max(settings.radius_m) as f32;
-    let tries: Vec<(usize, f64)> = edges
-        .iter()
-        .map(|&i| (i, spacing(i, true)))
-        .chain(others.iter().map(|&i| (i, spacing(i, false))))
-        .collect();
-    let widest = tries.iter().map(|t| radius(t.1)).fold(0.0, f32::max);
-    let existing = Occupancy::of(widest, positions_w);
+    let widest = candidates
+        .par_iter()
+        .map(|&i| radius(spacing(i, true).max(spacing(i, false))))
+        .reduce(|| 0.0, f32::max);
+    let order = || {
+        let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
+            candidates.into_par_iter().partition(|&i| is_edge(frame, i, config));
+        shuffle(&mut edges, &mut rng);
+        shuffle(&mut others, &mut rng);
+        let edges = edges.into_iter().map(|i| (i, spacing(i, true)));
+        edges.chain(others.into_iter().map(|i| (i, spacing(i, false)))).collect::<Vec<(usize, f64)>>()
+    };
+    let (existing, tries) = rayon::join(|| Occupancy::of(widest, positions_w), order);
     let surfaces: Vec<Option<Surface>> = tries
         .par_iter()
         .map(|&(i, spacing_m)| {

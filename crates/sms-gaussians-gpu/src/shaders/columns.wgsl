@@ -1,0 +1,38 @@
+// Which tiles a splat's ellipse meets.
+
+// Columns of tiles in which the ellipse meets the pixel centres of a row of tiles: first, and one past the last.
+fn tile_columns(mean: vec2f, outline: vec4f, row: u32) -> vec2u {
+    let half_x = outline.x;
+    let half_y = outline.y;
+    let half_row = outline.z;
+    let slant = outline.w;
+    // First and last row of pixel centres relative to the splat's centre, a little generous.
+    let low = f32(row * TILE) + 0.5 - mean.y - 0.01;
+    let high = low + 7.02;
+    if (low > half_y || high < -half_y) { return vec2u(0u); }
+    let from_y = max(low, -half_y);
+    let to_y = min(high, half_y);
+    // x = slant·y ± half_row·√(1 − (y/half_y)²) is extreme at the ellipse's own extreme row, or at the end of the
+    // interval nearest to it.
+    let extreme = slant * half_y * half_y / half_x;
+    let y_left = clamp(-extreme, from_y, to_y);
+    let y_right = clamp(extreme, from_y, to_y);
+    let left_part = y_left / half_y;
+    let right_part = y_right / half_y;
+    let left = max(slant * y_left - half_row * sqrt(max(1.0 - left_part * left_part, 0.0)), -half_x);
+    let right = min(slant * y_right + half_row * sqrt(max(1.0 - right_part * right_part, 0.0)), half_x);
+    let slack = half_x * 1e-4 + 0.01;
+    let columns = f32(u.size.z);
+    let first = clamp((mean.x + left - slack - 7.5) * 0.125 + 1.0, 0.0, columns);
+    let end = clamp((mean.x + right + slack - 0.5) * 0.125 + 1.0, 0.0, columns);
+    return vec2u(u32(first), u32(end));
+}
+
+// Rows of tiles between the ellipse's extreme rows: first, and one past the last.
+fn tile_rows(mean: vec2f, outline: vec4f) -> vec2u {
+    let edges = vec2f(mean.y - outline.y, mean.y + outline.y);
+    let last_row = f32(u.size.w);
+    let first = u32(clamp(floor(edges.x * 0.125), 0.0, last_row));
+    let end = u32(clamp(floor(edges.y * 0.125) + 1.0, 0.0, last_row));
+    return vec2u(first, max(first, end));
+}
