@@ -66,7 +66,7 @@ impl Default for StrikeConfig {
 const MOST_ROUNDS: usize = 3;
 
 /// A sweep that uses less than this share of every limit in coarse steps stays within them in fine ones.
-const COARSE_ENOUGH: f64 = 0.8;
+pub(crate) const COARSE_ENOUGH: f64 = 0.8;
 
 /// How far the wrist moves at most when the tool is held otherwise, metres.
 const HOLD_REACH_M: f64 = 0.15;
