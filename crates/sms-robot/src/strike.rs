@@ -145,6 +145,11 @@ impl StrikeError {
             Self::Unreachable(_) => {
                 "place the robot nearer or turned otherwise (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
             }
+            // No slower strike keeps a joint from its end.
+            Self::Infeasible(e) if e.limit == LimitKind::Position => {
+                "place the robot so that the strike is nearer to the middle of its reach, 0.4 to 0.6 m in front of it \
+                 (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
+            }
             Self::Infeasible(_) => {
                 "lower the task's speeds, or place the robot so that the strike goes across its front rather than towards or \
                  away from it (`x_world_robot` of [robot], or --at)"
