@@ -46,4 +46,61 @@ fn what_is_planned_for_the_robot_passes_every_check() {
     let elsewhere = sms(&["robot", out, "--at", "-3,0,0,0"]);
     assert_eq!(elsewhere.status.code(), Some(2), "{}", said(&elsewhere));
     assert!(said(&elsewhere).contains("cure:"), "{}", said(&elsewhere));
+
+    bad_input_is_refused(dir.path(), out, task);
+}
+
+/// Each mistake: exit code 2, what is wrong by name, and the cure.
+fn bad_input_is_refused(dir: &Path, run: &str, task: &str) {
+    let refused = |arguments: &[&str], words: &[&str]| {
+        let output = sms(arguments);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(!text.contains("panicked"), "{text}");
+        for word in words.iter().chain(&["cure:"]) {
+            assert!(text.contains(word), "{arguments:?}: {word}: {text}");
+        }
+    };
+    let write = |name: &str, text: String| {
+        let path = dir.join(name);
+        fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let good = fs::read_to_string(task).unwrap();
+    let goal = good.lines().find(|l| l.starts_with("goal_w")).unwrap();
+    let plan = |task: &str| ["plan", run, "--task", task, "--robust", "0", "--seed", "1"].map(str::to_owned);
+    let plan_refused = |task: &str, more: &[&str], words: &[&str]| {
+        let arguments = plan(task);
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).chain(more.iter().copied()).collect();
+        refused(&arguments, words);
+    };
+    let far = write("far.toml", good.replace(goal, "goal_w = [7.0, 0.2]"));
+    plan_refused(&far, &[], &["goal_w", "far.toml", "from everything"]);
+    let unknown = write("unknown.toml", good.replace("color = \"white\"", "name = \"teapot\""));
+    plan_refused(&unknown, &[], &["teapot", "unknown.toml", "object_01"]);
+
+    // The robot: a mesh that is not there, and limits with which nothing near the floor can be reached.
+    let urdf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/sms-robot/assets/fr3.urdf");
+    let urdf = fs::read_to_string(urdf).unwrap();
+    let shape = "<sphere radius=\"0.04\"/>";
+    assert!(urdf.contains(shape));
+    let bare = write("bare.urdf", urdf.replacen(shape, "<mesh filename=\"no/such.stl\"/>", 1));
+    let upper_arm = "lower=\"-1.7837\" upper=\"1.7837\"";
+    assert!(urdf.contains(upper_arm));
+    let short = write("short.urdf", urdf.replace(upper_arm, "lower=\"-0.1\" upper=\"0.1\""));
+    for (urdf, words) in [(&bare, ["no/such.stl", "bare.urdf"]), (&short, ["cannot", "fr3_joint"])] {
+        let urdf = format!("robot.urdf={urdf}");
+        refused(&["robot", run, "--set", &urdf, "--set", "robot.tool=fr3_fist"], &words);
+    }
+
+    // A scene that was edited.
+    let path = Path::new(run).join("scene/scene.json");
+    let scene = fs::read_to_string(&path).unwrap();
+    let mut json: Value = serde_json::from_str(&scene).unwrap();
+    let body = json["bodies"].as_array_mut().unwrap().iter_mut().find(|b| b["mass"].is_object()).unwrap();
+    body["mass"]["mass_kg"] = 0.0.into();
+    let name = body["name"].as_str().unwrap().to_owned();
+    fs::write(&path, json.to_string()).unwrap();
+    plan_refused(task, &[], &["scene.json", &name, "mass", "positive"]);
+    fs::write(&path, scene).unwrap();
 }

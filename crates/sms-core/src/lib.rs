@@ -20,6 +20,7 @@
 //! assert!((p_w - DVec3::new(0.0, 0.0, 2.0)).length() < 1e-12);
 //! ```
 
+mod angle;
 pub mod atomic;
 mod camera;
 mod cancel;
@@ -46,6 +47,7 @@ mod text;
 mod topology;
 mod warnings;
 
+pub use angle::wrapped_angle;
 pub use camera::{Camera, Intrinsics};
 pub use cancel::Cancel;
 pub use cholesky::Cholesky;

@@ -62,7 +62,7 @@ impl Sequence {
         let written: Vec<Result<(), FramesError>> =
             self.frames.par_iter().map(|f| write_png_color(&dir.join(name(f)), &f.color)).collect();
         written.into_iter().collect::<Result<(), _>>()?;
-        let geometry = dir.join("geometry.bin");
+        let geometry = geometry_file(dir);
         let blocks: Vec<std::io::Result<[Vec<u8>; 2]>> = self
             .frames
             .par_iter()
@@ -107,30 +107,8 @@ impl Sequence {
     /// # Errors
     /// [`InputError`] naming the file when it is missing, damaged or of another version.
     pub fn load(dir: &Path) -> Result<Self, FramesError> {
-        let path = dir.join("sequence.json");
-        if !path.is_file() {
-            return Err(
-                InputError::new("there is no loaded sequence here", &path, "run `sms scan` first").into()
-            );
-        }
-        let file: SequenceFile = atomic::read_json(&path)?;
-        if file.version != VERSION {
-            return Err(InputError::new(
-                format!("this sequence has version {} and this program reads {VERSION}", file.version),
-                &path,
-                "scan the recording again",
-            )
-            .into());
-        }
-        let geometry_path = dir.join("geometry.bin");
-        let geometry = std::fs::read(&geometry_path).map_err(CoreError::read(&geometry_path))?;
-        let damaged = || {
-            InputError::new(
-                "the cached depth of this sequence is damaged",
-                &geometry_path,
-                "scan the recording again",
-            )
-        };
+        let (file, geometry) = read_files(dir)?;
+        let damaged = || damaged(dir);
         let blocks =
             split_blocks(&geometry).filter(|b| b.len() == 2 * file.frames.len()).ok_or_else(damaged)?;
         let frames: Vec<Result<Frame, FramesError>> = file
@@ -171,6 +149,61 @@ impl Sequence {
             source: file.source,
         })
     }
+}
+
+/// Cameras and depth images of up to `most` frames of a sequence that [`Sequence::save`] wrote, evenly spread: what takes a
+/// fraction of the time of reading all.
+///
+/// # Errors
+/// As [`Sequence::load`].
+pub fn load_depths(dir: &Path, most: usize) -> Result<Vec<(Camera, DepthImage)>, FramesError> {
+    let (file, geometry) = read_files(dir)?;
+    let damaged = || damaged(dir);
+    let count = file.frames.len();
+    let blocks = split_blocks(&geometry).filter(|b| b.len() == 2 * count).ok_or_else(damaged)?;
+    let taken = most.min(count);
+    let depths: Vec<Option<(Camera, DepthImage)>> = (0..taken)
+        .into_par_iter()
+        .map(|k| {
+            let i = k * count / taken;
+            let camera = file.frames[i].camera;
+            let size = camera.intrinsics;
+            Some((camera, depth_from_bytes(inflate(blocks[2 * i]), size.width, size.height)?))
+        })
+        .collect();
+    Ok(depths.into_iter().collect::<Option<_>>().ok_or_else(damaged)?)
+}
+
+/// The record and the packed depth and normals.
+fn read_files(dir: &Path) -> Result<(SequenceFile, Vec<u8>), FramesError> {
+    let path = dir.join("sequence.json");
+    if !path.is_file() {
+        return Err(InputError::new("there is no loaded sequence here", &path, "run `sms scan` first").into());
+    }
+    let file: SequenceFile = atomic::read_json(&path)?;
+    if file.version != VERSION {
+        return Err(InputError::new(
+            format!("this sequence has version {} and this program reads {VERSION}", file.version),
+            &path,
+            "scan the recording again",
+        )
+        .into());
+    }
+    let path = geometry_file(dir);
+    let geometry = std::fs::read(&path).map_err(CoreError::read(&path))?;
+    Ok((file, geometry))
+}
+
+fn geometry_file(dir: &Path) -> PathBuf {
+    dir.join("geometry.bin")
+}
+
+fn damaged(dir: &Path) -> InputError {
+    InputError::new(
+        "the cached depth of this sequence is damaged",
+        geometry_file(dir),
+        "scan the recording again",
+    )
 }
 
 fn deflate(bytes: &[u8]) -> std::io::Result<Vec<u8>> {

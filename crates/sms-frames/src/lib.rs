@@ -22,6 +22,7 @@ mod align;
 mod cache;
 mod check;
 mod colors;
+mod floor;
 mod formats;
 mod images;
 mod lens;
@@ -34,8 +35,10 @@ mod resample;
 mod rigid;
 mod sequence;
 
+pub use cache::load_depths;
 pub use check::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit, check};
 pub use colors::recorded_colors;
+pub use floor::{FloorAt, floor_at};
 pub use lens::{Distortion, Lens};
 pub use load::{load, selected_frames};
 pub use normals::normals_from_depth;

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Interval, Mesh, Property, PropertySource};
 use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material};
 use sms_sim::{
-    BodyId, BodyState, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions, wash_surfaces,
+    BodyId, BodyState, Impossible, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions,
+    wash_surfaces,
 };
 use sms_task::{BodyTrack, Trajectory};
 use sms_wash::{Flight, Rotor, VehicleState, WashModel, WashSettings};
@@ -162,7 +163,7 @@ impl LandingWorld {
             return Err(SimError::Unphysical {
                 engine: self.simulation.engine(),
                 time_s: 0.0,
-                why: "a used world of this engine cannot be restored".to_owned(),
+                why: Impossible::Other("a used world of this engine cannot be restored".to_owned()),
             }
             .into());
         }

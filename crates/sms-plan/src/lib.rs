@@ -13,6 +13,7 @@
 //! ```
 
 mod batch;
+mod beaten;
 mod cma_es;
 mod config;
 mod descents;
@@ -47,7 +48,7 @@ pub use halton::Halton;
 pub use nelder_mead::{Bounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
-pub use plan::{Plan, Refusal, StartSummary};
+pub use plan::{Plan, Refusal, StartSummary, Unbelievable};
 pub use planner::{NominalSearch, PlanError, plan, search_nominal};
 pub use prediction::{Prediction, RobustObjective};
 pub use reason::{BodyProperty, Counterfactual, Reason};

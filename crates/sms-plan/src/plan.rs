@@ -51,6 +51,17 @@ pub struct Refusal {
     pub count: usize,
 }
 
+/// Why some of the rollouts cannot be believed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unbelievable {
+    /// The reason, in words: which body did what.
+    pub reason: String,
+    /// How many rollouts.
+    pub count: usize,
+    /// One of them: engine, time and figure.
+    pub example: String,
+}
+
 /// The chosen action with what it is predicted to do.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -74,6 +85,9 @@ pub struct Plan {
     /// Rollouts among them that could not be believed; they were never the best.
     #[serde(default)]
     pub invalid: usize,
+    /// Why they could not be, the most frequent reason first.
+    #[serde(default)]
+    pub unbelievable: Vec<Unbelievable>,
     /// Actions that were looked at in the search of the scanned world and in the scan of disturbed worlds, points that were
     /// drawn for a scan and that the robot cannot make included.
     #[serde(default)]
@@ -124,6 +138,16 @@ impl Plan {
                 list.join(", ")
             )
         })
+    }
+
+    /// "`ball` was inside of `box` (3), …": why rollouts could not be believed, with an example; `None` where all could, or
+    /// the plan is of an earlier version.
+    pub fn unbelievable_text(&self) -> Option<String> {
+        let first = self.unbelievable.first()?;
+        let list: Vec<String> =
+            self.unbelievable.iter().take(4).map(|u| format!("{} ({})", u.reason, u.count)).collect();
+        let more = if self.unbelievable.len() > 4 { ", …" } else { "" };
+        Some(format!("{}{more}; for example, {}", list.join(", "), first.example))
     }
 
     /// Where a realised objective lies in the predicted distribution; `None` where there is none.

@@ -217,6 +217,7 @@ pub fn plan(
         objective_q90,
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
+        unbelievable: counter.unbelievable(),
         searched,
         refused,
         striker: task.striker_name(),
@@ -377,12 +378,12 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
         );
     }
     if plan.invalid > 0 {
+        let why = plan.unbelievable_text().unwrap_or_default();
         warnings.add(
             "plan",
             "failed_rollouts",
             format!(
-                "{} of {} simulated shots cannot be believed (bodies flew apart or passed through each other) and were \
-                 not counted",
+                "{} of {} simulated shots cannot be believed and were not counted: {why}",
                 plan.invalid, plan.evaluations
             ),
             "look for interpenetrating or very light bodies in the scene",

@@ -1,5 +1,6 @@
 //! Which action to choose: the one that fares best when the world is a little different.
 
+use crate::beaten::until_beaten;
 use crate::prediction::compare;
 use crate::robust_search::Searches;
 use crate::search::{Found, Scored};
@@ -60,7 +61,8 @@ impl Choice<'_> {
     /// 3. The best are tried in more worlds, the better half of them in twice as many, and so on; from the best of these
     ///    the search goes on once more, over the first half of all worlds.
     /// 4. In those worlds the survivors look better than they are, and those that were searched for there more so: the
-    ///    best few and the best of each strategy are tried in the other half too, and both halves decide.
+    ///    best few and the best of each strategy are tried in the other half too, as long as they may still become the best of
+    ///    their strategy, and both halves decide.
     pub(crate) fn choose(
         &self,
         found: &mut Found,
@@ -108,7 +110,10 @@ impl Choice<'_> {
             alive = self.ranked(&all, &alive);
             alive = self.executable(&all, &alive)?;
             alive = self.best_with_strategies(&all, &alive, config.finalists);
-            self.run(&mut all, &alive, worlds, half..worlds.len(), trials)?;
+            let last = half..worlds.len();
+            alive = until_beaten(&mut all, &alive, last, config.objective, &mut |all, who, range| {
+                self.run(all, who, worlds, range, trials)
+            })?;
             alive = self.ranked(&all, &alive);
         }
         let is_checked = worlds.len() > 0;

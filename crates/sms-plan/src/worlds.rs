@@ -1,7 +1,7 @@
 //! Simulations that rollouts borrow, and the disturbed worlds in which candidates are tried.
 
 use crate::space::Space;
-use crate::{Disturbances, LocalSearch, PlanError, Refusal, Unknown};
+use crate::{Disturbances, LocalSearch, PlanError, Refusal, Unbelievable, Unknown};
 use rayon::prelude::*;
 use sms_core::{Cancel, Progress, Seed};
 use sms_scene::Scene;
@@ -40,6 +40,8 @@ pub(crate) struct Counter<'a> {
     /// Of these, before the current part of the work.
     before: AtomicUsize,
     invalid: AtomicUsize,
+    /// Rollouts that cannot be believed, by reason: how many, and the first of them in the order of their texts.
+    unbelievable: Mutex<BTreeMap<String, (usize, String)>>,
     /// Strikes that the robot cannot make, by reason, that took the place of a rollout.
     refused: Mutex<Reasons>,
     /// The same of points of scans and searches: others were tried in their place.
@@ -57,6 +59,7 @@ impl<'a> Counter<'a> {
             done: AtomicUsize::new(0),
             before: AtomicUsize::new(0),
             invalid: AtomicUsize::new(0),
+            unbelievable: Mutex::default(),
             refused: Mutex::default(),
             passed_over: Mutex::default(),
         }
@@ -122,6 +125,28 @@ impl<'a> Counter<'a> {
         Ok(None)
     }
 
+    fn note_unbelievable(&self, e: &SimError) {
+        let (Ok(mut all), Some(reason)) = (self.unbelievable.lock(), e.spoilt_by()) else { return };
+        let example = e.to_string();
+        // The least text, not the first in time: threads come in any order.
+        let (count, least) = all.entry(reason).or_insert_with(|| (0, example.clone()));
+        *count += 1;
+        if example < *least {
+            *least = example;
+        }
+    }
+
+    /// Rollouts that could not be believed so far, by reason, the most frequent first.
+    pub(crate) fn unbelievable(&self) -> Vec<Unbelievable> {
+        let all = self.unbelievable.lock().map(|all| all.clone()).unwrap_or_default();
+        let mut all: Vec<Unbelievable> = all
+            .into_iter()
+            .map(|(reason, (count, example))| Unbelievable { reason, count, example })
+            .collect();
+        all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
+        all
+    }
+
     /// Strikes refused so far in the place of a rollout.
     pub(crate) fn refused(&self) -> Reasons {
         self.refused.lock().map(|r| r.clone()).unwrap_or_default()
@@ -154,8 +179,9 @@ impl<'a> Counter<'a> {
                 }
                 Shot::Refused
             }
-            Err(SimError::Diverged { .. } | SimError::Unphysical { .. }) => {
+            Err(e @ (SimError::Diverged { .. } | SimError::Unphysical { .. })) => {
                 self.invalid.fetch_add(1, Ordering::SeqCst);
+                self.note_unbelievable(&e);
                 Shot::Unbelievable
             }
             other => Shot::Done(other?),

@@ -46,17 +46,11 @@ pub fn approaches(start_w: DVec3, landing_w: DVec3, settings: &ApproachSettings)
     let step = if settings.count > 1 { settings.spread / (2.0 * middle) } else { 0.0 };
     (0..settings.count.max(1))
         .map(|k| {
-            let angle = wrapped(straight + (k as f64 - middle) * step);
+            let angle = sms_core::wrapped_angle(straight + (k as f64 - middle) * step);
             let path = BezierPath::approach(start_w, landing_w, radius, angle);
             Approach { id: k as u32 + 1, radius, angle, path }
         })
         .collect()
-}
-
-fn wrapped(angle: f64) -> f64 {
-    let turn = std::f64::consts::TAU;
-    let a = angle.rem_euclid(turn);
-    if a > 0.5 * turn { a - turn } else { a }
 }
 
 #[cfg(test)]

@@ -363,6 +363,7 @@ mod tests {
             objective_q90: 0.03,
             evaluations: 9,
             invalid: 1,
+            unbelievable: Vec::new(),
             searched: 9,
             refused: Vec::new(),
             striker: String::new(),

@@ -260,7 +260,8 @@ fn plan_section(input: &ReportInput<'_>) -> String {
         );
     }
     let invalid = if plan.invalid > 0 {
-        format!(", {} of which could not be believed and were never the best", plan.invalid)
+        let why = plan.unbelievable_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
+        format!(", {} of which could not be believed and were never the best{why}", plan.invalid)
     } else {
         String::new()
     };
@@ -476,6 +477,7 @@ mod tests {
             objective_q90: 0.02,
             evaluations: 10,
             invalid: 0,
+            unbelievable: Vec::new(),
             searched: 10,
             refused: Vec::new(),
             striker: String::new(),

@@ -67,8 +67,8 @@ impl RobotModel {
     /// no distance is that small.
     pub(crate) fn may_be_near(&self, poses: &[DPose3], obstacle: &Obstacle, enough: f64) -> bool {
         let (center_w, radius) = obstacle.sphere_w();
-        let moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
-        moving.into_iter().any(|(c, x)| {
+        let mut moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
+        moving.any(|(c, x)| {
             let most = enough + radius + c.radius;
             center_w.distance_squared(x.translation) <= most * most
         })

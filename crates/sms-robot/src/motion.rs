@@ -169,7 +169,6 @@ pub(crate) fn within_limits(model: &RobotModel, uses: Uses) -> Result<Uses, Infe
 }
 
 /// The uses of a motion as it grows, sample by sample.
-#[derive(Clone)]
 pub(crate) struct Meter<'a> {
     model: &'a RobotModel,
     torque_rate: f64,

@@ -66,7 +66,7 @@ impl Default for StrikeConfig {
 const MOST_ROUNDS: usize = 3;
 
 /// A sweep that uses less than this share of every limit in coarse steps stays within them in fine ones.
-const COARSE_ENOUGH: f64 = 0.8;
+pub(crate) const COARSE_ENOUGH: f64 = 0.8;
 
 /// How far the wrist moves at most when the tool is held otherwise, metres.
 const HOLD_REACH_M: f64 = 0.15;
@@ -144,6 +144,11 @@ impl StrikeError {
         match self {
             Self::Unreachable(_) => {
                 "place the robot nearer or turned otherwise (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
+            }
+            // No slower strike keeps a joint from its end.
+            Self::Infeasible(e) if e.limit == LimitKind::Position => {
+                "place the robot so that the strike is nearer to the middle of its reach, 0.4 to 0.6 m in front of it \
+                 (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
             }
             Self::Infeasible(_) => {
                 "lower the task's speeds, or place the robot so that the strike goes across its front rather than towards or \

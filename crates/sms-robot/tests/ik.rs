@@ -33,8 +33,12 @@ proptest! {
             prop_assert!((x.translation - goal.translation).length() < 1e-8);
             prop_assert!(x.rotation.angle_between(goal.rotation) < 1e-6);
             prop_assert!(model.limit_margin(&solution.q).1 >= 0.02 - 1e-12);
-            prop_assert!(solution.limit_share > 0.0 && solution.manipulability >= 0.0);
+            let (_, margin) = model.limit_margin(&solution.q);
+            // A margin of 0.02 rad is the least, and no half range is more than 3.1 rad.
+            prop_assert!(solution.limit_share > 0.02 / 3.1 && solution.limit_share <= margin, "{solution:?}");
         }
+        let worth = |s: &sms_robot::IkSolution| s.limit_share * s.manipulability;
+        prop_assert!(found.windows(2).all(|w| worth(&w[0]) >= worth(&w[1])), "{found:?}");
     }
 
     #[test]

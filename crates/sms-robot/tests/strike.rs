@@ -338,6 +338,37 @@ fn the_check_finds_what_is_in_the_way_of_the_approach() {
 }
 
 #[test]
+fn what_is_struck_is_in_the_way_before_the_sweep_and_not_in_it() {
+    let model = RobotModel::fr3();
+    let config = StrikeConfig::default();
+    let mut ws = Workspace::default();
+    let (x, y) = (0.5, 0.1);
+    let ball = |x: f64, y: f64| {
+        let shape = ObstacleShape::Link(LinkShape::Sphere { radius: RADIUS });
+        Obstacle::new("ball", DPose3::from_translation(DVec3::new(x, y, RADIUS)), shape).struck()
+    };
+    let sweep = ball_at(x, y, 0.0, 0.6);
+    let alone = plan_strike(&model, &sweep, &[floor(0.0)], &config, &mut ws).unwrap();
+    // The ball where it is struck: the sweep goes through its place.
+    let around = [floor(0.0), ball(x, y)];
+    let plan = plan_strike(&model, &sweep, &around, &config, &mut ws).unwrap();
+    assert_eq!(plan.sweep.q_start, alone.sweep.q_start);
+    let check = check_strike(&model, &plan, &around, &config, &mut ws);
+    assert!(check.executable(), "{:?}", check.failed().collect::<Vec<_>>());
+    let of_ball = check.items.iter().find(|i| i.detail.contains("ball")).unwrap();
+    assert!(of_ball.detail.contains("descent") || of_ball.detail.contains("approach"), "{}", of_ball.detail);
+    // Were it where the tool comes down, it would be pushed before the strike.
+    let around = [floor(0.0), ball(x - 0.1 - RADIUS, y)];
+    match plan_strike(&model, &sweep, &around, &config, &mut ws) {
+        Err(StrikeError::Unstartable { clearance, .. }) => assert_eq!(clearance.other, "ball"),
+        other => panic!("{other:?}"),
+    }
+    let check = check_strike(&model, &alone, &around, &config, &mut ws);
+    let failed: Vec<&str> = check.failed().map(|i| i.detail.as_str()).collect();
+    assert!(failed.len() == 1 && failed[0].contains("ball in the descent"), "{failed:?}");
+}
+
+#[test]
 fn the_same_strike_is_planned_bit_for_bit_again() {
     let model = RobotModel::fr3();
     let config = StrikeConfig::default();

@@ -27,18 +27,20 @@ impl From<InputError> for SceneError {
     }
 }
 
+/// `M` is what a body's mass properties are: on reading, text that is looked at body by body, so that a message can name the
+/// one whose mass cannot be.
 #[derive(Serialize, Deserialize)]
-struct ManifestFile {
+struct ManifestFile<M> {
     version: u32,
     name: String,
     units: String,
     gravity_w: DVec3,
     x_world_recording: DPose3,
-    bodies: Vec<BodyEntry>,
+    bodies: Vec<BodyEntry<M>>,
 }
 
 #[derive(Serialize, Deserialize)]
-struct BodyEntry {
+struct BodyEntry<M> {
     name: String,
     label: u16,
     description: String,
@@ -46,7 +48,7 @@ struct BodyEntry {
     x_wb: DPose3,
     shape: ShapeEntry,
     visual: Option<String>,
-    mass: Option<MassProperties>,
+    mass: Option<M>,
     material: Material,
     color: [u8; 3],
     observed_share: f64,
@@ -165,10 +167,10 @@ pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
 /// Reads a scene that [`save_scene`] wrote, and validates it (a user may have edited it).
 ///
 /// # Errors
-/// [`SceneError`] naming the file or the bodies that are wrong.
+/// [`SceneError`] with an [`InputError`] that names the file, the body that is wrong, and the cure.
 pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
     let path = dir.join("scene.json");
-    let file: ManifestFile = atomic::read_json(&path)?;
+    let file: ManifestFile<serde_json::Value> = atomic::read_json(&path)?;
     if file.version > SCENE_VERSION {
         return Err(InputError::new(
             format!("this scene has version {}, this program reads up to {SCENE_VERSION}", file.version),
@@ -179,18 +181,37 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
     }
     let mut bodies = Vec::with_capacity(file.bodies.len());
     for entry in file.bodies {
+        let read_mesh = |file: &str| -> Result<Mesh, SceneError> {
+            let mesh = dir.join(file);
+            if !mesh.is_file() {
+                return Err(InputError::new(
+                    format!("the mesh `{file}` of body `{}` is missing", entry.name),
+                    &path,
+                    "restore the file, or write the scene again with `sms materialize`",
+                )
+                .into());
+            }
+            Ok(Mesh::read_obj(&mesh)?)
+        };
+        let mass = entry.mass.map(serde_json::from_value::<MassProperties>).transpose().map_err(|e| {
+            InputError::new(
+                format!("the mass properties of body `{}` cannot be: {e}", entry.name),
+                &path,
+                "give `mass_kg` above 0 with a possible `inertia_kg_m2`, or write the scene again with `sms materialize`",
+            )
+        })?;
         let shape = match entry.shape {
             ShapeEntry::Sphere { radius } => BodyShape::Sphere { radius },
             ShapeEntry::Box { half_extents } => BodyShape::Box { half_extents },
             ShapeEntry::Cylinder { radius, half_length } => BodyShape::Cylinder { radius, half_length },
             ShapeEntry::HalfSpace => BodyShape::HalfSpace,
-            ShapeEntry::Hulls { files } => BodyShape::Hulls {
-                hulls: files.iter().map(|f| Mesh::read_obj(&dir.join(f))).collect::<Result<_, _>>()?,
-            },
-            ShapeEntry::TriMesh { file } => BodyShape::TriMesh { mesh: Mesh::read_obj(&dir.join(file))? },
+            ShapeEntry::Hulls { files } => {
+                BodyShape::Hulls { hulls: files.iter().map(|f| read_mesh(f)).collect::<Result<_, _>>()? }
+            }
+            ShapeEntry::TriMesh { file } => BodyShape::TriMesh { mesh: read_mesh(&file)? },
         };
         let visual = match &entry.visual {
-            Some(file) => Mesh::read_obj(&dir.join(file))?,
+            Some(file) => read_mesh(file)?,
             None => Mesh::default(),
         };
         let texture = match &entry.visual {
@@ -206,7 +227,7 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
             x_wb: entry.x_wb,
             shape,
             visual,
-            mass: entry.mass,
+            mass,
             material: entry.material,
             color: entry.color,
             observed_share: entry.observed_share,
@@ -225,7 +246,12 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
         return Ok(scene);
     }
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
-    Err(SceneError::Invalid(lines.join("\n  ")))
+    Err(InputError::new(
+        format!("this scene cannot be simulated:\n  {}", lines.join("\n  ")),
+        &path,
+        "correct these bodies there or in their meshes, or write the scene again with `sms materialize`",
+    )
+    .into())
 }
 
 #[cfg(test)]
@@ -263,6 +289,58 @@ mod tests {
         save_scene(again.path(), &back).unwrap();
         let read = |d: &Path| std::fs::read(d.join("scene.json")).unwrap();
         assert_eq!(read(dir.path()), read(again.path()));
+    }
+
+    #[test]
+    fn a_body_that_was_spoilt_in_the_files_is_named_with_the_cure() {
+        let dir = tempfile::tempdir().unwrap();
+        let mesh = Mesh::cuboid(DVec3::splat(0.03));
+        let mass = sms_core::polyhedron_mass_properties(&mesh, 900.0).unwrap();
+        let mut body = floor_body(0.0, example_material());
+        body.name = "crate".into();
+        body.kind = BodyKind::Dynamic;
+        body.mass = Some(mass);
+        body.shape = BodyShape::Hulls { hulls: vec![mesh.clone()] };
+        body.visual = mesh;
+        let scene = Scene {
+            version: SCENE_VERSION,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z,
+            x_world_recording: DPose3::identity(),
+            bodies: vec![floor_body(0.0, example_material()), body],
+        };
+        let path = dir.path().join("scene.json");
+        let hull = dir.path().join(hull_file(&scene.bodies[1], 0));
+        let refused = |spoil: &dyn Fn(), words: &[&str]| {
+            save_scene(dir.path(), &scene).unwrap();
+            load_scene(dir.path()).unwrap();
+            spoil();
+            let Err(SceneError::Core(CoreError::Input(e))) = load_scene(dir.path()) else {
+                panic!("{words:?}: no error of input");
+            };
+            let text = e.to_string();
+            for word in words.iter().chain(&["crate", "scene.json", "materialize"]) {
+                assert!(text.contains(word), "{word}: {text}");
+            }
+        };
+        let edit = |change: &dyn Fn(&mut serde_json::Value)| {
+            let mut json: serde_json::Value =
+                serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            change(&mut json["bodies"][1]);
+            std::fs::write(&path, json.to_string()).unwrap();
+        };
+        refused(&|| edit(&|b| b["mass"]["mass_kg"] = 0.0.into()), &["positive", "got 0 kg"]);
+        refused(&|| edit(&|b| b["mass"]["mass_kg"] = (-1.5).into()), &["positive", "got -1.5 kg"]);
+        refused(&|| edit(&|b| b["mass"]["mass_kg"] = serde_json::Value::Null), &["mass properties"]);
+        refused(&|| edit(&|b| b["mass"]["inertia_kg_m2"][0][0] = (-1.0).into()), &["moments"]);
+        refused(&|| edit(&|b| b["mass"] = serde_json::Value::Null), &["no mass"]);
+        refused(&|| std::fs::remove_file(&hull).unwrap(), &["missing", "hull_00"]);
+        let open = || {
+            let text = std::fs::read_to_string(&hull).unwrap();
+            let at = text.rfind("\nf ").unwrap();
+            std::fs::write(&hull, &text[..=at]).unwrap();
+        };
+        refused(&open, &["hull 0 is not closed"]);
     }
 
     #[test]

@@ -62,5 +62,6 @@ pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
-    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, World, WorldFactory, WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, Impossible, KinematicShape, SimError, World, WorldFactory,
+    WorldOptions,
 };

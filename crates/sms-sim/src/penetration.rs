@@ -11,19 +11,28 @@ impl Simulation {
     /// Of other bodies it is a lower bound, from the corners of both bodies, and from a ball inside each convex part
     /// against meshes.
     pub fn penetration(&self, body: BodyId) -> f64 {
-        self.penetration_at(body, &self.states)
+        self.deepest_at(body, &self.states).map_or(0.0, |deepest| deepest.1)
+    }
+
+    /// In which other body a body is deepest, and how deep, metres; `None` where it is in none. As [`Self::penetration`].
+    pub fn deepest(&self, body: BodyId) -> Option<(BodyId, f64)> {
+        self.deepest_at(body, &self.states)
     }
 
     /// The same, were the bodies in other states: those of before, say. Bodies beyond their number are left out.
     pub fn penetration_at(&self, body: BodyId, states: &[BodyState]) -> f64 {
+        self.deepest_at(body, states).map_or(0.0, |deepest| deepest.1)
+    }
+
+    fn deepest_at(&self, body: BodyId, states: &[BodyState]) -> Option<(BodyId, f64)> {
         let own = &self.bodies[body];
         let pose = states[body].x_wb;
         let reach = match own.kind {
             Kind::Ball { radius, .. } => radius,
             Kind::Dynamic => own.geometry.bounding_radius,
-            Kind::Static | Kind::Striker => return 0.0,
+            Kind::Static | Kind::Striker => return None,
         };
-        let mut deepest = 0.0f64;
+        let mut deepest: Option<(BodyId, f64)> = None;
         for (other, (theirs, state)) in self.bodies.iter().zip(states).enumerate() {
             let their_pose = state.x_wb;
             let most = reach + theirs.geometry.bounding_radius;
@@ -31,7 +40,7 @@ impl Simulation {
             if other == body || is_far || theirs.kind == Kind::Striker {
                 continue;
             }
-            deepest = deepest.max(match own.kind {
+            let depth_m = match own.kind {
                 Kind::Ball { radius, .. } => {
                     ball_depth(their_pose.inverse_transform_point(pose.translation), radius, &theirs.geometry)
                 }
@@ -43,7 +52,10 @@ impl Simulation {
                         &x_to.inverse(),
                     ))
                 }
-            });
+            };
+            if depth_m > deepest.map_or(0.0, |d| d.1) {
+                deepest = Some((other, depth_m));
+            }
         }
         deepest
     }

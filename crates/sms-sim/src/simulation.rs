@@ -160,6 +160,11 @@ impl Simulation {
         })
     }
 
+    /// Name of a body; that of the striker is "striker".
+    pub fn name(&self, body: BodyId) -> &str {
+        self.names.get(body).map_or("striker", String::as_str)
+    }
+
     /// Name of the engine.
     pub fn engine(&self) -> &'static str {
         self.world.engine()
@@ -526,7 +531,7 @@ impl Simulation {
             Some(body) => Err(SimError::Diverged {
                 engine: self.world.engine(),
                 time_s: self.world_s,
-                body: self.names.get(body).cloned().unwrap_or_else(|| "striker".to_owned()),
+                body: self.name(body).to_owned(),
             }),
         }
     }

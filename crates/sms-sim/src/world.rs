@@ -100,11 +100,65 @@ pub enum SimError {
         /// Time.
         time_s: f64,
         /// What was seen.
-        why: String,
+        why: Impossible,
     },
 }
 
+/// What a simulation shows that bodies cannot do.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Impossible {
+    /// One body is inside of another.
+    #[error("`{body}` is {:.1} mm inside of `{other}`", 1e3 * .depth_m)]
+    Inside {
+        /// The body that moves.
+        body: String,
+        /// What it is in.
+        other: String,
+        /// How deep, metres.
+        depth_m: f64,
+    },
+    /// Bodies have more energy than the robot gave them.
+    #[error("bodies have {has_j:.3} J, of which the robot gave {given_j:.3} J; most of it has `{body}`")]
+    MoreThanGiven {
+        /// The body with the most energy of motion.
+        body: String,
+        /// Energy that was not there at rest, joules.
+        has_j: f64,
+        /// The most that the robot can have given, joules.
+        given_j: f64,
+    },
+    /// Bodies gained energy after the robot had gone.
+    #[error("bodies gained {gain_j:.3} J by themselves; most of all has `{body}`")]
+    Gained {
+        /// The body with the most energy of motion.
+        body: String,
+        /// How much, joules.
+        gain_j: f64,
+    },
+    /// Something else.
+    #[error("{0}")]
+    Other(String),
+}
+
 impl SimError {
+    /// Why a run was spoilt, without figures, for counting; `None` where it was not.
+    pub fn spoilt_by(&self) -> Option<String> {
+        match self {
+            Self::Diverged { body, .. } => Some(format!("`{body}` went beyond all numbers")),
+            Self::Unphysical { why: Impossible::Inside { body, other, .. }, .. } => {
+                Some(format!("`{body}` was inside of `{other}`"))
+            }
+            Self::Unphysical { why: Impossible::MoreThanGiven { body, .. }, .. } => {
+                Some(format!("`{body}` had more energy than the robot gave"))
+            }
+            Self::Unphysical { why: Impossible::Gained { body, .. }, .. } => {
+                Some(format!("`{body}` gained energy by itself"))
+            }
+            Self::Unphysical { why: Impossible::Other(why), .. } => Some(why.clone()),
+            Self::Body { .. } | Self::Refused(_) => None,
+        }
+    }
+
     /// Whether a run was spoilt or refused, not the scene: another motion may be simulated well.
     pub fn is_invalid_rollout(&self) -> bool {
         matches!(self, Self::Diverged { .. } | Self::Unphysical { .. } | Self::Refused(_))

@@ -7,7 +7,7 @@ use crate::{
     Action, ActionForm, Billiards, Bodies, Parameter, Region, RobotArm, Selector, Strike, Task, Term,
 };
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, InputError, wrapped_angle};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{SimError, StrikerMotion, WorldOptions};
 use std::path::{Path, PathBuf};
@@ -224,6 +224,26 @@ fn radius_of(body: &Body) -> f64 {
 }
 
 impl ResolvedTask {
+    /// Places on the floor that bodies have to come to, with what they are called in the task's file: points of the surface on
+    /// which the body stands, in the world. Places that may be beside the floor are none of them.
+    pub fn floor_places(&self) -> Vec<(String, DVec3)> {
+        let under = |body: &Ball, place_w: DVec2| place_w.extend(body.center_w.z - body.radius);
+        match &self.wish {
+            Wish::Pass(goal_w) => vec![("`goal_w`".to_owned(), under(&self.target, *goal_w))],
+            Wish::Terms(terms) => terms
+                .iter()
+                .enumerate()
+                .filter_map(|(i, (term, bodies))| match term {
+                    Term::Reach { place: place @ (Region::Point { .. } | Region::Disc { .. }), .. } => {
+                        let place_w = under(bodies.first()?, place.middle_w());
+                        Some((format!("the place of `terms[{i}]`"), place_w))
+                    }
+                    _ => None,
+                })
+                .collect(),
+        }
+    }
+
     /// The file to name in messages.
     pub(crate) fn path(&self) -> &Path {
         named(&self.source)
@@ -318,7 +338,8 @@ impl ResolvedTask {
         // Beyond a cut of about 75° the target ball hardly moves.
         let cone = (0.97 * reach.min(1.0)).asin();
         // The angle 0 may go towards something else.
-        let middle = wrap(horizontal(self.target.center_w - self.cue.center_w).to_angle() - self.base_angle);
+        let middle =
+            wrapped_angle(horizontal(self.target.center_w - self.cue.center_w).to_angle() - self.base_angle);
         let narrowed = [low.max(middle - cone), high.min(middle + cone)];
         if narrowed[0] >= narrowed[1] || narrowed[1] - narrowed[0] > 0.9 * (high - low) {
             return None;
@@ -347,7 +368,7 @@ impl ResolvedTask {
         if aim.dot(to_goal) <= 0.0 {
             return Vec::new();
         }
-        let angle = wrap(aim.to_angle() - self.base_angle);
+        let angle = wrapped_angle(aim.to_angle() - self.base_angle);
         let [low, high] = self.common.bounds.speed;
         [0.25, 0.5, 0.75, 1.0]
             .into_iter()
@@ -374,7 +395,7 @@ impl ResolvedTask {
     pub fn strike(&self, action: &Action) -> StrikerMotion {
         assert_eq!(action.0.len(), self.parameters().len(), "values of the action");
         let offset = |i: usize| action.0.get(i).copied().unwrap_or(0.0);
-        let angle = wrap(self.base_angle + action.0[1]);
+        let angle = wrapped_angle(self.base_angle + action.0[1]);
         let forward = DVec2::from_angle(angle);
         let contact = forward * offset(2) + forward.perp() * offset(3);
         // The finger starts clear of a body that is no ball, whichever way it lies.
@@ -391,10 +412,4 @@ impl ResolvedTask {
 /// The part of a world vector that lies in the floor.
 pub(crate) fn horizontal(v_w: DVec3) -> DVec2 {
     DVec2::new(v_w.x, v_w.y)
-}
-
-/// An angle in (−π, π].
-fn wrap(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(std::f64::consts::TAU);
-    if turned > std::f64::consts::PI { turned - std::f64::consts::TAU } else { turned }
 }

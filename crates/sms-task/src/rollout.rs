@@ -6,7 +6,9 @@ use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
 use sms_scene::{BodyKind, BodyShape, Scene};
-use sms_sim::{BodyId, BodyState, ContactEvent, SimError, Simulation, Striker, WorldFactory, WorldOptions};
+use sms_sim::{
+    BodyId, BodyState, ContactEvent, Impossible, SimError, Simulation, Striker, WorldFactory, WorldOptions,
+};
 
 /// Name of the striker's track.
 pub const STRIKER: &str = "striker";
@@ -350,6 +352,16 @@ impl WorldBodies {
         bounds
     }
 
+    /// Name of the body with the most energy of motion.
+    fn fastest(&self, simulation: &Simulation) -> String {
+        let energy = |m: &&Mover| {
+            let state = simulation.state(m.id);
+            m.mass * state.v_w.length_squared() + m.inertia * state.w_w.length_squared()
+        };
+        let fastest = self.dynamic.iter().max_by(|a, b| energy(a).total_cmp(&energy(b)));
+        fastest.map(|m| m.name.clone()).unwrap_or_default()
+    }
+
     fn places<'a>(&'a self, simulation: &'a Simulation) -> impl Iterator<Item = DVec2> + 'a {
         self.dynamic.iter().map(|m| horizontal(simulation.state(m.id).x_wb.translation))
     }
@@ -443,9 +455,10 @@ struct Watch {
 
 impl Watch {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
-        let unphysical = |why: String| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
+        let unphysical =
+            |why: Impossible| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
         for m in bodies.dynamic.iter().filter(|m| !simulation.is_asleep(m.id)) {
-            let depth_m = simulation.penetration(m.id);
+            let Some((other, depth_m)) = simulation.deepest(m.id) else { continue };
             let is_too_deep = if m.radius.is_some() {
                 depth_m > DEEPEST_M
             } else {
@@ -454,7 +467,8 @@ impl Watch {
                     && depth_m > DEEPEST_BODY_M + simulation.penetration_at(m.id, &self.start)
             };
             if is_too_deep {
-                return unphysical(format!("`{}` is {:.1} mm inside of another body", m.name, 1e3 * depth_m));
+                let (body, other) = (m.name.clone(), simulation.name(other).to_owned());
+                return unphysical(Impossible::Inside { body, other, depth_m });
             }
         }
         let [low, high] = bodies.energy(simulation);
@@ -462,7 +476,8 @@ impl Watch {
             let given = self.most_given(simulation, bodies);
             let has = low - self.rest;
             if has > (1.0 + ENERGY_GAIN.0) * given + ENERGY_GAIN.1 {
-                return unphysical(format!("bodies have {has:.3} J, of which the robot gave {given:.3} J"));
+                let body = bodies.fastest(simulation);
+                return unphysical(Impossible::MoreThanGiven { body, has_j: has, given_j: given });
             }
         }
         if !simulation.is_strike_over() {
@@ -473,7 +488,7 @@ impl Watch {
             Some((then, moving)) => {
                 let gain = low - then;
                 if gain > ENERGY_GAIN.0 * moving.max(0.0) + ENERGY_GAIN.1 {
-                    return unphysical(format!("bodies gained {gain:.3} J by themselves"));
+                    return unphysical(Impossible::Gained { body: bodies.fastest(simulation), gain_j: gain });
                 }
             }
         }

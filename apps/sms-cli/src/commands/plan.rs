@@ -6,11 +6,13 @@ use super::{landing, robot};
 use crate::cli::{ChooserName, Plan};
 use crate::context::Context;
 use sms_core::{Hasher, InputError, RunFolder, Seed};
+use sms_frames::{FloorAt, floor_at, load_depths};
 use sms_landing::{LandingSettings, LandingTask};
 use sms_plan::{Plan as Planned, PlanConfig, PlanError, load_plan, plan, save_plan};
 use sms_scene::load_scene;
 use sms_sim::RapierFactory;
-use sms_task::Task;
+use sms_task::{ResolvedTask, Task};
+use std::path::Path;
 
 pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
     if LandingTask::is_landing(&a.task) {
@@ -22,11 +24,56 @@ pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
     }
     let task = Task::read(&a.task)?;
     let config = context.settings.section("plan", PlanConfig::default())?;
-    run_with(context, a, &task, &config)
+    let is_evaluations_set = config.evaluations != PlanConfig::default().evaluations;
+    carry_out(context, a, &task, &config, is_evaluations_set)
+}
+
+/// Frames in which the floor is looked for at the task's places.
+const FLOOR_FRAMES: usize = 24;
+
+/// Refuses places through which the recording's cameras saw something lower: in the simulation the floor has no end. Returns
+/// those that no frame shows.
+fn refuse_places_off_the_floor(
+    run: &RunFolder,
+    task: &ResolvedTask,
+    file: &Path,
+) -> anyhow::Result<Vec<String>> {
+    let places = task.floor_places();
+    let Some(frames) = run.stage_dir("frames", "scan DIR --out").ok().filter(|_| !places.is_empty()) else {
+        return Ok(Vec::new());
+    };
+    let frames = load_depths(&frames, FLOOR_FRAMES)?;
+    let mut out_of_view = Vec::new();
+    for (what, place_w) in places {
+        let what = format!("{what}, at [{:.3}, {:.3}]", place_w.x, place_w.y);
+        match floor_at(frames.iter().map(|(camera, depth)| (camera, depth)), place_w) {
+            FloorAt::Missing => {
+                return Err(InputError::new(
+                    format!("{what}, is off the floor: the recording shows nothing at its height there"),
+                    file,
+                    "choose a place on what was recorded (the report's 3-D view shows it, and prints the line to paste)",
+                )
+                .into());
+            }
+            FloorAt::OutOfView => out_of_view.push(what),
+            FloorAt::Seen | FloorAt::Hidden => {}
+        }
+    }
+    Ok(out_of_view)
 }
 
 /// The same with the planner's settings given (the demo's presets).
 pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanConfig) -> anyhow::Result<()> {
+    carry_out(context, a, task, config, false)
+}
+
+fn carry_out(
+    context: &Context,
+    a: &Plan,
+    task: &Task,
+    config: &PlanConfig,
+    is_evaluations_set: bool,
+) -> anyhow::Result<()> {
     let mut config = config.clone();
     if let Some(worlds) = a.robust {
         config.disturbances.worlds = worlds;
@@ -37,6 +84,7 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     let scene = load_scene(&scene_dir)?;
     let seed = Seed(a.seed.map_or_else(|| run_settings(&run).map(|s| s.seed), Ok)?);
     let resolved = task.resolve(&scene)?;
+    let out_of_view = refuse_places_off_the_floor(&run, &resolved, &a.task)?;
     let robot = robot::place(context, &run)?;
     let with_arm = resolved.clone().with_robot(&robot.config, &scene)?;
     run.record_settings("plan", config)?;
@@ -48,6 +96,22 @@ pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanCo
     }
     let hash = inputs_hash(&[&manifest.finish()], &(task, config, seed, &robot.config))?;
     let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage, warnings| {
+        for what in &out_of_view {
+            warnings.add(
+                "plan",
+                "place_not_recorded",
+                format!("no frame of the recording shows {what}; the floor is taken to go on there"),
+                "make sure that it does, or choose a place that was recorded",
+            );
+        }
+        if config.disturbances.worlds > 0 && is_evaluations_set {
+            warnings.add(
+                "plan",
+                "evaluations_unused",
+                "`plan.evaluations` says nothing where disturbed worlds are looked at",
+                "set `plan.robust_evaluations`, or plan with --robust 0",
+            );
+        }
         timed("plan.seconds", || {
             let search = |task| {
                 let progress = context.progress.as_ref();
@@ -148,5 +212,6 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
         if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };
     lines.extend(plan.refused_text().map(|text| format!("  {text}")));
     lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
+    lines.extend(plan.unbelievable_text().map(|text| format!("    not valid: {text}")));
     lines
 }

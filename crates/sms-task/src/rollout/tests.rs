@@ -87,7 +87,8 @@ fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
     state.v_w += DVec3::new(0.0, 3.0, 0.0);
     simulation.set_state(bodies.target, &state);
     let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
-    assert!(error.to_string().contains("gained"), "{error}");
+    assert!(error.to_string().contains("gained") && error.to_string().contains("`blue`"), "{error}");
+    assert_eq!(error.spoilt_by().unwrap(), "`blue` gained energy by itself");
 }
 
 fn watch_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) -> Watch {
@@ -105,6 +106,7 @@ fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
     simulation.set_state(bodies.target, &state);
     let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
     assert!(error.to_string().contains("of which the robot gave"), "{error}");
+    assert_eq!(error.spoilt_by().unwrap(), "`blue` had more energy than the robot gave");
 }
 
 fn block(name: &str, kind: BodyKind, center_w: DVec3, half: DVec3) -> Body {
@@ -147,6 +149,9 @@ fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
         simulation.set_state(id, &at(good + 0.02 * into));
         let error = watch.check(0.1, &simulation, &bodies).unwrap_err();
         assert!(error.to_string().contains("`crate` is 2"), "{k}: {error}");
+        let other = ["floor", "post", "shell"][k];
+        assert!(error.to_string().contains(&format!("mm inside of `{other}`")), "{k}: {error}");
+        assert_eq!(error.spoilt_by().unwrap(), format!("`crate` was inside of `{other}`"));
     }
     // What stood in another body from the start may stay there.
     simulation.set_state(id, &at(fine[0] - DVec3::Z * 0.02));
