@@ -1,10 +1,12 @@
 //! What the planner is told of the true materials of a generated scene.
 
+use glamx::DVec3;
 use serde::{Deserialize, Serialize};
-use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed, standard_normal};
+use sms_convex::convex_hull;
+use sms_core::{Interval, MassProperties, Material, Mesh, Property, PropertySource, Seed, standard_normal};
 use sms_materials::{MaterialTable, ObjectQuery, without_override};
 use sms_scene::{Body, BodyShape, Scene};
-use sms_synth::{Hollow, TruthObject, TruthScene};
+use sms_synth::{TruthObject, TruthScene};
 
 /// Standard deviation of the natural logarithm of what a vision-language model says of a mass (here: of the density, the
 /// volume being measured): a factor of two, as published tests of such models find.
@@ -17,8 +19,10 @@ pub const FRICTION_ERROR: f64 = 0.2;
 pub const RESTITUTION_ERROR: f64 = 0.15;
 /// Standard deviations in that half width, for normal errors.
 const Z90: f64 = 1.645;
-/// Volume over that of the convex hull of an open vessel whose inside was seen; see [`ObjectQuery::hull_fill`].
-const VESSEL_FILL: f64 = 0.3;
+/// Vertices of the hulls whose volumes are compared with bodies'.
+const HULL_VERTICES: usize = 256;
+/// Volumes and densities that differ by less than this share are the same.
+const ROUNDING: f64 = 1e-6;
 
 /// What the planner is told of materials (every table names it).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -50,12 +54,12 @@ impl MaterialsTold {
         }
     }
 
-    /// What is told of an object. The errors of `noisy` depend on the seed and the object's name alone.
-    pub fn of_object(self, object: &TruthObject, seed: Seed) -> Material {
-        let hull_fill = match object.hollow {
-            Hollow::Vessel { .. } => VESSEL_FILL,
-            Hollow::Solid | Hollow::Shell { .. } => 1.0,
-        };
+    /// What is told of an object in whose place `body` is. The errors of `noisy` depend on the seed and the object's name alone.
+    ///
+    /// How full a hollow thing is, is told of its convex hull: of a bin whose inside was not seen the body has all of it, of one
+    /// whose inside was seen its walls.
+    pub fn of_object(self, object: &TruthObject, body: &Body, seed: Seed) -> Material {
+        let form = Form::of(body);
         let query = ObjectQuery {
             name: object.name.clone(),
             // Balls are called after their game.
@@ -65,10 +69,24 @@ impl MaterialsTold {
                 object.class.clone()
             },
             is_sphere: object.sphere_radius.is_some(),
-            hull_fill,
+            hull_fill: form.map_or(1.0, |f| f.hull_fill()),
+            volume_m3: form.map_or(0.0, |f| f.volume_m3),
+            hull_area_m2: form.map_or(0.0, |f| f.hull_area_m2),
             ..ObjectQuery::default()
         };
-        self.tell(&object.material, query, seed)
+        let mut material = self.tell(&object.material, query, seed);
+        if matches!(self, Self::Noisy | Self::Truth)
+            && object.sphere_radius.is_none()
+            && let (Some(true_hull), Some(seen)) = (hull_of(&object.mesh.vertices), form)
+        {
+            // The true density is over what the true mesh encloses.
+            let factor = object.mesh.volume() / true_hull.volume() / seen.hull_fill();
+            if (factor - 1.0).abs() > ROUNDING {
+                let v = material.density.value;
+                material.density.value = Interval::new(v.best * factor, v.low * factor, v.high * factor);
+            }
+        }
+        material
     }
 
     /// What is told of the floor.
@@ -96,12 +114,45 @@ impl MaterialsTold {
 pub fn tell_materials(scene: &mut Scene, truth: &TruthScene, told: MaterialsTold, seed: Seed) {
     for body in &mut scene.bodies {
         let material = match truth.object(&body.name) {
-            Some(object) => told.of_object(object, seed),
+            Some(object) => told.of_object(object, body, seed),
             None if matches!(body.shape, BodyShape::HalfSpace) => told.of_floor(&truth.floor.material, seed),
             None => continue,
         };
         set_material(body, material);
     }
+}
+
+/// How much of its convex hull a body encloses.
+#[derive(Debug, Clone, Copy)]
+struct Form {
+    /// What its mass is reckoned from, m³.
+    volume_m3: f64,
+    hull_m3: f64,
+    hull_area_m2: f64,
+}
+
+impl Form {
+    /// `None` for bodies without mass or extent.
+    fn of(body: &Body) -> Option<Self> {
+        let volume_m3 = body.mass?.mass() / body.material.effective_density();
+        let corners: Vec<DVec3> = body.shape.meshes().into_iter().flat_map(|m| m.vertices).collect();
+        let hull = hull_of(&corners)?;
+        // A scanned mesh may stick out of the hulls that collide for it.
+        let hull_m3 = hull.volume().max(volume_m3);
+        (volume_m3.is_finite() && volume_m3 > 0.0).then_some(Self {
+            volume_m3,
+            hull_m3,
+            hull_area_m2: hull.area(),
+        })
+    }
+
+    fn hull_fill(&self) -> f64 {
+        self.volume_m3 / self.hull_m3
+    }
+}
+
+fn hull_of(corners: &[DVec3]) -> Option<Mesh> {
+    convex_hull(corners, HULL_VERTICES, 0.0).filter(|h| h.volume() > 0.0)
 }
 
 /// Gives a body another material; its mass goes with the effective density.
@@ -138,7 +189,7 @@ fn noisy(truth: &Material, seed: Seed) -> Material {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_synth::{BilliardsSettings, generate_billiards};
+    use sms_synth::{BilliardsSettings, Hollow, LandingStructure, generate_billiards, generate_landing};
     use sms_target::scene_from_truth;
 
     fn truth() -> TruthScene {
@@ -203,6 +254,42 @@ mod tests {
             if let (Some(a_mass), Some(b_mass)) = (a.mass, b.mass) {
                 let density = b.material.effective_density() / a.material.effective_density();
                 assert!((b_mass.mass() / a_mass.mass() / density - 1.0).abs() < 1e-12);
+            }
+        }
+    }
+
+    /// The ladder's profiles are hollow, the bin's inside may be hidden by what stands on it.
+    #[test]
+    fn masses_of_hollow_things_hold_the_truth_however_much_of_the_hollow_was_seen() {
+        for structure in LandingStructure::ALL {
+            let truth = generate_landing(structure, Seed(1000));
+            let scene = scene_from_truth(&truth).unwrap();
+            for object in &truth.objects {
+                let true_kg = object.mass.mass();
+                let body = scene.bodies.iter().find(|b| b.name == object.name).unwrap();
+                let masses = |told: MaterialsTold, volumes: f64| {
+                    let mut seen = body.clone();
+                    let was = seen.mass.unwrap();
+                    seen.mass =
+                        MassProperties::new(was.mass() * volumes, was.com(), was.inertia() * volumes).ok();
+                    let material = told.of_object(object, &seen, Seed(3));
+                    set_material(&mut seen, material);
+                    let m = &seen.material;
+                    let (best, kg) = (m.effective_density(), seen.mass.unwrap().mass());
+                    let (d, f) = (m.density.value, m.fill_factor.value);
+                    [kg, kg * d.low * f.low / best, kg * d.high * f.high / best]
+                };
+                let closed = hull_of(&object.mesh.vertices).unwrap().volume() / object.mesh.volume();
+                for volumes in [1.0, closed] {
+                    let [best, low, high] = masses(MaterialsTold::Class, volumes);
+                    assert!(
+                        (low..high).contains(&true_kg) && (0.5..2.0).contains(&(best / true_kg)),
+                        "{}, {volumes:.1} of its volume: {best:.2} ({low:.2} to {high:.2}) kg, in truth {true_kg:.2}",
+                        object.name
+                    );
+                    let [exact, ..] = masses(MaterialsTold::Truth, volumes);
+                    assert!((exact / true_kg - 1.0).abs() < 1e-6, "{}: {exact} {true_kg}", object.name);
+                }
             }
         }
     }

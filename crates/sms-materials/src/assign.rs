@@ -26,6 +26,8 @@ pub struct ObjectQuery {
     pub hull_fill: f64,
     /// Volume of the mesh (or of the sphere, box or cylinder that stands for it), m³; 0 where unknown or open.
     pub volume_m3: f64,
+    /// Area of its convex hull, m²; 0 where unknown.
+    pub hull_area_m2: f64,
     /// What a vision-language model says of it.
     pub estimate: Option<Estimate>,
 }
@@ -73,7 +75,10 @@ pub fn assign(
 
 /// The material of one object before the user's word.
 pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material {
-    let by_label = || table.known(&object.description).or_else(|| table.known(&object.name));
+    let by_label = || {
+        let known = table.known(&object.description).or_else(|| table.known(&object.name));
+        known.map(|k| of_size(k, object))
+    };
     let Some(estimate) = &object.estimate else {
         let known = by_label();
         let form = known.as_ref().map_or(Form::Plain, |k| k.form);
@@ -82,6 +87,7 @@ pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material
         return material;
     };
     let known = known_of_estimate(estimate, table)
+        .map(|k| of_size(k, object))
         .or_else(|| if estimate.label_is_right == Some(false) { None } else { by_label() });
     let form = known.as_ref().map_or(Form::Plain, |k| k.form);
     let mut material = known.map_or_else(|| table.prior(object.is_sphere), |k| k.material);
@@ -118,21 +124,36 @@ fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<Known
         Form::Plain => material.fill_factor,
         _ => fill_of_another(&known.material.fill_factor, &known.material, &material),
     };
-    Some(Known { material, ..known })
+    // Walls of another material are of another thickness: what is known is the fill factor.
+    Some(Known { material, walls_m: None, ..known })
+}
+
+/// With the fill factor over the convex hull that walls give a thing of this size.
+fn of_size(mut known: Known, object: &ObjectQuery) -> Known {
+    let Some(walls) = known.walls_m else { return known };
+    let hull_m3 = object.volume_m3 / object.hull_fill;
+    if hull_m3.is_finite() && hull_m3 > 0.0 && object.hull_area_m2 > 0.0 {
+        let over_hull = |wall_m: f64| (wall_m * object.hull_area_m2 / hull_m3).clamp(1e-3, 1.0);
+        let i = walls.value;
+        let fill = Interval::new(over_hull(i.best), over_hull(i.low), over_hull(i.high));
+        known.material.fill_factor = Property::new(fill, walls.source);
+    }
+    known
 }
 
 /// The fill factor over what the mesh encloses, from the one over the outer volume.
 fn fill_of_mesh(fill: Property, form: Form, object: &ObjectQuery) -> Property {
     let has_hollow = object.hull_fill > 0.0 && object.hull_fill < WALLS_VISIBLE_BELOW && !object.is_sphere;
-    if has_hollow && form != Form::Closed {
+    if has_hollow && !matches!(form, Form::Closed | Form::Frame) {
         // Where nothing is known of the thing, a closed one of odd shape may be hollow all the same.
         let low = if fill.source == PropertySource::Prior { fill.value.low } else { 1.0 };
         return Property::new(Interval::new(1.0, low, 1.0), fill.source);
     }
-    if form != Form::Open || !(0.0..1.0).contains(&object.hull_fill) || object.hull_fill <= 0.0 {
+    let is_over_hull = matches!(form, Form::Open | Form::Frame);
+    if !is_over_hull || !(0.0..1.0).contains(&object.hull_fill) || object.hull_fill <= 0.0 {
         return fill;
     }
-    // Part of the hollow was seen: the same material in a smaller volume.
+    // Part of the hollow was seen, or a frame's gaps: the same material in a smaller volume.
     let over_mesh = |share: f64| (share / object.hull_fill).min(1.0);
     let i = fill.value;
     Property::new(Interval::new(over_mesh(i.best), over_mesh(i.low), over_mesh(i.high)), fill.source)
@@ -142,6 +163,52 @@ fn fill_of_mesh(fill: Property, form: Form, object: &ObjectQuery) -> Property {
 mod tests {
     use super::*;
     use std::path::Path;
+
+    /// Mass (kg: best, low, high) of a thing called so, of this convex hull (m³, m²), of which the mesh encloses a share.
+    fn mass(description: &str, hull_m3: f64, hull_area_m2: f64, hull_fill: f64) -> [f64; 3] {
+        let (volume_m3, name) = (hull_m3 * hull_fill, "object_01".to_owned());
+        let object = ObjectQuery {
+            name,
+            description: description.into(),
+            volume_m3,
+            hull_fill,
+            hull_area_m2,
+            ..Default::default()
+        };
+        let m = without_override(&object, &MaterialTable::builtin());
+        let (d, f) = (m.density.value, m.fill_factor.value);
+        [d.best * f.best, d.low * f.low, d.high * f.high].map(|density| density * volume_m3)
+    }
+
+    /// Things as shops sell them, with sizes and weights that are usual for them.
+    #[test]
+    fn hollow_things_of_the_household_weigh_what_they_do() {
+        for (what, size, kg) in [
+            ("cardboard box", [0.60, 0.40, 0.40], 1.1),
+            ("cardboard box", [0.30, 0.20, 0.10], 0.25),
+            ("plastic tote", [0.60, 0.40, 0.30], 2.9),
+            ("plastic recycling bin", [0.37, 0.27, 0.38], 1.4),
+            ("plastic crate", [0.40, 0.30, 0.25], 1.5),
+        ] {
+            let [x, y, z]: [f64; 3] = size;
+            let [best, low, high] = mass(what, x * y * z, 2.0 * (x * y + y * z + z * x), 0.97);
+            assert!((low..high).contains(&kg), "{what}: {low:.2} to {high:.2} kg");
+            assert!((kg / 2.5..kg * 2.5).contains(&best), "{what}: {best:.2} kg, usual are {kg}");
+        }
+    }
+
+    #[test]
+    fn how_much_of_a_frame_a_mesh_encloses_does_not_change_its_mass() {
+        for (what, hull_m3, kg) in [("aluminium step ladder", 0.12, 4.5), ("wooden stool", 0.065, 3.2)] {
+            let [a, ..] = mass(what, hull_m3, 0.9, 0.1);
+            let [b, low, high] = mass(what, hull_m3, 0.9, 0.4);
+            assert!((a / b - 1.0).abs() < 1e-9, "{what}: {a} {b}");
+            assert!((low..high).contains(&kg) && (kg / 1.6..kg * 1.6).contains(&b), "{what}: {b} kg");
+        }
+        // No frame weighs more than what it encloses, filled with its material.
+        let [best, ..] = mass("wooden stool", 0.065, 0.9, 0.02);
+        assert!((best - 650.0 * 0.02 * 0.065).abs() < 1e-9);
+    }
 
     fn query(name: &str, description: &str, is_sphere: bool) -> ObjectQuery {
         ObjectQuery { name: name.into(), description: description.into(), is_sphere, ..Default::default() }

@@ -45,15 +45,23 @@ struct ObjectEntry {
     class: String,
     density: Option<Range>,
     fill_factor: Option<Range>,
+    /// Thickness (metres) that its walls would have if all material, and what is usually in it, were spread evenly over its convex
+    /// hull: of a thing whose size is known the fill factor follows from it.
+    walls_m: Option<Range>,
     #[serde(default)]
     is_open: bool,
+    /// Legs, rails and rungs.
+    #[serde(default)]
+    is_frame: bool,
 }
 
 /// What the table knows of an object.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Known {
-    /// Its material; the fill factor of open things is over the convex hull.
+    /// Its material; the fill factor of open things and frames is over the convex hull.
     pub material: Material,
+    /// Thickness of its walls where these make its mass, metres: a fill factor of `walls × area / volume` of the convex hull.
+    pub walls_m: Option<Property>,
     /// Whether it is a closed hollow thing (a bottle), an open one (a bowl), or neither is known.
     pub form: Form,
 }
@@ -67,6 +75,8 @@ pub(crate) enum Form {
     Closed,
     /// The hollow can be seen.
     Open,
+    /// Legs, rails and rungs: what a mesh of them encloses depends on how well thin parts were seen, their convex hull hardly.
+    Frame,
 }
 
 /// Handbook values by class, objects known by name, and priors.
@@ -197,7 +207,8 @@ impl MaterialTable {
             .map(|(_, o)| o);
         let named_class = self.class_of(text);
         let Some(object) = object else {
-            return self.class(named_class?).map(|material| Known { material, form: Form::Plain });
+            let plain = |material| Known { material, walls_m: None, form: Form::Plain };
+            return self.class(named_class?).map(plain);
         };
         let class = named_class.unwrap_or(&object.class);
         let mut material = self.class(class)?;
@@ -206,19 +217,23 @@ impl MaterialTable {
         if let Some(density) = object.density.filter(|_| is_usual) {
             material.density = Property::new(interval(density), PropertySource::Table);
         }
-        if let Some(fill) = object.fill_factor {
-            let fill = Property::new(interval(fill), PropertySource::Table);
-            material.fill_factor = match self.class(&object.class) {
-                Some(usual) if !is_usual => fill_of_another(&fill, &usual, &material),
-                _ => fill,
-            };
-        }
-        let form = match (object.fill_factor, object.is_open) {
+        let of_this = |range: Range| {
+            let usual = Property::new(interval(range), PropertySource::Table);
+            match self.class(&object.class) {
+                Some(class) if !is_usual => fill_of_another(&usual, &class, &material),
+                _ => usual,
+            }
+        };
+        let walls_m = object.walls_m.map(of_this);
+        let fill = object.fill_factor.map(of_this);
+        material.fill_factor = fill.unwrap_or(material.fill_factor);
+        let form = match (fill, object.is_open) {
+            _ if object.is_frame => Form::Frame,
             (None, _) => Form::Plain,
             (Some(_), true) => Form::Open,
             (Some(_), false) => Form::Closed,
         };
-        Some(Known { material, form })
+        Some(Known { material, walls_m, form })
     }
 
     /// The stated prior for an object that nobody described.
@@ -260,9 +275,14 @@ impl MaterialTable {
             if !self.class.contains_key(&object.class) {
                 return Some(format!("{:?} has the unknown class `{}`", object.words, object.class));
             }
-            for (key, range, most) in
-                [("density", object.density, 25_000.0), ("fill_factor", object.fill_factor, 1.0)]
-            {
+            if (object.is_frame || object.walls_m.is_some()) && object.fill_factor.is_none() {
+                return Some(format!("{:?} needs a fill factor for things of unknown size", object.words));
+            }
+            for (key, range, most) in [
+                ("density", object.density, 25_000.0),
+                ("fill_factor", object.fill_factor, 1.0),
+                ("walls_m", object.walls_m, 1.0),
+            ] {
                 let Some([best, low, high]) = range else { continue };
                 if !(0.0 < low && low <= best && best <= high && high <= most) {
                     return Some(format!("{key} of {:?} cannot be [{best}, {low}, {high}]", object.words));

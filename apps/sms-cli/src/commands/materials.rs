@@ -45,17 +45,25 @@ fn query(e: &Entity) -> ObjectQuery {
     if e.kind == EntityKind::Static {
         return base;
     }
-    let (volume_m3, hull_fill) = match e.shape {
-        EntityShape::Sphere { radius, .. } => (4.0 / 3.0 * PI * radius.powi(3), 1.0),
-        EntityShape::Box { half_extents, .. } => (8.0 * half_extents.element_product(), 1.0),
-        EntityShape::Cylinder { radius, half_length, .. } => (2.0 * PI * radius * radius * half_length, 1.0),
+    let (volume_m3, hull_fill, hull_area_m2) = match e.shape {
+        EntityShape::Sphere { radius, .. } => {
+            (4.0 / 3.0 * PI * radius.powi(3), 1.0, 4.0 * PI * radius * radius)
+        }
+        EntityShape::Box { half_extents: h, .. } => {
+            (8.0 * h.element_product(), 1.0, 8.0 * (h.x * h.y + h.y * h.z + h.z * h.x))
+        }
+        EntityShape::Cylinder { radius, half_length, .. } => {
+            let area = 2.0 * PI * radius * (radius + 2.0 * half_length);
+            (2.0 * PI * radius * radius * half_length, 1.0, area)
+        }
         EntityShape::Convex | EntityShape::TriMesh => {
             let volume = e.mesh.volume();
-            let hull = convex_hull(&e.mesh.vertices, HULL_VERTICES, 0.0).map_or(0.0, |h| h.volume());
-            (volume, if hull > 0.0 { (volume / hull).clamp(0.0, 1.0) } else { 0.0 })
+            let hull = convex_hull(&e.mesh.vertices, HULL_VERTICES, 0.0);
+            let (in_hull, area) = hull.map_or((0.0, 0.0), |h| (h.volume(), h.area()));
+            (volume, if in_hull > 0.0 { (volume / in_hull).clamp(0.0, 1.0) } else { 0.0 }, area)
         }
     };
-    ObjectQuery { volume_m3: volume_m3.max(0.0), hull_fill, ..base }
+    ObjectQuery { volume_m3: volume_m3.max(0.0), hull_fill, hull_area_m2, ..base }
 }
 
 pub(crate) fn run(context: &Context, a: &Materials) -> anyhow::Result<()> {

@@ -180,7 +180,8 @@ pub(crate) fn tell_matched(
             set_material(body, told.of_floor(&truth.floor.material, seed));
         } else if let Some(object) = pairs.iter().find(|p| p.0 == body.name).and_then(|p| truth.object(&p.1))
         {
-            set_material(body, told.of_object(object, seed));
+            let material = told.of_object(object, body, seed);
+            set_material(body, material);
         }
     }
     Ok(pairs.len())
