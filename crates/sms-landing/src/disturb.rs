@@ -1,11 +1,15 @@
 //! Disturbed worlds and flights: what is not known for certain, sampled.
 
-use crate::{CarriedOut, LandingDisturbances, ResolvedLanding};
+use crate::{CarriedOut, LandingDisturbances, LandingError, ResolvedLanding};
 use glamx::DVec2;
 use rand::{Rng, RngExt};
 use sms_core::{Aabb, Seed};
 use sms_plan::Disturbances;
 use sms_scene::{Body, Scene};
+use sms_sim::WorldFactory;
+
+/// Draws among which one is sought with which the structure stands.
+const DRAWS: u64 = 64;
 
 /// A body that is this much above what it touches stands on it, metres.
 const ON_TOP_M: f64 = 0.01;
@@ -37,6 +41,64 @@ impl LandingDisturbances {
         disturbed
     }
 
+    /// As [`LandingDisturbances::scene`], of those scenes that stand by themselves: the structure was seen standing, so masses with which
+    /// it falls are not its own. After many draws that fall, the scene itself.
+    ///
+    /// # Errors
+    /// [`LandingError`] of scenes that cannot be simulated.
+    pub fn standing_scene(
+        &self,
+        landing: &ResolvedLanding,
+        factory: &dyn WorldFactory,
+        scene: &Scene,
+        seed: Seed,
+        index: usize,
+    ) -> Result<Scene, LandingError> {
+        for draw in 0..DRAWS {
+            let seed = if draw == 0 { seed } else { seed.derive_index("draw", draw) };
+            let drawn = self.scene(landing, scene, seed, index);
+            match landing.check_rest(factory, &drawn) {
+                Ok(_) => return Ok(drawn),
+                Err(LandingError::AlreadyFalling(_)) => {}
+                Err(e) => return Err(e),
+            }
+        }
+        Ok(scene.clone())
+    }
+
+    /// The scene itself where it stands; else, with materials that are not known for certain, the scene with masses within their
+    /// intervals with which it does: of many draws the one that changes masses the least (by the squared logarithms of their ratios).
+    ///
+    /// # Errors
+    /// [`LandingError::AlreadyFalling`] where it falls with all of them; errors of scenes that cannot be simulated.
+    pub(crate) fn that_stands(
+        &self,
+        landing: &ResolvedLanding,
+        factory: &dyn WorldFactory,
+        scene: &Scene,
+        seed: Seed,
+    ) -> Result<Option<Scene>, LandingError> {
+        let falls = match landing.check_rest(factory, scene) {
+            Ok(_) => return Ok(None),
+            Err(e @ LandingError::AlreadyFalling(_)) if self.materials => e,
+            Err(e) => return Err(e),
+        };
+        let masses_alone = Self { object_m: 0.0, ..*self };
+        let mut draws: Vec<(f64, Scene)> = (0..DRAWS as usize)
+            .map(|i| masses_alone.scene(landing, scene, seed, i))
+            .map(|drawn| (change_of_masses(scene, &drawn), drawn))
+            .collect();
+        draws.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (change, drawn) in draws {
+            match landing.check_rest(factory, &drawn) {
+                Ok(_) if change > 0.0 => return Ok(Some(drawn)),
+                Ok(_) | Err(LandingError::AlreadyFalling(_)) => {}
+                Err(e) => return Err(e),
+            }
+        }
+        Err(falls)
+    }
+
     /// How exactly the `index`-th flight is carried out.
     pub fn carried_out(&self, seed: Seed, index: usize) -> CarriedOut {
         let mut rng = seed.derive_index("flight", index as u64).rng();
@@ -47,6 +109,12 @@ impl LandingDisturbances {
             wash: 1.0 + within(self.wash_share),
         }
     }
+}
+
+/// Sum of the squared logarithms of the ratios of masses.
+fn change_of_masses(from: &Scene, to: &Scene) -> f64 {
+    let log_ratio = |(a, b): (&Body, &Body)| Some((b.mass?.mass() / a.mass?.mass()).ln());
+    from.bodies.iter().zip(&to.bodies).filter_map(log_ratio).map(|l| l * l).sum()
 }
 
 /// Whether what a body touches is below or above it, so that it can be moved aside without being pushed into anything.

@@ -5,7 +5,7 @@ use crate::{
     ResolvedLanding, RolloutOptions,
 };
 use rayon::prelude::*;
-use sms_core::{Cancel, Progress, Seed};
+use sms_core::{Cancel, MassProperties, Progress, Seed};
 use sms_plan::quantile;
 use sms_scene::Scene;
 use sms_sim::WorldFactory;
@@ -30,6 +30,17 @@ struct Shared {
     idle: Mutex<Vec<LandingWorld>>,
 }
 
+/// Which worlds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Worlds {
+    /// The scanned one.
+    Scanned,
+    /// Disturbed ones.
+    Disturbed { seed: Seed, count: usize },
+    /// The scanned one with a structure that is lighter and lighter ([`LandingSettings::margins`]).
+    Lighter,
+}
+
 /// Worlds of one model of wash.
 pub(crate) struct Family<'a> {
     landing: &'a ResolvedLanding,
@@ -43,36 +54,47 @@ pub(crate) struct Family<'a> {
 }
 
 impl<'a> Family<'a> {
-    /// With a seed, `count` disturbed worlds; without one, copies of the scanned world.
     pub(crate) fn new(
         landing: &'a ResolvedLanding,
         scene: &Scene,
         factory: &'a dyn WorldFactory,
         settings: &LandingSettings,
         wash: WashSettings,
-        seed: Option<Seed>,
-        count: usize,
+        which: Worlds,
         progress: &'a dyn Progress,
         cancel: &'a Cancel,
-    ) -> Self {
-        let world = |index: usize| {
-            let d = &settings.disturbances;
-            let (scene, carried_out) = match seed {
-                Some(seed) => (d.scene(landing, scene, seed, index), d.carried_out(seed, index)),
-                None => (scene.clone(), crate::CarriedOut::default()),
-            };
-            Shared { scene, carried_out, idle: Mutex::default() }
+    ) -> Result<Self, LandingError> {
+        let count = match which {
+            Worlds::Scanned => 1,
+            Worlds::Disturbed { count, .. } => count,
+            Worlds::Lighter => settings.margins,
         };
-        Self {
+        let world = |index: usize| {
+            let (d, exactly) = (&settings.disturbances, crate::CarriedOut::default());
+            let (scene, carried_out) = match which {
+                Worlds::Scanned => (scene.clone(), exactly),
+                Worlds::Disturbed { seed, .. } => {
+                    cancel.check()?;
+                    let drawn = d.standing_scene(landing, factory, scene, seed, index)?;
+                    (drawn, d.carried_out(seed, index))
+                }
+                Worlds::Lighter => {
+                    let share = settings.lightest.powf((index + 1) as f64 / count as f64);
+                    (lighter(landing, scene, share), exactly)
+                }
+            };
+            Ok(Shared { scene, carried_out, idle: Mutex::default() })
+        };
+        Ok(Self {
             landing,
             factory,
             wash,
             enough: settings.toppled,
-            worlds: (0..count).map(world).collect(),
+            worlds: (0..count).map(world).collect::<Result<_, LandingError>>()?,
             progress,
             cancel,
             done: AtomicU64::new(0),
-        }
+        })
     }
 
     pub(crate) fn model(&self) -> WashModel {
@@ -125,6 +147,18 @@ impl<'a> Family<'a> {
         }
         Ok(outcome)
     }
+}
+
+/// The scene with a structure of this share of its mass.
+fn lighter(landing: &ResolvedLanding, scene: &Scene, share: f64) -> Scene {
+    let mut scene = scene.clone();
+    for body in scene.bodies.iter_mut().filter(|b| landing.structure().contains(&b.name)) {
+        let scaled = |m: MassProperties| {
+            MassProperties::new(m.mass() * share, m.com(), m.inertia() * share).unwrap_or(m)
+        };
+        body.mass = body.mass.map(scaled);
+    }
+    scene
 }
 
 impl LandingPrediction {

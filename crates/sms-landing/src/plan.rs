@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, atomic};
 use sms_plan::Trial;
 use sms_task::{Parameter, json};
-use sms_wash::{Quadrotor, WashModel};
+use sms_wash::{Quadrotor, WashModel, WashSettings};
 use std::path::Path;
 
 /// Where the plan lies in a run's folder of the stage.
@@ -75,12 +75,20 @@ pub struct LandingPlan {
     pub action: LandingAction,
     /// What it does in the scanned world, with the recorded motion.
     pub nominal: LandingOutcome,
+    /// The air that this was simulated in, to do so again.
+    #[serde(default = "particles")]
+    pub wash: WashSettings,
     /// What it is predicted to do in worlds that played no part in choosing it; `None` for a plan for the scanned world alone.
     pub predicted: Option<LandingPrediction>,
     /// Other actions that came far, best first.
     pub alternatives: Vec<LandingAlternative>,
     /// Rollouts.
     pub evaluations: LandingEvaluations,
+}
+
+/// Of plans that do not say.
+fn particles() -> WashSettings {
+    WashSettings { model: WashModel::Sph, ..WashSettings::default() }
 }
 
 /// A plan with its trial log.

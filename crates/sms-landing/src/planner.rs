@@ -1,6 +1,6 @@
 //! Planning: many approaches with `jet`, the promising ones with `sph`, the final choice in disturbed worlds.
 
-use crate::disturb_worlds::{Family, Flown};
+use crate::disturb_worlds::{Family, Flown, Worlds};
 use crate::plan::{LandingAlternative, LandingEvaluations};
 use crate::{
     LandingAction, LandingError, LandingPlan, LandingPlanOutcome, LandingPrediction, LandingRecording,
@@ -25,11 +25,28 @@ const RECORD_EVERY_S: f64 = 1.0 / 60.0;
 struct Candidate {
     u: Vec<f64>,
     action: LandingAction,
-    /// What it is ranked by: rollouts that cannot be believed, then the mean objective.
-    rank: (usize, f64),
+    rank: Rank,
     /// In the scanned world, by the better model.
     nominal: f64,
     prediction: Option<LandingPrediction>,
+}
+
+/// What candidates are ranked by: first the failures, then the margin, then the mean objective. Objectives of landings that succeed
+/// differ by millimetres, which says nothing of how near they are to failing.
+#[derive(Debug, Clone, Copy)]
+struct Rank {
+    /// Failed rollouts of those with the better model, or in the most worlds.
+    failures: usize,
+    /// How often the structure could be made lighter.
+    margin: usize,
+    mean: f64,
+}
+
+impl Rank {
+    fn order(&self, other: &Self) -> std::cmp::Ordering {
+        let failures = self.failures.cmp(&other.failures);
+        failures.then(other.margin.cmp(&self.margin)).then(self.mean.total_cmp(&other.mean))
+    }
 }
 
 /// Everything that planning needs.
@@ -41,8 +58,9 @@ struct Planning<'a> {
     evaluations: LandingEvaluations,
 }
 
-/// Plans a landing in a scene: the action with the smallest mean objective over disturbed worlds (the same ones for every action), of
-/// those that screening with `jet` and refinement with `sph` found. What it is predicted to do is measured in other worlds. The plan is the same for
+/// Plans a landing in a scene: the action that succeeds in the most disturbed worlds (the same ones for every action), among
+/// equals the one that still succeeds with the lightest structure, then the one with the smallest mean objective, of those that
+/// screening with `jet` and refinement with `sph` found. What it is predicted to do is measured in other worlds. The plan is the same for
 /// any number of threads; rayon's current pool is used. Only `scene`, which the scan made, is looked at.
 ///
 /// # Errors
@@ -58,25 +76,49 @@ pub fn plan_landing(
     warnings: &Warnings,
 ) -> Result<LandingPlanOutcome, LandingError> {
     settings.validate(Path::new("(settings of the planner)"))?;
-    landing.check_rest(factory, scene)?;
-    let scene = &scene.without_pictures();
     let robust = settings.worlds > 0;
+    let mut scene = scene.without_pictures();
+    if !robust {
+        landing.check_rest(factory, &scene)?;
+    } else if let Some(stands) =
+        settings.disturbances.that_stands(landing, factory, &scene, seed.derive("standing"))?
+    {
+        scene = stands;
+        warnings.add(
+            "plan",
+            "masses_do_not_stand",
+            "with the most likely masses the structure would fall by itself; it was seen standing, so the plan takes others within \
+             their intervals",
+            "narrow the material intervals (`sms materials`), best of all with `mass_kg` from scales",
+        );
+    }
+    let scene = &scene;
     let family = |model: WashModel, seed: Option<Seed>, count: usize| {
-        Family::new(landing, scene, factory, settings, wash(settings, model), seed, count, progress, cancel)
+        let worlds = seed.map_or(Worlds::Scanned, |seed| Worlds::Disturbed { seed, count });
+        Family::new(landing, scene, factory, settings, wash(settings, model), worlds, progress, cancel)
     };
     let mut planning =
         Planning { landing, settings, seed, trials: Vec::new(), evaluations: LandingEvaluations::default() };
 
     progress.begin("landing: screening", settings.screening as u64);
-    let jet = family(WashModel::Jet, None, 1);
+    let jet = family(WashModel::Jet, None, 1)?;
     let mut found = planning.screen(&jet)?;
     progress.end(&format!("best of {}: {:.3}", found.len(), found.first().map_or(f64::NAN, |c| c.nominal)));
+
+    if robust && settings.margins > 0 {
+        progress.begin("landing: margins", 0);
+        let (air, worlds) = (wash(settings, WashModel::Jet), Worlds::Lighter);
+        let worlds = Family::new(landing, scene, factory, settings, air, worlds, progress, cancel)?;
+        planning.margins(&mut found, &worlds)?;
+        let most = found.first().map_or(0, |c| c.rank.margin);
+        progress.end(&format!("at most {most} of {}", settings.margins));
+    }
 
     let (choice, fresh) = (seed.derive("choice"), seed.derive("forecast"));
     if robust && settings.jet_worlds > 0 {
         found = distinct(found, settings.candidates);
         progress.begin("landing: disturbed worlds, jet", (found.len() * settings.jet_worlds) as u64);
-        let worlds = family(WashModel::Jet, Some(choice), settings.jet_worlds);
+        let worlds = family(WashModel::Jet, Some(choice), settings.jet_worlds)?;
         planning.in_worlds(&mut found, &worlds, Phase::Disturbed, 0..settings.jet_worlds)?;
         progress.end("");
     }
@@ -84,7 +126,7 @@ pub fn plan_landing(
     found.truncate(settings.refine);
     let polish = settings.polish_starts * settings.polish;
     progress.begin("landing: refinement, sph", (found.len() + polish) as u64);
-    let sph = family(WashModel::Sph, None, 1);
+    let sph = family(WashModel::Sph, None, 1)?;
     planning.in_nominal(&mut found, &sph)?;
     planning.polish(&mut found, &sph)?;
     progress.end("");
@@ -92,11 +134,11 @@ pub fn plan_landing(
     found.truncate(settings.finalists);
     if robust {
         progress.begin("landing: disturbed worlds, sph", (found.len() * settings.worlds) as u64);
-        let worlds = family(WashModel::Sph, Some(choice), settings.worlds);
+        let worlds = family(WashModel::Sph, Some(choice), settings.worlds)?;
         planning.in_worlds(&mut found, &worlds, Phase::Disturbed, 0..settings.worlds)?;
         progress.end("");
     }
-    let Some(winner) = found.first().filter(|w| w.rank.1.is_finite()).cloned() else {
+    let Some(winner) = found.first().filter(|w| w.rank.mean.is_finite()).cloned() else {
         let all = planning.evaluations;
         return Err(LandingError::Nothing {
             engine: factory.engine().to_owned(),
@@ -107,7 +149,7 @@ pub fn plan_landing(
     let mut predicted = None;
     if robust && settings.forecast_worlds > 0 {
         progress.begin("landing: forecast", settings.forecast_worlds as u64);
-        let worlds = family(WashModel::Sph, Some(fresh), settings.forecast_worlds);
+        let worlds = family(WashModel::Sph, Some(fresh), settings.forecast_worlds)?;
         let mut only = vec![winner.clone()];
         planning.in_worlds(&mut only, &worlds, Phase::Forecast, 0..settings.forecast_worlds)?;
         predicted = only.swap_remove(0).prediction;
@@ -126,6 +168,7 @@ pub fn plan_landing(
         parameters: landing.parameters(),
         action: winner.action,
         nominal,
+        wash: wash(settings, WashModel::Sph),
         predicted,
         alternatives: found[1..].iter().map(Candidate::alternative).collect(),
         evaluations: planning.evaluations,
@@ -166,7 +209,7 @@ impl Planning<'_> {
             .map(|u| Candidate {
                 action: self.landing.action_at(&u),
                 u,
-                rank: (0, f64::INFINITY),
+                rank: Rank { failures: 0, margin: 0, mean: f64::INFINITY },
                 nominal: f64::INFINITY,
                 prediction: None,
             })
@@ -174,11 +217,28 @@ impl Planning<'_> {
         let jobs: Vec<_> = found.iter().map(|c| (c.action, 0)).collect();
         let flown = self.count(jet.fly_all(&jobs)?, WashModel::Jet);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
-            candidate.set_nominal(flown.score);
+            candidate.set_nominal(flown);
             self.trials.push(trial(Phase::Screen, -1, i, candidate.action, flown.score));
         }
         sort(&mut found);
         Ok(found)
+    }
+
+    /// Flies those that succeeded with lighter and lighter structures, for as long as they do: that is harder for the wash and for the
+    /// touchdown alike. Best first.
+    fn margins(&mut self, found: &mut [Candidate], lighter: &Family<'_>) -> Result<(), LandingError> {
+        let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
+        for level in 0..self.settings.margins {
+            let jobs: Vec<_> = left.iter().map(|i| (found[*i].action, level)).collect();
+            let flown = self.count(lighter.fly_all(&jobs)?, WashModel::Jet);
+            for (&i, flown) in left.iter().zip(&flown) {
+                self.trials.push(trial(Phase::Disturbed, -1, level, found[i].action, flown.score));
+                found[i].rank.margin += usize::from(flown.failure.is_none());
+            }
+            left.retain(|i| found[*i].rank.margin == level + 1);
+        }
+        sort(found);
+        Ok(())
     }
 
     /// Flies all candidates in the scanned world; best first.
@@ -186,7 +246,7 @@ impl Planning<'_> {
         let jobs: Vec<_> = found.iter().map(|c| (c.action, 0)).collect();
         let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
-            candidate.set_nominal(flown.score);
+            candidate.set_nominal(flown);
             self.trials.push(trial(Phase::Search, i as i32, 0, candidate.action, flown.score));
         }
         sort(found);
@@ -198,14 +258,23 @@ impl Planning<'_> {
         let count = self.settings.polish_starts.min(found.len());
         let steps = [STEP; 4];
         let simplex = NelderMead::default();
+        // A search leaves the unit box nowhere: where angles go all the way round, its own box is centred on its start.
+        let turns: Vec<f64> =
+            found[..count].iter().map(|c| if self.is_periodic() { c.u[3] - 0.5 } else { 0.0 }).collect();
         let mut searches: Vec<LocalSearch> = found[..count]
             .iter()
-            .map(|c| LocalSearch::new(&simplex, std::slice::from_ref(&c.u), &steps, Some(c.nominal)))
+            .zip(&turns)
+            .map(|(c, turn)| {
+                let start = vec![c.u[0], c.u[1], c.u[2], c.u[3] - turn];
+                LocalSearch::new(&simplex, std::slice::from_ref(&start), &steps, Some(c.nominal))
+            })
             .collect();
+        let turned = |i: usize, u: &[f64]| vec![u[0], u[1], u[2], (u[3] + turns[i]).rem_euclid(1.0)];
+        let whole = |i: usize, u: &[f64]| if turns[i] == 0.0 { u.to_vec() } else { turned(i, u) };
         for round in 0..self.settings.polish {
             let mut asked: Vec<(usize, LandingAction)> = Vec::new();
             for (i, search) in searches.iter_mut().enumerate() {
-                while let Some(action) = search.next_point().map(|u| self.landing.action_at(u)) {
+                while let Some(action) = search.next_point().map(|u| self.landing.action_at(&whole(i, u))) {
                     if self.landing.is_possible(&action) {
                         asked.push((i, action));
                         break;
@@ -220,19 +289,25 @@ impl Planning<'_> {
                 self.trials.push(trial(Phase::Search, i as i32, round + 1, action, flown.score));
             }
         }
-        for (candidate, search) in found.iter_mut().zip(&searches) {
+        for (i, (candidate, search)) in found.iter_mut().zip(&searches).enumerate() {
             let minimum = search.minimum();
             if minimum.objective < candidate.nominal {
-                candidate.action = self.landing.action_at(&minimum.x);
-                candidate.u = minimum.x;
-                candidate.set_nominal(minimum.objective);
+                candidate.u = whole(i, &minimum.x);
+                candidate.action = self.landing.action_at(&candidate.u);
+                (candidate.nominal, candidate.rank.mean) = (minimum.objective, minimum.objective);
             }
         }
         sort(found);
         Ok(())
     }
 
-    /// Flies all candidates in the same disturbed worlds; the best mean first.
+    /// Whether approach angles go all the way round.
+    fn is_periodic(&self) -> bool {
+        let [low, high] = self.landing.task().bounds.approach_angle;
+        (high - low - std::f64::consts::TAU).abs() < 1e-9
+    }
+
+    /// Flies all candidates in the same disturbed worlds; best first.
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
@@ -247,10 +322,9 @@ impl Planning<'_> {
             for (w, flown) in row.iter().enumerate() {
                 self.trials.push(trial(phase, i as i32, w, candidate.action, flown.score));
             }
-            let scores: Vec<f64> = row.iter().map(|f| f.score).collect();
-            let invalid = scores.iter().filter(|s| !s.is_finite()).count();
             let prediction = LandingPrediction::of(worlds.model(), row);
-            candidate.rank = (invalid, prediction.mean);
+            candidate.rank.failures = row.iter().filter(|f| f.failure.is_some()).count();
+            candidate.rank.mean = prediction.mean;
             candidate.prediction = Some(prediction);
         }
         sort(found);
@@ -268,15 +342,16 @@ impl Planning<'_> {
 }
 
 impl Candidate {
-    fn set_nominal(&mut self, score: f64) {
-        self.nominal = score;
-        self.rank = (usize::from(!score.is_finite()), score);
+    fn set_nominal(&mut self, flown: &Flown) {
+        self.nominal = flown.score;
+        self.rank.failures = usize::from(flown.failure.is_some());
+        self.rank.mean = flown.score;
     }
 }
 
 /// Best first; what was found first comes first among equals.
 fn sort(found: &mut [Candidate]) {
-    found.sort_by(|a, b| a.rank.0.cmp(&b.rank.0).then(a.rank.1.total_cmp(&b.rank.1)));
+    found.sort_by(|a, b| a.rank.order(&b.rank));
 }
 
 /// The best candidates that differ from each other by more than half of a search's first step.
@@ -286,7 +361,13 @@ fn distinct(found: Vec<Candidate>, count: usize) -> Vec<Candidate> {
         if kept.len() == count {
             break;
         }
-        let near = |k: &Candidate| k.u.iter().zip(&candidate.u).all(|(a, b)| (a - b).abs() < 0.5 * STEP);
+        let angle = |c: &Candidate| c.action.approach_angle;
+        let near = |k: &Candidate| {
+            let turn = (angle(k) - angle(&candidate)).rem_euclid(std::f64::consts::TAU);
+            let turn = turn.min(std::f64::consts::TAU - turn) / std::f64::consts::TAU;
+            let rest = k.u[..3].iter().zip(&candidate.u).all(|(a, b)| (a - b).abs() < 0.5 * STEP);
+            rest && turn < 0.5 * STEP
+        };
         if !kept.iter().any(near) {
             kept.push(candidate);
         }

@@ -36,6 +36,11 @@ impl Default for LandingDisturbances {
 pub struct LandingSettings {
     /// Points of the screening, each flown with `jet` in the scanned world.
     pub screening: usize,
+    /// Those that succeed are flown with `jet` again while the structure is made lighter, in so many steps at most: how light it may be
+    /// is their margin, against a stronger wash and against heavier landings than expected.
+    pub margins: usize,
+    /// Share of its mass that is left in the last of these steps.
+    pub lightest: f64,
     /// The best of them that are flown with `jet` in disturbed worlds.
     pub candidates: usize,
     /// Number of these worlds.
@@ -66,14 +71,16 @@ impl Default for LandingSettings {
     fn default() -> Self {
         Self {
             screening: 200,
-            candidates: 16,
-            jet_worlds: 6,
+            margins: 5,
+            lightest: 0.4,
+            candidates: 8,
+            jet_worlds: 4,
             refine: 4,
-            polish_starts: 1,
+            polish_starts: 0,
             polish: 4,
-            finalists: 3,
-            worlds: 6,
-            forecast_worlds: 6,
+            finalists: 2,
+            worlds: 5,
+            forecast_worlds: 5,
             toppled: 1.0,
             disturbances: LandingDisturbances::default(),
             // Half as many flow lines as the model's default: this one only sorts out.
@@ -88,13 +95,11 @@ impl LandingSettings {
     pub fn draft() -> Self {
         Self {
             screening: 96,
-            candidates: 8,
-            jet_worlds: 4,
-            refine: 3,
-            polish_starts: 0,
-            finalists: 2,
-            worlds: 4,
-            forecast_worlds: 4,
+            candidates: 4,
+            refine: 2,
+            finalists: 1,
+            worlds: 3,
+            forecast_worlds: 3,
             ..Self::default()
         }
     }
@@ -124,6 +129,7 @@ impl LandingSettings {
         let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
         for (key, value, low, high) in [
             ("screening", self.screening, 1, 1_000_000),
+            ("margins", self.margins, 0, 64),
             ("candidates", self.candidates, 1, 1_000_000),
             ("jet_worlds", self.jet_worlds, 0, 1024),
             ("refine", self.refine, 1, 1_000_000),
@@ -138,6 +144,7 @@ impl LandingSettings {
         let d = &self.disturbances;
         for (key, value, low, high) in [
             ("toppled", self.toppled, 0.1, 1e3),
+            ("lightest", self.lightest, 0.05, 1.0),
             ("disturbances.object_m", d.object_m, 0.0, 0.1),
             ("disturbances.wash_share", d.wash_share, 0.0, 0.9),
             ("disturbances.flight_m", d.flight_m, 0.0, 1.0),

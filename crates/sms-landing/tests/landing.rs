@@ -1,7 +1,7 @@
 //! Landings against closed forms, and faults.
 
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{Cancel, NoProgress, Seed, Warnings, box_mass_properties};
+use sms_core::{Cancel, Interval, NoProgress, Seed, Warnings, box_mass_properties};
 use sms_landing::{
     LandingAction, LandingError, LandingPlan, LandingRecording, LandingSettings, LandingTask, LandingWorld,
     QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
@@ -251,6 +251,7 @@ fn quick() -> LandingSettings {
     let sph = sms_wash::SphSettings { spacing: 0.04, ..sms_wash::SphSettings::default() };
     LandingSettings {
         screening: 24,
+        margins: 3,
         candidates: 4,
         jet_worlds: 2,
         refine: 2,
@@ -290,7 +291,10 @@ fn plans_land_and_do_not_depend_on_threads() {
     let plan = &planned.plan;
     assert!(plan.nominal.is_success(), "{:?}", plan.nominal.failure);
     let e = plan.evaluations;
-    assert_eq!((e.jet, e.sph), (24 + 4 * 2, 2 + 2 + 2 * 2 + 2 + 1));
+    // Those that succeed take the margins' steps for as long as they do.
+    let steps = e.jet - (24 + 4 * 2);
+    assert!((1..=3 * 24).contains(&steps), "{steps}");
+    assert_eq!(e.sph, 2 + 2 + 2 * 2 + 2 + 1);
     assert_eq!(planned.trials.len(), e.jet + e.sph - 1);
     assert_eq!(plan.predicted.as_ref().unwrap().worlds, 2);
     // Straight over the overhang it would have toppled.
@@ -309,6 +313,53 @@ fn plans_land_and_do_not_depend_on_threads() {
     let dir = tempfile::tempdir().unwrap();
     plan.save(dir.path()).unwrap();
     assert_eq!(&LandingPlan::load(dir.path()).unwrap(), plan);
+}
+
+/// A brick that is said to be too light holds a board that juts out; it may be heavier, and the board is seen to stand.
+#[test]
+fn masses_with_which_the_structure_would_fall_are_not_its_own() {
+    let plan = |scene: &Scene, warnings: &Warnings| {
+        let landing = LandingTask::new([-1.6, 0.3]).resolve(scene).unwrap();
+        plan_landing(
+            &landing,
+            scene,
+            &RapierFactory,
+            &LandingSettings { forecast_worlds: 0, ..quick() },
+            Seed(1),
+            &NoProgress,
+            &Cancel::new(),
+            warnings,
+        )
+    };
+    // The board's middle is 0.1 m beyond the edge, the brick's 0.25 m before it: 0.8 kg hold 2 kg.
+    let mut scene = board(2.0, 0.3);
+    let top = BASE_TOP + 2.0 * HALF.z;
+    scene.bodies.push(cuboid("brick", DVec3::new(-0.05, 0.0, top + 0.03), DVec3::new(0.04, 0.15, 0.03), 0.4));
+    for body in &mut scene.bodies {
+        let m = &mut body.material;
+        let spread = if body.name == "brick" { 5.0 } else { 1.05 };
+        let best = m.density.value.best;
+        m.density.value = Interval::new(best, best / spread, best * spread);
+        m.fill_factor.value = Interval::exact(1.0);
+    }
+    let warnings = Warnings::new();
+    let planned = plan(&scene, &warnings).unwrap();
+    assert!(warnings.snapshot().iter().any(|w| w.code == "masses_do_not_stand"));
+    assert!(planned.plan.nominal.toppled_s.is_none_or(|t| t > 1.0), "it does not fall by itself");
+    let d = sms_landing::LandingDisturbances::default();
+    let landing = planned.plan.landing();
+    assert!(landing.check_rest(&RapierFactory, &scene).is_err());
+    for index in 0..4 {
+        let drawn = d.standing_scene(&landing, &RapierFactory, &scene, Seed(5), index).unwrap();
+        landing.check_rest(&RapierFactory, &drawn).unwrap();
+    }
+    // With masses that are known for certain it is falling.
+    for body in &mut scene.bodies {
+        let m = &mut body.material;
+        m.density.value = Interval::exact(m.density.value.best);
+    }
+    let refused = plan(&scene, &Warnings::new());
+    assert!(matches!(refused, Err(LandingError::AlreadyFalling(_))));
 }
 
 #[test]

@@ -434,6 +434,7 @@ mod tests {
             parameters: landing.parameters(),
             action: landing.straight(DVec2::new(0.1, 0.0)),
             nominal: outcome("table", 0.0, None),
+            wash: sms_wash::WashSettings::default(),
             predicted: None,
             alternatives: Vec::new(),
             evaluations: LandingEvaluations::default(),

@@ -242,6 +242,7 @@ fn baseline(
         parameters: landing.parameters(),
         action,
         nominal,
+        wash: particles(config),
         predicted: None,
         alternatives: Vec::new(),
         evaluations: LandingEvaluations { jet: 0, sph: 1, invalid },
@@ -378,16 +379,9 @@ pub(crate) fn reported(run: &RunFolder, scene: Option<&Scene>) -> anyhow::Result
     let mut plan = LandingPlan::load(&dir)?;
     if let Some(scene) = scene.filter(|_| cfg!(feature = "rerun")) {
         // Files hold no particles: the flight is simulated again for them.
-        let config = LandingSettings::default();
         let options = RolloutOptions { recording: Some(recording(true)), ..RolloutOptions::default() };
-        let flown = rollout_landing(
-            &RapierFactory,
-            &particles(&config),
-            scene,
-            &plan.landing(),
-            &plan.action,
-            &options,
-        )?;
+        let flown =
+            rollout_landing(&RapierFactory, &plan.wash, scene, &plan.landing(), &plan.action, &options)?;
         plan.nominal.particles = flown.particles;
     }
     let target = run.stage_dir("target", "execute").ok();
