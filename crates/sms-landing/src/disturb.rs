@@ -87,12 +87,13 @@ impl LandingDisturbances {
         let mut draws: Vec<(f64, Scene)> = (0..DRAWS as usize)
             .map(|i| masses_alone.scene(landing, scene, seed, i))
             .map(|drawn| (change_of_masses(scene, &drawn), drawn))
+            .filter(|(change, _)| *change > 0.0)
             .collect();
         draws.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (change, drawn) in draws {
+        for (_, drawn) in draws {
             match landing.check_rest(factory, &drawn) {
-                Ok(_) if change > 0.0 => return Ok(Some(drawn)),
-                Ok(_) | Err(LandingError::AlreadyFalling(_)) => {}
+                Ok(_) => return Ok(Some(drawn)),
+                Err(LandingError::AlreadyFalling(_)) => {}
                 Err(e) => return Err(e),
             }
         }

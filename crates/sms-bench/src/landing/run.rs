@@ -40,71 +40,91 @@ pub fn run_landings(
     let mut geometry: Option<(usize, Scene)> = None;
     for part in part_of(bench.flights(), bench.part) {
         cancel.check()?;
-        let mut flight = match kept(bench, part)? {
-            Some(flight) if is_done(bench, part, &flight) => continue,
-            Some(flight) => flight,
-            None => LandingFlight {
-                key: bench.key(part),
-                scene: part.scene,
-                start: part.start,
-                told: part.told,
-                draw: part.draw,
-                objects: 0,
-                matched: 0,
-                evaluation_s: None,
-                planned: Default::default(),
-            },
-        };
-        let truth = fixed(part.scene)?.fixed();
-        let scene = match &geometry {
-            Some((number, scene)) if *number == part.scene => scene.clone(),
-            _ => {
-                let scene = geometry_of(bench, part.scene, &truth, progress, cancel)?;
-                geometry = Some((part.scene, scene.clone()));
-                scene
-            }
-        };
-        let seen = see(scene, &truth, part)?;
-        (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
-        let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
-        let start_w = seen.scene.x_world_recording.transform_point(start_w);
-        let task = LandingTask::new(start_w.truncate().to_array());
-        match task.resolve(&seen.scene) {
-            Ok(landing) => {
-                for name in names(bench, part) {
-                    if flight.planned.contains_key(&name) {
-                        continue;
-                    }
-                    let planned = carry_out(
-                        bench,
-                        part,
-                        &name,
-                        &landing,
-                        &seen.scene,
-                        &truth,
-                        target.as_ref(),
-                        cancel,
-                    )?;
-                    if name == OURS {
-                        let action = planned.action;
-                        flight.evaluation_s =
-                            action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
-                    }
-                    flight.planned.insert(name, planned);
-                    atomic::write_json(&bench.file(part), &flight)?;
-                }
-            }
-            Err(e) if e.input().is_some() => {
-                for name in names(bench, part) {
-                    flight.planned.insert(name, LandingPlanned::nothing(&e));
-                }
-                atomic::write_json(&bench.file(part), &flight)?;
-            }
-            Err(e) => return Err(e.into()),
+        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut geometry, progress, cancel)?;
+        if is_new {
+            line(&flight);
         }
-        line(&flight);
     }
     Ok(())
+}
+
+/// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads what is kept of it.
+///
+/// # Errors
+/// As [`run_landings`].
+pub fn run_landing(
+    bench: &LandingBench<'_>,
+    part: LandingPart,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<LandingFlight, BenchError> {
+    let target = bench.engine.target()?;
+    Ok(flown(bench, part, target.as_ref(), &mut None, progress, cancel)?.0)
+}
+
+/// A flight, and whether anything of it was not in the folder yet. `geometry` is that of the last scene.
+fn flown(
+    bench: &LandingBench<'_>,
+    part: LandingPart,
+    target: &dyn Target,
+    geometry: &mut Option<(usize, Scene)>,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(LandingFlight, bool), BenchError> {
+    let mut flight = match kept(bench, part)? {
+        Some(flight) if is_done(bench, part, &flight) => return Ok((flight, false)),
+        Some(flight) => flight,
+        None => LandingFlight {
+            key: bench.key(part),
+            scene: part.scene,
+            start: part.start,
+            told: part.told,
+            draw: part.draw,
+            objects: 0,
+            matched: 0,
+            evaluation_s: None,
+            planned: Default::default(),
+        },
+    };
+    let truth = fixed(part.scene)?.fixed();
+    let scene = match &geometry {
+        Some((number, scene)) if *number == part.scene => scene.clone(),
+        _ => {
+            let scene = geometry_of(bench, part.scene, &truth, progress, cancel)?;
+            *geometry = Some((part.scene, scene.clone()));
+            scene
+        }
+    };
+    let seen = see(scene, &truth, part)?;
+    (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
+    let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
+    let start_w = seen.scene.x_world_recording.transform_point(start_w);
+    let task = LandingTask::new(start_w.truncate().to_array());
+    match task.resolve(&seen.scene) {
+        Ok(landing) => {
+            for name in names(bench, part) {
+                if flight.planned.contains_key(&name) {
+                    continue;
+                }
+                let planned = carry_out(bench, part, &name, &landing, &seen.scene, &truth, target, cancel)?;
+                if name == OURS {
+                    let action = planned.action;
+                    flight.evaluation_s =
+                        action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
+                }
+                flight.planned.insert(name, planned);
+                atomic::write_json(&bench.file(part), &flight)?;
+            }
+        }
+        Err(e) if e.input().is_some() => {
+            for name in names(bench, part) {
+                flight.planned.insert(name, LandingPlanned::nothing(&e));
+            }
+            atomic::write_json(&bench.file(part), &flight)?;
+        }
+        Err(e) => return Err(e.into()),
+    }
+    Ok((flight, true))
 }
 
 /// The planners of a flight.
