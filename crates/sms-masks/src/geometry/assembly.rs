@@ -5,7 +5,7 @@ use super::cluster::quantile;
 use super::fuse::{Neighbors, Surfel};
 use super::planes::extents;
 use super::segments::{Border, Segments};
-use glamx::DVec3;
+use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ const THICK: f64 = 0.25;
 /// An assembly may be so much longer than one structure: a board that juts out from a stool.
 const OVER: f64 = 1.5;
 /// The lowest cells are at most so high over the ground.
-const FOOT_M: f64 = 0.04;
+pub(crate) const FOOT_M: f64 = 0.04;
 /// Upright surface faces away from the middle by at least this (mean cosine); the walls of a bin or a shelf face inwards.
 const OUTWARD: f64 = 0.1;
 /// Length of the mean of the upright normals' level parts, of theirs: 0 for what is seen all around, 1 for one side.
@@ -66,10 +66,6 @@ fn stands_free(
     let inside = |j: usize| members.binary_search(&j).is_ok();
     let beside = |&&i: &&usize| graph.of(i).any(|j| is_static[j] && !inside(j));
     let touching = members.iter().filter(beside).count() as f64;
-    if std::env::var_os("SMS_DBG").is_some() {
-        println!("assembly? {} cells, extents {thin:.2} .. {long:.2}, lowest {lowest:.3}, outward {:.2}, one-sided {:.2}, touching {:.3}",
-            members.len(), outward / total, sum.length() / total, touching / members.len() as f64);
-    }
     lowest < FOOT_M
         && outward > OUTWARD * total
         && sum.length() < ONE_SIDED * total
@@ -84,9 +80,13 @@ const OTHER_COLOR: f64 = 2.0;
 const FLUSH_COLOR: f64 = 2.4;
 /// Share of a border that bends inwards below which it is smooth or an edge of one thing.
 const BENT: f64 = 0.25;
-/// Sectors around the middle of a contact, and the share of them that its visible seam reaches: four legs reach few.
+/// Height of a level seam, of its length.
+const LEVEL: f64 = 0.2;
+/// Parts of the way along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
 const SECTORS: usize = 24;
-const CLOSED: f64 = 0.5;
+const RUNNING: f64 = 0.5;
+/// A seam that is less wide than this share of its length runs along a line.
+const LINE: f64 = 0.2;
 /// What is that much shorter than what it carries is a foot of it.
 const FOOT: f64 = 0.15;
 /// What hangs in the air is part of what is nearest to it, this far at most.
@@ -131,22 +131,13 @@ pub(crate) fn merge_bodies(
             _ => None,
         });
         // The first of equals.
-        let surest = surest.fold(None, |best: Option<(f64, (usize, usize))>, x| {
-            if best.is_none_or(|b| x.0 > b.0) { Some(x) } else { best }
-        });
+        let surest = surest.fold(
+            None,
+            |best: Option<(f64, (usize, usize))>, x| {
+                if best.is_none_or(|b| x.0 > b.0) { Some(x) } else { best }
+            },
+        );
         let pair = surest.map(|x| x.1).or_else(|| bodies.floating(s, &seams, ground, smallest));
-        if std::env::var_os("SMS_DBG").is_some() {
-            if surest.is_none() {
-                for a in s.left().into_iter().filter(|&a| s.size(a) >= smallest) {
-                    let z = |q| bodies.height(s, a, q) - ground;
-                    println!("  body {a}: {} surfels, z {:.3} .. {:.3} center {:.2?} facing {:.2?}", s.size(a), z(0.01), z(0.99), s.spread(a).center(), s.facing(a));
-                }
-                for (pair, seam) in &seams {
-                    println!("   seam {pair:?} {seam:?}");
-                }
-            }
-            println!("  merges {pair:?} sure {:?}", surest.map(|x| x.0));
-        }
         let Some((a, b)) = pair else { break };
         bodies.merge(s, a, b);
     }
@@ -177,8 +168,11 @@ impl Bodies<'_> {
             let mut joins = Vec::new();
             for a in s.left().into_iter().filter(|&a| s.size(a) < smallest) {
                 let mut near: BTreeMap<usize, usize> = BTreeMap::new();
-                let around = s.members(a).iter().flat_map(|&i| self.graph.of(i)).map(|j| self.owner[j]);
-                around.filter(|&b| b != usize::MAX && s.size(b) > s.size(a)).for_each(|b| *near.entry(b).or_default() += 1);
+                for b in s.members(a).iter().flat_map(|&i| self.graph.of(i)).map(|j| self.owner[j]) {
+                    if b != usize::MAX && s.size(b) > s.size(a) {
+                        *near.entry(b).or_default() += 1;
+                    }
+                }
                 joins.extend(near.iter().max_by_key(|(b, n)| (**n, Reverse(**b))).map(|(&b, _)| (b, a)));
             }
             if joins.is_empty() {
@@ -186,8 +180,7 @@ impl Bodies<'_> {
             }
             for (b, a) in joins {
                 // Its neighbour may itself have gone in this round.
-                let into = s.members(a).first().map(|_| b).filter(|&b| s.size(b) > 0);
-                if let Some(b) = into {
+                if s.size(b) > 0 {
                     self.merge(s, b, a);
                 }
             }
@@ -212,22 +205,33 @@ impl Bodies<'_> {
         let contrast = s.shared_contrast(a, b);
         let bent = border.crease / border.pairs;
         let one = Seam::One(1.0 / (1.0 + contrast.unwrap_or(1.0)));
+        // The side on which a face is seen has no body: what looks down is the underside of what is above it.
+        let rests = |sheet: usize, other: usize| {
+            self.is_underside(s, sheet) && below(other) && !self.is_underside(s, other)
+        };
+        if bent > BENT && rests(a, b) {
+            return Seam::On;
+        } else if bent > BENT && rests(b, a) {
+            return Seam::Under;
+        }
+        let other_color = bent > BENT && contrast.is_some_and(|c| c > OTHER_COLOR);
+        let beside = || if other_color { Seam::Beside } else { one };
         let lower = match (below(a) && above(b), below(b) && above(a)) {
             (true, _) => a,
             (_, true) => b,
-            _ if bent > BENT && contrast.is_some_and(|c| c > OTHER_COLOR) => return Seam::Beside,
-            _ => return one,
+            _ => return beside(),
         };
         let upper = a + b - lower;
-        let [thin, middle, long] = border.spread.extents();
-        let is_level = thin < 0.25 * middle && border.spread.normal().z.abs() > 0.9;
+        let [_, _, long] = border.spread.extents();
         let [_, width, height] = s.spread(lower).extents();
         let is_post = width < 0.12 && height > 2.5 * width && long < 2.0 * width;
         let is_foot = height < FOOT * s.spread(upper).extents()[2];
-        // The side on which a face is seen has no body: what looks down is the underside of what is above it.
-        let is_underside = s.facing(lower).z < -0.7;
-        if !is_level || is_post || is_foot || is_underside || self.closed(s, a, b) < CLOSED {
+        let is_level = border.spread.height() < LEVEL * long;
+        if is_post || is_foot || self.is_underside(s, lower) {
             return one;
+        }
+        if !is_level || self.running(s, a, b, border) < RUNNING {
+            return beside();
         }
         let parts = bent > BENT || contrast.is_some_and(|c| c > FLUSH_COLOR);
         match parts {
@@ -237,18 +241,35 @@ impl Bodies<'_> {
         }
     }
 
-    /// The share of the directions around the middle of a border in which it runs.
-    fn closed(&self, s: &Segments, a: usize, b: usize) -> f64 {
+    /// Whether a segment is a level face that looks down.
+    fn is_underside(&self, s: &Segments, a: usize) -> bool {
+        s.facing(a).z < -0.7 && s.spread(a).height() < LEVEL_M
+    }
+
+    /// The share of the way along or around a border in which it runs.
+    fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
         let (small, other) = if s.size(a) < s.size(b) { (a, b) } else { (b, a) };
         let touches = |&&i: &&usize| self.graph.of(i).any(|j| self.owner[j] == other);
-        let points: Vec<DVec3> = s.members(small).iter().filter(touches).map(|&i| self.surfels[i].p_w).collect();
-        let (low, high) = points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
-        let middle = 0.5 * (low + high);
+        let points: Vec<DVec3> =
+            s.members(small).iter().filter(touches).map(|&i| self.surfels[i].p_w).collect();
+        let [_, middle, long] = border.spread.extents();
+        let axis = border.spread.axis();
+        let bounds = |f: &dyn Fn(&DVec3) -> f64| {
+            points.iter().map(f).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)))
+        };
+        let (from, to) = bounds(&|p| axis.dot(*p));
+        let center = {
+            let ((xl, xh), (yl, yh)) = (bounds(&|p| p.x), bounds(&|p| p.y));
+            DVec2::new(0.5 * (xl + xh), 0.5 * (yl + yh))
+        };
         let mut reached = [false; SECTORS];
         for p in &points {
-            let d = (*p - middle).truncate();
-            let turn = d.to_angle() / std::f64::consts::TAU + 0.5;
-            reached[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
+            let share = if middle < LINE * long {
+                (axis.dot(*p) - from) / (to - from).max(1e-9)
+            } else {
+                (p.truncate() - center).to_angle() / std::f64::consts::TAU + 0.5
+            };
+            reached[((share * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
         }
         reached.iter().filter(|r| **r).count() as f64 / SECTORS as f64
     }
@@ -262,7 +283,9 @@ impl Bodies<'_> {
         smallest: usize,
     ) -> Option<(usize, usize)> {
         let stands = |a: usize| {
-            seams.iter().any(|(&(x, y), &seam)| (x == a && seam == Seam::On) || (y == a && seam == Seam::Under))
+            seams
+                .iter()
+                .any(|(&(x, y), &seam)| (x == a && seam == Seam::On) || (y == a && seam == Seam::Under))
         };
         let carries = |a: usize, b: usize| {
             (seams.get(&(a, b)) == Some(&Seam::Under)) || (seams.get(&(b, a)) == Some(&Seam::On))
@@ -275,16 +298,17 @@ impl Bodies<'_> {
             .collect();
         left.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         for &(low, a) in left.iter().filter(|(low, _)| *low > ground + FOOT_M) {
-            if stands(a) {
+            if stands(a) && !self.is_underside(s, a) {
                 continue;
             }
-            let _ = low;
+            let above = |b: usize| self.height(s, b, 0.5) > low - 0.5 * LEVEL_M;
+            let is_underside = self.is_underside(s, a);
             let step = s.size(a).div_ceil(300);
             let own: Vec<DVec3> = s.members(a).iter().step_by(step).map(|&i| self.surfels[i].p_w).collect();
             let nearest = left
                 .iter()
                 .map(|x| x.1)
-                .filter(|&b| b != a && !carries(a, b))
+                .filter(|&b| b != a && if is_underside { above(b) } else { !carries(a, b) })
                 .map(|b| {
                     let to = |p: &DVec3| {
                         let others = s.members(b).iter().map(|&j| self.surfels[j].p_w.distance_squared(*p));

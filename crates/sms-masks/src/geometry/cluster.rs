@@ -1,7 +1,7 @@
 //! From what is not static to objects.
 
 use super::GeometryConfig;
-use super::assembly::merge_bodies;
+use super::assembly::{FOOT_M, merge_bodies};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents};
 use super::segments::{Border, Segments};
@@ -21,15 +21,26 @@ pub(crate) fn clusters(
 ) -> Vec<Vec<usize>> {
     let pieces = graph.components(|i| !is_static[i] && assembly_of[i].is_none());
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
-    let parts: Vec<Vec<usize>> = pieces
-        .into_iter()
-        .filter(|p| p.len() >= smallest)
-        .flat_map(|p| split(surfels, graph, &p, config).into_members())
-        .collect();
-    let mut assemblies: Vec<Vec<usize>> = vec![vec![]; assembly_of.iter().flatten().max().map_or(0, |k| k + 1)];
+    let mut assemblies: Vec<Vec<usize>> =
+        vec![vec![]; assembly_of.iter().flatten().max().map_or(0, |k| k + 1)];
     for (i, assembly) in assembly_of.iter().enumerate().filter(|(i, _)| !is_static[*i]) {
         assembly.iter().for_each(|&k| assemblies[k].push(i));
     }
+    // The lowest parts of an assembly were taken for noise of the ground.
+    let mut feet = Vec::new();
+    let pieces = pieces.into_iter().filter(|piece| {
+        let z = |share| quantile(piece.iter().map(|&i| surfels[i].p_w.z), share);
+        let under = piece.iter().flat_map(|&i| graph.of(i)).find_map(|j| assembly_of[j]);
+        let foot = under.filter(|_| z(0.98) - z(0.02) < FOOT_M);
+        feet.extend(foot.map(|k| (k, piece.clone())));
+        foot.is_none()
+    });
+    let parts: Vec<Vec<usize>> = pieces
+        .filter(|p| p.len() >= smallest)
+        .flat_map(|p| split(surfels, graph, &p, config).into_members())
+        .collect();
+    feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
+    assemblies.iter_mut().for_each(|members| members.sort_unstable());
     let bodies = assemblies.iter().flat_map(|members| {
         let mut segments = split(surfels, graph, members, config);
         merge_bodies(&mut segments, surfels, graph, members, smallest);
@@ -105,12 +116,7 @@ fn is_plausible(
 /// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
 /// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
 /// the longest border. Not every crease separates: see [`are_distinct`].
-fn split(
-    surfels: &[Surfel],
-    graph: &Neighbors,
-    piece: &[usize],
-    config: &GeometryConfig,
-) -> Segments {
+fn split(surfels: &[Surfel], graph: &Neighbors, piece: &[usize], config: &GeometryConfig) -> Segments {
     let voxel = config.voxel_m;
     let mut segments = Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;

@@ -159,9 +159,11 @@ impl Clustered {
         progress.begin("masks from geometry", 4);
         let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
         progress.update(1, &format!("{} surface points", surfels.len()));
-        let (is_static, assembly_of, planes) = planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
+        let (is_static, assembly_of, planes) =
+            planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
         progress.update(2, &format!("{} large planes", planes.len()));
-        let clusters = cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config);
+        let clusters =
+            cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config);
         cancel.check()?;
         progress.update(3, &format!("{} objects", clusters.len()));
         Ok(Self { surfels, graph, is_static, clusters })

@@ -150,6 +150,16 @@ impl Spread {
         symmetric_eigen(self.covariance()).1[0]
     }
 
+    /// The direction in which the points are spread most.
+    pub(crate) fn axis(&self) -> DVec3 {
+        symmetric_eigen(self.covariance()).1[2]
+    }
+
+    /// Height of the box whose points would be spread as much vertically.
+    pub(crate) fn height(&self) -> f64 {
+        (12.0 * self.covariance().z_axis.z.max(0.0)).sqrt()
+    }
+
     fn covariance(&self) -> DMat3 {
         self.squares * (1.0 / self.count.max(1.0)) - outer(self.center(), 1.0)
     }
