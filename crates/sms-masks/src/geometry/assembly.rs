@@ -13,6 +13,10 @@ use std::collections::BTreeMap;
 const THICK: f64 = 0.25;
 /// An assembly may be so much longer than one structure: a board that juts out from a stool.
 const OVER: f64 = 1.5;
+/// It is so high, or so much of it was taken for static: else it is objects on a table that hardly touch, which other rules tell
+/// apart.
+const HIGH_M: f64 = 0.35;
+const FACES: f64 = 0.05;
 /// The lowest cells are at most so high over the ground.
 pub(crate) const FOOT_M: f64 = 0.04;
 /// Upright surface faces away from the middle by at least this (mean cosine); the walls of a bin or a shelf face inwards.
@@ -66,7 +70,13 @@ fn stands_free(
     let inside = |j: usize| members.binary_search(&j).is_ok();
     let beside = |&&i: &&usize| graph.of(i).any(|j| is_static[j] && !inside(j));
     let touching = members.iter().filter(beside).count() as f64;
-    lowest < FOOT_M
+    let (low, high) = members
+        .iter()
+        .map(|&i| coarse[i].p_w.z)
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
+    let faces = members.iter().filter(|&&i| is_static[i]).count() as f64;
+    (high - low > HIGH_M || faces > FACES * members.len() as f64)
+        && lowest < FOOT_M
         && outward > OUTWARD * total
         && sum.length() < ONE_SIDED * total
         && touching <= TOUCHING * members.len() as f64
