@@ -23,7 +23,7 @@ pub(crate) const FOOT_M: f64 = 0.04;
 const OUTWARD: f64 = 0.1;
 /// Length of the mean of the upright normals' level parts, of theirs: 0 for what is seen all around, 1 for one side.
 const ONE_SIDED: f64 = 0.5;
-/// At most this share of an assembly lies beside static surfaces other than the ground.
+/// At most this share of an assembly lies beside large planes that are no part of it, the ground included.
 const TOUCHING: f64 = 0.05;
 
 /// The connected pieces of the cells that are no ground which stand free as a whole: sorted cells.
