@@ -1,6 +1,7 @@
 //! From what is not static to objects.
 
 use super::GeometryConfig;
+use super::assembly::{FOOT_M, merge_bodies};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents};
 use super::segments::{Border, Segments};
@@ -13,18 +14,42 @@ pub(crate) fn clusters(
     surfels: &[Surfel],
     graph: &Neighbors,
     is_static: &[bool],
+    assembly_of: &[Option<usize>],
     planes: &[StaticPlane],
     sequence: &Sequence,
     config: &GeometryConfig,
 ) -> Vec<Vec<usize>> {
-    let pieces = graph.components(|i| !is_static[i]);
+    let pieces = graph.components(|i| !is_static[i] && assembly_of[i].is_none());
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
+    let mut assemblies: Vec<Vec<usize>> =
+        vec![vec![]; assembly_of.iter().flatten().max().map_or(0, |k| k + 1)];
+    for (i, assembly) in assembly_of.iter().enumerate().filter(|(i, _)| !is_static[*i]) {
+        assembly.iter().for_each(|&k| assemblies[k].push(i));
+    }
+    // The lowest parts of an assembly were taken for noise of the ground.
+    let mut feet = Vec::new();
+    let pieces = pieces.into_iter().filter(|piece| {
+        let z = |share| quantile(piece.iter().map(|&i| surfels[i].p_w.z), share);
+        let under = piece.iter().flat_map(|&i| graph.of(i)).find_map(|j| assembly_of[j]);
+        let foot = under.filter(|_| z(0.98) - z(0.02) < FOOT_M);
+        feet.extend(foot.map(|k| (k, piece.clone())));
+        foot.is_none()
+    });
     let parts: Vec<Vec<usize>> = pieces
-        .into_iter()
         .filter(|p| p.len() >= smallest)
-        .flat_map(|p| split(surfels, graph, p, config))
+        .flat_map(|p| split(surfels, graph, &p, config).into_members())
         .collect();
+    feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
+    assemblies.iter_mut().for_each(|members| members.sort_unstable());
+    let bodies = assemblies.iter().flat_map(|members| {
+        let mut segments = split(surfels, graph, members, config);
+        merge_bodies(&mut segments, surfels, graph, members, smallest);
+        segments.into_members()
+    });
     let mut objects: Vec<Vec<usize>> = join_legs(surfels, parts)
+        .into_iter()
+        .chain(bodies)
+        .collect::<Vec<_>>()
         .into_par_iter()
         .filter(|object| is_plausible(surfels, graph, object, is_static, planes, sequence, config))
         .collect();
@@ -91,16 +116,11 @@ fn is_plausible(
 /// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
 /// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
 /// the longest border. Not every crease separates: see [`are_distinct`].
-fn split(
-    surfels: &[Surfel],
-    graph: &Neighbors,
-    piece: Vec<usize>,
-    config: &GeometryConfig,
-) -> Vec<Vec<usize>> {
+fn split(surfels: &[Surfel], graph: &Neighbors, piece: &[usize], config: &GeometryConfig) -> Segments {
     let voxel = config.voxel_m;
-    let mut segments = Segments::patches(surfels, graph, &piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
+    let mut segments = Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
-    let length = extents(surfels, &piece)[2];
+    let length = extents(surfels, piece)[2];
     // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
     let is_thread = |s: &Segments, a: usize, b: usize, border: &Border| {
         length > config.clutter_m
@@ -129,7 +149,7 @@ fn split(
         },
         0.0,
     );
-    segments.into_members()
+    segments
 }
 
 /// Levels by which light alone may change the colours of neighbouring patches, when colour leads and when shape does.
@@ -252,7 +272,7 @@ fn join_legs(surfels: &[Surfel], objects: Vec<Vec<usize>>) -> Vec<Vec<usize>> {
 }
 
 /// The value below which a share of the values lies; 0 without values.
-fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+pub(crate) fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
     let mut values: Vec<f64> = values.collect();
     if values.is_empty() {
         return 0.0;

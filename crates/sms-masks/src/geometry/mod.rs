@@ -1,11 +1,13 @@
 //! Objects from geometry alone: large planes go, the rest is clustered, clusters are seen again in every frame.
 //!
 //! 1. [`fuse`]: all frames become one cloud of surfels; what other frames see through is dropped.
-//! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static.
+//! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static, but none of what
+//!    stands free on the ground as a whole ([`assembly`]: furniture, containers, what is stacked on them).
 //! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet
-//!    ([`segments`]); posts join what they carry; pieces that cannot be objects are left to the background.
+//!    ([`segments`]), assemblies where one thing stands on another; posts join what they carry; pieces that cannot be objects are left to the background.
 //! 4. [`project`]: each pixel takes the label of the surfels that it sees.
 
+mod assembly;
 mod cluster;
 mod fuse;
 mod linalg;
@@ -125,9 +127,11 @@ impl GeometryConfig {
 /// they meet in an inward crease and differ in colour, or touch in less than their cross-section; a crease alone is not
 /// enough, since toys and statues have creases. In clutter (connected pieces longer than [`GeometryConfig::clutter_m`])
 /// less evidence is needed, and in pieces longer than 0.35 m a level crease all around is where one thing stands on
-/// another. The bottom of a vessel belongs to its walls, and upright posts to what they carry.
+/// another. The bottom of a vessel belongs to its walls, and upright posts to what they carry. What stands free on the ground
+/// and is larger than an object is stacked of bodies that meet in level seams.
 ///
-/// Limits: a stack whose sides are flush and whose colours are alike remains one object, or is cut wrongly; a thing without
+/// Limits: a stack whose sides are flush and whose colours are alike remains one object, or is cut wrongly; so do things of one
+/// colour side by side on a piece of furniture; a thing without
 /// contrast to a wall that it touches may keep a fringe of it; flat soft things on a noisy support may be lost in it.
 #[derive(Debug, Clone, Default)]
 pub struct GeometryMasks {
@@ -158,9 +162,11 @@ impl Clustered {
         progress.begin("masks from geometry", 4);
         let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
         progress.update(1, &format!("{} surface points", surfels.len()));
-        let (is_static, planes) = planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
+        let (is_static, assembly_of, planes) =
+            planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
         progress.update(2, &format!("{} large planes", planes.len()));
-        let clusters = cluster::clusters(&surfels, &graph, &is_static, &planes, sequence, config);
+        let clusters =
+            cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config);
         cancel.check()?;
         progress.update(3, &format!("{} objects", clusters.len()));
         Ok(Self { surfels, graph, is_static, clusters })

@@ -1,6 +1,7 @@
 //! Floor, desk, walls: planar pieces that are too large to belong to an object.
 
 use super::GeometryConfig;
+use super::assembly::free_standing;
 use super::fuse::{Neighbors, Surfel, coarsen};
 use super::linalg::{mean_and_covariance, symmetric_eigen};
 use glamx::DVec3;
@@ -42,7 +43,7 @@ const COARSE: f64 = 3.0;
 /// Real floors, walls and sensors bend so far from the plane.
 const BEND_M: f64 = 0.015;
 
-/// Which surfels are static, and the planes they lie on.
+/// Which surfels are static, to which free-standing assembly each belongs, and the static planes.
 ///
 /// Planes are found on coarse surfels by one-point RANSAC (a surfel and its normal are a plane), one after the other;
 /// each falls into connected pieces, of which the large ones are static and grow over what continues them smoothly.
@@ -53,7 +54,7 @@ pub(crate) fn static_surfels(
     sequence: &Sequence,
     config: &GeometryConfig,
     cancel: &Cancel,
-) -> Result<(Vec<bool>, Vec<StaticPlane>), CoreError> {
+) -> Result<(Vec<bool>, Vec<Option<usize>>, Vec<StaticPlane>), CoreError> {
     let cell_m = COARSE * config.voxel_m;
     let (coarse, coarse_graph, parent) = coarsen(surfels, cell_m);
     let mut children: Vec<Vec<u32>> = vec![vec![]; coarse.len()];
@@ -67,6 +68,12 @@ pub(crate) fn static_surfels(
         cells.dedup();
         pieces.push((cells, n_w));
     }
+    let assemblies = assemblies(&coarse, &coarse_graph, cell_m, &pieces, config);
+    let mut assembly_of = vec![None; coarse.len()];
+    for (k, members) in assemblies.iter().enumerate() {
+        members.iter().for_each(|&c| assembly_of[c] = Some(k));
+    }
+    pieces.retain(|(m, _)| 2 * m.iter().filter(|&&c| assembly_of[c].is_some()).count() < m.len());
     let mut is_static = vec![false; surfels.len()];
     let mut planes = Vec::with_capacity(pieces.len());
     for (members, n_w) in pieces {
@@ -89,7 +96,47 @@ pub(crate) fn static_surfels(
     for _ in 0..2 {
         follow_majority(&mut is_static, surfels, graph, &planes);
     }
-    Ok((is_static, planes))
+    let assembly_of = parent.iter().map(|&c| assembly_of[c as usize]).collect();
+    Ok((is_static, assembly_of, planes))
+}
+
+/// The free-standing assemblies among the coarse surfels; see [`free_standing`].
+fn assemblies(
+    coarse: &[Surfel],
+    graph: &Neighbors,
+    cell_m: f64,
+    pieces: &[(Vec<usize>, DVec3)],
+    config: &GeometryConfig,
+) -> Vec<Vec<usize>> {
+    let height = |m: &[usize]| m.iter().map(|&i| coarse[i].p_w.z).sum::<f64>() / m.len().max(1) as f64;
+    let level = || pieces.iter().filter(|(_, n_w)| n_w.z > 0.9);
+    let lowest = level().map(|(m, _)| height(m)).fold(f64::INFINITY, f64::min);
+    let mut is_ground = vec![false; coarse.len()];
+    let mut is_static = vec![false; coarse.len()];
+    let mut heights = vec![f64::INFINITY; coarse.len()];
+    pieces.iter().flat_map(|(m, _)| m).for_each(|&c| is_static[c] = true);
+    for (members, n_w) in
+        level().filter(|(m, _)| height(m) <= lowest || length(coarse, m) > config.max_structure_m)
+    {
+        let plane = fit(coarse, members, *n_w);
+        extend(&plane, members.clone(), coarse, graph).iter().for_each(|&c| is_ground[c] = true);
+        let u = plane.n_w.any_orthonormal_vector();
+        let v = plane.n_w.cross(u);
+        let wide = 4.0 * cell_m;
+        let at = |p: DVec3| ((u.dot(p) / wide).floor() as i64, (v.dot(p) / wide).floor() as i64);
+        let over: BTreeSet<(i64, i64)> = members
+            .iter()
+            .map(|&c| at(coarse[c].p_w))
+            .flat_map(|(x, y)| (-2..=2).flat_map(move |i| (-2..=2).map(move |j| (x + i, y + j))))
+            .collect();
+        for (c, s) in coarse.iter().enumerate().filter(|(_, s)| over.contains(&at(s.p_w))) {
+            let h = plane.height(s.p_w);
+            heights[c] = heights[c].min(if h < -BEND_M { f64::INFINITY } else { h });
+            // What the noise lifts off the ground connects nothing.
+            is_ground[c] |= (-BEND_M..BEND_M).contains(&h);
+        }
+    }
+    free_standing(coarse, graph, &heights, &is_ground, &is_static, config)
 }
 
 /// The large planar pieces of the coarse surfels: members (sorted) and normal.

@@ -84,6 +84,11 @@ impl Look {
         if own.count.min(others.count) < FEW {
             return own.distance(&others, light);
         }
+        self.shared_distance(other).unwrap_or_else(|| own.distance(&others, OTHER_LIGHT))
+    }
+
+    /// Distance of the colours of surfaces that face the same way, where there are enough of them.
+    fn shared_distance(&self, other: &Self) -> Option<f64> {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (a, b) in self.0.iter().zip(&other.0) {
             let shared = a.count.min(b.count);
@@ -92,7 +97,7 @@ impl Look {
                 weight += shared;
             }
         }
-        if weight >= 0.5 * FEW { sum / weight } else { own.distance(&others, OTHER_LIGHT) }
+        (weight >= 0.5 * FEW).then(|| sum / weight)
     }
 
     fn whole(&self) -> ColorMoments {
@@ -143,6 +148,16 @@ impl Spread {
     /// The direction in which the points are spread least.
     pub(crate) fn normal(&self) -> DVec3 {
         symmetric_eigen(self.covariance()).1[0]
+    }
+
+    /// The direction in which the points are spread most.
+    pub(crate) fn axis(&self) -> DVec3 {
+        symmetric_eigen(self.covariance()).1[2]
+    }
+
+    /// Height of the box whose points would be spread as much vertically.
+    pub(crate) fn height(&self) -> f64 {
+        (12.0 * self.covariance().z_axis.z.max(0.0)).sqrt()
     }
 
     fn covariance(&self) -> DMat3 {
@@ -258,6 +273,21 @@ impl Segments {
         self.members[a].as_ref().map_or(0, Vec::len)
     }
 
+    /// Surfels of a segment; none once it has merged into another.
+    pub(crate) fn members(&self, a: usize) -> &[usize] {
+        self.members[a].as_deref().unwrap_or_default()
+    }
+
+    /// The segments that are left.
+    pub(crate) fn left(&self) -> Vec<usize> {
+        (0..self.members.len()).filter(|&a| self.members[a].is_some()).collect()
+    }
+
+    /// The neighbours of a segment.
+    pub(crate) fn borders(&self, a: usize) -> &BTreeMap<usize, Border> {
+        &self.borders[a]
+    }
+
     /// Extents of a segment; see [`Spread::extents`].
     pub(crate) fn spread(&self, a: usize) -> &Spread {
         &self.spreads[a]
@@ -271,6 +301,11 @@ impl Segments {
     /// How different the colours of two segments are, in spreads.
     pub(crate) fn contrast(&self, a: usize, b: usize) -> f64 {
         self.looks[a].distance(&self.looks[b], OTHER_LIGHT)
+    }
+
+    /// How different the colours of their surfaces that face the same way are, in spreads; `None` where they have none.
+    pub(crate) fn shared_contrast(&self, a: usize, b: usize) -> Option<f64> {
+        self.looks[a].shared_distance(&self.looks[b])
     }
 
     /// Pairs of neighbours across a border, in units of the smaller segment's length (its surfels' square root).
@@ -350,7 +385,7 @@ impl Segments {
     }
 
     /// Merges `b` into `a`.
-    fn merge(&mut self, a: usize, b: usize) {
+    pub(crate) fn merge(&mut self, a: usize, b: usize) {
         if let Some(moved) = self.members[b].take() {
             self.members[a].get_or_insert_default().extend(moved);
         }

@@ -1,0 +1,339 @@
+//! What stands free on the ground and is larger than an object: furniture, containers, and what is stacked on them.
+
+use super::GeometryConfig;
+use super::cluster::quantile;
+use super::fuse::{Neighbors, Surfel};
+use super::planes::extents;
+use super::segments::{Border, Segments};
+use glamx::{DVec2, DVec3};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+/// Of the largest object's length: what is thinner is a wall or a lip, though it may stand free.
+const THICK: f64 = 0.25;
+/// An assembly may be so much longer than one structure: a board that juts out from a stool.
+const OVER: f64 = 1.5;
+/// It is so high, or so much of it was taken for static: else it is objects on a table that hardly touch, which other rules tell
+/// apart.
+const HIGH_M: f64 = 0.35;
+const FACES: f64 = 0.05;
+/// The lowest cells are at most so high over the ground.
+pub(crate) const FOOT_M: f64 = 0.04;
+/// Upright surface faces away from the middle by at least this (mean cosine); the walls of a bin or a shelf face inwards.
+const OUTWARD: f64 = 0.1;
+/// Length of the mean of the upright normals' level parts, of theirs: 0 for what is seen all around, 1 for one side.
+const ONE_SIDED: f64 = 0.5;
+/// At most this share of an assembly lies beside large planes that are no part of it, the ground included.
+const TOUCHING: f64 = 0.05;
+
+/// The connected pieces of the cells that are no ground which stand free as a whole: sorted cells.
+///
+/// `heights` are the cells' heights over the ground (not finite where there is none), `is_ground` says which belong to
+/// it, `is_static` which belong to other large planes. Faces of what is found here are not static, however large.
+pub(crate) fn free_standing(
+    coarse: &[Surfel],
+    graph: &Neighbors,
+    heights: &[f64],
+    is_ground: &[bool],
+    is_static: &[bool],
+    config: &GeometryConfig,
+) -> Vec<Vec<usize>> {
+    let mut pieces = graph.components(|i| !is_ground[i]);
+    pieces.retain(|members| stands_free(coarse, graph, members, heights, is_static, config));
+    pieces
+}
+
+fn stands_free(
+    coarse: &[Surfel],
+    graph: &Neighbors,
+    members: &[usize],
+    heights: &[f64],
+    is_static: &[bool],
+    config: &GeometryConfig,
+) -> bool {
+    let [thin, _, long] = extents(coarse, members);
+    if long < config.max_object_m
+        || long > OVER * config.max_structure_m
+        || thin < THICK * config.max_object_m
+    {
+        return false;
+    }
+    let lowest = members.iter().map(|&i| heights[i]).fold(f64::INFINITY, f64::min);
+    let center = members.iter().map(|&i| coarse[i].p_w).sum::<DVec3>() / members.len() as f64;
+    let (mut outward, mut sum, mut total) = (0.0, DVec3::ZERO, 0.0);
+    for &i in members {
+        let n = coarse[i].n_w.with_z(0.0);
+        outward += n.dot((coarse[i].p_w - center).with_z(0.0).normalize_or_zero());
+        sum += n;
+        total += n.length();
+    }
+    let inside = |j: usize| members.binary_search(&j).is_ok();
+    let beside = |&&i: &&usize| graph.of(i).any(|j| is_static[j] && !inside(j));
+    let touching = members.iter().filter(beside).count() as f64;
+    let (low, high) = members
+        .iter()
+        .map(|&i| coarse[i].p_w.z)
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
+    let faces = members.iter().filter(|&&i| is_static[i]).count() as f64;
+    (high - low > HIGH_M || faces > FACES * members.len() as f64)
+        && lowest < FOOT_M
+        && outward > OUTWARD * total
+        && sum.length() < ONE_SIDED * total
+        && touching <= TOUCHING * members.len() as f64
+}
+
+/// Heights of a contact are known to this.
+const LEVEL_M: f64 = 0.02;
+/// Colours of surfaces that face the same way differ by so many spreads where two things of one body never do, and by so
+/// many where a flush seam is one between two things.
+const OTHER_COLOR: f64 = 2.0;
+const FLUSH_COLOR: f64 = 2.4;
+/// Share of a border that bends inwards below which it is smooth or an edge of one thing.
+const BENT: f64 = 0.25;
+/// Height of a level seam, of its length.
+const LEVEL: f64 = 0.2;
+/// Parts of the way along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
+const SECTORS: usize = 24;
+const RUNNING: f64 = 0.5;
+/// A seam that is less wide than this share of its length runs along a line.
+const LINE: f64 = 0.2;
+/// What is that much shorter than what it carries is a foot of it.
+const FOOT: f64 = 0.15;
+/// What hangs in the air is part of what is nearest to it, this far at most.
+const HANGS_M: f64 = 0.1;
+
+/// How two segments meet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Seam {
+    /// The first stands on the second.
+    On,
+    /// The second stands on the first.
+    Under,
+    /// Both are one thing; the greater the surer.
+    One(f64),
+    /// Two things beside each other, if both stand by themselves.
+    Beside,
+}
+
+/// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` the surfels of the least
+/// object.
+///
+/// What stands free is stacked: bodies meet where one stands on another, in a level seam around the contact with the one above
+/// it and the other below. And nothing floats: what neither reaches the ground nor stands on something is part of what it
+/// hangs on, whatever its colour.
+pub(crate) fn merge_bodies(
+    s: &mut Segments,
+    surfels: &[Surfel],
+    graph: &Neighbors,
+    members: &[usize],
+    smallest: usize,
+) {
+    let mut bodies = Bodies { owner: vec![usize::MAX; surfels.len()], surfels, graph };
+    for a in s.left() {
+        s.members(a).iter().for_each(|&i| bodies.owner[i] = a);
+    }
+    bodies.attach_crumbs(s, smallest);
+    let ground = quantile(members.iter().map(|&i| surfels[i].p_w.z), 0.002);
+    loop {
+        let seams = bodies.seams(s, smallest);
+        let surest = seams.iter().filter_map(|(&pair, seam)| match seam {
+            Seam::One(sure) => Some((*sure, pair)),
+            _ => None,
+        });
+        // The first of equals.
+        let surest = surest.fold(
+            None,
+            |best: Option<(f64, (usize, usize))>, x| {
+                if best.is_none_or(|b| x.0 > b.0) { Some(x) } else { best }
+            },
+        );
+        let pair = surest.map(|x| x.1).or_else(|| bodies.floating(s, &seams, ground, smallest));
+        let Some((a, b)) = pair else { break };
+        bodies.merge(s, a, b);
+    }
+}
+
+/// The bodies of an assembly while they are put together.
+struct Bodies<'a> {
+    /// The segment of each surfel.
+    owner: Vec<usize>,
+    surfels: &'a [Surfel],
+    graph: &'a Neighbors,
+}
+
+impl Bodies<'_> {
+    fn merge(&mut self, s: &mut Segments, a: usize, b: usize) {
+        s.members(b).iter().for_each(|&i| self.owner[i] = a);
+        s.merge(a, b);
+    }
+
+    /// Height below which a share of a segment lies.
+    fn height(&self, s: &Segments, a: usize, share: f64) -> f64 {
+        quantile(s.members(a).iter().map(|&i| self.surfels[i].p_w.z), share)
+    }
+
+    /// Gives crumbs, of faces that cameras look along, to the segment that most of the surfels near them are of.
+    fn attach_crumbs(&mut self, s: &mut Segments, smallest: usize) {
+        for _ in 0..4 {
+            let mut joins = Vec::new();
+            for a in s.left().into_iter().filter(|&a| s.size(a) < smallest) {
+                let mut near: BTreeMap<usize, usize> = BTreeMap::new();
+                for b in s.members(a).iter().flat_map(|&i| self.graph.of(i)).map(|j| self.owner[j]) {
+                    if b != usize::MAX && s.size(b) > s.size(a) {
+                        *near.entry(b).or_default() += 1;
+                    }
+                }
+                joins.extend(near.iter().max_by_key(|(b, n)| (**n, Reverse(**b))).map(|(&b, _)| (b, a)));
+            }
+            if joins.is_empty() {
+                break;
+            }
+            for (b, a) in joins {
+                // Its neighbour may itself have gone in this round.
+                if s.size(b) > 0 {
+                    self.merge(s, b, a);
+                }
+            }
+        }
+    }
+
+    /// How each pair of neighbours meets, the lesser number first.
+    fn seams(&self, s: &Segments, smallest: usize) -> BTreeMap<(usize, usize), Seam> {
+        let mut seams = BTreeMap::new();
+        for a in s.left().into_iter().filter(|&a| s.size(a) >= smallest) {
+            for (&b, border) in s.borders(a).range(a + 1..).filter(|(b, _)| s.size(**b) >= smallest) {
+                seams.insert((a, b), self.seam(s, a, b, border));
+            }
+        }
+        seams
+    }
+
+    fn seam(&self, s: &Segments, a: usize, b: usize, border: &Border) -> Seam {
+        let z = border.spread.center().z;
+        let above = |c: usize| self.height(s, c, 0.05) > z - LEVEL_M;
+        let below = |c: usize| self.height(s, c, 0.95) < z + LEVEL_M;
+        let contrast = s.shared_contrast(a, b);
+        let bent = border.crease / border.pairs;
+        let one = Seam::One(1.0 / (1.0 + contrast.unwrap_or(1.0)));
+        // The side on which a face is seen has no body: what looks down is the underside of what is above it.
+        let rests = |sheet: usize, other: usize| {
+            self.is_underside(s, sheet) && below(other) && !self.is_underside(s, other)
+        };
+        if bent > BENT && rests(a, b) {
+            return Seam::On;
+        } else if bent > BENT && rests(b, a) {
+            return Seam::Under;
+        }
+        let other_color = bent > BENT && contrast.is_some_and(|c| c > OTHER_COLOR);
+        let beside = || if other_color { Seam::Beside } else { one };
+        let lower = match (below(a) && above(b), below(b) && above(a)) {
+            (true, _) => a,
+            (_, true) => b,
+            _ => return beside(),
+        };
+        let upper = a + b - lower;
+        let [_, _, long] = border.spread.extents();
+        let [_, width, height] = s.spread(lower).extents();
+        let is_post = width < 0.12 && height > 2.5 * width && long < 2.0 * width;
+        let is_foot = height < FOOT * s.spread(upper).extents()[2];
+        let is_level = border.spread.height() < LEVEL * long;
+        if is_post || is_foot || self.is_underside(s, lower) {
+            return one;
+        }
+        if !is_level || self.running(s, a, b, border) < RUNNING {
+            return beside();
+        }
+        let parts = bent > BENT || contrast.is_some_and(|c| c > FLUSH_COLOR);
+        match parts {
+            false => one,
+            true if upper == a => Seam::On,
+            true => Seam::Under,
+        }
+    }
+
+    /// Whether a segment is a level face that looks down.
+    fn is_underside(&self, s: &Segments, a: usize) -> bool {
+        s.facing(a).z < -0.7 && s.spread(a).height() < LEVEL_M
+    }
+
+    /// The share of the way along or around a border in which it runs.
+    fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
+        let (small, other) = if s.size(a) < s.size(b) { (a, b) } else { (b, a) };
+        let touches = |&&i: &&usize| self.graph.of(i).any(|j| self.owner[j] == other);
+        let points: Vec<DVec3> =
+            s.members(small).iter().filter(touches).map(|&i| self.surfels[i].p_w).collect();
+        let [_, middle, long] = border.spread.extents();
+        let axis = border.spread.axis();
+        let bounds = |f: &dyn Fn(&DVec3) -> f64| {
+            points.iter().map(f).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)))
+        };
+        let (from, to) = bounds(&|p| axis.dot(*p));
+        let center = {
+            let ((xl, xh), (yl, yh)) = (bounds(&|p| p.x), bounds(&|p| p.y));
+            DVec2::new(0.5 * (xl + xh), 0.5 * (yl + yh))
+        };
+        let mut reached = [false; SECTORS];
+        for p in &points {
+            let share = if middle < LINE * long {
+                (axis.dot(*p) - from) / (to - from).max(1e-9)
+            } else {
+                (p.truncate() - center).to_angle() / std::f64::consts::TAU + 0.5
+            };
+            reached[((share * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
+        }
+        reached.iter().filter(|r| **r).count() as f64 / SECTORS as f64
+    }
+
+    /// The lowest segment that hangs in the air, and what it is part of.
+    fn floating(
+        &self,
+        s: &Segments,
+        seams: &BTreeMap<(usize, usize), Seam>,
+        ground: f64,
+        smallest: usize,
+    ) -> Option<(usize, usize)> {
+        let stands = |a: usize| {
+            seams
+                .iter()
+                .any(|(&(x, y), &seam)| (x == a && seam == Seam::On) || (y == a && seam == Seam::Under))
+        };
+        let carries = |a: usize, b: usize| {
+            (seams.get(&(a, b)) == Some(&Seam::Under)) || (seams.get(&(b, a)) == Some(&Seam::On))
+        };
+        let mut left: Vec<(f64, usize)> = s
+            .left()
+            .into_iter()
+            .filter(|&a| s.size(a) >= smallest)
+            .map(|a| (self.height(s, a, 0.01), a))
+            .collect();
+        left.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        for &(low, a) in left.iter().filter(|(low, _)| *low > ground + FOOT_M) {
+            if stands(a) && !self.is_underside(s, a) {
+                continue;
+            }
+            let above = |b: usize| self.height(s, b, 0.5) > low - 0.5 * LEVEL_M;
+            let is_underside = self.is_underside(s, a);
+            let step = s.size(a).div_ceil(300);
+            let own: Vec<DVec3> = s.members(a).iter().step_by(step).map(|&i| self.surfels[i].p_w).collect();
+            let nearest = left
+                .iter()
+                .map(|x| x.1)
+                .filter(|&b| b != a && if is_underside { above(b) } else { !carries(a, b) })
+                .map(|b| {
+                    let to = |p: &DVec3| {
+                        let others = s.members(b).iter().map(|&j| self.surfels[j].p_w.distance_squared(*p));
+                        others.fold(f64::INFINITY, f64::min)
+                    };
+                    // Not the nearest pair of points, which noise decides: as much of a tenth of it is.
+                    let mut distances: Vec<f64> = own.iter().map(to).collect();
+                    distances.sort_by(f64::total_cmp);
+                    (distances[distances.len() / 10].sqrt(), b)
+                })
+                .fold((HANGS_M, None), |best, (d, b)| if d < best.0 { (d, Some(b)) } else { best });
+            if let Some(b) = nearest.1 {
+                return Some((b, a));
+            }
+        }
+        None
+    }
+}
