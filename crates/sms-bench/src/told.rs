@@ -21,8 +21,9 @@ pub const RESTITUTION_ERROR: f64 = 0.15;
 const Z90: f64 = 1.645;
 /// Vertices of the hulls whose volumes are compared with bodies'.
 const HULL_VERTICES: usize = 256;
-/// Shares of hulls that differ by less than this are the same: hulls of so few corners leave it open, and scans are no better.
-const HULL_TOLERANCE: f64 = 0.05;
+/// Shares of hulls that differ by less than this are the same: the convex parts of a statue stand out of it by 6 % of its hull,
+/// and hulls of so few corners leave as much open. A hollow that a scan closed, or gaps between legs, are far more.
+const HULL_TOLERANCE: f64 = 0.15;
 
 /// What the planner is told of materials (every table names it).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -291,11 +292,7 @@ mod tests {
                         object.name
                     );
                     let [exact, ..] = masses(MaterialsTold::Truth, volumes);
-                    assert!(
-                        (exact / true_kg - 1.0).abs() <= HULL_TOLERANCE,
-                        "{}: {exact} {true_kg}",
-                        object.name
-                    );
+                    assert!((exact / true_kg - 1.0).abs() < 0.05, "{}: {exact} {true_kg}", object.name);
                 }
             }
         }
