@@ -1,4 +1,21 @@
-// Which tiles a splat's ellipse meets.
+// What `visit` and `visit_large` share: their buffers, and which tiles an ellipse meets.
+
+@group(0) @binding(0) var<storage, read> records: array<vec4f>;
+@group(0) @binding(1) var<storage, read> outlines: array<vec4f>;
+// Per Gaussian: its first slot and how many it has.
+@group(0) @binding(2) var<storage, read_write> spans: array<vec2u>;
+// While counting: pairs of each tile; while filling: where its next pair goes.
+@group(0) @binding(3) var<storage, read_write> tile_counts: array<atomic<u32>>;
+// Depth bits and Gaussian of each pair, and its slot.
+@group(0) @binding(4) var<storage, read_write> keys: array<vec2u>;
+@group(0) @binding(5) var<storage, read_write> pair_slots: array<u32>;
+@group(0) @binding(6) var<storage, read_write> control: array<atomic<u32>>;
+// 0 to count, 1 to fill.
+@group(0) @binding(7) var<uniform> mode: vec4u;
+// Gaussians that are left to `visit_large`, in whatever order; control[LARGE] of them.
+@group(0) @binding(8) var<storage, read_write> large: array<u32>;
+
+const GROUP = 128u;
 
 // Columns of tiles in which the ellipse meets the pixel centres of a row of tiles: first, and one past the last.
 fn tile_columns(mean: vec2f, outline: vec4f, row: u32) -> vec2u {

@@ -1,22 +1,6 @@
 // Visits the tiles that each splat's ellipse meets: once to count them, once to fill the tiles' lists. One pipeline does
 // both, so that rounding cannot make the two disagree. Splats over many tiles are left to `visit_large`.
 
-@group(0) @binding(0) var<storage, read> records: array<vec4f>;
-@group(0) @binding(1) var<storage, read> outlines: array<vec4f>;
-// Per Gaussian: its first slot and how many it has.
-@group(0) @binding(2) var<storage, read_write> spans: array<vec2u>;
-// While counting: pairs of each tile; while filling: where its next pair goes.
-@group(0) @binding(3) var<storage, read_write> tile_counts: array<atomic<u32>>;
-// Depth bits and Gaussian of each pair, and its slot.
-@group(0) @binding(4) var<storage, read_write> keys: array<vec2u>;
-@group(0) @binding(5) var<storage, read_write> pair_slots: array<u32>;
-@group(0) @binding(6) var<storage, read_write> control: array<atomic<u32>>;
-// 0 to count, 1 to fill.
-@group(0) @binding(7) var<uniform> mode: vec4u;
-// Gaussians that are left to `visit_large`, in whatever order; control[LARGE] of them.
-@group(0) @binding(8) var<storage, read_write> large: array<u32>;
-
-const GROUP = 128u;
 // A splat over more tiles than this, about, is large: a lane alone took 0.6 ms for one close to the camera.
 const MANY_TILES = 32.0;
 var<workgroup> counts: array<u32, 128>;

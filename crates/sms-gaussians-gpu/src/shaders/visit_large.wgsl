@@ -2,18 +2,6 @@
 // They are few but crowd together, since they come from where the camera was close: a workgroup that took its own one
 // after the other needed 0.2 ms.
 
-@group(0) @binding(0) var<storage, read> records: array<vec4f>;
-@group(0) @binding(1) var<storage, read> outlines: array<vec4f>;
-@group(0) @binding(2) var<storage, read_write> spans: array<vec2u>;
-@group(0) @binding(3) var<storage, read_write> tile_counts: array<atomic<u32>>;
-@group(0) @binding(4) var<storage, read_write> keys: array<vec2u>;
-@group(0) @binding(5) var<storage, read_write> pair_slots: array<u32>;
-@group(0) @binding(6) var<storage, read_write> control: array<atomic<u32>>;
-// 0 to count, 1 to fill.
-@group(0) @binding(7) var<uniform> mode: vec4u;
-@group(0) @binding(8) var<storage, read_write> large: array<u32>;
-
-const GROUP = 128u;
 // The splat that is being visited: Gaussian, first slot, depth.
 var<workgroup> number: u32;
 var<workgroup> key: vec3u;
