@@ -97,7 +97,7 @@ pub use export::{DEPTH_UNIT_M, export_scene};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use landing::{
     LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight, LandingPart, LandingPlanned,
-    landing_metrics, landing_table, read_landings, run_landing, run_landings,
+    landing_metrics, landing_table, read_landings, run_landing, run_landings, scan_landings,
 };
 pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
 pub use matching::{Overlaps, match_labels};

@@ -2,15 +2,17 @@
 
 use super::bench::with_settings;
 use super::bench_billiards::{Geometry, Masks, nothing_there};
+use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
 use super::landing::action_of;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
+use crate::device::Device;
 use clap::Args;
 use sms_bench::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
-    landing_metrics, landing_table, read_landings, run_landings,
+    landing_metrics, landing_table, read_landings, run_landings, scan_landings,
 };
 use sms_core::{InputError, Seed};
 use sms_landing::{LandingSettings, ResolvedLanding};
@@ -67,6 +69,12 @@ pub(crate) struct BenchLanding {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
+    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
+    pub device: Device,
+    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    #[arg(long, conflicts_with = "table")]
+    pub scans_only: bool,
     /// Run nothing: print what the folder holds.
     #[arg(long)]
     pub table: bool,
@@ -74,6 +82,12 @@ pub(crate) struct BenchLanding {
 
 pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     let bench = bench(context, a)?;
+    if a.scans_only {
+        let line = |number: usize, matched: usize, objects: usize| {
+            context.say(format!("scene {number}: {matched} of {objects} objects seen"));
+        };
+        return Ok(scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?);
+    }
     if !a.table {
         let line = |f: &LandingFlight| context.say(flight_line(f));
         run_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
@@ -108,6 +122,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
         ..with_settings(context, base)?
     };
     bench.scan.rescan = a.rescan;
+    bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
     bench.starts = a.starts.unwrap_or(bench.starts).clamp(1, 10);

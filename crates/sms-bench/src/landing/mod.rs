@@ -11,5 +11,5 @@ mod table;
 
 pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingPart};
 pub use result::{LandingFlight, LandingPlanned, read_landings};
-pub use run::{run_landing, run_landings};
+pub use run::{run_landing, run_landings, scan_landings};
 pub use table::{landing_metrics, landing_table};

@@ -48,6 +48,28 @@ pub fn run_landings(
     Ok(())
 }
 
+/// Only scans the structures and makes their bodies, where they are not kept, and calls `done` after each with its number, the true
+/// objects in whose place a body is, and how many objects there are. Planning can go on from there on another machine.
+///
+/// # Errors
+/// [`BenchError`] of the scans and files.
+pub fn scan_landings(
+    bench: &LandingBench<'_>,
+    done: &dyn Fn(usize, usize, usize),
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(), BenchError> {
+    for &number in &bench.scenes {
+        cancel.check()?;
+        let truth = fixed(number)?.fixed();
+        let scene = geometry_of(bench, number, &truth, progress, cancel)?;
+        // What bodies are made of is told later.
+        let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Prior, draw: 0 };
+        done(number, see(scene, &truth, part)?.matched, truth.objects.len());
+    }
+    Ok(())
+}
+
 /// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads what is kept of it.
 ///
 /// # Errors
