@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, HelicalPath, LandingStructure, ModelScene, RecordingSettings, Skin,
-    Structure, TruthScene, bounds_w, generate_billiards, generate_stacked, model_scene, orbit_poses,
-    read_model, record_views, write_recording,
+    BilliardsSettings, FIXED_SCENES, HelicalPath, ModelScene, RecordingSettings, Skin, Structure, TruthScene,
+    bounds_w, generate_billiards, generate_stacked, landing_scene, model_scene, orbit_poses, read_model,
+    record_views, write_recording,
 };
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,8 @@ pub enum BenchScene {
     Fixed(usize),
     /// Things that stand on each other or touch (`stacked_box_on_stool`), seen from an orbit.
     Stacked(Structure),
-    /// One of the four fixed landing structures, by its number from 1 (`landing_1`), seen from a helix.
+    /// One of the four fixed landing structures, by its number from 1 (`landing_1`), seen from a helix; other numbers are seeds of drawn
+    /// ones (`landing_1001`).
     Landing(usize),
 }
 
@@ -118,7 +119,7 @@ pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
 }
 
 /// The scenes of `sms bench masks` that a list names: `all` (the fixed billiards scenes, the stacked structures, the real
-/// shelf), `fixed`, `stacked`, `real`, or ids separated by commas.
+/// shelf), `fixed`, `stacked`, `landing` (the four fixed structures), `real`, or ids separated by commas.
 ///
 /// # Errors
 /// [`InputError`] naming the part that is no scene.
@@ -131,6 +132,7 @@ pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
         "all" => return Ok(fixed().chain(stacked()).chain(shelf()).collect()),
         "fixed" => return Ok(fixed().collect()),
         "stacked" => return Ok(stacked().collect()),
+        "landing" => return Ok((1..=4).map(BenchScene::Landing).collect()),
         "real" => return Ok(REAL.iter().map(|r| BenchScene::Real((*r).to_owned())).collect()),
         _ => {}
     }
@@ -139,7 +141,10 @@ pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
         .map(str::trim)
         .map(|id| match known.iter().find(|s| s.to_string() == id) {
             Some(scene) => Ok(scene.clone()),
-            None => id.parse(),
+            None => match id.strip_prefix("landing_").map(str::parse) {
+                Some(Ok(number)) => Ok(BenchScene::Landing(number)),
+                _ => id.parse(),
+            },
         })
         .collect()
 }
@@ -174,12 +179,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             None => Ok(None),
         },
         BenchScene::Stacked(structure) => plain(generate_stacked(*structure, Seed(STACKED_SEED))),
-        BenchScene::Landing(number) => {
-            match number.checked_sub(1).and_then(|i| LandingStructure::ALL.get(i)) {
-                Some(structure) => plain(structure.fixed()),
-                None => Ok(None),
-            }
-        }
+        BenchScene::Landing(number) => plain(landing_scene(*number as u64)),
         BenchScene::Real(_) => Ok(None),
     }
 }
@@ -291,6 +291,8 @@ mod tests {
         let mixed = select_mask_scenes("fixed_08, stacked_tote_on_table,billiards_1001").unwrap();
         let text: Vec<String> = mixed.iter().map(ToString::to_string).collect();
         assert_eq!(text, ["fixed_08", "stacked_tote_on_table", "billiards_1001"]);
+        let landing = select_mask_scenes("landing").unwrap();
+        assert_eq!((landing.len(), &landing[1]), (4, &select_mask_scenes("landing_2").unwrap()[0]));
         assert!(select_mask_scenes("fixed_19").unwrap_err().to_string().contains("fixed_19"));
     }
 

@@ -108,6 +108,14 @@ pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
     build(structure, seed, SPREAD, END_LOADS_N)
 }
 
+/// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed, of each structure in turn.
+pub fn landing_scene(number: u64) -> TruthScene {
+    let all = LandingStructure::ALL;
+    let fixed = (number as usize).checked_sub(1).and_then(|i| all.get(i));
+    let drawn = || generate_landing(all[(number % all.len() as u64) as usize], Seed(number));
+    fixed.map_or_else(drawn, |s| s.fixed())
+}
+
 fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: [f64; 2]) -> TruthScene {
     let seed = scene_seed.derive("landing v1").derive(structure.as_str());
     let mut rng = seed.derive("layout").rng();

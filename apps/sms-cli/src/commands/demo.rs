@@ -9,7 +9,9 @@ use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed};
 use sms_landing::LandingSettings;
 use sms_plan::PlanConfig;
-use sms_synth::{BilliardsSettings, HelicalPath, RecordingSettings, generate_billiards, record_views};
+use sms_synth::{
+    BilliardsSettings, HelicalPath, RecordingSettings, generate_billiards, landing_scene, record_views,
+};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -107,7 +109,7 @@ fn say_end(context: &Context, root: &Path, page: &Path, began: Instant) {
 fn run_landing(context: &Context, a: &Demo) -> anyhow::Result<()> {
     let began = Instant::now();
     let (root, recording) = folders(a, "landing")?;
-    let truth = synth::landing_scene(a.seed);
+    let truth = landing_scene(a.seed);
     context.say(format!("{}: recording a generated scene …", truth.name));
     let base = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
     let settings = RecordingSettings { seed: Seed(a.seed), ..base };

@@ -5,9 +5,9 @@ use crate::cli::{FamilyName, PathName, Synth};
 use crate::context::Context;
 use sms_core::{InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, CameraPath, FIXED_SCENES, HelicalPath, LandingStructure, Layout, ModelScene,
-    RecordingSettings, TruthScene, generate_billiards, generate_billiards_among, generate_challenge,
-    generate_landing, read_models, record_views,
+    BilliardsSettings, CameraPath, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings,
+    generate_billiards, generate_billiards_among, generate_challenge, landing_scene, read_models,
+    record_views,
 };
 
 pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
@@ -90,12 +90,4 @@ fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
         }
         FamilyName::Landing => Ok(plain(landing_scene(a.seed))),
     }
-}
-
-/// The fixed landing structures are seeds 1 to 4; others are drawn.
-pub(crate) fn landing_scene(seed: u64) -> TruthScene {
-    let all = LandingStructure::ALL;
-    let fixed = (seed as usize).checked_sub(1).and_then(|i| all.get(i));
-    let drawn = || generate_landing(all[(seed % all.len() as u64) as usize], Seed(seed));
-    fixed.map_or_else(drawn, |s| s.fixed())
 }

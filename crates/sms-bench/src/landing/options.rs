@@ -5,7 +5,7 @@ use sms_core::{Hash, Seed, hash_serializable};
 use sms_gaussians::Preset;
 use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
 use sms_scene::Scene;
-use sms_synth::LandingStructure;
+use sms_synth::{LandingStructure, landing_scene};
 use sms_target::TargetEngine;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub struct LandingBaseline<'a> {
 /// One flight of the experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LandingPart {
-    /// Number of the scene.
+    /// Number of the scene; those beyond the fixed ones are seeds of drawn structures, for tuning.
     pub scene: usize,
     /// Number of the start, from 0.
     pub start: usize,
@@ -127,7 +127,7 @@ impl LandingBench<'_> {
             BilliardsGeometry::Scan => Some((self.scan.made_from(), &self.scan.bench.entities)),
         };
         let which = (part.scene, part.start, part.told, part.draw);
-        let truth = structure(part.scene).map(LandingStructure::fixed);
+        let truth = landing_scene(part.scene as u64);
         hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed))
     }
 

@@ -1,18 +1,17 @@
 //! Running the experiment.
 
-use super::options::structure;
 use super::result::{OURS, kept};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned};
 use crate::billiards::seen::{forget_material, scanned, tell_matched};
 use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
 use glamx::DVec3;
-use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings, atomic};
+use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
 use sms_landing::{
     LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, plan_landing,
 };
 use sms_scene::Scene;
 use sms_sim::RapierFactory;
-use sms_synth::{LandingStructure, TruthScene};
+use sms_synth::{TruthScene, landing_scene};
 use sms_target::{LandingTargetOptions, Target, TargetError, execute_landing, scene_from_truth};
 use sms_wash::{WashModel, WashSettings};
 use std::time::Instant;
@@ -61,7 +60,7 @@ pub fn scan_landings(
 ) -> Result<(), BenchError> {
     for &number in &bench.scenes {
         cancel.check()?;
-        let truth = fixed(number)?.fixed();
+        let truth = landing_scene(number as u64);
         let scene = geometry_of(bench, number, &truth, progress, cancel)?;
         // What bodies are made of is told later.
         let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Prior, draw: 0 };
@@ -108,7 +107,7 @@ fn flown(
             planned: Default::default(),
         },
     };
-    let truth = fixed(part.scene)?.fixed();
+    let truth = landing_scene(part.scene as u64);
     let scene = match &geometry {
         Some((number, scene)) if *number == part.scene => scene.clone(),
         _ => {
@@ -157,12 +156,6 @@ fn names(bench: &LandingBench<'_>, part: LandingPart) -> Vec<String> {
 
 fn is_done(bench: &LandingBench<'_>, part: LandingPart, flight: &LandingFlight) -> bool {
     names(bench, part).iter().all(|n| flight.planned.contains_key(n))
-}
-
-fn fixed(number: usize) -> Result<LandingStructure, InputError> {
-    structure(number).ok_or_else(|| {
-        InputError::new(format!("there is no landing scene {number}"), "--scenes", "give numbers from 1 to 4")
-    })
 }
 
 /// Bodies with the prior's materials.
