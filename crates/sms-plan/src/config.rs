@@ -9,6 +9,9 @@ use std::path::Path;
 /// Most disturbed worlds: each is a simulation of the whole scene that is kept, twice as many as are set.
 const MOST_WORLDS: usize = 1024;
 
+/// A nominal search whose best is within this share of what counts as success does not begin anew: 1 cm of 5.
+pub const SOLVED: f64 = 0.2;
+
 /// How starts are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -65,6 +68,9 @@ pub struct PlanConfig {
     pub population: usize,
     /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
     pub robust_evaluations: usize,
+    /// How many times the nominal search begins anew, from other points and with as many rollouts, as long as its best comes to
+    /// more than [`SOLVED`] of what counts as success. Not with [`Method::MultiStart`].
+    pub anew: usize,
     /// Points of a scan of the disturbed worlds, each tried in one of them; only such as the robot can make.
     pub scan: usize,
     /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
@@ -104,6 +110,7 @@ impl Default for PlanConfig {
             survivors: 4,
             population: 0,
             robust_evaluations: 400,
+            anew: 2,
             scan: 800,
             candidates: 72,
             descents: 16,
@@ -134,6 +141,7 @@ impl PlanConfig {
             ("survivors", self.survivors, 1, 1_000_000),
             ("population", self.population, 0, 1_000_000),
             ("robust_evaluations", self.robust_evaluations, 1, 1_000_000),
+            ("anew", self.anew, 0, 1000),
             ("scan", self.scan, 0, 1_000_000),
             ("candidates", self.candidates, 1, 1_000_000),
             ("descents", self.descents, 0, 1_000_000),

@@ -41,7 +41,7 @@ mod worlds;
 
 pub use batch::{BatchOptimiser, Proposal, StartRecord, drive};
 pub use cma_es::CmaEs;
-pub use config::{Method, PlanConfig};
+pub use config::{Method, PlanConfig, SOLVED};
 pub use disturb::{Disturbances, Unknown, quantile};
 pub use grid::{GridBaseline, GridPlan};
 pub use halton::Halton;

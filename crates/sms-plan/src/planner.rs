@@ -1,14 +1,15 @@
 //! From a task and a scene to a plan (paper section "Simulate").
 
+use crate::config::SOLVED;
 use crate::reason::Explaining;
 use crate::robust::{Candidate, Choice, key};
-use crate::search::search;
+use crate::search::{Found, search};
 use crate::sensitivity::Sensing;
 use crate::space::Space;
 use crate::strategy::{strategy_of, touched};
 use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
 use crate::{
-    Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
+    Method, Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
 };
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
@@ -84,7 +85,7 @@ pub fn plan(
     let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
     let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
     let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
-    let mut found = search(&space, &settings, seed.derive("search"), config.budget(), &feasible, &|x| {
+    let objective = |x: &[f64]| {
         let mut seen = None;
         let objective = counter.count(|| {
             let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
@@ -95,10 +96,25 @@ pub fn plan(
             notes.insert(key(x), strategy);
         }
         Ok(objective)
-    })?;
+    };
+    let mut found = Found::default();
+    let rounds = if config.method == Method::MultiStart { 1 } else { 1 + config.anew };
+    for round in 0..rounds {
+        if round > 0 {
+            counter.begin("plan: search anew", config.budget());
+        }
+        let seed = match round {
+            0 => seed.derive("search"),
+            _ => seed.derive_index("search anew", round as u64),
+        };
+        found.append(search(&space, &settings, seed, config.budget(), &feasible, &objective)?);
+        if found.best() <= SOLVED * task.success_m() {
+            break;
+        }
+    }
     let known = notes.into_inner().unwrap_or_default();
     let evaluations = counter.done();
-    let best = found.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min);
+    let best = found.best();
     let struck = counter.refused();
     if !best.is_finite() {
         let refused = counter.refusals(&struck);

@@ -27,6 +27,26 @@ pub(crate) struct Found {
     pub(crate) trials: Vec<Trial>,
 }
 
+impl Found {
+    /// The best objective; infinite where there is no valid one.
+    pub(crate) fn best(&self) -> f64 {
+        self.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Adds what another search found; its starts and the points of its scan count on from those that are here.
+    pub(crate) fn append(&mut self, other: Self) {
+        let before = self.starts.len();
+        let screened = self.trials.iter().filter(|t| t.phase == Phase::Screen).count();
+        self.scored.extend(other.scored);
+        self.starts.extend(other.starts.into_iter().map(|s| StartSummary { start: before + s.start, ..s }));
+        let renumbered = |t: Trial| match t.phase {
+            Phase::Search => Trial { start: t.start + before as i32, ..t },
+            _ => Trial { iteration: t.iteration + screened as i32, ..t },
+        };
+        self.trials.extend(other.trials.into_iter().map(renumbered));
+    }
+}
+
 /// The optimiser that the settings name. Its scan, or its random simplexes, have only points whose strikes the robot can
 /// make.
 fn optimiser(
@@ -227,6 +247,24 @@ mod tests {
                 assert_eq!(run(1), run(4), "{method:?}");
             }
         }
+    }
+
+    #[test]
+    fn what_a_second_search_found_counts_on() {
+        let config = PlanConfig { evaluations: 100, starts: 4, ..PlanConfig::draft() };
+        let run = |seed| search(&space(), &config, Seed(seed), 100, &|_| Ok(true), &valley).unwrap();
+        let (mut both, second) = (run(1), run(2));
+        let (trials, starts) = (both.trials.clone(), both.starts.len());
+        let best = both.best().min(second.best());
+        both.append(second);
+        assert_eq!(both.trials[..trials.len()], trials);
+        assert_eq!((both.scored.len(), both.best()), (200, best));
+        assert!(both.starts.iter().enumerate().all(|(i, s)| s.start == i) && both.starts.len() > starts);
+        let mut names: Vec<(&str, i32, i32)> =
+            both.trials.iter().map(|t| (t.phase.as_str(), t.start, t.iteration)).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), 200, "two rollouts share a number");
     }
 
     #[test]

@@ -133,6 +133,33 @@ fn an_unreachable_goal_is_said_so() {
 }
 
 #[test]
+fn a_search_that_finds_no_way_begins_anew_from_other_points() {
+    let nominal = |worlds, anew| PlanConfig {
+        evaluations: 40,
+        anew,
+        disturbances: Disturbances { worlds, ..Disturbances::default() },
+        ..config()
+    };
+    let searched = |goal_w: DVec2, anew: usize| {
+        let warnings = Warnings::new();
+        let outcome = run(&task(goal_w, ActionForm::SpeedAngle), &nominal(0, anew), &warnings).unwrap();
+        let mut points: Vec<String> = outcome.trials.iter().map(|t| format!("{:?}", t.action)).collect();
+        let count = points.len();
+        points.sort();
+        points.dedup();
+        (count, points.len())
+    };
+    // Behind the cue ball: no shot comes near, and three searches with their own points are made in place of one.
+    let behind = DVec2::new(-0.2, 0.0);
+    let (once, thrice) = (searched(behind, 0), searched(behind, 2));
+    assert!(once.0 <= 40 && thrice.0 > 2 * once.0, "{once:?}, {thrice:?}");
+    assert!(thrice.1 > 2 * once.1, "{once:?}, {thrice:?}: the same points again");
+    // Straight ahead: the first search is enough.
+    let ahead = DVec2::new(0.8, 0.0);
+    assert_eq!(searched(ahead, 0), searched(ahead, 2));
+}
+
+#[test]
 fn interruption_and_bad_settings_end_the_plan() {
     let task = task(DVec2::new(0.8, 0.0), ActionForm::SpeedAngle);
     let (cancel, warnings) = (Cancel::new(), Warnings::new());

@@ -280,6 +280,11 @@ impl ResolvedTask {
         "m"
     }
 
+    /// Largest objective that counts as success; metres where it is a distance.
+    pub fn success_m(&self) -> f64 {
+        self.common.success_m
+    }
+
     /// Whether an objective counts as success.
     pub fn is_success(&self, objective: f64) -> bool {
         objective <= self.common.success_m

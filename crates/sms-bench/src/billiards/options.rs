@@ -125,6 +125,7 @@ impl BilliardsBench {
             starts: 12,
             survivors: 3,
             robust_evaluations: 300,
+            anew: 3,
             scan: 0,
             candidates: 12,
             descents: 0,
