@@ -53,6 +53,7 @@ mod bootstrap;
 mod disturb;
 mod engines;
 mod export;
+mod goals;
 mod images;
 mod landing;
 mod masks;
@@ -94,6 +95,7 @@ pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
+pub use goals::{GoalPlace, GoalsBench, run_goals};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use landing::{
     LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight, LandingPart, LandingPlanned,

@@ -54,7 +54,12 @@ impl Solvability {
 
 /// Rebounds before the target ball is nearest to the goal: touches of it, or of the cue ball before that meets it, with
 /// anything but each other and the floor. `None` where the target ball is never touched.
-fn rebounds(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &ResolvedTask) -> Option<usize> {
+pub(crate) fn rebounds(
+    contacts: &[ContactEvent],
+    until_s: f64,
+    scene: &Scene,
+    task: &ResolvedTask,
+) -> Option<usize> {
     let (cue, target) = (task.cue().index, task.target().index);
     let is_prop =
         |b: usize| scene.bodies.get(b).is_some_and(|body| !matches!(body.shape, BodyShape::HalfSpace));
