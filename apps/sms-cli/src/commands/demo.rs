@@ -1,7 +1,7 @@
 //! `sms demo`: the whole flow on a generated scene.
 
 use super::{
-    evaluate, execute, landing, length_text, materialize, plan, report, sample, scan, shown, simulate, synth,
+    evaluate, execute, landing, length_text, materialize, plan, report, sample, scan, shown, simulate,
 };
 use crate::cli::{self, Demo, DemoName, PresetName};
 use crate::context::Context;
