@@ -4,6 +4,7 @@ use super::GeometryConfig;
 use super::cluster::quantile;
 use super::fuse::{Neighbors, Surfel};
 use super::planes::extents;
+use super::posts::{Footprint, Post};
 use super::segments::{Border, Segments};
 use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
@@ -148,7 +149,8 @@ pub(crate) fn merge_bodies(
             },
         );
         let pair = surest.map(|x| x.1).or_else(|| bodies.floating(s, &seams, ground, smallest));
-        let Some((a, b)) = pair else { break };
+        let leg = || bodies.hidden_leg(s, &seams, smallest);
+        let Some((a, b)) = pair.or_else(leg) else { break };
         bodies.merge(s, a, b);
     }
 }
@@ -336,4 +338,27 @@ impl Bodies<'_> {
         }
         None
     }
+
+    /// A post that touches nothing it could carry, and what it is a leg of: the lowest of what is over its end.
+    fn hidden_leg(
+        &self,
+        s: &Segments,
+        seams: &BTreeMap<(usize, usize), Seam>,
+        smallest: usize,
+    ) -> Option<(usize, usize)> {
+        let left: Vec<usize> = s.left().into_iter().filter(|&a| s.size(a) >= smallest).collect();
+        left.iter().copied().filter(|&a| seams.keys().all(|&(x, y)| x != a && y != a)).find_map(|a| {
+            let post = Post::of(self.surfels, s.members(a))?;
+            let is_post = |b: usize| Post::of(self.surfels, s.members(b)).is_some();
+            let others = left.iter().copied().filter(|&b| b != a && !is_post(b));
+            let gaps = others.filter_map(|b| {
+                let footprint = Footprint::of(self.surfels, s.members(b));
+                Some((post.reaches(self.surfels, s.members(b), &footprint)?, b))
+            });
+            Some((gaps.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)))?.1, a))
+        })
+    }
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,7 +3,8 @@
 use super::GeometryConfig;
 use super::assembly::{FOOT_M, merge_bodies};
 use super::fuse::{Neighbors, Surfel};
-use super::planes::{StaticPlane, extents};
+use super::planes::{StaticPlane, extents, is_seen_through};
+use super::posts::{Footprint, Post};
 use super::segments::{Border, Segments};
 use glamx::DVec3;
 use rayon::prelude::*;
@@ -41,12 +42,8 @@ pub(crate) fn clusters(
         .collect();
     feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
     assemblies.iter_mut().for_each(|members| members.sort_unstable());
-    let bodies = assemblies.iter().flat_map(|members| {
-        let mut segments = split(surfels, graph, members, config);
-        merge_bodies(&mut segments, surfels, graph, members, smallest);
-        segments.into_members()
-    });
-    let mut objects: Vec<Vec<usize>> = join_legs(surfels, parts)
+    let bodies = assemblies.iter().flat_map(|members| bodies(surfels, graph, members, config));
+    let mut objects: Vec<Vec<usize>> = join_legs(surfels, parts, |p_w| is_seen_through(p_w, sequence))
         .into_iter()
         .chain(bodies)
         .collect::<Vec<_>>()
@@ -56,6 +53,19 @@ pub(crate) fn clusters(
     objects.sort_by_key(|o| (std::cmp::Reverse(o.len()), o[0]));
     objects.truncate(usize::from(u16::MAX) - 1);
     objects
+}
+
+/// The bodies of an assembly, whose surfels are `members`.
+pub(crate) fn bodies(
+    surfels: &[Surfel],
+    graph: &Neighbors,
+    members: &[usize],
+    config: &GeometryConfig,
+) -> Vec<Vec<usize>> {
+    let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
+    let mut segments = split(surfels, graph, members, config);
+    merge_bodies(&mut segments, surfels, graph, members, smallest);
+    segments.into_members()
 }
 
 /// What is longer than an object stands free where at most this share of it lies beside static surfaces.
@@ -220,25 +230,29 @@ fn are_distinct(
 
 /// Gives posts to what they carry. The underside of a table hides where its legs meet it: what is slender, upright and has
 /// something over its axis belongs to what lies around its upper end, if that has other posts or reaches the ground itself.
-fn join_legs(surfels: &[Surfel], objects: Vec<Vec<usize>>) -> Vec<Vec<usize>> {
+/// Where its upper end is hidden, it belongs to the lowest thing over it, unless cameras look through between (`is_open`).
+pub(crate) fn join_legs(
+    surfels: &[Surfel],
+    objects: Vec<Vec<usize>>,
+    is_open: impl Fn(DVec3) -> bool,
+) -> Vec<Vec<usize>> {
     /// A post's top and the rim of what it carries are at most so far apart, beside half of the post's width.
     const INSET_M: f64 = 0.035;
     /// Thickness of what a post may carry.
     const TOP_M: f64 = 0.06;
     /// What lies over a post is at most so high over it: a load on the top hides the top.
     const OVER_M: f64 = 0.3;
+    /// So near, a post ends at what is over it.
+    const CLOSE_M: f64 = 0.03;
     let mut carried_by: Vec<Option<usize>> = vec![None; objects.len()];
     let lowest: Vec<f64> =
         objects.iter().map(|o| quantile(o.iter().map(|&i| surfels[i].p_w.z), 0.02)).collect();
-    for (a, post) in objects.iter().enumerate() {
-        let [_, width, long] = extents(surfels, post);
-        let top = quantile(post.iter().map(|&i| surfels[i].p_w.z), 0.98);
-        if post.len() < 50 || width > 0.12 || long < 2.5 * width || top - lowest[a] < 0.85 * long {
-            continue;
-        }
-        let upper = post.iter().map(|&i| surfels[i].p_w).filter(|p| p.z > top - width);
-        let (sum, count) = upper.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p, n + 1.0));
-        let axis = (sum / f64::max(count, 1.0)).truncate();
+    let posts: Vec<Option<Post>> =
+        objects.iter().map(|o| Post::of(surfels, o).filter(|_| o.len() >= 50)).collect();
+    let footprints: Vec<Footprint> = objects.iter().map(|o| Footprint::of(surfels, o)).collect();
+    for (a, members) in objects.iter().enumerate() {
+        let Some(post) = &posts[a] else { continue };
+        let (top, width, axis) = (post.top_m, post.width_m, post.axis_w);
         let (mut covered, mut best): (bool, Option<(usize, usize)>) = (false, None);
         for (b, other) in objects.iter().enumerate().filter(|(b, _)| *b != a) {
             let mut around = 0;
@@ -248,18 +262,26 @@ fn join_legs(surfels: &[Surfel], objects: Vec<Vec<usize>>) -> Vec<Vec<usize>> {
                 around += usize::from(aside < 0.5 * width + INSET_M && over > -0.02 && over < TOP_M);
             }
             // Of equals the first, which is no post of the same thing: posts are slender.
-            if around >= 5 && other.len() > post.len() && best.is_none_or(|(most, _)| around > most) {
+            if around >= 5 && other.len() > members.len() && best.is_none_or(|(most, _)| around > most) {
                 best = Some((around, b));
             }
         }
-        carried_by[a] = best.filter(|_| covered).map(|(_, b)| b);
+        let hidden = || {
+            let others =
+                (0..objects.len()).filter(|&b| posts[b].is_none() && objects[b].len() > members.len());
+            let gaps = others.filter_map(|b| Some((post.reaches(surfels, &objects[b], &footprints[b])?, b)));
+            let (gap, b) = gaps.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)))?;
+            let between = [0.25, 0.5, 0.75].map(|share| axis.extend(top + share * gap));
+            (gap < CLOSE_M || between.iter().filter(|p| is_open(**p)).count() < 2).then_some(b)
+        };
+        carried_by[a] = best.filter(|_| covered).map(|(_, b)| b).or_else(hidden);
     }
-    let posts = |b: usize| carried_by.iter().filter(|c| **c == Some(b)).count();
+    let legs = |b: usize| carried_by.iter().filter(|c| **c == Some(b)).count();
     let mut joined: Vec<Option<Vec<usize>>> = objects.into_iter().map(Some).collect();
     for a in 0..joined.len() {
         let Some(b) = carried_by[a] else { continue };
         // What is carried must not be a post itself.
-        if carried_by[b].is_some() || (posts(b) < 2 && lowest[b] > lowest[a] + 0.03) {
+        if carried_by[b].is_some() || (legs(b) < 2 && lowest[b] > lowest[a] + 0.03) {
             continue;
         }
         if let (Some(post), Some(_)) = (joined[a].take(), &joined[b]) {

@@ -278,7 +278,8 @@ pub(crate) struct Neighbors {
 }
 
 impl Neighbors {
-    fn new(keys: &[u64], positions: &[DVec3], radius_m: f64, voxel_m: f64) -> Self {
+    /// Of cells of size `voxel_m` with sorted keys.
+    pub(crate) fn new(keys: &[u64], positions: &[DVec3], radius_m: f64, voxel_m: f64) -> Self {
         const CHUNK: usize = 8192;
         let radius2 = radius_m * radius_m;
         let parts: Vec<(Vec<u32>, Vec<u32>)> = (0..keys.len().div_ceil(CHUNK))

@@ -12,6 +12,7 @@ mod cluster;
 mod fuse;
 mod linalg;
 mod planes;
+mod posts;
 mod project;
 mod segments;
 

@@ -384,7 +384,7 @@ fn stands_free(
 }
 
 /// Whether at least two frames look through a point, and more than see a surface there.
-fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
+pub(crate) fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
     let (mut seen, mut through) = (0usize, 0usize);
     let step = sequence.len().div_ceil(40).max(1);
     for frame in sequence.frames.iter().step_by(step) {

@@ -1,0 +1,95 @@
+//! Posts: legs of tables and stools. What they carry hides their upper ends from cameras that look down.
+
+use super::cluster::quantile;
+use super::fuse::Surfel;
+use super::planes::extents;
+use glamx::{DVec2, DVec3};
+
+/// Posts are at most so wide, and so many times as long.
+pub(crate) const WIDE_M: f64 = 0.12;
+pub(crate) const SLENDER: f64 = 2.5;
+/// Share of a post's length that it rises at least.
+const UPRIGHT: f64 = 0.85;
+/// A post's upper end is hidden for at most so much of its height.
+const HIDDEN_M: f64 = 0.12;
+/// Noise lets a post's top and the lower edge of what it carries overlap by so much.
+const OVERLAP_M: f64 = 0.02;
+/// A post's axis is at most so far outside of what it carries; around it the lower edge is looked for within this.
+const OUTSIDE_M: f64 = 0.03;
+const AROUND_M: f64 = 0.1;
+
+/// Something slender and upright.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Post {
+    /// Its axis at its upper end, and that end's height.
+    pub(crate) axis_w: DVec2,
+    pub(crate) top_m: f64,
+    /// Its width.
+    pub(crate) width_m: f64,
+}
+
+impl Post {
+    /// A piece as a post, if it is one.
+    pub(crate) fn of(surfels: &[Surfel], members: &[usize]) -> Option<Self> {
+        let [_, width_m, long] = extents(surfels, members);
+        let heights = || members.iter().map(|&i| surfels[i].p_w.z);
+        let (low, top_m) = (quantile(heights(), 0.02), quantile(heights(), 0.98));
+        if width_m > WIDE_M || long < SLENDER * width_m || top_m - low < UPRIGHT * long {
+            return None;
+        }
+        let upper = members.iter().map(|&i| surfels[i].p_w).filter(|p| p.z > top_m - width_m);
+        let (sum, count) = upper.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p, n + 1.0));
+        Some(Self { axis_w: (sum / f64::max(count, 1.0)).truncate(), top_m, width_m })
+    }
+
+    /// How far a piece's lower edge is over the post's end (less than 0 where they overlap), where the post can be a leg of
+    /// it: it ends under the piece or its rim, close enough that the rest is hidden.
+    pub(crate) fn reaches(
+        &self,
+        surfels: &[Surfel],
+        members: &[usize],
+        footprint: &Footprint,
+    ) -> Option<f64> {
+        if !footprint.covers(self.axis_w, OUTSIDE_M) {
+            return None;
+        }
+        let over = |p: &DVec3| p.z > self.top_m - OVERLAP_M;
+        let near = |p: &DVec3| p.truncate().distance(self.axis_w) < 0.5 * self.width_m + AROUND_M;
+        let points = || members.iter().map(|&i| surfels[i].p_w).filter(over);
+        let edge = match points().filter(near).count() {
+            // All that is near it is hidden, too.
+            0 => quantile(points().map(|p| p.z), 0.02),
+            _ => quantile(points().filter(near).map(|p| p.z), 0.02),
+        };
+        let gap = edge - self.top_m;
+        (points().next().is_some() && gap < HIDDEN_M).then_some(gap)
+    }
+}
+
+/// The convex outline of points seen from above: how far they reach in each of some directions.
+#[derive(Debug, Clone)]
+pub(crate) struct Footprint([f64; Self::DIRECTIONS]);
+
+impl Footprint {
+    const DIRECTIONS: usize = 32;
+
+    /// The outline of a piece.
+    pub(crate) fn of(surfels: &[Surfel], members: &[usize]) -> Self {
+        let mut reach = [f64::NEG_INFINITY; Self::DIRECTIONS];
+        for (k, reach) in reach.iter_mut().enumerate() {
+            let direction = Self::direction(k);
+            let along = members.iter().map(|&i| direction.dot(surfels[i].p_w.truncate()));
+            *reach = along.fold(f64::NEG_INFINITY, f64::max);
+        }
+        Self(reach)
+    }
+
+    /// Whether a point lies within the outline, or at most `margin_m` outside of it.
+    pub(crate) fn covers(&self, p: DVec2, margin_m: f64) -> bool {
+        self.0.iter().enumerate().all(|(k, reach)| Self::direction(k).dot(p) < reach + margin_m)
+    }
+
+    fn direction(k: usize) -> DVec2 {
+        DVec2::from_angle(std::f64::consts::TAU * k as f64 / Self::DIRECTIONS as f64)
+    }
+}
