@@ -2,7 +2,7 @@
 //! paper adjusted its goals by hand; ours, where a layout draws them too near, are chosen from this table.
 
 use crate::BenchError;
-use crate::solvability::{Table, rebounds};
+use crate::solvability::{Table, rebounds, task_in};
 use glamx::DVec2;
 use rayon::prelude::*;
 use sms_core::{Cancel, Progress, Seed};
@@ -184,9 +184,9 @@ impl Looking<'_> {
         let own = self.judge(DVec2::from_array(self.truth.goal_w), &shots);
         fit.insert(0, own);
         for place in &mut fit {
-            let goal = TruthScene { goal_w: place.goal_w.to_array(), ..self.truth.clone() };
-            let Some(there) = Table::new(&goal)? else { continue };
-            let plan = GridBaseline::default().plan(&there.task, &there.scene)?;
+            let scene = &self.table.scene;
+            let there = task_in(scene, &self.truth, place.goal_w.to_array())?;
+            let plan = GridBaseline::default().plan(&there, scene)?;
             if let Some(shot) = self.shot(&mut simulation, &plan.action)? {
                 place.grid_m = shot.nearest(place.goal_w).0;
             }

@@ -1,5 +1,6 @@
 //! The scenes that are measured, and the recordings made of them.
 
+use crate::LANDING_SCENES;
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
@@ -132,7 +133,7 @@ pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
         "all" => return Ok(fixed().chain(stacked()).chain(shelf()).collect()),
         "fixed" => return Ok(fixed().collect()),
         "stacked" => return Ok(stacked().collect()),
-        "landing" => return Ok((1..=4).map(BenchScene::Landing).collect()),
+        "landing" => return Ok(LANDING_SCENES.iter().map(|(n, _)| BenchScene::Landing(*n)).collect()),
         "real" => return Ok(REAL.iter().map(|r| BenchScene::Real((*r).to_owned())).collect()),
         _ => {}
     }

@@ -83,6 +83,19 @@ pub(crate) struct Table {
     pub(crate) bodies: WorldBodies,
 }
 
+/// To bring the balls of a truth, whose scene this is, to a goal with the arm.
+pub(crate) fn task_in(
+    scene: &Scene,
+    truth: &TruthScene,
+    goal_w: [f64; 2],
+) -> Result<ResolvedTask, BenchError> {
+    let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+    let mut billiards = Billiards::new(cue, target, goal_w);
+    billiards.form = ActionForm::SpeedAngle;
+    let task = Task::Billiards(billiards).resolve(scene).map_err(PlanError::from)?;
+    Ok(task.with_robot(&robot_of(truth), scene)?)
+}
+
 /// A shot of the arm that was simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tried {
@@ -97,11 +110,7 @@ impl Table {
     /// `None` where a truth names masses that no body has.
     pub(crate) fn new(truth: &TruthScene) -> Result<Option<Self>, BenchError> {
         let Ok(scene) = scene_from_truth(truth) else { return Ok(None) };
-        let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
-        let mut billiards = Billiards::new(cue, target, truth.goal_w);
-        billiards.form = ActionForm::SpeedAngle;
-        let task = Task::Billiards(billiards).resolve(&scene).map_err(PlanError::from)?;
-        let task = task.with_robot(&robot_of(truth), &scene)?;
+        let task = task_in(&scene, truth, truth.goal_w)?;
         let bodies = task.bodies_in(&scene, &task.target().name).map_err(PlanError::from)?;
         Ok(Some(Self { scene, task, bodies }))
     }

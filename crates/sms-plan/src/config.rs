@@ -186,9 +186,14 @@ impl PlanConfig {
         if self.disturbances.worlds == 0 { self.evaluations } else { self.robust_evaluations }
     }
 
-    /// Most rollouts of the nominal search.
+    /// Most rollouts of a nominal search.
     pub(crate) fn budget(&self) -> usize {
         if self.method == Method::MultiStart { usize::MAX } else { self.nominal_evaluations() }
+    }
+
+    /// Most nominal searches, one after the other.
+    pub(crate) fn searches(&self) -> usize {
+        if self.method == Method::MultiStart { 1 } else { 1 + self.anew }
     }
 
     /// About how many rollouts the choice and the forecast take.

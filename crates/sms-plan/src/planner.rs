@@ -9,7 +9,7 @@ use crate::space::Space;
 use crate::strategy::{strategy_of, touched};
 use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
 use crate::{
-    Method, Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
+    Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
 };
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
@@ -98,8 +98,7 @@ pub fn plan(
         Ok(objective)
     };
     let mut found = Found::default();
-    let rounds = if config.method == Method::MultiStart { 1 } else { 1 + config.anew };
-    for round in 0..rounds {
+    for round in 0..config.searches() {
         if round > 0 {
             counter.begin("plan: search anew", config.budget());
         }

@@ -134,15 +134,15 @@ fn an_unreachable_goal_is_said_so() {
 
 #[test]
 fn a_search_that_finds_no_way_begins_anew_from_other_points() {
-    let nominal = |worlds, anew| PlanConfig {
+    let nominal = |anew| PlanConfig {
         evaluations: 40,
         anew,
-        disturbances: Disturbances { worlds, ..Disturbances::default() },
+        disturbances: Disturbances { worlds: 0, ..Disturbances::default() },
         ..config()
     };
     let searched = |goal_w: DVec2, anew: usize| {
         let warnings = Warnings::new();
-        let outcome = run(&task(goal_w, ActionForm::SpeedAngle), &nominal(0, anew), &warnings).unwrap();
+        let outcome = run(&task(goal_w, ActionForm::SpeedAngle), &nominal(anew), &warnings).unwrap();
         let mut points: Vec<String> = outcome.trials.iter().map(|t| format!("{:?}", t.action)).collect();
         let count = points.len();
         points.sort();

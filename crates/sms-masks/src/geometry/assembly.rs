@@ -346,16 +346,21 @@ impl Bodies<'_> {
         seams: &BTreeMap<(usize, usize), Seam>,
         smallest: usize,
     ) -> Option<(usize, usize)> {
-        let left: Vec<usize> = s.left().into_iter().filter(|&a| s.size(a) >= smallest).collect();
-        left.iter().copied().filter(|&a| seams.keys().all(|&(x, y)| x != a && y != a)).find_map(|a| {
-            let post = Post::of(self.surfels, s.members(a))?;
-            let is_post = |b: usize| Post::of(self.surfels, s.members(b)).is_some();
-            let others = left.iter().copied().filter(|&b| b != a && !is_post(b));
-            let gaps = others.filter_map(|b| {
-                let footprint = Footprint::of(self.surfels, s.members(b));
-                Some((post.reaches(self.surfels, s.members(b), &footprint)?, b))
-            });
-            Some((gaps.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)))?.1, a))
+        let left = || s.left().into_iter().filter(|&a| s.size(a) >= smallest);
+        let post = |a: usize| Post::of(self.surfels, s.members(a));
+        let touches = |a: usize| seams.keys().any(|&(x, y)| x == a || y == a);
+        let posts: Vec<(usize, Post)> =
+            left().filter(|&a| !touches(a)).filter_map(|a| Some((a, post(a)?))).collect();
+        if posts.is_empty() {
+            return None;
+        }
+        let carriers: Vec<(usize, Footprint)> = left()
+            .filter(|&b| post(b).is_none())
+            .map(|b| (b, Footprint::of(self.surfels, s.members(b))))
+            .collect();
+        posts.into_iter().find_map(|(a, post)| {
+            let pieces = carriers.iter().map(|(b, footprint)| (*b, s.members(*b), footprint));
+            Some((post.lowest_over(self.surfels, pieces)?.1, a))
         })
     }
 }

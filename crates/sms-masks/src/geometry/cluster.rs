@@ -267,10 +267,10 @@ pub(crate) fn join_legs(
             }
         }
         let hidden = || {
-            let others =
-                (0..objects.len()).filter(|&b| posts[b].is_none() && objects[b].len() > members.len());
-            let gaps = others.filter_map(|b| Some((post.reaches(surfels, &objects[b], &footprints[b])?, b)));
-            let (gap, b) = gaps.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)))?;
+            let others = (0..objects.len())
+                .filter(|&b| posts[b].is_none() && objects[b].len() > members.len())
+                .map(|b| (b, objects[b].as_slice(), &footprints[b]));
+            let (gap, b) = post.lowest_over(surfels, others)?;
             let between = [0.25, 0.5, 0.75].map(|share| axis.extend(top + share * gap));
             (gap < CLOSE_M || between.iter().filter(|p| is_open(**p)).count() < 2).then_some(b)
         };

@@ -6,8 +6,8 @@ use super::planes::extents;
 use glamx::{DVec2, DVec3};
 
 /// Posts are at most so wide, and so many times as long.
-pub(crate) const WIDE_M: f64 = 0.12;
-pub(crate) const SLENDER: f64 = 2.5;
+const WIDE_M: f64 = 0.12;
+const SLENDER: f64 = 2.5;
 /// Share of a post's length that it rises at least.
 const UPRIGHT: f64 = 0.85;
 /// A post's upper end is hidden for at most so much of its height.
@@ -42,14 +42,21 @@ impl Post {
         Some(Self { axis_w: (sum / f64::max(count, 1.0)).truncate(), top_m, width_m })
     }
 
-    /// How far a piece's lower edge is over the post's end (less than 0 where they overlap), where the post can be a leg of
-    /// it: it ends under the piece or its rim, close enough that the rest is hidden.
-    pub(crate) fn reaches(
+    /// Of pieces, each with its number, members and outline, the one whose lower edge is lowest over the post's end; of
+    /// equals the one with the smallest number. With how far over (see [`Post::reaches`]).
+    pub(crate) fn lowest_over<'a>(
         &self,
         surfels: &[Surfel],
-        members: &[usize],
-        footprint: &Footprint,
-    ) -> Option<f64> {
+        pieces: impl Iterator<Item = (usize, &'a [usize], &'a Footprint)>,
+    ) -> Option<(f64, usize)> {
+        pieces
+            .filter_map(|(b, members, footprint)| Some((self.reaches(surfels, members, footprint)?, b)))
+            .min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)))
+    }
+
+    /// How far a piece's lower edge is over the post's end (less than 0 where they overlap), where the post can be a leg of
+    /// it: it ends under the piece or its rim, close enough that the rest is hidden.
+    fn reaches(&self, surfels: &[Surfel], members: &[usize], footprint: &Footprint) -> Option<f64> {
         if !footprint.covers(self.axis_w, OUTSIDE_M) {
             return None;
         }
