@@ -43,6 +43,7 @@ mod action;
 mod disturb;
 mod disturb_worlds;
 mod error;
+mod free;
 mod outcome;
 mod plan;
 mod planner;
@@ -54,10 +55,11 @@ mod task;
 
 pub use action::LandingAction;
 pub use error::LandingError;
+pub use free::Freed;
 pub use outcome::{BodyChange, LandingFailure, LandingOutcome, ParticleFrame, QUADROTOR};
 pub use plan::{
     LANDING_PLAN_FILE, LandingAlternative, LandingEvaluations, LandingPlan, LandingPlanOutcome,
-    LandingPrediction,
+    LandingPrediction, PlannedBody,
 };
 pub use planner::plan_landing;
 pub use resolved::{CarriedOut, ResolvedLanding};

@@ -2,8 +2,9 @@
 
 use crate::{LandingAction, LandingOutcome, LandingSurface, LandingTask, ResolvedLanding};
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, atomic};
+use sms_core::{CoreError, MassProperties, Material, atomic};
 use sms_plan::Trial;
+use sms_scene::{BodyKind, Scene};
 use sms_task::{Parameter, json};
 use sms_wash::{Quadrotor, WashModel, WashSettings};
 use std::path::Path;
@@ -56,6 +57,26 @@ pub struct LandingEvaluations {
     pub invalid: usize,
 }
 
+/// A body as the planner moved it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlannedBody {
+    /// Its name.
+    pub name: String,
+    /// Its mass properties.
+    pub mass: MassProperties,
+    /// What it is made of.
+    pub material: Material,
+}
+
+impl PlannedBody {
+    /// The bodies of a scene that can move.
+    pub fn all_of(scene: &Scene) -> Vec<Self> {
+        let movable = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
+        let planned = movable.filter_map(|b| Some((b.name.clone(), b.mass?, b.material.clone())));
+        planned.map(|(name, mass, material)| Self { name, mass, material }).collect()
+    }
+}
+
 /// The chosen landing with what it is predicted to do.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingPlan {
@@ -73,6 +94,10 @@ pub struct LandingPlan {
     pub parameters: Vec<Parameter>,
     /// The chosen action.
     pub action: LandingAction,
+    /// The bodies that can move in the world that it was planned in: of what was fixed and freed, or stands only with other masses
+    /// than the most likely ones, the scene says otherwise. Empty in plans that do not say.
+    #[serde(default)]
+    pub bodies: Vec<PlannedBody>,
     /// What it does in the scanned world, with the recorded motion.
     pub nominal: LandingOutcome,
     /// The air that this was simulated in, to do so again.
@@ -115,6 +140,19 @@ impl LandingPlan {
     /// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
     pub fn load(dir: &Path) -> Result<Self, CoreError> {
         atomic::read_json(&dir.join(LANDING_PLAN_FILE))
+    }
+
+    /// The world that it was planned in: the scene with the bodies that could move there, as they were.
+    pub fn world(&self, scene: &Scene) -> Scene {
+        let mut world = scene.clone();
+        for planned in &self.bodies {
+            if let Some(i) = world.body_index(&planned.name) {
+                let body = &mut world.bodies[i];
+                (body.kind, body.mass) = (BodyKind::Dynamic, Some(planned.mass));
+                body.material = planned.material.clone();
+            }
+        }
+        world
     }
 
     /// The task as it was planned, to fly it again: the same surface, whatever the scene looks like now.

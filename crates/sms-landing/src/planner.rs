@@ -4,7 +4,7 @@ use crate::disturb_worlds::{Family, Flown, Worlds};
 use crate::plan::{LandingAlternative, LandingEvaluations};
 use crate::{
     LandingAction, LandingError, LandingPlan, LandingPlanOutcome, LandingPrediction, LandingRecording,
-    LandingSettings, ResolvedLanding, RolloutOptions,
+    LandingSettings, PlannedBody, ResolvedLanding, RolloutOptions,
 };
 use sms_core::{Cancel, Progress, Seed, Warnings};
 use sms_plan::{Halton, LocalSearch, NelderMead, Phase, Trial};
@@ -167,6 +167,7 @@ pub fn plan_landing(
         structure: landing.structure().to_vec(),
         parameters: landing.parameters(),
         action: winner.action,
+        bodies: PlannedBody::all_of(scene),
         nominal,
         wash: wash(settings, WashModel::Sph),
         predicted,

@@ -11,10 +11,8 @@ use sms_wash::{BezierPath, Flight, FlightSettings, Quadrotor};
 
 /// Bodies whose boxes come this close touch, metres: reconstructions leave gaps.
 const TOUCH_M: f64 = 0.01;
-/// What a structure may do by itself in [`REST_S`] and still stand: a reconstruction settles by a few millimetres.
-const REST_MOVED_M: f64 = 0.01;
-const REST_TURNED_RAD: f64 = 0.035;
-const REST_S: f64 = 2.0;
+/// What a structure may do by itself and still stand: a reconstruction settles by a few millimetres.
+pub(crate) const STANDS: RestLimits = RestLimits { seconds: 2.0, moved_m: 0.01, turned_rad: 0.035 };
 
 /// How exactly an action is carried out.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -241,7 +239,10 @@ impl ResolvedLanding {
         let fallen = |body: &str, how: String| {
             LandingError::AlreadyFalling(
                 InputError::new(
-                    format!("the structure does not stand by itself: within {REST_S} s `{body}` {how}"),
+                    format!(
+                        "the structure does not stand by itself: within {} s `{body}` {how}",
+                        STANDS.seconds
+                    ),
                     self.task.path(),
                     "look at the reconstruction with `sms report`: contact faces that no camera saw, or masses that are too \
                      far off (`sms materials`)",
@@ -249,15 +250,14 @@ impl ResolvedLanding {
                 .because(format!("scene `{}`", scene.name)),
             )
         };
-        let drifts = match resting_drift(factory, &scene.without_pictures(), REST_S) {
+        let drifts = match resting_drift(factory, &scene.without_pictures(), STANDS.seconds) {
             Ok(drifts) => drifts,
             Err(SimError::Diverged { body, .. }) => return Err(fallen(&body, "flies apart".to_owned())),
             Err(e) => return Err(e.into()),
         };
         let own: Vec<RestingDrift> =
             drifts.into_iter().filter(|d| self.structure.contains(&d.body)).collect();
-        let limits = RestLimits { seconds: REST_S, moved_m: REST_MOVED_M, turned_rad: REST_TURNED_RAD };
-        let excess = |d: &RestingDrift| (d.moved_m / limits.moved_m).max(d.turned_rad / limits.turned_rad);
+        let excess = |d: &RestingDrift| STANDS.excess(d);
         match own.iter().max_by(|a, b| excess(a).total_cmp(&excess(b))).filter(|d| excess(d) > 1.0) {
             None => Ok(own),
             Some(d) => Err(fallen(

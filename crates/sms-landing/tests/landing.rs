@@ -349,6 +349,7 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
     let d = sms_landing::LandingDisturbances::default();
     let landing = planned.plan.landing();
     assert!(landing.check_rest(&RapierFactory, &scene).is_err());
+    landing.check_rest(&RapierFactory, &planned.plan.world(&scene)).unwrap();
     for index in 0..4 {
         let drawn = d.standing_scene(&landing, &RapierFactory, &scene, Seed(5), index).unwrap();
         landing.check_rest(&RapierFactory, &drawn).unwrap();
@@ -360,6 +361,39 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
     }
     let refused = plan(&scene, &Warnings::new());
     assert!(matches!(refused, Err(LandingError::AlreadyFalling(_))));
+}
+
+#[test]
+fn what_was_fixed_can_topple_again_where_it_stands() {
+    let fixed = |mut scene: Scene| {
+        for body in scene.bodies.iter_mut() {
+            (body.kind, body.mass) = (BodyKind::Static, None);
+        }
+        // A solid pillar of the room, far from the structure.
+        let pillar = cuboid("pillar", DVec3::new(0.0, 2.0, 0.5), DVec3::new(0.1, 0.1, 0.5), 1.0);
+        scene.bodies.push(Body { kind: BodyKind::Static, mass: None, ..pillar });
+        scene
+    };
+    let d = sms_landing::LandingDisturbances::default();
+    let free = |scene: &Scene| task().freed(&RapierFactory, scene, &d, Seed(1)).unwrap();
+    let kinds = |scene: &Scene| scene.bodies.iter().map(|b| b.kind).collect::<Vec<_>>();
+    let (fast, free_kind) = (BodyKind::Static, BodyKind::Dynamic);
+
+    let scene = fixed(board(3.0, 0.1));
+    let freed = free(&scene).unwrap();
+    assert_eq!(freed.bodies, ["base", "board"]);
+    assert_eq!(kinds(&freed.scene), [fast, free_kind, free_kind, fast]);
+    let m = &freed.scene.bodies[2].material;
+    let kg = m.effective_density() * 8.0 * HALF.element_product();
+    assert!((freed.scene.bodies[2].mass.unwrap().mass() / kg - 1.0).abs() < 1e-9);
+    assert_eq!(task().resolve(&freed.scene).unwrap().structure(), ["base", "board"]);
+
+    // Its middle is beyond the edge, and nothing holds it, whatever it weighs: it stays where it was seen, and its base is free.
+    let freed = free(&fixed(board(3.0, 0.3))).unwrap();
+    assert_eq!((freed.bodies.as_slice(), freed.scene.bodies[2].kind), (&["base".to_owned()][..], fast));
+
+    // What can move anyhow is left alone.
+    assert_eq!(free(&board(3.0, 0.1)), None);
 }
 
 #[test]

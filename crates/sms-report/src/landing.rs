@@ -433,6 +433,7 @@ mod tests {
             structure: landing.structure().to_vec(),
             parameters: landing.parameters(),
             action: landing.straight(DVec2::new(0.1, 0.0)),
+            bodies: Vec::new(),
             nominal: outcome("table", 0.0, None),
             wash: sms_wash::WashSettings::default(),
             predicted: None,

@@ -134,6 +134,27 @@ fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError>
     })
 }
 
+/// Bodies whose frame lies this far from their centre of mass were never free, metres.
+const CENTERED_M: f64 = 1e-3;
+
+/// The mass properties that a static body would have if it could move: those of its shape with its material, as
+/// [`build_scene`] gives them to dynamic ones. What was kept fixed because it did not rest by itself gets back what it had.
+/// `None` for half spaces, open surfaces, and bodies whose frame does not lie at their centre of mass.
+pub fn loose_mass(body: &Body) -> Option<MassProperties> {
+    let density = body.material.density.value.best;
+    let solid = match &body.shape {
+        BodyShape::Sphere { radius } => sphere_mass_properties(DVec3::ZERO, *radius, density),
+        BodyShape::Box { half_extents } => box_mass_properties(*half_extents, density),
+        BodyShape::Cylinder { radius, half_length } => {
+            cylinder_mass_properties(*radius, *half_length, density)
+        }
+        BodyShape::Hulls { .. } => polyhedron_mass_properties(&body.visual, density),
+        BodyShape::HalfSpace | BodyShape::TriMesh { .. } => return None,
+    };
+    let solid = solid.ok().filter(|s| s.com().length() <= CENTERED_M)?;
+    hollowed(&solid, body.material.fill_factor.value.best).ok()
+}
+
 /// A homogeneous body with a void of its own shape, scaled by `s` about its centre of mass, such that `1 − s³` is the
 /// share of its volume that is filled: the moments scale with `1 − s⁵`. Filled all through it is the solid itself. The
 /// result is about the centre of mass.
@@ -283,6 +304,34 @@ mod tests {
         // A void of 0.9 of the size: outer minus inner moment, about the axis.
         let axial = 0.5 * 700.0 * volume * 9e-4 * (1.0 - 0.9f64.powi(5));
         assert!((mass.inertia().z_axis.z / axial - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_kept_fixed_gets_back_the_mass_that_it_had() {
+        let x_ws = DPose3::from_parts(DVec3::new(0.4, -0.1, 0.05), DQuat::from_rotation_z(0.3));
+        let half_extents = DVec3::new(0.02, 0.03, 0.05);
+        let mesh = Mesh::cuboid(half_extents).transformed(&x_ws);
+        let entities = [
+            entity("hulls", mesh.clone(), EntityShape::Convex),
+            entity("box", mesh.clone(), EntityShape::Box { x_ws, half_extents }),
+            Entity { kind: EntityKind::Static, ..entity("wall", mesh.clone(), EntityShape::Convex) },
+            Entity { kind: EntityKind::Static, ..entity("surface", mesh, EntityShape::TriMesh) },
+        ];
+        let mut material = example_material();
+        material.fill_factor = Property::new(Interval::exact(0.3), PropertySource::Table);
+        let floor = Some((0.0, example_material()));
+        let scene = build_scene("t", &entities, &vec![material; 4], floor, DPose3::identity()).unwrap();
+        for name in ["hulls", "box"] {
+            let body = scene.body(name).unwrap();
+            let fixed = Body { kind: BodyKind::Static, mass: None, ..body.clone() };
+            let (was, is) = (body.mass.unwrap(), loose_mass(&fixed).unwrap());
+            assert!((is.mass() / was.mass() - 1.0).abs() < 1e-9, "{name}: {} {}", is.mass(), was.mass());
+            let off = is.inertia() - was.inertia();
+            assert!(off.to_cols_array().iter().all(|v| v.abs() < 1e-9), "{name}: {off}");
+        }
+        for name in ["floor", "wall", "surface"] {
+            assert_eq!(loose_mass(scene.body(name).unwrap()), None, "{name}");
+        }
     }
 
     #[test]

@@ -73,7 +73,7 @@ impl Default for RestLimits {
 
 impl RestLimits {
     /// The drift in units of the limits: above 1 a body does not rest.
-    fn excess(&self, drift: &RestingDrift) -> f64 {
+    pub fn excess(&self, drift: &RestingDrift) -> f64 {
         (drift.moved_m / self.moved_m).max(drift.turned_rad / self.turned_rad)
     }
 }

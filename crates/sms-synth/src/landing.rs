@@ -108,12 +108,18 @@ pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
     build(structure, seed, SPREAD, END_LOADS_N)
 }
 
-/// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed, of each structure in turn.
-pub fn landing_scene(number: u64) -> TruthScene {
+/// The structure of a landing scene's number: 1 to 4 are the fixed ones, others are of each structure in turn.
+pub fn landing_structure(number: u64) -> LandingStructure {
     let all = LandingStructure::ALL;
     let fixed = (number as usize).checked_sub(1).and_then(|i| all.get(i));
-    let drawn = || generate_landing(all[(number % all.len() as u64) as usize], Seed(number));
-    fixed.map_or_else(drawn, |s| s.fixed())
+    fixed.copied().unwrap_or(all[(number % all.len() as u64) as usize])
+}
+
+/// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed.
+pub fn landing_scene(number: u64) -> TruthScene {
+    let structure = landing_structure(number);
+    let is_fixed = (1..=LandingStructure::ALL.len() as u64).contains(&number);
+    if is_fixed { structure.fixed() } else { generate_landing(structure, Seed(number)) }
 }
 
 fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: [f64; 2]) -> TruthScene {

@@ -14,8 +14,8 @@ use sms_flight::{FlightFiles, write_flight};
 use sms_frames::Sequence;
 use sms_landing::{
     CarriedOut, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
-    LandingPlan, LandingPlanOutcome, LandingRecording, LandingSettings, LandingTask, ResolvedLanding,
-    RolloutOptions, plan_landing, rollout_landing,
+    LandingPlan, LandingPlanOutcome, LandingRecording, LandingSettings, LandingTask, PlannedBody,
+    ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
 };
 use sms_plan::write_trials;
 use sms_prompting::{
@@ -81,13 +81,17 @@ pub(crate) fn plan(context: &Context, a: &Plan, base: LandingSettings) -> anyhow
 fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) -> anyhow::Result<()> {
     let task = LandingTask::read(&a.task)?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
-    let scene = load_scene(&scene_dir)?;
+    let mut scene = load_scene(&scene_dir)?;
     let seed = Seed(a.seed.map_or_else(|| run_settings(run).map(|s| s.seed), Ok)?);
     let mut config = context.settings.section("landing", base)?;
     if let Some(worlds) = a.robust {
         config.worlds = worlds;
     }
     let files = context.settings.section("flight", FlightFiles::default())?;
+    let mut freed = Vec::new();
+    if let Some(now) = task.freed(&RapierFactory, &scene, &config.disturbances, seed)? {
+        (scene, freed) = (now.scene, now.bodies);
+    }
     let landing = task.resolve(&scene)?;
     run.record_settings("landing", &config)?;
     run.record_settings("flight", &files)?;
@@ -99,6 +103,10 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
     let dir = run_stage(context, run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
             let progress = context.progress.as_ref();
+            for body in &freed {
+                let message = format!("`{body}` is kept fixed in the scene; here it can move, and topple");
+                warnings.add("plan", "freed", message, "correct its mass if it is wrong (`sms materials`)");
+            }
             let outcome = match a.chooser {
                 ChooserName::Ours => {
                     let cancel = &context.cancel;
@@ -241,6 +249,7 @@ fn baseline(
         structure: landing.structure().to_vec(),
         parameters: landing.parameters(),
         action,
+        bodies: PlannedBody::all_of(scene),
         nominal,
         wash: particles(config),
         predicted: None,
@@ -342,7 +351,8 @@ pub(crate) fn execute(
     options: &LandingTargetOptions,
 ) -> anyhow::Result<Metrics> {
     let plan = LandingPlan::load(plan_dir)?;
-    let execution = execute_landing(target, &plan.landing(), &plan.action, scene, truth, options)?;
+    let world = plan.world(scene);
+    let execution = execute_landing(target, &plan.landing(), &plan.action, &world, truth, options)?;
     execution.save(dir)?;
     let outcome = &execution.outcome;
     let mut m = Metrics::new();
@@ -380,8 +390,14 @@ pub(crate) fn reported(run: &RunFolder, scene: Option<&Scene>) -> anyhow::Result
     if let Some(scene) = scene.filter(|_| cfg!(feature = "rerun")) {
         // Files hold no particles: the flight is simulated again for them.
         let options = RolloutOptions { recording: Some(recording(true)), ..RolloutOptions::default() };
-        let flown =
-            rollout_landing(&RapierFactory, &plan.wash, scene, &plan.landing(), &plan.action, &options)?;
+        let flown = rollout_landing(
+            &RapierFactory,
+            &plan.wash,
+            &plan.world(scene),
+            &plan.landing(),
+            &plan.action,
+            &options,
+        )?;
         plan.nominal.particles = flown.particles;
     }
     let target = run.stage_dir("target", "execute").ok();

@@ -13,7 +13,7 @@ use sms_core::{
 use sms_entities::{EntitiesConfig, build_entities};
 use sms_materials::MaterialTable;
 use sms_plan::PlanError;
-use sms_scene::{Body, BodyKind, BodyShape, Scene, build_scene, load_scene, save_scene};
+use sms_scene::{Body, BodyKind, BodyShape, Scene, build_scene, load_scene, loose_mass, save_scene};
 use sms_sim::{RapierFactory, RestLimits, fix_restless};
 use sms_synth::{FixedScene, TruthScene};
 use sms_target::{match_bodies, scene_from_truth};
@@ -152,9 +152,9 @@ pub(crate) fn scanned(
     Ok(scene)
 }
 
-/// Whether it is a thing of some size, and not the floor or the background.
+/// Whether it is a thing of some size, fixed or not, and not the floor or the background.
 pub(super) fn is_object(body: &Body) -> bool {
-    !matches!(body.shape, BodyShape::HalfSpace) && body.mass.is_some()
+    !matches!(body.shape, BodyShape::HalfSpace) && (body.mass.is_some() || loose_mass(body).is_some())
 }
 
 /// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
@@ -172,15 +172,16 @@ pub(crate) fn tell_matched(
     // What did not rest by itself was fixed, and is still made of something.
     let mut own = scene.clone();
     for body in own.bodies.iter_mut().filter(|b| is_object(b)) {
+        body.mass = body.mass.or_else(|| loose_mass(body));
         body.kind = BodyKind::Dynamic;
     }
     let pairs = match_bodies(&own, &true_scene);
-    for body in &mut scene.bodies {
+    for (body, own) in scene.bodies.iter_mut().zip(&own.bodies) {
         if matches!(body.shape, BodyShape::HalfSpace) {
             set_material(body, told.of_floor(&truth.floor.material, seed));
         } else if let Some(object) = pairs.iter().find(|p| p.0 == body.name).and_then(|p| truth.object(&p.1))
         {
-            let material = told.of_object(object, body, seed);
+            let material = told.of_object(object, own, seed);
             set_material(body, material);
         }
     }
@@ -223,6 +224,21 @@ mod tests {
             assert_eq!(body.material, object.material);
             assert!((body.mass.unwrap().mass() / object.mass.mass() - 1.0).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn what_was_fixed_is_made_of_what_the_truth_is() {
+        let truth = FIXED_SCENES[7].generate();
+        let mut scene = scene_from_truth(&truth).unwrap();
+        scene.bodies.iter_mut().for_each(forget_material);
+        let loose = scene.bodies.iter().position(|b| b.mass.is_some() && loose_mass(b).is_some()).unwrap();
+        let fixed = &mut scene.bodies[loose];
+        (fixed.kind, fixed.mass) = (BodyKind::Static, None);
+        let pairs = tell_matched(&mut scene, &truth, MaterialsTold::Truth, Seed(0)).unwrap();
+        assert_eq!(pairs, truth.objects.len());
+        let fixed = &scene.bodies[loose];
+        assert_eq!((fixed.kind, fixed.mass), (BodyKind::Static, None));
+        assert_eq!(fixed.material, truth.object(&fixed.name).unwrap().material);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use sms_core::{Hash, Seed, hash_serializable};
 use sms_gaussians::Preset;
 use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
 use sms_scene::Scene;
-use sms_synth::{LandingStructure, landing_scene};
+use sms_synth::{LandingStructure, landing_scene, landing_structure};
 use sms_target::TargetEngine;
 use std::path::{Path, PathBuf};
 
@@ -44,7 +44,7 @@ pub struct LandingPart {
 
 /// What to run.
 pub struct LandingBench<'a> {
-    /// Numbers of scenes (see [`LANDING_SCENES`]).
+    /// Numbers of scenes: those of [`LANDING_SCENES`], and seeds of drawn ones beyond them.
     pub scenes: Vec<usize>,
     /// Starts on the circle (paper: 10), evenly spread.
     pub starts: usize,
@@ -139,7 +139,10 @@ impl LandingBench<'_> {
     }
 }
 
-/// The structure of a number.
-pub(super) fn structure(number: usize) -> Option<LandingStructure> {
-    LANDING_SCENES.iter().find(|(n, _)| *n == number).map(|(_, s)| *s)
+/// What a scene is called in keys: its structure's word, of drawn ones with their number.
+pub(super) fn word(number: usize) -> String {
+    match LANDING_SCENES.iter().find(|(n, _)| *n == number) {
+        Some((_, structure)) => structure.as_str().to_owned(),
+        None => format!("{}_{number}", landing_structure(number as u64).as_str()),
+    }
 }

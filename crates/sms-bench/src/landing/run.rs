@@ -121,17 +121,19 @@ fn flown(
     let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
     let start_w = seen.scene.x_world_recording.transform_point(start_w);
     let task = LandingTask::new(start_w.truncate().to_array());
-    match task.resolve(&seen.scene) {
+    let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, truth.seed)?;
+    let scene = freed.map_or(seen.scene, |f| f.scene);
+    match task.resolve(&scene) {
         Ok(landing) => {
             for name in names(bench, part) {
                 if flight.planned.contains_key(&name) {
                     continue;
                 }
-                let planned = carry_out(bench, part, &name, &landing, &seen.scene, &truth, target, cancel)?;
+                let planned = carry_out(bench, part, &name, &landing, &scene, &truth, target, cancel)?;
                 if name == OURS {
                     let action = planned.action;
                     flight.evaluation_s =
-                        action.map(|a| evaluate(bench, &landing, &seen.scene, &a)).transpose()?;
+                        action.map(|a| evaluate(bench, &landing, &scene, &a)).transpose()?;
                 }
                 flight.planned.insert(name, planned);
                 atomic::write_json(&bench.file(part), &flight)?;

@@ -1,8 +1,8 @@
 //! The table beside the paper's, and the metrics.
 
-use super::options::structure;
+use super::options::word;
 use super::result::OURS;
-use super::{LANDING_SCENES, LandingFlight, LandingPlanned};
+use super::{LandingFlight, LandingPlanned};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
@@ -48,11 +48,9 @@ fn baselines(flights: &[LandingFlight]) -> BTreeSet<&str> {
 pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
     let mut metrics = Metrics::new();
     let (class, noisy) = (MaterialsTold::Class, MaterialsTold::Noisy);
-    let scenes: Vec<usize> =
-        LANDING_SCENES.iter().map(|(n, _)| *n).filter(|n| flights.iter().any(|f| f.scene == *n)).collect();
     let mut figures: Vec<(String, Vec<f64>)> = Vec::new();
-    for &scene in &scenes {
-        let word = structure(scene).map_or("unknown", |s| s.as_str());
+    for scene in scenes(flights) {
+        let word = word(scene);
         let own = of(flights, Some(scene), class, OURS);
         let jet: Vec<f64> = own.iter().filter_map(|l| Some(f64::from(u8::from(l.jet_success?)))).collect();
         let there = || flights.iter().filter(move |f| f.scene == scene);
@@ -88,36 +86,44 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
     metrics
 }
 
-/// Success by scene, beside the paper's.
+/// Numbers of the scenes that were flown in, in their order.
+fn scenes(flights: &[LandingFlight]) -> BTreeSet<usize> {
+    flights.iter().map(|f| f.scene).collect()
+}
+
+/// Success by scene, beside the paper's (whose four scenes are its own: its rows are for the mean).
 pub fn landing_table(flights: &[LandingFlight]) -> String {
     let mut text = String::new();
     let percent = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.0} %", 100.0 * v));
-    let _ = writeln!(
-        text,
-        "landing success                      {}     mean",
-        LANDING_SCENES.map(|(n, _)| format!("{:>9}", format!("scene {n}"))).concat()
-    );
-    let mut row = |label: &str, values: [Option<f64>; 4]| {
+    let scenes = scenes(flights);
+    let titles: String = scenes.iter().map(|n| format!("{:>12}", format!("scene {n}"))).collect();
+    let _ = writeln!(text, "landing success                      {titles}        mean");
+    let mut row = |label: &str, values: &[Option<f64>]| {
         let known: Vec<f64> = values.iter().flatten().copied().collect();
-        let cells = values.map(|v| format!("{:>9}", percent(v))).concat();
+        let cells: String = values.iter().map(|v| format!("{:>12}", percent(*v))).collect();
         if !known.is_empty() {
             let all = known.iter().sum::<f64>() / known.len() as f64;
-            let _ = writeln!(text, "  {label:<35}{cells}{:>9}", percent(Some(all)));
+            let _ = writeln!(text, "  {label:<35}{cells}{:>12}", percent(Some(all)));
         }
     };
-    let each = |told, name: &str| LANDING_SCENES.map(|(n, _)| rate(&of(flights, Some(n), told, name)));
-    row("ours, materials class", each(MaterialsTold::Class, OURS));
-    row("ours, materials noisy", each(MaterialsTold::Noisy, OURS));
-    let jet = LANDING_SCENES.map(|(n, _)| {
-        let own = of(flights, Some(n), MaterialsTold::Class, OURS);
+    let each = |told, name: &str| -> Vec<Option<f64>> {
+        scenes.iter().map(|n| rate(&of(flights, Some(*n), told, name))).collect()
+    };
+    row("ours, materials class", &each(MaterialsTold::Class, OURS));
+    row("ours, materials noisy", &each(MaterialsTold::Noisy, OURS));
+    let jet = |scene: &usize| {
+        let own = of(flights, Some(*scene), MaterialsTold::Class, OURS);
         mean(own.iter().filter_map(|l| Some(f64::from(u8::from(l.jet_success?)))))
-    });
-    row("ours, target's wash a jet", jet);
+    };
+    row("ours, target's wash a jet", &scenes.iter().map(jet).collect::<Vec<_>>());
     for name in baselines(flights) {
-        row(&format!("{} (baseline)", name.replace('_', " ")), each(MaterialsTold::Class, name));
+        row(&format!("{} (baseline)", name.replace('_', " ")), &each(MaterialsTold::Class, name));
     }
-    row("paper, SMS (its own scenes)", PAPER_SMS.map(Some));
-    row("paper, visual prompting", PAPER_PROMPTING.map(Some));
+    for (label, rates) in [("paper, SMS", PAPER_SMS), ("paper, visual prompting", PAPER_PROMPTING)] {
+        let its_own = rates.map(|r| percent(Some(r))).join(", ");
+        let all = percent(mean(rates.into_iter()));
+        let _ = writeln!(text, "  {label}, on its own four scenes: {its_own}; mean {all}");
+    }
     for flight in flights {
         let Some(own) = flight.planned.get(OURS).filter(|p| !p.success) else { continue };
         let why = own.failure.as_deref().unwrap_or("it failed");
@@ -190,19 +196,27 @@ mod tests {
             flight(1, 5, class, true, true),
             flight(2, 0, class, false, false),
             flight(2, 0, MaterialsTold::Noisy, true, true),
+            flight(1001, 0, class, true, true),
         ];
         let m = landing_metrics(&flights);
         let at = |key: &str| m.number(&format!("bench.landing.{key}"));
         assert_eq!(at("box_on_ladder.success_rate"), Some(1.0));
         assert_eq!(at("tote_on_stool.success_rate"), Some(0.0));
-        assert_eq!(at("mean.success_rate"), Some(0.5));
+        assert_eq!(at("tote_on_stool_1001.success_rate"), Some(1.0));
+        assert_eq!(at("mean.success_rate"), Some(2.0 / 3.0));
         assert_eq!(at("box_on_ladder.random_success_rate"), Some(0.5));
         assert_eq!(at("tote_on_stool.noisy_success_rate"), Some(1.0));
         assert_eq!(at("box_on_ladder.noisy_success_rate"), None);
         assert_eq!(at("mean.evaluation_s"), Some(0.8));
         let text = landing_table(&flights);
-        for part in ["ours, materials class", "random (baseline)", "paper, SMS", "scene 2, start 0", "40 cm"]
-        {
+        for part in [
+            "ours, materials class",
+            "random (baseline)",
+            "paper, SMS",
+            "scene 1001",
+            "scene 2, start 0",
+            "40 cm",
+        ] {
             assert!(text.contains(part), "{text}");
         }
     }
