@@ -1,10 +1,10 @@
 //! What was kept fixed when the scene was made, and can topple all the same.
 
 use crate::resolved::STANDS;
-use crate::{LandingDisturbances, LandingError, LandingTask};
+use crate::{LandingDisturbances, LandingError, LandingTask, ResolvedLanding};
 use sms_core::Seed;
 use sms_scene::{BodyKind, Scene, loose_mass};
-use sms_sim::{WorldFactory, fix_restless};
+use sms_sim::{RestingDrift, WorldFactory, fix_restless};
 
 /// A scene in which bodies of the structure can move that were fixed.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,14 +13,19 @@ pub struct Freed {
     pub scene: Scene,
     /// Names of the bodies that can move now, in the scene's order.
     pub bodies: Vec<String>,
+    /// Whether the structure would fall with the most likely masses, so that the scene has others within their intervals.
+    pub other_masses: bool,
+    /// What had to be fixed again, with how far it came by itself, in that order.
+    pub held: Vec<RestingDrift>,
 }
 
 impl LandingTask {
     /// Lets the parts of the structure move that were kept fixed when the scene was made: what crept by a millimetre then, with the
     /// prior's masses, may stand with those that are known by now, and what is fixed can be neither toppled nor spared. Parts are
     /// those that touch the platform once all that is solid can move; their masses are those of their shapes and materials. Where the
-    /// structure then stands with masses within its materials' intervals, all of them stay free; else what leaves first is fixed
-    /// until the rest stands by the limits of [`crate::ResolvedLanding::check_rest`]. `None` where nothing could be freed.
+    /// structure then stands, with masses within its materials' intervals if need be, all of them stay free; else what leaves first is
+    /// fixed again until the rest stands by the limits of [`ResolvedLanding::check_rest`]. Where that leaves nothing free, the scene is
+    /// as it was. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
     ///
     /// # Errors
     /// [`LandingError`] of scenes that cannot be simulated.
@@ -31,6 +36,9 @@ impl LandingTask {
         disturbances: &LandingDisturbances,
         seed: Seed,
     ) -> Result<Option<Freed>, LandingError> {
+        if !self.free {
+            return Ok(None);
+        }
         let mut loose = scene.clone();
         let mut bodies = Vec::new();
         for body in loose.bodies.iter_mut().filter(|b| b.kind == BodyKind::Static) {
@@ -49,20 +57,53 @@ impl LandingTask {
             Err(e) => return Err(e),
         };
         bodies.retain(|name| landing.structure().contains(name));
+        if bodies.is_empty() {
+            return Ok(None);
+        }
         let mut freed = scene.clone();
         for (body, free) in freed.bodies.iter_mut().zip(loose.bodies) {
             if bodies.contains(&free.name) {
                 *body = free;
             }
         }
+        let (mut other_masses, mut held) = (false, Vec::new());
         match disturbances.that_stands(&landing, factory, &freed, seed.derive("freed")) {
-            Ok(_) => {}
-            Err(LandingError::AlreadyFalling(_)) => {
-                fix_restless(factory, &mut freed, &STANDS)?;
-                bodies.retain(|name| freed.body(name).is_some_and(|b| b.kind == BodyKind::Dynamic));
-            }
+            Ok(None) => {}
+            Ok(Some(stands)) => (freed, other_masses) = (stands, true),
+            Err(LandingError::AlreadyFalling(_)) => held = hold(&landing, factory, &mut freed, &bodies)?,
             Err(e) => return Err(e),
         }
-        Ok((!bodies.is_empty()).then_some(Freed { scene: freed, bodies }))
+        bodies.retain(|name| freed.body(name).is_some_and(|b| b.kind == BodyKind::Dynamic));
+        let scene = if bodies.is_empty() { scene.clone() } else { freed };
+        Ok(Some(Freed { scene, bodies, other_masses, held }))
     }
+}
+
+/// Fixes those of `bodies` that leave first until the structure stands; where it never does, all of them.
+fn hold(
+    landing: &ResolvedLanding,
+    factory: &dyn WorldFactory,
+    freed: &mut Scene,
+    bodies: &[String],
+) -> Result<Vec<RestingDrift>, LandingError> {
+    let fix = |scene: &mut Scene, name: &str| {
+        if let Some(i) = scene.body_index(name) {
+            (scene.bodies[i].kind, scene.bodies[i].mass) = (BodyKind::Static, None);
+        }
+    };
+    let mut held = Vec::new();
+    for drift in fix_restless(factory, &mut freed.without_pictures(), &STANDS)? {
+        if !bodies.contains(&drift.body) {
+            continue;
+        }
+        fix(freed, &drift.body);
+        held.push(drift);
+        match landing.check_rest(factory, freed) {
+            Ok(_) => return Ok(held),
+            Err(LandingError::AlreadyFalling(_)) => {}
+            Err(e) => return Err(e),
+        }
+    }
+    bodies.iter().for_each(|name| fix(freed, name));
+    Ok(held)
 }

@@ -4,7 +4,7 @@ use crate::{LandingAction, LandingOutcome, LandingSurface, LandingTask, Resolved
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, MassProperties, Material, atomic};
 use sms_plan::Trial;
-use sms_scene::{BodyKind, Scene};
+use sms_scene::{Body, BodyKind, Scene};
 use sms_task::{Parameter, json};
 use sms_wash::{Quadrotor, WashModel, WashSettings};
 use std::path::Path;
@@ -57,23 +57,26 @@ pub struct LandingEvaluations {
     pub invalid: usize,
 }
 
-/// A body as the planner moved it.
+/// A body as the planner had it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlannedBody {
     /// Its name.
     pub name: String,
-    /// Its mass properties.
-    pub mass: MassProperties,
+    /// Its mass properties; `None` of what could not move.
+    pub mass: Option<MassProperties>,
     /// What it is made of.
     pub material: Material,
 }
 
 impl PlannedBody {
-    /// The bodies of a scene that can move.
+    /// The bodies of a scene.
     pub fn all_of(scene: &Scene) -> Vec<Self> {
-        let movable = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
-        let planned = movable.filter_map(|b| Some((b.name.clone(), b.mass?, b.material.clone())));
-        planned.map(|(name, mass, material)| Self { name, mass, material }).collect()
+        let of = |b: &Body| Self {
+            name: b.name.clone(),
+            mass: b.mass.filter(|_| b.kind == BodyKind::Dynamic),
+            material: b.material.clone(),
+        };
+        scene.bodies.iter().map(of).collect()
     }
 }
 
@@ -94,8 +97,8 @@ pub struct LandingPlan {
     pub parameters: Vec<Parameter>,
     /// The chosen action.
     pub action: LandingAction,
-    /// The bodies that can move in the world that it was planned in: of what was fixed and freed, or stands only with other masses
-    /// than the most likely ones, the scene says otherwise. Empty in plans that do not say.
+    /// The bodies of the world that it was planned in: of what was fixed and freed, or stands only with other masses than the most
+    /// likely ones, the scene says otherwise. Empty in plans that do not say.
     #[serde(default)]
     pub bodies: Vec<PlannedBody>,
     /// What it does in the scanned world, with the recorded motion.
@@ -142,13 +145,14 @@ impl LandingPlan {
         atomic::read_json(&dir.join(LANDING_PLAN_FILE))
     }
 
-    /// The world that it was planned in: the scene with the bodies that could move there, as they were.
+    /// The world that it was planned in: the scene with masses and materials, and what could move, as they were there.
     pub fn world(&self, scene: &Scene) -> Scene {
         let mut world = scene.clone();
         for planned in &self.bodies {
             if let Some(i) = world.body_index(&planned.name) {
                 let body = &mut world.bodies[i];
-                (body.kind, body.mass) = (BodyKind::Dynamic, Some(planned.mass));
+                body.kind = if planned.mass.is_some() { BodyKind::Dynamic } else { BodyKind::Static };
+                body.mass = planned.mass;
                 body.material = planned.material.clone();
             }
         }

@@ -34,6 +34,10 @@ pub struct LandingTask {
     /// others.
     #[serde(default = "auto_list")]
     pub structure: Vec<String>,
+    /// Whether parts of the structure that were fixed when the scene was made, because they did not rest, can topple again (see
+    /// [`LandingTask::freed`]).
+    #[serde(default = "yes")]
+    pub free: bool,
     /// A vehicle file (TOML, see [`Quadrotor`]), relative to the task file; without it, the paper's vehicle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vehicle: Option<PathBuf>,
@@ -147,6 +151,10 @@ fn auto_list() -> Vec<String> {
     vec![auto()]
 }
 
+fn yes() -> bool {
+    true
+}
+
 fn default_dt() -> f64 {
     0.0025
 }
@@ -159,6 +167,7 @@ impl LandingTask {
             start_w,
             platform: auto(),
             structure: auto_list(),
+            free: true,
             vehicle: None,
             flight: FlightSettings::default(),
             bounds: LandingBounds::default(),

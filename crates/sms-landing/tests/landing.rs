@@ -4,7 +4,7 @@ use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Cancel, Interval, NoProgress, Seed, Warnings, box_mass_properties};
 use sms_landing::{
     LandingAction, LandingError, LandingPlan, LandingRecording, LandingSettings, LandingTask, LandingWorld,
-    QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
+    PlannedBody, QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
 };
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
 use sms_sim::{RapierF64Factory, RapierFactory};
@@ -354,6 +354,16 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
         let drawn = d.standing_scene(&landing, &RapierFactory, &scene, Seed(5), index).unwrap();
         landing.check_rest(&RapierFactory, &drawn).unwrap();
     }
+    // The same where the brick was fixed: it is freed with a mass with which the board stands.
+    let mut fixed = scene.clone();
+    let brick = &mut fixed.bodies[3];
+    let kg_per_m3 = 0.4 / (8.0 * 0.04 * 0.15 * 0.03);
+    brick.material.density.value = Interval::new(kg_per_m3, kg_per_m3 / 5.0, kg_per_m3 * 5.0);
+    (brick.kind, brick.mass) = (BodyKind::Static, None);
+    let freed = LandingTask::new([-1.6, 0.3]).freed(&RapierFactory, &fixed, &d, Seed(1)).unwrap().unwrap();
+    assert_eq!((freed.bodies.as_slice(), freed.other_masses), (&["brick".to_owned()][..], true));
+    assert!(freed.scene.bodies[3].mass.unwrap().mass() > 0.5);
+    landing.check_rest(&RapierFactory, &freed.scene).unwrap();
     // With masses that are known for certain it is falling.
     for body in &mut scene.bodies {
         let m = &mut body.material;
@@ -391,9 +401,12 @@ fn what_was_fixed_can_topple_again_where_it_stands() {
     // Its middle is beyond the edge, and nothing holds it, whatever it weighs: it stays where it was seen, and its base is free.
     let freed = free(&fixed(board(3.0, 0.3))).unwrap();
     assert_eq!((freed.bodies.as_slice(), freed.scene.bodies[2].kind), (&["base".to_owned()][..], fast));
+    assert_eq!(freed.held.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["board"]);
 
-    // What can move anyhow is left alone.
+    // What can move anyhow is left alone, and what the task says is fixed.
     assert_eq!(free(&board(3.0, 0.1)), None);
+    let kept = LandingTask { free: false, ..task() };
+    assert_eq!(kept.freed(&RapierFactory, &scene, &d, Seed(1)).unwrap(), None);
 }
 
 #[test]
@@ -417,6 +430,12 @@ fn a_plan_on_something_fixed_warns() {
     .unwrap();
     assert!(planned.plan.nominal.is_success() && planned.plan.predicted.is_none());
     assert!(warnings.snapshot().iter().any(|w| w.code == "platform_fixed"));
+    // The plan knows what could move in its world, whatever the scene says.
+    let mut plan = planned.plan;
+    let bare = |s: &Scene| s.without_pictures();
+    assert_eq!(bare(&plan.world(&board(3.0, 0.1))), bare(&scene));
+    plan.bodies = PlannedBody::all_of(&board(3.0, 0.1));
+    assert_eq!(bare(&plan.world(&scene)), bare(&board(3.0, 0.1)));
 }
 
 #[test]

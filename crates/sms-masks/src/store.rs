@@ -65,7 +65,8 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let path = dir.join("labels.json");
     let file: LabelsFile = atomic::read_json(&path)?;
     let targets = check_and_merge(&file, &path)?;
-    let mut maps = Vec::with_capacity(file.frames);
+    // Not with a capacity: the file may have been edited, and say anything.
+    let mut maps = Vec::new();
     for index in 0..file.frames {
         let path = dir.join(format!("{index:06}.png"));
         let mut map = read_png_gray16(&path)?;

@@ -134,7 +134,7 @@ fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError>
     })
 }
 
-/// Bodies whose frame lies this far from their centre of mass were never free, metres.
+/// Bodies whose frame lies this far from their centre of mass cannot be freed as they are: a free body's frame lies there. Metres.
 const CENTERED_M: f64 = 1e-3;
 
 /// The mass properties that a static body would have if it could move: those of its shape with its material, as

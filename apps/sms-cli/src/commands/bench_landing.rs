@@ -6,13 +6,14 @@ use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
 use super::landing::action_of;
+use super::materialize::drift_text;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
 use crate::device::Device;
 use clap::Args;
 use sms_bench::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
-    landing_metrics, landing_table, read_landings, run_landings, scan_landings,
+    LandingScan, landing_metrics, landing_table, read_landings, run_landings, scan_landings,
 };
 use sms_core::{InputError, Seed};
 use sms_landing::{LandingSettings, ResolvedLanding};
@@ -83,8 +84,15 @@ pub(crate) struct BenchLanding {
 pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     let bench = bench(context, a)?;
     if a.scans_only {
-        let line = |number: usize, matched: usize, objects: usize| {
-            context.say(format!("scene {number}: {matched} of {objects} objects seen"));
+        let line = |scan: &LandingScan| {
+            let freed = match scan.freed.as_slice() {
+                [] => String::new(),
+                names => format!("; was fixed, free to topple: {}", names.join(", ")),
+            };
+            let held: String =
+                scan.held.iter().map(|d| format!("; stays fixed: {}", drift_text(d))).collect();
+            let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
+            context.say(format!("scene {scene}: {matched} of {objects} objects seen{freed}{held}"));
         };
         return Ok(scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?);
     }

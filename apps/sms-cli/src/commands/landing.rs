@@ -1,6 +1,6 @@
 //! Tasks of the kind `landing`: what `sms plan`, `sms execute` and `sms report` do with them.
 
-use super::materialize::run_settings;
+use super::materialize::{drift_text, run_settings};
 use super::vlm;
 use super::{inputs_hash, length_text, run_stage, shown, timed};
 use crate::cli::{ChooserName, Plan};
@@ -13,7 +13,7 @@ use sms_core::{
 use sms_flight::{FlightFiles, write_flight};
 use sms_frames::Sequence;
 use sms_landing::{
-    CarriedOut, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
+    CarriedOut, Freed, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
     LandingPlan, LandingPlanOutcome, LandingRecording, LandingSettings, LandingTask, PlannedBody,
     ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
 };
@@ -88,9 +88,9 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
         config.worlds = worlds;
     }
     let files = context.settings.section("flight", FlightFiles::default())?;
-    let mut freed = Vec::new();
-    if let Some(now) = task.freed(&RapierFactory, &scene, &config.disturbances, seed)? {
-        (scene, freed) = (now.scene, now.bodies);
+    let freed = task.freed(&RapierFactory, &scene, &config.disturbances, seed)?;
+    if let Some(freed) = &freed {
+        scene = freed.scene.clone();
     }
     let landing = task.resolve(&scene)?;
     run.record_settings("landing", &config)?;
@@ -103,10 +103,7 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
     let dir = run_stage(context, run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
             let progress = context.progress.as_ref();
-            for body in &freed {
-                let message = format!("`{body}` is kept fixed in the scene; here it can move, and topple");
-                warnings.add("plan", "freed", message, "correct its mass if it is wrong (`sms materials`)");
-            }
+            freed.iter().for_each(|freed| tell_freed(freed, warnings));
             let outcome = match a.chooser {
                 ChooserName::Ours => {
                     let cancel = &context.cancel;
@@ -136,6 +133,29 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
         shown(&dir.join(LANDING_PLAN_FILE))
     ));
     context.print_metrics(run)
+}
+
+/// What can move in the plan and not in the scene, and what still cannot.
+fn tell_freed(freed: &Freed, warnings: &Warnings) {
+    let others = if freed.other_masses {
+        ", with masses within their intervals, because the structure would fall with the most likely ones"
+    } else {
+        ""
+    };
+    for body in &freed.bodies {
+        let message = format!("`{body}` is fixed in the scene; here it can move, and topple{others}");
+        let cure = "if it is fixed in truth, write `free = false` in the task";
+        warnings.add("plan", "freed", message, cure);
+    }
+    for drift in &freed.held {
+        let message = format!("{}: it stays fixed, and cannot topple", drift_text(drift));
+        warnings.add(
+            "plan",
+            "held",
+            message,
+            "scan it from more sides, or correct what it is made of (`sms materials`)",
+        );
+    }
 }
 
 fn metrics(plan: &LandingPlan, chooser: &str) -> Metrics {

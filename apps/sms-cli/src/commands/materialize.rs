@@ -18,7 +18,7 @@ use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{MaterialTable, Overrides, assign, save_queries};
 use sms_scene::{Scene, build_scene, save_scene};
-use sms_sim::{RapierFactory, RestLimits, fix_restless};
+use sms_sim::{RapierFactory, RestLimits, RestingDrift, fix_restless};
 
 /// An entity's own Gaussians, in its folder.
 const GAUSSIANS: &str = "gaussians.ply";
@@ -133,15 +133,16 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
 /// Masks of people and networks mean what they say: what does not rest there is left to `sms simulate` to tell.
 fn fix_pieces(scene: &mut Scene, warnings: &Warnings) -> anyhow::Result<()> {
     for drift in fix_restless(&RapierFactory, scene, &RestLimits::default())? {
-        let message = format!(
-            "`{}` moved {} and turned {:.1}° when left alone: it is kept as a fixed collider",
-            drift.body,
-            length_text(drift.moved_m),
-            drift.turned_rad.to_degrees()
-        );
+        let message = format!("{}: it is kept as a fixed collider", drift_text(&drift));
         warnings.add("materialize", "kept_fixed", message, "correct the masks, or scan it from more sides");
     }
     Ok(())
+}
+
+/// How far a body came by itself, in words.
+pub(crate) fn drift_text(drift: &RestingDrift) -> String {
+    let (moved, degrees) = (length_text(drift.moved_m), drift.turned_rad.to_degrees());
+    format!("`{}` moved {moved} and turned {degrees:.1}° when left alone", drift.body)
 }
 
 /// The frames that were trained on, with their label maps: objects must not see what was kept out either.

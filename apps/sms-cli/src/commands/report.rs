@@ -6,7 +6,7 @@ use super::shown;
 use crate::cli::Report;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
-use sms_core::{RunFolder, Warning};
+use sms_core::{InputError, RunFolder, Warning};
 use sms_frames::Sequence;
 use sms_gaussians::{GaussianModel, LossSample, read_ply, render_views};
 use sms_masks::load_labels;
@@ -62,12 +62,14 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
         (Some(_), true) => format!("Landing, seed {}", settings.seed),
         _ => title(&settings.recording, resolved.as_ref(), settings.seed),
     };
+    // A landing's plan says what could move in it.
+    let planned_in = landed.as_ref().zip(scene.as_ref()).map(|(l, scene)| l.plan.world(scene));
     let input = ReportInput {
         title,
         subtitle,
         views,
         gaussians: Some(&model),
-        scene: scene.as_ref(),
+        scene: planned_in.as_ref().or(scene.as_ref()),
         plan: plan.as_ref(),
         execution: execution.as_ref(),
         landing,
@@ -124,7 +126,17 @@ fn losses(gaussians_dir: &Path) -> anyhow::Result<Vec<LossPoint>> {
 
 fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> anyhow::Result<Vec<ViewPair>> {
     let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
-    let labels = load_labels(&run.stage_dir("masks", "scan DIR --out")?)?;
+    let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
+    let labels = load_labels(&masks_dir)?;
+    if labels.maps.len() != sequence.len() {
+        let what = format!("there are {} masks for {} frames", labels.maps.len(), sequence.len());
+        return Err(InputError::new(
+            what,
+            &masks_dir,
+            "make the masks again: `sms scan` with the same folder",
+        )
+        .into());
+    }
     let mut candidates: Vec<usize> =
         (0..sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect();
     if candidates.is_empty() {

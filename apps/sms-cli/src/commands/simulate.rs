@@ -1,6 +1,7 @@
 //! `sms simulate`: does the scene rest?
 
 use super::length_text;
+use super::materialize::drift_text;
 use crate::cli::Simulate;
 use crate::context::Context;
 use sms_core::metrics::Metrics;
@@ -38,12 +39,7 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
             warnings.add(
                 "simulate",
                 "does_not_rest",
-                format!(
-                    "`{}` moved {} and turned {:.1}° when left alone",
-                    d.body,
-                    length_text(d.moved_m),
-                    d.turned_rad.to_degrees()
-                ),
+                drift_text(d),
                 "look at its underside and neighbours in the report's 3-D view",
             );
         }

@@ -1,7 +1,8 @@
-//! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures: scan, materialize, plan
-//! from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
+//! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures, or on drawn ones: scan,
+//! materialize, plan from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
 //!
-//! Plans are made of what the scan and the told materials give; only `run.rs` looks at the truth, to fly them. Every flight is a file,
+//! Plans are made of what the scan and the told materials give; only `run.rs` looks at the truth: for the starts, for what is told of
+//! materials, and to fly plans. Every flight is a file,
 //! so that a run goes on where it was interrupted, and shards of a run meet in one folder.
 
 mod options;
@@ -11,5 +12,5 @@ mod table;
 
 pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingPart};
 pub use result::{LandingFlight, LandingPlanned, read_landings};
-pub use run::{run_landing, run_landings, scan_landings};
+pub use run::{LandingScan, run_landing, run_landings, scan_landings};
 pub use table::{landing_metrics, landing_table};

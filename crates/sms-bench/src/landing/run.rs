@@ -10,7 +10,7 @@ use sms_landing::{
     LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, plan_landing,
 };
 use sms_scene::Scene;
-use sms_sim::RapierFactory;
+use sms_sim::{RapierFactory, RestingDrift};
 use sms_synth::{TruthScene, landing_scene};
 use sms_target::{LandingTargetOptions, Target, TargetError, execute_landing, scene_from_truth};
 use sms_wash::{WashModel, WashSettings};
@@ -47,14 +47,29 @@ pub fn run_landings(
     Ok(())
 }
 
-/// Only scans the structures and makes their bodies, where they are not kept, and calls `done` after each with its number, the true
-/// objects in whose place a body is, and how many objects there are. Planning can go on from there on another machine.
+/// What a scan gives a planner of landings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LandingScan {
+    /// Number of the scene.
+    pub scene: usize,
+    /// True objects in whose place a body is.
+    pub matched: usize,
+    /// True objects.
+    pub objects: usize,
+    /// Bodies that were fixed when the scene was made, and are freed for the plan (see [`LandingTask::freed`]).
+    pub freed: Vec<String>,
+    /// Bodies that have to stay fixed, with how far they come by themselves.
+    pub held: Vec<RestingDrift>,
+}
+
+/// Only scans the structures and makes their bodies, where they are not kept, and calls `done` after each. Planning can go on from
+/// there on another machine.
 ///
 /// # Errors
 /// [`BenchError`] of the scans and files.
 pub fn scan_landings(
     bench: &LandingBench<'_>,
-    done: &dyn Fn(usize, usize, usize),
+    done: &dyn Fn(&LandingScan),
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<(), BenchError> {
@@ -62,9 +77,13 @@ pub fn scan_landings(
         cancel.check()?;
         let truth = landing_scene(number as u64);
         let scene = geometry_of(bench, number, &truth, progress, cancel)?;
-        // What bodies are made of is told later.
-        let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Prior, draw: 0 };
-        done(number, see(scene, &truth, part)?.matched, truth.objects.len());
+        let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Class, draw: 0 };
+        let seen = see(scene, &truth, part)?;
+        let task = task_of(&seen.scene, &truth, part);
+        let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
+        let (freed, held) = freed.map_or_else(Default::default, |f| (f.bodies, f.held));
+        let objects = truth.objects.len();
+        done(&LandingScan { scene: number, matched: seen.matched, objects, freed, held });
     }
     Ok(())
 }
@@ -118,10 +137,8 @@ fn flown(
     };
     let seen = see(scene, &truth, part)?;
     (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
-    let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
-    let start_w = seen.scene.x_world_recording.transform_point(start_w);
-    let task = LandingTask::new(start_w.truncate().to_array());
-    let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, truth.seed)?;
+    let task = task_of(&seen.scene, &truth, part);
+    let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
     let scene = freed.map_or(seen.scene, |f| f.scene);
     match task.resolve(&scene) {
         Ok(landing) => {
@@ -148,6 +165,12 @@ fn flown(
         Err(e) => return Err(e.into()),
     }
     Ok((flight, true))
+}
+
+/// The landing from a part's start.
+fn task_of(scene: &Scene, truth: &TruthScene, part: LandingPart) -> LandingTask {
+    let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
+    LandingTask::new(scene.x_world_recording.transform_point(start_w).truncate().to_array())
 }
 
 /// The planners of a flight.
