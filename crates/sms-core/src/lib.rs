@@ -64,7 +64,7 @@ pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};
 pub use mesh::{Aabb, Mesh};
 pub use mesh_texture::{MeshTexture, read_mesh_texture, textured_obj, write_textured_obj};
-pub use png_io::{read_png_color, read_png_gray16, write_png_color, write_png_gray16};
+pub use png_io::{read_png_color, read_png_gray16, read_png_labels, write_png_color, write_png_gray16};
 pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, linear_seconds_left};
 pub use ranges::Ranges;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};

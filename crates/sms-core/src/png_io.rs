@@ -5,7 +5,11 @@ use std::fs::File;
 use std::io::{BufReader, Cursor};
 use std::path::Path;
 
-fn decode(path: &Path, what: &str) -> Result<(png::OutputInfo, Vec<u8>), CoreError> {
+fn decode(
+    path: &Path,
+    what: &str,
+    transformations: png::Transformations,
+) -> Result<(png::OutputInfo, Vec<u8>), CoreError> {
     let file = File::open(path).map_err(|e| {
         InputError::new(
             format!("the {what} image cannot be opened"),
@@ -23,7 +27,7 @@ fn decode(path: &Path, what: &str) -> Result<(png::OutputInfo, Vec<u8>), CoreErr
         .because(e)
     };
     let mut decoder = png::Decoder::new(BufReader::new(file));
-    decoder.set_transformations(png::Transformations::EXPAND);
+    decoder.set_transformations(transformations);
     let mut reader = decoder.read_info().map_err(damaged)?;
     let size = reader.output_buffer_size().ok_or_else(|| {
         InputError::new(format!("the {what} image is too large"), path, "use images of a usual size")
@@ -39,7 +43,7 @@ fn decode(path: &Path, what: &str) -> Result<(png::OutputInfo, Vec<u8>), CoreErr
 /// # Errors
 /// [`CoreError::Input`] naming the file when it is missing, truncated or not a PNG.
 pub fn read_png_color(path: &Path) -> Result<ColorImage, CoreError> {
-    let (info, bytes) = decode(path, "colour")?;
+    let (info, bytes) = decode(path, "colour", png::Transformations::EXPAND)?;
     let wide = usize::from(info.bit_depth == png::BitDepth::Sixteen) + 1;
     let samples = info.color_type.samples();
     let pixels = bytes
@@ -49,12 +53,12 @@ pub fn read_png_color(path: &Path) -> Result<ColorImage, CoreError> {
     Ok(Image::from_vec(info.width as usize, info.height as usize, pixels))
 }
 
-/// Reads a grey PNG of 8 or 16 bits as raw values; of a colour image, the first channel.
+/// Reads a grey PNG of 8 or 16 bits as raw values; of a colour image, the first channel. For labels see [`read_png_labels`].
 ///
 /// # Errors
 /// [`CoreError::Input`] naming the file when it is missing, truncated or not a PNG.
 pub fn read_png_gray16(path: &Path) -> Result<Image<u16>, CoreError> {
-    let (info, bytes) = decode(path, "depth or label")?;
+    let (info, bytes) = decode(path, "depth", png::Transformations::EXPAND)?;
     let samples = info.color_type.samples();
     let pixels = match info.bit_depth {
         png::BitDepth::Sixteen => {
@@ -63,6 +67,51 @@ pub fn read_png_gray16(path: &Path) -> Result<Image<u16>, CoreError> {
         _ => bytes.chunks_exact(samples).map(|p| u16::from(p[0])).collect(),
     };
     Ok(Image::from_vec(info.width as usize, info.height as usize, pixels))
+}
+
+/// Reads a label image: of a grey PNG the values as they are stored, of 1 to 16 bits, of a palette PNG the numbers of its colours (as
+/// the VOC and DAVIS data sets store labels). A colour image counts as grey where all its channels agree.
+///
+/// # Errors
+/// [`CoreError::Input`] naming the file when it is missing, truncated, not a PNG, or a picture in colours.
+pub fn read_png_labels(path: &Path) -> Result<Image<u16>, CoreError> {
+    let (info, bytes) = decode(path, "label", png::Transformations::IDENTITY)?;
+    let samples = info.color_type.samples();
+    let (width, height) = (info.width as usize, info.height as usize);
+    let mut pixels = Vec::with_capacity(width * height);
+    // Rows of packed values begin at whole bytes.
+    for row in bytes.chunks_exact(info.line_size.max(1)) {
+        match info.bit_depth {
+            png::BitDepth::Sixteen => {
+                let values: Vec<u16> =
+                    row.chunks_exact(2).map(|p| u16::from_be_bytes([p[0], p[1]])).collect();
+                pixels.extend(labels_of(&values, samples, path)?);
+            }
+            png::BitDepth::Eight => {
+                let values: Vec<u16> = row.iter().map(|&v| u16::from(v)).collect();
+                pixels.extend(labels_of(&values, samples, path)?);
+            }
+            depth => {
+                let bits = depth as usize;
+                let (each, mask) = (8 / bits, (1u16 << bits) - 1);
+                let value = |x: usize| (u16::from(row[x / each]) >> (8 - bits * (x % each + 1))) & mask;
+                pixels.extend((0..width).map(value));
+            }
+        }
+    }
+    Ok(Image::from_vec(width, height, pixels))
+}
+
+/// The labels of a row of pixels with so many samples each; alpha is dropped.
+fn labels_of(values: &[u16], samples: usize, path: &Path) -> Result<Vec<u16>, InputError> {
+    let label = |p: &[u16]| (samples < 3 || (p[0] == p[1] && p[0] == p[2])).then_some(p[0]);
+    values.chunks_exact(samples).map(label).collect::<Option<_>>().ok_or_else(|| {
+        InputError::new(
+            "this label image is a picture in colours: which object a colour means is not known",
+            path,
+            "export labels as a grey or palette PNG with one value for each object and 0 for the background",
+        )
+    })
 }
 
 fn encode(
@@ -104,6 +153,44 @@ pub fn write_png_gray16(path: &Path, image: &Image<u16>) -> Result<(), CoreError
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn write(path: &Path, color: png::ColorType, depth: png::BitDepth, width: u32, bytes: &[u8]) {
+        let mut encoder = png::Encoder::new(File::create(path).unwrap(), width, 2);
+        encoder.set_color(color);
+        encoder.set_depth(depth);
+        if color == png::ColorType::Indexed {
+            // The first colours of the VOC palette: black, dark red, dark green, olive.
+            encoder.set_palette(vec![0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0]);
+        }
+        encoder.write_header().unwrap().write_image_data(bytes).unwrap();
+    }
+
+    #[test]
+    fn labels_are_the_stored_values_of_any_grey_or_palette() {
+        use png::{BitDepth, ColorType};
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("m.png");
+        let expected = Image::from_vec(3, 2, vec![0, 1, 2, 3, 2, 1]);
+        let packed = [0b0001_1000, 0b1110_0100];
+        for (color, depth, bytes) in [
+            (ColorType::Indexed, BitDepth::Eight, vec![0, 1, 2, 3, 2, 1]),
+            (ColorType::Indexed, BitDepth::Two, packed.to_vec()),
+            (ColorType::Grayscale, BitDepth::Two, packed.to_vec()),
+            (ColorType::Grayscale, BitDepth::Four, vec![0x01, 0x20, 0x32, 0x10]),
+            (ColorType::Grayscale, BitDepth::Eight, vec![0, 1, 2, 3, 2, 1]),
+            (ColorType::Grayscale, BitDepth::Sixteen, vec![0, 0, 0, 1, 0, 2, 0, 3, 0, 2, 0, 1]),
+            (ColorType::GrayscaleAlpha, BitDepth::Eight, vec![0, 9, 1, 9, 2, 9, 3, 9, 2, 9, 1, 9]),
+            (ColorType::Rgb, BitDepth::Eight, vec![0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 2, 2, 2, 1, 1, 1]),
+        ] {
+            write(&path, color, depth, 3, &bytes);
+            assert_eq!(read_png_labels(&path).unwrap(), expected, "{color:?} {depth:?}");
+        }
+        write(&path, ColorType::Grayscale, BitDepth::One, 3, &[0b1010_0000, 0b0100_0000]);
+        assert_eq!(read_png_labels(&path).unwrap().data, [1, 0, 1, 0, 1, 0]);
+        write(&path, ColorType::Rgb, BitDepth::Eight, 1, &[0, 128, 0, 0, 0, 0]);
+        let message = read_png_labels(&path).unwrap_err().to_string();
+        assert!(message.contains("m.png") && message.contains("palette"), "{message}");
+    }
 
     #[test]
     fn images_round_trip_and_truncation_is_named() {

@@ -175,7 +175,7 @@ impl Recording {
     ) -> Result<Option<sms_core::LabelMap>, FramesError> {
         let frame = &self.frames[index];
         let Some(path) = &frame.mask_path else { return Ok(None) };
-        let map = sms_core::read_png_gray16(path)?;
+        let map = sms_core::read_png_labels(path)?;
         let k = &frame.color_lens.intrinsics;
         if map.size() != (k.width, k.height) {
             return Err(InputError::new(

@@ -5,13 +5,16 @@ use crate::{MasksError, STAGE, Segmenter};
 use serde::Deserialize;
 use sms_core::{
     BACKGROUND, Cancel, Image, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, Warnings,
-    atomic, read_png_gray16,
+    atomic, read_png_labels,
 };
 use sms_frames::{Frame, Sequence};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Label images: grey PNGs of 8 or 16 bits, 0 for the background and one value an object.
+/// More values than this are no objects: such an image is a depth image or a picture.
+const MOST_OBJECTS: usize = 500;
+
+/// Label images: grey PNGs of up to 16 bits, or palette PNGs, 0 for the background and one value an object.
 ///
 /// The images may be larger than the frames (the recording's native size); they are resampled by nearest neighbour
 /// with pixel centres at +0.5, as in the paper's appendix. Values are renumbered from 1 in increasing order. Names
@@ -95,7 +98,16 @@ pub(crate) fn read_maps(
     let mut maps = Vec::with_capacity(paths.len());
     for (frame, path) in sequence.frames.iter().zip(paths) {
         cancel.check()?;
-        let image = read_png_gray16(path)?;
+        let image = read_png_labels(path)?;
+        let values = count_values(&image);
+        if values > MOST_OBJECTS {
+            return Err(InputError::new(
+                format!("this mask has {values} different values: that many objects are not in view"),
+                path,
+                "give label images, with one value for each object; this may be a depth image",
+            )
+            .into());
+        }
         let first = *native.get_or_insert(image.size());
         if image.size() != first {
             return Err(wrong_size(path, image.size(), first, "the first mask").into());
@@ -108,6 +120,13 @@ pub(crate) fn read_maps(
     }
     progress.end(&format!("{} masks", maps.len()));
     Ok(maps)
+}
+
+/// How many different values an image has, the background's apart.
+fn count_values(image: &LabelMap) -> usize {
+    let mut seen = vec![false; 1 << 16];
+    image.data.iter().for_each(|&v| seen[usize::from(v)] = true);
+    seen[usize::from(BACKGROUND) + 1..].iter().filter(|s| **s).count()
 }
 
 fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), whose: &str) -> InputError {
@@ -302,6 +321,14 @@ mod tests {
         write_png_gray16(&dir.path().join("masks/000000.png"), &Image::filled(12, 12, 0)).unwrap();
         let other_aspect = fault(&FileMasks::default(), &sequence);
         assert!(other_aspect.contains("8×6") && other_aspect.contains("000000.png"), "{other_aspect}");
+
+        let depth = Image::from_vec(40, 30, (0..1200).collect());
+        write_png_gray16(&dir.path().join("masks/000000.png"), &depth).unwrap();
+        let no_labels = fault(&FileMasks::default(), &sequence);
+        assert!(
+            no_labels.contains("1199 different values") && no_labels.contains("000000.png"),
+            "{no_labels}"
+        );
 
         std::fs::remove_file(dir.path().join("masks/000002.png")).unwrap();
         let from_dir = FileMasks { dir: Some(dir.path().join("masks")) };

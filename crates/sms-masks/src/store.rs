@@ -4,7 +4,7 @@ use crate::MasksError;
 use crate::names::is_usable;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    BACKGROUND, InputError, LabelInfo, Labels, MaskSource, atomic, read_png_gray16, write_png_gray16,
+    BACKGROUND, InputError, LabelInfo, Labels, MaskSource, atomic, read_png_labels, write_png_gray16,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -69,7 +69,7 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let mut maps = Vec::new();
     for index in 0..file.frames {
         let path = dir.join(format!("{index:06}.png"));
-        let mut map = read_png_gray16(&path)?;
+        let mut map = read_png_labels(&path)?;
         if maps.first().is_some_and(|first: &sms_core::LabelMap| first.size() != map.size()) {
             return Err(InputError::new("this mask has another size than the first", &path, CURE).into());
         }

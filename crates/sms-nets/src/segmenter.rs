@@ -101,7 +101,8 @@ pub struct ModelFolders {
 pub struct NetsMasks {
     /// What to find and how.
     pub config: NetsConfig,
-    /// Boxes in the first frame given by hand, which replace detections that they overlap. Where `config.objects` is
+    /// Boxes in the first frame given by hand, which replace detections that they overlap, and those of their name that they hold or lie
+    /// in. Where `config.objects` is
     /// empty there are no others.
     pub boxes: Vec<NamedBox>,
     /// Where the models are.
@@ -113,6 +114,9 @@ pub struct NetsMasks {
     pub read: ReadOptions,
 }
 
+/// A box of which this share lies in another lies inside of it.
+const INSIDE: f64 = 0.8;
+
 /// Something found in the first frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
@@ -122,6 +126,17 @@ pub struct Found {
     pub score: f64,
     /// Where.
     pub bbox: PixelBox,
+}
+
+impl Found {
+    /// Whether this, given by hand, stands for a detection: their boxes overlap, or they have one name and one lies in the other. A
+    /// detection that a user corrects is often half or twice as large as the thing.
+    fn replaces(&self, detected: &Self, max_overlap: f64) -> bool {
+        let holds = |a: &PixelBox, b: &PixelBox| a.holds(b, INSIDE);
+        self.bbox.overlap(&detected.bbox) > max_overlap
+            || (self.name == detected.name
+                && (holds(&self.bbox, &detected.bbox) || holds(&detected.bbox, &self.bbox)))
+    }
 }
 
 /// A model's `config.json`, checked to be of the right kind.
@@ -186,9 +201,10 @@ impl NetsMasks {
         let all = suppressed(self.detect(image, size, warnings)?, self.config.max_overlap);
         for Detection { query, score, bbox } in all {
             let bbox = bbox.clipped(width, height);
-            let is_taken = found[..by_hand].iter().any(|f| f.bbox.overlap(&bbox) > self.config.max_overlap);
+            let detected = Found { name: self.config.objects[query].clone(), score, bbox };
+            let is_taken = found[..by_hand].iter().any(|f| f.replaces(&detected, self.config.max_overlap));
             if !is_taken && bbox.area() >= 1.0 && bbox.area() <= self.config.max_area_share * area {
-                found.push(Found { name: self.config.objects[query].clone(), score, bbox });
+                found.push(detected);
             }
         }
         if found.len() > self.config.max_objects {
@@ -271,6 +287,11 @@ impl NetsMasks {
     ) -> Result<Vec<LabelMap>, NetsError> {
         let folder = &self.models.sam2;
         let config: Sam2Config = config(folder, &["sam2_video", "sam2"])?;
+        if let Some(fault) = config.fault() {
+            let cure = "fetch the model again, or give the folder of another one";
+            let what = format!("this model cannot be built: {fault}");
+            return Err(InputError::new(what, folder.join("config.json"), cure).into());
+        }
         let model = Sam2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
         let size = sequence.frames[0].color.size();
         let mut boxes: Vec<Option<PixelBox>> = found.iter().map(|f| Some(f.bbox)).collect();
@@ -376,5 +397,32 @@ impl Segmenter for NetsMasks {
         };
         cancel.check()?;
         Ok(Labels { maps, objects: label_infos(&names), source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_by_hand_replaces_the_detection_that_it_corrects_and_no_other() {
+        let found = |name: &str, x0: f64, x1: f64| {
+            let bbox = PixelBox { x0, y0: 0.0, x1, y1: 10.0 };
+            Found { name: name.into(), score: 1.0, bbox }
+        };
+        let by_hand = found("mug", 10.0, 20.0);
+        for (detected, expected) in [
+            // Almost the same box, whatever it is called.
+            (found("bowl", 11.0, 20.0), true),
+            // Four times as wide, and a fifth.
+            (found("mug", 0.0, 40.0), true),
+            (found("mug", 12.0, 14.0), true),
+            // A spoon in the mug, the table under it, and another mug beside it.
+            (found("spoon", 12.0, 14.0), false),
+            (found("table", 0.0, 40.0), false),
+            (found("mug", 17.0, 27.0), false),
+        ] {
+            assert_eq!(by_hand.replaces(&detected, 0.5), expected, "{detected:?}");
+        }
     }
 }

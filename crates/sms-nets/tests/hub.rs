@@ -273,14 +273,51 @@ fn a_dropped_connection_is_gone_on_from_where_it_broke() {
 #[test]
 fn a_broken_download_goes_on_in_the_next_run_and_survives_a_server_without_ranges() {
     let cache = tempfile::tempdir().unwrap();
-    let cutting = Server::new(|_, a| {
-        if a.method == "GET" && a.path.contains("cdn") { Fault::Cut(10_000) } else { Fault::None }
+    let gets = Mutex::new(0);
+    let cutting = Server::new(move |_, a| {
+        if a.method == "GET" && a.path.contains("cdn") {
+            let mut gets = gets.lock().unwrap();
+            *gets += 1;
+            // Then nothing comes any more.
+            return Fault::Cut(if *gets <= 3 { 10_000 } else { 0 });
+        }
+        Fault::None
     });
     let message = fetch(&hub(&cutting, cache.path())).unwrap_err().to_string();
     assert!(message.contains("could not be fetched") && message.contains("--weights DIR"), "{message}");
     let whole = Server::new(|_, _| Fault::Whole);
     is_whole(&fetch(&hub(&whole, cache.path())).unwrap());
     assert_eq!(whole.asked().iter().filter_map(|a| a.from).collect::<Vec<_>>(), [30_000]);
+}
+
+#[test]
+fn a_line_that_breaks_again_and_again_brings_the_file_all_the_same() {
+    let cutting = Server::new(|_, a| {
+        if a.method == "GET" && a.path.contains("cdn") { Fault::Cut(30_000) } else { Fault::None }
+    });
+    let cache = tempfile::tempdir().unwrap();
+    is_whole(&fetch(&hub(&cutting, cache.path())).unwrap());
+    let gets = cutting.asked().iter().filter(|a| a.path.contains("cdn")).count();
+    assert!(gets > hub(&cutting, cache.path()).attempts, "{gets}");
+}
+
+#[test]
+fn an_address_that_has_expired_is_asked_for_again() {
+    let elsewhere = Server::new(|number, _| if number == 0 { Fault::Status(403, "0") } else { Fault::None });
+    let other = elsewhere.url.clone();
+    let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
+    let cache = tempfile::tempdir().unwrap();
+    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    let described = |a: &&Asked| a.method == "HEAD" && a.path.ends_with("safetensors");
+    assert_eq!(server.asked().iter().filter(described).count(), 2);
+    // One that refuses for good is no reason to ask for ever.
+    let never = Server::new(|_, _| Fault::Status(403, "0"));
+    let other = never.url.clone();
+    let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
+    let cache = tempfile::tempdir().unwrap();
+    let message = fetch(&hub(&server, cache.path())).unwrap_err().to_string();
+    assert!(message.contains("status 403"), "{message}");
+    assert_eq!(never.asked().len(), 2);
 }
 
 #[test]

@@ -9,11 +9,13 @@ pub(crate) use without_nets::{Chosen, run, segmenter};
 mod with_nets {
     use crate::cli::{Models, NetsArguments, TrackName};
     use crate::context::Context;
+    use sms_core::metrics::Metrics;
     use sms_frames::ReadOptions;
     use sms_masks::{MasksError, Segmenter};
     use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
     use sms_nets::{Device, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
-    use std::path::PathBuf;
+    use std::path::{Path, PathBuf};
+    use std::time::SystemTime;
 
     const DETECTOR: &str = "owlv2";
     const TRACKER: &str = "sam2-tiny";
@@ -53,10 +55,37 @@ mod with_nets {
             Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device, read })
         }
 
-        /// Everything that the masks depend on.
+        /// Everything that the masks depend on. Local weights count by their files' sizes and times: reading half a gigabyte to
+        /// find that nothing changed would take as long as some of the work.
         pub(crate) fn settings(&self) -> String {
-            format!("{:?} {:?} {} {:?}", self.config, self.boxes, self.tracker.repository, self.weights)
+            let Model { repository, revision, .. } = self.tracker;
+            let files = self.weights.as_deref().map(files_of).unwrap_or_default();
+            format!("{:?} {:?} {repository} {revision} {:?} {files:?}", self.config, self.boxes, self.weights)
         }
+
+        /// Which network tracked, and how, for metrics and the report.
+        pub(crate) fn told(&self, metrics: &mut Metrics) {
+            let track = match self.config.track {
+                Track::Memory => "with memory",
+                Track::Reprompt => "prompted anew in each frame",
+            };
+            metrics.set("masks.model", self.tracker.repository).set("masks.track", track);
+        }
+    }
+
+    /// Names, sizes and times of the weights in a folder and its subfolders, sorted.
+    fn files_of(folder: &Path) -> Vec<(PathBuf, u64, Option<SystemTime>)> {
+        let entries = |dir: &Path| -> Vec<PathBuf> {
+            std::fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path()).collect()
+        };
+        let (folders, mut paths): (Vec<_>, Vec<_>) = entries(folder).into_iter().partition(|p| p.is_dir());
+        paths.extend(folders.iter().flat_map(|f| entries(f)));
+        paths.sort();
+        let of = |path: PathBuf| {
+            let about = std::fs::metadata(&path).ok().filter(|m| m.is_file())?;
+            Some((path, about.len(), about.modified().ok()))
+        };
+        paths.into_iter().filter_map(of).collect()
     }
 
     #[cfg(feature = "cuda")]
@@ -139,6 +168,7 @@ mod without_nets {
     use crate::cli::{Models, NetsArguments};
     use crate::context::Context;
     use sms_core::InputError;
+    use sms_core::metrics::Metrics;
     use sms_masks::Segmenter;
     use std::convert::Infallible;
 
@@ -151,6 +181,10 @@ mod without_nets {
         }
 
         pub(crate) fn settings(&self) -> String {
+            match self.0 {}
+        }
+
+        pub(crate) fn told(&self, _: &mut Metrics) {
             match self.0 {}
         }
     }

@@ -42,7 +42,10 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
     let unknown = metrics.number("masks.unknown").filter(|n| *n > 0.0);
     let unknown = unknown.map_or_else(String::new, |n| format!(" and {n} unknown"));
     let (name, preset) = (settings.recording_name(), &settings.preset);
-    let mut subtitle = format!("{name} · masks from {}{unknown} · preset {preset}", settings.masks);
+    let word = |key: &str| metrics.get(key).and_then(|v| v.as_str());
+    let networks = word("masks.model").zip(word("masks.track"));
+    let networks = networks.map_or_else(String::new, |(model, track)| format!(" ({model}, {track})"));
+    let mut subtitle = format!("{name} · masks from {}{networks}{unknown} · preset {preset}", settings.masks);
     let engine = execution.as_ref().map(|e| &e.engine);
     let landed_in = landed.as_ref().and_then(|l| l.execution.as_ref()).map(|e| &e.engine);
     if let Some(engine) = engine.or(landed_in) {

@@ -123,6 +123,9 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         save_labels(stage.dir(), &labels)?;
         let mut metrics = Metrics::new();
         metrics.set("masks.objects", labels.objects.len()).set("masks.source", settings.masks.clone());
+        if let Some(chosen) = &nets {
+            chosen.told(&mut metrics);
+        }
         if let Some(moved) = done.moved_pixels {
             metrics.set("masks.refined_share", moved as f64 / pixels.max(1) as f64);
         }

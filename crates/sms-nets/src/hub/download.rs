@@ -16,6 +16,9 @@ use ureq::{Agent, Body};
 const PIECE: usize = 1 << 16;
 /// Longest pause that a server can ask for.
 const LONGEST_PAUSE: Duration = Duration::from_secs(120);
+/// Longest time for what one request brings. A line that has gone silent is given up with it and gone on from; so is a slow one,
+/// which costs it nothing.
+const LONGEST_BODY: Duration = Duration::from_secs(120);
 /// Redirects followed, one after the other.
 const REDIRECTS: usize = 8;
 
@@ -55,6 +58,7 @@ impl<'a> Client<'a> {
             .max_redirects_will_error(false)
             .timeout_connect(Some(Duration::from_secs(20)))
             .timeout_recv_response(Some(Duration::from_secs(60)))
+            .timeout_recv_body(Some(LONGEST_BODY))
             .user_agent(concat!("sms/", env!("CARGO_PKG_VERSION")));
         let is_local = ["://localhost", "://127.", "://[::1]"].iter().any(|h| hub.endpoint.contains(h));
         let builder = if is_local { builder.proxy(None) } else { builder };
@@ -63,8 +67,12 @@ impl<'a> Client<'a> {
 
     /// Describes a file.
     pub(crate) fn look(&self, revision: &str, file: &str, cancel: &Cancel) -> Result<Remote, NetsError> {
-        let url = format!("{}/{}/resolve/{revision}/{file}", self.hub.endpoint, self.model.repository);
-        self.repeated(file, cancel, || self.look_once(&url, file))
+        self.repeated(file, cancel, || 0, || self.look_once(&self.address(revision, file), file))
+    }
+
+    /// Where the hub describes a file.
+    fn address(&self, revision: &str, file: &str) -> String {
+        format!("{}/{}/resolve/{revision}/{file}", self.hub.endpoint, self.model.repository)
     }
 
     fn look_once(&self, url: &str, file: &str) -> Result<Remote, Failure> {
@@ -118,7 +126,8 @@ impl<'a> Client<'a> {
         std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;
         let partial = PathBuf::from(format!("{}.incomplete", blob.display()));
         progress.begin(&format!("fetching {}/{file}", self.model.repository), remote.size.unwrap_or(0));
-        self.repeated(file, cancel, || self.fetch_rest(remote, file, &partial, progress, cancel))?;
+        let have = || std::fs::metadata(&partial).map_or(0, |m| m.len());
+        self.repeated(file, cancel, have, || self.fetch_rest(remote, file, &partial, progress, cancel))?;
         let found = checksum_of(&partial, remote.checksum.len(), cancel)?;
         if found != remote.checksum {
             std::fs::remove_file(&partial).map_err(CoreError::write(&partial))?;
@@ -155,6 +164,12 @@ impl<'a> Client<'a> {
             let location = response.headers().get("location").and_then(|v| v.to_str().ok());
             let Some(location) = location.filter(|_| response.status().is_redirection()) else { break };
             at = absolute(&at, location);
+            response = self.ask(&at, false, (have > 0).then_some(have))?;
+        }
+        let refuses = |r: &Response<Body>| matches!(r.status().as_u16(), 401 | 403);
+        if refuses(&response) && !same_host(&at, &self.hub.endpoint) {
+            // The hub's addresses for bytes are signed for a while only.
+            at = self.look_once(&self.address(&remote.commit, file), file)?.url;
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
         let status = response.status().as_u16();
@@ -242,11 +257,13 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// Tries until it works, a lasting failure comes, or the attempts are used up.
+    /// Tries until it works, a lasting failure comes, or the attempts are used up; those that brought bytes (`have` says how many are
+    /// there) do not count.
     fn repeated<T>(
         &self,
         file: &str,
         cancel: &Cancel,
+        have: impl Fn() -> u64,
         attempt: impl Fn() -> Result<T, Failure>,
     ) -> Result<T, NetsError> {
         let mut pause = self.hub.pause;
@@ -254,11 +271,15 @@ impl<'a> Client<'a> {
         loop {
             number += 1;
             cancel.check()?;
+            let before = have();
             let (why, wait) = match attempt() {
                 Ok(value) => return Ok(value),
                 Err(Failure::Lasting(error)) => return Err(error),
                 Err(Failure::Passing(why, wait)) => (why, wait),
             };
+            if have() > before {
+                (number, pause) = (0, self.hub.pause);
+            }
             if number >= self.hub.attempts.max(1) {
                 let what = format!("{file} of {} could not be fetched", self.model.repository);
                 let cure = format!("try again later; or {}", self.hub.by_hand(self.model));

@@ -130,6 +130,66 @@ impl Sam2Config {
     }
 }
 
+/// No published model has a size beyond this.
+const LARGEST: usize = 1 << 16;
+
+impl Sam2Config {
+    /// The first value with which no network can be built; `None` where all can be used. Sizes that do not fit the weights are told
+    /// when those are read.
+    pub fn fault(&self) -> Option<String> {
+        let hiera = &self.vision_config.backbone_config;
+        let stages = hiera.embed_dim_per_stage.len();
+        if stages != 4 {
+            return Some(format!("embed_dim_per_stage has {stages} stages in place of 4"));
+        }
+        for (name, list) in [
+            ("blocks_per_stage", &hiera.blocks_per_stage),
+            ("embed_dim_per_stage", &hiera.embed_dim_per_stage),
+            ("num_attention_heads_per_stage", &hiera.num_attention_heads_per_stage),
+            ("window_size_per_stage", &hiera.window_size_per_stage),
+        ] {
+            if list.len() != stages || list.iter().any(|v| !(1..=LARGEST).contains(v)) {
+                return Some(format!("{name} is {list:?}: {stages} positive numbers are needed"));
+            }
+        }
+        let [rows, columns] = hiera.window_positional_embedding_background_size;
+        let decoder = &self.mask_decoder_config;
+        for (name, value) in [
+            ("window_positional_embedding_background_size", rows.min(columns)),
+            ("image_size", self.image_size),
+            ("num_maskmem", self.num_maskmem),
+            ("fpn_hidden_size", self.hidden()),
+            ("memory_encoder_output_channels", self.memory_encoder_output_channels),
+            ("memory_attention_num_attention_heads", self.memory_attention_num_attention_heads),
+            ("mask_decoder_config.num_attention_heads", decoder.num_attention_heads),
+            ("mask_decoder_config.num_multimask_outputs", decoder.num_multimask_outputs),
+            ("mask_decoder_config.iou_head_depth", decoder.iou_head_depth),
+        ] {
+            if !(1..=LARGEST).contains(&value) {
+                return Some(format!("{name} is {value}"));
+            }
+        }
+        if !self.image_size.is_multiple_of(32) || self.image_size > 8192 {
+            return Some(format!(
+                "image_size is {}: a multiple of 32, at most 8192, is needed",
+                self.image_size
+            ));
+        }
+        let uneven = |c: usize, heads: usize| !c.is_multiple_of(heads);
+        let widths = hiera.embed_dim_per_stage.iter().zip(&hiera.num_attention_heads_per_stage);
+        if let Some((c, heads)) = widths.into_iter().find(|(c, heads)| uneven(**c, **heads)) {
+            return Some(format!("{c} channels do not fall into {heads} attention heads"));
+        }
+        if uneven(self.hidden(), self.memory_encoder_output_channels) {
+            let (c, memory) = (self.hidden(), self.memory_encoder_output_channels);
+            return Some(format!(
+                "fpn_hidden_size is {c}, no multiple of memory_encoder_output_channels, {memory}"
+            ));
+        }
+        None
+    }
+}
+
 impl Default for Sam2Config {
     fn default() -> Self {
         Self {
@@ -192,5 +252,37 @@ impl Default for DecoderConfig {
             dynamic_multimask_stability_delta: 0.05,
             dynamic_multimask_stability_thresh: 0.98,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_built_is_named() {
+        assert_eq!(Sam2Config::default().fault(), None);
+        let faulty = |json: &str, part: &str| {
+            let config: Sam2Config = serde_json::from_str(json).unwrap();
+            let fault = config.fault().unwrap_or_default();
+            assert!(fault.contains(part), "{json}: {fault}");
+        };
+        faulty(r#"{"num_maskmem": 0}"#, "num_maskmem is 0");
+        faulty(r#"{"image_size": 100}"#, "image_size");
+        faulty(r#"{"image_size": 0}"#, "image_size");
+        faulty(r#"{"memory_encoder_output_channels": 60}"#, "memory_encoder_output_channels");
+        for (key, value) in [
+            ("blocks_per_stage", "[1, 2]"),
+            ("blocks_per_stage", "[0, 2, 7, 2]"),
+            ("embed_dim_per_stage", "[96]"),
+            ("embed_dim_per_stage", "[]"),
+            ("window_size_per_stage", "[8, 4, 0, 7]"),
+            ("num_attention_heads_per_stage", "[1, 2, 4]"),
+        ] {
+            faulty(&format!(r#"{{"vision_config": {{"backbone_config": {{"{key}": {value}}}}}}}"#), key);
+        }
+        let heads =
+            r#"{"vision_config": {"backbone_config": {"num_attention_heads_per_stage": [5, 2, 4, 8]}}}"#;
+        faulty(heads, "96 channels do not fall into 5");
     }
 }
