@@ -81,23 +81,18 @@ pub fn read_png_labels(path: &Path) -> Result<Image<u16>, CoreError> {
     let mut pixels = Vec::with_capacity(width * height);
     // Rows of packed values begin at whole bytes.
     for row in bytes.chunks_exact(info.line_size.max(1)) {
-        match info.bit_depth {
-            png::BitDepth::Sixteen => {
-                let values: Vec<u16> =
-                    row.chunks_exact(2).map(|p| u16::from_be_bytes([p[0], p[1]])).collect();
-                pixels.extend(labels_of(&values, samples, path)?);
-            }
-            png::BitDepth::Eight => {
-                let values: Vec<u16> = row.iter().map(|&v| u16::from(v)).collect();
-                pixels.extend(labels_of(&values, samples, path)?);
-            }
+        let values: Vec<u16> = match info.bit_depth {
+            png::BitDepth::Sixteen => row.chunks_exact(2).map(|p| u16::from_be_bytes([p[0], p[1]])).collect(),
+            png::BitDepth::Eight => row.iter().map(|&v| u16::from(v)).collect(),
+            // Grey or a palette: a sample a pixel.
             depth => {
                 let bits = depth as usize;
                 let (each, mask) = (8 / bits, (1u16 << bits) - 1);
                 let value = |x: usize| (u16::from(row[x / each]) >> (8 - bits * (x % each + 1))) & mask;
-                pixels.extend((0..width).map(value));
+                (0..width).map(value).collect()
             }
-        }
+        };
+        pixels.extend(labels_of(&values, samples, path)?);
     }
     Ok(Image::from_vec(width, height, pixels))
 }

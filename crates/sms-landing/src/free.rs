@@ -3,7 +3,7 @@
 use crate::resolved::STANDS;
 use crate::{LandingDisturbances, LandingError, LandingTask, ResolvedLanding};
 use sms_core::Seed;
-use sms_scene::{BodyKind, Scene, loose_mass};
+use sms_scene::{BodyKind, Scene};
 use sms_sim::{RestingDrift, WorldFactory, fix_restless};
 
 /// A scene in which bodies of the structure can move that were fixed.
@@ -39,14 +39,9 @@ impl LandingTask {
         if !self.free {
             return Ok(None);
         }
-        let mut loose = scene.clone();
-        let mut bodies = Vec::new();
-        for body in loose.bodies.iter_mut().filter(|b| b.kind == BodyKind::Static) {
-            if let Some(mass) = body.mass.or_else(|| loose_mass(body)) {
-                (body.kind, body.mass) = (BodyKind::Dynamic, Some(mass));
-                bodies.push(body.name.clone());
-            }
-        }
+        let loose = scene.loosened();
+        let was_fixed = scene.bodies.iter().zip(&loose.bodies).filter(|(was, is)| was.kind != is.kind);
+        let mut bodies: Vec<String> = was_fixed.map(|(_, is)| is.name.clone()).collect();
         if bodies.is_empty() {
             return Ok(None);
         }

@@ -99,7 +99,7 @@ pub(crate) fn read_maps(
     for (frame, path) in sequence.frames.iter().zip(paths) {
         cancel.check()?;
         let image = read_png_labels(path)?;
-        let values = count_values(&image);
+        let values = values_in([&image]).into_iter().filter(|is_there| *is_there).count();
         if values > MOST_OBJECTS {
             return Err(InputError::new(
                 format!("this mask has {values} different values: that many objects are not in view"),
@@ -122,11 +122,12 @@ pub(crate) fn read_maps(
     Ok(maps)
 }
 
-/// How many different values an image has, the background's apart.
-fn count_values(image: &LabelMap) -> usize {
+/// Which values occur in images, the background's apart.
+fn values_in<'a>(images: impl IntoIterator<Item = &'a LabelMap>) -> Vec<bool> {
     let mut seen = vec![false; 1 << 16];
-    image.data.iter().for_each(|&v| seen[usize::from(v)] = true);
-    seen[usize::from(BACKGROUND) + 1..].iter().filter(|s| **s).count()
+    images.into_iter().flat_map(|m| &m.data).for_each(|&v| seen[usize::from(v)] = true);
+    seen[usize::from(BACKGROUND)] = false;
+    seen
 }
 
 fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), whose: &str) -> InputError {
@@ -205,10 +206,7 @@ pub(crate) fn number_labels(
     source: MaskSource,
     warnings: &Warnings,
 ) -> Labels {
-    let mut seen = vec![false; 1 << 16];
-    for &value in maps.iter().flat_map(|m| &m.data) {
-        seen[usize::from(value)] = true;
-    }
+    let seen = values_in(&maps);
     let mut new_id = vec![BACKGROUND; 1 << 16];
     let mut objects: Vec<LabelInfo> = Vec::new();
     let mut taken: Vec<String> = named.values().map(|o| o.name.clone()).collect();

@@ -203,6 +203,12 @@ mod tests {
         Labels { maps, objects: (1..=count).map(info).collect(), source: MaskSource::Files }
     }
 
+    /// Mean over the objects.
+    fn mean_iou(truth: &[LabelMap], labels: &Labels) -> f64 {
+        let count = labels.objects.len();
+        (1..=count as u16).map(|v| best_iou(truth, v, labels).0).sum::<f64>() / count as f64
+    }
+
     /// Grows (odd frames) or shrinks (even frames) every mask by `n` pixels.
     fn corrupt(map: &LabelMap, frame: usize, n: i64) -> LabelMap {
         let mut out = map.clone();
@@ -241,11 +247,7 @@ mod tests {
         let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 5)).collect();
         let before = truth_labels(wrong, solids.len() as u16);
         let after = refine_edges(&before, &sequence, 6, DEFAULT_NEIGHBORS).unwrap();
-        let mean = |labels: &Labels| {
-            (1..=solids.len() as u16).map(|v| best_iou(&truth, v, labels).0).sum::<f64>()
-                / solids.len() as f64
-        };
-        let (b, a) = (mean(&before), mean(&after));
+        let (b, a) = (mean_iou(&truth, &before), mean_iou(&truth, &after));
         println!("mean IoU {b:.3} before, {a:.3} after");
         assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
     }
@@ -258,15 +260,11 @@ mod tests {
         let (sequence, truth) =
             scene(&solids, Sensor { frames: 10, size: (640, 400), ..Sensor::default() }, 3);
         let margin_px = scaled_margin_px(640);
-        let mean = |labels: &Labels| {
-            (1..=solids.len() as u16).map(|v| best_iou(&truth, v, labels).0).sum::<f64>()
-                / solids.len() as f64
-        };
         for (what, frame) in [("grown", 1), ("shrunk", 0)] {
             let wrong = truth.iter().map(|m| corrupt(m, frame, 3)).collect();
             let before = truth_labels(wrong, solids.len() as u16);
             let after = refine_edges(&before, &sequence, margin_px, DEFAULT_NEIGHBORS).unwrap();
-            let (b, a) = (mean(&before), mean(&after));
+            let (b, a) = (mean_iou(&truth, &before), mean_iou(&truth, &after));
             println!("{what}: mean IoU {b:.3} before, {a:.3} after");
             assert!(b < 0.75 && a > b + 0.4 * (1.0 - b), "{what}: {b:.3} -> {a:.3}");
         }

@@ -155,6 +155,20 @@ pub fn loose_mass(body: &Body) -> Option<MassProperties> {
     hollowed(&solid, body.material.fill_factor.value.best).ok()
 }
 
+impl Scene {
+    /// The scene with every solid body free to move: static ones get the mass that they have, or that of their shape (see
+    /// [`loose_mass`]).
+    pub fn loosened(&self) -> Self {
+        let mut loose = self.clone();
+        for body in loose.bodies.iter_mut().filter(|b| b.kind == BodyKind::Static) {
+            if let Some(mass) = body.mass.or_else(|| loose_mass(body)) {
+                (body.kind, body.mass) = (BodyKind::Dynamic, Some(mass));
+            }
+        }
+        loose
+    }
+}
+
 /// A homogeneous body with a void of its own shape, scaled by `s` about its centre of mass, such that `1 − s³` is the
 /// share of its volume that is filled: the moments scale with `1 − s⁵`. Filled all through it is the solid itself. The
 /// result is about the centre of mass.

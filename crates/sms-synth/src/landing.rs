@@ -111,15 +111,17 @@ pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
 /// The structure of a landing scene's number: 1 to 4 are the fixed ones, others are of each structure in turn.
 pub fn landing_structure(number: u64) -> LandingStructure {
     let all = LandingStructure::ALL;
-    let fixed = (number as usize).checked_sub(1).and_then(|i| all.get(i));
-    fixed.copied().unwrap_or(all[(number % all.len() as u64) as usize])
+    fixed_structure(number).unwrap_or(all[(number % all.len() as u64) as usize])
+}
+
+fn fixed_structure(number: u64) -> Option<LandingStructure> {
+    (number as usize).checked_sub(1).and_then(|i| LandingStructure::ALL.get(i)).copied()
 }
 
 /// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed.
 pub fn landing_scene(number: u64) -> TruthScene {
-    let structure = landing_structure(number);
-    let is_fixed = (1..=LandingStructure::ALL.len() as u64).contains(&number);
-    if is_fixed { structure.fixed() } else { generate_landing(structure, Seed(number)) }
+    let drawn = || generate_landing(landing_structure(number), Seed(number));
+    fixed_structure(number).map_or_else(drawn, |s| s.fixed())
 }
 
 fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: [f64; 2]) -> TruthScene {

@@ -3,7 +3,7 @@
 
 use super::realise::Table;
 use super::rows::{View, make};
-use super::seen::{Seen, forget_material, is_object, tell_matched};
+use super::seen::{Seen, forget_material, tell_matched};
 use super::{BilliardsBench, BilliardsScene, Row, Shot, Unfinished};
 use crate::told::set_material;
 use crate::{BenchError, MaterialsTold};
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Cancel, Progress, Seed};
 use sms_plan::PlanError;
 use sms_robot::RobotConfig;
-use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use sms_scene::{Body, BodyShape, Scene};
 use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
 use sms_synth::TruthScene;
 use sms_target::{Target, TargetEngine, TargetError, match_bodies, scene_from_truth};
@@ -192,12 +192,8 @@ fn replaced(
         body.x_wb = seen.scene.x_world_recording * body.x_wb;
     }
     real.x_world_recording = seen.scene.x_world_recording;
-    let mut own = seen.scene.clone();
-    for body in own.bodies.iter_mut().filter(|b| is_object(b)) {
-        // What did not rest by itself was fixed, and is still in some object's place.
-        body.kind = BodyKind::Dynamic;
-    }
-    let pairs = match_bodies(&own, &real);
+    // What did not rest by itself was fixed, and is still in some object's place.
+    let pairs = match_bodies(&seen.scene.loosened(), &real);
     let seed = seen.told_seed;
     Ok(match what {
         Replaced::None | Replaced::Engine => None,
@@ -293,7 +289,7 @@ fn with_true_shapes(
 mod tests {
     use super::*;
     use crate::BilliardsGeometry;
-    use crate::billiards::seen::see;
+    use crate::billiards::seen::{is_object, see};
     use sms_core::NoProgress;
     use sms_synth::FIXED_SCENES;
 

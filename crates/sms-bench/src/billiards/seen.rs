@@ -13,7 +13,7 @@ use sms_core::{
 use sms_entities::{EntitiesConfig, build_entities};
 use sms_materials::MaterialTable;
 use sms_plan::PlanError;
-use sms_scene::{Body, BodyKind, BodyShape, Scene, build_scene, load_scene, loose_mass, save_scene};
+use sms_scene::{Body, BodyShape, Scene, build_scene, load_scene, loose_mass, save_scene};
 use sms_sim::{RapierFactory, RestLimits, fix_restless};
 use sms_synth::{FixedScene, TruthScene};
 use sms_target::{match_bodies, scene_from_truth};
@@ -170,11 +170,7 @@ pub(crate) fn tell_matched(
         body.x_wb = scene.x_world_recording * body.x_wb;
     }
     // What did not rest by itself was fixed, and is still made of something.
-    let mut own = scene.clone();
-    for body in own.bodies.iter_mut().filter(|b| is_object(b)) {
-        body.mass = body.mass.or_else(|| loose_mass(body));
-        body.kind = BodyKind::Dynamic;
-    }
+    let own = scene.loosened();
     let pairs = match_bodies(&own, &true_scene);
     for (body, own) in scene.bodies.iter_mut().zip(&own.bodies) {
         if matches!(body.shape, BodyShape::HalfSpace) {
@@ -192,6 +188,7 @@ pub(crate) fn tell_matched(
 mod tests {
     use super::*;
     use sms_core::NoProgress;
+    use sms_scene::BodyKind;
     use sms_synth::{FIXED_SCENES, redraw_materials};
 
     fn seen(truth: &TruthScene, told: MaterialsTold) -> Seen {

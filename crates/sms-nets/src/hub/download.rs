@@ -126,8 +126,12 @@ impl<'a> Client<'a> {
         std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;
         let partial = PathBuf::from(format!("{}.incomplete", blob.display()));
         progress.begin(&format!("fetching {}/{file}", self.model.repository), remote.size.unwrap_or(0));
-        let have = || std::fs::metadata(&partial).map_or(0, |m| m.len());
-        self.repeated(file, cancel, have, || self.fetch_rest(remote, file, &partial, progress, cancel))?;
+        self.repeated(
+            file,
+            cancel,
+            || length(&partial),
+            || self.fetch_rest(remote, file, &partial, progress, cancel),
+        )?;
         let found = checksum_of(&partial, remote.checksum.len(), cancel)?;
         if found != remote.checksum {
             std::fs::remove_file(&partial).map_err(CoreError::write(&partial))?;
@@ -151,7 +155,7 @@ impl<'a> Client<'a> {
         cancel: &Cancel,
     ) -> Result<(), Failure> {
         let own = |e: CoreError| Failure::Lasting(e.into());
-        let mut have = std::fs::metadata(partial).map_or(0, |m| m.len());
+        let mut have = length(partial);
         if remote.size.is_some_and(|size| have > size) {
             have = 0;
         }
@@ -166,8 +170,7 @@ impl<'a> Client<'a> {
             at = absolute(&at, location);
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
-        let refuses = |r: &Response<Body>| matches!(r.status().as_u16(), 401 | 403);
-        if refuses(&response) && !same_host(&at, &self.hub.endpoint) {
+        if matches!(response.status().as_u16(), 401 | 403) && !same_host(&at, &self.hub.endpoint) {
             // The hub's addresses for bytes are signed for a while only.
             at = self.look_once(&self.address(&remote.commit, file), file)?.url;
             response = self.ask(&at, false, (have > 0).then_some(have))?;
@@ -295,6 +298,11 @@ impl<'a> Client<'a> {
             pause *= 2;
         }
     }
+}
+
+/// Bytes of a file; 0 where there is none.
+fn length(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |m| m.len())
 }
 
 /// SHA-256 where the checksum has 64 digits, else the name that Git gives the file's content.

@@ -176,8 +176,8 @@ impl Sam2Config {
             ));
         }
         let uneven = |c: usize, heads: usize| !c.is_multiple_of(heads);
-        let widths = hiera.embed_dim_per_stage.iter().zip(&hiera.num_attention_heads_per_stage);
-        if let Some((c, heads)) = widths.into_iter().find(|(c, heads)| uneven(**c, **heads)) {
+        let mut widths = hiera.embed_dim_per_stage.iter().zip(&hiera.num_attention_heads_per_stage);
+        if let Some((c, heads)) = widths.find(|(c, heads)| uneven(**c, **heads)) {
             return Some(format!("{c} channels do not fall into {heads} attention heads"));
         }
         if uneven(self.hidden(), self.memory_encoder_output_channels) {
