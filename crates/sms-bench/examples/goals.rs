@@ -1,4 +1,4 @@
-//! Places where the goals of the fixed billiards scenes may lie: `goals SHOTS PLACES [SCENES]`.
+//! Places where the goals of the fixed billiards scenes may lie: `goals SHOTS PLACES [SCENES [FASTEST_M_S]]`.
 
 use sms_bench::{GoalsBench, run_goals};
 use sms_core::{Cancel, NoProgress};
@@ -13,9 +13,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => (1..=FIXED_SCENES.len()).collect(),
         Some(list) => list.split(',').map(str::parse).collect::<Result<_, _>>()?,
     };
+    let fastest_m_s = args.get(3).map_or(Ok(f64::INFINITY), |a| a.parse())?;
     let bench = GoalsBench {
         scenes: FIXED_SCENES.into_iter().filter(|s| wanted.contains(&s.number)).collect(),
         shots: shots as u64,
+        fastest_m_s,
         distance_m: [0.24, 0.55],
         least_share: 0.006,
         best_m: 0.012,

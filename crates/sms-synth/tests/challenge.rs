@@ -34,7 +34,7 @@ fn digest(scenes: &[TruthScene]) -> String {
 #[test]
 fn the_eighteen_scenes_are_frozen() {
     let scenes: Vec<TruthScene> = FIXED_SCENES.iter().map(|s| s.generate()).collect();
-    assert_eq!(digest(&scenes), "ff91f3561b128ceae1399fba0a5c1524");
+    assert_eq!(digest(&scenes), "1a573d650f40e07b9fda8dc5e0bcb3c6");
     assert_eq!(scenes[0].objects.len(), 2, "the first has no obstacles");
     for (fixed, scene) in FIXED_SCENES.iter().zip(&scenes).skip(1) {
         assert!(scene.objects.len() >= 6, "{}: {} objects", fixed.number, scene.objects.len());
