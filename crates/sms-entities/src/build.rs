@@ -6,6 +6,7 @@ use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::environment;
 use crate::grid::{PointGrid, quantile};
+use crate::level;
 use crate::recognise::{recognise_sphere, sunk};
 use crate::sphere::SphereFit;
 use crate::stack;
@@ -107,6 +108,8 @@ pub fn build_entities(
     let mut entities: Vec<Entity> = entities.into_iter().flatten().collect();
     let solid = |e: &Entity| e.parts.iter().map(Mesh::volume).sum::<f64>();
     let before: Vec<f64> = entities.iter().map(solid).collect();
+    let floor = support_height.unwrap_or(0.0);
+    level::level_faces(&mut entities, floor, config.convex.max_vertices);
     for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
         let fate = if overlap.left > 0.001 {
@@ -117,7 +120,7 @@ pub fn build_entities(
         let message = format!("`{a}` and `{b}` overlapped by {:.1} mm; {fate}", 1e3 * overlap.depth);
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
     }
-    stack::close_gaps(&mut entities, support_height.unwrap_or(0.0), config.convex.max_vertices);
+    stack::close_gaps(&mut entities, floor, config.convex.max_vertices);
     for (entity, before) in entities.iter().zip(before) {
         let lost = 1.0 - solid(entity) / before;
         if lost > 0.1 {

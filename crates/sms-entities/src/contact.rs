@@ -180,7 +180,7 @@ fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, 
 }
 
 /// Keeps what lies below the plane; `false`, and no change, when nothing solid would be left.
-fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
+pub(crate) fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     let (below, _) = clip(&triangles, normal, offset);
     let points: Vec<DVec3> = below.into_iter().flatten().collect();

@@ -43,6 +43,7 @@ mod grid;
 mod hilbert;
 mod hollow;
 mod inside;
+mod level;
 mod maxflow;
 mod mesher;
 mod pca;

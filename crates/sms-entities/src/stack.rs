@@ -4,17 +4,19 @@
 use crate::contact::{is_exact, translate};
 use crate::underside::convex_outline;
 use glamx::{DVec2, DVec3};
+use parry3d_f64::query::{Ray, RayCast};
+use parry3d_f64::shape::ConvexPolyhedron;
 use sms_convex::convex_hull;
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 
 /// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
-const REACH_M: f64 = 0.005;
+pub(crate) const REACH_M: f64 = 0.005;
 /// What ends lower than this above the floor stands on that, metres.
 const OFF_FLOOR_M: f64 = 0.03;
 /// What carries another reaches down at least so far below the face, metres.
-const BELOW_M: f64 = 0.005;
+pub(crate) const BELOW_M: f64 = 0.005;
 /// Gaps that physics engines do not notice, metres.
-const CLOSED_M: f64 = 1e-5;
+pub(crate) const CLOSED_M: f64 = 1e-5;
 
 /// Closes what is left open between objects that stand on each other, from the lowest up: tops of a carrier's convex pieces that end
 /// below the other's bottom are brought up to it; what stands on an exact solid is put down on it.
@@ -50,7 +52,7 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
 }
 
 /// Whether an object stands on something, and not on the floor. Balls touch at a point, which is seen to elsewhere.
-fn can_stand(entity: &Entity, floor: f64) -> bool {
+pub(crate) fn can_stand(entity: &Entity, floor: f64) -> bool {
     let is_ball = matches!(entity.shape, EntityShape::Sphere { .. });
     entity.kind == EntityKind::Dynamic && !is_ball && bottom(entity) > floor + OFF_FLOOR_M
 }
@@ -62,22 +64,22 @@ fn vertices(entity: &Entity) -> Box<dyn Iterator<Item = DVec3> + '_> {
     Box::new(entity.parts.iter().flat_map(|p| p.vertices.iter().copied()))
 }
 
-fn bottom(entity: &Entity) -> f64 {
+pub(crate) fn bottom(entity: &Entity) -> f64 {
     vertices(entity).map(|v| v.z).fold(f64::INFINITY, f64::min)
 }
 
 /// Convex outline of an object's bottom from above, counterclockwise.
-fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
+pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
     let low = bottom(entity) + REACH_M;
     outline_of(vertices(entity).filter(|v| v.z < low))
 }
 
-fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
+pub(crate) fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
     let flat: Vec<[f64; 2]> = points.map(|v| [v.x, v.y]).collect();
     convex_outline(&flat).into_iter().map(DVec2::from_array).collect()
 }
 
-fn is_under(outline: &[DVec2], p: DVec2) -> bool {
+pub(crate) fn is_under(outline: &[DVec2], p: DVec2) -> bool {
     (0..outline.len()).all(|i| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
         (b - a).perp_dot(p - a) >= -REACH_M * (b - a).length()
@@ -92,16 +94,30 @@ fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
     if top.len() >= 3 && meets { height - bounds.max.z } else { f64::INFINITY }
 }
 
-/// Brings the corners of a piece that lie under the outline, and at most [`REACH_M`] below `height`, up to it.
+/// Brings what of a piece's top lies under the outline, and at most [`REACH_M`] below `height`, up to it: its corners there, and
+/// the places where its top passes from under the outline (a wall's ridge that runs on has no corner there).
 fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> bool {
-    let is_raised =
-        |v: &DVec3| v.z > height - REACH_M && v.z < height + CLOSED_M && is_under(outline, v.truncate());
+    let is_near = |z: f64| z > height - REACH_M && z < height + CLOSED_M;
+    let is_raised = |v: &DVec3| is_near(v.z) && is_under(outline, v.truncate());
+    let corners: Vec<DVec3> =
+        part.vertices.iter().filter(|v| is_raised(v)).map(|v| v.with_z(height)).collect();
+    let Some(shape) = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles) else {
+        return false;
+    };
+    let top = |p: DVec2| {
+        let down = Ray::new(p.extend(height + 1.0), DVec3::NEG_Z);
+        shape.cast_local_ray(&down, 2.0, true).map(|t| height + 1.0 - t)
+    };
+    let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
+    let crossings = common(&high, outline).into_iter();
+    let crossings: Vec<DVec3> =
+        crossings.filter(|&p| top(p).is_some_and(is_near)).map(|p| p.extend(height)).collect();
     // A corner or an edge alone is a detail, no face.
-    if part.vertices.iter().filter(|v| is_raised(v)).count() < 3 {
+    if corners.len() + crossings.len() < 3 {
         return false;
     }
-    let raised: Vec<DVec3> =
-        part.vertices.iter().map(|v| if is_raised(v) { v.with_z(height) } else { *v }).collect();
+    let kept = part.vertices.iter().filter(|v| !is_raised(v)).copied();
+    let raised: Vec<DVec3> = kept.chain(corners).chain(crossings).collect();
     match convex_hull(&raised, max_vertices, 1e-6) {
         Some(hull) => {
             *part = hull;
@@ -111,13 +127,38 @@ fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usiz
     }
 }
 
+/// Corners of what two convex outlines (counterclockwise) have in common.
+fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
+    if a.len() < 3 || b.len() < 3 {
+        return Vec::new();
+    }
+    let mut left = a.to_vec();
+    for i in 0..b.len() {
+        let (start, edge) = (b[i], b[(i + 1) % b.len()] - b[i]);
+        let side = |p: DVec2| edge.perp_dot(p - start);
+        let mut cut = Vec::with_capacity(left.len() + 1);
+        for j in 0..left.len() {
+            let (p, q) = (left[j], left[(j + 1) % left.len()]);
+            let (sp, sq) = (side(p), side(q));
+            if sp >= 0.0 {
+                cut.push(p);
+            }
+            if sp * sq < 0.0 {
+                cut.push(p.lerp(q, sp / (sp - sq)));
+            }
+        }
+        left = cut;
+    }
+    left
+}
+
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use glamx::DPose3;
     use sms_core::PointCloud;
 
-    fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
+    pub(crate) fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
         let parts = if shape.is_primitive() { Vec::new() } else { vec![mesh.clone()] };
         Entity {
             label: 1,
@@ -161,6 +202,33 @@ mod tests {
             [wide.clone(), cuboid("box", DVec3::new(0.1, 0.1, 0.05), DVec3::new(0.0, 0.0, 0.65), true)];
         close_gaps(&mut all, 0.0, 64);
         assert_eq!(all[0], wide);
+    }
+
+    #[test]
+    fn a_wall_that_runs_on_beyond_a_board_carries_it_where_they_cross() {
+        // A wall of 8 mm along x, 2 mm too low, whose corners all lie beyond the board across it.
+        let wall = cuboid("wall", DVec3::new(0.3, 0.004, 0.149), DVec3::Z * 0.149, false);
+        let board = cuboid("board", DVec3::new(0.1, 0.4, 0.01), DVec3::new(0.0, 0.0, 0.31), false);
+        let mut all = [wall, board];
+        close_gaps(&mut all, 0.0, 64);
+        let part = &all[0].parts[0];
+        let face: Vec<DVec3> = part.vertices.iter().copied().filter(|v| (v.z - 0.3).abs() < 1e-12).collect();
+        assert!(face.len() >= 4 && face.iter().all(|v| v.x.abs() < 0.1 + 1e-9), "{face:?}");
+        assert!(face.iter().any(|v| v.x > 0.099) && face.iter().any(|v| v.x < -0.099));
+        assert!(part.is_closed_oriented() && (part.aabb().unwrap().max.x - 0.3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_two_outlines_have_in_common() {
+        let square = |x: f64, y: f64, half: f64| {
+            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+                .map(|(s, t)| DVec2::new(x + half * s, y + half * t))
+        };
+        let area = |p: &[DVec2]| (0..p.len()).map(|i| 0.5 * p[i].perp_dot(p[(i + 1) % p.len()])).sum::<f64>();
+        let both = common(&square(0.0, 0.0, 1.0), &square(1.5, 0.5, 1.0));
+        assert!((area(&both) - 0.5 * 1.5).abs() < 1e-12, "{both:?}");
+        assert!((area(&common(&square(0.0, 0.0, 1.0), &square(0.1, 0.0, 0.2))) - 0.16).abs() < 1e-12);
+        assert!(common(&square(0.0, 0.0, 1.0), &square(3.0, 0.0, 1.0)).is_empty());
     }
 
     #[test]

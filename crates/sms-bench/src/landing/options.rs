@@ -10,7 +10,7 @@ use sms_target::TargetEngine;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// The numbers of the fixed structures with their words in keys, as `sms synth --family landing` numbers them.
 pub const LANDING_SCENES: [(usize, LandingStructure); 4] = [

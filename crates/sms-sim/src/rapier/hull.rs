@@ -20,6 +20,8 @@ use super::engine::parry::shape::{
     ConvexPolyhedron, FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape, ShapeType,
     SubShapeId, SupportMap, Triangle, TypedShape,
 };
+use super::engine::parry::transformation::try_convex_hull;
+use glamx::DVec3;
 
 /// Vertices this near to a face's plane, metres, belong to the face.
 const FLAT: f64 = 2e-5;
@@ -45,21 +47,20 @@ struct FacePiece {
 impl StableHull {
     /// The convex hull of points; `None` where they enclose no volume.
     pub(super) fn new(points: &[Vector]) -> Option<Self> {
-        let hull = ConvexPolyhedron::from_convex_hull(points)?;
-        let faces =
-            hull.faces().iter().enumerate().map(|(id, face)| (face.normal, describe(&hull, id))).collect();
-        let mut triangles = Vec::new();
-        for (id, face) in (0u32..).zip(hull.faces()) {
-            let first = face.first_vertex_or_edge as usize;
-            let around = &hull.vertices_adj_to_face()[first..first + face.num_vertices_or_edges as usize];
-            let at = |k: usize| hull.points()[around[k] as usize];
-            triangles.extend((1..around.len().saturating_sub(1)).map(|k| FacePiece {
-                shape: Triangle::new(at(0), at(k), at(k + 1)),
-                normal: face.normal,
-                face: id,
-            }));
-        }
-        Some(Self { hull, faces, triangles })
+        let (vertices, indices) = try_convex_hull(points).ok()?;
+        let (planes, plane_of) = planes(&vertices, &indices);
+        let faces = (0u32..).zip(&planes).map(|(id, p)| (to_engine(p.normal), describe(&vertices, id, p)));
+        let faces: Vec<(Vector, PolygonalFeature)> = faces.collect();
+        let pieces = indices.iter().zip(plane_of).filter_map(|(t, plane)| Some((t, plane?)));
+        let triangles = pieces
+            .map(|(t, plane)| FacePiece {
+                shape: Triangle::from(t.map(|k| vertices[k as usize])),
+                normal: faces[plane].0,
+                face: plane as u32,
+            })
+            .collect();
+        let hull = ConvexPolyhedron::from_convex_mesh(vertices, &indices)?;
+        (!faces.is_empty()).then_some(Self { hull, faces, triangles })
     }
 
     /// The nearest point of the surface and the face that it lies on; whether `p` is inside.
@@ -88,19 +89,63 @@ impl StableHull {
     }
 }
 
-/// The description of a face: the widest four of the vertices that lie in its plane. Parry's own list of a face's
-/// vertices is not enough: rounding splits flat bases into several faces that are a hair apart.
-fn describe(hull: &ConvexPolyhedron, id: usize) -> PolygonalFeature {
-    let face = &hull.faces()[id];
-    let first = face.first_vertex_or_edge as usize;
-    let listed = face.num_vertices_or_edges as usize;
-    let origin = hull.points()[hull.vertices_adj_to_face()[first] as usize];
-    let in_plane = |p: &Vector| (*p - origin).dot(face.normal).abs() <= FLAT as Real;
+/// The plane of a face.
+#[derive(Debug, Clone, Copy)]
+struct FacePlane {
+    origin: DVec3,
+    normal: DVec3,
+}
+
+impl FacePlane {
+    fn height(&self, p: DVec3) -> f64 {
+        (p - self.origin).dot(self.normal)
+    }
+}
+
+fn to_double(v: Vector) -> DVec3 {
+    DVec3::new(v.x as f64, v.y as f64, v.z as f64)
+}
+
+fn to_engine(v: DVec3) -> Vector {
+    Vector::new(v.x as Real, v.y as Real, v.z as Real)
+}
+
+/// The planes of the faces that triangles make, the largest triangle's first, and the plane of each triangle (none for one of
+/// no area on an edge). Parry joins triangles whose normals differ by up to 1.5° in single precision, and takes the first one's:
+/// a heavy box sank through a board whose two sides had such a normal. Here a triangle belongs to a larger one's face when it lies in
+/// its plane, whatever rounding made of a sliver's normal, and to no other.
+fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
+    let corners: Vec<[DVec3; 3]> =
+        triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
+    let areas: Vec<DVec3> = corners.iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
+    let mut order: Vec<usize> = (0..corners.len()).collect();
+    order.sort_by(|&a, &b| areas[b].length_squared().total_cmp(&areas[a].length_squared()).then(a.cmp(&b)));
+    let mut found: Vec<FacePlane> = Vec::new();
+    let mut of = vec![None; corners.len()];
+    for t in order {
+        let lies_in = |plane: &FacePlane| {
+            plane.normal.dot(areas[t]) >= 0.0 && corners[t].iter().all(|&p| plane.height(p).abs() <= FLAT)
+        };
+        of[t] = found.iter().position(lies_in);
+        if of[t].is_none()
+            && let Some(normal) = areas[t].try_normalize()
+        {
+            of[t] = Some(found.len());
+            found.push(FacePlane { origin: corners[t][0], normal });
+        }
+    }
+    (found, of)
+}
+
+/// The description of a face: the widest four of the vertices that lie in its plane.
+fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> PolygonalFeature {
+    let in_plane = |p: &Vector| plane.height(to_double(*p)).abs() <= FLAT;
     let mut corners: Vec<(u32, Vector)> =
-        (0u32..).zip(hull.points().iter().copied()).filter(|(_, p)| in_plane(p)).collect();
+        (0u32..).zip(vertices.iter().copied()).filter(|(_, p)| in_plane(p)).collect();
+    let normal = to_engine(plane.normal);
     let middle = corners.iter().fold(Vector::ZERO, |sum, c| sum + c.1) / corners.len() as Real;
-    let across = (origin - middle).normalize_or(face.normal.any_orthonormal_vector());
-    let along = face.normal.cross(across);
+    let across = (to_engine(plane.origin) - middle).normalize_or(normal.any_orthonormal_vector());
+    let along = normal.cross(across);
     let angle = |p: Vector| (p - middle).dot(along).atan2((p - middle).dot(across));
     corners.sort_by(|a, b| angle(a.1).total_cmp(&angle(b.1)).then(a.0.cmp(&b.0)));
     let positions: Vec<Vector> = corners.iter().map(|c| c.1).collect();
@@ -109,10 +154,10 @@ fn describe(hull: &ConvexPolyhedron, id: usize) -> PolygonalFeature {
         feature.vertices[slot] = positions[corner];
         feature.vids[slot] = PackedFeatureId::vertex(corners[corner].0);
         // Edge ids only tell contacts of one step from those of the next.
-        feature.eids[slot] = PackedFeatureId::edge(hull.edges_adj_to_face()[first + slot % listed]);
+        feature.eids[slot] = PackedFeatureId::edge(4 * id + slot as u32);
         feature.num_vertices = slot + 1;
     }
-    feature.fid = PackedFeatureId::face(id as u32);
+    feature.fid = PackedFeatureId::face(id);
     feature
 }
 
@@ -302,6 +347,33 @@ mod tests {
         assert_eq!(feature.num_vertices, 4);
         let middle = feature.vertices.iter().fold(Vector::ZERO, |sum, v| sum + v) / 4.0;
         assert!(middle.length() < 1e-3, "{middle}");
+    }
+
+    /// A roof of two faces that differ by less than parry's 1.5°.
+    #[test]
+    fn faces_that_differ_by_a_degree_stay_apart() {
+        for slope in [0.004, 0.008, 0.016, 0.024] {
+            let corner = |x: f64, y: f64, z: f64| Vector::new(x as Real, y as Real, z as Real);
+            let mut points = Vec::new();
+            for y in [-0.2, 0.2] {
+                points.extend([corner(0.0, y, 0.01), corner(0.0, y, -0.01)]);
+                for x in [-0.4, 0.4] {
+                    points.extend([corner(x, y, 0.01 - 0.4 * slope), corner(x, y, -0.01)]);
+                }
+            }
+            let hull = StableHull::new(&points).unwrap();
+            for side in [-1.0, 1.0] {
+                let length = (1.0 + slope * slope).sqrt();
+                let normal = corner(side * slope / length, 0.0, 1.0 / length);
+                let mut feature = PolygonalFeature::default();
+                hull.local_support_feature(normal, &mut feature);
+                let v = feature.vertices;
+                let spanned = (v[2] - v[0]).cross(v[3] - v[1]) * 0.5;
+                assert_eq!(feature.num_vertices, 4);
+                assert!((spanned.length() - (0.4 * 0.4 * length) as Real).abs() < 1e-4, "{slope}: {v:?}");
+                assert!(spanned.normalize().dot(normal).abs() > 1.0 - 1e-7, "{slope}: {v:?}");
+            }
+        }
     }
 
     /// A piece of a scanned bowl. Parry's single-precision query takes this point, 0.16 mm outside, for inside.
