@@ -103,7 +103,7 @@ fn is_plausible(
     let stands_out = planes.iter().all(|plane| {
         let mut heights: Vec<f64> = object.iter().map(|&i| plane.height(surfels[i].p_w).abs()).collect();
         let at = heights.len() * 9 / 10;
-        *heights.select_nth_unstable_by(at, f64::total_cmp).1 > 0.5 * config.min_object_m
+        *heights.select_nth_unstable_by(at, f64::total_cmp).1 > (0.5 * config.min_object_m).max(plane.band_m)
     });
     let step = object.len().div_ceil(200);
     let seen = sequence.frames.iter().filter(|frame| {
