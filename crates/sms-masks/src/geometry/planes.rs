@@ -267,13 +267,13 @@ fn scattered_ground(
     graph: &Neighbors,
     config: &GeometryConfig,
 ) -> Option<(Vec<usize>, DVec3)> {
-    /// Surface that a patch shows at least, and that all of them do, in that of the least object.
-    const PATCH: f64 = 0.25;
-    const SHOWN: f64 = 4.0;
+    /// Surface that a patch shows at least (m²), and that all of them do.
+    const PATCH_M2: f64 = 2.25e-4;
+    const SHOWN_M2: f64 = 3.6e-3;
     /// Normals of a level plane stray from the vertical by less than 6°; single surfels by more.
     const LEVEL: f64 = 0.995;
     let band = (3.0 * median(surfels.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
-    let least = PATCH * config.min_area_m2 / config.voxel_m.powi(2);
+    let least = PATCH_M2 / config.voxel_m.powi(2);
     let patches = |p_w: DVec3, n_w: DVec3| -> Vec<usize> {
         let on = |s: &Surfel| n_w.dot(s.p_w - p_w).abs() < band && s.n_w.dot(n_w) > ROUGHLY_ALIGNED;
         let mut pieces = graph.components(|i| on(&surfels[i]));
@@ -303,7 +303,7 @@ fn scattered_ground(
         }
         let [_, middle, long] = extents(surfels, &members);
         let area = members.len() as f64 * config.voxel_m.powi(2);
-        if area > SHOWN * config.min_area_m2 && middle * long > config.max_face_m2 {
+        if area > SHOWN_M2 && middle * long > config.max_face_m2 {
             return Some((members, n_w));
         }
     }
