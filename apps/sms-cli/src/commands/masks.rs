@@ -65,6 +65,7 @@ pub(crate) fn run(context: &Context, a: &Masks) -> anyhow::Result<()> {
 }
 
 /// Tells and draws what the networks found in the first frame, in the form in which `--box` takes it back.
+#[cfg(feature = "nets")]
 pub(crate) fn tell_found(
     context: &Context,
     run: &Path,
