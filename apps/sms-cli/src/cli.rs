@@ -89,7 +89,7 @@ pub(crate) enum Command {
     Devices,
     /// Measure the scan on fixed scenes with exact truth.
     Bench(crate::commands::bench::Bench),
-    /// Look at a run's masks: its objects, and with --preview the annotated first frame.
+    /// Look at a run's masks: its objects, and with --preview the annotated first frame; or at what the networks would find.
     Masks(Masks),
     /// List or fetch the weights of the networks.
     #[command(subcommand)]
@@ -102,9 +102,12 @@ pub(crate) enum Command {
 pub(crate) struct Masks {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Write masks/preview.png: the first frame with its masks and their boxes.
+    /// Write preview.png into the run's folder: the first frame with its masks, and the boxes and scores of what the networks
+    /// found. With --objects, --box or --threshold: what they would find so, for which no masks are needed and none are changed.
     #[arg(long)]
     pub preview: bool,
+    #[command(flatten)]
+    pub nets: NetsArguments,
 }
 
 #[derive(Debug, Subcommand)]
@@ -199,6 +202,14 @@ pub(crate) struct NetsArguments {
     /// A folder with the models' files, instead of the Hugging Face cache.
     #[arg(long, value_name = "DIR")]
     pub weights: Option<PathBuf>,
+}
+
+impl NetsArguments {
+    /// Whether they say what to look for.
+    pub(crate) fn ask(&self) -> bool {
+        let Self { objects, boxes, threshold, max_overlap, .. } = self;
+        objects.is_some() || !boxes.is_empty() || threshold.is_some() || max_overlap.is_some()
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -100,11 +100,16 @@ impl Context {
         all.merge(metrics);
         all.save(&path)?;
         warnings.save_as(&run.warnings_path(), stage)?;
+        self.tell(warnings);
+        Ok(())
+    }
+
+    /// Shows warnings.
+    pub(crate) fn tell(&self, warnings: &Warnings) {
         for w in warnings.snapshot() {
             let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
             eprintln!("warning: {}{times}{}{}", w.message, if w.cure.is_empty() { "" } else { "; " }, w.cure);
         }
-        Ok(())
     }
 
     /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).

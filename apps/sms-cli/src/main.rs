@@ -10,6 +10,7 @@ mod context;
 mod device;
 mod failure;
 mod live;
+mod picture;
 mod settings;
 
 use clap::Parser;

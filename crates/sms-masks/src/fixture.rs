@@ -12,6 +12,8 @@ pub(crate) enum Solid {
     Sphere(DVec3, f64),
     /// Centre, half extents, turn about z in radians.
     Box(DVec3, DVec3, f64),
+    /// A cylinder: centre, from there to the middle of one end, radius.
+    Rod(DVec3, DVec3, f64),
 }
 
 /// What the camera does to depth.
@@ -72,6 +74,18 @@ fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
                 far = far.min(a.max(b));
             }
             (near < far && near > 0.0).then_some(near)
+        }
+        Solid::Rod(c, half, r) => {
+            let (oc, axis) = (o - c, half.normalize());
+            let (o_along, d_along) = (oc.dot(axis), d.dot(axis));
+            // Across the axis it is a disc.
+            let (o, d) = (oc - axis * o_along, d - axis * d_along);
+            let (a, b) = (d.dot(d), o.dot(d));
+            let disc = b * b - a * (o.dot(o) - r * r);
+            let round = (disc > 0.0).then(|| [(-b - disc.sqrt()) / a, (-b + disc.sqrt()) / a])?;
+            let ends = [-1.0, 1.0].map(|side| (side * half.length() - o_along) / d_along);
+            let near = round[0].max(ends[0].min(ends[1]));
+            (near < round[1].min(ends[0].max(ends[1])) && near > 0.0).then_some(near)
         }
     }
 }

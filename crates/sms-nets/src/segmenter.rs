@@ -371,9 +371,53 @@ fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> La
     map
 }
 
+impl NetsMasks {
+    /// What [`NetsMasks::find`] finds in the first frame of `sequence`, in the picture as it was recorded where that is still there. It
+    /// takes seconds, and to follow what was found takes minutes: whoever asks can be shown the one before the other.
+    ///
+    /// # Errors
+    /// As [`NetsMasks::find`].
+    pub fn find_first(
+        &self,
+        sequence: &Sequence,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Vec<Found>, MasksError> {
+        let Some(first) = sequence.frames.first() else { return Ok(Vec::new()) };
+        let recorded = self.recorded(sequence, &sequence.frames[..1], cancel)?;
+        let image = recorded[0].as_ref().unwrap_or(&first.color);
+        Ok(self.find(image, first.color.size(), cancel, warnings)?)
+    }
+
+    /// Labels of all frames for what was found in the first; the id of each is its place in `found`, from 1. Objects that never
+    /// get a pixel keep their id and are named in a warning.
+    ///
+    /// # Errors
+    /// [`NetsError`] for a model that cannot be used, and interruption.
+    pub fn follow(
+        &self,
+        sequence: &Sequence,
+        found: &[Found],
+        progress: &dyn Progress,
+        cancel: &Cancel,
+        warnings: &Warnings,
+    ) -> Result<Labels, MasksError> {
+        let names: Vec<String> = found.iter().map(|f| f.name.clone()).collect();
+        let maps = if found.is_empty() {
+            let empty = |f: &Frame| LabelMap::filled(f.color.width, f.color.height, BACKGROUND);
+            sequence.frames.iter().map(empty).collect()
+        } else if sequence.is_empty() {
+            Vec::new()
+        } else {
+            self.track(sequence, found, progress, cancel, warnings)?
+        };
+        cancel.check()?;
+        Ok(Labels { maps, objects: label_infos(&names), source: MaskSource::Foundation })
+    }
+}
+
 impl Segmenter for NetsMasks {
-    /// Objects that never get a pixel keep their id and are named in a warning. The networks' borders waver by some pixels:
-    /// [`sms_masks::complete`] corrects them, as it does those of other sources.
+    /// The networks' borders waver by some pixels: [`sms_masks::complete`] corrects them, as it does those of other sources.
     fn segment(
         &self,
         sequence: &Sequence,
@@ -381,22 +425,8 @@ impl Segmenter for NetsMasks {
         cancel: &Cancel,
         warnings: &Warnings,
     ) -> Result<Labels, MasksError> {
-        let source = MaskSource::Foundation;
-        let Some(first) = sequence.frames.first() else {
-            return Ok(Labels { maps: Vec::new(), objects: Vec::new(), source });
-        };
-        let recorded = self.recorded(sequence, &sequence.frames[..1], cancel)?;
-        let image = recorded[0].as_ref().unwrap_or(&first.color);
-        let found = self.find(image, first.color.size(), cancel, warnings)?;
-        let names: Vec<String> = found.iter().map(|f| f.name.clone()).collect();
-        let maps = if found.is_empty() {
-            let empty = |f: &sms_frames::Frame| LabelMap::filled(f.color.width, f.color.height, BACKGROUND);
-            sequence.frames.iter().map(empty).collect()
-        } else {
-            self.track(sequence, &found, progress, cancel, warnings)?
-        };
-        cancel.check()?;
-        Ok(Labels { maps, objects: label_infos(&names), source })
+        let found = self.find_first(sequence, cancel, warnings)?;
+        self.follow(sequence, &found, progress, cancel, warnings)
     }
 }
 

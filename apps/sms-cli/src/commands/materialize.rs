@@ -1,6 +1,6 @@
 //! `sms materialize`: Gaussians → entities → materials → scene.
 
-use super::scan::{RunSettings, SETTINGS};
+use super::scan::{RunSettings, SETTINGS, regions_hash};
 use super::{inputs_hash, length_text, materials, run_stage, shown, timed, vlm};
 use crate::cli::Materialize;
 use crate::context::Context;
@@ -37,9 +37,16 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     config.parts_cache = Some(run.root().join("cache").join("parts"));
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
     let read = context.settings.section("read", ReadOptions::default())?;
-    let hash = inputs_hash(&[&before], &(&config, seed, &read))?;
-    let (sequence, mut labels) =
-        trained_on(Sequence::load(&frames_dir)?, load_labels(&masks_dir)?, settings.holdout);
+    let labels = load_labels(&masks_dir)?;
+    if settings.regions.as_ref().is_some_and(|trained| *trained != regions_hash(&labels).0) {
+        let cure =
+            "scan again into this run: objects that were merged there, or taken apart, are trained anew";
+        let what = "these are not the objects that the scan was made with";
+        return Err(InputError::new(what, masks_dir.join("labels.json"), cure).into());
+    }
+    // Names and descriptions may be edited without another scan.
+    let hash = inputs_hash(&[&before], &(&config, seed, &read, names_of(&labels)))?;
+    let (sequence, mut labels) = trained_on(Sequence::load(&frames_dir)?, labels, settings.holdout);
     let entities_dir = run_stage(
         context,
         &run,
@@ -143,6 +150,11 @@ fn fix_pieces(scene: &mut Scene, warnings: &Warnings) -> anyhow::Result<()> {
 pub(crate) fn drift_text(drift: &RestingDrift) -> String {
     let (moved, degrees) = (length_text(drift.moved_m), drift.turned_rad.to_degrees());
     format!("`{}` moved {moved} and turned {degrees:.1}° when left alone", drift.body)
+}
+
+/// What the objects are called and described as, by their ids.
+fn names_of(labels: &Labels) -> Vec<(u16, &str, &str)> {
+    labels.objects.iter().map(|o| (o.id, o.name.as_str(), o.description.as_str())).collect()
 }
 
 /// The frames that were trained on, with their label maps: objects must not see what was kept out either.

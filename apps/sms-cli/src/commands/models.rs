@@ -1,19 +1,21 @@
 //! The networks: `sms models`, and masks by them in `sms scan --masks sam2`.
 
 #[cfg(feature = "nets")]
-pub(crate) use with_nets::{Chosen, run, segmenter};
+pub(crate) use with_nets::{Chosen, labels, preview, run};
 #[cfg(not(feature = "nets"))]
-pub(crate) use without_nets::{Chosen, run, segmenter};
+pub(crate) use without_nets::{Chosen, labels, preview, run};
 
 #[cfg(feature = "nets")]
 mod with_nets {
+    use super::super::masks::{self, FoundBox};
     use crate::cli::{Models, NetsArguments, TrackName};
     use crate::context::Context;
     use sms_core::metrics::Metrics;
-    use sms_frames::ReadOptions;
-    use sms_masks::{MasksError, Segmenter};
+    use sms_core::{Stage, Warnings, atomic};
+    use sms_frames::{ReadOptions, Sequence};
+    use sms_masks::{Labels, MasksError};
     use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
-    use sms_nets::{Device, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
+    use sms_nets::{Device, Found, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
     use std::path::{Path, PathBuf};
     use std::time::SystemTime;
 
@@ -70,6 +72,23 @@ mod with_nets {
                 Track::Reprompt => "prompted anew in each frame",
             };
             metrics.set("masks.model", self.tracker.repository).set("masks.track", track);
+            if self.weights.is_none() {
+                metrics.set("masks.model_commit", self.tracker.revision);
+            }
+        }
+
+        fn detector(&self) -> Result<Option<Model>, MasksError> {
+            (!self.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()
+        }
+
+        fn masks(&self, models: ModelFolders) -> NetsMasks {
+            NetsMasks {
+                config: self.config.clone(),
+                boxes: self.boxes.clone(),
+                models,
+                device: self.device.clone(),
+                read: self.read.clone(),
+            }
         }
     }
 
@@ -103,15 +122,19 @@ mod with_nets {
         Ok(Device::Cpu)
     }
 
-    /// The segmenter, its models fetched where they are not there.
-    pub(crate) fn segmenter(
+    /// The labels of a sequence, models fetched where they are not there. What was found in the first frame is told and drawn
+    /// (`preview.png` of the run) before it is followed through the rest, which takes minutes; it is kept with the labels.
+    pub(crate) fn labels(
         context: &Context,
         chosen: Option<&Chosen>,
-    ) -> anyhow::Result<Box<dyn Segmenter>> {
+        sequence: &Sequence,
+        run: &Path,
+        stage: &Stage,
+        warnings: &Warnings,
+    ) -> anyhow::Result<Labels> {
         let chosen = chosen.ok_or_else(|| anyhow::anyhow!("no networks were chosen"))?;
-        let detector = (!chosen.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()?;
         let models = model_folders(
-            detector,
+            chosen.detector()?,
             chosen.tracker,
             chosen.weights.as_deref(),
             &HubConfig::from_environment(),
@@ -119,13 +142,44 @@ mod with_nets {
             &context.cancel,
         )
         .map_err(MasksError::from)?;
-        Ok(Box::new(NetsMasks {
-            config: chosen.config.clone(),
-            boxes: chosen.boxes.clone(),
-            models,
-            device: chosen.device.clone(),
-            read: chosen.read.clone(),
-        }))
+        let networks = chosen.masks(models);
+        let found = networks.find_first(sequence, &context.cancel, warnings)?;
+        let boxes = boxes_of(&found);
+        atomic::write_json(&stage.dir().join(masks::FOUND), &boxes)?;
+        masks::tell_found(context, run, sequence, &boxes)?;
+        Ok(networks.follow(sequence, &found, context.progress.as_ref(), &context.cancel, warnings)?)
+    }
+
+    /// What is found in the first frame of a run, told and drawn; nothing is followed and no mask is changed.
+    pub(crate) fn preview(
+        context: &Context,
+        a: &NetsArguments,
+        sequence: &Sequence,
+        run: &Path,
+    ) -> anyhow::Result<()> {
+        let chosen = Chosen::new(context, a)?;
+        let hub = HubConfig::from_environment();
+        let folder = |model: Model| {
+            model.folder(chosen.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
+        };
+        let owlv2 = chosen.detector()?.map(folder).transpose().map_err(MasksError::from)?;
+        // The tracker is not looked at.
+        let networks = chosen.masks(ModelFolders { owlv2, sam2: PathBuf::new() });
+        let warnings = Warnings::new();
+        let found = networks.find_first(sequence, &context.cancel, &warnings)?;
+        context.tell(&warnings);
+        masks::tell_found(context, run, sequence, &boxes_of(&found))
+    }
+
+    /// Boxes with the ids that their labels get.
+    fn boxes_of(found: &[Found]) -> Vec<FoundBox> {
+        let of = |(i, f): (usize, &Found)| FoundBox {
+            id: i as u16 + 1,
+            name: f.name.clone(),
+            score: f.score,
+            box_px: [f.bbox.x0, f.bbox.y0, f.bbox.x1, f.bbox.y1],
+        };
+        found.iter().enumerate().map(of).collect()
     }
 
     /// A model by name. Errors of the networks go on as those of masks, which have their exit codes.
@@ -167,10 +221,12 @@ mod with_nets {
 mod without_nets {
     use crate::cli::{Models, NetsArguments};
     use crate::context::Context;
-    use sms_core::InputError;
     use sms_core::metrics::Metrics;
-    use sms_masks::Segmenter;
+    use sms_core::{InputError, Stage, Warnings};
+    use sms_frames::Sequence;
+    use sms_masks::Labels;
     use std::convert::Infallible;
+    use std::path::Path;
 
     /// There is nothing to choose.
     pub(crate) struct Chosen(Infallible);
@@ -189,7 +245,18 @@ mod without_nets {
         }
     }
 
-    pub(crate) fn segmenter(_: &Context, _: Option<&Chosen>) -> anyhow::Result<Box<dyn Segmenter>> {
+    pub(crate) fn labels(
+        _: &Context,
+        _: Option<&Chosen>,
+        _: &Sequence,
+        _: &Path,
+        _: &Stage,
+        _: &Warnings,
+    ) -> anyhow::Result<Labels> {
+        Err(none().into())
+    }
+
+    pub(crate) fn preview(_: &Context, _: &NetsArguments, _: &Sequence, _: &Path) -> anyhow::Result<()> {
         Err(none().into())
     }
 

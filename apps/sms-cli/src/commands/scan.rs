@@ -13,8 +13,8 @@ use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::ScanConfig;
 use sms_masks::{
-    Completed, FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, complete, load_labels,
-    save_labels,
+    Completed, FileMasks, GeometryConfig, GeometryMasks, Labels, Segmenter, TruthMasks, complete,
+    load_labels, save_labels,
 };
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use std::path::Path;
@@ -34,6 +34,9 @@ pub(crate) struct RunSettings {
     /// Every so many frames one was kept out of training (0: none).
     #[serde(default)]
     pub holdout: usize,
+    /// Of the Gaussians, the [`regions_hash`] of the labels that they were trained with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub regions: Option<String>,
 }
 
 /// The run's settings as the Gaussians were made with them, in their folder: `run.toml` may already speak of a scan
@@ -77,6 +80,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         preset: preset.name().into(),
         masks: format!("{:?}", a.masks).to_lowercase(),
         holdout: scan_config.holdout,
+        regions: None,
     };
     let fingerprint = recording_fingerprint(&recording)?;
     let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, refinement(&poses_config)))?;
@@ -110,13 +114,17 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         run.record_settings("masks", &geometry)?;
     }
     let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
-        let segmenter: Box<dyn Segmenter> = match a.masks {
-            MasksName::Geometry => Box::new(GeometryMasks { config: geometry.clone() }),
-            MasksName::Files => Box::new(FileMasks::default()),
-            MasksName::Truth => Box::new(TruthMasks),
-            MasksName::Sam2 => models::segmenter(context, nets.as_ref())?,
+        let by = |segmenter: &dyn Segmenter| {
+            segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)
         };
-        let labels = segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)?;
+        let labels = match a.masks {
+            MasksName::Geometry => by(&GeometryMasks { config: geometry.clone() })?,
+            MasksName::Files => by(&FileMasks::default())?,
+            MasksName::Truth => by(&TruthMasks)?,
+            MasksName::Sam2 => {
+                models::labels(context, nets.as_ref(), &sequence, run.root(), stage, warnings)?
+            }
+        };
         let pixels: usize = labels.maps.iter().map(|m| m.data.len()).sum();
         let (labels, done) =
             complete(labels, &sequence, &geometry, context.progress.as_ref(), &context.cancel)?;
@@ -137,12 +145,12 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     })?;
     let labels = load_labels(&masks_dir)?;
 
-    // A user may have edited labels.json; the Gaussians depend on what it says now.
-    let mut edited = Hasher::new();
-    edited.file(&masks_dir.join("labels.json"))?;
+    // A user may have edited labels.json: what was merged there is trained anew, other names change nothing here.
+    let regions = regions_hash(&labels);
+    let settings = RunSettings { regions: Some(regions.0.clone()), ..settings };
     // How often checkpoints are written changes nothing.
     let hashed = ScanConfig { checkpoint_seconds: 0.0, ..scan_config.clone() };
-    let scan_hash = inputs_hash(&[&masks_hash, &edited.finish()], &(&hashed, seed))?;
+    let scan_hash = inputs_hash(&[&frames_hash, &regions], &(&hashed, seed))?;
     run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
         let (mut trainer, device) =
             device::trainer(context, a.device, &scan_config.train, labels.class_count(), seed, warnings)?;
@@ -256,6 +264,19 @@ fn recording_fingerprint(recording: &Recording) -> anyhow::Result<Hash> {
         }
     }
     Ok(hasher.finish())
+}
+
+/// Content hash of what the Gaussians are trained with: which pixel belongs to which object, whatever the objects are called.
+pub(crate) fn regions_hash(labels: &Labels) -> Hash {
+    let mut hasher = Hasher::new();
+    let ids: Vec<u16> = labels.objects.iter().map(|o| o.id).collect();
+    hasher.text(&format!("{:?} {ids:?}", labels.source));
+    for map in &labels.maps {
+        hasher.text(&format!("{:?}", map.size()));
+        let bytes: Vec<u8> = map.data.iter().flat_map(|label| label.to_le_bytes()).collect();
+        hasher.bytes(&bytes);
+    }
+    hasher.finish()
 }
 
 /// Content hash of what names the objects of masks from files, or of a generated recording's truth.

@@ -71,6 +71,11 @@ pub(crate) fn bodies(
 /// What is longer than an object stands free where at most this share of it lies beside static surfaces.
 const TOUCHING: f64 = 0.1;
 
+/// What shows less surface than this (m²), a cube of 13 mm, must be seen in so large a share of the frames: noise and rims of other
+/// things are seldom in the same place.
+const SMALL_M2: f64 = 9e-4;
+const SMALL_SEEN: f64 = 0.5;
+
 /// Whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
 fn is_plausible(
     surfels: &[Surfel],
@@ -103,7 +108,7 @@ fn is_plausible(
     let stands_out = planes.iter().all(|plane| {
         let mut heights: Vec<f64> = object.iter().map(|&i| plane.height(surfels[i].p_w).abs()).collect();
         let at = heights.len() * 9 / 10;
-        *heights.select_nth_unstable_by(at, f64::total_cmp).1 > 0.5 * config.min_object_m
+        *heights.select_nth_unstable_by(at, f64::total_cmp).1 > (0.5 * config.min_object_m).max(plane.band_m)
     });
     let step = object.len().div_ceil(200);
     let seen = sequence.frames.iter().filter(|frame| {
@@ -117,7 +122,9 @@ fn is_plausible(
         }
         visible * 10 >= all
     });
-    stands_out && seen.count() as f64 >= (config.min_seen_share * sequence.len() as f64).max(1.0)
+    // The less there is of it, the more frames must show it.
+    let share = if area < SMALL_M2 { config.min_seen_share.max(SMALL_SEEN) } else { config.min_seen_share };
+    stands_out && seen.count() as f64 >= (share * sequence.len() as f64).max(1.0)
 }
 
 /// Splits a connected piece where two convex things meet.

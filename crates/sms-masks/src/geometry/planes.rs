@@ -2,6 +2,7 @@
 
 use super::GeometryConfig;
 use super::assembly::free_standing;
+use super::cluster::quantile;
 use super::fuse::{Neighbors, Surfel, coarsen};
 use super::linalg::{mean_and_covariance, symmetric_eigen};
 use glamx::DVec3;
@@ -9,7 +10,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError};
 use sms_frames::Sequence;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A large planar piece of the static surroundings.
 #[derive(Debug, Clone)]
@@ -20,7 +21,7 @@ pub(crate) struct StaticPlane {
     pub(crate) n_w: DVec3,
     /// Distance from the plane within which a surfel that faces the same way belongs to it: three times the spread of
     /// its own surfels.
-    band_m: f64,
+    pub(crate) band_m: f64,
 }
 
 impl StaticPlane {
@@ -266,13 +267,13 @@ fn scattered_ground(
     graph: &Neighbors,
     config: &GeometryConfig,
 ) -> Option<(Vec<usize>, DVec3)> {
-    /// Surface that a patch shows at least, and that all of them do, in that of the least object.
-    const PATCH: f64 = 0.25;
-    const SHOWN: f64 = 4.0;
+    /// Surface that a patch shows at least (m²), and that all of them do.
+    const PATCH_M2: f64 = 2.25e-4;
+    const SHOWN_M2: f64 = 3.6e-3;
     /// Normals of a level plane stray from the vertical by less than 6°; single surfels by more.
     const LEVEL: f64 = 0.995;
     let band = (3.0 * median(surfels.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
-    let least = PATCH * config.min_area_m2 / config.voxel_m.powi(2);
+    let least = PATCH_M2 / config.voxel_m.powi(2);
     let patches = |p_w: DVec3, n_w: DVec3| -> Vec<usize> {
         let on = |s: &Surfel| n_w.dot(s.p_w - p_w).abs() < band && s.n_w.dot(n_w) > ROUGHLY_ALIGNED;
         let mut pieces = graph.components(|i| on(&surfels[i]));
@@ -302,7 +303,7 @@ fn scattered_ground(
         }
         let [_, middle, long] = extents(surfels, &members);
         let area = members.len() as f64 * config.voxel_m.powi(2);
-        if area > SHOWN * config.min_area_m2 && middle * long > config.max_face_m2 {
+        if area > SHOWN_M2 && middle * long > config.max_face_m2 {
             return Some((members, n_w));
         }
     }
@@ -456,9 +457,28 @@ fn aligned(n: DVec3, with: DVec3) -> DVec3 {
     if n.dot(with) < 0.0 { -n } else { n }
 }
 
-/// Grows a piece over the coarse surfels that continue it: they face the same way and rise from a neighbour by less
-/// than a slope of about 1:8.
+/// Around a cell that continues a plane, the cloud is no thicker than this, or than twice what noise alone makes it nearby: around the
+/// edge of a book it is, though a slope of 1:8 leads over it.
+const FLAT_M: f64 = 0.001;
+/// Nearby: noise grows with the square of the depth.
+const NEARBY_M: f64 = 0.2;
+
+/// How thick the cloud may be around the cells that continue a piece, by where they are.
+fn flatness(members: &[usize], coarse: &[Surfel]) -> impl Fn(DVec3) -> f64 + use<> {
+    let block = |p: DVec3| (p / NEARBY_M).floor().as_i64vec3().to_array();
+    let mut sigmas: BTreeMap<[i64; 3], Vec<f64>> = BTreeMap::new();
+    members.iter().for_each(|&i| sigmas.entry(block(coarse[i].p_w)).or_default().push(coarse[i].sigma_m));
+    // The lower quarter: rims and what stands on the piece thicken the cloud, too.
+    let limit = |values: Vec<f64>| (2.0 * quantile(values.into_iter(), 0.25)).max(FLAT_M);
+    let all = limit(sigmas.values().flatten().copied().collect());
+    let nearby: BTreeMap<[i64; 3], f64> = sigmas.into_iter().map(|(at, own)| (at, limit(own))).collect();
+    move |p| nearby.get(&block(p)).copied().unwrap_or(all)
+}
+
+/// Grows a piece over the coarse surfels that continue it: they face the same way, rise from a neighbour by less than a slope of
+/// about 1:8, and are as flat as the piece.
 fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph: &Neighbors) -> Vec<usize> {
+    let flat_m = flatness(&members, coarse);
     let mut taken = vec![false; coarse.len()];
     members.iter().for_each(|&i| taken[i] = true);
     let mut next = 0;
@@ -468,6 +488,7 @@ fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph
         for j in graph.of(i) {
             let d = coarse[j].p_w - coarse[i].p_w;
             let continues = coarse[j].n_w.dot(plane.n_w) > ALIGNED
+                && coarse[j].sigma_m < flat_m(coarse[j].p_w)
                 && plane.n_w.dot(d).abs() < 0.001 + 0.12 * d.length()
                 && plane.height(coarse[j].p_w).abs() < BEND_M;
             if !taken[j] && continues {

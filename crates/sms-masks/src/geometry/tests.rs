@@ -62,6 +62,49 @@ fn things_that_touch_side_by_side_are_separated() {
     assert_found(&solids, Sensor::default(), 0.86);
 }
 
+/// A cube of 12 mm, a rod of 10 mm lying on the table, a book 10 mm thick.
+fn small_scene() -> Vec<Solid> {
+    vec![
+        Solid::Box(DVec3::new(0.08, -0.06, 0.006), DVec3::splat(0.006), 0.3),
+        Solid::Rod(DVec3::new(-0.05, -0.1, 0.005), DVec3::new(0.05, 0.033, 0.0), 0.005),
+        Solid::Box(DVec3::new(-0.02, 0.1, 0.005), DVec3::new(0.09, 0.06, 0.005), -0.4),
+    ]
+}
+
+/// Nothing else is found, and each of the three in most of its pixels, of which a cube of 12 mm has nine in such an image. After the
+/// refinement of edges, too.
+fn assert_small_found(sensor: Sensor, least: [f64; 3]) {
+    let (sequence, truth) = scene(&small_scene(), sensor, 100);
+    let (labels, _) = segment(&sequence);
+    let config = GeometryConfig::default();
+    let (refined, _) =
+        crate::complete(labels.clone(), &sequence, &config, &NoProgress, &Cancel::new()).unwrap();
+    for labels in [labels, refined] {
+        let found = [1, 2, 3].map(|value| best_iou(&truth, value, &labels));
+        println!("cube, rod, book: {found:.3?} of {}", labels.objects.len());
+        assert_eq!(labels.objects.len(), 3);
+        for (k, (iou, _)) in found.into_iter().enumerate() {
+            assert!(iou >= least[k], "solid {}: IoU {iou:.3}", k + 1);
+        }
+    }
+}
+
+#[test]
+fn a_cube_of_12_mm_a_rod_of_10_and_a_book_10_mm_thick_are_found() {
+    let perfect = Sensor { sigma_1m: 0.0, missing: 0.0, ..Sensor::default() };
+    assert_small_found(perfect, [0.7, 0.8, 0.9]);
+}
+
+#[test]
+fn small_things_are_found_through_noise() {
+    assert_small_found(Sensor::default(), [0.7, 0.8, 0.9]);
+}
+
+#[test]
+fn small_things_are_found_where_two_thirds_of_the_depth_are_missing() {
+    assert_small_found(Sensor { missing: 0.667, ..Sensor::default() }, [0.6, 0.7, 0.9]);
+}
+
 #[test]
 fn an_empty_table_has_no_objects_and_says_so() {
     let (sequence, _) = scene(&[], Sensor { frames: 6, ..Sensor::default() }, 2);

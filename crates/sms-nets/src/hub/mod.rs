@@ -2,8 +2,7 @@
 //!
 //! The cache is shared with every other program that uses the hub: `models--ORG--NAME/snapshots/COMMIT/FILE` are links to
 //! `blobs/CHECKSUM`, and `refs/REVISION` names the commit that a branch had when it was last asked for. What is there is
-//! taken without asking the network. Of the default models a commit is pinned; another stays the one that was fetched first until
-//! it is deleted.
+//! taken without asking the network. A commit of every model is pinned.
 
 mod cache;
 mod download;
@@ -21,7 +20,7 @@ pub struct Model {
     pub name: &'static str,
     /// Repository on the hub.
     pub repository: &'static str,
-    /// Commit, where one is pinned, else the branch `main`: the commit that it has when the model is first fetched.
+    /// The commit that is fetched.
     pub revision: &'static str,
     /// What it is for.
     pub about: &'static str,
@@ -31,9 +30,6 @@ pub struct Model {
 
 const DETECTOR_FILES: &[&str] = &["config.json", "vocab.json", "merges.txt", "model.safetensors"];
 const TRACKER_FILES: &[&str] = &["config.json", "model.safetensors"];
-
-/// The branch of models without a pinned commit.
-const MAIN: &str = "main";
 
 /// The models known by name, the default detector and the default tracker first.
 pub const MODELS: [Model; 5] = [
@@ -54,21 +50,21 @@ pub const MODELS: [Model; 5] = [
     Model {
         name: "sam2-small",
         repository: "facebook/sam2.1-hiera-small",
-        revision: MAIN,
+        revision: "ee5bba1d82bb8749febdf90f45e84b687142ba03",
         about: "masks and tracking (184 MB)",
         files: TRACKER_FILES,
     },
     Model {
         name: "sam2-base-plus",
         repository: "facebook/sam2.1-hiera-base-plus",
-        revision: MAIN,
+        revision: "b7320756a13354e7530a63935656d35b2f91a290",
         about: "masks and tracking (323 MB)",
         files: TRACKER_FILES,
     },
     Model {
         name: "sam2-large",
         repository: "facebook/sam2.1-hiera-large",
-        revision: MAIN,
+        revision: "665f8e2ad61cf5f53d65644ff27c8ee525124610",
         about: "masks and tracking, the most exact (898 MB)",
         files: TRACKER_FILES,
     },
