@@ -179,13 +179,27 @@ fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, 
     usable.then_some((contact.normal1, contact.point1, contact.point2))
 }
 
-/// Keeps what lies below the plane; `false`, and no change, when nothing solid would be left.
-pub(crate) fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
+/// Least share of a piece that a cut between deepest points leaves: less is another error than that of a contact face.
+const LEAST_LEFT: f64 = 0.2;
+
+/// Keeps what lies below the plane; `false`, and no change, when less than [`LEAST_LEFT`] of the piece would be left.
+fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
+    cut_to(part, normal, offset, max_vertices, LEAST_LEFT)
+}
+
+/// [`cut`] with the least share that must be left.
+pub(crate) fn cut_to(
+    part: &mut Mesh,
+    normal: DVec3,
+    offset: f64,
+    max_vertices: usize,
+    least_left: f64,
+) -> bool {
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     let (below, _) = clip(&triangles, normal, offset);
     let points: Vec<DVec3> = below.into_iter().flatten().collect();
     match convex_hull(&points, max_vertices, 1e-6) {
-        Some(hull) if hull.volume() > 0.2 * part.volume() => {
+        Some(hull) if hull.volume() > least_left * part.volume() => {
             *part = hull;
             true
         }

@@ -5,7 +5,7 @@
 //! the face itself is known, from the seen part of an overhanging underside or because the object is an exact solid, what
 //! carries it ends there, and it is flat.
 
-use crate::contact::{cut, is_exact};
+use crate::contact::{cut_to, is_exact};
 use crate::grid::{median, quantile};
 use crate::stack::{BELOW_M, CLOSED_M, REACH_M, bottom, bottom_outline, can_stand, is_under, outline_of};
 use glamx::{DVec2, DVec3};
@@ -20,6 +20,9 @@ const FEWEST: usize = 30;
 const LEVEL_M: f64 = 0.004;
 /// Vertices within this share of an object's thickness belong to its underside.
 const THICKNESS_SHARE: f64 = 0.35;
+
+/// Least share of a piece that is kept below a face: most of what was made up above a thin slab may be cut off.
+const LEAST_LEFT: f64 = 0.01;
 
 /// Makes undersides flat whose height is known, and ends there what carries them.
 pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usize) {
@@ -114,7 +117,7 @@ fn end_at(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usize) 
     }
     let own = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - REACH_M));
     if meet(&own, outline) {
-        cut(part, DVec3::Z, height, max_vertices);
+        cut_to(part, DVec3::Z, height, max_vertices, LEAST_LEFT);
     }
 }
 
@@ -180,6 +183,22 @@ mod tests {
         // The whole top of the block carries it.
         let face = block.parts[0].vertices.iter().filter(|v| (v.z - 0.5).abs() < 1e-9);
         assert!(outline_of(face.copied()).len() >= 4);
+    }
+
+    #[test]
+    fn a_thin_piece_keeps_its_top_under_a_high_bulge() {
+        let mut pair = board_on_bulge(100);
+        // The block's top is a piece of its own: 6 mm of it were there, and 40 mm were made up.
+        let slab = |low: f64, high: f64, half: f64| {
+            let mut mesh = Mesh::cuboid(DVec3::new(half, half, 0.5 * (high - low)));
+            mesh.vertices.iter_mut().for_each(|v| v.z += 0.5 * (low + high));
+            mesh
+        };
+        pair[0].parts = vec![slab(0.0, 0.494, 0.2), slab(0.494, 0.54, 0.1)];
+        level_faces(&mut pair, 0.0, 64);
+        let found = part_objects(&mut pair, 64, 1e-4);
+        assert!(found.is_empty() && pair[0].parts.len() == 2, "{}", pair[0].parts.len());
+        assert!((highest(&pair[0]) - 0.5).abs() < 1e-9);
     }
 
     #[test]
