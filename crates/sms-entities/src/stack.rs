@@ -15,6 +15,8 @@ pub(crate) const REACH_M: f64 = 0.005;
 const OFF_FLOOR_M: f64 = 0.03;
 /// What carries another reaches down at least so far below the face, metres.
 pub(crate) const BELOW_M: f64 = 0.005;
+/// What is narrower from above is a wall's ridge, metres.
+const WALL_M: f64 = 0.03;
 /// Gaps that physics engines do not notice, metres.
 pub(crate) const CLOSED_M: f64 = 1e-5;
 
@@ -109,9 +111,10 @@ fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usiz
         shape.cast_local_ray(&down, 2.0, true).map(|t| height + 1.0 - t)
     };
     let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
-    let crossings = common(&high, outline).into_iter();
-    let crossings: Vec<DVec3> =
-        crossings.filter(|&p| top(p).is_some_and(is_near)).map(|p| p.extend(height)).collect();
+    // Of a wide top what is beside the other object was seen, and would be lifted with it.
+    let crossings = if width(&high) < WALL_M { common(&high, outline) } else { Vec::new() };
+    let crossings = crossings.into_iter().filter(|&p| top(p).is_some_and(is_near));
+    let crossings: Vec<DVec3> = crossings.map(|p| p.extend(height)).collect();
     // A corner or an edge alone is a detail, no face.
     if corners.len() + crossings.len() < 3 {
         return false;
@@ -125,6 +128,16 @@ fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usiz
         }
         None => false,
     }
+}
+
+/// How wide a convex outline (counterclockwise) is where it is narrowest, metres.
+fn width(outline: &[DVec2]) -> f64 {
+    let across = |i: usize| {
+        let (start, edge) = (outline[i], outline[(i + 1) % outline.len()] - outline[i]);
+        let far = outline.iter().map(|p| edge.perp_dot(p - start)).fold(0.0, f64::max);
+        far / edge.length()
+    };
+    (0..outline.len()).map(across).fold(f64::INFINITY, f64::min)
 }
 
 /// Corners of what two convex outlines (counterclockwise) have in common.
@@ -225,6 +238,7 @@ pub(crate) mod tests {
                 .map(|(s, t)| DVec2::new(x + half * s, y + half * t))
         };
         let area = |p: &[DVec2]| (0..p.len()).map(|i| 0.5 * p[i].perp_dot(p[(i + 1) % p.len()])).sum::<f64>();
+        assert!((width(&square(0.3, 0.0, 0.2)) - 0.4).abs() < 1e-12);
         let both = common(&square(0.0, 0.0, 1.0), &square(1.5, 0.5, 1.0));
         assert!((area(&both) - 0.5 * 1.5).abs() < 1e-12, "{both:?}");
         assert!((area(&common(&square(0.0, 0.0, 1.0), &square(0.1, 0.0, 0.2))) - 0.16).abs() < 1e-12);
