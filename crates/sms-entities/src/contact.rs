@@ -4,7 +4,7 @@ use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
 use sms_convex::{clip, convex_hull};
-use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+use sms_core::{Aabb, Entity, EntityKind, EntityShape, Mesh};
 
 /// Overlap that physics engines tolerate, metres.
 const ALLOWED: f64 = 1e-5;
@@ -45,8 +45,8 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
     let (left, right) = entities.split_at_mut(second);
     let (a, b) = (&mut left[first], &mut right[0]);
     let either_moves = a.kind == EntityKind::Dynamic || b.kind == EntityKind::Dynamic;
-    let apart = match (a.mesh.aabb(), b.mesh.aabb()) {
-        (Some(p), Some(q)) => p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any(),
+    let apart = match (bounds(a), bounds(b)) {
+        (Some(p), Some(q)) => are_apart(&p, &q),
         _ => true,
     };
     if !either_moves || apart {
@@ -147,36 +147,78 @@ fn piece_count(entity: &Entity) -> usize {
     if is_exact(entity) { 1 } else { entity.parts.len() }
 }
 
-fn piece(entity: &Entity, i: usize) -> Option<(DPose3, Box<dyn Shape>)> {
+fn are_apart(p: &Aabb, q: &Aabb) -> bool {
+    p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any()
+}
+
+/// The box around an object's pieces.
+fn bounds(entity: &Entity) -> Option<Aabb> {
+    if is_exact(entity) {
+        return entity.mesh.aabb();
+    }
+    Aabb::of_points(entity.parts.iter().flat_map(|p| p.vertices.iter().copied()))
+}
+
+/// A convex piece of an object, where it is.
+pub(crate) struct Piece {
+    x_ws: DPose3,
+    shape: Box<dyn Shape>,
+    bounds: Aabb,
+}
+
+impl Piece {
+    /// A hull; `None` of one without volume.
+    pub(crate) fn of(part: &Mesh) -> Option<Self> {
+        let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
+        Some(Self { x_ws: DPose3::identity(), shape: Box::new(shape), bounds: part.aabb()? })
+    }
+
+    /// Normal to the other piece and the deepest points of both, where they overlap.
+    fn overlap(&self, other: &Self) -> Option<(DVec3, DVec3, DVec3)> {
+        if are_apart(&self.bounds, &other.bounds) {
+            return None;
+        }
+        let contact = query::contact(&self.x_ws, &*self.shape, &other.x_ws, &*other.shape, 0.0).ok()??;
+        let usable = contact.dist < -ALLOWED && contact.normal1.is_finite();
+        usable.then_some((contact.normal1, contact.point1, contact.point2))
+    }
+
+    /// How deep it is in another piece, metres; 0 where it is not.
+    pub(crate) fn depth_in(&self, other: &Self) -> f64 {
+        self.overlap(other).map_or(0.0, |(normal, p, q)| (p - q).dot(normal))
+    }
+}
+
+/// All pieces of an object.
+pub(crate) fn pieces(entity: &Entity) -> Vec<Piece> {
+    (0..piece_count(entity)).filter_map(|i| piece(entity, i)).collect()
+}
+
+fn piece(entity: &Entity, i: usize) -> Option<Piece> {
+    let exact =
+        |x_ws: DPose3, shape: Box<dyn Shape>| Some(Piece { x_ws, shape, bounds: entity.mesh.aabb()? });
     match &entity.shape {
         EntityShape::Sphere { center_w, radius } => {
-            Some((DPose3::from_translation(*center_w), Box::new(Ball::new(*radius))))
+            exact(DPose3::from_translation(*center_w), Box::new(Ball::new(*radius)))
         }
-        EntityShape::Box { x_ws, half_extents } => Some((*x_ws, Box::new(Cuboid::new(*half_extents)))),
+        EntityShape::Box { x_ws, half_extents } => exact(*x_ws, Box::new(Cuboid::new(*half_extents))),
         EntityShape::Cylinder { x_ws, radius, half_length } => {
             // Parry's cylinders stand along y.
             let upright = DPose3::from_rotation(DQuat::from_rotation_arc(DVec3::Y, DVec3::Z));
-            Some((*x_ws * upright, Box::new(Cylinder::new(*half_length, *radius))))
+            exact(*x_ws * upright, Box::new(Cylinder::new(*half_length, *radius)))
         }
-        EntityShape::Convex | EntityShape::TriMesh => {
-            let part = &entity.parts[i];
-            let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
-            Some((DPose3::identity(), Box::new(shape)))
-        }
+        EntityShape::Convex | EntityShape::TriMesh => Piece::of(&entity.parts[i]),
     }
 }
 
 /// Normal from `a` to `b` and the deepest points of both, where the pieces overlap.
 fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, DVec3)> {
+    // Most pairs are far apart, and shapes take time to make.
     let bounds = |e: &Entity, k: usize| if is_exact(e) { e.mesh.aabb() } else { e.parts[k].aabb() };
-    let (p, q) = (bounds(a, i)?, bounds(b, j)?);
-    if p.min.cmpgt(q.max).any() || q.min.cmpgt(p.max).any() {
+    if are_apart(&bounds(a, i)?, &bounds(b, j)?) {
         return None;
     }
-    let ((pose_a, shape_a), (pose_b, shape_b)) = (piece(a, i)?, piece(b, j)?);
-    let contact = query::contact(&pose_a, &*shape_a, &pose_b, &*shape_b, 0.0).ok()??;
-    let usable = contact.dist < -ALLOWED && contact.normal1.is_finite();
-    usable.then_some((contact.normal1, contact.point1, contact.point2))
+    piece(a, i)?.overlap(&piece(b, j)?)
 }
 
 /// Least share of a piece that a cut between deepest points leaves: less is another error than that of a contact face.
@@ -262,6 +304,14 @@ mod tests {
         translate(&mut pair[0], DVec3::X * 0.02);
         let found = part_objects(&mut pair, 64, 0.001);
         assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);
+    }
+
+    #[test]
+    fn pieces_that_were_moved_out_of_their_mesh_are_parted() {
+        let mut pair = [entity(DVec3::ZERO, 0.05, None), entity(DVec3::X * 0.104, 0.05, None)];
+        pair[1].parts[0].vertices.iter_mut().for_each(|v| v.x -= 0.008);
+        let found = part_objects(&mut pair, 64, 0.001);
+        assert!(found.len() == 1 && (found[0].depth - 0.004).abs() < 1e-9);
     }
 
     #[test]

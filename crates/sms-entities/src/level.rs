@@ -7,18 +7,25 @@
 
 use crate::contact::{cut_to, is_exact};
 use crate::grid::{median, quantile};
-use crate::stack::{BELOW_M, CLOSED_M, REACH_M, bottom, bottom_outline, can_stand, is_under, outline_of};
+use crate::outline::{common, is_within, outline_of, width};
+use crate::stack::{BELOW_M, CLOSED_M, REACH_M, bottom, bottom_outline, can_stand};
 use glamx::{DVec2, DVec3};
-use sms_convex::convex_hull;
-use sms_core::{Entity, EntityKind, Mesh};
+use sms_convex::{clip, convex_hull};
+use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 
 /// Seen points of an underside look down at least so steeply (cosine).
 const DOWN: f64 = 0.95;
+/// Faces of a hull that look down more than this (cosine) are its underside.
+const STEEP: f64 = 0.5;
 /// Fewer seen points say nothing of a face.
 const FEWEST: usize = 30;
 /// Four fifths of the points seen of a face lie within this height, metres; others are no level face.
 const LEVEL_M: f64 = 0.004;
-/// Vertices within this share of an object's thickness belong to its underside.
+/// What is narrower is an edge to stand on, no face, metres.
+const FACE_M: f64 = 0.01;
+/// Farther outside of the outline of what stands on a piece, that piece was seen, metres.
+const BESIDE_M: f64 = 0.001;
+/// Vertices within this share of a piece's thickness belong to its underside.
 const THICKNESS_SHARE: f64 = 0.35;
 
 /// Least share of a piece that is kept below a face: most of what was made up above a thin slab may be cut off.
@@ -38,16 +45,27 @@ pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usi
         if outline.len() < 3 {
             continue;
         }
+        let standing = foot_outlines(&entities[upper], height);
         for carrier in (0..entities.len()).filter(|&i| i != upper) {
             let carrier = &mut entities[carrier];
             let carries = carrier.kind == EntityKind::Dynamic
                 && !is_exact(carrier)
                 && bottom(carrier) < height - BELOW_M;
             if carries {
-                carrier.parts.iter_mut().for_each(|part| end_at(part, &outline, height, max_vertices));
+                let parts = carrier.parts.iter_mut();
+                parts.for_each(|part| end_at(part, &outline, &standing, height, max_vertices));
             }
         }
     }
+}
+
+/// Outlines of the feet of an object's pieces: what is between them (a ring's hole) is not stood on.
+fn foot_outlines(entity: &Entity, height: f64) -> Vec<Vec<DVec2>> {
+    if is_exact(entity) {
+        return vec![bottom_outline(entity)];
+    }
+    let foot = |part: &Mesh| outline_of(part.vertices.iter().copied().filter(|v| v.z < height + REACH_M));
+    entity.parts.iter().map(foot).collect()
 }
 
 /// A level face that an object stands on.
@@ -61,8 +79,10 @@ struct Face {
 fn face(entity: &Entity) -> Option<Face> {
     let low = bottom(entity);
     if is_exact(entity) {
-        let corners = entity.mesh.vertices.iter().filter(|v| v.z < low + 1e-3).count();
-        return (corners >= 3).then_some(Face { height: low, seen: Vec::new() });
+        // A cylinder that lies stands on a line, however wide its mesh is a millimetre above it.
+        let lies = matches!(entity.shape, EntityShape::Cylinder { x_ws, .. } if (x_ws.rotation * DVec3::Z).z.abs() < DOWN);
+        let lowest = outline_of(entity.mesh.vertices.iter().copied().filter(|v| v.z < low + 1e-3));
+        return (!lies && width(&lowest) > FACE_M).then_some(Face { height: low, seen: Vec::new() });
     }
     let cloud = &entity.cloud;
     let down = cloud.points_w.iter().zip(&cloud.normals_w).filter(|(_, n)| n.z < -DOWN).map(|(p, _)| *p);
@@ -84,14 +104,23 @@ fn face(entity: &Entity) -> Option<Face> {
 /// Puts the corners of an object's underside onto its face, and makes its pieces reach as far on the face as it was seen.
 fn flatten(entity: &mut Entity, face: &Face, max_vertices: usize) {
     let height = face.height;
-    let top = entity.parts.iter().flat_map(|p| &p.vertices).map(|v| v.z).fold(f64::MIN, f64::max);
-    let reach = REACH_M.min(THICKNESS_SHARE * (top - height));
     for part in &mut entity.parts {
+        let top = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
+        let reach = REACH_M.min(THICKNESS_SHARE * (top - height));
         // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
         let silhouette = outline_of(part.vertices.iter().copied());
-        let seen = face.seen.iter().filter(|p| is_inside(&silhouette, **p)).map(|p| p.extend(height));
-        let below = part.vertices.iter().map(|v| if v.z < height + reach { v.with_z(height) } else { *v });
-        let reaches_down = part.vertices.iter().any(|v| v.z < height + reach);
+        let seen = face.seen.iter().filter(|p| is_within(&silhouette, **p, 0.0)).map(|p| p.extend(height));
+        // A thin plate's upper side may be as near to its face as another one's underside.
+        let mut is_below = vec![false; part.vertices.len()];
+        for (t, corners) in part.triangles.iter().enumerate() {
+            let [a, b, c] = part.corners(t);
+            let looks_down = (b - a).cross(c - a).normalize_or_zero().z < -STEEP;
+            corners.iter().for_each(|&k| {
+                is_below[k as usize] |= looks_down && part.vertices[k as usize].z < height + reach
+            });
+        }
+        let reaches_down = is_below.contains(&true);
+        let below = part.vertices.iter().zip(is_below).map(|(v, is)| if is { v.with_z(height) } else { *v });
         let points: Vec<DVec3> = below.chain(seen.filter(|_| reaches_down)).collect();
         let hull = convex_hull(&points, max_vertices, 1e-6);
         if let Some(hull) = hull.filter(|h| h.volume() > 0.2 * part.volume()) {
@@ -100,36 +129,17 @@ fn flatten(entity: &mut Entity, face: &Face, max_vertices: usize) {
     }
 }
 
-fn is_inside(outline: &[DVec2], p: DVec2) -> bool {
-    let left = |i: usize| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).perp_dot(p - a) >= 0.0
-    };
-    outline.len() >= 3 && (0..outline.len()).all(left)
-}
-
 /// Cuts off what of a piece reaches above a face that stands on it. What reaches far above it beside the face was seen there.
-fn end_at(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usize) {
-    let above: Vec<DVec3> = part.vertices.iter().copied().filter(|v| v.z > height + CLOSED_M).collect();
-    let beside = |v: &DVec3| v.z > height + REACH_M && !is_under(outline, v.truncate());
-    if above.is_empty() || above.iter().any(beside) {
+fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f64, max_vertices: usize) {
+    let beside = |v: &DVec3| v.z > height + REACH_M && !is_within(outline, v.truncate(), BESIDE_M);
+    if part.vertices.iter().any(beside) || part.vertices.iter().all(|v| v.z < height + CLOSED_M) {
         return;
     }
-    let own = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - REACH_M));
-    if meet(&own, outline) {
+    let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
+    let above = outline_of(clip(&triangles, DVec3::Z, height).1.into_iter().flatten());
+    if standing.iter().any(|foot| width(&common(&above, foot)) > CLOSED_M) {
         cut_to(part, DVec3::Z, height, max_vertices, LEAST_LEFT);
     }
-}
-
-/// Whether two convex outlines (counterclockwise) have a point in common; one of fewer than three corners as the points it has.
-fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
-    let parted_by = |p: &[DVec2], q: &[DVec2]| {
-        (0..p.len()).any(|i| {
-            let (start, edge) = (p[i], p[(i + 1) % p.len()] - p[i]);
-            edge != DVec2::ZERO && p.len() > 2 && q.iter().all(|v| edge.perp_dot(v - start) < 0.0)
-        })
-    };
-    !a.is_empty() && !b.is_empty() && !parted_by(a, b) && !parted_by(b, a)
 }
 
 #[cfg(test)]
@@ -137,7 +147,7 @@ mod tests {
     use super::*;
     use crate::contact::part_objects;
     use crate::stack::{close_gaps, tests::entity};
-    use sms_core::{EntityShape, PointCloud};
+    use sms_core::PointCloud;
 
     /// A board of 12 mm on a solid block whose top nobody saw bulges into it, 15 mm high on one side.
     fn board_on_bulge(seen: usize) -> [Entity; 2] {
@@ -234,6 +244,84 @@ mod tests {
         assert!(pair[1].parts[0].volume() < 0.9 * before[1].parts[0].volume());
     }
 
+    fn slab(half: DVec3, center: DVec3) -> Mesh {
+        let mut mesh = Mesh::cuboid(half);
+        mesh.vertices.iter_mut().for_each(|v| *v += center);
+        mesh
+    }
+
+    fn seen_from_below(entity: &mut Entity, p: DVec3) {
+        entity.cloud = PointCloud {
+            points_w: vec![p; FEWEST],
+            normals_w: vec![DVec3::NEG_Z; FEWEST],
+            colors: vec![[0; 3]; FEWEST],
+        };
+    }
+
+    #[test]
+    fn a_peg_stays_in_its_ring() {
+        let base = slab(DVec3::new(0.04, 0.04, 0.02), DVec3::Z * 0.02);
+        let mut stand = entity("stand", base, EntityShape::Convex);
+        stand.parts.push(slab(DVec3::new(0.01, 0.01, 0.075), DVec3::Z * 0.075));
+        let side = |at: DVec3| {
+            slab(if at.x == 0.0 { DVec3::new(0.06, 0.02, 0.01) } else { DVec3::new(0.02, 0.06, 0.01) }, at)
+        };
+        let sides =
+            [DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y].map(|d| side(0.04 * d + DVec3::Z * 0.05));
+        let mut ring = entity("ring", sides[0].clone(), EntityShape::Convex);
+        ring.parts = sides.to_vec();
+        seen_from_below(&mut ring, DVec3::new(0.055, 0.0, 0.04));
+        let mut pair = [stand, ring];
+        let before = pair.clone();
+        level_faces(&mut pair, 0.0, 64);
+        assert_eq!(pair[0], before[0]);
+    }
+
+    #[test]
+    fn an_upright_that_touches_a_book_stays() {
+        let mut shelf =
+            entity("shelf", slab(DVec3::new(0.3, 0.2, 0.05), DVec3::Z * 0.05), EntityShape::Convex);
+        // 0.5 mm of its 3 are in the book.
+        shelf.parts.push(slab(DVec3::new(0.0015, 0.04, 0.1), DVec3::new(0.201, 0.0, 0.1)));
+        let book = slab(DVec3::new(0.1, 0.05, 0.015), DVec3::new(0.1, 0.0, 0.115));
+        let mut book = entity("book", book, EntityShape::Convex);
+        seen_from_below(&mut book, DVec3::new(0.1, 0.0, 0.1));
+        let mut pair = [shelf, book];
+        let before = pair[0].clone();
+        level_faces(&mut pair, 0.0, 64);
+        assert_eq!(pair[0], before);
+    }
+
+    #[test]
+    fn a_cylinder_has_a_face_where_it_stands_and_none_where_it_lies() {
+        let rings = |axis: DVec3| {
+            let (u, v) = axis.any_orthonormal_pair();
+            let angle = |k: i32| std::f64::consts::TAU / 128.0 * f64::from(k);
+            let rim = (0..128).map(move |k| 0.05 * (u * angle(k).cos() + v * angle(k).sin()));
+            rim.flat_map(move |p| [p - 0.1 * axis, p + 0.1 * axis]).collect::<Vec<_>>()
+        };
+        let cylinder = |axis: DVec3| {
+            let x_ws = glamx::DPose3::from_rotation(glamx::DQuat::from_rotation_arc(DVec3::Z, axis));
+            let shape = EntityShape::Cylinder { x_ws, radius: 0.05, half_length: 0.1 };
+            entity("can", convex_hull(&rings(axis), 256, 0.0).unwrap(), shape)
+        };
+        assert!((face(&cylinder(DVec3::Z)).unwrap().height + 0.1).abs() < 1e-9);
+        assert!(face(&cylinder(DVec3::X)).is_none());
+    }
+
+    #[test]
+    fn a_flat_piece_of_a_tall_object_keeps_its_shape() {
+        // A plate of 4 mm with a hump of 8 mm on it, below a tall rest.
+        let mut plate = slab(DVec3::new(0.05, 0.05, 0.002), DVec3::Z * 0.502).vertices;
+        plate.push(DVec3::Z * 0.512);
+        let plate = convex_hull(&plate, 64, 0.0).unwrap();
+        let mut vase = entity("vase", plate.clone(), EntityShape::Convex);
+        vase.parts.push(slab(DVec3::new(0.02, 0.02, 0.1), DVec3::Z * 0.604));
+        seen_from_below(&mut vase, DVec3::Z * 0.5);
+        level_faces(std::slice::from_mut(&mut vase), 0.0, 64);
+        assert!((vase.parts[0].volume() / plate.volume() - 1.0).abs() < 1e-6, "{}", vase.parts[0].volume());
+    }
+
     #[test]
     fn what_was_seen_high_above_a_face_beside_it_stays() {
         let mut pair = board_on_bulge(100);
@@ -244,18 +332,5 @@ mod tests {
         let lug = pair[0].parts[0].clone();
         level_faces(&mut pair, 0.0, 64);
         assert_eq!(pair[0].parts[0], lug);
-    }
-
-    #[test]
-    fn outlines_meet_where_they_have_a_point_in_common() {
-        let square = |x: f64, half: f64| {
-            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
-                .map(|(s, t)| DVec2::new(x + half * s, half * t))
-        };
-        assert!(meet(&square(0.0, 1.0), &square(1.5, 1.0)));
-        assert!(meet(&square(0.0, 1.0), &square(0.1, 0.1)) && meet(&square(0.1, 0.1), &square(0.0, 1.0)));
-        assert!(!meet(&square(0.0, 1.0), &square(2.5, 1.0)));
-        assert!(!meet(&square(0.0, 1.0), &[]));
-        assert!(meet(&square(0.0, 1.0), &[DVec2::ZERO]) && !meet(&square(0.0, 1.0), &[DVec2::new(3.0, 0.0)]));
     }
 }

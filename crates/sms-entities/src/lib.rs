@@ -46,6 +46,7 @@ mod inside;
 mod level;
 mod maxflow;
 mod mesher;
+mod outline;
 mod pca;
 mod predicates;
 mod primitive;

@@ -1,8 +1,8 @@
 //! Faces on which objects stand on each other. No camera saw them: the lower one's surface is made up there and bulges into the
 //! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
 
-use crate::contact::{is_exact, translate};
-use crate::underside::convex_outline;
+use crate::contact::{Piece, is_exact, pieces, translate};
+use crate::outline::{common, is_within, meet, outline_of, width};
 use glamx::{DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::ConvexPolyhedron;
@@ -30,10 +30,10 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
         if outline.len() < 3 {
             continue;
         }
-        let mut drop = f64::INFINITY;
+        let (mut drop, mut limit) = (f64::INFINITY, f64::INFINITY);
         for lower in (0..entities.len()).filter(|&i| i != upper) {
             let height = bottom(&entities[upper]);
-            let carrier = &mut entities[lower];
+            let carrier = &entities[lower];
             if carrier.kind != EntityKind::Dynamic || bottom(carrier) > height - BELOW_M {
                 continue;
             }
@@ -41,13 +41,23 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
                 drop = drop.min(gap_over_exact(carrier, &outline, height));
                 continue;
             }
-            for part in &mut carrier.parts {
-                if raise_top(part, &outline, height, max_vertices) {
-                    drop = 0.0;
+            for k in 0..carrier.parts.len() {
+                let part = &entities[lower].parts[k];
+                let raised = raise_top(part, &outline, height, max_vertices);
+                let others =
+                    || (0..entities.len()).filter(|&i| i != lower).flat_map(|i| pieces(&entities[i]));
+                match raised {
+                    // What is beside the other object may be in the way of what comes up.
+                    Some(raised) if enters_none(&raised, part, others()) => {
+                        entities[lower].parts[k] = raised;
+                        drop = 0.0;
+                    }
+                    _ => limit = limit.min(gap_over(part, &outline, height)),
                 }
             }
         }
-        if drop > CLOSED_M && drop <= REACH_M {
+        let drop = if drop <= REACH_M { drop.min(limit) } else { 0.0 };
+        if drop > CLOSED_M {
             translate(&mut entities[upper], DVec3::NEG_Z * drop);
         }
     }
@@ -76,36 +86,38 @@ pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
     outline_of(vertices(entity).filter(|v| v.z < low))
 }
 
-pub(crate) fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
-    let flat: Vec<[f64; 2]> = points.map(|v| [v.x, v.y]).collect();
-    convex_outline(&flat).into_iter().map(DVec2::from_array).collect()
-}
-
-pub(crate) fn is_under(outline: &[DVec2], p: DVec2) -> bool {
-    (0..outline.len()).all(|i| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).perp_dot(p - a) >= -REACH_M * (b - a).length()
-    })
+/// Whether a point lies under an outline, or beside it by no more than a scan may err.
+fn is_under(outline: &[DVec2], p: DVec2) -> bool {
+    is_within(outline, p, REACH_M)
 }
 
 /// Height of the bottom over an exact solid's top where one is above the other, else infinite; negative where they overlap.
 fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
     let Some(bounds) = carrier.mesh.aabb() else { return f64::INFINITY };
     let top = outline_of(carrier.mesh.vertices.iter().copied().filter(|v| v.z > bounds.max.z - 1e-3));
-    let meets = outline.iter().any(|&p| is_under(&top, p)) || top.iter().any(|&p| is_under(outline, p));
-    if top.len() >= 3 && meets { height - bounds.max.z } else { f64::INFINITY }
+    if top.len() >= 3 && meet(&top, outline) { height - bounds.max.z } else { f64::INFINITY }
+}
+
+/// Height of the bottom over the corners of a piece that lie under it; infinite where none does.
+fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> f64 {
+    let under = part.vertices.iter().filter(|v| v.z < height + CLOSED_M && is_under(outline, v.truncate()));
+    under.map(|v| (height - v.z).max(0.0)).fold(f64::INFINITY, f64::min)
+}
+
+/// Whether a piece that was raised is in no other one that it was not in before.
+fn enters_none(raised: &Mesh, before: &Mesh, mut others: impl Iterator<Item = Piece>) -> bool {
+    let (Some(raised), Some(before)) = (Piece::of(raised), Piece::of(before)) else { return false };
+    others.all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
 }
 
 /// Brings what of a piece's top lies under the outline, and at most [`REACH_M`] below `height`, up to it: its corners there, and
 /// the places where its top passes from under the outline (a wall's ridge that runs on has no corner there).
-fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> bool {
+fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> Option<Mesh> {
     let is_near = |z: f64| z > height - REACH_M && z < height + CLOSED_M;
     let is_raised = |v: &DVec3| is_near(v.z) && is_under(outline, v.truncate());
     let corners: Vec<DVec3> =
         part.vertices.iter().filter(|v| is_raised(v)).map(|v| v.with_z(height)).collect();
-    let Some(shape) = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles) else {
-        return false;
-    };
+    let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
     let top = |p: DVec2| {
         let down = Ray::new(p.extend(height + 1.0), DVec3::NEG_Z);
         shape.cast_local_ray(&down, 2.0, true).map(|t| height + 1.0 - t)
@@ -117,52 +129,11 @@ fn raise_top(part: &mut Mesh, outline: &[DVec2], height: f64, max_vertices: usiz
     let crossings: Vec<DVec3> = crossings.map(|p| p.extend(height)).collect();
     // A corner or an edge alone is a detail, no face.
     if corners.len() + crossings.len() < 3 {
-        return false;
+        return None;
     }
     let kept = part.vertices.iter().filter(|v| !is_raised(v)).copied();
     let raised: Vec<DVec3> = kept.chain(corners).chain(crossings).collect();
-    match convex_hull(&raised, max_vertices, 1e-6) {
-        Some(hull) => {
-            *part = hull;
-            true
-        }
-        None => false,
-    }
-}
-
-/// How wide a convex outline (counterclockwise) is where it is narrowest, metres.
-fn width(outline: &[DVec2]) -> f64 {
-    let across = |i: usize| {
-        let (start, edge) = (outline[i], outline[(i + 1) % outline.len()] - outline[i]);
-        let far = outline.iter().map(|p| edge.perp_dot(p - start)).fold(0.0, f64::max);
-        far / edge.length()
-    };
-    (0..outline.len()).map(across).fold(f64::INFINITY, f64::min)
-}
-
-/// Corners of what two convex outlines (counterclockwise) have in common.
-fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
-    if a.len() < 3 || b.len() < 3 {
-        return Vec::new();
-    }
-    let mut left = a.to_vec();
-    for i in 0..b.len() {
-        let (start, edge) = (b[i], b[(i + 1) % b.len()] - b[i]);
-        let side = |p: DVec2| edge.perp_dot(p - start);
-        let mut cut = Vec::with_capacity(left.len() + 1);
-        for j in 0..left.len() {
-            let (p, q) = (left[j], left[(j + 1) % left.len()]);
-            let (sp, sq) = (side(p), side(q));
-            if sp >= 0.0 {
-                cut.push(p);
-            }
-            if sp * sq < 0.0 {
-                cut.push(p.lerp(q, sp / (sp - sq)));
-            }
-        }
-        left = cut;
-    }
-    left
+    convex_hull(&raised, max_vertices, 1e-6)
 }
 
 #[cfg(test)]
@@ -218,6 +189,44 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_top_is_not_raised_into_what_stands_beside() {
+        // A round table 3 mm below a box at its rim; raised there it would be in a box in its middle.
+        let rim = |z: f64| {
+            (0..32).map(move |k| {
+                let (sin, cos) = (std::f64::consts::TAU / 32.0 * f64::from(k)).sin_cos();
+                DVec3::new(0.5 * cos, 0.5 * sin, z)
+            })
+        };
+        let top = convex_hull(&rim(0.0).chain(rim(0.597)).collect::<Vec<_>>(), 64, 0.0).unwrap();
+        let table = entity("table", top, EntityShape::Convex);
+        let at_rim = cuboid("box", DVec3::splat(0.15), DVec3::new(0.5, 0.0, 0.75), true);
+        let middle = cuboid("vase", DVec3::splat(0.1), DVec3::Z * 0.697, true);
+        let mut all = [table.clone(), at_rim.clone(), middle.clone()];
+        close_gaps(&mut all, 0.0, 64);
+        assert_eq!(all, [table.clone(), at_rim.clone(), middle]);
+        let mut all = [table.clone(), at_rim];
+        close_gaps(&mut all, 0.0, 64);
+        assert!(all[0] != table, "without it nothing is in the way");
+    }
+
+    #[test]
+    fn planks_that_cross_are_put_down_on_each_other_and_not_through_a_ridge() {
+        // Neither has a corner over the other one.
+        let low = cuboid("low", DVec3::new(0.3, 0.02, 0.1), DVec3::Z * 0.1, true);
+        let high = cuboid("high", DVec3::new(0.02, 0.3, 0.01), DVec3::Z * 0.214, true);
+        let mut all = [low.clone(), high.clone()];
+        close_gaps(&mut all, 0.0, 64);
+        assert!((bottom(&all[1]) - 0.2).abs() < 1e-9);
+        // A peak 1 mm below carries it before the plank does.
+        let mut peak = cuboid("peak", DVec3::new(0.01, 0.01, 0.05), DVec3::new(0.0, 0.2, 0.05), false);
+        peak.parts[0].vertices.push(DVec3::new(0.0, 0.2, 0.203));
+        peak.parts[0] = convex_hull(&peak.parts[0].vertices, 64, 0.0).unwrap();
+        let mut all = [low, high, peak];
+        close_gaps(&mut all, 0.0, 64);
+        assert!((bottom(&all[1]) - 0.203).abs() < 1e-9, "{}", bottom(&all[1]));
+    }
+
+    #[test]
     fn a_wall_that_runs_on_beyond_a_board_carries_it_where_they_cross() {
         // A wall of 8 mm along x, 2 mm too low, whose corners all lie beyond the board across it.
         let wall = cuboid("wall", DVec3::new(0.3, 0.004, 0.149), DVec3::Z * 0.149, false);
@@ -229,20 +238,6 @@ pub(crate) mod tests {
         assert!(face.len() >= 4 && face.iter().all(|v| v.x.abs() < 0.1 + 1e-9), "{face:?}");
         assert!(face.iter().any(|v| v.x > 0.099) && face.iter().any(|v| v.x < -0.099));
         assert!(part.is_closed_oriented() && (part.aabb().unwrap().max.x - 0.3).abs() < 1e-12);
-    }
-
-    #[test]
-    fn what_two_outlines_have_in_common() {
-        let square = |x: f64, y: f64, half: f64| {
-            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
-                .map(|(s, t)| DVec2::new(x + half * s, y + half * t))
-        };
-        let area = |p: &[DVec2]| (0..p.len()).map(|i| 0.5 * p[i].perp_dot(p[(i + 1) % p.len()])).sum::<f64>();
-        assert!((width(&square(0.3, 0.0, 0.2)) - 0.4).abs() < 1e-12);
-        let both = common(&square(0.0, 0.0, 1.0), &square(1.5, 0.5, 1.0));
-        assert!((area(&both) - 0.5 * 1.5).abs() < 1e-12, "{both:?}");
-        assert!((area(&common(&square(0.0, 0.0, 1.0), &square(0.1, 0.0, 0.2))) - 0.16).abs() < 1e-12);
-        assert!(common(&square(0.0, 0.0, 1.0), &square(3.0, 0.0, 1.0)).is_empty());
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Closing what no camera saw: the contact area on the surface below.
 
 use crate::grid::quantile;
+use crate::outline::{convex_outline, is_within};
 use crate::support::{Plane, Rest};
 use crate::views::{Sight, Views};
-use glamx::DVec3;
+use glamx::{DVec2, DVec3};
 use sms_core::PointCloud;
 
 /// Points on the resting plane, a `spacing` apart, where the object's foot may touch it: inside the outline of the
@@ -26,12 +27,12 @@ pub(crate) fn contact_points(
     let top = quantile(heights.clone(), 0.98).max(0.0);
     let low = quantile(heights.clone(), 0.02).max(0.0);
     let limit = (low + 0.3 * (top - low)).max(low + 2.0 * spacing);
-    let foot: Vec<[f64; 2]> = cloud
+    let foot: Vec<DVec2> = cloud
         .points_w
         .iter()
         .zip(&heights)
         .filter(|(_, h)| **h <= limit)
-        .map(|(p, _)| [p.dot(u), p.dot(v)])
+        .map(|(p, _)| DVec2::new(p.dot(u), p.dot(v)))
         .collect();
     let outline = convex_outline(&foot);
     let on_plane = |s: f64, t: f64| u * s + v * t + plane.normal * plane.offset;
@@ -41,22 +42,22 @@ pub(crate) fn contact_points(
     };
     let mut points = Vec::new();
     if outline.len() >= 3 {
-        let min: [f64; 2] = std::array::from_fn(|k| outline.iter().map(|p| p[k]).fold(f64::MAX, f64::min));
-        let max: [f64; 2] = std::array::from_fn(|k| outline.iter().map(|p| p[k]).fold(f64::MIN, f64::max));
+        let min = outline.iter().fold(DVec2::MAX, |m, p| m.min(*p));
+        let max = outline.iter().fold(DVec2::MIN, |m, p| m.max(*p));
         let count = |k: usize| (((max[k] - min[k]) / spacing) as usize).min(400) + 1;
         for i in 0..count(0) {
             for j in 0..count(1) {
                 // Every other row is shifted: an exact grid is needlessly degenerate.
                 let s = min[0] + spacing * (i as f64 + 0.5 * (j % 2) as f64);
                 let t = min[1] + spacing * j as f64;
-                if is_inside(&outline, [s, t]) && !is_open(on_plane(s, t)) {
+                if is_within(&outline, DVec2::new(s, t), 0.0) && !is_open(on_plane(s, t)) {
                     points.push(on_plane(s, t));
                 }
             }
         }
-        for [s, t] in resample(&outline, spacing) {
-            if !is_open(on_plane(s, t)) {
-                points.push(on_plane(s, t));
+        for p in resample(&outline, spacing) {
+            if !is_open(on_plane(p.x, p.y)) {
+                points.push(on_plane(p.x, p.y));
             }
         }
     }
@@ -85,15 +86,15 @@ pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margi
     let u = plane.normal.any_orthonormal_vector();
     let v = plane.normal.cross(u);
     let near = points.iter().filter(|&&p| plane.height_over(p) < band);
-    let grown: Vec<[f64; 2]> = near
+    let grown: Vec<DVec2> = near
         .flat_map(|p| {
             (0..8).map(move |k| {
                 let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
-                [p.dot(u) + margin * cos, p.dot(v) + margin * sin]
+                DVec2::new(p.dot(u), p.dot(v)) + margin * DVec2::new(cos, sin)
             })
         })
         .collect();
-    convex_outline(&grown).iter().map(|&[s, t]| u * s + v * t + plane.normal * plane.offset).collect()
+    convex_outline(&grown).iter().map(|p| u * p.x + v * p.y + plane.normal * plane.offset).collect()
 }
 
 /// Whether `p` lies over the convex outline, seen along the plane's normal.
@@ -120,70 +121,13 @@ fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     (0..frames).filter(past).take(needed).count() >= needed
 }
 
-/// Convex outline, counter-clockwise (Andrew's monotone chain).
-pub(crate) fn convex_outline(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-    sorted.dedup();
-    if sorted.len() < 3 {
-        return sorted;
-    }
-    let turn =
-        |o: [f64; 2], a: [f64; 2], b: [f64; 2]| (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
-    let mut chain: Vec<[f64; 2]> = Vec::new();
-    for pass in 0..2 {
-        let base = chain.len();
-        let ordered: Box<dyn Iterator<Item = &[f64; 2]>> =
-            if pass == 0 { Box::new(sorted.iter()) } else { Box::new(sorted.iter().rev()) };
-        for &p in ordered {
-            while chain.len() >= base + 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
-                chain.pop();
-            }
-            chain.push(p);
-        }
-        chain.pop();
-    }
-    chain
-}
-
-fn is_inside(outline: &[[f64; 2]], p: [f64; 2]) -> bool {
-    (0..outline.len()).all(|i| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) >= 0.0
-    })
-}
-
 /// Points along the outline about `spacing` apart.
-fn resample(outline: &[[f64; 2]], spacing: f64) -> Vec<[f64; 2]> {
+fn resample(outline: &[DVec2], spacing: f64) -> Vec<DVec2> {
     let mut out = Vec::new();
     for i in 0..outline.len() {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        let length = (b[0] - a[0]).hypot(b[1] - a[1]);
-        let steps = (length / spacing).ceil().max(1.0);
-        for k in 0..steps as usize {
-            let w = k as f64 / steps;
-            out.push([a[0] + w * (b[0] - a[0]), a[1] + w * (b[1] - a[1])]);
-        }
+        let steps = ((b - a).length() / spacing).ceil().max(1.0);
+        out.extend((0..steps as usize).map(|k| a + k as f64 / steps * (b - a)));
     }
     out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_outline_holds_its_points() {
-        let points: Vec<[f64; 2]> =
-            (0..100).map(|i| [f64::from(i * 37 % 100) / 100.0, f64::from(i * 61 % 100) / 50.0]).collect();
-        let outline = convex_outline(&points);
-        assert!(outline.len() >= 4);
-        assert!(!is_inside(&outline, [-0.1, 0.5]));
-        let center = [0.5, 1.0];
-        assert!(is_inside(&outline, center));
-        for p in points {
-            let inward = [p[0] + 1e-6 * (center[0] - p[0]), p[1] + 1e-6 * (center[1] - p[1])];
-            assert!(is_inside(&outline, inward));
-        }
-    }
 }
