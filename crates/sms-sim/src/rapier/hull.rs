@@ -45,7 +45,7 @@ struct FacePiece {
 }
 
 impl StableHull {
-    /// The convex hull of points; `None` where they enclose no volume.
+    /// The convex hull of points; `None` where parry makes none of them (fewer than three, or all on a line).
     pub(super) fn new(points: &[Vector]) -> Option<Self> {
         let (vertices, indices) = try_convex_hull(points).ok()?;
         let (planes, plane_of) = planes(&vertices, &indices);
@@ -110,10 +110,10 @@ fn to_engine(v: DVec3) -> Vector {
     Vector::new(v.x as Real, v.y as Real, v.z as Real)
 }
 
-/// The planes of the faces that triangles make, the largest triangle's first, and the plane of each triangle (none for one of
-/// no area on an edge). Parry joins triangles whose normals differ by up to 1.5° in single precision, and takes the first one's:
-/// a heavy box sank through a board whose two sides had such a normal. Here a triangle belongs to a larger one's face when it lies in
-/// its plane, whatever rounding made of a sliver's normal, and to no other.
+/// The planes of the faces that triangles make, the largest triangle's first, and the plane of each triangle (none for
+/// one of no area on an edge). Parry joins triangles whose normals differ by up to 1.5° in single precision, and takes
+/// the first one's: a heavy box sank through a board whose two sides had such a normal. Here a triangle belongs to a
+/// larger one's face when it lies in its plane, whatever rounding made of a sliver's normal, and to no other.
 fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
     let corners: Vec<[DVec3; 3]> =
         triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
@@ -137,21 +137,25 @@ fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<O
     (found, of)
 }
 
-/// The description of a face: the widest four of the vertices that lie in its plane.
+/// The description of a face: the four of the vertices in its plane that span the largest area, put onto the plane. Of
+/// less than [`FLAT`] across, an edge.
+///
+/// Parry takes the plane of a description from its first three corners, so these are the ones with the largest triangle:
+/// of a corner on the straight line between its neighbours the rounding would decide.
 fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> PolygonalFeature {
-    let in_plane = |p: &Vector| plane.height(to_double(*p)).abs() <= FLAT;
-    let mut corners: Vec<(u32, Vector)> =
-        (0u32..).zip(vertices.iter().copied()).filter(|(_, p)| in_plane(p)).collect();
-    let normal = to_engine(plane.normal);
-    let middle = corners.iter().fold(Vector::ZERO, |sum, c| sum + c.1) / corners.len() as Real;
-    let across = (to_engine(plane.origin) - middle).normalize_or(normal.any_orthonormal_vector());
-    let along = normal.cross(across);
-    let angle = |p: Vector| (p - middle).dot(along).atan2((p - middle).dot(across));
+    let points = (0u32..).zip(vertices).map(|(k, p)| (k, to_double(*p)));
+    let in_plane = points.filter(|(_, p)| plane.height(*p).abs() <= FLAT);
+    let mut corners: Vec<(u32, DVec3)> =
+        in_plane.map(|(k, p)| (k, p - plane.normal * plane.height(p))).collect();
+    let middle = corners.iter().fold(DVec3::ZERO, |sum, c| sum + c.1) / corners.len() as f64;
+    let across = (plane.origin - middle).normalize_or(plane.normal.any_orthonormal_vector());
+    let along = plane.normal.cross(across);
+    let angle = |p: DVec3| (p - middle).dot(along).atan2((p - middle).dot(across));
     corners.sort_by(|a, b| angle(a.1).total_cmp(&angle(b.1)).then(a.0.cmp(&b.0)));
-    let positions: Vec<Vector> = corners.iter().map(|c| c.1).collect();
+    let positions: Vec<DVec3> = corners.iter().map(|c| c.1).collect();
     let mut feature = PolygonalFeature::default();
-    for (slot, &corner) in widest_four(&positions).iter().enumerate() {
-        feature.vertices[slot] = positions[corner];
+    for (slot, &corner) in from_widest_corner(&positions, widest_four(&positions)).iter().enumerate() {
+        feature.vertices[slot] = to_engine(positions[corner]);
         feature.vids[slot] = PackedFeatureId::vertex(corners[corner].0);
         // Edge ids only tell contacts of one step from those of the next.
         feature.eids[slot] = PackedFeatureId::edge(4 * id + slot as u32);
@@ -161,40 +165,52 @@ fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> PolygonalFeature
     feature
 }
 
-/// Indices, in order, of up to four corners of a convex polygon that span (nearly) the largest area: its diameter and
-/// the corners farthest from it on either side.
-fn widest_four(corners: &[Vector]) -> Vec<usize> {
+/// Indices, in order, of up to four corners of a convex polygon that span the largest area.
+fn widest_four(corners: &[DVec3]) -> Vec<usize> {
     let n = corners.len();
     if n <= 4 {
         return (0..n).collect();
     }
-    let mut ends = (0, 1);
-    let mut longest = 0.0;
-    for i in 0..n {
-        for j in i + 1..n {
-            let length = (corners[j] - corners[i]).length_squared();
-            if length > longest {
-                (ends, longest) = ((i, j), length);
+    let mut widest: (f64, Vec<usize>) = (f64::NEG_INFINITY, Vec::new());
+    for a in 0..n {
+        for c in a + 1..n {
+            let diagonal = corners[c] - corners[a];
+            let far = |k: &usize| diagonal.cross(corners[*k] - corners[a]).length();
+            let farthest = |side: &mut dyn Iterator<Item = usize>| {
+                side.map(|k| (far(&k), k)).max_by(|p, q| p.0.total_cmp(&q.0).then(q.1.cmp(&p.1)))
+            };
+            let (b, d) = (farthest(&mut (a + 1..c)), farthest(&mut (c + 1..n).chain(0..a)));
+            let area = b.map_or(0.0, |b| b.0) + d.map_or(0.0, |d| d.0);
+            if area > widest.0 {
+                let chosen = [Some(a), b.map(|b| b.1), Some(c), d.map(|d| d.1)];
+                widest = (area, chosen.into_iter().flatten().collect());
             }
         }
     }
-    let (a, b) = ends;
-    let along = corners[b] - corners[a];
-    let farthest = |indices: &mut dyn Iterator<Item = usize>| -> Option<usize> {
-        let mut best: Option<(usize, Real)> = None;
-        for i in indices {
-            let area = along.cross(corners[i] - corners[a]).length_squared();
-            if best.is_none_or(|(_, most)| area > most) {
-                best = Some((i, area));
-            }
+    widest.1
+}
+
+/// The corners turned such that the second one makes the largest triangle with its neighbours; of a sliver its ends.
+fn from_widest_corner(corners: &[DVec3], chosen: Vec<usize>) -> Vec<usize> {
+    let n = chosen.len();
+    if n < 3 {
+        return chosen;
+    }
+    let at = |k: usize| corners[chosen[k % n]];
+    let area = |k: usize| (at(k + 2) - at(k + 1)).cross(at(k) - at(k + 1)).length();
+    let mut first = 0;
+    for k in 1..n {
+        if area(k) > area(first) {
+            first = k;
         }
-        best.map(|(i, _)| i)
-    };
-    let mut chosen = vec![a];
-    chosen.extend(farthest(&mut (a + 1..b)));
-    chosen.push(b);
-    chosen.extend(farthest(&mut (b + 1..n).chain(0..a)));
-    chosen
+    }
+    let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
+    let length = |&(i, j): &(usize, usize)| (at(j) - at(i)).length();
+    let longest = pairs.max_by(|p, q| length(p).total_cmp(&length(q)));
+    match longest {
+        Some(ends) if area(first) < FLAT * length(&ends) => vec![chosen[ends.0], chosen[ends.1]],
+        _ => (0..n).map(|k| chosen[(first + k) % n]).collect(),
+    }
 }
 
 impl PolygonalFeatureMap for StableHull {
@@ -311,7 +327,11 @@ impl Shape for StableHull {
         feature: FeatureId,
         point: Vector,
     ) -> Option<Vector> {
-        self.hull.feature_normal_at_point(subshape, feature, point)
+        match feature {
+            // Parry's faces have other numbers.
+            FeatureId::Face(id) => self.faces.get(id as usize).map(|f| f.0),
+            _ => self.hull.feature_normal_at_point(subshape, feature, point),
+        }
     }
 }
 
@@ -321,15 +341,47 @@ mod tests {
 
     #[test]
     fn a_round_base_is_described_by_a_square_across_it() {
-        let circle: Vec<Vector> = (0..24)
-            .map(|i| {
-                let angle = i as Real * (std::f64::consts::TAU / 24.0) as Real;
-                Vector::new(angle.cos(), angle.sin(), 0.0)
-            })
-            .collect();
-        let chosen = widest_four(&circle);
-        let area: Real = (0..4).map(|i| circle[chosen[i]].cross(circle[chosen[(i + 1) % 4]]).z / 2.0).sum();
-        assert!((area - 2.0).abs() < 1e-5, "{chosen:?} spans {area}");
+        let arc = |turn: f64| -> Vec<DVec3> {
+            let angle = |i: i32| f64::from(i) * turn / 24.0;
+            (0..24).map(|i| DVec3::new(angle(i).cos(), angle(i).sin(), 0.0)).collect()
+        };
+        let spanned = |arc: &[DVec3]| {
+            let chosen = widest_four(arc);
+            let cross = |i: usize| arc[chosen[i]].cross(arc[chosen[(i + 1) % chosen.len()]]).z / 2.0;
+            (0..chosen.len()).map(cross).sum::<f64>()
+        };
+        assert!((spanned(&arc(std::f64::consts::TAU)) - 2.0).abs() < 1e-9);
+        // Half a round: its diameter is one of its sides. Of all quadrilaterals in a half-disc, half a hexagon is the largest.
+        let mut half = arc(std::f64::consts::PI);
+        half.push(DVec3::NEG_X);
+        assert!((spanned(&half) - 0.75 * 3.0f64.sqrt()).abs() < 1e-9, "{}", spanned(&half));
+    }
+
+    /// A corner a few micrometres outside of the middle of a side, and below the face: the plane is the face's all the same.
+    #[test]
+    fn a_corner_on_a_side_does_not_tilt_its_face() {
+        let corner = |x: f64, y: f64, z: f64| Vector::new(x as Real, y as Real, z as Real);
+        for (out, below) in [(2e-6, 1.5e-5), (2e-6, 0.0), (1e-4, 1.5e-5)] {
+            for turn in 0..3 {
+                let angle = |k: i32| std::f64::consts::TAU * (f64::from(k + turn) / 3.0);
+                let top = |k: i32| corner(0.2 * angle(k).cos(), 0.2 * angle(k).sin(), 0.1);
+                let middle = 0.1 + out;
+                let (sin, cos) = ((angle(0) + angle(1)) * 0.5).sin_cos();
+                let mut points: Vec<Vector> = (0..3).map(top).collect();
+                points.push(corner(middle * cos, middle * sin, 0.1 - below));
+                points.extend((0..3).map(|k| top(k) - Vector::Z * 0.1));
+                let hull = StableHull::new(&points).unwrap();
+                let mut feature = PolygonalFeature::default();
+                hull.local_support_feature(Vector::Z, &mut feature);
+                let v = feature.vertices;
+                // The plane that parry takes.
+                let normal = (v[2] - v[1]).cross(v[0] - v[1]).normalize();
+                assert!(
+                    feature.num_vertices >= 3 && normal.z.abs() > 1.0 - 1e-6,
+                    "{out} {below} {turn}: {feature:?}"
+                );
+            }
+        }
     }
 
     #[test]
@@ -349,7 +401,7 @@ mod tests {
         assert!(middle.length() < 1e-3, "{middle}");
     }
 
-    /// A roof of two faces that differ by less than parry's 1.5°.
+    /// A roof of two faces that differ by 0.5° to 2.7°, on either side of parry's 1.5°.
     #[test]
     fn faces_that_differ_by_a_degree_stay_apart() {
         for slope in [0.004, 0.008, 0.016, 0.024] {
@@ -419,7 +471,7 @@ mod tests {
         assert!(!found.is_inside && (distance - 1.589e-4).abs() < 2e-6, "{distance}");
     }
 
-    /// Against a dense sampling of the surface, and inside the way out.
+    /// Against the closed form, and inside the way out.
     #[test]
     fn nearest_points_are_those_of_a_box() {
         let half = [0.02, 0.03, 0.05];
