@@ -133,7 +133,7 @@ pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
         "all" => return Ok(fixed().chain(stacked()).chain(shelf()).collect()),
         "fixed" => return Ok(fixed().collect()),
         "stacked" => return Ok(stacked().collect()),
-        "landing" => return Ok(LANDING_SCENES.iter().map(|(n, _)| BenchScene::Landing(*n)).collect()),
+        "landing" => return Ok(LANDING_SCENES.map(BenchScene::Landing).collect()),
         "real" => return Ok(REAL.iter().map(|r| BenchScene::Real((*r).to_owned())).collect()),
         _ => {}
     }

@@ -112,7 +112,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut scenes = a.scenes.clone();
     if scenes.is_empty() {
-        scenes = if a.quick { vec![1] } else { LANDING_SCENES.iter().map(|s| s.0).collect() };
+        scenes = if a.quick { vec![1] } else { LANDING_SCENES.collect() };
     }
     if scenes.contains(&0) {
         let cure = "give numbers from 1 to 4, or seeds from 5 on";

@@ -7,18 +7,14 @@ use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
 use sms_scene::Scene;
 use sms_synth::{LandingStructure, landing_scene, landing_structure};
 use sms_target::TargetEngine;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
-/// The numbers of the fixed structures with their words in keys, as `sms synth --family landing` numbers them.
-pub const LANDING_SCENES: [(usize, LandingStructure); 4] = [
-    (1, LandingStructure::BoxOnLadder),
-    (2, LandingStructure::ToteOnStool),
-    (3, LandingStructure::BoardOnBin),
-    (4, LandingStructure::BoardOnStool),
-];
+/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
+pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
 
 /// A planner to compare with, by its name in tables and keys. It is given what ours is given, and chooses; `None` where it cannot.
 pub struct LandingBaseline<'a> {
@@ -141,8 +137,6 @@ impl LandingBench<'_> {
 
 /// What a scene is called in keys: its structure's word, of drawn ones with their number.
 pub(super) fn word(number: usize) -> String {
-    match LANDING_SCENES.iter().find(|(n, _)| *n == number) {
-        Some((_, structure)) => structure.as_str().to_owned(),
-        None => format!("{}_{number}", landing_structure(number as u64).as_str()),
-    }
+    let structure = landing_structure(number as u64).as_str();
+    if LANDING_SCENES.contains(&number) { structure.to_owned() } else { format!("{structure}_{number}") }
 }

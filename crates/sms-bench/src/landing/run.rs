@@ -25,6 +25,15 @@ struct Seen {
     matched: usize,
 }
 
+/// What flights that follow each other have in common.
+#[derive(Default)]
+struct Shared {
+    /// The geometry of a scene, with its number.
+    geometry: Option<(usize, Scene)>,
+    /// What a flight was planned in: the same from every start, and what can move in it takes simulations to find out.
+    seen: Option<(LandingPart, Seen)>,
+}
+
 /// Runs the flights that are not in the folder yet, each of ours and of every baseline, and calls `line` after each.
 ///
 /// # Errors
@@ -36,10 +45,10 @@ pub fn run_landings(
     cancel: &Cancel,
 ) -> Result<(), BenchError> {
     let target = bench.engine.target()?;
-    let mut geometry: Option<(usize, Scene)> = None;
+    let mut shared = Shared::default();
     for part in part_of(bench.flights(), bench.part) {
         cancel.check()?;
-        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut geometry, progress, cancel)?;
+        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, progress, cancel)?;
         if is_new {
             line(&flight);
         }
@@ -99,15 +108,15 @@ pub fn run_landing(
     cancel: &Cancel,
 ) -> Result<LandingFlight, BenchError> {
     let target = bench.engine.target()?;
-    Ok(flown(bench, part, target.as_ref(), &mut None, progress, cancel)?.0)
+    Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), progress, cancel)?.0)
 }
 
-/// A flight, and whether anything of it was not in the folder yet. `geometry` is that of the last scene.
+/// A flight, and whether anything of it was not in the folder yet.
 fn flown(
     bench: &LandingBench<'_>,
     part: LandingPart,
     target: &dyn Target,
-    geometry: &mut Option<(usize, Scene)>,
+    shared: &mut Shared,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<(LandingFlight, bool), BenchError> {
@@ -127,30 +136,20 @@ fn flown(
         },
     };
     let truth = landing_scene(part.scene as u64);
-    let scene = match &geometry {
-        Some((number, scene)) if *number == part.scene => scene.clone(),
-        _ => {
-            let scene = geometry_of(bench, part.scene, &truth, progress, cancel)?;
-            *geometry = Some((part.scene, scene.clone()));
-            scene
-        }
-    };
-    let seen = see(scene, &truth, part)?;
+    let seen = shared.seen(bench, part, &truth, progress, cancel)?;
+    let scene = &seen.scene;
     (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
-    let task = task_of(&seen.scene, &truth, part);
-    let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
-    let scene = freed.map_or(seen.scene, |f| f.scene);
-    match task.resolve(&scene) {
+    let task = task_of(scene, &truth, part);
+    match task.resolve(scene) {
         Ok(landing) => {
             for name in names(bench, part) {
                 if flight.planned.contains_key(&name) {
                     continue;
                 }
-                let planned = carry_out(bench, part, &name, &landing, &scene, &truth, target, cancel)?;
+                let planned = carry_out(bench, part, &name, &landing, scene, &truth, target, cancel)?;
                 if name == OURS {
                     let action = planned.action;
-                    flight.evaluation_s =
-                        action.map(|a| evaluate(bench, &landing, &scene, &a)).transpose()?;
+                    flight.evaluation_s = action.map(|a| evaluate(bench, &landing, scene, &a)).transpose()?;
                 }
                 flight.planned.insert(name, planned);
                 atomic::write_json(&bench.file(part), &flight)?;
@@ -165,6 +164,38 @@ fn flown(
         Err(e) => return Err(e.into()),
     }
     Ok((flight, true))
+}
+
+impl Shared {
+    /// The scene that a flight is planned in, with what can move freed.
+    fn seen(
+        &mut self,
+        bench: &LandingBench<'_>,
+        part: LandingPart,
+        truth: &TruthScene,
+        progress: &dyn Progress,
+        cancel: &Cancel,
+    ) -> Result<&Seen, BenchError> {
+        let any_start = LandingPart { start: 0, ..part };
+        let kept = self.seen.take().filter(|(of, _)| *of == any_start);
+        let seen = match kept {
+            Some((_, seen)) => seen,
+            None => {
+                let kept = self.geometry.take().filter(|(number, _)| *number == part.scene);
+                let geometry = match kept {
+                    Some((_, scene)) => scene,
+                    None => geometry_of(bench, part.scene, truth, progress, cancel)?,
+                };
+                let Seen { scene, matched } = see(geometry.clone(), truth, part)?;
+                self.geometry = Some((part.scene, geometry));
+                cancel.check()?;
+                let task = task_of(&scene, truth, any_start);
+                let freed = task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed)?;
+                Seen { scene: freed.map_or(scene, |f| f.scene), matched }
+            }
+        };
+        Ok(&self.seen.insert((any_start, seen)).1)
+    }
 }
 
 /// The landing from a part's start.

@@ -73,7 +73,7 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
         for (key, value) in found {
             let Some(value) = value else { continue };
             metrics.set(format!("bench.landing.{word}.{key}"), value);
-            if !LANDING_SCENES.iter().any(|(n, _)| *n == scene) {
+            if !LANDING_SCENES.contains(&scene) {
                 continue;
             }
             match figures.iter_mut().find(|(k, _)| *k == key) {
