@@ -408,3 +408,39 @@ fn a_bar_stands_on_a_board_whose_edges_slope() {
         }
     }
 }
+
+/// A prism on five corners whose weight is beyond the side of the four that describe its base, and within the five.
+#[test]
+fn a_prism_stands_on_all_corners_of_its_base() {
+    let half_height = 0.03;
+    for left_out in 0..5 {
+        let angle = |k: i32| std::f64::consts::TAU * f64::from(k) / 5.0;
+        let weight = 0.02 * DVec3::new(angle(left_out).cos(), angle(left_out).sin(), 0.0);
+        let corners = (0..5).map(|k| 0.05 * DVec3::new(angle(k).cos(), angle(k).sin(), 0.0) - weight);
+        let points: Vec<DVec3> =
+            corners.flat_map(|c| [c - half_height * DVec3::Z, c + half_height * DVec3::Z]).collect();
+        let hull = convex_hull(&points, usize::MAX, 0.0).unwrap();
+        let surface = || material(0.4, 0.4, 0.0);
+        let on = |name: &str, center: DVec3| Body {
+            mass: Some(box_mass_properties(DVec3::splat(0.03), 500.0).unwrap()),
+            shape: BodyShape::Hulls { hulls: vec![hull.clone()] },
+            ..cuboid(name, DPose3::from_translation(center), DVec3::splat(0.03), BodyKind::Dynamic, surface())
+        };
+        // One on the floor, one on a table.
+        let table = DVec3::new(0.2, 0.2, 0.1);
+        let at = DPose3::from_translation(DVec3::new(1.0, 0.0, table.z));
+        let table_body = cuboid("table", at, table, BodyKind::Static, surface());
+        let bodies = vec![
+            floor(surface()),
+            table_body,
+            on("low", DVec3::Z * half_height),
+            on("high", DVec3::new(1.0, 0.0, 2.0 * table.z + half_height)),
+        ];
+        let scene = scene(G, bodies);
+        for factory in factories() {
+            let drift = resting_drift(factory, &scene, 2.0).unwrap();
+            let stands = drift.iter().all(|d| d.moved_m < 1e-3 && d.turned_rad < 2e-3);
+            assert!(stands, "{} {left_out}: {drift:?}", factory.engine());
+        }
+    }
+}

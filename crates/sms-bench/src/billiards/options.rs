@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub(super) const ENGINES: [TargetEngine; 4] =
     [TargetEngine::Physx, TargetEngine::PhysxStock, TargetEngine::Rapier, TargetEngine::Mujoco];
 /// Counts up when what is kept of a scene, or how it is made, changes.
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 
 /// The paper's way from Gaussians to bodies (section "Physics-ready scene"; where it is silent, its released code): discs
 /// sampled evenly and not moved to the measured depth, tetrahedra pruned by edge length, spheres as exact bodies and nothing

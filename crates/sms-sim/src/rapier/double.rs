@@ -9,3 +9,7 @@ pub(super) mod adapter;
 #[allow(clippy::duplicate_mod, reason = "one source serves both precisions of the engine")]
 #[path = "hull.rs"]
 mod hull;
+
+#[allow(clippy::duplicate_mod, reason = "one source serves both precisions of the engine")]
+#[path = "face.rs"]
+mod face;

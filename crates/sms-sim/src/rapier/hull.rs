@@ -2,7 +2,8 @@
 //!
 //! Parry describes the face of a convex polyhedron by its first four vertices. Of a round or many-cornered base these
 //! are neighbours, a sliver at its rim: a body that stands on such a base tips over the sliver. This shape is the same
-//! polyhedron, but describes each face by the four of its vertices that span the largest area.
+//! polyhedron, but describes each face by the four of its vertices that span the largest area; where one that was left
+//! out is lower, or a contact lies beyond the four, by the side of the face there and the two others that go best with it.
 //!
 //! Parry also looks for the nearest point of a polyhedron by an iteration (GJK) that in single precision takes points
 //! beside the thin parts of dishes for inside: balls sank into their walls. Here all faces are looked at; there are
@@ -17,21 +18,19 @@ use super::engine::parry::bounding_volume::{Aabb, BoundingSphere};
 use super::engine::parry::mass_properties::MassProperties;
 use super::engine::parry::query::{PointProjection, PointQuery, Ray, RayCast, RayIntersection};
 use super::engine::parry::shape::{
-    ConvexPolyhedron, FeatureId, PackedFeatureId, PolygonalFeature, PolygonalFeatureMap, Shape, ShapeType,
-    SubShapeId, SupportMap, Triangle, TypedShape,
+    ConvexPolyhedron, FeatureId, PolygonalFeature, PolygonalFeatureMap, Shape, ShapeType, SubShapeId,
+    SupportMap, Triangle, TypedShape,
 };
 use super::engine::parry::transformation::try_convex_hull;
-use glamx::DVec3;
-
-/// Vertices this near to a face's plane, metres, belong to the face.
-const FLAT: f64 = 2e-5;
+use super::face::{Face, describe, planes, to_engine};
 
 /// A convex polyhedron whose faces are described by their best four vertices.
 #[derive(Debug, Clone)]
 pub(super) struct StableHull {
     hull: ConvexPolyhedron,
-    /// Normal and description of each face.
-    faces: Vec<(Vector, PolygonalFeature)>,
+    /// Normal of each face.
+    normals: Vec<Vector>,
+    faces: Vec<Face>,
     /// The faces cut into triangles.
     triangles: Vec<FacePiece>,
 }
@@ -49,18 +48,18 @@ impl StableHull {
     pub(super) fn new(points: &[Vector]) -> Option<Self> {
         let (vertices, indices) = try_convex_hull(points).ok()?;
         let (planes, plane_of) = planes(&vertices, &indices);
-        let faces = (0u32..).zip(&planes).map(|(id, p)| (to_engine(p.normal), describe(&vertices, id, p)));
-        let faces: Vec<(Vector, PolygonalFeature)> = faces.collect();
+        let normals: Vec<Vector> = planes.iter().map(|p| to_engine(p.normal)).collect();
+        let faces: Vec<Face> = (0u32..).zip(&planes).map(|(id, p)| describe(&vertices, id, p)).collect();
         let pieces = indices.iter().zip(plane_of).filter_map(|(t, plane)| Some((t, plane?)));
         let triangles = pieces
             .map(|(t, plane)| FacePiece {
                 shape: Triangle::from(t.map(|k| vertices[k as usize])),
-                normal: faces[plane].0,
+                normal: normals[plane],
                 face: plane as u32,
             })
             .collect();
         let hull = ConvexPolyhedron::from_convex_mesh(vertices, &indices)?;
-        (!faces.is_empty()).then_some(Self { hull, faces, triangles })
+        (!faces.is_empty()).then_some(Self { hull, normals, faces, triangles })
     }
 
     /// The nearest point of the surface and the face that it lies on; whether `p` is inside.
@@ -89,141 +88,27 @@ impl StableHull {
     }
 }
 
-/// The plane of a face.
-#[derive(Debug, Clone, Copy)]
-struct FacePlane {
-    origin: DVec3,
-    normal: DVec3,
-}
-
-impl FacePlane {
-    fn height(&self, p: DVec3) -> f64 {
-        (p - self.origin).dot(self.normal)
-    }
-}
-
-fn to_double(v: Vector) -> DVec3 {
-    DVec3::new(v.x as f64, v.y as f64, v.z as f64)
-}
-
-fn to_engine(v: DVec3) -> Vector {
-    Vector::new(v.x as Real, v.y as Real, v.z as Real)
-}
-
-/// The planes of the faces that triangles make, the largest triangle's first, and the plane of each triangle (none for
-/// one of no area on an edge). Parry joins triangles whose normals differ by up to 1.5° in single precision, and takes
-/// the first one's: a heavy box sank through a board whose two sides had such a normal. Here a triangle belongs to a
-/// larger one's face when it lies in its plane, whatever rounding made of a sliver's normal, and to no other.
-fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
-    let corners: Vec<[DVec3; 3]> =
-        triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
-    let areas: Vec<DVec3> = corners.iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
-    let mut order: Vec<usize> = (0..corners.len()).collect();
-    order.sort_by(|&a, &b| areas[b].length_squared().total_cmp(&areas[a].length_squared()).then(a.cmp(&b)));
-    let mut found: Vec<FacePlane> = Vec::new();
-    let mut of = vec![None; corners.len()];
-    for t in order {
-        let lies_in = |plane: &FacePlane| {
-            plane.normal.dot(areas[t]) >= 0.0 && corners[t].iter().all(|&p| plane.height(p).abs() <= FLAT)
-        };
-        of[t] = found.iter().position(lies_in);
-        if of[t].is_none()
-            && let Some(normal) = areas[t].try_normalize()
-        {
-            of[t] = Some(found.len());
-            found.push(FacePlane { origin: corners[t][0], normal });
-        }
-    }
-    (found, of)
-}
-
-/// The description of a face: the four of the vertices in its plane that span the largest area, put onto the plane. Of
-/// less than [`FLAT`] across, an edge.
-///
-/// Parry takes the plane of a description from its first three corners, so these are the ones with the largest triangle:
-/// of a corner on the straight line between its neighbours the rounding would decide.
-fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> PolygonalFeature {
-    let points = (0u32..).zip(vertices).map(|(k, p)| (k, to_double(*p)));
-    let in_plane = points.filter(|(_, p)| plane.height(*p).abs() <= FLAT);
-    let mut corners: Vec<(u32, DVec3)> =
-        in_plane.map(|(k, p)| (k, p - plane.normal * plane.height(p))).collect();
-    let middle = corners.iter().fold(DVec3::ZERO, |sum, c| sum + c.1) / corners.len() as f64;
-    let across = (plane.origin - middle).normalize_or(plane.normal.any_orthonormal_vector());
-    let along = plane.normal.cross(across);
-    let angle = |p: DVec3| (p - middle).dot(along).atan2((p - middle).dot(across));
-    corners.sort_by(|a, b| angle(a.1).total_cmp(&angle(b.1)).then(a.0.cmp(&b.0)));
-    let positions: Vec<DVec3> = corners.iter().map(|c| c.1).collect();
-    let mut feature = PolygonalFeature::default();
-    for (slot, &corner) in from_widest_corner(&positions, widest_four(&positions)).iter().enumerate() {
-        feature.vertices[slot] = to_engine(positions[corner]);
-        feature.vids[slot] = PackedFeatureId::vertex(corners[corner].0);
-        // Edge ids only tell contacts of one step from those of the next.
-        feature.eids[slot] = PackedFeatureId::edge(4 * id + slot as u32);
-        feature.num_vertices = slot + 1;
-    }
-    feature.fid = PackedFeatureId::face(id);
-    feature
-}
-
-/// Indices, in order, of up to four corners of a convex polygon that span the largest area.
-fn widest_four(corners: &[DVec3]) -> Vec<usize> {
-    let n = corners.len();
-    if n <= 4 {
-        return (0..n).collect();
-    }
-    let mut widest: (f64, Vec<usize>) = (f64::NEG_INFINITY, Vec::new());
-    for a in 0..n {
-        for c in a + 1..n {
-            let diagonal = corners[c] - corners[a];
-            let far = |k: &usize| diagonal.cross(corners[*k] - corners[a]).length();
-            let farthest = |side: &mut dyn Iterator<Item = usize>| {
-                side.map(|k| (far(&k), k)).max_by(|p, q| p.0.total_cmp(&q.0).then(q.1.cmp(&p.1)))
-            };
-            let (b, d) = (farthest(&mut (a + 1..c)), farthest(&mut (c + 1..n).chain(0..a)));
-            let area = b.map_or(0.0, |b| b.0) + d.map_or(0.0, |d| d.0);
-            if area > widest.0 {
-                let chosen = [Some(a), b.map(|b| b.1), Some(c), d.map(|d| d.1)];
-                widest = (area, chosen.into_iter().flatten().collect());
+impl StableHull {
+    fn face_toward(&self, dir: Vector) -> usize {
+        let (mut best, mut most) = (0, self.normals[0].dot(dir));
+        for (k, normal) in self.normals.iter().enumerate().skip(1) {
+            let along = normal.dot(dir);
+            if along > most {
+                (best, most) = (k, along);
             }
         }
-    }
-    widest.1
-}
-
-/// The corners turned such that the second one makes the largest triangle with its neighbours; of a sliver its ends.
-fn from_widest_corner(corners: &[DVec3], chosen: Vec<usize>) -> Vec<usize> {
-    let n = chosen.len();
-    if n < 3 {
-        return chosen;
-    }
-    let at = |k: usize| corners[chosen[k % n]];
-    let area = |k: usize| (at(k + 2) - at(k + 1)).cross(at(k) - at(k + 1)).length();
-    let mut first = 0;
-    for k in 1..n {
-        if area(k) > area(first) {
-            first = k;
-        }
-    }
-    let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
-    let length = |&(i, j): &(usize, usize)| (at(j) - at(i)).length();
-    let longest = pairs.max_by(|p, q| length(p).total_cmp(&length(q)));
-    match longest {
-        Some(ends) if area(first) < FLAT * length(&ends) => vec![chosen[ends.0], chosen[ends.1]],
-        _ => (0..n).map(|k| chosen[(first + k) % n]).collect(),
+        best
     }
 }
 
 impl PolygonalFeatureMap for StableHull {
     fn local_support_feature(&self, dir: Vector, out_feature: &mut PolygonalFeature) {
-        let mut best = &self.faces[0];
-        let mut most = best.0.dot(dir);
-        for face in &self.faces[1..] {
-            let along = face.0.dot(dir);
-            if along > most {
-                (best, most) = (face, along);
-            }
-        }
-        out_feature.clone_from(&best.1);
+        out_feature.clone_from(self.faces[self.face_toward(dir)].toward(dir));
+    }
+
+    fn local_support_feature_toward(&self, dir: Vector, hint: Vector, out_feature: &mut PolygonalFeature) {
+        let face = self.face_toward(dir);
+        out_feature.clone_from(self.faces[face].around(hint, self.normals[face]));
     }
 
     fn is_convex_polyhedron(&self) -> bool {
@@ -329,7 +214,7 @@ impl Shape for StableHull {
     ) -> Option<Vector> {
         match feature {
             // Parry's faces have other numbers.
-            FeatureId::Face(id) => self.faces.get(id as usize).map(|f| f.0),
+            FeatureId::Face(id) => self.normals.get(id as usize).copied(),
             _ => self.hull.feature_normal_at_point(subshape, feature, point),
         }
     }
@@ -339,22 +224,31 @@ impl Shape for StableHull {
 mod tests {
     use super::*;
 
+    /// Five corners, of which four describe the face: the fifth does not get below them, nor is a contact beside it missed.
     #[test]
-    fn a_round_base_is_described_by_a_square_across_it() {
-        let arc = |turn: f64| -> Vec<DVec3> {
-            let angle = |i: i32| f64::from(i) * turn / 24.0;
-            (0..24).map(|i| DVec3::new(angle(i).cos(), angle(i).sin(), 0.0)).collect()
+    fn no_corner_of_a_face_is_left_out_where_it_matters() {
+        let corner = |k: i32, z: f64| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 5.0).sin_cos();
+            Vector::new((0.05 * cos) as Real, (0.05 * sin) as Real, z as Real)
         };
-        let spanned = |arc: &[DVec3]| {
-            let chosen = widest_four(arc);
-            let cross = |i: usize| arc[chosen[i]].cross(arc[chosen[(i + 1) % chosen.len()]]).z / 2.0;
-            (0..chosen.len()).map(cross).sum::<f64>()
+        let points: Vec<Vector> = (0..5).flat_map(|k| [corner(k, 0.0), corner(k, 0.1)]).collect();
+        let hull = StableHull::new(&points).unwrap();
+        let described = |feature: &PolygonalFeature, p: Vector| {
+            feature.vertices[..feature.num_vertices].iter().any(|v| (*v - p).length() < 1e-6)
         };
-        assert!((spanned(&arc(std::f64::consts::TAU)) - 2.0).abs() < 1e-9);
-        // Half a round: its diameter is one of its sides. Of all quadrilaterals in a half-disc, half a hexagon is the largest.
-        let mut half = arc(std::f64::consts::PI);
-        half.push(DVec3::NEG_X);
-        assert!((spanned(&half) - 0.75 * 3.0f64.sqrt()).abs() < 1e-9, "{}", spanned(&half));
+        for k in 0..5 {
+            let low = corner(k, 0.0);
+            let mut feature = PolygonalFeature::default();
+            hull.local_support_feature((low * 0.02 - Vector::Z).normalize(), &mut feature);
+            assert!(feature.num_vertices == 4 && described(&feature, low), "{k}");
+            hull.local_support_feature_toward(-Vector::Z, low * 0.99, &mut feature);
+            assert!(feature.num_vertices == 4 && described(&feature, low), "{k}");
+        }
+        let mut flat = PolygonalFeature::default();
+        hull.local_support_feature(-Vector::Z, &mut flat);
+        let mut middle = PolygonalFeature::default();
+        hull.local_support_feature_toward(-Vector::Z, Vector::ZERO, &mut middle);
+        assert_eq!(flat.vids, middle.vids);
     }
 
     /// A corner a few micrometres outside of the middle of a side, and below the face: the plane is the face's all the same.

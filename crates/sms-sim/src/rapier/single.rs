@@ -7,3 +7,6 @@ pub(super) mod adapter;
 
 #[path = "hull.rs"]
 mod hull;
+
+#[path = "face.rs"]
+mod face;
