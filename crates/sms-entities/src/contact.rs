@@ -189,9 +189,14 @@ impl Piece {
     }
 }
 
-/// All pieces of an object.
-pub(crate) fn pieces(entity: &Entity) -> Vec<Piece> {
-    (0..piece_count(entity)).filter_map(|i| piece(entity, i)).collect()
+/// The pieces of an object that may be within a box.
+pub(crate) fn pieces_near<'a>(entity: &'a Entity, near: &'a Aabb) -> impl Iterator<Item = Piece> + 'a {
+    let is_near = move |i: &usize| piece_bounds(entity, *i).is_some_and(|b| !are_apart(&b, near));
+    (0..piece_count(entity)).filter(is_near).filter_map(|i| piece(entity, i))
+}
+
+fn piece_bounds(entity: &Entity, i: usize) -> Option<Aabb> {
+    if is_exact(entity) { entity.mesh.aabb() } else { entity.parts[i].aabb() }
 }
 
 fn piece(entity: &Entity, i: usize) -> Option<Piece> {
@@ -214,8 +219,7 @@ fn piece(entity: &Entity, i: usize) -> Option<Piece> {
 /// Normal from `a` to `b` and the deepest points of both, where the pieces overlap.
 fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, DVec3)> {
     // Most pairs are far apart, and shapes take time to make.
-    let bounds = |e: &Entity, k: usize| if is_exact(e) { e.mesh.aabb() } else { e.parts[k].aabb() };
-    if are_apart(&bounds(a, i)?, &bounds(b, j)?) {
+    if are_apart(&piece_bounds(a, i)?, &piece_bounds(b, j)?) {
         return None;
     }
     piece(a, i)?.overlap(&piece(b, j)?)

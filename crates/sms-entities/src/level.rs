@@ -8,10 +8,12 @@
 use crate::contact::{cut_to, is_exact};
 use crate::grid::{median, quantile};
 use crate::outline::{common, is_within, outline_of, width};
-use crate::stack::{BELOW_M, CLOSED_M, REACH_M, bottom, bottom_outline, can_stand};
+use crate::stack::{
+    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing,
+};
 use glamx::{DVec2, DVec3};
 use sms_convex::{clip, convex_hull};
-use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+use sms_core::{Entity, EntityShape, Mesh};
 
 /// Seen points of an underside look down at least so steeply (cosine).
 const DOWN: f64 = 0.95;
@@ -33,9 +35,7 @@ const LEAST_LEFT: f64 = 0.01;
 
 /// Makes undersides flat whose height is known, and ends there what carries them.
 pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usize) {
-    let mut order: Vec<usize> = (0..entities.len()).filter(|&i| can_stand(&entities[i], floor)).collect();
-    order.sort_by(|&a, &b| bottom(&entities[a]).total_cmp(&bottom(&entities[b])));
-    for upper in order {
+    for upper in standing(entities, floor) {
         let Some(face) = face(&entities[upper]) else { continue };
         let height = face.height;
         if !is_exact(&entities[upper]) {
@@ -45,15 +45,12 @@ pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usi
         if outline.len() < 3 {
             continue;
         }
-        let standing = foot_outlines(&entities[upper], height);
+        let standing_on = foot_outlines(&entities[upper], height);
         for carrier in (0..entities.len()).filter(|&i| i != upper) {
             let carrier = &mut entities[carrier];
-            let carries = carrier.kind == EntityKind::Dynamic
-                && !is_exact(carrier)
-                && bottom(carrier) < height - BELOW_M;
-            if carries {
+            if can_carry(carrier, height) && !is_exact(carrier) {
                 let parts = carrier.parts.iter_mut();
-                parts.for_each(|part| end_at(part, &outline, &standing, height, max_vertices));
+                parts.for_each(|part| end_at(part, &outline, &standing_on, height, max_vertices));
             }
         }
     }
@@ -109,19 +106,18 @@ fn flatten(entity: &mut Entity, face: &Face, max_vertices: usize) {
         let reach = REACH_M.min(THICKNESS_SHARE * (top - height));
         // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
         let silhouette = outline_of(part.vertices.iter().copied());
-        let seen = face.seen.iter().filter(|p| is_within(&silhouette, **p, 0.0)).map(|p| p.extend(height));
+        let Some(column) = Column::of(part) else { continue };
+        // Not below what the piece spans: that is another one's foot.
+        let ends_here =
+            |p: DVec2| column.underside(p, height - 1.0).is_some_and(|z| z < height + 2.0 * REACH_M);
+        let seen = face.seen.iter().filter(|p| is_within(&silhouette, **p, 0.0) && ends_here(**p));
+        let seen: Vec<DVec3> = seen.map(|p| p.extend(height)).collect();
         // A thin plate's upper side may be as near to its face as another one's underside.
-        let mut is_below = vec![false; part.vertices.len()];
-        for (t, corners) in part.triangles.iter().enumerate() {
-            let [a, b, c] = part.corners(t);
-            let looks_down = (b - a).cross(c - a).normalize_or_zero().z < -STEEP;
-            corners.iter().for_each(|&k| {
-                is_below[k as usize] |= looks_down && part.vertices[k as usize].z < height + reach
-            });
-        }
+        let mut is_below = corners_of_faces(part, |up| up < -STEEP);
+        is_below.iter_mut().zip(&part.vertices).for_each(|(is, v)| *is &= v.z < height + reach);
         let reaches_down = is_below.contains(&true);
         let below = part.vertices.iter().zip(is_below).map(|(v, is)| if is { v.with_z(height) } else { *v });
-        let points: Vec<DVec3> = below.chain(seen.filter(|_| reaches_down)).collect();
+        let points: Vec<DVec3> = below.chain(seen.into_iter().filter(|_| reaches_down)).collect();
         let hull = convex_hull(&points, max_vertices, 1e-6);
         if let Some(hull) = hull.filter(|h| h.volume() > 0.2 * part.volume()) {
             *part = hull;
@@ -137,7 +133,9 @@ fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f
     }
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     let above = outline_of(clip(&triangles, DVec3::Z, height).1.into_iter().flatten());
-    if standing.iter().any(|foot| width(&common(&above, foot)) > CLOSED_M) {
+    // What overlaps by less is beside what stands there, and is parted from it.
+    let stands = |foot: &[DVec2]| width(&common(&above, foot)) > 0.5 * width(&above).min(width(foot));
+    if standing.iter().any(|foot| stands(foot)) {
         cut_to(part, DVec3::Z, height, max_vertices, LEAST_LEFT);
     }
 }
@@ -271,10 +269,27 @@ mod tests {
         let mut ring = entity("ring", sides[0].clone(), EntityShape::Convex);
         ring.parts = sides.to_vec();
         seen_from_below(&mut ring, DVec3::new(0.055, 0.0, 0.04));
-        let mut pair = [stand, ring];
-        let before = pair.clone();
-        level_faces(&mut pair, 0.0, 64);
-        assert_eq!(pair[0], before[0]);
+        // Free, and 0.1 mm in one side.
+        for shift in [0.0, 0.0101] {
+            let mut peg = stand.clone();
+            peg.parts[1].vertices.iter_mut().for_each(|v| v.x += shift);
+            let mut pair = [peg, ring.clone()];
+            let before = pair.clone();
+            level_faces(&mut pair, 0.0, 64);
+            assert_eq!(pair[0], before[0]);
+        }
+    }
+
+    #[test]
+    fn a_leaning_rail_is_not_filled_down_to_the_foot_of_its_post() {
+        let rail = [DVec3::new(0.0, 0.0, 0.5), DVec3::new(0.2, 0.0, 0.6)];
+        let rail = rail.map(|p| slab(DVec3::splat(0.01), p + DVec3::Z * 0.01).vertices).concat();
+        let rail = convex_hull(&rail, 64, 0.0).unwrap();
+        let mut easel = entity("easel", rail.clone(), EntityShape::Convex);
+        easel.parts.push(slab(DVec3::new(0.01, 0.01, 0.05), DVec3::new(0.18, 0.0, 0.55)));
+        seen_from_below(&mut easel, DVec3::new(0.18, 0.0, 0.5));
+        level_faces(std::slice::from_mut(&mut easel), 0.0, 64);
+        assert!((easel.parts[0].volume() / rail.volume() - 1.0).abs() < 0.05, "{}", easel.parts[0].volume());
     }
 
     #[test]

@@ -1,31 +1,29 @@
 //! Faces on which objects stand on each other. No camera saw them: the lower one's surface is made up there and bulges into the
 //! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
 
-use crate::contact::{Piece, is_exact, pieces, translate};
+use crate::contact::{Piece, is_exact, pieces_near, translate};
 use crate::outline::{common, is_within, meet, outline_of, width};
 use glamx::{DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::ConvexPolyhedron;
-use sms_convex::convex_hull;
+use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 
 /// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
 pub(crate) const REACH_M: f64 = 0.005;
-/// What ends lower than this above the floor stands on that, metres.
-const OFF_FLOOR_M: f64 = 0.03;
 /// What carries another reaches down at least so far below the face, metres.
 pub(crate) const BELOW_M: f64 = 0.005;
+/// Faces that look up more than this (cosine) are the top of a hull: a ridge's two sides too.
+const UP: f64 = 0.1;
 /// What is narrower from above is a wall's ridge, metres.
 const WALL_M: f64 = 0.03;
 /// Gaps that physics engines do not notice, metres.
 pub(crate) const CLOSED_M: f64 = 1e-5;
 
 /// Closes what is left open between objects that stand on each other, from the lowest up: tops of a carrier's convex pieces that end
-/// below the other's bottom are brought up to it; what stands on an exact solid is put down on it.
+/// below the other's bottom are brought up to it; what stands on an exact solid, or in the middle of a wide top, is put down on it.
 pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usize) {
-    let mut order: Vec<usize> = (0..entities.len()).filter(|&i| can_stand(&entities[i], floor)).collect();
-    order.sort_by(|&a, &b| bottom(&entities[a]).total_cmp(&bottom(&entities[b])));
-    for upper in order {
+    for upper in standing(entities, floor) {
         let outline = bottom_outline(&entities[upper]);
         if outline.len() < 3 {
             continue;
@@ -34,7 +32,7 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
         for lower in (0..entities.len()).filter(|&i| i != upper) {
             let height = bottom(&entities[upper]);
             let carrier = &entities[lower];
-            if carrier.kind != EntityKind::Dynamic || bottom(carrier) > height - BELOW_M {
+            if !can_carry(carrier, height) {
                 continue;
             }
             if is_exact(carrier) {
@@ -44,15 +42,14 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
             for k in 0..carrier.parts.len() {
                 let part = &entities[lower].parts[k];
                 let raised = raise_top(part, &outline, height, max_vertices);
-                let others =
-                    || (0..entities.len()).filter(|&i| i != lower).flat_map(|i| pieces(&entities[i]));
-                match raised {
-                    // What is beside the other object may be in the way of what comes up.
-                    Some(raised) if enters_none(&raised, part, others()) => {
-                        entities[lower].parts[k] = raised;
-                        drop = 0.0;
-                    }
-                    _ => limit = limit.min(gap_over(part, &outline, height)),
+                // What is beside the other object may be in the way of what comes up.
+                if let Some(raised) = raised.filter(|r| enters_none(r, part, lower, entities)) {
+                    entities[lower].parts[k] = raised;
+                    drop = 0.0;
+                } else if let Some((gap, is_in_the_middle)) = gap_over(part, &outline, height) {
+                    // An object that reaches over something low stands elsewhere.
+                    limit = limit.min(gap);
+                    drop = if is_in_the_middle { drop.min(gap) } else { drop };
                 }
             }
         }
@@ -63,10 +60,20 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
     }
 }
 
-/// Whether an object stands on something, and not on the floor. Balls touch at a point, which is seen to elsewhere.
-pub(crate) fn can_stand(entity: &Entity, floor: f64) -> bool {
-    let is_ball = matches!(entity.shape, EntityShape::Sphere { .. });
-    entity.kind == EntityKind::Dynamic && !is_ball && bottom(entity) > floor + OFF_FLOOR_M
+/// Objects that stand on others and not on the floor, the lowest first. Balls touch at a point, which is seen to elsewhere.
+pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
+    let can_stand = |e: &Entity| {
+        let is_ball = matches!(e.shape, EntityShape::Sphere { .. });
+        e.kind == EntityKind::Dynamic && !is_ball && bottom(e) > floor + BELOW_M + REACH_M
+    };
+    let mut order: Vec<usize> = (0..entities.len()).filter(|&i| can_stand(&entities[i])).collect();
+    order.sort_by(|&a, &b| bottom(&entities[a]).total_cmp(&bottom(&entities[b])));
+    order
+}
+
+/// Whether an object may carry what ends at a height.
+pub(crate) fn can_carry(entity: &Entity, height: f64) -> bool {
+    entity.kind == EntityKind::Dynamic && bottom(entity) < height - BELOW_M
 }
 
 fn vertices(entity: &Entity) -> Box<dyn Iterator<Item = DVec3> + '_> {
@@ -98,30 +105,74 @@ fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
     if top.len() >= 3 && meet(&top, outline) { height - bounds.max.z } else { f64::INFINITY }
 }
 
-/// Height of the bottom over the corners of a piece that lie under it; infinite where none does.
-fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> f64 {
-    let under = part.vertices.iter().filter(|v| v.z < height + CLOSED_M && is_under(outline, v.truncate()));
-    under.map(|v| (height - v.z).max(0.0)).fold(f64::INFINITY, f64::min)
+/// Height of the bottom over what of a piece is under it, and whether that is under its middle; `None` where nothing is.
+fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> {
+    let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
+    for i in 0..outline.len() {
+        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
+        let outward = DVec2::new(b.y - a.y, a.x - b.x).normalize_or_zero();
+        under = clip(&under, outward.extend(0.0), outward.dot(a)).0;
+    }
+    let top = under.iter().flatten().map(|p| p.z).reduce(f64::max)?;
+    let near = outline_of(under.into_iter().flatten().filter(|p| p.z > top - REACH_M));
+    let middle = outline.iter().sum::<DVec2>() / outline.len() as f64;
+    Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
 }
 
-/// Whether a piece that was raised is in no other one that it was not in before.
-fn enters_none(raised: &Mesh, before: &Mesh, mut others: impl Iterator<Item = Piece>) -> bool {
-    let (Some(raised), Some(before)) = (Piece::of(raised), Piece::of(before)) else { return false };
-    others.all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
+/// Whether a piece that was raised is in no other object's that it was not in before.
+fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) -> bool {
+    let (Some(space), Some(raised), Some(before)) = (raised.aabb(), Piece::of(raised), Piece::of(before))
+    else {
+        return false;
+    };
+    let others = (0..entities.len()).filter(|&i| i != own);
+    others
+        .flat_map(|i| pieces_near(&entities[i], &space))
+        .all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
+}
+
+/// Which corners of a hull belong to a face whose normal's upward component is as wanted.
+pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec<bool> {
+    let mut is = vec![false; part.vertices.len()];
+    for (t, corners) in part.triangles.iter().enumerate() {
+        let [a, b, c] = part.corners(t);
+        let faces = wanted((b - a).cross(c - a).normalize_or_zero().z);
+        corners.iter().for_each(|&k| is[k as usize] |= faces);
+    }
+    is
+}
+
+/// Where a vertical line meets a convex piece.
+pub(crate) struct Column(ConvexPolyhedron);
+
+impl Column {
+    pub(crate) fn of(part: &Mesh) -> Option<Self> {
+        ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles).map(Self)
+    }
+
+    /// Height of the top at a place, looked for from `above` down to a metre lower.
+    fn top(&self, p: DVec2, above: f64) -> Option<f64> {
+        self.0.cast_local_ray(&Ray::new(p.extend(above), DVec3::NEG_Z), 2.0, true).map(|t| above - t)
+    }
+
+    /// Height of the underside at a place, looked for from `below` up.
+    pub(crate) fn underside(&self, p: DVec2, below: f64) -> Option<f64> {
+        self.0.cast_local_ray(&Ray::new(p.extend(below), DVec3::Z), 2.0, true).map(|t| below + t)
+    }
 }
 
 /// Brings what of a piece's top lies under the outline, and at most [`REACH_M`] below `height`, up to it: its corners there, and
 /// the places where its top passes from under the outline (a wall's ridge that runs on has no corner there).
 fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> Option<Mesh> {
     let is_near = |z: f64| z > height - REACH_M && z < height + CLOSED_M;
-    let is_raised = |v: &DVec3| is_near(v.z) && is_under(outline, v.truncate());
-    let corners: Vec<DVec3> =
-        part.vertices.iter().filter(|v| is_raised(v)).map(|v| v.with_z(height)).collect();
-    let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
-    let top = |p: DVec2| {
-        let down = Ray::new(p.extend(height + 1.0), DVec3::NEG_Z);
-        shape.cast_local_ray(&down, 2.0, true).map(|t| height + 1.0 - t)
-    };
+    // The underside of a thin piece is as near, and stays.
+    let looks_up = corners_of_faces(part, |up| up > UP);
+    let is_raised = |v: &DVec3, up: bool| up && is_near(v.z) && is_under(outline, v.truncate());
+    let (corners, kept): (Vec<_>, Vec<_>) =
+        part.vertices.iter().copied().zip(looks_up).partition(|(v, up)| is_raised(v, *up));
+    let corners: Vec<DVec3> = corners.into_iter().map(|(v, _)| v).collect();
+    let column = Column::of(part)?;
+    let top = |p: DVec2| column.top(p, height + 1.0);
     let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
     // Of a wide top what is beside the other object was seen, and would be lifted with it.
     let crossings = if width(&high) < WALL_M { common(&high, outline) } else { Vec::new() };
@@ -131,8 +182,11 @@ fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -
     if corners.len() + crossings.len() < 3 {
         return None;
     }
-    let kept = part.vertices.iter().filter(|v| !is_raised(v)).copied();
-    let raised: Vec<DVec3> = kept.chain(corners).chain(crossings).collect();
+    if crossings.is_empty() && corners.iter().all(|v| (v.z - height).abs() <= CLOSED_M) {
+        return Some(part.clone());
+    }
+    let corners = corners.into_iter().map(|v| v.with_z(height));
+    let raised: Vec<DVec3> = kept.into_iter().map(|(v, _)| v).chain(corners).chain(crossings).collect();
     convex_hull(&raised, max_vertices, 1e-6)
 }
 
@@ -186,6 +240,7 @@ pub(crate) mod tests {
             [wide.clone(), cuboid("box", DVec3::new(0.1, 0.1, 0.05), DVec3::new(0.0, 0.0, 0.65), true)];
         close_gaps(&mut all, 0.0, 64);
         assert_eq!(all[0], wide);
+        assert!((bottom(&all[1]) - 0.598).abs() < 1e-9, "it is put down instead");
     }
 
     #[test]
@@ -199,11 +254,12 @@ pub(crate) mod tests {
         };
         let top = convex_hull(&rim(0.0).chain(rim(0.597)).collect::<Vec<_>>(), 64, 0.0).unwrap();
         let table = entity("table", top, EntityShape::Convex);
-        let at_rim = cuboid("box", DVec3::splat(0.15), DVec3::new(0.5, 0.0, 0.75), true);
+        let at_rim = cuboid("box", DVec3::splat(0.15), DVec3::new(0.55, 0.0, 0.75), true);
         let middle = cuboid("vase", DVec3::splat(0.1), DVec3::Z * 0.697, true);
         let mut all = [table.clone(), at_rim.clone(), middle.clone()];
         close_gaps(&mut all, 0.0, 64);
-        assert_eq!(all, [table.clone(), at_rim.clone(), middle]);
+        assert!(all[0] == table && all[2] == middle);
+        assert!((bottom(&all[1]) - 0.6).abs() < 1e-9, "its middle is beyond the rim");
         let mut all = [table.clone(), at_rim];
         close_gaps(&mut all, 0.0, 64);
         assert!(all[0] != table, "without it nothing is in the way");
@@ -224,6 +280,33 @@ pub(crate) mod tests {
         let mut all = [low, high, peak];
         close_gaps(&mut all, 0.0, 64);
         assert!((bottom(&all[1]) - 0.203).abs() < 1e-9, "{}", bottom(&all[1]));
+    }
+
+    #[test]
+    fn a_thin_slab_keeps_its_underside() {
+        let mut slab = cuboid("stool", DVec3::new(0.1, 0.1, 0.002), DVec3::Z * 0.497, false);
+        slab.parts.extend(cuboid("leg", DVec3::new(0.02, 0.02, 0.24), DVec3::Z * 0.24, false).parts);
+        let board = cuboid("board", DVec3::new(0.5, 0.5, 0.01), DVec3::new(0.25, 0.0, 0.51), false);
+        let mut all = [slab.clone(), board];
+        close_gaps(&mut all, 0.0, 64);
+        let (raised, before) = (&all[0].parts[0], &slab.parts[0]);
+        assert!(raised.volume() > before.volume(), "{}", raised.volume() / before.volume());
+        assert_eq!(raised.aabb().unwrap().min, before.aabb().unwrap().min);
+        assert!((raised.aabb().unwrap().max.z - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_turned_wall_carries_a_board_where_they_cross() {
+        let turn = glamx::DQuat::from_rotation_z(0.5);
+        let wall = Mesh::cuboid(DVec3::new(0.3, 0.004, 0.149));
+        let wall = wall.transformed(&DPose3::from_parts(DVec3::Z * 0.149, turn));
+        let wall = entity("wall", wall, EntityShape::Convex);
+        let board = cuboid("board", DVec3::new(0.1, 0.4, 0.01), DVec3::new(0.0, 0.0, 0.31), false);
+        let mut all = [wall, board];
+        close_gaps(&mut all, 0.0, 64);
+        let part = &all[0].parts[0];
+        let face: Vec<DVec3> = part.vertices.iter().copied().filter(|v| (v.z - 0.3).abs() < 1e-9).collect();
+        assert!(face.len() >= 4 && face.iter().all(|v| v.x.abs() < 0.1 + 1e-9), "{face:?}");
     }
 
     #[test]
