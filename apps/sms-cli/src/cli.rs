@@ -250,7 +250,8 @@ pub(crate) struct Scan {
     /// Keep every N-th frame out of training, to measure quality on it (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
-    /// What computes: `auto` takes a GPU where there is one, `gpu` or `gpu:N` that of `sms devices`.
+    /// What computes: `auto` takes a GPU where there is one, `gpu` or `gpu:N` that of `sms devices`. Networks compute there too in
+    /// builds with `cuda` or `metal`.
     #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
     pub device: Device,
     /// Seed of everything random.

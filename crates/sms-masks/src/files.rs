@@ -118,6 +118,15 @@ pub(crate) fn read_maps(
         maps.push(resample_nearest(&image, frame.depth.size()));
         progress.update(maps.len() as u64, "");
     }
+    let values = values_in(&maps).into_iter().filter(|is_there| *is_there).count();
+    if let (true, Some(first)) = (values > MOST_OBJECTS, paths.first()) {
+        return Err(InputError::new(
+            format!("the masks of this sequence have {values} different values, few of them in each frame"),
+            first.parent().unwrap_or(first),
+            "give an object the same value in all frames: these seem to be numbered anew in each",
+        )
+        .into());
+    }
     progress.end(&format!("{} masks", maps.len()));
     Ok(maps)
 }
@@ -327,6 +336,22 @@ mod tests {
             no_labels.contains("1199 different values") && no_labels.contains("000000.png"),
             "{no_labels}"
         );
+
+        // 192 values in each frame, other ones in every frame; resampled, 48 of them are left.
+        for (frames, is_fine) in [(10, true), (11, false)] {
+            let numbered = recording(&dir.path().join("numbered"), frames);
+            for (i, frame) in numbered.frames.iter().enumerate() {
+                let values = (0..192).map(|p| (1 + 200 * i + p) as u16).collect();
+                write_png_gray16(frame.mask_path.as_ref().unwrap(), &Image::from_vec(16, 12, values))
+                    .unwrap();
+            }
+            if is_fine {
+                assert_eq!(run(&FileMasks::default(), &numbered, &warnings).unwrap().objects.len(), 480);
+            } else {
+                let anew = fault(&FileMasks::default(), &numbered);
+                assert!(anew.contains("528 different values") && anew.contains("anew"), "{anew}");
+            }
+        }
 
         std::fs::remove_file(dir.path().join("masks/000002.png")).unwrap();
         let from_dir = FileMasks { dir: Some(dir.path().join("masks")) };

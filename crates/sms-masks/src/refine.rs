@@ -252,16 +252,16 @@ mod tests {
         assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
     }
 
-    /// Five pixels at 1280 are two and a half at 640, with the margin that the product takes there. Frames that agree on a wrong border
+    /// The paper's case: five pixels at 1280, with the margin that the product takes there. Frames that agree on a wrong border
     /// outvote the right one: less is mended than where they differ.
     #[test]
     fn of_borders_that_all_frames_have_wrong_four_tenths_are_mended() {
         let solids = table_scene();
         let (sequence, truth) =
-            scene(&solids, Sensor { frames: 10, size: (640, 400), ..Sensor::default() }, 3);
-        let margin_px = scaled_margin_px(640);
+            scene(&solids, Sensor { frames: 6, size: (1280, 800), ..Sensor::default() }, 3);
+        let margin_px = scaled_margin_px(1280);
         for (what, frame) in [("grown", 1), ("shrunk", 0)] {
-            let wrong = truth.iter().map(|m| corrupt(m, frame, 3)).collect();
+            let wrong = truth.iter().map(|m| corrupt(m, frame, 5)).collect();
             let before = truth_labels(wrong, solids.len() as u16);
             let after = refine_edges(&before, &sequence, margin_px, DEFAULT_NEIGHBORS).unwrap();
             let (b, a) = (mean_iou(&truth, &before), mean_iou(&truth, &after));

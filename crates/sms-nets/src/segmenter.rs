@@ -220,6 +220,7 @@ impl NetsMasks {
             );
             found.truncate(self.config.max_objects);
         }
+        self.warn_of_missing(&found, warnings);
         if found.is_empty() {
             warnings.add(
                 STAGE,
@@ -229,6 +230,22 @@ impl NetsMasks {
             );
         }
         Ok(found)
+    }
+
+    /// Says which of the objects that a user named are not among `found`. Of the default vocabulary most are never there.
+    fn warn_of_missing(&self, found: &[Found], warnings: &Warnings) {
+        let objects = &self.config.objects;
+        if found.is_empty() || *objects == crate::HOUSEHOLD {
+            return;
+        }
+        for name in objects.iter().filter(|o| found.iter().all(|f| f.name != **o)) {
+            warnings.add(
+                STAGE,
+                "object_not_found",
+                format!("no `{name}` was found above {} in the first frame", self.config.threshold),
+                "lower `threshold`, name it otherwise with --objects, or give its --box",
+            );
+        }
     }
 
     /// Everything above the threshold.

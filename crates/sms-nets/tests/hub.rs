@@ -356,6 +356,34 @@ fn a_wrong_checksum_is_refused_and_nothing_of_it_stays() {
 }
 
 #[test]
+fn a_hub_that_answers_with_another_commit_is_refused() {
+    let server = Server::new(|_, _| Fault::None);
+    let cache = tempfile::tempdir().unwrap();
+    let hub = HubConfig { revision: None, ..hub(&server, cache.path()) };
+    let pinned = Model { revision: "fedcba9876543210fedcba9876543210fedcba98", ..MODEL };
+    let message = hub.fetch(&pinned, &NoProgress, &Cancel::new()).unwrap_err().to_string();
+    assert!(message.contains(pinned.revision) && message.contains(COMMIT), "{message}");
+    assert!(server.asked().iter().all(|a| a.method == "HEAD"), "nothing is fetched");
+    assert_eq!(hub.cached(&pinned), None);
+}
+
+#[test]
+fn what_lies_in_the_cache_under_a_wrong_name_is_fetched_again() {
+    let server = Server::new(|_, _| Fault::None);
+    let cache = tempfile::tempdir().unwrap();
+    let blobs = cache.path().join("models--org--toy/blobs");
+    std::fs::create_dir_all(&blobs).unwrap();
+    let mut bytes = content("model.safetensors");
+    bytes[7] ^= 1;
+    std::fs::write(blobs.join(checksum("model.safetensors")), bytes).unwrap();
+    std::fs::write(blobs.join(checksum("config.json")), content("config.json")).unwrap();
+    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    let fetched: Vec<String> =
+        server.asked().into_iter().filter(|a| a.method == "GET").map(|a| a.path).collect();
+    assert_eq!(fetched, ["/cdn/model.safetensors"], "and what is right is not");
+}
+
+#[test]
 fn refusals_are_explained_and_busy_servers_asked_again() {
     for (status, words) in [(401, "HF_TOKEN"), (403, "HF_TOKEN"), (404, "revision"), (418, "status 418")] {
         let server = Server::new(move |_, _| Fault::Status(status, "0"));

@@ -3,7 +3,7 @@
 
 mod support;
 
-use glamx::DPose3;
+use glamx::{DPose3, DVec3};
 use sms_core::{
     Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, MaskSource, NoProgress, NormalImage, Warnings,
     write_png_color, write_png_gray16,
@@ -100,6 +100,31 @@ fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
     }
 }
 
+#[test]
+fn an_object_that_leaves_the_view_for_good_is_told_and_has_no_mask_after() {
+    let sam = folder("sam2");
+    let masks = NetsMasks {
+        config: NetsConfig { objects: vec![], track: Track::Reprompt, ..NetsConfig::default() },
+        boxes: vec![named("ball", 22.0, 20.0, 59.0, 57.0)],
+        models: ModelFolders { owlv2: None, sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let mut sequence = sequence(5);
+    // The camera turns away after the second frame.
+    for frame in &mut sequence.frames[2..] {
+        frame.camera.x_wc = DPose3::rotation(DVec3::new(0.0, std::f64::consts::PI, 0.0));
+    }
+    let warnings = Warnings::new();
+    let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let seen: Vec<bool> = labels.maps.iter().map(|m| m.data.contains(&1)).collect();
+    assert_eq!(seen, [true, true, false, false, false]);
+    assert_eq!(labels.objects.len(), 1, "it keeps its id");
+    let told = warnings.snapshot();
+    let lost = told.iter().find(|w| w.code == "object_lost").unwrap();
+    assert!(lost.message.contains("`ball` is not seen after frame 1"), "{}", lost.message);
+}
+
 /// A recording of two frames of 300 × 200 pixels in `folder`, loaded at half that size.
 fn recorded(folder: &Path) -> Sequence {
     let mut frames = Vec::new();
@@ -169,6 +194,15 @@ fn no_detections_a_foreign_query_and_a_long_one_are_said() {
     let warnings = Warnings::new();
     let labels = masks.segment(&sequence(2), &NoProgress, &Cancel::new(), &warnings).unwrap();
     assert!(labels.objects.is_empty() && labels.maps.len() == 2);
+    // Where other things are found, what is missing is told by name.
+    let by_hand = vec![named("ball", 22.0, 20.0, 59.0, 57.0)];
+    let some = NetsMasks { boxes: by_hand, ..masks.clone() };
+    let others = Warnings::new();
+    some.segment(&sequence(1), &NoProgress, &Cancel::new(), &others).unwrap();
+    let told = others.snapshot();
+    let missing: Vec<&str> =
+        told.iter().filter(|w| w.code == "object_not_found").map(|w| w.message.as_str()).collect();
+    assert!(missing.len() == 2 && missing.iter().any(|m| m.contains("кружка")), "{missing:?}");
     let codes: Vec<String> = warnings.snapshot().into_iter().map(|w| w.code).collect();
     for code in ["foreign_query", "long_query", "no_objects"] {
         assert!(codes.iter().any(|c| c == code), "{code} in {codes:?}");

@@ -10,6 +10,7 @@ mod with_nets {
     use super::super::masks::{self, FoundBox};
     use crate::cli::{Models, NetsArguments, TrackName};
     use crate::context::Context;
+    use crate::device::Device as Asked;
     use sms_core::metrics::Metrics;
     use sms_core::{Stage, Warnings, atomic};
     use sms_frames::{ReadOptions, Sequence};
@@ -29,12 +30,14 @@ mod with_nets {
         tracker: Model,
         weights: Option<PathBuf>,
         device: Device,
+        /// Why no GPU computes, where one was to be expected.
+        without_gpu: Option<String>,
         read: ReadOptions,
     }
 
     impl Chosen {
         /// Checks the arguments; nothing is fetched yet.
-        pub(crate) fn new(context: &Context, a: &NetsArguments) -> anyhow::Result<Self> {
+        pub(crate) fn new(context: &Context, a: &NetsArguments, asked: Asked) -> anyhow::Result<Self> {
             let read = context.settings.section("read", ReadOptions::default())?;
             let mut config = NetsConfig::default();
             config.threshold = a.threshold.unwrap_or(config.threshold);
@@ -46,7 +49,7 @@ mod with_nets {
                 None if !boxes.is_empty() => config.objects = Vec::new(),
                 None => {}
             }
-            let device = device()?;
+            let (device, without_gpu) = device(asked);
             match a.track {
                 Some(TrackName::Memory) => config.track = Track::Memory,
                 Some(TrackName::Reprompt) => config.track = Track::Reprompt,
@@ -54,7 +57,7 @@ mod with_nets {
                 None => {}
             }
             let tracker = known(a.sam2.as_deref().unwrap_or(TRACKER))?;
-            Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device, read })
+            Ok(Self { config, boxes, tracker, weights: a.weights.clone(), device, without_gpu, read })
         }
 
         /// Everything that the masks depend on. Local weights count by their files' sizes and times: reading half a gigabyte to
@@ -71,7 +74,9 @@ mod with_nets {
                 Track::Memory => "with memory",
                 Track::Reprompt => "prompted anew in each frame",
             };
+            let device = if self.device.is_cpu() { "cpu" } else { "gpu" };
             metrics.set("masks.model", self.tracker.repository).set("masks.track", track);
+            metrics.set("masks.device", device);
             if self.weights.is_none() {
                 metrics.set("masks.model_commit", self.tracker.revision);
             }
@@ -107,19 +112,33 @@ mod with_nets {
         paths.into_iter().filter_map(of).collect()
     }
 
+    /// What computes, and why no GPU does where one was asked for or the build is for one. Of several GPUs it is the first that CUDA
+    /// or Metal names: the numbers of `sms devices` are those of another interface.
+    fn device(asked: Asked) -> (Device, Option<String>) {
+        let is_for_gpu = cfg!(any(feature = "cuda", feature = "metal"));
+        match asked {
+            Asked::Cpu => (Device::Cpu, None),
+            Asked::Auto if !is_for_gpu => (Device::Cpu, None),
+            Asked::Auto | Asked::Gpu(_) => match gpu() {
+                Ok(device) => (device, None),
+                Err(why) => (Device::Cpu, Some(why)),
+            },
+        }
+    }
+
     #[cfg(feature = "cuda")]
-    fn device() -> anyhow::Result<Device> {
-        Ok(Device::cuda_if_available(0)?)
+    fn gpu() -> Result<Device, String> {
+        Device::new_cuda(0).map_err(|e| format!("CUDA cannot be used: {e}"))
     }
 
     #[cfg(all(feature = "metal", not(feature = "cuda")))]
-    fn device() -> anyhow::Result<Device> {
-        Ok(Device::new_metal(0)?)
+    fn gpu() -> Result<Device, String> {
+        Device::new_metal(0).map_err(|e| format!("Metal cannot be used: {e}"))
     }
 
     #[cfg(not(any(feature = "cuda", feature = "metal")))]
-    fn device() -> anyhow::Result<Device> {
-        Ok(Device::Cpu)
+    fn gpu() -> Result<Device, String> {
+        Err("this program was built without the features `cuda` and `metal`".into())
     }
 
     /// The labels of a sequence, models fetched where they are not there. What was found in the first frame is told and drawn
@@ -133,6 +152,14 @@ mod with_nets {
         warnings: &Warnings,
     ) -> anyhow::Result<Labels> {
         let chosen = chosen.ok_or_else(|| anyhow::anyhow!("no networks were chosen"))?;
+        if let Some(why) = &chosen.without_gpu {
+            warnings.add(
+                "masks",
+                "gpu_not_used",
+                format!("{why}; the networks compute on the CPU"),
+                "build with `--features cuda` or `metal`; --device cpu asks for no GPU",
+            );
+        }
         let models = model_folders(
             chosen.detector()?,
             chosen.tracker,
@@ -157,7 +184,7 @@ mod with_nets {
         sequence: &Sequence,
         run: &Path,
     ) -> anyhow::Result<()> {
-        let chosen = Chosen::new(context, a)?;
+        let chosen = Chosen::new(context, a, Asked::Auto)?;
         let hub = HubConfig::from_environment();
         let folder = |model: Model| {
             model.folder(chosen.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
@@ -221,6 +248,7 @@ mod with_nets {
 mod without_nets {
     use crate::cli::{Models, NetsArguments};
     use crate::context::Context;
+    use crate::device::Device;
     use sms_core::metrics::Metrics;
     use sms_core::{InputError, Stage, Warnings};
     use sms_frames::Sequence;
@@ -232,7 +260,7 @@ mod without_nets {
     pub(crate) struct Chosen(Infallible);
 
     impl Chosen {
-        pub(crate) fn new(_: &Context, _: &NetsArguments) -> anyhow::Result<Self> {
+        pub(crate) fn new(_: &Context, _: &NetsArguments, _: Device) -> anyhow::Result<Self> {
             Err(none().into())
         }
 

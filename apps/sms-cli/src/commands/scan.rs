@@ -104,7 +104,8 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     run.record_settings("poses", &poses_config)?;
     run.record_settings("scan", &scan_config)?;
 
-    let nets = (a.masks == MasksName::Sam2).then(|| models::Chosen::new(context, &a.nets)).transpose()?;
+    let nets =
+        (a.masks == MasksName::Sam2).then(|| models::Chosen::new(context, &a.nets, a.device)).transpose()?;
     let kind = nets.as_ref().map_or_else(|| settings.masks.clone(), models::Chosen::settings);
     // Geometry finds objects, or those that the other sources missed; the truth it leaves alone.
     let masks_settings = (kind, (a.masks != MasksName::Truth).then_some(&geometry));

@@ -1,7 +1,7 @@
 //! The cache's layout and the environment that says where it is.
 
 use super::Model;
-use super::download::Client;
+use super::download::{Client, checksum_of};
 use crate::NetsError;
 use sms_core::{Cancel, CoreError, InputError, Progress};
 use std::path::{Path, PathBuf};
@@ -89,8 +89,7 @@ impl HubConfig {
     pub fn cached(&self, model: &Model) -> Option<CachedModel> {
         let repository = self.repository(model);
         let revision = self.revision(model);
-        let is_commit = revision.len() == 40 && revision.bytes().all(|b| b.is_ascii_hexdigit());
-        let commit = if is_commit {
+        let commit = if is_commit(revision) {
             revision.to_owned()
         } else {
             std::fs::read_to_string(repository.join("refs").join(revision)).ok()?.trim().to_owned()
@@ -126,8 +125,17 @@ impl HubConfig {
         for file in model.files {
             cancel.check()?;
             let remote = client.look(&revision, file, cancel)?;
+            if is_commit(&revision) && remote.commit != revision {
+                let what = format!(
+                    "asked for {file} of {} at commit {revision}, the hub answers with commit {}",
+                    model.repository, remote.commit
+                );
+                let cure = format!("a mirror that ignores commits cannot be used; {}", self.by_hand(model));
+                return Err(InputError::new(what, &self.endpoint, cure).into());
+            }
             let blob = repository.join("blobs").join(&remote.checksum);
-            if !blob.is_file() {
+            // Another program, or a disk that was full, may have left something else under that name.
+            if !blob.is_file() || checksum_of(&blob, remote.checksum.len(), cancel)? != remote.checksum {
                 client.download(&remote, file, &blob, progress, cancel)?;
             }
             // The files of one model are of one commit, even if somebody commits in between.
@@ -150,6 +158,11 @@ impl HubConfig {
             model.repository
         )
     }
+}
+
+/// Whether a revision is a commit, not a branch or tag.
+fn is_commit(revision: &str) -> bool {
+    revision.len() == 40 && revision.bytes().all(|b| b.is_ascii_hexdigit())
 }
 
 /// Makes `at` name the file `blob`, which lies two folders up and in `blobs`.

@@ -306,7 +306,7 @@ fn length(path: &Path) -> u64 {
 }
 
 /// SHA-256 where the checksum has 64 digits, else the name that Git gives the file's content.
-fn checksum_of(path: &Path, digits: usize, cancel: &Cancel) -> Result<String, NetsError> {
+pub(crate) fn checksum_of(path: &Path, digits: usize, cancel: &Cancel) -> Result<String, NetsError> {
     let mut file = File::open(path).map_err(CoreError::read(path))?;
     let length = file.metadata().map_err(CoreError::read(path))?.len();
     let mut sha256 = Sha256::new();
