@@ -36,7 +36,7 @@ impl Default for LandingDisturbances {
 pub struct LandingSettings {
     /// Points of the screening, each flown with `jet` in the scanned world.
     pub screening: usize,
-    /// Those that succeed are flown with `jet` again while the structure is made lighter, in so many steps at most: how light it may be
+    /// Those that succeed are flown with `jet` again while the structure is lighter, in so many steps at most: how light it may be
     /// is their margin, against a stronger wash and against heavier landings than expected.
     pub margins: usize,
     /// Share of its mass that is left in the last of these steps.

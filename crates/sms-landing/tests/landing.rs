@@ -265,7 +265,7 @@ fn quick() -> LandingSettings {
     }
 }
 
-fn plan_with(threads: usize) -> sms_landing::LandingPlanOutcome {
+fn plan_with(threads: usize, settings: &LandingSettings) -> sms_landing::LandingPlanOutcome {
     let scene = board(1.2, 0.12);
     let landing = LandingTask::new([1.6, 0.3]).resolve(&scene).unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -274,7 +274,7 @@ fn plan_with(threads: usize) -> sms_landing::LandingPlanOutcome {
             &landing,
             &scene,
             &RapierFactory,
-            &quick(),
+            settings,
             Seed(3),
             &NoProgress,
             &Cancel::new(),
@@ -286,12 +286,12 @@ fn plan_with(threads: usize) -> sms_landing::LandingPlanOutcome {
 
 #[test]
 fn plans_land_and_do_not_depend_on_threads() {
-    let planned = plan_with(1);
-    assert_eq!(plan_with(3), planned);
+    let planned = plan_with(1, &quick());
+    assert_eq!(plan_with(3, &quick()), planned);
     let plan = &planned.plan;
     assert!(plan.nominal.is_success(), "{:?}", plan.nominal.failure);
     let e = plan.evaluations;
-    // Those that succeed take the margins' steps for as long as they do.
+    // Those that succeed are flown with lighter structures until enough are known.
     let steps = e.jet - (24 + 4 * 2);
     assert!((1..=3 * 24).contains(&steps), "{steps}");
     assert_eq!(e.sph, 2 + 2 + 2 * 2 + 2 + 1);
@@ -313,6 +313,26 @@ fn plans_land_and_do_not_depend_on_threads() {
     let dir = tempfile::tempdir().unwrap();
     plan.save(dir.path()).unwrap();
     assert_eq!(&LandingPlan::load(dir.path()).unwrap(), plan);
+}
+
+#[test]
+fn margins_are_flown_for_as_many_as_it_takes_to_know_the_best() {
+    // Without disturbed worlds before it, the best of the margins is what refinement flies.
+    let few = LandingSettings {
+        screening: 64,
+        candidates: 1,
+        jet_worlds: 0,
+        refine: 1,
+        polish_starts: 0,
+        finalists: 1,
+        worlds: 1,
+        forecast_worlds: 0,
+        ..quick()
+    };
+    let all = LandingSettings { candidates: 1000, ..few };
+    let (few, all) = (plan_with(2, &few), plan_with(2, &all));
+    assert_eq!(few.plan.action, all.plan.action);
+    assert!(few.plan.evaluations.jet < all.plan.evaluations.jet, "{:?}", few.plan.evaluations);
 }
 
 /// A brick that is said to be too light holds a board that juts out; it may be heavier, and the board is seen to stand.

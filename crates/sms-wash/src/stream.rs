@@ -3,9 +3,10 @@
 
 use crate::jet::RoundJet;
 use crate::wash::Stream;
-use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
+use crate::{BodyMotion, BodySurface, Emission, Emitted, VehicleState, Wash, WashError, Wrench};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
+use sms_core::Aabb;
 use std::f64::consts::PI;
 
 /// How the analytic models are made.
@@ -56,6 +57,19 @@ pub struct StreamWash {
     settings: StreamSettings,
     surfaces: Vec<BodySurface>,
     active: bool,
+    /// Cosine and sine of the turn of each flow line, ring by ring. Rings are turned against each other, so that an edge meets lines
+    /// one after the other.
+    turns: Vec<(f64, f64)>,
+    /// One of each propeller: thrusts seldom change.
+    profiles: Vec<Profile>,
+}
+
+/// How a propeller's stream widens and slows down.
+#[derive(Debug, Clone, Default)]
+struct Profile {
+    emitted: Option<Emitted>,
+    /// Of each ring the distance from the axis and the speed, where pieces begin and end.
+    rings: Vec<Vec<(f64, f64)>>,
 }
 
 impl StreamWash {
@@ -82,11 +96,18 @@ impl StreamWash {
         WashError::positive("reach", settings.reach)?;
         WashError::positive("merge_spans", settings.merge_spans)?;
         WashError::positive("pieces", settings.pieces as f64)?;
-        Ok(Self { shape, settings, surfaces, active: false })
+        let turn = |ring: usize, spoke: usize| {
+            2.0 * PI * (spoke as f64 + ring as f64 * 0.618_034) / settings.spokes as f64
+        };
+        let turns = (0..settings.rings)
+            .flat_map(|ring| (0..settings.spokes).map(move |spoke| turn(ring, spoke)))
+            .map(|turn| (turn.cos(), turn.sin()))
+            .collect();
+        Ok(Self { shape, settings, surfaces, active: false, turns, profiles: Vec::new() })
     }
 
     /// Writes the wrenches of the steady flow.
-    fn evaluate(&self, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+    fn evaluate(&mut self, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
         let streams: Vec<Stream> =
             vehicle.streams(self.settings.air_density, self.settings.emission).collect();
         let flux: f64 = streams.iter().map(|s| s.emitted.momentum_flux()).sum();
@@ -99,13 +120,24 @@ impl StreamWash {
             .iter()
             .flat_map(|a| vehicle.rotors.iter().map(|b| a.p_v.distance(b.p_v)))
             .fold(0.0, f64::max);
+        self.profiles.resize_with(streams.len().max(self.profiles.len()), Profile::default);
+        for (at, stream) in streams.iter().enumerate() {
+            if self.profiles[at].emitted != Some(stream.emitted) {
+                self.profiles[at] =
+                    Profile { emitted: Some(stream.emitted), rings: self.rings(&stream.emitted) };
+            }
+        }
         let poses_bw: Vec<DPose3> = bodies.iter().map(|b| b.x_wb.inverse()).collect();
         let (rings, spokes) = (self.settings.rings, self.settings.spokes);
+        let boxes_w: Vec<Option<Aabb>> =
+            self.surfaces.iter().zip(bodies).map(|(s, b)| s.extent_w(&b.x_wb)).collect();
+        let at = Placed { bodies, poses_bw: &poses_bw, boxes_w: &boxes_w };
         let mut near = Vec::with_capacity(bodies.len());
-        for stream in &streams {
+        for (stream, profile) in streams.iter().zip(&self.profiles) {
             let across = stream.p_w - center_w;
             let to_center = across - across.dot(stream.axis_w) * stream.axis_w;
-            let lines = self.flow_lines(stream, to_center, self.settings.merge_spans * span, vehicle.v_w);
+            let merged_at = self.settings.merge_spans * span;
+            let lines = self.flow_lines(stream, &profile.rings, to_center, merged_at, vehicle.v_w);
             near.clear();
             near.extend((0..bodies.len()).filter(|&b| self.in_reach(b, &lines, &bodies[b].x_wb)));
             if near.is_empty() {
@@ -113,35 +145,49 @@ impl StreamWash {
             }
             let share = stream.emitted.momentum_flux() / (rings * spokes) as f64;
             let (u, v) = stream.axis_w.any_orthonormal_pair();
-            for ring in 0..rings {
-                for spoke in 0..spokes {
-                    // Rings are turned against each other, so that an edge meets lines one after the other.
-                    let turn = 2.0 * PI * (spoke as f64 + ring as f64 * 0.618_034) / spokes as f64;
-                    let outwards_w = turn.cos() * u + turn.sin() * v;
-                    self.follow(&lines, ring, outwards_w, share, &near, bodies, &poses_bw, wrenches);
-                }
+            for (line, (cos, sin)) in self.turns.iter().enumerate() {
+                let outwards_w = *cos * u + *sin * v;
+                self.follow(&lines, line / spokes, outwards_w, share, &near, &at, wrenches);
             }
         }
     }
 
-    /// Where the lines of a propeller run, ring by ring.
-    fn flow_lines(&self, stream: &Stream, to_center: DVec3, merged_at: f64, v_w: DVec3) -> FlowLines {
+    /// Where pieces begin and end: their number, and the distance of each from the propeller, metres.
+    fn pieces(&self) -> (usize, impl Fn(usize) -> f64) {
         let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
+        let reach = self.settings.reach;
+        (pieces, move |k| reach * (k as f64 / pieces as f64).powf(1.5))
+    }
+
+    /// Distances from the axis and speeds of what leaves a propeller.
+    fn rings(&self, emitted: &Emitted) -> Vec<Vec<(f64, f64)>> {
+        let (pieces, distance) = self.pieces();
         let jet = RoundJet {
-            momentum_flux: stream.emitted.momentum_flux(),
-            exit_radius: stream.emitted.radius,
+            momentum_flux: emitted.momentum_flux(),
+            exit_radius: emitted.radius,
             air_density: self.settings.air_density,
         };
-        let distance = |k: usize| self.settings.reach * (k as f64 / pieces as f64).powf(1.5);
         let ring = |ring: usize| {
             let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
             let radius_and_speed = |k: usize| match self.shape {
-                Shape::Tube => (stream.emitted.radius * inner.sqrt(), stream.emitted.speed),
+                Shape::Tube => (emitted.radius * inner.sqrt(), emitted.speed),
                 Shape::Jet => jet.stream(inner, distance(k)),
             };
             (0..=pieces).map(radius_and_speed).collect()
         };
-        let rings: Vec<Vec<(f64, f64)>> = (0..self.settings.rings).map(ring).collect();
+        (0..self.settings.rings).map(ring).collect()
+    }
+
+    /// Where the lines of a propeller run.
+    fn flow_lines<'a>(
+        &self,
+        stream: &Stream,
+        rings: &'a [Vec<(f64, f64)>],
+        to_center: DVec3,
+        merged_at: f64,
+        v_w: DVec3,
+    ) -> FlowLines<'a> {
+        let (pieces, distance) = self.pieces();
         // Air that is farther down left the propeller earlier, when the vehicle was elsewhere.
         let sideways_w = v_w - v_w.dot(stream.axis_w) * stream.axis_w;
         let (mut transit_s, mut last) = (0.0, (0.0, rings[0][0].1));
@@ -164,7 +210,7 @@ impl StreamWash {
     }
 
     /// Whether lines can meet a body at all.
-    fn in_reach(&self, body: usize, lines: &FlowLines, x_wb: &DPose3) -> bool {
+    fn in_reach(&self, body: usize, lines: &FlowLines<'_>, x_wb: &DPose3) -> bool {
         let Some(extent) = self.surfaces[body].extent() else { return true };
         let (radius, center_w) = (0.5 * extent.extents().length(), x_wb.transform_point(extent.center()));
         let to_center = center_w - lines.stream.p_w;
@@ -178,15 +224,15 @@ impl StreamWash {
     /// Follows one flow line to the first surface and hands over its momentum there.
     fn follow(
         &self,
-        lines: &FlowLines,
+        lines: &FlowLines<'_>,
         ring: usize,
         outwards_w: DVec3,
         share: f64,
         near: &[usize],
-        bodies: &[BodyMotion],
-        poses_bw: &[DPose3],
+        placed: &Placed<'_>,
         wrenches: &mut [Wrench],
     ) {
+        let Placed { bodies, poses_bw, boxes_w } = *placed;
         let at = |k: usize| {
             let (radius, speed) = lines.rings[ring][k];
             (lines.axis_w[k] + radius * outwards_w, speed)
@@ -198,7 +244,12 @@ impl StreamWash {
             let length = step.length();
             let direction_w = step / length;
             let mut first: Option<(usize, f64, DVec3)> = None;
+            let (low, high) = (from_w.min(to_w), from_w.max(to_w));
             for &b in near {
+                let is_apart = |around: &Aabb| around.min.cmpgt(high).any() || around.max.cmplt(low).any();
+                if boxes_w[b].as_ref().is_some_and(is_apart) {
+                    continue;
+                }
                 let limit = first.map_or(length, |f| f.1);
                 let x_bw = &poses_bw[b];
                 let origin_b = x_bw.transform_point(from_w);
@@ -222,13 +273,21 @@ impl StreamWash {
     }
 }
 
+/// The bodies at one moment.
+struct Placed<'a> {
+    bodies: &'a [BodyMotion],
+    poses_bw: &'a [DPose3],
+    /// Boxes around the surfaces, in the world; none around what has no end.
+    boxes_w: &'a [Option<Aabb>],
+}
+
 /// The flow lines of one propeller, in pieces.
-struct FlowLines {
+struct FlowLines<'a> {
     stream: Stream,
     /// The axis where pieces begin and end, in the world.
     axis_w: Vec<DVec3>,
     /// Of each ring the distance from the axis and the speed there.
-    rings: Vec<Vec<(f64, f64)>>,
+    rings: &'a [Vec<(f64, f64)>],
     /// How far lines may leave the propeller's axis as a whole: towards the common axis, and by staying behind.
     aside: f64,
 }

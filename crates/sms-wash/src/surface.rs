@@ -23,10 +23,13 @@ struct Plane {
 /// A convex solid: what all its half spaces share.
 #[derive(Debug, Clone)]
 struct ConvexPart {
+    /// Those that face along the axes first: most of what misses a part is in front of one of them.
     planes: Vec<Plane>,
     /// A sphere that holds the part; infinite for a half space.
     center: DVec3,
     radius: f64,
+    /// A box that holds it.
+    bounds: Aabb,
 }
 
 /// Where something meets a surface.
@@ -65,9 +68,10 @@ impl ConvexPart {
         if planes.len() < 4 || lost > LOST_AREA * area {
             return Err(refuse("its faces do not bound a convex volume"));
         }
+        foremost_first(&mut planes);
         let center = bounds.center();
         let radius = mesh.vertices.iter().map(|p| p.distance(center)).fold(0.0, f64::max);
-        Ok(Self { planes, center, radius })
+        Ok(Self { planes, center, radius, bounds })
     }
 
     /// Largest signed distance from a plane: the distance inside and in front of faces, at most the distance elsewhere.
@@ -89,10 +93,10 @@ impl ConvexPart {
         for plane in &self.planes {
             let along = plane.normal.dot(direction);
             let gap = plane.offset - plane.normal.dot(origin);
+            if gap < 0.0 && along >= -1e-14 {
+                return None;
+            }
             if along.abs() < 1e-14 {
-                if gap < 0.0 {
-                    return None;
-                }
                 continue;
             }
             let t = gap / along;
@@ -101,8 +105,23 @@ impl ConvexPart {
             } else if t > enter {
                 (enter, normal) = (t, plane.normal);
             }
+            if enter > leave {
+                return None;
+            }
         }
-        (enter <= leave && leave >= 0.0).then_some(SurfacePoint { distance: enter.max(0.0), normal })
+        Some(SurfacePoint { distance: enter.max(0.0), normal })
+    }
+}
+
+/// Puts the planes that face most along each axis, both ways, to the front.
+fn foremost_first(planes: &mut [Plane]) {
+    for (done, way) in
+        [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z].into_iter().enumerate()
+    {
+        let facing = |i: &usize| planes[*i].normal.dot(way);
+        if let Some(best) = (done..planes.len()).max_by(|a, b| facing(a).total_cmp(&facing(b))) {
+            planes.swap(done, best);
+        }
     }
 }
 
@@ -140,6 +159,10 @@ impl ConvexPart {
             } else if rate > 0.0 {
                 leave = leave.min(-gap / rate);
             }
+            // It is outside of this plane, and passes behind another before it gets here.
+            if nearest > close && enter > leave {
+                return None;
+            }
         }
         if nearest <= close {
             let hit = Sweep { time: 0.0, normal: nearest_normal, depth: (-nearest).max(0.0) };
@@ -155,6 +178,9 @@ impl ConvexPart {
 struct DistanceGrid {
     min: DVec3,
     cell: f64,
+    inverse: f64,
+    /// Where the grid ends, in cells.
+    size: DVec3,
     count: [usize; 3],
     bounds: Vec<f32>,
 }
@@ -179,14 +205,14 @@ impl DistanceGrid {
                 }
             }
         }
-        Self { min, cell, count, bounds }
+        let size = DVec3::from_array(count.map(|n| n as f64));
+        Self { min, cell, inverse: 1.0 / cell, size, count, bounds }
     }
 
     /// A distance that the surface is at least away from `p`; outside of the grid the way back to the grid.
     fn at_least(&self, p: DVec3) -> f64 {
-        let u = (p - self.min) / self.cell;
-        let size = DVec3::from_array(self.count.map(|n| n as f64));
-        let beyond = (u - size).max(-u).max_element();
+        let u = (p - self.min) * self.inverse;
+        let beyond = (u - self.size).max(-u).max_element();
         if beyond > 0.0 {
             return beyond * self.cell;
         }
@@ -241,13 +267,19 @@ impl BodySurface {
     /// Everything below z = 0: a floor. It stops the air but does not count as structure.
     pub fn half_space() -> Self {
         let plane = Plane { normal: DVec3::Z, offset: 0.0 };
-        let part = ConvexPart { planes: vec![plane], center: DVec3::ZERO, radius: f64::INFINITY };
+        let bounds = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
+        let part = ConvexPart { planes: vec![plane], center: DVec3::ZERO, radius: f64::INFINITY, bounds };
         Self { parts: vec![part], extent: None, grid: None }
     }
 
     /// A body that the air does not feel.
     pub fn empty() -> Self {
         Self { parts: Vec::new(), extent: None, grid: None }
+    }
+
+    /// Whether it is everything below z = 0.
+    pub(crate) fn is_half_space(&self) -> bool {
+        self.extent.is_none() && !self.parts.is_empty()
     }
 
     /// The box around the surface in `B`; `None` for a half space and for nothing.
@@ -282,14 +314,12 @@ impl BodySurface {
     /// When a point at `p_b` that moves with `v_b` first comes within `offset` of the surface and does not move away from it. What
     /// lies deeper on the way, however thin, is not jumped over.
     pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<Sweep> {
-        let (way, squared) = (duration * v_b, (duration * v_b).length_squared());
+        let end_b = p_b + duration * v_b;
+        // Corners of the shape at that distance are farther out than the distance; four times is enough for right angles.
+        let (low, high) = (p_b.min(end_b) - 4.0 * offset, p_b.max(end_b) + 4.0 * offset);
         let mut best: Option<Sweep> = None;
         for part in &self.parts {
-            let to_center = part.center - p_b;
-            let along = (to_center.dot(way) / squared.max(1e-300)).clamp(0.0, 1.0);
-            // Corners of the shape at that distance are farther out than the distance; four times is enough for right angles.
-            let reach = part.radius + 4.0 * offset;
-            if (to_center - along * way).length_squared() > reach * reach {
+            if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
                 continue;
             }
             let limit = best.map_or(duration, |b| b.time);
@@ -300,11 +330,25 @@ impl BodySurface {
 
     /// First point of the surface on a ray of `B` within `reach` metres; `direction_b` is of length 1.
     pub fn ray(&self, origin_b: DVec3, direction_b: DVec3, reach: f64) -> Option<SurfacePoint> {
+        if let Some(grid) = &self.grid {
+            // Where nothing is near, the ray goes on by as much as is free.
+            let mut gone = 0.0;
+            loop {
+                let free = grid.at_least(origin_b + gone * direction_b);
+                if free < 0.5 * grid.cell {
+                    break;
+                }
+                gone += free;
+                if gone > reach {
+                    return None;
+                }
+            }
+        }
+        let end_b = origin_b + reach * direction_b;
+        let (low, high) = (origin_b.min(end_b), origin_b.max(end_b));
         let mut best: Option<SurfacePoint> = None;
         for part in &self.parts {
-            let to_center = part.center - origin_b;
-            let along = to_center.dot(direction_b).clamp(0.0, reach);
-            if (to_center - along * direction_b).length_squared() > part.radius * part.radius {
+            if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
                 continue;
             }
             let limit = best.map_or(reach, |b| b.distance);

@@ -1,7 +1,12 @@
-//! Particles sorted into cells as large as the kernel's support, so that neighbours lie in three by three runs of three cells.
+//! Particles sorted into rows of cells as wide as the kernel's support, so that neighbours lie in runs of three by three rows. Along
+//! the rows cells are shorter, so that runs are little longer than the support.
 
 /// No more cells than this; where particles are spread wider, cells grow.
-const MAX_CELLS: usize = 1 << 16;
+const MAX_CELLS: usize = 1 << 20;
+/// Cells along a row in the length of the support.
+const SHORTER: f32 = 4.0;
+/// Part of a cell by which rounding may move a particle.
+const ROUNDING: f32 = 1e-4;
 
 /// The runs of particles around one cell: nine of them.
 pub(super) type Runs = [(u32, u32); 9];
@@ -10,11 +15,14 @@ pub(super) type Runs = [(u32, u32); 9];
 #[derive(Debug, Clone, Default)]
 pub(super) struct Cells {
     min: [f32; 3],
-    inverse: f32,
+    support: f32,
+    /// Of cells across the rows.
+    size: f32,
+    /// 1 / size of a cell along each axis.
+    inverse: [f32; 3],
     count: [usize; 3],
     /// First particle of each cell, and the end of the last.
     start: Vec<u32>,
-    next: Vec<u32>,
     key: Vec<u32>,
     /// Where each particle goes.
     place: Vec<u32>,
@@ -30,34 +38,36 @@ impl Cells {
                 max[axis] = max[axis].max(p);
             }
         }
-        let mut size = support * 1.0001;
+        let mut size = support * (1.0 + ROUNDING);
+        let cells_along = |a: usize, size: f32| (max[a] - min[a]) * if a == 0 { SHORTER } else { 1.0 } / size;
         // In floating point: what blew up may be anywhere.
-        while (0..3).map(|a| f64::from((max[a] - min[a]) / size).max(0.0) + 1.0).product::<f64>()
+        while (0..3).map(|a| f64::from(cells_along(a, size)).max(0.0) + 1.0).product::<f64>()
             > MAX_CELLS as f64
         {
             size *= 1.25;
         }
-        self.count = std::array::from_fn(|a| ((max[a] - min[a]).max(0.0) / size) as usize + 1);
-        self.min = min;
-        self.inverse = 1.0 / size;
+        self.count = std::array::from_fn(|a| cells_along(a, size).max(0.0) as usize + 1);
+        (self.min, self.support, self.size) = (min, support, size);
+        self.inverse = [SHORTER / size, 1.0 / size, 1.0 / size];
         let cells = self.count.iter().product::<usize>();
         self.start.clear();
-        self.start.resize(cells + 1, 0);
+        self.start.resize(cells + 2, 0);
         self.key.clear();
         for i in 0..len {
             let [a, b, c] = self.cell([x[0][i], x[1][i], x[2][i]]);
             let key = (c * self.count[1] + b) * self.count[0] + a;
             self.key.push(key as u32);
-            self.start[key + 1] += 1;
+            self.start[key + 2] += 1;
         }
-        for c in 0..cells {
-            self.start[c + 1] += self.start[c];
+        let mut sum = 0;
+        for count in &mut self.start {
+            sum += *count;
+            *count = sum;
         }
-        self.next.clear();
-        self.next.extend_from_slice(&self.start[..cells]);
+        // One place further on is now where each cell begins; as particles are placed, it becomes where the cell ends.
         self.place.clear();
         for &key in &self.key {
-            let next = &mut self.next[key as usize];
+            let next = &mut self.start[key as usize + 1];
             self.place.push(*next);
             *next += 1;
         }
@@ -66,20 +76,33 @@ impl Cells {
 
     #[inline(always)]
     fn cell(&self, x: [f32; 3]) -> [usize; 3] {
-        std::array::from_fn(|a| (((x[a] - self.min[a]) * self.inverse) as usize).min(self.count[a] - 1))
+        std::array::from_fn(|a| {
+            (((x[a] - self.min[a]) * self.inverse[a]) as i32 as usize).min(self.count[a] - 1)
+        })
     }
 
     /// Particles (of the sorted order) that may lie within the support around `x`.
     #[inline(always)]
     pub(super) fn around(&self, x: [f32; 3]) -> Runs {
-        let [a, b, c] = self.cell(x);
-        let (a0, a1) = (a.saturating_sub(1), (a + 1).min(self.count[0] - 1));
+        let [_, b, c] = self.cell(x);
+        let wide = 2.0 * ROUNDING * self.size;
+        // Squared distances from the rows before, at and behind the particle's own.
+        let gaps = |axis: usize, row: usize| {
+            let before = x[axis] - self.min[axis] - row as f32 * self.size;
+            let gap = |d: f32| (d - wide).max(0.0) * (d - wide).max(0.0);
+            [gap(before), 0.0, gap(self.size - before)]
+        };
+        let (gaps_y, gaps_z) = (gaps(1, b), gaps(2, c));
+        let along = x[0] - self.min[0];
+        let first = ((along - self.support - wide).max(0.0) * self.inverse[0]) as i32 as usize;
+        let last = (((along + self.support + wide) * self.inverse[0]) as i32 as usize).min(self.count[0] - 1);
+        let squared = self.support * self.support;
         let mut runs = [(0, 0); 9];
         for (k, run) in runs.iter_mut().enumerate() {
             let (y, z) = ((b + k % 3).wrapping_sub(1), (c + k / 3).wrapping_sub(1));
-            if y < self.count[1] && z < self.count[2] {
+            if y < self.count[1] && z < self.count[2] && gaps_y[k % 3] + gaps_z[k / 3] < squared {
                 let row = (z * self.count[1] + y) * self.count[0];
-                *run = (self.start[row + a0], self.start[row + a1 + 1]);
+                *run = (self.start[row + first.min(last)], self.start[row + last + 1]);
             }
         }
         runs

@@ -2,6 +2,7 @@
 
 use crate::{BodyMotion, BodySurface};
 use glamx::{DPose3, DVec3};
+use sms_core::Aabb;
 
 /// Surfaces that one particle can meet in one step.
 pub(super) const MAX_HITS: usize = 3;
@@ -24,11 +25,45 @@ pub(super) struct Moved {
     pub(super) hit_count: u32,
 }
 
+/// Where a body's surface may be met, coarsely.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Near {
+    /// A box in the world around the surface; without end for a half space, unless it lies level.
+    pub(super) around: Aabb,
+    /// No point of the box is faster, m/s.
+    speed: f64,
+}
+
+impl Near {
+    pub(super) fn of(surface: &BodySurface, motion: &BodyMotion) -> Self {
+        let x_wb = &motion.x_wb;
+        let Some(extent) = surface.extent() else {
+            let is_level = (x_wb.rotation * DVec3::Z).abs_diff_eq(DVec3::Z, 1e-12);
+            let top = if is_level && surface.is_half_space() { x_wb.translation.z } else { f64::INFINITY };
+            let max = DVec3::new(f64::INFINITY, f64::INFINITY, top);
+            return Self {
+                around: Aabb { min: DVec3::NEG_INFINITY, max },
+                speed: if motion.v_w == DVec3::ZERO && motion.w_w == DVec3::ZERO {
+                    0.0
+                } else {
+                    f64::INFINITY
+                },
+            };
+        };
+        let farthest = extent.min.abs().max(extent.max.abs()).length();
+        Self {
+            around: surface.extent_w(x_wb).unwrap_or(extent),
+            speed: motion.v_w.length() + motion.w_w.length() * farthest,
+        }
+    }
+}
+
 /// The bodies at one moment.
 pub(super) struct Obstacles<'a> {
     pub(super) surfaces: &'a [BodySurface],
     pub(super) motions: &'a [BodyMotion],
     pub(super) poses_bw: &'a [DPose3],
+    pub(super) near: &'a [Near],
     /// Particles stay this far away from surfaces, metres: they have a size.
     pub(super) offset: f64,
     /// Mass of a particle, kg.
@@ -64,12 +99,19 @@ impl Obstacles<'_> {
     /// The first surface that the particle runs into: body, time, outward normal, and how deep it lies inside.
     fn first(&self, x_w: DVec3, v_w: DVec3, dt: f64) -> Option<(usize, f64, DVec3, f64)> {
         let mut best: Option<(usize, f64, DVec3, f64)> = None;
+        let speed = v_w.length();
         for (body, surface) in self.surfaces.iter().enumerate() {
             let (motion, x_bw) = (&self.motions[body], &self.poses_bw[body]);
-            let x_b = x_bw.transform_point(x_w);
-            let relative_w = v_w - motion.velocity_at(x_w);
+            let Near { around, speed: body_speed } = &self.near[body];
             let limit = best.map_or(dt, |b| b.1);
+            // As in `BodySurface::sweep`, for corners.
+            let reach = limit * (speed + body_speed) + 4.0 * self.offset;
+            if x_w.cmplt(around.min - reach).any() || x_w.cmpgt(around.max + reach).any() {
+                continue;
+            }
+            let relative_w = v_w - motion.velocity_at(x_w);
             let way = limit * relative_w.length();
+            let x_b = x_bw.transform_point(x_w);
             if surface.distance_at_least(x_b) > way + self.offset || way <= 0.0 {
                 continue;
             }
@@ -94,7 +136,9 @@ mod tests {
 
     fn advance(surfaces: &[BodySurface], motions: &[BodyMotion], x: [f32; 3], v: [f32; 3]) -> Moved {
         let poses_bw: Vec<_> = motions.iter().map(|m| m.x_wb.inverse()).collect();
-        Obstacles { surfaces, motions, poses_bw: &poses_bw, offset: 0.005, mass: 2.0 }.advance(x, v, 0.01)
+        let near: Vec<_> = surfaces.iter().zip(motions).map(|(s, m)| Near::of(s, m)).collect();
+        let (poses_bw, near) = (&poses_bw[..], &near[..]);
+        Obstacles { surfaces, motions, poses_bw, near, offset: 0.005, mass: 2.0 }.advance(x, v, 0.01)
     }
 
     #[test]

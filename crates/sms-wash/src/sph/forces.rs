@@ -107,6 +107,12 @@ fn splat<L: Lanes>(a: [f32; 3]) -> [L; 3] {
     [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
 }
 
+/// The values of a run, and so many after it that eight can be read from each of them.
+#[inline(always)]
+fn cut(values: &[f32], run: (u32, u32)) -> &[f32] {
+    &values[run.0 as usize..run.1 as usize + WIDTH]
+}
+
 /// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
 /// the support, where kernels are zero.
 #[inline(always)]
@@ -127,15 +133,15 @@ fn densities_of<K: KernelShape, L: Lanes>(
     let h = gas.support;
     let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
     let scale = gas.mass / (K::VOLUME * h * h * h);
-    let places = [&x[0][..], &x[1][..], &x[2][..]];
     for (k, density) in out.iter_mut().enumerate() {
         let here = at(x, first + k);
         let a: [L; 3] = splat(here);
         let mut sum = L::splat(0.0);
-        for (begin, end) in cells.around(here) {
-            let mut j = begin;
-            while j < end {
-                let (_, r2) = offsets(a, places, j as usize, end - j, support2);
+        for run in cells.around(here) {
+            let (count, places) = (run.1 - run.0, [cut(&x[0], run), cut(&x[1], run), cut(&x[2], run)]);
+            let mut j = 0;
+            while j < count {
+                let (_, r2) = offsets(a, places, j as usize, count - j, support2);
                 sum = sum + K::value(r2.sqrt() * inverse);
                 j += WIDTH as u32;
             }
@@ -162,25 +168,27 @@ fn pushes_on<K: KernelShape, L: Lanes>(
     // −α c (H/2) · 2: the mean density is half of a sum.
     let viscosity = L::splat(-gas.viscosity * gas.sound_speed * h);
     let scale = gas.mass / (K::VOLUME * h.powi(5));
-    let places = [&x[0][..], &x[1][..], &x[2][..]];
     for (k, acceleration) in out.iter_mut().enumerate() {
         let i = first + k;
         let here = at(x, i);
         let (a, b): ([L; 3], [L; 3]) = (splat(here), splat(at(v, i)));
         let (own_pressure, own_density) = (L::splat(pressure[i]), L::splat(density[i]));
         let mut sum = [zero; 3];
-        for (begin, end) in cells.around(here) {
-            let mut j = begin;
-            while j < end {
+        for run in cells.around(here) {
+            let (count, places) = (run.1 - run.0, [cut(&x[0], run), cut(&x[1], run), cut(&x[2], run)]);
+            let v = [cut(&v[0], run), cut(&v[1], run), cut(&v[2], run)];
+            let (density, pressure) = (cut(density, run), cut(pressure, run));
+            let mut j = 0;
+            while j < count {
                 let at = j as usize;
-                let (d, r2) = offsets(a, places, at, end - j, support2);
+                let (d, r2) = offsets(a, places, at, count - j, support2);
                 j += WIDTH as u32;
                 if !r2.any_below(support2) {
                     continue;
                 }
-                let approach = ((b[0] - L::of(&v[0], at)) * d[0]
-                    + (b[1] - L::of(&v[1], at)) * d[1]
-                    + (b[2] - L::of(&v[2], at)) * d[2])
+                let approach = ((b[0] - L::of(v[0], at)) * d[0]
+                    + (b[1] - L::of(v[1], at)) * d[1]
+                    + (b[2] - L::of(v[2], at)) * d[2])
                     .min(zero);
                 let damping =
                     viscosity * approach * ((r2 + soft) * (own_density + L::of(density, at))).reciprocal();

@@ -22,7 +22,7 @@ pub use kernel::Kernel;
 use crate::wash::Stream;
 use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
 use cells::Cells;
-use contact::{Moved, Obstacles};
+use contact::{Moved, Near, Obstacles};
 use emitter::Emitter;
 use forces::Gas;
 use glamx::{DPose3, DVec3};
@@ -176,6 +176,7 @@ pub struct SphWash {
     moved: Vec<Moved>,
     offsets: Vec<(f64, f64)>,
     poses_bw: Vec<DPose3>,
+    near: Vec<Near>,
     streams: Vec<Stream>,
 }
 
@@ -197,6 +198,7 @@ impl SphWash {
             moved: Vec::with_capacity(room),
             offsets: Vec::new(),
             poses_bw: Vec::new(),
+            near: Vec::new(),
             streams: Vec::new(),
         })
     }
@@ -235,9 +237,9 @@ impl SphWash {
     }
 
     /// The box around all bodies, widened by the margin.
-    fn structure(&self, bodies: &[BodyMotion]) -> Option<Aabb> {
-        let boxes = self.surfaces.iter().zip(bodies).filter_map(|(s, b)| s.extent_w(&b.x_wb));
-        let around = Aabb::of_points(boxes.flat_map(|b| [b.min, b.max]))?;
+    fn structure(&self) -> Option<Aabb> {
+        let bodies = self.surfaces.iter().zip(&self.near).filter(|(s, _)| s.extent().is_some());
+        let around = Aabb::of_points(bodies.flat_map(|(_, n)| [n.around.min, n.around.max]))?;
         let margin = self.settings.margin;
         Some(Aabb { min: around.min - margin, max: around.max + margin })
     }
@@ -308,6 +310,7 @@ impl SphWash {
             surfaces: &self.surfaces,
             motions: bodies,
             poses_bw: &self.poses_bw,
+            near: &self.near,
             offset: OFFSET * s.spacing,
             mass,
         };
@@ -389,7 +392,9 @@ impl Wash for SphWash {
         self.state.emitters.resize(vehicle.rotors.len(), Emitter::default());
         self.poses_bw.clear();
         self.poses_bw.extend(bodies.iter().map(|b| b.x_wb.inverse()));
-        let structure = self.structure(bodies);
+        self.near.clear();
+        self.near.extend(self.surfaces.iter().zip(bodies).map(|(s, b)| Near::of(s, b)));
+        let structure = self.structure();
         let speed = self.streams.iter().map(|s| s.emitted.speed).fold(0.0, f64::max);
         let substeps = (dt / self.longest_step(speed)).ceil().max(1.0);
         for _ in 0..substeps as usize {
