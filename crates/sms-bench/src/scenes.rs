@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, ModelScene, RecordingSettings, Skin, Structure, TruthScene,
-    bounds_w, generate_billiards, generate_stacked, landing_scene, model_scene, orbit_poses, read_model,
-    record_views, write_recording,
+    billiards_scene, bounds_w, generate_billiards, generate_stacked, landing_scene, model_scene, orbit_poses,
+    read_model, record_views, write_recording,
 };
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -58,7 +58,7 @@ pub enum BenchScene {
     Ten(u64),
     /// A scanned model alone on a floor, seen from an orbit; its folder name (`ycb_025_mug`).
     Model(String),
-    /// One of the eighteen fixed billiards scenes, by its number (`fixed_08`).
+    /// One of the eighteen fixed billiards scenes (`fixed_08`), or a drawn one (`fixed_1003`), by its number.
     Fixed(usize),
     /// Things that stand on each other or touch (`stacked_box_on_stool`), seen from an orbit.
     Stacked(Structure),
@@ -175,7 +175,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             }
             Ok(Some(model_scene(name, &read_model(&path)?, Seed(0))))
         }
-        BenchScene::Fixed(number) => match FIXED_SCENES.iter().find(|s| s.number == *number) {
+        BenchScene::Fixed(number) => match billiards_scene(*number) {
             Some(fixed) => plain(fixed.generate()),
             None => Ok(None),
         },

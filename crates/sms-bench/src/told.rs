@@ -39,11 +39,13 @@ pub enum MaterialsTold {
     Prior,
     /// The truth, for ablations.
     Truth,
+    /// What a vision-language model says of the views of a scan. Where none can be asked, as here, the prior.
+    Vlm,
 }
 
 impl MaterialsTold {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Class, Self::Noisy, Self::Prior, Self::Truth];
+    pub const ALL: [Self; 5] = [Self::Class, Self::Noisy, Self::Prior, Self::Truth, Self::Vlm];
 
     /// The word in tables and options.
     pub fn as_str(self) -> &'static str {
@@ -52,6 +54,7 @@ impl MaterialsTold {
             Self::Noisy => "noisy",
             Self::Prior => "prior",
             Self::Truth => "truth",
+            Self::Vlm => "vlm",
         }
     }
 
@@ -105,7 +108,7 @@ impl MaterialsTold {
             Self::Truth => truth.clone(),
             Self::Noisy => noisy(truth, seed.derive("materials told").derive(&query.name)),
             Self::Class => without_override(&query, &MaterialTable::builtin()),
-            Self::Prior => MaterialTable::builtin().prior(query.is_sphere),
+            Self::Prior | Self::Vlm => MaterialTable::builtin().prior(query.is_sphere),
         }
     }
 }

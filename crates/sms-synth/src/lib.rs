@@ -54,7 +54,7 @@ pub use assets::{AssetKind, BALL_RADIUS_M};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::{DepthCamera, DepthView};
-pub use eighteen::{FIXED_SCENES, FixedScene};
+pub use eighteen::{FIRST_DRAWN, FIXED_SCENES, FixedScene, billiards_scene};
 pub use landing::{LandingStructure, LandingTruth, generate_landing, landing_scene, landing_structure};
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};

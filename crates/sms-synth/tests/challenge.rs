@@ -2,7 +2,9 @@
 
 use glamx::DVec2;
 use sms_core::{Hasher, Seed};
-use sms_synth::{AssetKind, FIXED_SCENES, Layout, TruthScene, generate_challenge};
+use sms_synth::{
+    AssetKind, FIRST_DRAWN, FIXED_SCENES, Layout, TruthScene, billiards_scene, generate_challenge,
+};
 
 /// What defines a scene, rounded to 0.1 mm and 0.01 %, so that another platform's sine does not count.
 fn digest(scenes: &[TruthScene]) -> String {
@@ -85,4 +87,17 @@ fn scenes_are_possible() {
     assert!(drawn > 50, "{drawn} of 84 fit");
     // The plate is left out; brass and marble figures share classes with others.
     assert!(seen.len() >= AssetKind::ALL.len() - 3, "{seen:?}");
+}
+
+#[test]
+fn drawn_scenes_have_the_layouts_of_the_fixed_ones_and_other_seeds() {
+    for fixed in &FIXED_SCENES {
+        assert_eq!(billiards_scene(fixed.number).as_ref(), Some(fixed));
+        let drawn = billiards_scene(FIRST_DRAWN + fixed.number - 1).unwrap();
+        assert_eq!((drawn.layout, drawn.obstacles, drawn.goal_w), (fixed.layout, fixed.obstacles, None));
+        assert!(!drawn.is_fixed() && drawn.seed > 1_000_000);
+        let (one, next) = (drawn.generate(), billiards_scene(drawn.number + 18).unwrap().generate());
+        assert!(one.objects != next.objects && one.name.contains("drawn"), "{}", one.name);
+    }
+    assert_eq!((billiards_scene(0), billiards_scene(19), billiards_scene(1000)), (None, None, None));
 }

@@ -30,6 +30,7 @@ mod pause;
 mod prompt;
 mod property;
 mod quantity;
+mod scene_view;
 mod transport;
 mod view;
 
@@ -41,5 +42,6 @@ pub use client::{Client, Usage};
 pub use config::VlmConfig;
 pub use dialect::Rung;
 pub use pause::{Pause, Sleep};
+pub use scene_view::question_about;
 pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
 pub use view::{PixelBox, ViewScore, annotated, best_view, jpeg, picture, score_view};

@@ -4,7 +4,7 @@ use super::bench::with_settings;
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{Told, parse_shard};
-use super::length_text;
+use super::{length_text, vlm};
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
 use crate::device::Device;
@@ -17,15 +17,17 @@ use sms_bench::{
 };
 use sms_core::{InputError, Seed};
 use sms_plan::PlanConfig;
-use sms_synth::{FIXED_SCENES, FixedScene};
+use sms_synth::{FIXED_SCENES, FixedScene, billiards_scene};
+use sms_vlm::{ApiKey, Client};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Scenes of `--quick`: the one without obstacles, one with a far goal, and the one with two rebounds.
 const QUICK: [usize; 3] = [1, 8, 18];
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BenchBilliards {
-    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18).
+    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that nobody has chosen or looked at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
     /// Only every n-th of them, from the i-th (i/n, from 1).
@@ -198,6 +200,11 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
     bench.told = a.materials.iter().map(|t| t.told()).collect();
+    if a.materials.contains(&Told::Vlm) {
+        let config = context.settings.section("vlm", vlm::defaults())?;
+        let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
+        bench.vlm = Some(Arc::new(Client::new(&config, key, bench.seed.derive("vlm"))?));
+    }
     if !a.engines.is_empty() {
         bench.engines = a.engines.iter().map(|e| e.engine()).collect();
         for engine in &bench.engines {
@@ -205,7 +212,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
             engine.target()?;
         }
     }
-    bench.starts = a.starts.unwrap_or(if a.quick { 10 } else { bench.starts }).max(1);
+    bench.starts = a.starts.unwrap_or(if a.quick { 6 } else { bench.starts }).max(1);
     bench.seed = Seed(a.seed);
     bench.ablation_starts = a.ablation.map_or(0, |starts| starts.max(1));
     let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
@@ -220,11 +227,11 @@ fn scenes(a: &BenchBilliards) -> anyhow::Result<Vec<FixedScene>> {
         (numbers, _) => numbers.to_vec(),
     };
     let scene = |number: usize| {
-        FIXED_SCENES.iter().find(|s| s.number == number).copied().ok_or_else(|| {
+        billiards_scene(number).ok_or_else(|| {
             InputError::new(
                 format!("there is no scene {number}"),
                 "--scenes",
-                "give numbers from 1 to 18, such as 1,8,18",
+                "give numbers from 1 to 18, such as 1,8,18, or of drawn scenes, from 1001 on",
             )
         })
     };

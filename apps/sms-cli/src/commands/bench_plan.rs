@@ -108,6 +108,8 @@ pub(crate) enum Told {
     Prior,
     /// The truth.
     Truth,
+    /// What a vision-language model says of the scan's views (SMS_VLM_URL, SMS_VLM_MODEL).
+    Vlm,
 }
 
 impl Told {
@@ -117,6 +119,7 @@ impl Told {
             Self::Noisy => MaterialsTold::Noisy,
             Self::Prior => MaterialsTold::Prior,
             Self::Truth => MaterialsTold::Truth,
+            Self::Vlm => MaterialsTold::Vlm,
         }
     }
 }
@@ -209,6 +212,10 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
+    if a.materials == Told::Vlm {
+        let what = "a vision-language model needs pictures, and these scenes are not scanned";
+        return Err(InputError::new(what, "--materials", "ask one in `sms bench billiards`").into());
+    }
     bench.told = a.materials.told();
     bench.worlds = a.worlds.max(1);
     bench.oracle_evaluations = a.oracle;

@@ -10,7 +10,8 @@ use sms_core::{
     Warnings, atomic,
 };
 use sms_entities::{
-    EntitiesConfig, EntitySet, bake_textures, build_entities, load_entities, object_gaussians, save_entities,
+    EntitiesConfig, EntitySet, bake_textures, build_entities, load_entities, material_queries,
+    object_gaussians, save_entities,
 };
 use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence, recorded_colors};
@@ -93,7 +94,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
 
     set.relabel(&mut labels);
     let x_world_recording = sequence.x_world_recording;
-    let mut queries = materials::queries(&set);
+    let mut queries = material_queries(&set);
     let estimates = vlm::estimates(context, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;
     for (query, estimate) in queries.iter_mut().zip(estimates) {
         query.estimate = estimate;

@@ -274,7 +274,10 @@ fn with_true_shapes(
         forget_material(&mut body);
         let name = own_name(pairs, &object.name);
         if let Some(own) = seen.scene.body(&name) {
-            let material = told.of_object(object, &body, seed);
+            let material = match told {
+                MaterialsTold::Vlm => own.material.clone(),
+                _ => told.of_object(object, &body, seed),
+            };
             set_material(&mut body, material);
             body.x_wb.translation += foot_w(own) - foot_w(&body);
             body.fit_se_m = own.fit_se_m;

@@ -7,6 +7,7 @@
 //! in one folder.
 
 mod ablation;
+mod asked;
 mod cause;
 mod drawing;
 mod figures;

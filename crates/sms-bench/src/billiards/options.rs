@@ -9,7 +9,9 @@ use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
 use sms_plan::{Disturbances, GridBaseline, PlanConfig};
 use sms_synth::FixedScene;
 use sms_target::TargetEngine;
+use sms_vlm::Client;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Target engines: the judge first, and what takes longest last.
 pub(super) const ENGINES: [TargetEngine; 4] =
@@ -89,6 +91,8 @@ pub struct BilliardsBench {
     pub grid: GridBaseline,
     /// Starts of row `ours` with each thing replaced by the truth (see [`crate::Replaced`]); 0 leaves the ablation out.
     pub ablation_starts: usize,
+    /// Who is asked about materials, where that is among what is told.
+    pub vlm: Option<Arc<Client>>,
     /// Seed of all plans.
     pub seed: Seed,
     /// Folder of the results.
@@ -112,6 +116,7 @@ impl BilliardsBench {
             robust: PlanConfig { sensitivity_rollouts: 0, ..PlanConfig::default() },
             grid: GridBaseline::default(),
             ablation_starts: 0,
+            vlm: None,
             seed: Seed(0),
             out: out.into(),
         }
@@ -147,7 +152,11 @@ impl BilliardsBench {
             }
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
-        hash_serializable(&(VERSION, scene.generate(), told, seen, plans))
+        let asked = self.vlm.as_ref().filter(|_| told == MaterialsTold::Vlm).map(|c| c.config());
+        match asked {
+            None => hash_serializable(&(VERSION, scene.generate(), told, seen, plans)),
+            Some(c) => hash_serializable(&(VERSION, scene.generate(), told, seen, plans, &c.url, &c.model)),
+        }
     }
 
     /// What the figures depend on, besides scenes and code, for comparing parts of a run.

@@ -42,7 +42,7 @@ pub(super) struct Table<'a> {
 }
 
 impl Table<'_> {
-    /// One shot: its objective and its motion, or why the engine cannot finish it.
+    /// One shot: its objective and its motion, or why the engine cannot finish it, or why it is of another ball.
     fn shoot(
         &self,
         view: View<'_>,
@@ -52,7 +52,15 @@ impl Table<'_> {
         let robot = if by_arm { self.robot.clone() } else { RobotConfig::default() };
         let options = TargetOptions { chaos_runs: 0, robot, ..TargetOptions::default() };
         match execute_on(self.target, view.task, action, view.scene, self.truth, &options) {
-            Ok(execution) => Ok(Ok((execution.objective, execution.trajectory))),
+            Ok(execution) => {
+                let resolved = view.task.resolve(view.scene).map_err(TargetError::from)?;
+                let planned = resolved.target().name.as_str();
+                let truly = execution.matches.iter().find(|m| m.0 == planned).map(|m| m.1.as_str());
+                if let Some(other) = truly.filter(|name| *name != self.truth.target) {
+                    return Ok(Err(format!("the plan takes `{other}` for the ball that is to be moved")));
+                }
+                Ok(Ok((execution.objective, execution.trajectory)))
+            }
             Err(e) if is_failed_shot(&e) => Ok(Err(e.to_string())),
             Err(e) => Err(BenchError::from(e)),
         }

@@ -154,14 +154,16 @@ pub(super) fn kept(
 }
 
 /// All results in the folder that were made with the settings of `bench`, of this run and of others, in the order of
-/// materials and scenes.
+/// materials and scenes: of the fixed scenes, or, where `bench` has drawn ones, of its own.
 ///
 /// # Errors
 /// [`BenchError`] of a file that cannot be read.
 pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, BenchError> {
     let mut all = Vec::new();
+    let is_fixed = bench.scenes.iter().all(FixedScene::is_fixed);
+    let scenes = if is_fixed { &FIXED_SCENES[..] } else { &bench.scenes[..] };
     for told in MaterialsTold::ALL {
-        for scene in &FIXED_SCENES {
+        for scene in scenes {
             all.extend(kept(bench, scene, told)?);
         }
     }

@@ -1,5 +1,6 @@
 //! The scene that the planner sees.
 
+use super::asked::{keep_questions, tell_asked};
 use super::{BilliardsBench, BilliardsGeometry, Row};
 use crate::materialize::scan_key;
 use crate::told::set_material;
@@ -18,6 +19,7 @@ use sms_sim::{RapierFactory, RestLimits, fix_restless};
 use sms_synth::{FixedScene, TruthScene};
 use sms_target::{match_bodies, scene_from_truth};
 use sms_task::{Billiards, Selector, Task};
+use std::path::PathBuf;
 
 /// Seed of the entities stage; `sms materialize` has the same default.
 const SEED: Seed = Seed(0);
@@ -53,7 +55,13 @@ pub(super) fn see(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Seen, BenchError> {
+    let is_asked = told == MaterialsTold::Vlm;
     let (mut scene, mut paper) = match bench.geometry {
+        BilliardsGeometry::Truth if is_asked => {
+            let cure = "take --geometry scan, or leave `vlm` out of --materials";
+            let what = "a vision-language model needs pictures, and true geometry has none";
+            return Err(sms_core::InputError::new(what, "--geometry", cure).into());
+        }
         BilliardsGeometry::Truth => {
             let mut scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
             scene.bodies.iter_mut().for_each(forget_material);
@@ -62,7 +70,16 @@ pub(super) fn see(
         BilliardsGeometry::Scan => {
             let entities = [&bench.scan.bench.entities, &bench.paper_entities];
             let which = BenchScene::Fixed(fixed.number);
-            let [ours, papers] = entities.map(|e| scanned(&bench.scan, &which, e, progress, cancel));
+            let seen = |entities: &EntitiesConfig| {
+                let mut scene = scanned(&bench.scan, &which, entities, progress, cancel)?;
+                if is_asked {
+                    let client = bench.vlm.as_deref().ok_or_else(no_model)?;
+                    let dir = scan_dir(&bench.scan, &which, entities)?;
+                    tell_asked(&mut scene, &dir, client, &bench.scan.keep.join("vlm"), progress, cancel)?;
+                }
+                Ok::<_, BenchError>(scene)
+            };
+            let [ours, papers] = entities.map(seen);
             (ours?, papers?)
         }
     };
@@ -89,6 +106,14 @@ pub(super) fn see(
     Ok(Seen { task, told_seed, matched: pairs, strays: bodies - pairs, scene, paper })
 }
 
+fn no_model() -> sms_core::InputError {
+    sms_core::InputError::new(
+        "no vision-language model is named to ask about materials",
+        "--materials vlm",
+        "name a server and a model with SMS_VLM_URL and SMS_VLM_MODEL, or leave `vlm` out",
+    )
+}
+
 /// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
 /// is rounded, because the last bits of a quotient tell of the divisor.
 pub(crate) fn forget_material(body: &mut Body) {
@@ -112,23 +137,12 @@ pub(crate) fn scanned(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Scene, BenchError> {
-    let missing = || {
-        sms_core::InputError::new(
-            format!("there is no generated scene {which}"),
-            "--scenes",
-            "give numbers of scenes that there are",
-        )
-    };
-    let truth = generated(which)?.ok_or_else(missing)?.scene;
-    let true_masks = scan.masks == MaskChoice::Truth;
-    let options = BenchOptions { true_masks, ..scan.bench.clone() };
-    let key = hash_serializable(&(scan_key(which, &options)?, truth, entities, SEED)).0;
-    let dir = scan.keep.join("scenes").join(format!("{which}-{}", &key[..12]));
+    let dir = scan_dir(scan, which, entities)?;
     if !scan.rescan && dir.join("scene.json").is_file() {
         return Ok(load_scene(&dir)?);
     }
     let warnings = Warnings::new();
-    let trained = train(which, scan, progress, cancel, &warnings)?.ok_or_else(missing)?;
+    let trained = train(which, scan, progress, cancel, &warnings)?.ok_or_else(|| no_scene(which))?;
     let set = build_entities(
         &trained.model,
         &trained.sequence,
@@ -148,8 +162,30 @@ pub(crate) fn scanned(
     if trained.labels.source == MaskSource::Geometry {
         fix_restless(&RapierFactory, &mut scene, &RestLimits::default()).map_err(PlanError::from)?;
     }
+    keep_questions(&dir, &set, &trained.sequence, &trained.labels)?;
     save_scene(&dir, &scene)?;
     Ok(scene)
+}
+
+fn no_scene(which: &BenchScene) -> sms_core::InputError {
+    sms_core::InputError::new(
+        format!("there is no generated scene {which}"),
+        "--scenes",
+        "give numbers of scenes that there are",
+    )
+}
+
+/// Where a scanned scene is kept, named by what it is made from.
+fn scan_dir(
+    scan: &MaterializeOptions,
+    which: &BenchScene,
+    entities: &EntitiesConfig,
+) -> Result<PathBuf, BenchError> {
+    let truth = generated(which)?.ok_or_else(|| no_scene(which))?.scene;
+    let true_masks = scan.masks == MaskChoice::Truth;
+    let options = BenchOptions { true_masks, ..scan.bench.clone() };
+    let key = hash_serializable(&(scan_key(which, &options)?, truth, entities, SEED)).0;
+    Ok(scan.keep.join("scenes").join(format!("{which}-{}", &key[..12])))
 }
 
 /// Whether it is a thing of some size, fixed or not, and not the floor or the background.
@@ -172,6 +208,10 @@ pub(crate) fn tell_matched(
     // What did not rest by itself was fixed, and is still made of something.
     let own = scene.loosened();
     let pairs = match_bodies(&own, &true_scene);
+    if told == MaterialsTold::Vlm {
+        // It was asked, not told.
+        return Ok(pairs.len());
+    }
     for (body, own) in scene.bodies.iter_mut().zip(&own.bodies) {
         if matches!(body.shape, BodyShape::HalfSpace) {
             set_material(body, told.of_floor(&truth.floor.material, seed));

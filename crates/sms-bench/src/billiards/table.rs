@@ -5,7 +5,7 @@ use super::options::ENGINES;
 use super::{BilliardsScene, Replaced, Row, billiards_metrics};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
-use sms_synth::FIXED_SCENES;
+use sms_synth::{FIRST_DRAWN, FIXED_SCENES};
 use sms_target::TargetEngine;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -38,7 +38,6 @@ pub fn billiards_table(scenes: &[BilliardsScene]) -> String {
         ablation(&mut text, &of_told);
         time(&mut text, &of_told);
     }
-    text.push_str("materials vlm: not run\n");
     text
 }
 
@@ -70,7 +69,7 @@ fn block(
         "{key}{same}, materials {}, geometry {geometry}: {} of {} scenes, {starts} starts; cm, mean (sd)\n  {:<28}{:>14}{:>14}{:>14}{:>14}{:>14}",
         told.as_str(),
         there.len(),
-        FIXED_SCENES.len(),
+        if there.iter().all(|s| s.number < FIRST_DRAWN) { FIXED_SCENES.len() } else { there.len() },
         "",
         "SMS, paper's",
         "row paper",

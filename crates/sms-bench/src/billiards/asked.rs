@@ -1,0 +1,201 @@
+//! Materials `vlm`: what a vision-language model says of the objects of a scan.
+//!
+//! The views that a model is shown are kept beside the scanned scene, so that it can be asked later, and on another machine than the
+//! one that scanned. Nothing of the truth is in them but what the camera saw.
+
+use crate::BenchError;
+use serde::{Deserialize, Serialize};
+use sms_core::{Cancel, CoreError, InputError, Labels, MaskSource, Progress, Warnings, atomic};
+use sms_entities::{EntitySet, material_queries};
+use sms_frames::Sequence;
+use sms_materials::{MaterialTable, ObjectQuery, assign};
+use sms_scene::{BodyShape, Scene};
+use sms_vlm::{Cache, Client, Question, VlmConfig, ask, question_about};
+use std::path::Path;
+
+/// File of the questions in a kept scene's folder.
+const QUESTIONS: &str = "questions.json";
+
+/// What is known of a scan's objects, and what can be asked about them.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Kept {
+    /// The entities in their order, then the floor.
+    queries: Vec<ObjectQuery>,
+    questions: Vec<KeptQuestion>,
+}
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct KeptQuestion {
+    /// Index of the query.
+    query: usize,
+    is_surface: bool,
+    /// The picture, beside this file.
+    jpeg: String,
+}
+
+/// Keeps the best view of every entity of a scan, and of its floor, in `dir`.
+pub(crate) fn keep_questions(
+    dir: &Path,
+    set: &EntitySet,
+    sequence: &Sequence,
+    labels: &Labels,
+) -> Result<(), CoreError> {
+    let mut queries = material_queries(set);
+    if labels.source == MaskSource::Truth {
+        // True masks come with true names.
+        for (i, query) in queries.iter_mut().take(set.entities.len()).enumerate() {
+            query.description.clear();
+            query.name = set.entities[i].name.clone();
+        }
+    }
+    let config = VlmConfig::default();
+    let mut questions = Vec::new();
+    for (i, query) in queries.iter().enumerate() {
+        let entity = set.entities.get(i);
+        let Some(q) = question_about(query, entity, set.support_height, sequence, labels, &config) else {
+            continue;
+        };
+        let jpeg = format!("view_{i:02}.jpg");
+        atomic::write_bytes(&dir.join(&jpeg), &q.jpeg)?;
+        questions.push(KeptQuestion { query: i, is_surface: q.is_surface, jpeg });
+    }
+    atomic::write_json(&dir.join(QUESTIONS), &Kept { queries, questions })
+}
+
+/// Asks about the objects of the scene that is kept in `dir`, and tells `scene` what their materials are; of what the model does not
+/// answer the prior stays. Replies are kept in `cache`.
+///
+/// # Errors
+/// [`BenchError::Input`] where the scene was kept without views or the server answers nothing; [`BenchError::Core`] for files and
+/// interruption.
+pub(super) fn tell_asked(
+    scene: &mut Scene,
+    dir: &Path,
+    client: &Client,
+    cache: &Path,
+    progress: &dyn Progress,
+    cancel: &Cancel,
+) -> Result<(), BenchError> {
+    let path = dir.join(QUESTIONS);
+    if !path.is_file() {
+        let cure = "scan again with --rescan, or leave `vlm` out of --materials";
+        return Err(InputError::new("this scan was kept without views of its objects", dir, cure).into());
+    }
+    let Kept { mut queries, questions } = atomic::read_json(&path)?;
+    let asked_about: Vec<Question> = questions
+        .iter()
+        .map(|q| {
+            let file = dir.join(&q.jpeg);
+            let query = queries.get(q.query).ok_or_else(|| {
+                InputError::new("a question is about nothing", &path, "scan again with --rescan")
+            })?;
+            Ok(Question {
+                name: query.name.clone(),
+                annotation: query.description.clone(),
+                is_surface: q.is_surface,
+                jpeg: std::fs::read(&file).map_err(CoreError::read(&file))?,
+            })
+        })
+        .collect::<Result<_, BenchError>>()?;
+    let warnings = Warnings::new();
+    let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
+    if asked.answered() == 0 {
+        let (what, cure) = match &asked.given_up {
+            Some(why) => (why.what.clone(), why.cure.clone()),
+            None => ("the model answered nothing that can be used".into(), "try another model".into()),
+        };
+        return Err(InputError::new(what, client.config().url.clone(), cure).into());
+    }
+    for (question, outcome) in questions.iter().zip(&asked.outcomes) {
+        queries[question.query].estimate = outcome.estimate().cloned();
+    }
+    let table = MaterialTable::builtin();
+    let materials = assign(&queries, &table, None, &warnings)?;
+    let floor = queries.len().saturating_sub(1);
+    for body in &mut scene.bodies {
+        let query = match body.shape {
+            BodyShape::HalfSpace => Some(floor),
+            _ => queries[..floor].iter().position(|q| q.name == body.name),
+        };
+        if let Some(i) = query.filter(|i| queries[*i].estimate.is_some()) {
+            crate::told::set_material(body, materials[i].clone());
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::{NoProgress, PropertySource, Seed};
+    use sms_synth::FIXED_SCENES;
+    use sms_target::scene_from_truth;
+    use sms_vlm::{Pause, Reply, Request, Transport, TransportError};
+    use std::sync::Arc;
+
+    /// Says the same of everything, or that the key is wrong.
+    struct Says(u16);
+
+    impl Transport for Says {
+        fn post(&self, _: &Request) -> Result<Reply, TransportError> {
+            let said = r#"{"material": "brass", "density": {"best": 8500, "low": 8000, "high": 8800}, "friction": 0.3}"#;
+            let body =
+                serde_json::json!({"choices": [{"message": {"content": said}, "finish_reason": "stop"}]});
+            Ok(Reply { status: self.0, retry_after: None, body: body.to_string().into_bytes() })
+        }
+    }
+
+    struct Never;
+
+    impl Pause for Never {
+        fn pause(&self, _: f64, _: &Cancel) -> Result<(), CoreError> {
+            Ok(())
+        }
+    }
+
+    fn client(status: u16) -> Client {
+        let config = VlmConfig { url: "http://server/v1".into(), model: "m".into(), ..VlmConfig::default() };
+        Client::with(&config, None, Seed(0), Arc::new(Says(status)), Arc::new(Never)).unwrap()
+    }
+
+    #[test]
+    fn what_a_model_says_is_told_and_of_what_it_was_not_asked_the_prior_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut scene = scene_from_truth(&FIXED_SCENES[1].generate()).unwrap();
+        scene.bodies.iter_mut().for_each(super::super::seen::forget_material);
+        let before = scene.clone();
+        let tell = |scene: &mut Scene, status| {
+            let cache = folder.path().join("vlm");
+            tell_asked(scene, folder.path(), &client(status), &cache, &NoProgress, &Cancel::new())
+        };
+        assert!(tell(&mut scene, 200).unwrap_err().to_string().contains("without views"));
+
+        let name = |i: usize| scene.bodies[i].name.clone();
+        let query = |name: String| ObjectQuery { name, ..ObjectQuery::default() };
+        // The floor comes first among bodies and last among queries; the third body is not asked about.
+        let queries = vec![query(name(1)), query(name(2)), query("floor".into())];
+        let question =
+            |query: usize| KeptQuestion { query, is_surface: query == 2, jpeg: format!("{query}.jpg") };
+        for i in [0, 2] {
+            std::fs::write(folder.path().join(format!("{i}.jpg")), [0xFF, 0xD8, i as u8]).unwrap();
+        }
+        let kept = Kept { queries, questions: vec![question(0), question(2)] };
+        atomic::write_json(&folder.path().join(QUESTIONS), &kept).unwrap();
+
+        let refused = tell(&mut scene, 401).unwrap_err().to_string();
+        assert!(refused.contains("http://server"), "{refused}");
+        assert_eq!(scene, before, "what failed changes nothing");
+
+        tell(&mut scene, 200).unwrap();
+        assert_eq!(scene.bodies[2..], before.bodies[2..]);
+        for i in [0, 1] {
+            let material = &scene.bodies[i].material;
+            assert_eq!((material.friction.value.best, material.density.value.best), (0.3, 8500.0));
+            assert_eq!(material.density.source, PropertySource::Vlm);
+        }
+        let (was, is) = (before.bodies[1].mass.unwrap().mass(), scene.bodies[1].mass.unwrap().mass());
+        let ratio =
+            scene.bodies[1].material.effective_density() / before.bodies[1].material.effective_density();
+        assert!((is / was / ratio - 1.0).abs() < 1e-9);
+    }
+}
