@@ -3,6 +3,7 @@
 use crate::device::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_gaussians::Preset;
+use sms_synth::CameraPath;
 use sms_target::TargetEngine;
 use std::path::PathBuf;
 
@@ -528,6 +529,16 @@ pub(crate) enum PathName {
     High,
     /// The paper's heights, 0.1 to 0.25 m.
     Paper,
+}
+
+impl PathName {
+    /// The path of a billiards recording.
+    pub(crate) fn path(self) -> CameraPath {
+        match self {
+            Self::High => CameraPath::default(),
+            Self::Paper => CameraPath::paper(),
+        }
+    }
 }
 
 #[derive(Debug, Args, Clone)]

@@ -19,13 +19,15 @@ use std::path::Path;
 fn random() -> LandingBaseline<'static> {
     LandingBaseline {
         name: "random".to_owned(),
-        choose: Box::new(|landing, _, seed| {
-            let mut rng = seed.derive("random").rng();
+        variant: String::new(),
+        choose: Box::new(|sight| {
+            let landing = sight.landing;
+            let mut rng = sight.seed.derive("random").rng();
             let places: Vec<_> = landing.surface().places().collect();
             let place = places[rng.random_range(0..places.len())];
             let b = landing.task().bounds;
             let mut within = |[low, high]: [f64; 2]| rng.random_range(low..high);
-            Ok(Some(LandingAction {
+            Ok(Ok(LandingAction {
                 landing_w: place.to_array(),
                 approach_radius: within(b.approach_radius),
                 approach_angle: within(b.approach_angle),

@@ -11,7 +11,7 @@ use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_gaussians::{Preset, ScanConfig};
 use sms_masks::{FileMasks, GeometryConfig, GeometryMasks, Segmenter, TruthMasks, complete};
 use sms_poses::{PosesConfig, PosesMode, refine_poses};
-use sms_synth::TruthScene;
+use sms_synth::{CameraPath, TruthScene};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -36,6 +36,8 @@ pub struct BenchOptions {
     pub entities: EntitiesConfig,
     /// Frames that are recorded of a generated scene.
     pub frames: usize,
+    /// Where the camera goes in generated billiards scenes.
+    pub path: CameraPath,
     /// What is done to the frames.
     pub disturbance: Disturbance,
     /// Where recordings are kept.
@@ -61,6 +63,7 @@ impl BenchOptions {
             scan: ScanConfig { holdout: HOLDOUT, ..ScanConfig::preset(preset) },
             entities: EntitiesConfig::default(),
             frames: crate::scenes::FRAMES,
+            path: CameraPath::default(),
             disturbance: Disturbance::default(),
             cache: cache.into(),
             meshes: true,
@@ -78,11 +81,16 @@ impl BenchOptions {
         }
     }
 
+    /// What names a recording of a generated scene in keys: the frames, with the path where it is not the usual one.
+    pub(crate) fn recorded(&self) -> Value {
+        if self.path == CameraPath::default() { json!(self.frames) } else { json!([self.frames, self.path]) }
+    }
+
     /// What a scan and the bodies made of it depend on, by name, besides scene and masks; for comparing parts of a run.
     pub fn settings(&self) -> [(&'static str, Value); 7] {
         [
             ("preset", json!(self.preset_name())),
-            ("frames", json!(self.frames)),
+            ("frames", self.recorded()),
             ("read", json!(self.read)),
             ("load", json!(self.load)),
             ("masks", json!(self.masks)),
@@ -158,7 +166,7 @@ pub fn locate(
             Some(real_data_dir().join(name)).filter(|d| d.join("transforms.json").is_file())
         }
         _ => match generated(scene)? {
-            Some(made) => Some(recording(scene, &made, options.frames, &options.cache, progress, cancel)?),
+            Some(made) => Some(recording(scene, &made, options, progress, cancel)?),
             None => None,
         },
     })
@@ -240,5 +248,19 @@ impl Timer {
     pub(crate) fn seconds(&self) -> (f64, f64) {
         let cpu = self.1.zip(process::cpu_seconds()).map_or(f64::NAN, |(from, to)| to - from);
         (self.0.elapsed().as_secs_f64(), cpu)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_path_is_another_recording_and_the_usual_one_goes_without_saying() {
+        let usual = BenchOptions::new(Preset::Draft, "cache");
+        assert_eq!(usual.recorded(), json!(usual.frames));
+        let paper = BenchOptions { path: CameraPath::paper(), ..usual.clone() };
+        assert_ne!(paper.recorded(), usual.recorded());
+        assert_eq!(paper.settings()[1], ("frames", paper.recorded()));
     }
 }

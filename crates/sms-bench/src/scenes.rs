@@ -1,6 +1,6 @@
 //! The scenes that are measured, and the recordings made of them.
 
-use crate::LANDING_SCENES;
+use crate::{BenchOptions, LANDING_SCENES};
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
@@ -9,7 +9,7 @@ use sms_synth::{
     read_model, record_views, write_recording,
 };
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 /// The ten fixed seeds of the billiards family. The demo's are 1 to 5. The scan was tuned on 1001, 1003 and
@@ -185,8 +185,8 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
     }
 }
 
-/// Records a generated scene as `sms demo` does (1280×800, depth noise, the default camera path; models from an orbit
-/// scaled to their size) into `cache`, or finds the recording that is there. Folders are named by what they were made
+/// Records a generated scene as `sms demo` does (1280×800, depth noise, the camera path of `options`; models from an orbit
+/// scaled to their size) into the cache, or finds the recording that is there. Folders are named by what they were made
 /// from, so that a changed renderer version or setting is another recording; several processes may ask for the same one.
 ///
 /// # Errors
@@ -194,17 +194,17 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
 pub fn recording(
     scene: &BenchScene,
     made: &ModelScene,
-    frames: usize,
-    cache: &Path,
+    options: &BenchOptions,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<PathBuf, CoreError> {
-    let truth = &made.scene;
+    let (truth, frames) = (&made.scene, options.frames);
     let noise = match scene {
         BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
         _ => truth.seed,
     };
-    let settings = RecordingSettings { frames, seed: noise, ..RecordingSettings::default() };
+    let path = options.path.clone();
+    let settings = RecordingSettings { frames, seed: noise, path, ..RecordingSettings::default() };
     let orbit = match (scene, truth.objects.first()) {
         (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
         (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
@@ -217,7 +217,7 @@ pub fn recording(
         None => hash_serializable(&(hash, &settings, version)).0,
         Some(poses) => hash_serializable(&(hash, &settings, version, poses, &pictures)).0,
     };
-    let dir = cache.join(format!("{scene}-{frames}-{}", &key[..12]));
+    let dir = options.cache.join(format!("{scene}-{frames}-{}", &key[..12]));
     if dir.join("transforms.json").is_file() {
         return Ok(dir);
     }

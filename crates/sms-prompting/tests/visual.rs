@@ -142,8 +142,11 @@ fn a_number_that_is_not_there_is_told_to_the_model_and_then_refused() {
     let (url, asked) = server(vec![r#"{"reasoning": "", "decision": 99}"#]);
     let dir = tempfile::tempdir().unwrap();
     let error = prompted(&url, dir.path(), |_| {}).unwrap_err();
-    let ChooseError::NoAnswer { name, what, cure } = error else { panic!("{error}") };
-    assert!(name == "landing site" && what.contains("no mark 99") && !cure.is_empty(), "{name}: {what}");
+    let told = error.to_string();
+    let ChooseError::Undecided { name, what } = &error else { panic!("{error}") };
+    assert!(name == "landing site" && what.contains("no mark 99") && told.contains("cure"), "{told}");
+    let input = error.input("http://server/v1").unwrap().to_string();
+    assert!(input.contains("no mark 99") && input.contains("http://server/v1"), "{input}");
     let asked = asked.lock().unwrap();
     assert_eq!(asked.len(), 3, "one question, two repairs");
     let last =

@@ -1,7 +1,8 @@
 //! One evaluation of a landing: five seconds of flight over a structure in Rapier f32, with each model of wash. CPU seconds are
 //! those of all threads of the process.
 //!
-//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …]`
+//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …] [emitters=FILE]`; the file tells another program what the propellers did
+//! (`benches/peers/genesis_wash.py`).
 
 use glamx::{DPose3, DVec3};
 use sms_core::box_mass_properties;
@@ -12,6 +13,7 @@ use sms_wash::{
     VehicleState, Wash,
 };
 use std::error::Error;
+use std::fmt::Write;
 use std::time::Instant;
 
 const DT: f64 = 0.0025;
@@ -52,7 +54,10 @@ fn cpu_s() -> f64 {
     (ticks(11) + ticks(12)) / 100.0
 }
 
-fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<(), Box<dyn Error>> {
+/// What the propellers did: in each step their centres (x, y, z, metres), where there was wash.
+type Blown = Vec<Option<Vec<DVec3>>>;
+
+fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<Blown, Box<dyn Error>> {
     let vehicle = Quadrotor::default();
     let settings = FlightSettings::default();
     let (top, stands) = (0.52, vehicle.standing_height());
@@ -65,6 +70,7 @@ fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<(), Box<d
         Simulation::new(&RapierFactory, scene, &WorldOptions { dt: DT, ..WorldOptions::default() })?;
     let mut wash = WashInWorld::new(wash, scene.bodies.len());
     let (mut active, mut particles) = (0, 0);
+    let mut blown = Blown::new();
     let (began, cpu) = (Instant::now(), cpu_s());
     let steps = (SECONDS / DT).round() as usize;
     for k in 0..steps {
@@ -74,6 +80,8 @@ fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<(), Box<d
         wash.advance(&mut simulation, &now, DT)?;
         active += usize::from(wash.wash().is_active());
         particles = particles.max(wash.wash().particles_w().len());
+        let centers = || rotors.iter().map(|r| state.x_wv.transform_point(r.p_v)).collect();
+        blown.push((state.motors && wash.wash().is_active()).then(centers));
     }
     println!(
         "{label}: {:.2} CPU-s, {:.2} s wall for {SECONDS} s (flight {:.1} s, wash {:.2} s, at most {particles} particles)",
@@ -82,7 +90,34 @@ fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<(), Box<d
         flight.duration_s(),
         active as f64 * DT,
     );
-    Ok(())
+    Ok(blown)
+}
+
+/// `# key value …` of the air and of each box (centre, half extents, mass; mass 0 is fixed), then a line for each step: nothing, or the
+/// propellers' centres.
+fn write_emitters(path: &str, scene: &Scene, sph: &SphSettings, blown: &Blown) -> Result<(), Box<dyn Error>> {
+    let vehicle = Quadrotor::default();
+    let thrust = vehicle.mass * 9.81 / vehicle.rotors.len() as f64;
+    // The far wake: half the disk, twice its speed (docs/wash-study.md).
+    let radius = vehicle.rotor_radius / 2f64.sqrt();
+    let speed = (thrust / (sph.air_density * std::f64::consts::PI * radius * radius)).sqrt();
+    let mut text = format!(
+        "# air step_s {DT} spacing_m {} support_m {} sound_speed {} density {} stream_speed {speed} stream_radius_m {radius}\n",
+        sph.spacing,
+        sph.support_spacings * sph.spacing,
+        sph.sound_speed,
+        sph.air_density,
+    );
+    for body in &scene.bodies {
+        let BodyShape::Box { half_extents: h } = body.shape else { continue };
+        let (p, mass) = (body.x_wb.translation, body.mass.map_or(0.0, |m| m.mass()));
+        writeln!(text, "# box {} {} {} {} {} {} {} {mass}", body.name, p.x, p.y, p.z, h.x, h.y, h.z)?;
+    }
+    for centers in blown {
+        let each = centers.iter().flatten().flat_map(|p| p.to_array());
+        writeln!(text, "{}", each.map(|v| v.to_string()).collect::<Vec<_>>().join(" "))?;
+    }
+    Ok(std::fs::write(path, text)?)
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -96,7 +131,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     for spacing in spacings {
         let settings = SphSettings { spacing, ..SphSettings::default() };
         let wash = SphWash::new(surfaces.clone(), settings)?;
-        evaluate(Box::new(wash), &scene, &format!("sph {:.0} mm", 1e3 * spacing))?;
+        let blown = evaluate(Box::new(wash), &scene, &format!("sph {:.1} mm", 1e3 * spacing))?;
+        if let Some(path) = std::env::args().find_map(|a| a.strip_prefix("emitters=").map(str::to_owned)) {
+            write_emitters(&path, &scene, &settings, &blown)?;
+        }
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use crate::prompt::object;
 use crate::quantity::{plain, shortened};
 use base64::Engine;
 use serde_json::{Value, json};
-use sms_core::{Cancel, CoreError, Warnings};
+use sms_core::{Cancel, CoreError, InputError, Warnings};
 
 /// So much of a reply is quoted back to the model that is to put it right.
 const QUOTED_CHARS: usize = 6000;
@@ -28,6 +28,8 @@ pub struct ChoiceQuestion {
     pub ids: Vec<u32>,
 }
 
+const UNDECIDED_CURE: &str = "use a model that reads numbers in pictures, or another chooser";
+
 /// What the model chose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Chosen {
@@ -42,7 +44,7 @@ pub struct Chosen {
 /// Why nothing was chosen.
 #[derive(Debug, thiserror::Error)]
 pub enum ChooseError {
-    /// The server cannot be used, or what the model said names none of the marks.
+    /// The server cannot be used, or there is nothing to ask about.
     #[error("no {name} was chosen: {what}\n  cure: {cure}")]
     NoAnswer {
         /// What should have been chosen.
@@ -52,9 +54,34 @@ pub enum ChooseError {
         /// What can be done.
         cure: String,
     },
+    /// The model answers, and names none of the marks however often it is asked: another run will hardly do better.
+    #[error("no {name} was chosen: {what}\n  cure: {UNDECIDED_CURE}")]
+    Undecided {
+        /// What should have been chosen.
+        name: String,
+        /// What is wrong with the last answer.
+        what: String,
+    },
     /// A stop was asked for, or the cache cannot be written.
     #[error(transparent)]
     Core(#[from] CoreError),
+}
+
+impl ChooseError {
+    /// What happened and what can be done, where that is the user's; `at` says whose server it is.
+    ///
+    /// # Errors
+    /// The rest.
+    pub fn input(self, at: &str) -> Result<InputError, CoreError> {
+        let said = |name: &str, what: &str, cure: &str| {
+            InputError::new(format!("no {name} was chosen: {what}"), at, cure)
+        };
+        match self {
+            Self::NoAnswer { name, what, cure } => Ok(said(&name, &what, &cure)),
+            Self::Undecided { name, what } => Ok(said(&name, &what, UNDECIDED_CURE)),
+            Self::Core(e) => Err(e),
+        }
+    }
 }
 
 /// Asks which mark to take, from the cache where that has the reply. A reply that names none of them is told so and asked
@@ -120,7 +147,7 @@ pub fn choose(
         let again = format!("Your answer cannot be used: {complaint}. {}", form_of_answer(&question.ids));
         messages.push(json!({"role": "user", "content": again}));
     }
-    Err(no_answer(complaint, "use a model that reads numbers in pictures, or another chooser"))
+    Err(ChooseError::Undecided { name: question.name.clone(), what: complaint })
 }
 
 fn listed(ids: &[u32]) -> String {

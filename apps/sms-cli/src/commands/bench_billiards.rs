@@ -5,7 +5,7 @@ use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{Told, parse_shard};
 use super::{length_text, vlm};
-use crate::cli::{EngineName, PresetName};
+use crate::cli::{EngineName, PathName, PresetName};
 use crate::context::Context;
 use crate::device::Device;
 use anyhow::Context as _;
@@ -48,6 +48,9 @@ pub(crate) struct BenchBilliards {
     /// Frames that are recorded of each scene (default: 60, with --quick 24).
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
+    /// Where the camera goes in the recordings.
+    #[arg(long, value_enum, default_value = "high")]
+    pub path: PathName,
     /// Target engines (default: all that are built in).
     #[arg(long, value_enum, value_name = "ENGINES", value_delimiter = ',')]
     pub engines: Vec<EngineName>,
@@ -193,6 +196,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
     bench.scan.bench = BenchOptions {
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
+        path: a.path.path(),
         ..with_settings(context, base)?
     };
     bench.scan.rescan = a.rescan;

@@ -5,23 +5,25 @@ use super::bench_billiards::{Geometry, Masks, nothing_there};
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
-use super::landing::action_of;
+use super::landing::{action_of, observation};
 use super::materialize::drift_text;
+use super::vlm;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
 use crate::device::Device;
 use clap::Args;
 use sms_bench::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
-    LandingScan, landing_metrics, landing_table, read_landings, run_landings, scan_landings,
+    LandingScan, LandingSight, landing_metrics, landing_table, read_landings, run_landings, scan_landings,
 };
-use sms_core::{InputError, Seed};
-use sms_landing::{LandingSettings, ResolvedLanding};
+use sms_core::{InputError, Seed, Warnings};
+use sms_landing::LandingSettings;
 use sms_prompting::{
     ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
+    visual_prompting,
 };
-use sms_scene::Scene;
-use std::path::PathBuf;
+use sms_vlm::{ApiKey, Cache, ChooseError, Client};
+use std::path::{Path, PathBuf};
 
 /// Starts for each draw of the noise.
 const NOISY_STARTS: usize = 4;
@@ -37,6 +39,9 @@ pub(crate) struct BenchLanding {
     /// Also plan with noisy materials: so many draws of the noise for each structure (default: 5), four starts each.
     #[arg(long, value_name = "DRAWS", num_args = 0..=1, default_missing_value = "5")]
     pub noisy: Option<usize>,
+    /// Also let a vision-language model choose (the paper's visual prompting); server and model by SMS_VLM_URL and SMS_VLM_MODEL.
+    #[arg(long)]
+    pub visual_prompting: bool,
     /// Only every n-th flight, from the i-th (i/n, from 1); shards meet in the folder of the results.
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
@@ -143,29 +148,66 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     let settings = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };
     bench.settings = context.settings.section("landing", settings)?;
     bench.baselines = vec![
-        baseline("geometric", |sites, landing, ways, _| geometric(sites, landing.start_w(), ways)),
-        baseline("random", |sites, landing, ways, seed| random(sites, landing.start_w(), ways, seed)),
+        baseline("geometric", "", |sight, sites, ways| {
+            Ok(Ok(geometric(sites, sight.landing.start_w(), ways)))
+        }),
+        baseline("random", "", |sight, sites, ways| {
+            Ok(Ok(random(sites, sight.landing.start_w(), ways, sight.seed)))
+        }),
     ];
+    if a.visual_prompting {
+        bench.baselines.push(prompting(context, &keep, bench.seed)?);
+    }
     Ok(bench)
 }
 
 /// A chooser among the candidates of geometry; it chooses nothing where there are none.
 fn baseline(
     name: &str,
-    choose: impl Fn(&Sites, &ResolvedLanding, &ApproachSettings, Seed) -> Choice + Sync + 'static,
+    variant: &str,
+    choose: impl Fn(
+        &LandingSight<'_>,
+        &Sites,
+        &ApproachSettings,
+    ) -> Result<std::result::Result<Choice, String>, BenchError>
+    + 'static,
 ) -> LandingBaseline<'static> {
-    let choose = move |landing: &ResolvedLanding, scene: &Scene, seed: Seed| -> Result<_, BenchError> {
-        let limits = landing.task().surface;
+    let choose = move |sight: &LandingSight<'_>| {
+        let limits = sight.landing.task().surface;
         let settings = SiteSettings {
             min_height: limits.height_m,
             max_tilt: limits.slope_rad,
             ..SiteSettings::default()
         };
-        let sites = landing_sites(&surfaces_of(scene), landing.vehicle(), &settings).ok();
-        let ways = ApproachSettings::default();
-        Ok(sites.map(|sites| action_of(&choose(&sites, landing, &ways, seed))))
+        let sites = match landing_sites(&surfaces_of(sight.scene), sight.landing.vehicle(), &settings) {
+            Ok(sites) => sites,
+            Err(nowhere) => return Ok(Err(nowhere.to_string())),
+        };
+        Ok(choose(sight, &sites, &ApproachSettings::default())?.map(|choice| action_of(&choice)))
     };
-    LandingBaseline { name: name.to_owned(), choose: Box::new(choose) }
+    LandingBaseline { name: name.to_owned(), variant: variant.to_owned(), choose: Box::new(choose) }
+}
+
+/// A vision-language model that is shown the candidates. Its replies are kept beside the scans.
+fn prompting(context: &Context, keep: &Path, seed: Seed) -> anyhow::Result<LandingBaseline<'static>> {
+    let config = context.settings.section("vlm", vlm::defaults())?;
+    let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
+    let client = Client::new(&config, key, seed.derive("visual prompting"))?;
+    let (cache, cancel) = (Cache::new(&keep.join(vlm::REPLIES)), context.cancel.clone());
+    let model = config.model.clone();
+    let choose = move |sight: &LandingSight<'_>, sites: &Sites, ways: &ApproachSettings| {
+        let Some(seen) = observation(sight.frames()?, sight.scene, sites) else {
+            return Ok(Err("no frame of the recording shows the landing sites from above".to_owned()));
+        };
+        let (start_w, warnings) = (sight.landing.start_w(), Warnings::new());
+        match visual_prompting(&seen, sites, start_w, ways, &client, &cache, &cancel, &warnings) {
+            Ok(prompted) => Ok(Ok(prompted.choice)),
+            // The model failed at it; a server that does not answer says nothing of the model.
+            Err(e @ ChooseError::Undecided { .. }) => Ok(Err(e.to_string())),
+            Err(e) => Err(e.input(&config.url).map_or_else(BenchError::from, BenchError::from)),
+        }
+    };
+    Ok(baseline("visual_prompting", &model, choose))
 }
 
 fn flight_line(f: &LandingFlight) -> String {

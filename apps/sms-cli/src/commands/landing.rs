@@ -11,7 +11,7 @@ use sms_core::{
     ColorImage, Hasher, InputError, RunFolder, Seed, Warnings, atomic, read_png_color, write_png_color,
 };
 use sms_flight::{FlightFiles, write_flight};
-use sms_frames::Sequence;
+use sms_frames::{Frame, Sequence};
 use sms_landing::{
     CarriedOut, Freed, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
     LandingPlan, LandingPlanOutcome, LandingRecording, LandingSettings, LandingTask, PlannedBody,
@@ -26,7 +26,7 @@ use sms_scene::{Scene, load_scene};
 use sms_sim::RapierFactory;
 use sms_synth::TruthScene;
 use sms_target::{LANDING_EXECUTION_FILE, LandingExecution, LandingTargetOptions, Target, execute_landing};
-use sms_vlm::{ApiKey, Cache, ChooseError, Client, picture};
+use sms_vlm::{ApiKey, Cache, Client, picture};
 use sms_wash::{WashModel, WashSettings};
 use std::path::Path;
 
@@ -231,7 +231,8 @@ fn baseline(
     })?;
     let ways = ApproachSettings::default();
     let start_w = landing.start_w();
-    let seen = observation(run, scene, &sites)?;
+    let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
+    let seen = observation(&sequence.frames, scene, &sites);
     let (choice, pictures) = match chooser {
         ChooserName::Visual => prompted(context, run, seen, &sites, landing, &ways, seed, warnings)?,
         ChooserName::Random => drawn(seen, &sites, random(&sites, start_w, &ways, seed), landing, &ways),
@@ -296,17 +297,13 @@ fn particles(config: &LandingSettings) -> WashSettings {
     WashSettings { model: WashModel::Sph, stream: config.jet, sph: config.sph }
 }
 
-/// The view of the recording that shows the sites best; `None` where none does.
-fn observation(run: &RunFolder, scene: &Scene, sites: &Sites) -> anyhow::Result<Option<Observation>> {
-    let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
-    let Some(index) = best_view(sequence.frames.iter().map(|f| &f.camera), &sites.sites) else {
-        return Ok(None);
-    };
-    let frame = &sequence.frames[index];
+/// The frame that shows the sites best; `None` where none does.
+pub(crate) fn observation(frames: &[Frame], scene: &Scene, sites: &Sites) -> Option<Observation> {
+    let frame = &frames[best_view(frames.iter().map(|f| &f.camera), &sites.sites)?];
     let image = picture(&frame.color_path, frame.color.size()).unwrap_or_else(|| frame.color.clone());
     let called = scene.body(&sites.platform).map(|b| b.description.clone()).filter(|d| !d.trim().is_empty());
     let target = called.unwrap_or_else(|| sites.platform.replace('_', " "));
-    Ok(Some(Observation { image, camera: frame.camera, target }))
+    Some(Observation { image, camera: frame.camera, target })
 }
 
 /// The choice with pictures of it.
@@ -352,11 +349,9 @@ fn prompted(
     let cache = Cache::new(&run.root().join(vlm::REPLIES));
     let start_w = landing.start_w();
     let done = visual_prompting(&seen, sites, start_w, ways, &client, &cache, &context.cancel, warnings);
-    let prompted = done.map_err(|e| match e {
-        ChooseError::NoAnswer { name, what, cure } => {
-            anyhow::Error::from(InputError::new(format!("no {name} was chosen: {what}"), &config.url, cure))
-        }
-        ChooseError::Core(e) => e.into(),
+    let prompted = done.map_err(|e| match e.input(&config.url) {
+        Ok(refused) => anyhow::Error::from(refused),
+        Err(e) => e.into(),
     })?;
     Ok((prompted.choice, prompted.chosen.into()))
 }

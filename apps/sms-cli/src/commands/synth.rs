@@ -1,27 +1,22 @@
 //! `sms synth`: a generated recording of any scene.
 
 use super::{sample, shown};
-use crate::cli::{FamilyName, PathName, Synth};
+use crate::cli::{FamilyName, Synth};
 use crate::context::Context;
 use sms_core::{InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, CameraPath, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings,
-    generate_billiards, generate_billiards_among, generate_challenge, landing_scene, read_models,
-    record_views,
+    BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, generate_billiards,
+    generate_billiards_among, generate_challenge, landing_scene, read_models, record_views,
 };
 
 pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
     let made = scene(context, a)?;
     let truth = &made.scene;
-    let path = match a.path {
-        PathName::High => CameraPath::default(),
-        PathName::Paper => CameraPath::paper(),
-    };
     let settings = RecordingSettings {
         frames: a.frames,
         width: a.width,
         height: a.width * 5 / 8,
-        path,
+        path: a.path.path(),
         pose_noise_m: a.pose_noise_mm * 1e-3,
         pose_noise_rad: a.pose_noise_deg.to_radians(),
         seed: Seed(a.seed),

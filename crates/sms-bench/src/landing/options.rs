@@ -1,10 +1,10 @@
 //! What the experiment depends on.
 
+use super::LandingSight;
 use crate::{BenchError, BenchOptions, BilliardsGeometry, MaterializeOptions, MaterialsTold};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_gaussians::Preset;
-use sms_landing::{LandingAction, LandingSettings, ResolvedLanding};
-use sms_scene::Scene;
+use sms_landing::{LandingAction, LandingSettings};
 use sms_synth::{LandingStructure, landing_scene, landing_structure};
 use sms_target::TargetEngine;
 use std::ops::RangeInclusive;
@@ -16,14 +16,18 @@ const VERSION: u32 = 7;
 /// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
 pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
 
-/// A planner to compare with, by its name in tables and keys. It is given what ours is given, and chooses; `None` where it cannot.
+/// A planner to compare with, by its name in tables and keys. It is given what ours is given, and the recording.
 pub struct LandingBaseline<'a> {
     /// The name ("geometric", "random", "visual_prompting").
     pub name: String,
+    /// Which one of that name (the model that is asked); kept landings of another one are made again.
+    pub variant: String,
     /// Chooses a landing in the planner's scene.
-    pub choose:
-        Box<dyn Fn(&ResolvedLanding, &Scene, Seed) -> Result<Option<LandingAction>, BenchError> + Sync + 'a>,
+    pub choose: Box<dyn Fn(&LandingSight<'_>) -> Result<LandingChoice, BenchError> + 'a>,
 }
+
+/// What a planner to compare with chose, or why it can choose nothing there, which is a failed landing.
+pub type LandingChoice = Result<LandingAction, String>;
 
 /// One flight of the experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -14,6 +14,9 @@ pub struct LandingPlanned {
     pub action: Option<LandingAction>,
     /// Why nothing was planned.
     pub problem: Option<String>,
+    /// Which of the choosers of its name chose it (the model that was asked); empty where there is one.
+    #[serde(default)]
+    pub variant: String,
     /// Share of the planner's worlds in which it succeeds, where it has such.
     pub predicted_share: Option<f64>,
     /// Objective in the planner's own world, where it has one.

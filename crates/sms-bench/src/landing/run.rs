@@ -1,11 +1,12 @@
 //! Running the experiment.
 
 use super::result::{OURS, kept};
-use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned};
+use super::sight::Recorded;
+use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
 use crate::billiards::seen::{forget_material, scanned, tell_matched};
 use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
 use glamx::DVec3;
-use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
+use sms_core::{Cancel, NoProgress, Progress, Warnings, atomic};
 use sms_landing::{
     LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, plan_landing,
 };
@@ -46,9 +47,13 @@ pub fn run_landings(
 ) -> Result<(), BenchError> {
     let target = bench.engine.target()?;
     let mut shared = Shared::default();
+    let mut recorded = None;
     for part in part_of(bench.flights(), bench.part) {
         cancel.check()?;
-        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, progress, cancel)?;
+        let kept = recorded.take().filter(|of: &Recorded<'_>| of.number() == part.scene);
+        let recorded =
+            recorded.insert(kept.unwrap_or_else(|| Recorded::new(bench, part.scene, progress, cancel)));
+        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, recorded, progress, cancel)?;
         if is_new {
             line(&flight);
         }
@@ -108,7 +113,8 @@ pub fn run_landing(
     cancel: &Cancel,
 ) -> Result<LandingFlight, BenchError> {
     let target = bench.engine.target()?;
-    Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), progress, cancel)?.0)
+    let recorded = Recorded::new(bench, part.scene, progress, cancel);
+    Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), &recorded, progress, cancel)?.0)
 }
 
 /// A flight, and whether anything of it was not in the folder yet.
@@ -117,6 +123,7 @@ fn flown(
     part: LandingPart,
     target: &dyn Target,
     shared: &mut Shared,
+    recorded: &Recorded<'_>,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<(LandingFlight, bool), BenchError> {
@@ -143,10 +150,11 @@ fn flown(
     match task.resolve(scene) {
         Ok(landing) => {
             for name in names(bench, part) {
-                if flight.planned.contains_key(&name) {
+                if is_kept(bench, &flight, &name) {
                     continue;
                 }
-                let planned = carry_out(bench, part, &name, &landing, scene, &truth, target, cancel)?;
+                let planned =
+                    carry_out(bench, part, &name, &landing, scene, recorded, &truth, target, cancel)?;
                 if name == OURS {
                     let action = planned.action;
                     flight.evaluation_s = action.map(|a| evaluate(bench, &landing, scene, &a)).transpose()?;
@@ -157,7 +165,7 @@ fn flown(
         }
         Err(e) if e.input().is_some() => {
             for name in names(bench, part) {
-                flight.planned.insert(name, LandingPlanned::nothing(&e));
+                flight.planned.insert(name, LandingPlanned::nothing(e.to_string()));
             }
             atomic::write_json(&bench.file(part), &flight)?;
         }
@@ -211,7 +219,13 @@ fn names(bench: &LandingBench<'_>, part: LandingPart) -> Vec<String> {
 }
 
 fn is_done(bench: &LandingBench<'_>, part: LandingPart, flight: &LandingFlight) -> bool {
-    names(bench, part).iter().all(|n| flight.planned.contains_key(n))
+    names(bench, part).iter().all(|n| is_kept(bench, flight, n))
+}
+
+/// Whether the landing of that name is there, chosen by the one who would choose now.
+fn is_kept(bench: &LandingBench<'_>, flight: &LandingFlight, name: &str) -> bool {
+    let variant = bench.baselines.iter().find(|b| b.name == name).map_or("", |b| b.variant.as_str());
+    flight.planned.get(name).is_some_and(|p| p.variant == variant)
 }
 
 /// Bodies with the prior's materials.
@@ -243,20 +257,33 @@ fn see(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<Seen, 
 }
 
 impl LandingPlanned {
-    fn nothing(why: &LandingError) -> Self {
+    /// A landing that is still to be flown.
+    fn chosen(action: LandingAction) -> Self {
         Self {
-            action: None,
-            problem: Some(why.to_string()),
+            action: Some(action),
+            problem: None,
+            variant: String::new(),
             predicted_share: None,
             predicted: None,
             success: false,
-            failure: Some("nothing was planned".to_owned()),
-            failure_kind: Some("no_plan".to_owned()),
+            failure: None,
+            failure_kind: None,
             in_the_air: false,
             realised: None,
             jet_success: None,
             plan_cpu_s: 0.0,
             target_cpu_s: 0.0,
+        }
+    }
+
+    /// Nothing to fly, which is a failure.
+    fn nothing(why: String) -> Self {
+        Self {
+            action: None,
+            problem: Some(why),
+            failure: Some("nothing was planned".to_owned()),
+            failure_kind: Some("no_plan".to_owned()),
+            ..Self::chosen(LandingAction { landing_w: [0.0; 2], approach_radius: 0.0, approach_angle: 0.0 })
         }
     }
 }
@@ -268,6 +295,7 @@ fn carry_out(
     name: &str,
     landing: &ResolvedLanding,
     scene: &Scene,
+    recorded: &Recorded<'_>,
     truth: &TruthScene,
     target: &dyn Target,
     cancel: &Cancel,
@@ -276,10 +304,11 @@ fn carry_out(
     let seed = seed.derive_index("draw", part.draw as u64);
     let began = cpu_seconds();
     let since = |from: Option<f64>| cpu_seconds().zip(from).map_or(0.0, |(now, from)| now - from);
-    let mut planned = match plan(bench, name, landing, scene, seed, cancel) {
+    let sight = LandingSight { landing, scene, seed, recorded };
+    let mut planned = match plan(bench, name, &sight, cancel) {
         Ok(planned) => planned,
         Err(BenchError::Landing(e)) if e.input().is_some() || matches!(e, LandingError::Nothing { .. }) => {
-            LandingPlanned::nothing(&e)
+            LandingPlanned::nothing(e.to_string())
         }
         Err(e) => return Err(e),
     };
@@ -307,36 +336,25 @@ fn carry_out(
 fn plan(
     bench: &LandingBench<'_>,
     name: &str,
-    landing: &ResolvedLanding,
-    scene: &Scene,
-    seed: Seed,
+    sight: &LandingSight<'_>,
     cancel: &Cancel,
 ) -> Result<LandingPlanned, BenchError> {
-    let chosen = |action: Option<LandingAction>| LandingPlanned {
-        action,
-        problem: action.is_none().then(|| "it found no place".to_owned()),
-        failure: action.is_none().then(|| "nothing was planned".to_owned()),
-        failure_kind: action.is_none().then(|| "no_plan".to_owned()),
-        predicted_share: None,
-        predicted: None,
-        success: false,
-        in_the_air: false,
-        realised: None,
-        jet_success: None,
-        plan_cpu_s: 0.0,
-        target_cpu_s: 0.0,
-    };
     if let Some(baseline) = bench.baselines.iter().find(|b| b.name == name) {
-        return Ok(chosen((baseline.choose)(landing, scene, seed)?));
+        let chosen = match (baseline.choose)(sight)? {
+            Ok(action) => LandingPlanned::chosen(action),
+            Err(why) => LandingPlanned::nothing(why),
+        };
+        return Ok(LandingPlanned { variant: baseline.variant.clone(), ..chosen });
     }
     let warnings = Warnings::new();
+    let (settings, seed) = (&bench.settings, sight.seed);
+    let (engine, quiet) = (&RapierFactory, &NoProgress);
     let plan =
-        plan_landing(landing, scene, &RapierFactory, &bench.settings, seed, &NoProgress, cancel, &warnings)?
-            .plan;
+        plan_landing(sight.landing, sight.scene, engine, settings, seed, quiet, cancel, &warnings)?.plan;
     Ok(LandingPlanned {
         predicted_share: plan.predicted.map(|p| p.success_share),
         predicted: plan.nominal.objective,
-        ..chosen(Some(plan.action))
+        ..LandingPlanned::chosen(plan.action)
     })
 }
 

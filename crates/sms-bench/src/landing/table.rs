@@ -13,6 +13,9 @@ use std::fmt::Write;
 const PAPER_SMS: [f64; 4] = [1.0, 0.8, 0.9, 0.9];
 const PAPER_PROMPTING: [f64; 4] = [0.5, 0.5, 0.6, 0.5];
 
+/// The baseline that asks a vision-language model.
+const PROMPTING: &str = "visual_prompting";
+
 /// The landings of one planner on one scene.
 fn of<'a>(
     flights: &'a [LandingFlight],
@@ -122,6 +125,9 @@ pub fn landing_table(flights: &[LandingFlight]) -> String {
     for name in baselines(flights) {
         row(&format!("{} (baseline)", name.replace('_', " ")), &each(MaterialsTold::Class, name));
     }
+    if !baselines(flights).contains(PROMPTING) {
+        let _ = writeln!(text, "  visual prompting: not run");
+    }
     for (label, rates) in [("paper, SMS", PAPER_SMS), ("paper, visual prompting", PAPER_PROMPTING)] {
         let its_own = rates.map(|r| percent(Some(r))).join(", ");
         let all = percent(mean(rates.into_iter()));
@@ -163,6 +169,7 @@ mod tests {
         LandingPlanned {
             action: None,
             problem: None,
+            variant: String::new(),
             predicted_share: Some(1.0),
             predicted: Some(0.01),
             success,
@@ -218,6 +225,7 @@ mod tests {
             "paper, SMS",
             "scene 1001",
             "scene 2, start 0",
+            "visual prompting: not run",
             "40 cm",
         ] {
             assert!(text.contains(part), "{text}");

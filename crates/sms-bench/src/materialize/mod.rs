@@ -66,6 +66,6 @@ impl MaterializeOptions {
     /// What a scan depends on, besides scene, seed and code, for naming what was made of it.
     pub(crate) fn made_from(&self) -> impl Serialize {
         let (bench, true_masks) = (&self.bench, self.masks == MaskChoice::Truth);
-        (&bench.read, &bench.load, &bench.masks, true_masks, &bench.scan, bench.frames)
+        (&bench.read, &bench.load, &bench.masks, true_masks, &bench.scan, bench.recorded())
     }
 }

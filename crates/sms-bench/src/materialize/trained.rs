@@ -143,7 +143,7 @@ pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<Strin
         hasher.text(&hash_serializable(&made.scene).0);
     }
     let settings =
-        (&bench.read, &bench.load, &bench.masks, bench.true_masks, &bench.scan, bench.frames, SCAN_SEED);
+        (&bench.read, &bench.load, &bench.masks, bench.true_masks, &bench.scan, bench.recorded(), SCAN_SEED);
     hasher.text(&hash_serializable(&settings).0);
     hasher.text(&format!("{scene} {} {LAYOUT}", env!("CARGO_PKG_VERSION")));
     Ok(hasher.finish().0)
