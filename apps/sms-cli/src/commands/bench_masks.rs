@@ -39,14 +39,15 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         ..base
     };
     options.load.validate()?;
-    let warnings = Warnings::new();
     let mut scores = Vec::new();
     for scene in select_mask_scenes(&a.scenes)? {
+        let warnings = Warnings::new();
         let progress = context.progress.as_ref();
         match run_masks(&scene, &options, a.out.as_deref(), progress, &context.cancel, &warnings)? {
             Some((score, seconds)) => scores.push((scene, score, seconds)),
             None => context.say(format!("skipped: {scene} is absent (SMS_TEST_DATA names its folder)")),
         }
+        context.tell(&warnings);
     }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
     if scores.is_empty() || (scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all")

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 /// Of the largest object's length: what is thinner is a wall or a lip, though it may stand free.
 const THICK: f64 = 0.25;
 /// An assembly may be so much longer than one structure: a board that juts out from a stool.
-const OVER: f64 = 1.5;
+pub(crate) const OVER: f64 = 1.5;
 /// It is so high, or so much of it was taken for static: else it is objects on a table that hardly touch, which other rules tell
 /// apart.
 const HIGH_M: f64 = 0.35;

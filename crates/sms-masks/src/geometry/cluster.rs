@@ -1,7 +1,7 @@
 //! From what is not static to objects.
 
 use super::GeometryConfig;
-use super::assembly::{FOOT_M, merge_bodies};
+use super::assembly::{FOOT_M, OVER, merge_bodies};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents, is_seen_through};
 use super::posts::{Footprint, Post};
@@ -43,12 +43,19 @@ pub(crate) fn clusters(
     feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
     assemblies.iter_mut().for_each(|members| members.sort_unstable());
     let bodies = assemblies.iter().flat_map(|members| bodies(surfels, graph, members, config));
-    let mut objects: Vec<Vec<usize>> = join_legs(surfels, parts, |p_w| is_seen_through(p_w, sequence))
+    let parts = join_legs(surfels, parts, |p_w| is_seen_through(p_w, sequence));
+    // A body that stands free may be as long as all of what stands there.
+    let [part, body] = [1.2, OVER].map(|times| times * config.max_structure_m);
+    let mut objects: Vec<Vec<usize>> = parts
         .into_iter()
-        .chain(bodies)
+        .map(|object| (object, part))
+        .chain(bodies.map(|object| (object, body)))
         .collect::<Vec<_>>()
         .into_par_iter()
-        .filter(|object| is_plausible(surfels, graph, object, is_static, planes, sequence, config))
+        .filter(|(object, longest)| {
+            is_plausible(surfels, graph, object, *longest, is_static, planes, sequence, config)
+        })
+        .map(|(object, _)| object)
         .collect();
     objects.sort_by_key(|o| (std::cmp::Reverse(o.len()), o[0]));
     objects.truncate(usize::from(u16::MAX) - 1);
@@ -81,6 +88,7 @@ fn is_plausible(
     surfels: &[Surfel],
     graph: &Neighbors,
     object: &[usize],
+    longest: f64,
     is_static: &[bool],
     planes: &[StaticPlane],
     sequence: &Sequence,
@@ -93,7 +101,7 @@ fn is_plausible(
         || middle < 0.9 * config.min_object_m
         // Ragged rims fill little of the rectangle around them.
         || area < 0.35 * middle * long
-        || long > 1.2 * config.max_structure_m
+        || long > longest
     {
         return false;
     }

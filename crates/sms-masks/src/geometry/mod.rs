@@ -149,6 +149,8 @@ pub(crate) struct Clustered {
     is_static: Vec<bool>,
     /// The objects: sorted surfels, the largest first.
     pub(crate) clusters: Vec<Vec<usize>>,
+    /// Lengths of what stands free like a structure and is static for its size alone, metres.
+    oversize_m: Vec<f64>,
 }
 
 impl Clustered {
@@ -170,7 +172,8 @@ impl Clustered {
             cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config);
         cancel.check()?;
         progress.update(3, &format!("{} objects", clusters.len()));
-        Ok(Self { surfels, graph, is_static, clusters })
+        let oversize_m = planes.iter().filter_map(|p| p.free_length_m).collect();
+        Ok(Self { surfels, graph, is_static, clusters, oversize_m })
     }
 
     /// Which surfels hold, by their position in the world.
@@ -211,6 +214,14 @@ impl Segmenter for GeometryMasks {
         let clustered = Clustered::new(sequence, &self.config, progress, cancel)?;
         let maps = clustered.maps(sequence, &self.config, cancel)?;
         let count = clustered.clusters.len();
+        for long in &clustered.oversize_m {
+            warnings.add(
+                STAGE,
+                "oversize",
+                format!("a surface {long:.2} m long stands free and was taken for static, with what is one with it"),
+                format!("if it is a thing that can move, `--set masks.max_structure_m={:.1}`", 1.1 * long + 0.05),
+            );
+        }
         if count == 0 {
             warnings.add(
                 STAGE,

@@ -22,6 +22,8 @@ pub(crate) struct StaticPlane {
     /// Distance from the plane within which a surfel that faces the same way belongs to it: three times the spread of
     /// its own surfels.
     pub(crate) band_m: f64,
+    /// Its length, where it faces up and stands free like a table's top or a plank: only its size makes it static.
+    pub(crate) free_length_m: Option<f64>,
 }
 
 impl StaticPlane {
@@ -31,6 +33,8 @@ impl StaticPlane {
     }
 }
 
+/// What is at most so many times longer than a structure may be one.
+const OVERSIZE: f64 = 2.0;
 /// Most pieces that are looked at before fitting stops.
 const MAX_FITS: usize = 60;
 /// Planes drawn for one fit.
@@ -79,7 +83,14 @@ pub(crate) fn static_surfels(
     let mut planes = Vec::with_capacity(pieces.len());
     for (members, n_w) in pieces {
         let fine: Vec<usize> = members.iter().flat_map(|&c| &children[c]).map(|&i| i as usize).collect();
-        let plane = fit(surfels, &fine, n_w);
+        let mut plane = fit(surfels, &fine, n_w);
+        let long = length(&coarse, &members);
+        if n_w.z > 0.9
+            && (config.max_structure_m..OVERSIZE * config.max_structure_m).contains(&long)
+            && stands_free(&coarse, &members, plane.p_w, plane.n_w, cell_m, sequence)
+        {
+            plane.free_length_m = Some(long);
+        }
         let members = extend(&plane, members, &coarse, &coarse_graph);
         // The cells over, under and beside the piece hold its outskirts.
         let mut over: Vec<usize> =
@@ -450,7 +461,7 @@ fn fit(surfels: &[Surfel], members: &[usize], n_w: DVec3) -> StaticPlane {
             (p_w, n_w) = (mean, aligned(symmetric_eigen(covariance).1[0], n_w));
         }
     }
-    StaticPlane { p_w, n_w, band_m: (3.0 * spread(p_w, n_w)).clamp(0.0015, 0.008) }
+    StaticPlane { p_w, n_w, band_m: (3.0 * spread(p_w, n_w)).clamp(0.0015, 0.008), free_length_m: None }
 }
 
 fn aligned(n: DVec3, with: DVec3) -> DVec3 {

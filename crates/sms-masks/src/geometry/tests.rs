@@ -114,6 +114,40 @@ fn an_empty_table_has_no_objects_and_says_so() {
 }
 
 #[test]
+fn a_plank_that_is_too_long_for_a_thing_is_named() {
+    // On a block, so that the table is seen past its rim.
+    let solids = [
+        Solid::Box(DVec3::new(0.0, 0.0, 0.05), DVec3::new(0.05, 0.05, 0.05), 0.0),
+        Solid::Box(DVec3::new(0.0, 0.0, 0.11), DVec3::new(0.26, 0.1, 0.01), 0.3),
+    ];
+    let (sequence, _) = scene(&solids, Sensor::default(), 7);
+    let told = |max_structure_m: f64| {
+        let config = GeometryConfig { max_structure_m, ..GeometryConfig::default() };
+        let warnings = Warnings::new();
+        GeometryMasks { config }.segment(&sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+        warnings.snapshot()
+    };
+    let short = told(0.45);
+    assert!(short.iter().any(|w| w.code == "oversize" && w.cure.contains("max_structure_m")), "{short:?}");
+    assert!(!told(1.0).iter().any(|w| w.code == "oversize"));
+}
+
+#[test]
+fn what_stands_free_as_a_whole_may_be_longer_than_a_structure() {
+    let solids = [Solid::Box(DVec3::new(0.0, 0.0, 0.25), DVec3::new(0.1, 0.08, 0.25), 0.2)];
+    let (sequence, truth) = scene(&solids, Sensor::default(), 7);
+    let found = |max_structure_m: f64| {
+        let config = GeometryConfig { max_structure_m, max_object_m: 0.3, ..GeometryConfig::default() };
+        let masks = GeometryMasks { config };
+        let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+        if labels.objects.is_empty() { 0.0 } else { best_iou(&truth, 1, &labels).0 }
+    };
+    // 0.5 m is within one and a half times 0.38 m, and beyond that of 0.3 m.
+    assert!(found(0.38) > 0.9);
+    assert!(found(0.3) < 0.1);
+}
+
+#[test]
 fn walls_and_a_bin_floor_are_static() {
     let mut solids = vec![
         Solid::Sphere(DVec3::new(0.0, 0.0, 0.0286), 0.0286),
