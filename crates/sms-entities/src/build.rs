@@ -7,6 +7,7 @@ use crate::contact;
 use crate::environment;
 use crate::grid::{PointGrid, quantile};
 use crate::level;
+use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
 use crate::sphere::SphereFit;
 use crate::stack;
@@ -121,6 +122,7 @@ pub fn build_entities(
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
     }
     stack::close_gaps(&mut entities, floor, config.convex.max_vertices);
+    lid::add_lids(&mut entities, floor, &around);
     for (entity, before) in entities.iter().zip(before) {
         let lost = 1.0 - solid(entity) / before;
         if lost > 0.1 {

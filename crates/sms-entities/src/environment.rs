@@ -8,12 +8,21 @@ use crate::tsdf::Tsdf;
 use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use glamx::DVec3;
+use sms_convex::convex_hull;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
 
 /// Environment surface this near to an object's own surface is the object, bled over its mask's edge, metres.
 const CLEARANCE: f64 = 0.008;
 /// Connected surface smaller than this is noise, m².
 const MIN_AREA: f64 = 4e-4;
+/// Corners of the hulls that tell what is inside an object.
+const HULL_VERTICES: usize = 64;
+/// Surface that ends so high over the floor hangs in the air, metres.
+const HANGS: f64 = 0.03;
+/// A rim that its mask lost reaches so far out of an object's hull, metres.
+const LOST_RIM: f64 = 0.025;
+/// Share of a piece of surface that is inside an object when all of it is, but for noise.
+const INSIDE: f64 = 0.95;
 /// Errors of decimation that are tried in turn until the face budget is met, metres.
 const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 
@@ -67,9 +76,14 @@ pub(crate) fn environment_entity(
             !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
         })
         .collect();
+    let hulls: Vec<Mesh> = objects
+        .iter()
+        .filter(|e| e.kind == EntityKind::Dynamic)
+        .filter_map(|e| convex_hull(&e.mesh.vertices, HULL_VERTICES, 0.5 * CLEARANCE))
+        .collect();
     let mut out = Mesh::default();
     for part in mesh.components() {
-        if part.area() > MIN_AREA {
+        if part.area() > MIN_AREA && !hulls.iter().any(|hull| hangs_inside(&part, hull, floor)) {
             append(&mut out, &part);
         }
     }
@@ -105,6 +119,22 @@ pub(crate) fn environment_entity(
         texture: None,
         residual_m,
     })
+}
+
+/// Whether a piece of surface hangs in the air within an object's hull, or beside it no farther than a rim: it is of the object, and no
+/// mask says so (the rim of a bin under what lies on it, of which cameras see a strip). As a fixed obstacle it would burst the object.
+fn hangs_inside(part: &Mesh, hull: &Mesh, floor: f64) -> bool {
+    let planes: Vec<(DVec3, f64)> = (0..hull.triangles.len())
+        .map(|t| {
+            let [a, b, c] = hull.corners(t);
+            let n = (b - a).cross(c - a).normalize_or_zero();
+            (n, n.dot(a))
+        })
+        .collect();
+    let is_in = |p: &&DVec3| planes.iter().all(|(n, d)| n.dot(**p) < d + LOST_RIM);
+    let within = part.vertices.iter().filter(is_in).count();
+    let lowest = part.vertices.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    lowest > floor + HANGS && within as f64 > INSIDE * part.vertices.len() as f64
 }
 
 fn append(mesh: &mut Mesh, part: &Mesh) {
@@ -145,4 +175,25 @@ fn background_cloud(around: &Surroundings, mesh: &Mesh, reach: f64) -> PointClou
         }
     }
     cloud
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+
+    #[test]
+    fn what_hangs_in_an_object_is_of_it_and_what_stands_on_the_floor_or_beside_it_is_not() {
+        let at =
+            |center: DVec3, half: DVec3| Mesh::cuboid(half).transformed(&DPose3::from_translation(center));
+        let bin = at(DVec3::new(0.0, 0.0, 0.25), DVec3::new(0.17, 0.2, 0.25));
+        let hull = convex_hull(&bin.vertices, HULL_VERTICES, 1e-3).unwrap();
+        let strip = DVec3::new(0.15, 0.15, 0.01);
+        let hangs = |center: DVec3, floor: f64| hangs_inside(&at(center, strip), &hull, floor);
+        assert!(hangs(DVec3::new(0.0, 0.0, 0.49), 0.0));
+        // On the ground, as what stands under a ladder is.
+        assert!(!hangs(DVec3::new(0.0, 0.0, 0.02), 0.0));
+        // A shelf's lip beside it.
+        assert!(!hangs(DVec3::new(0.25, 0.0, 0.49), 0.0));
+    }
 }

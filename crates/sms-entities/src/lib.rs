@@ -44,6 +44,7 @@ mod hilbert;
 mod hollow;
 mod inside;
 mod level;
+mod lid;
 mod maxflow;
 mod mesher;
 mod outline;

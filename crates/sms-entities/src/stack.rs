@@ -107,16 +107,22 @@ fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
 
 /// Height of the bottom over what of a piece is under it, and whether that is under its middle; `None` where nothing is.
 fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> {
+    let under = under(part, outline);
+    let top = under.iter().map(|p| p.z).reduce(f64::max)?;
+    let near = outline_of(under.into_iter().filter(|p| p.z > top - REACH_M));
+    let middle = outline.iter().sum::<DVec2>() / outline.len() as f64;
+    Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
+}
+
+/// Corners of what of a piece's surface is over or under an outline.
+pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
     let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     for i in 0..outline.len() {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
         let outward = DVec2::new(b.y - a.y, a.x - b.x).normalize_or_zero();
         under = clip(&under, outward.extend(0.0), outward.dot(a)).0;
     }
-    let top = under.iter().flatten().map(|p| p.z).reduce(f64::max)?;
-    let near = outline_of(under.into_iter().flatten().filter(|p| p.z > top - REACH_M));
-    let middle = outline.iter().sum::<DVec2>() / outline.len() as f64;
-    Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
+    under.into_flattened()
 }
 
 /// Whether a piece that was raised is in no other object's that it was not in before.

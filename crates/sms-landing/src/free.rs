@@ -17,6 +17,17 @@ pub struct Freed {
     pub other_masses: bool,
     /// What had to be fixed again, with how far it came by itself, in that order.
     pub held: Vec<RestingDrift>,
+    /// What stays fixed because the structure falls otherwise, though it is something else that leaves.
+    pub stuck: Option<Stuck>,
+}
+
+/// Bodies that could not be freed for another one's sake.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stuck {
+    /// Their names.
+    pub bodies: Vec<String>,
+    /// What leaves when they are free, with how far it comes.
+    pub leaves: RestingDrift,
 }
 
 impl LandingTask {
@@ -61,16 +72,18 @@ impl LandingTask {
                 *body = free;
             }
         }
-        let (mut other_masses, mut held) = (false, Vec::new());
+        let (mut other_masses, mut held, mut stuck) = (false, Vec::new(), None);
         match disturbances.that_stands(&landing, factory, &freed, seed.derive("freed")) {
             Ok(None) => {}
             Ok(Some(stands)) => (freed, other_masses) = (stands, true),
-            Err(LandingError::AlreadyFalling(_)) => held = hold(&landing, factory, &mut freed, &bodies)?,
+            Err(LandingError::AlreadyFalling(_)) => {
+                (held, stuck) = hold(&landing, factory, &mut freed, &bodies)?;
+            }
             Err(e) => return Err(e),
         }
         bodies.retain(|name| freed.body(name).is_some_and(|b| b.kind == BodyKind::Dynamic));
         let scene = if bodies.is_empty() { scene.clone() } else { freed };
-        Ok(Some(Freed { scene, bodies, other_masses, held }))
+        Ok(Some(Freed { scene, bodies, other_masses, held, stuck }))
     }
 }
 
@@ -80,25 +93,29 @@ fn hold(
     factory: &dyn WorldFactory,
     freed: &mut Scene,
     bodies: &[String],
-) -> Result<Vec<RestingDrift>, LandingError> {
+) -> Result<(Vec<RestingDrift>, Option<Stuck>), LandingError> {
     let fix = |scene: &mut Scene, name: &str| {
         if let Some(i) = scene.body_index(name) {
             (scene.bodies[i].kind, scene.bodies[i].mass) = (BodyKind::Static, None);
         }
     };
-    let mut held = Vec::new();
+    let (mut held, mut leaves) = (Vec::new(), None);
     for drift in fix_restless(factory, &mut freed.without_pictures(), &STANDS)? {
         if !bodies.contains(&drift.body) {
+            leaves = leaves.or(Some(drift));
             continue;
         }
         fix(freed, &drift.body);
         held.push(drift);
         match landing.check_rest(factory, freed) {
-            Ok(_) => return Ok(held),
+            Ok(_) => return Ok((held, None)),
             Err(LandingError::AlreadyFalling(_)) => {}
             Err(e) => return Err(e),
         }
     }
     bodies.iter().for_each(|name| fix(freed, name));
-    Ok(held)
+    let is_held = |name: &&String| held.iter().any(|d: &RestingDrift| d.body == **name);
+    let rest: Vec<String> = bodies.iter().filter(|name| !is_held(name)).cloned().collect();
+    let stuck = leaves.filter(|_| !rest.is_empty()).map(|leaves| Stuck { bodies: rest, leaves });
+    Ok((held, stuck))
 }

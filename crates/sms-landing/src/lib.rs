@@ -55,7 +55,7 @@ mod task;
 
 pub use action::LandingAction;
 pub use error::LandingError;
-pub use free::Freed;
+pub use free::{Freed, Stuck};
 pub use outcome::{BodyChange, LandingFailure, LandingOutcome, ParticleFrame, QUADROTOR};
 pub use plan::{
     LANDING_PLAN_FILE, LandingAlternative, LandingEvaluations, LandingPlan, LandingPlanOutcome,

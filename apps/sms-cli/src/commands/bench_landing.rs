@@ -5,7 +5,7 @@ use super::bench_billiards::{Geometry, Masks, nothing_there};
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
-use super::landing::{action_of, observation};
+use super::landing::{action_of, observation, stuck_text};
 use super::materialize::drift_text;
 use super::vlm;
 use crate::cli::{EngineName, PresetName};
@@ -96,8 +96,9 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
             };
             let held: String =
                 scan.held.iter().map(|d| format!("; stays fixed: {}", drift_text(d))).collect();
+            let stuck = scan.stuck.as_ref().map(|s| format!("; {}", stuck_text(s))).unwrap_or_default();
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
-            context.say(format!("scene {scene}: {matched} of {objects} objects seen{freed}{held}"));
+            context.say(format!("scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}"));
         };
         return Ok(scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?);
     }

@@ -15,7 +15,7 @@ use sms_frames::{Frame, Sequence};
 use sms_landing::{
     CarriedOut, Freed, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
     LandingPlan, LandingPlanOutcome, LandingRecording, LandingSettings, LandingTask, PlannedBody,
-    ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
+    ResolvedLanding, RolloutOptions, Stuck, plan_landing, rollout_landing,
 };
 use sms_plan::write_trials;
 use sms_prompting::{
@@ -135,6 +135,15 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
     context.print_metrics(run)
 }
 
+/// What stays fixed, and why.
+pub(crate) fn stuck_text(stuck: &Stuck) -> String {
+    let names = stuck.bodies.iter().map(|b| format!("`{b}`")).collect::<Vec<_>>().join(", ");
+    let leaves = drift_text(&stuck.leaves);
+    format!(
+        "{names} cannot topple in this plan: fixed, because the structure does not stand otherwise ({leaves})"
+    )
+}
+
 /// What can move in the plan and not in the scene, and what still cannot.
 fn tell_freed(freed: &Freed, warnings: &Warnings) {
     let others = if freed.other_masses {
@@ -146,6 +155,11 @@ fn tell_freed(freed: &Freed, warnings: &Warnings) {
         let message = format!("`{body}` is fixed in the scene; here it can move, and topple{others}");
         let cure = "if it is fixed in truth, write `free = false` in the task";
         warnings.add("plan", "freed", message, cure);
+    }
+    if let Some(stuck) = &freed.stuck {
+        let message = stuck_text(stuck);
+        let cure = "see what it touches in `sms report`: something that was not told apart from it, or a wrong contact";
+        warnings.add("plan", "held", message, cure);
     }
     for drift in &freed.held {
         let message = format!("{}: it stays fixed, and cannot topple", drift_text(drift));

@@ -8,7 +8,8 @@ use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_second
 use glamx::DVec3;
 use sms_core::{Cancel, NoProgress, Progress, Warnings, atomic};
 use sms_landing::{
-    LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, plan_landing,
+    LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, Stuck,
+    plan_landing,
 };
 use sms_scene::Scene;
 use sms_sim::{RapierFactory, RestingDrift};
@@ -74,6 +75,8 @@ pub struct LandingScan {
     pub freed: Vec<String>,
     /// Bodies that have to stay fixed, with how far they come by themselves.
     pub held: Vec<RestingDrift>,
+    /// Bodies that have to stay fixed for another one's sake.
+    pub stuck: Option<Stuck>,
 }
 
 /// Only scans the structures and makes their bodies, where they are not kept, and calls `done` after each. Planning can go on from
@@ -95,9 +98,9 @@ pub fn scan_landings(
         let seen = see(scene, &truth, part)?;
         let task = task_of(&seen.scene, &truth, part);
         let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
-        let (freed, held) = freed.map_or_else(Default::default, |f| (f.bodies, f.held));
+        let (freed, held, stuck) = freed.map_or_else(Default::default, |f| (f.bodies, f.held, f.stuck));
         let objects = truth.objects.len();
-        done(&LandingScan { scene: number, matched: seen.matched, objects, freed, held });
+        done(&LandingScan { scene: number, matched: seen.matched, objects, freed, held, stuck });
     }
     Ok(())
 }
