@@ -98,9 +98,9 @@ pub use export::{DEPTH_UNIT_M, export_scene};
 pub use goals::{GoalPlace, GoalsBench, run_goals};
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use landing::{
-    LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart, LandingPlanned,
-    LandingScan, LandingSight, landing_metrics, landing_table, read_landings, run_landing, run_landings,
-    scan_landings,
+    EdgeLoad, LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart,
+    LandingPlanned, LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics,
+    landing_table, read_landings, run_landing, run_landings, scan_landings,
 };
 pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
 pub use matching::{Overlaps, match_labels};

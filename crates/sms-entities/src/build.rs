@@ -110,8 +110,9 @@ pub fn build_entities(
     let solid = |e: &Entity| e.parts.iter().map(Mesh::volume).sum::<f64>();
     let before: Vec<f64> = entities.iter().map(solid).collect();
     let floor = support_height.unwrap_or(0.0);
-    level::level_faces(&mut entities, floor, config.convex.max_vertices);
-    for overlap in contact::part_objects(&mut entities, config.convex.max_vertices, 0.003) {
+    let rests: Vec<(u16, Rest)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
+    let faces = level::level_faces(&mut entities, &rests, floor, config.convex.max_vertices);
+    for overlap in contact::part_objects(&mut entities, &faces, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
         let fate = if overlap.left > 0.001 {
             format!("{:.1} mm of it are left", 1e3 * overlap.left)
@@ -122,7 +123,7 @@ pub fn build_entities(
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
     }
     stack::close_gaps(&mut entities, floor, config.convex.max_vertices);
-    lid::add_lids(&mut entities, floor, &around);
+    lid::add_lids(&mut entities, floor, config.convex.max_vertices, &around);
     for (entity, before) in entities.iter().zip(before) {
         let lost = 1.0 - solid(entity) / before;
         if lost > 0.1 {
@@ -137,7 +138,6 @@ pub fn build_entities(
     cancel.check()?;
     if config.environment.enabled {
         progress.update(2 * count, "environment");
-        let rests: Vec<(u16, Rest)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
         entities.extend(environment::environment_entity(
             &views,
             &around,

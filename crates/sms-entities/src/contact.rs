@@ -1,5 +1,7 @@
 //! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
 
+use crate::level::LevelFace;
+use crate::stack::can_carry;
 use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
@@ -15,6 +17,11 @@ const GIVE_UP: f64 = 0.001;
 /// Mean thickness of the thinnest part that is kept after cutting, metres.
 const THINNEST: f64 = 1e-4;
 
+/// Pieces that overlap along a normal that leans less from the vertical (cosine), and with the middle of their overlap this near to the
+/// height (metres) at which one object stands on the other, overlap at that face.
+const ALONG: f64 = 0.8;
+const AT_FACE_M: f64 = 0.02;
+
 /// Two objects that overlapped, by their indices, and by how much (metres).
 pub(crate) struct Overlap {
     pub(crate) first: usize,
@@ -25,13 +32,18 @@ pub(crate) struct Overlap {
 }
 
 /// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
-/// meet without overlap and without gap; an exact solid keeps its shape and the other side gives way. Returns overlaps deeper
-/// than `report` metres that there were.
-pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report: f64) -> Vec<Overlap> {
+/// meet without overlap and without gap; an exact solid keeps its shape and the other side gives way. Where one stands on the other with
+/// a level face, that is the plane. Returns overlaps deeper than `report` metres that there were.
+pub(crate) fn part_objects(
+    entities: &mut [Entity],
+    faces: &[LevelFace],
+    max_vertices: usize,
+    report: f64,
+) -> Vec<Overlap> {
     let mut found = Vec::new();
     for second in 0..entities.len() {
         for first in 0..second {
-            let depth = part_pair(entities, first, second, max_vertices);
+            let depth = part_pair(entities, first, second, faces, max_vertices);
             if depth > report {
                 let left = left_overlap(&entities[first], &entities[second]);
                 found.push(Overlap { first, second, depth, left });
@@ -41,7 +53,29 @@ pub(crate) fn part_objects(entities: &mut [Entity], max_vertices: usize, report:
     found
 }
 
-fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices: usize) -> f64 {
+/// The height at which one of two objects stands on the other, and whether that is the second one.
+fn level_between(
+    entities: &[Entity],
+    faces: &[LevelFace],
+    first: usize,
+    second: usize,
+) -> Option<(f64, bool)> {
+    let stands = |upper: usize, lower: usize| {
+        let face = faces.iter().find(|f| f.upper == upper)?;
+        can_carry(&entities[lower], face.height).then_some(face.height)
+    };
+    let over = stands(second, first).map(|height| (height, true));
+    over.or_else(|| stands(first, second).map(|height| (height, false)))
+}
+
+fn part_pair(
+    entities: &mut [Entity],
+    first: usize,
+    second: usize,
+    faces: &[LevelFace],
+    max_vertices: usize,
+) -> f64 {
+    let level = level_between(entities, faces, first, second);
     let (left, right) = entities.split_at_mut(second);
     let (a, b) = (&mut left[first], &mut right[0]);
     let either_moves = a.kind == EntityKind::Dynamic || b.kind == EntityKind::Dynamic;
@@ -57,7 +91,7 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
         for j in 0..piece_count(b) {
             // Each cut lessens the overlap along one direction; a few suffice for convex pieces.
             for _ in 0..4 {
-                let Some((normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
+                let Some((mut normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
                 let depth = (on_a - on_b).dot(normal);
                 deepest = deepest.max(depth);
                 let middle = match (is_exact(a), is_exact(b)) {
@@ -69,7 +103,14 @@ fn part_pair(entities: &mut [Entity], first: usize, second: usize, max_vertices:
                     (false, true) => on_b,
                     (false, false) => 0.5 * (on_a + on_b),
                 };
-                let offset = normal.dot(middle);
+                let mut offset = normal.dot(middle);
+                if let Some((height, second_is_upper)) = level {
+                    let up = if second_is_upper { DVec3::Z } else { DVec3::NEG_Z };
+                    if (middle.z - height).abs() < AT_FACE_M && normal.dot(up) > ALONG {
+                        let end = if is_exact(a) || is_exact(b) { middle.z } else { height };
+                        (normal, offset) = (up, up.z * end);
+                    }
+                }
                 let cut_a = is_exact(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
                 let cut_b = is_exact(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
                 if !cut_a || !cut_b {
@@ -283,12 +324,12 @@ mod tests {
     #[test]
     fn overlapping_boxes_meet_in_the_middle() {
         let mut pair = [entity(DVec3::ZERO, 0.05, None), entity(DVec3::new(0.096, 0.01, 0.003), 0.05, None)];
-        let found = part_objects(&mut pair, 64, 0.001);
+        let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].depth - 0.004).abs() < 1e-9);
         let (left, right) = (pair[0].parts[0].aabb().unwrap(), pair[1].parts[0].aabb().unwrap());
         assert!((left.max.x - 0.048).abs() < 1e-6 && (right.min.x - 0.048).abs() < 1e-6);
         assert!(pair.iter().all(|e| e.parts[0].is_closed_oriented()));
-        assert!(part_objects(&mut pair, 64, 1e-4).is_empty());
+        assert!(part_objects(&mut pair, &[], 64, 1e-4).is_empty());
     }
 
     #[test]
@@ -299,14 +340,14 @@ mod tests {
         carton.shape = EntityShape::Box { x_ws, half_extents: DVec3::splat(0.05) };
         carton.parts.clear();
         let mut pair = [ball, carton];
-        let found = part_objects(&mut pair, 64, 0.001);
+        let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].depth - 0.003).abs() < 1e-9 && found[0].left < 2e-5, "{}", found[0].left);
         let EntityShape::Sphere { center_w, .. } = pair[0].shape else { panic!() };
         assert!((center_w.x + 0.003).abs() < 1e-6, "the smaller one gives way: {center_w}");
         assert!((pair[0].mesh.aabb().unwrap().center() - center_w).length() < 1e-9);
         // What overlaps by centimetres is no error of a scan: it is told, not hidden.
         translate(&mut pair[0], DVec3::X * 0.02);
-        let found = part_objects(&mut pair, 64, 0.001);
+        let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);
     }
 
@@ -314,7 +355,7 @@ mod tests {
     fn pieces_that_were_moved_out_of_their_mesh_are_parted() {
         let mut pair = [entity(DVec3::ZERO, 0.05, None), entity(DVec3::X * 0.104, 0.05, None)];
         pair[1].parts[0].vertices.iter_mut().for_each(|v| v.x -= 0.008);
-        let found = part_objects(&mut pair, 64, 0.001);
+        let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!(found.len() == 1 && (found[0].depth - 0.004).abs() < 1e-9);
     }
 
@@ -322,7 +363,7 @@ mod tests {
     fn a_box_gives_way_to_a_ball() {
         let mut pair =
             [entity(DVec3::ZERO, 0.05, None), entity(DVec3::new(0.077, 0.0, 0.0), 0.0, Some(0.03))];
-        part_objects(&mut pair, 64, 0.0);
+        part_objects(&mut pair, &[], 64, 0.0);
         assert!((pair[0].parts[0].aabb().unwrap().max.x - 0.047).abs() < 1e-6);
         assert!(matches!(pair[1].shape, EntityShape::Sphere { radius: 0.03, .. }));
     }

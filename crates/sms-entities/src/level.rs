@@ -9,8 +9,9 @@ use crate::contact::{cut_to, is_exact};
 use crate::grid::{median, quantile};
 use crate::outline::{common, is_within, outline_of, width};
 use crate::stack::{
-    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing,
+    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
 };
+use crate::support::{Carrier, Rest, least_squares_plane};
 use glamx::{DVec2, DVec3};
 use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityShape, Mesh};
@@ -21,8 +22,13 @@ const DOWN: f64 = 0.95;
 const STEEP: f64 = 0.5;
 /// Fewer seen points say nothing of a face.
 const FEWEST: usize = 30;
-/// Four fifths of the points seen of a face lie within this height, metres; others are no level face.
+/// What carries others stands on the floor with all that ends within this of it, metres: a foot that is uneven by a millimetre lets a
+/// stack lean.
+const FOOT_M: f64 = 0.0035;
+/// Four fifths of the points seen of a face lie within this height, metres, or this near to a plane that leans less than this, radians: what
+/// stands there does not lean, but a strip that was seen at a grazing angle seems to. Others are no level face.
 const LEVEL_M: f64 = 0.004;
+const LEANS: f64 = 0.05;
 /// What is narrower is an edge to stand on, no face, metres.
 const FACE_M: f64 = 0.01;
 /// Farther outside of the outline of what stands on a piece, that piece was seen, metres.
@@ -33,13 +39,28 @@ const THICKNESS_SHARE: f64 = 0.35;
 /// Least share of a piece that is kept below a face: most of what was made up above a thin slab may be cut off.
 const LEAST_LEFT: f64 = 0.01;
 
-/// Makes undersides flat whose height is known, and ends there what carries them.
-pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usize) {
+/// An object that stands with a level face, by its index, and that face's height, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LevelFace {
+    pub(crate) upper: usize,
+    pub(crate) height: f64,
+}
+
+/// Makes undersides flat whose height is known, and ends there what carries them. Gives these faces.
+pub(crate) fn level_faces(
+    entities: &mut [Entity],
+    rests: &[(u16, Rest)],
+    floor: f64,
+    max_vertices: usize,
+) -> Vec<LevelFace> {
+    let mut faces = Vec::new();
     for upper in standing(entities, floor) {
-        let Some(face) = face(&entities[upper]) else { continue };
+        let rest = rests.iter().find(|r| r.0 == entities[upper].label).map(|r| &r.1);
+        let Some(face) = face(&entities[upper], rest) else { continue };
         let height = face.height;
+        faces.push(LevelFace { upper, height });
         if !is_exact(&entities[upper]) {
-            flatten(&mut entities[upper], &face, max_vertices);
+            flatten(&mut entities[upper], &face, REACH_M, max_vertices);
         }
         let outline = bottom_outline(&entities[upper]);
         if outline.len() < 3 {
@@ -51,9 +72,18 @@ pub(crate) fn level_faces(entities: &mut [Entity], floor: f64, max_vertices: usi
             if can_carry(carrier, height) && !is_exact(carrier) {
                 let parts = carrier.parts.iter_mut();
                 parts.for_each(|part| end_at(part, &outline, &standing_on, height, max_vertices));
+                if (bottom(carrier) - floor).abs() < FOOT_M && is_below(carrier, &outline, height) {
+                    flatten(carrier, &Face { height: floor, seen: Vec::new() }, FOOT_M, max_vertices);
+                }
             }
         }
     }
+    faces
+}
+
+/// Whether what has this outline and ends at a height stands on an object.
+fn is_below(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
+    carrier.parts.iter().any(|part| under(part, outline).iter().any(|p| p.z > height - 2.0 * REACH_M))
 }
 
 /// Outlines of the feet of an object's pieces: what is between them (a ring's hole) is not stood on.
@@ -72,8 +102,9 @@ struct Face {
     seen: Vec<DVec2>,
 }
 
-/// The level face that an object stands on; `None` where it is not known.
-fn face(entity: &Entity) -> Option<Face> {
+/// The level face that an object stands on, as it was seen from below, else where its carrier was seen to end; `None` where it is not
+/// known.
+fn face(entity: &Entity, rest: Option<&Rest>) -> Option<Face> {
     let low = bottom(entity);
     if is_exact(entity) {
         // A cylinder that lies stands on a line, however wide its mesh is a millimetre above it.
@@ -81,6 +112,13 @@ fn face(entity: &Entity) -> Option<Face> {
         let lowest = outline_of(entity.mesh.vertices.iter().copied().filter(|v| v.z < low + 1e-3));
         return (!lies && width(&lowest) > FACE_M).then_some(Face { height: low, seen: Vec::new() });
     }
+    let carrier = rest.filter(|r| matches!(r.carrier, Carrier::Object(_)) && r.plane.normal == DVec3::Z);
+    let carrier = carrier.map(|r| r.plane.offset).filter(|height| (height - low).abs() < REACH_M);
+    seen_face(entity, low).or(carrier.map(|height| Face { height, seen: Vec::new() }))
+}
+
+/// The level face that was seen of an object that ends at `low`.
+fn seen_face(entity: &Entity, low: f64) -> Option<Face> {
     let cloud = &entity.cloud;
     let down = cloud.points_w.iter().zip(&cloud.normals_w).filter(|(_, n)| n.z < -DOWN).map(|(p, _)| *p);
     let mut points: Vec<DVec3> = down.collect();
@@ -90,20 +128,25 @@ fn face(entity: &Entity) -> Option<Face> {
     // Other undersides (a lid's, a rim's) are higher up.
     let lowest = quantile(points.iter().map(|p| p.z).collect(), 0.1);
     points.retain(|p| (p.z - lowest).abs() < 2.0 * REACH_M);
+    let spread = |of: Vec<f64>| quantile(of.clone(), 0.9) - quantile(of, 0.1);
     let heights: Vec<f64> = points.iter().map(|p| p.z).collect();
-    let spread = quantile(heights.clone(), 0.9) - quantile(heights.clone(), 0.1);
+    let is_level = spread(heights.clone()) < LEVEL_M
+        || least_squares_plane(&points).is_some_and(|plane| {
+            let off = points.iter().map(|p| plane.height_over(*p)).collect();
+            plane.normal.z > LEANS.cos() && spread(off) < LEVEL_M
+        });
     let height = median(heights);
-    points.retain(|p| (p.z - height).abs() < LEVEL_M);
-    let is_face = points.len() >= FEWEST && spread < LEVEL_M && (height - low).abs() < REACH_M;
+    points.retain(|p| (p.z - height).abs() < 2.0 * LEVEL_M);
+    let is_face = points.len() >= FEWEST && is_level && (height - low).abs() < REACH_M;
     is_face.then(|| Face { height, seen: points.into_iter().map(|p| p.truncate()).collect() })
 }
 
 /// Puts the corners of an object's underside onto its face, and makes its pieces reach as far on the face as it was seen.
-fn flatten(entity: &mut Entity, face: &Face, max_vertices: usize) {
+fn flatten(entity: &mut Entity, face: &Face, reach: f64, max_vertices: usize) {
     let height = face.height;
     for part in &mut entity.parts {
         let top = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
-        let reach = REACH_M.min(THICKNESS_SHARE * (top - height));
+        let reach = reach.min(THICKNESS_SHARE * (top - height));
         // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
         let silhouette = outline_of(part.vertices.iter().copied());
         let Some(column) = Column::of(part) else { continue };
@@ -116,6 +159,10 @@ fn flatten(entity: &mut Entity, face: &Face, max_vertices: usize) {
         let mut is_below = corners_of_faces(part, |up| up < -STEEP);
         is_below.iter_mut().zip(&part.vertices).for_each(|(is, v)| *is &= v.z < height + reach);
         let reaches_down = is_below.contains(&true);
+        let is_flat = part.vertices.iter().zip(&is_below).all(|(v, is)| !is || (v.z - height).abs() < 1e-9);
+        if is_flat && (seen.is_empty() || !reaches_down) {
+            continue;
+        }
         let below = part.vertices.iter().zip(is_below).map(|(v, is)| if is { v.with_z(height) } else { *v });
         let points: Vec<DVec3> = below.chain(seen.into_iter().filter(|_| reaches_down)).collect();
         let hull = convex_hull(&points, max_vertices, 1e-6);
@@ -145,6 +192,7 @@ mod tests {
     use super::*;
     use crate::contact::part_objects;
     use crate::stack::{close_gaps, tests::entity};
+    use crate::support::Plane;
     use sms_core::PointCloud;
 
     /// A board of 12 mm on a solid block whose top nobody saw bulges into it, 15 mm high on one side.
@@ -179,8 +227,8 @@ mod tests {
     #[test]
     fn a_board_keeps_its_end_where_a_bulge_reaches_into_it() {
         let mut pair = board_on_bulge(100);
-        level_faces(&mut pair, 0.0, 64);
-        assert!(part_objects(&mut pair, 64, 1e-4).is_empty(), "nothing is left to part");
+        level_faces(&mut pair, &[], 0.0, 64);
+        assert!(part_objects(&mut pair, &[], 64, 1e-4).is_empty(), "nothing is left to part");
         close_gaps(&mut pair, 0.0, 64);
         let [block, board] = &pair;
         assert!((highest(block) - 0.5).abs() < 1e-9 && (bottom(board) - 0.5).abs() < 1e-9);
@@ -203,8 +251,8 @@ mod tests {
             mesh
         };
         pair[0].parts = vec![slab(0.0, 0.494, 0.2), slab(0.494, 0.54, 0.1)];
-        level_faces(&mut pair, 0.0, 64);
-        let found = part_objects(&mut pair, 64, 1e-4);
+        level_faces(&mut pair, &[], 0.0, 64);
+        let found = part_objects(&mut pair, &[], 64, 1e-4);
         assert!(found.is_empty() && pair[0].parts.len() == 2, "{}", pair[0].parts.len());
         assert!((highest(&pair[0]) - 0.5).abs() < 1e-9);
     }
@@ -227,18 +275,71 @@ mod tests {
         };
         assert!(reach(&board) < 0.51);
         let mut pair = [block, board];
-        level_faces(&mut pair, 0.0, 64);
+        level_faces(&mut pair, &[], 0.0, 64);
         assert!((reach(&pair[1]) - 0.779).abs() < 2e-3, "{}", reach(&pair[1]));
+    }
+
+    #[test]
+    fn where_the_underside_was_not_seen_the_carriers_top_is_the_face() {
+        let mut pair = board_on_bulge(0);
+        pair[1].label = 2;
+        let rest =
+            Rest { plane: Plane::horizontal(0.501), carrier: Carrier::Object(pair[0].label), noise_m: 0.001 };
+        let faces = level_faces(&mut pair, &[(2, rest)], 0.0, 64);
+        assert_eq!(faces, [LevelFace { upper: 1, height: 0.501 }]);
+        assert!((highest(&pair[0]) - 0.501).abs() < 1e-9 && (bottom(&pair[1]) - 0.501).abs() < 1e-9);
+        // What was not seen to be level says nothing.
+        let leaning = Plane { normal: DVec3::new(0.1, 0.0, 1.0).normalize(), offset: 0.5 };
+        let before = board_on_bulge(0);
+        let mut pair = before.clone();
+        assert!(level_faces(&mut pair, &[(1, Rest { plane: leaning, ..rest })], 0.0, 64).is_empty());
+        assert_eq!(pair, before);
+    }
+
+    #[test]
+    fn an_underside_that_seems_to_lean_is_level_and_parted_there() {
+        let mut pair = board_on_bulge(200);
+        // Seen along 20 cm, 2.3° off.
+        for (i, p) in pair[1].cloud.points_w.iter_mut().enumerate() {
+            (p.y, p.z) = (0.01 * (i % 7) as f64, p.z + 0.04 * (p.x - 0.5));
+        }
+        let faces = level_faces(&mut pair, &[], 0.0, 64);
+        let height = faces[0].height;
+        assert!((height - 0.5).abs() < 1e-3, "{height}");
+        // A bulge that levelling leaves is cut off level, too.
+        pair[0].parts[0].vertices.iter_mut().filter(|v| v.z > 0.4 && v.x > 0.0).for_each(|v| v.z += 0.004);
+        part_objects(&mut pair, &faces, 64, 1e-4);
+        assert!((highest(&pair[0]) - height).abs() < 1e-9 && (bottom(&pair[1]) - height).abs() < 1e-9);
+        let end = pair[1].parts[0].aabb().unwrap();
+        assert!((end.max.x - 0.8).abs() < 1e-9 && (end.min.x + 0.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_carries_stands_on_all_of_its_foot() {
+        let mut pair = board_on_bulge(100);
+        let uneven = |v: &mut DVec3| v.z += if v.z < 0.01 && v.x > 0.0 { 2e-3 } else { 0.0 };
+        pair[0].parts[0].vertices.iter_mut().for_each(uneven);
+        let beside = {
+            let mut other = pair[0].clone();
+            other.parts[0].vertices.iter_mut().for_each(|v| v.y += 5.0);
+            other
+        };
+        let [block, board] = pair;
+        let mut all = [block, board, beside.clone()];
+        level_faces(&mut all, &[], 0.0, 64);
+        let foot = |e: &Entity| outline_of(e.parts[0].vertices.iter().copied().filter(|v| v.z.abs() < 1e-9));
+        assert!(width(&foot(&all[0])) > 0.39, "{:?}", foot(&all[0]));
+        assert_eq!(all[2], beside, "it carries nothing");
     }
 
     #[test]
     fn an_underside_that_was_not_seen_is_left_to_parting() {
         let before = board_on_bulge(FEWEST - 1);
         let mut pair = before.clone();
-        level_faces(&mut pair, 0.0, 64);
+        level_faces(&mut pair, &[], 0.0, 64);
         assert_eq!(pair, before);
         // The test of the other one would not see what it is about if parting alone kept the end.
-        part_objects(&mut pair, 64, 1e-4);
+        part_objects(&mut pair, &[], 64, 1e-4);
         assert!(pair[1].parts[0].volume() < 0.9 * before[1].parts[0].volume());
     }
 
@@ -275,7 +376,7 @@ mod tests {
             peg.parts[1].vertices.iter_mut().for_each(|v| v.x += shift);
             let mut pair = [peg, ring.clone()];
             let before = pair.clone();
-            level_faces(&mut pair, 0.0, 64);
+            level_faces(&mut pair, &[], 0.0, 64);
             assert_eq!(pair[0], before[0]);
         }
     }
@@ -288,7 +389,7 @@ mod tests {
         let mut easel = entity("easel", rail.clone(), EntityShape::Convex);
         easel.parts.push(slab(DVec3::new(0.01, 0.01, 0.05), DVec3::new(0.18, 0.0, 0.55)));
         seen_from_below(&mut easel, DVec3::new(0.18, 0.0, 0.5));
-        level_faces(std::slice::from_mut(&mut easel), 0.0, 64);
+        level_faces(std::slice::from_mut(&mut easel), &[], 0.0, 64);
         assert!((easel.parts[0].volume() / rail.volume() - 1.0).abs() < 0.05, "{}", easel.parts[0].volume());
     }
 
@@ -303,7 +404,7 @@ mod tests {
         seen_from_below(&mut book, DVec3::new(0.1, 0.0, 0.1));
         let mut pair = [shelf, book];
         let before = pair[0].clone();
-        level_faces(&mut pair, 0.0, 64);
+        level_faces(&mut pair, &[], 0.0, 64);
         assert_eq!(pair[0], before);
     }
 
@@ -320,8 +421,8 @@ mod tests {
             let shape = EntityShape::Cylinder { x_ws, radius: 0.05, half_length: 0.1 };
             entity("can", convex_hull(&rings(axis), 256, 0.0).unwrap(), shape)
         };
-        assert!((face(&cylinder(DVec3::Z)).unwrap().height + 0.1).abs() < 1e-9);
-        assert!(face(&cylinder(DVec3::X)).is_none());
+        assert!((face(&cylinder(DVec3::Z), None).unwrap().height + 0.1).abs() < 1e-9);
+        assert!(face(&cylinder(DVec3::X), None).is_none());
     }
 
     #[test]
@@ -333,7 +434,7 @@ mod tests {
         let mut vase = entity("vase", plate.clone(), EntityShape::Convex);
         vase.parts.push(slab(DVec3::new(0.02, 0.02, 0.1), DVec3::Z * 0.604));
         seen_from_below(&mut vase, DVec3::Z * 0.5);
-        level_faces(std::slice::from_mut(&mut vase), 0.0, 64);
+        level_faces(std::slice::from_mut(&mut vase), &[], 0.0, 64);
         assert!((vase.parts[0].volume() / plate.volume() - 1.0).abs() < 1e-6, "{}", vase.parts[0].volume());
     }
 
@@ -345,7 +446,7 @@ mod tests {
         points.push(DVec3::new(0.0, 0.19, 0.56));
         pair[0].parts[0] = convex_hull(&points, 64, 0.0).unwrap();
         let lug = pair[0].parts[0].clone();
-        level_faces(&mut pair, 0.0, 64);
+        level_faces(&mut pair, &[], 0.0, 64);
         assert_eq!(pair[0].parts[0], lug);
     }
 }

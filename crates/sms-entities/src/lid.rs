@@ -1,9 +1,10 @@
-//! Rims that carry: of an open container under a board cameras see the rim's sides, never its top, and a mesh of so thin a wall ends
-//! millimetres too low, or nowhere. What lies on it would tip over the part of the rim that is left.
+//! Tops that carry. No camera saw the face on which something stands: above it a mesh bulges beyond the edge that was seen below it by
+//! centimetres, and of an open bin, whose wall is thin, it ends millimetres too low, or nowhere. What stands there would tip at another
+//! edge than in truth. What was seen is the sides, up to millimetres below the face, and they say where its edge is.
 
-use crate::contact::{Piece, is_exact, pieces_near};
+use crate::contact::{Piece, cut_to, is_exact, pieces_near};
 use crate::grid::PointGrid;
-use crate::outline::{convex_outline, is_within, outline_of, width};
+use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
 use crate::support::Surroundings;
 use glamx::{DVec2, DVec3};
@@ -12,23 +13,35 @@ use sms_core::{BACKGROUND, Entity, Mesh};
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
+/// Fewer points say nothing of an edge.
+const FEWEST: usize = 30;
 /// Thickness of a lid, metres.
 const THICK_M: f64 = 0.01;
-/// Seen points have so many others within this, metres: else they are noise. Unlabelled ones are the object's this near to it.
+/// Sides are looked at from this far below the face, metres ...
+const SIDES_M: f64 = 0.01;
+/// (... unlabelled ones this far below it, and this near to the object: masks lose strips between two things)
+const LOST_M: f64 = 0.03;
+/// ... up to this far below it: between the two objects surface is made up.
+const MADE_UP_M: f64 = 0.002;
+/// Seen points have so many others within this, metres: else they are noise.
 const NEIGHBORS: usize = 3;
 const NEAR_M: f64 = 0.02;
 /// What ends this near to what lies on it bears it, once it has settled, metres.
 const TOUCH_M: f64 = 1e-3;
-/// A face of contact that reaches as far as what was seen, but for this, is left as it is, metres.
-const MISSING_M: f64 = 0.015;
+/// Faces of contact may end before the edge that was seen, or beyond it, by so much, metres; farther beyond than the last the edge
+/// was not seen.
+const MISSING_M: f64 = 0.008;
+const EXCESS_M: f64 = 0.004;
+const UNSEEN_M: f64 = 0.06;
+/// What bears beyond the edge is lowered by this much, metres: a structure that leans by as much has tipped.
+const LOWERED_M: f64 = 0.0015;
 /// Less than this is no face on which something stands, metres.
 const NARROW_M: f64 = 0.02;
 
-/// Where an object was seen to reach the underside of what stands on it, and its collision shape does not: adds a convex piece under
-/// that underside whose outline is that of the points seen there. For what lies on a rim it is as good as the rim: both bear it within
-/// the same outline.
-/// Unlabelled surface beside the object counts as its own: masks lose strips between two things.
-pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, around: &Surroundings) {
+/// Where the collision shape of what carries another ends elsewhere than its edge was seen: a convex piece under the other's
+/// underside, with the outline that was seen, takes the place of the face. For what lies on a rim it is as good as the rim: both bear it
+/// within the same outline.
+pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, max_vertices: usize, around: &Surroundings) {
     for upper in standing(entities, floor) {
         let (outline, height) = (bottom_outline(&entities[upper]), bottom(&entities[upper]));
         if outline.len() < 3 {
@@ -39,9 +52,14 @@ pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, around: &Surrounding
             if is_exact(carrier) || !can_carry(carrier, height) {
                 continue;
             }
-            let lid =
-                missing_lid(carrier, &outline, height, around).filter(|lid| is_clear(lid, lower, entities));
-            entities[lower].parts.extend(lid);
+            let Some(lid) = lid(carrier, &outline, height, around) else { continue };
+            if !is_clear(&lid.piece, lower, entities) {
+                continue;
+            }
+            if lid.replaces {
+                lower_tops(&mut entities[lower].parts, &outline, height, max_vertices);
+            }
+            entities[lower].parts.push(lid.piece);
         }
     }
 }
@@ -55,36 +73,81 @@ fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
         .all(|other| lid.depth_in(&other) <= 10.0 * CLOSED_M)
 }
 
-fn missing_lid(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Mesh> {
-    let is_under = |p: &DVec3| is_within(outline, p.truncate(), 0.0);
+/// Ends pieces that bear what has this outline a little lower. What reaches far above it beside the outline was seen there, and stays.
+fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertices: usize) {
+    let is_bearing = |part: &Mesh| {
+        let high = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
+        let touches = || under(part, outline).iter().any(|p| p.z > height - LOWERED_M);
+        high < height + REACH_M && high > height - LOWERED_M && touches()
+    };
+    let lowered =
+        |part: &mut Mesh| !is_bearing(part) || cut_to(part, DVec3::Z, height - LOWERED_M, max_vertices, 1e-6);
+    // The lid takes the place of what lies in the last millimetre altogether.
+    parts.retain_mut(lowered);
+}
+
+struct Lid {
+    piece: Mesh,
+    /// Whether the shape reaches beyond it.
+    replaces: bool,
+}
+
+/// `None` where the shape ends at the edge that was seen, or none was.
+fn lid(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Lid> {
     let tops = carrier.parts.iter().flat_map(|part| under(part, outline));
     let touching = outline_of(tops.filter(|p| (p.z - height).abs() < TOUCH_M));
-    let near = |p: &&DVec3| (p.z - height).abs() < REACH_M && is_under(p);
-    let own = PointGrid::new(&carrier.cloud.points_w, NEAR_M);
-    let unlabelled =
-        around.points.iter().zip(&around.labels).filter(|(_, l)| **l == BACKGROUND).map(|(p, _)| p);
-    let beside = unlabelled.filter(near).filter(|p| own.is_near(**p, NEAR_M));
-    let seen: Vec<DVec3> = carrier.cloud.points_w.iter().filter(near).chain(beside).copied().collect();
-    let grid = PointGrid::new(&seen, NEAR_M);
-    // Itself is among them.
-    let kept = |p: &&DVec3| grid.within(**p, NEAR_M).len() > NEIGHBORS;
-    let rim: Vec<DVec2> = seen.iter().filter(kept).map(|p| p.truncate()).chain(touching.clone()).collect();
-    let rim = convex_outline(&rim);
-    let is_missing = touching.len() < 3 || rim.iter().any(|&p| !is_within(&touching, p, MISSING_M));
-    if rim.len() < 3 || width(&rim) < NARROW_M || !is_missing {
+    let edge = common(&seen_edge(carrier, outline, height, around)?, outline);
+    let edge = simplified(&convex_outline(&edge));
+    if edge.len() < 3 || width(&edge) < NARROW_M {
         return None;
     }
-    // The farthest in so many directions.
+    let is_missing = touching.len() < 3 || edge.iter().any(|&p| !is_within(&touching, p, MISSING_M));
+    let is_beyond = |margin: f64| touching.iter().any(|&p| !is_within(&edge, p, margin));
+    if is_beyond(UNSEEN_M) {
+        return None;
+    }
+    let replaces = is_beyond(EXCESS_M);
+    if !is_missing && !replaces {
+        return None;
+    }
+    let both = edge.iter().flat_map(|p| [p.extend(height), p.extend(height - THICK_M)]);
+    let piece = convex_hull(&both.collect::<Vec<_>>(), 2 * CORNERS, 1e-9)?;
+    Some(Lid { piece, replaces })
+}
+
+/// The farthest corners in so many directions.
+fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     let extreme = |k: usize| {
-        let (sin, cos) = (std::f64::consts::TAU * k as f64 / CORNERS as f64).sin_cos();
-        rim.iter().copied().max_by(|a, b| {
-            let along = |p: &DVec2| cos * p.x + sin * p.y;
-            along(a).total_cmp(&along(b))
-        })
+        let out = DVec2::from_angle(std::f64::consts::TAU * k as f64 / CORNERS as f64);
+        outline.iter().copied().max_by(|a, b| a.dot(out).total_cmp(&b.dot(out)))
     };
-    let lid = convex_outline(&(0..CORNERS).filter_map(extreme).collect::<Vec<_>>());
-    let both = lid.iter().flat_map(|p| [p.extend(height), p.extend(height - THICK_M)]);
-    convex_hull(&both.collect::<Vec<_>>(), 2 * CORNERS, 1e-9)
+    convex_outline(&(0..CORNERS).filter_map(extreme).collect::<Vec<_>>())
+}
+
+/// The convex outline of an object's sides right below a face at a height, as they were seen. Unlabelled surface beside the object counts as
+/// its own.
+fn seen_edge(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Vec<DVec2>> {
+    let is_near = |p: &DVec3, depth: f64| {
+        let is_side = p.z > height - depth && p.z < height - MADE_UP_M;
+        is_side && is_within(outline, p.truncate(), NEAR_M)
+    };
+    let own = PointGrid::new(&carrier.cloud.points_w, LOST_M);
+    let labelled = around.points.iter().zip(&around.labels);
+    let lost = labelled.filter(|(p, l)| **l == BACKGROUND && is_near(p, LOST_M) && own.is_near(**p, LOST_M));
+    let lost: Vec<DVec2> = lost.map(|(p, _)| p.truncate()).collect();
+    let sides: Vec<DVec3> = carrier.cloud.points_w.iter().copied().filter(|p| is_near(p, SIDES_M)).collect();
+    let grid = PointGrid::new(&sides, NEAR_M);
+    // Itself is among them.
+    let kept = |p: &&DVec3| grid.within(**p, NEAR_M).len() > NEIGHBORS;
+    let sides: Vec<DVec2> = sides.iter().filter(kept).map(|p| p.truncate()).collect();
+    if sides.len() + lost.len() < FEWEST {
+        return None;
+    }
+    // The outermost Gaussians are noise; unlabelled points are means of depths.
+    let outermost = convex_outline(&sides);
+    let inner = sides.into_iter().filter(|p| !outermost.contains(p));
+    let edge = convex_outline(&inner.chain(lost).collect::<Vec<_>>());
+    Some(edge)
 }
 
 #[cfg(test)]
@@ -138,7 +201,7 @@ mod tests {
             around.labels.push(BACKGROUND);
         }
         let mut all = [bin, board];
-        add_lids(&mut all, 0.0, &around);
+        add_lids(&mut all, 0.0, 64, &around);
         let bounds = all[0].parts[1].aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
         assert!((bounds.min - DVec3::new(-0.15, -0.2, 0.49)).abs().max_element() < 0.006, "{bounds:?}");
@@ -148,7 +211,7 @@ mod tests {
     fn a_rim_that_was_seen_bears_what_lies_on_it() {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let mut all = [bin(0.007), board.clone()];
-        add_lids(&mut all, 0.0, &nothing());
+        add_lids(&mut all, 0.0, 64, &nothing());
         let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
         let bounds = lid.aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.005, "{bounds:?}");
@@ -157,7 +220,40 @@ mod tests {
         assert_eq!(all[1], board);
         // Once is enough.
         let before = all.clone();
-        add_lids(&mut all, 0.0, &nothing());
+        add_lids(&mut all, 0.0, 64, &nothing());
+        assert_eq!(all, before);
+    }
+
+    /// A seat of 0.3 × 0.4 m whose sides were seen, and whose mesh bulges 3 cm beyond them above.
+    #[test]
+    fn a_top_bears_within_the_edge_that_was_seen() {
+        let mut stool = bin(0.0);
+        stool.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.003);
+        let rim = |half: DVec2, z: f64| {
+            [-1.0, 1.0].map(|s| [-1.0, 1.0].map(|t| (half * DVec2::new(s, t)).extend(z)))
+        };
+        let corners = [rim(DVec2::new(0.15, 0.2), 0.3), rim(DVec2::new(0.18, 0.23), 0.5)];
+        stool.parts[0] = convex_hull(&corners.concat().concat(), 64, 0.0).unwrap();
+        let lamp = cuboid("lamp", DVec3::splat(0.02), DVec3::Z * 0.52).parts.remove(0);
+        let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
+        let mut all = [stool.clone(), board.clone()];
+        add_lids(&mut all, 0.0, 64, &nothing());
+        let [seat, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
+        assert!((seat.aabb().unwrap().max.z - (0.5 - LOWERED_M)).abs() < 1e-9);
+        let bounds = lid.aabb().unwrap();
+        assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
+        assert!((bounds.min.truncate() - DVec2::new(-0.15, -0.2)).abs().max_element() < 0.006, "{bounds:?}");
+        assert_eq!(all[1], board);
+        // A piece of it that was seen to reach up beside the board is left, and a top that ends where it was seen to end.
+        let mut post = stool.clone();
+        post.parts.push(lamp.transformed(&DPose3::from_translation(DVec3::new(0.0, 0.4, 0.0))));
+        let mut all = [post.clone(), board.clone()];
+        add_lids(&mut all, 0.0, 64, &nothing());
+        assert_eq!(all[0].parts[1], post.parts[1]);
+        let mut all = [bin(0.0), board];
+        all[0].parts = cuboid("seat", DVec3::new(0.15, 0.2, 0.1), DVec3::Z * 0.4).parts;
+        let before = all.clone();
+        add_lids(&mut all, 0.0, 64, &nothing());
         assert_eq!(all, before);
     }
 
@@ -165,12 +261,12 @@ mod tests {
     fn what_was_seen_to_end_lower_bears_nothing_and_nothing_is_put_into_others() {
         let high = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.52));
         let mut all = [bin(0.007), high];
-        add_lids(&mut all, 0.0, &nothing());
+        add_lids(&mut all, 0.0, 64, &nothing());
         assert_eq!(all[0].parts.len(), 1);
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let inside = cuboid("bottle", DVec3::new(0.02, 0.02, 0.2), DVec3::new(0.13, 0.0, 0.295));
         let mut all = [bin(0.007), board, inside];
-        add_lids(&mut all, 0.0, &nothing());
+        add_lids(&mut all, 0.0, 64, &nothing());
         assert_eq!(all[0].parts.len(), 1);
     }
 }

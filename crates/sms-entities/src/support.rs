@@ -1,6 +1,7 @@
 //! What objects rest on.
 
 use crate::grid::{PointGrid, median, quantile};
+use crate::outline::{convex_outline, is_within};
 use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::{DMat4, DVec3, DVec4};
@@ -184,7 +185,10 @@ pub(crate) fn find_rest(
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
         return match support {
             Some(h) if lowest - h < 0.04 => rest(Plane::horizontal(h), Carrier::Floor, &[]),
-            _ => rest(Plane::horizontal(lowest), Carrier::Unseen, &[]),
+            _ => match carrier_by_its_sides(&foot, lowest, label, around) {
+                Some((carrier, top)) => rest(Plane::horizontal(top), Carrier::Object(carrier), &[]),
+                None => rest(Plane::horizontal(lowest), Carrier::Unseen, &[]),
+            },
         };
     };
     let mut votes: BTreeMap<u16, usize> = BTreeMap::new();
@@ -201,9 +205,49 @@ pub(crate) fn find_rest(
             return rest(Plane::horizontal(h), Carrier::Floor, &members);
         }
     }
-    let carrier = if most == sms_core::BACKGROUND { Carrier::Environment } else { Carrier::Object(most) };
-    rest(plane, carrier, &members)
+    if most == sms_core::BACKGROUND {
+        return rest(plane, Carrier::Environment, &members);
+    }
+    // What was seen of an object's top beside what stands on it is often a strip, which says little of how it leans.
+    let heights: Vec<f64> = members.iter().map(|&i| around.points[i].z).collect();
+    let height = median(heights.clone());
+    let off = median(heights.iter().map(|z| (z - height).abs()).collect());
+    let is_level = plane.normal.z > LEANS.cos() && off < LEVEL_M;
+    rest(if is_level { Plane::horizontal(height) } else { plane }, Carrier::Object(most), &members)
 }
+
+/// A top that leans less than this, radians, and half of whose points lie within this height of their middle, metres, is level.
+const LEANS: f64 = 0.09;
+const LEVEL_M: f64 = 0.002;
+
+/// The object below a foot that ends where the foot begins, and where: of an open bin under a board cameras see the sides alone.
+fn carrier_by_its_sides(
+    foot: &[DVec3],
+    lowest: f64,
+    label: u16,
+    around: &Surroundings,
+) -> Option<(u16, f64)> {
+    const LEAST: usize = 50;
+    let outline = convex_outline(&foot.iter().map(|p| p.truncate()).collect::<Vec<_>>());
+    if outline.len() < 3 {
+        return None;
+    }
+    let mut below: BTreeMap<u16, Vec<f64>> = BTreeMap::new();
+    for (p, &l) in around.points.iter().zip(&around.labels) {
+        let is_there = l != label && l != sms_core::BACKGROUND && p.z > lowest - SIDES_M;
+        if is_there && is_within(&outline, p.truncate(), 0.0) {
+            below.entry(l).or_default().push(p.z);
+        }
+    }
+    let (carrier, heights) = below.into_iter().max_by_key(|(l, z)| (z.len(), std::cmp::Reverse(*l)))?;
+    let count = heights.len();
+    let top = quantile(heights, 0.95);
+    (count >= LEAST && top < lowest + ENDS_M).then_some((carrier, top))
+}
+
+/// Heights below an object's lowest points in which sides of its carrier are looked for, and above them, metres.
+const SIDES_M: f64 = 0.04;
+const ENDS_M: f64 = 0.02;
 
 /// Reach, horizontally from the foot, of what surrounds it, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
@@ -342,4 +386,77 @@ pub(crate) fn least_squares_plane(points: &[DVec3]) -> Option<Plane> {
     let normal = principal_axes(moments)?.1[0];
     let normal = if normal.z < 0.0 { -normal } else { normal };
     Some(Plane { normal, offset: normal.dot(mean) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOX: u16 = 1;
+    const STOOL: u16 = 2;
+
+    /// Sides of a box of 20 cm that ends at 0.45 m.
+    fn sides_of_box() -> Vec<DVec3> {
+        let at = |i: u32, z: u32| {
+            let (s, side) = (0.01 * f64::from(i % 20) - 0.1, i / 20);
+            let z = 0.452 + 0.01 * f64::from(z);
+            match side {
+                0 => DVec3::new(s, -0.1, z),
+                1 => DVec3::new(0.1, s, z),
+                2 => DVec3::new(-s, 0.1, z),
+                _ => DVec3::new(-0.1, -s, z),
+            }
+        };
+        (0..15).flat_map(|z| (0..80).map(move |i| at(i, z))).collect()
+    }
+
+    fn seen(points: impl Iterator<Item = DVec3>, normal: DVec3) -> Surroundings {
+        let points: Vec<DVec3> = points.collect();
+        let count = points.len();
+        Surroundings {
+            points,
+            normals: vec![normal; count],
+            labels: vec![STOOL; count],
+            colors: vec![[0; 3]; count],
+        }
+    }
+
+    fn grid(x: [f64; 2], y: [f64; 2]) -> impl Iterator<Item = DVec3> {
+        let step = |range: [f64; 2], k: u32| range[0] + (range[1] - range[0]) * f64::from(k) / 19.0;
+        (0..400).map(move |k| DVec3::new(step(x, k / 20), step(y, k % 20), 0.45))
+    }
+
+    fn rest_of_box(around: &Surroundings) -> Rest {
+        find_rest(&sides_of_box(), BOX, around, Some(0.0), Seed(3))
+    }
+
+    #[test]
+    fn a_strip_of_a_top_says_nothing_of_how_it_leans() {
+        // 3 cm beside the box, leaning by 4° as grazing depth has it.
+        let lean = |p: DVec3| p.with_z(0.45 + 0.07 * (p.x - 0.12));
+        let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(lean), DVec3::Z));
+        assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
+        assert!((rest.plane.offset - 0.45).abs() < 1e-3, "{}", rest.plane.offset);
+        // A board that leans as much was seen all round.
+        let sloping = grid([-0.13, 0.13], [-0.13, 0.13]).map(|p| p.with_z(0.45 + 0.07 * p.x));
+        let rest = rest_of_box(&seen(sloping, DVec3::Z));
+        assert!((rest.plane.normal.x + 0.07).abs() < 0.01, "{}", rest.plane.normal);
+    }
+
+    #[test]
+    fn a_carrier_of_which_only_sides_were_seen_ends_where_they_end() {
+        let wall = |x: f64, high: f64| {
+            let at =
+                move |k: u32| DVec3::new(x, 0.02 * f64::from(k % 8) - 0.07, high - 0.002 * f64::from(k / 8));
+            (0..80).map(at)
+        };
+        let bin = || wall(-0.08, 0.451).chain(wall(0.08, 0.451));
+        let rest = rest_of_box(&seen(bin(), DVec3::X));
+        assert_eq!(rest.carrier, Carrier::Object(STOOL));
+        assert!((rest.plane.offset - 0.45).abs() < 2e-3, "{}", rest.plane.offset);
+        // What reaches up through the box, or stands beside it, carries nothing.
+        for other in [wall(0.0, 0.5), wall(0.14, 0.451)] {
+            assert_eq!(rest_of_box(&seen(other, DVec3::X)).carrier, Carrier::Unseen);
+        }
+    }
 }

@@ -10,7 +10,8 @@ use sms_core::{
 };
 use sms_scene::{Body, BodyKind, BodyShape, floor_body};
 use sms_sim::{
-    BodyState, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless, resting_drift,
+    BodyState, LoadTest, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless, resting_drift,
+    tipping_load_n,
 };
 
 fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
@@ -442,5 +443,36 @@ fn a_prism_stands_on_all_corners_of_its_base() {
             let stands = drift.iter().all(|d| d.moved_m < 1e-3 && d.turned_rad < 2e-3);
             assert!(stands, "{} {left_out}: {drift:?}", factory.engine());
         }
+    }
+}
+
+/// A plank on a block, 24 cm of its 60 beyond the block's edge: the law of the lever about that edge.
+#[test]
+fn a_plank_tips_under_the_load_of_the_lever() {
+    let surface = || material(0.6, 0.0, 0.0);
+    let at = |x, z| DPose3::from_translation(DVec3::new(x, 0.0, z));
+    let block = cuboid("block", at(0.0, 0.2), DVec3::new(0.1, 0.1, 0.2), BodyKind::Static, surface());
+    let plank = cuboid("plank", at(0.04, 0.41), DVec3::new(0.3, 0.1, 0.01), BodyKind::Dynamic, surface());
+    let mass = plank.mass.unwrap().mass();
+    let world = scene(G, vec![floor(surface()), block, plank]);
+    for factory in factories() {
+        let load = |body: &str, x: f64| {
+            let p_w = DVec3::new(x, 0.0, 0.42);
+            tipping_load_n(factory, &world, body, p_w, &LoadTest::default()).unwrap()
+        };
+        let most = LoadTest::default().most_n;
+        for x in [0.34, 0.2, -0.26] {
+            // Arms of weight and load about the edge that the load is beyond.
+            let (weight_arm, load_arm) = if x > 0.0 { (0.06, x - 0.1) } else { (0.14, -0.1 - x) };
+            let statics = mass * G * weight_arm / load_arm;
+            let found = load("plank", x);
+            println!("{}: {found:?} N of {statics:.3} at {x}", factory.engine());
+            match found {
+                Some(n) => assert!((n / statics - 1.0).abs() < 0.01, "{n} N, {statics} N"),
+                None => assert!(statics > most),
+            }
+        }
+        // Over the block nothing tips, and what cannot move bears anything.
+        assert_eq!((load("plank", 0.05), load("block", 0.05), load("nobody", 0.0)), (None, None, None));
     }
 }

@@ -14,7 +14,8 @@ use crate::device::Device;
 use clap::Args;
 use sms_bench::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
-    LandingScan, LandingSight, landing_metrics, landing_table, read_landings, run_landings, scan_landings,
+    LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics, landing_table, read_landings,
+    run_landings, scan_landings,
 };
 use sms_core::{InputError, Seed, Warnings};
 use sms_landing::LandingSettings;
@@ -98,9 +99,13 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
                 scan.held.iter().map(|d| format!("; stays fixed: {}", drift_text(d))).collect();
             let stuck = scan.stuck.as_ref().map(|s| format!("; {}", stuck_text(s))).unwrap_or_default();
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
-            context.say(format!("scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}"));
+            let stands = scan.standing.as_ref().map(standing_text).unwrap_or_default();
+            context.say(format!(
+                "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{stands}"
+            ));
         };
-        return Ok(scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?);
+        let scans = scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+        return if context.json { context.print_json(&landing_scan_metrics(&scans)) } else { Ok(()) };
     }
     if !a.table {
         let line = |f: &LandingFlight| context.say(flight_line(f));
@@ -209,6 +214,26 @@ fn prompting(context: &Context, keep: &Path, seed: Seed) -> anyhow::Result<Landi
         }
     };
     Ok(baseline("visual_prompting", &model, choose))
+}
+
+/// How it stands by itself and what tips it, beside the truth.
+fn standing_text(standing: &Standing) -> String {
+    let drift =
+        format!("; drifts {:.2} mm, {:.2}° in 2 s", 1e3 * standing.drift_m, standing.drift_rad.to_degrees());
+    let (Some(load), Some([end, own]), Some([_, worst])) =
+        (standing.loads.first(), standing.end_errors(), standing.worst_errors())
+    else {
+        return drift;
+    };
+    format!(
+        "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, up to {:+.0} % \
+         elsewhere on its edge)",
+        load.told_n,
+        1e2 * end,
+        load.truth_n,
+        1e2 * own,
+        1e2 * worst
+    )
 }
 
 fn flight_line(f: &LandingFlight) -> String {

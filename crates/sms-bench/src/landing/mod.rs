@@ -9,10 +9,12 @@ mod options;
 mod result;
 mod run;
 mod sight;
+mod stand;
 mod table;
 
 pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingPart};
 pub use result::{LandingFlight, LandingPlanned, read_landings};
 pub use run::{LandingScan, run_landing, run_landings, scan_landings};
 pub use sight::LandingSight;
-pub use table::{landing_metrics, landing_table};
+pub use stand::{EdgeLoad, Standing};
+pub use table::{landing_metrics, landing_scan_metrics, landing_table};

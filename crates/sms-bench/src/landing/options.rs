@@ -11,7 +11,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 /// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
 pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();

@@ -2,6 +2,7 @@
 
 use super::result::{OURS, kept};
 use super::sight::Recorded;
+use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
 use crate::billiards::seen::{forget_material, scanned, tell_matched};
 use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
@@ -77,6 +78,8 @@ pub struct LandingScan {
     pub held: Vec<RestingDrift>,
     /// Bodies that have to stay fixed for another one's sake.
     pub stuck: Option<Stuck>,
+    /// How the structure stands and when it tips; `None` where there is no surface to land on.
+    pub standing: Option<Standing>,
 }
 
 /// Only scans the structures and makes their bodies, where they are not kept, and calls `done` after each. Planning can go on from
@@ -89,7 +92,8 @@ pub fn scan_landings(
     done: &dyn Fn(&LandingScan),
     progress: &dyn Progress,
     cancel: &Cancel,
-) -> Result<(), BenchError> {
+) -> Result<Vec<LandingScan>, BenchError> {
+    let mut scans = Vec::new();
     for &number in &bench.scenes {
         cancel.check()?;
         let truth = landing_scene(number as u64);
@@ -98,11 +102,19 @@ pub fn scan_landings(
         let seen = see(scene, &truth, part)?;
         let task = task_of(&seen.scene, &truth, part);
         let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
+        let planned_in = freed.as_ref().map_or(&seen.scene, |f| &f.scene);
+        let standing = match task.resolve(planned_in) {
+            Ok(landing) => Some(standing(planned_in, &truth, landing.structure(), &landing.surface().body)?),
+            Err(e) if e.input().is_some() => None,
+            Err(e) => return Err(e.into()),
+        };
         let (freed, held, stuck) = freed.map_or_else(Default::default, |f| (f.bodies, f.held, f.stuck));
-        let objects = truth.objects.len();
-        done(&LandingScan { scene: number, matched: seen.matched, objects, freed, held, stuck });
+        let (matched, objects) = (seen.matched, truth.objects.len());
+        let scan = LandingScan { scene: number, matched, objects, freed, held, stuck, standing };
+        done(&scan);
+        scans.push(scan);
     }
-    Ok(())
+    Ok(scans)
 }
 
 /// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads what is kept of it.

@@ -2,7 +2,7 @@
 
 use super::options::word;
 use super::result::OURS;
-use super::{LANDING_SCENES, LandingFlight, LandingPlanned};
+use super::{LANDING_SCENES, LandingFlight, LandingPlanned, LandingScan};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
@@ -89,6 +89,20 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
         metrics.set(format!("bench.landing.mean.{key}"), values.iter().sum::<f64>() / values.len() as f64);
     }
     metrics.set("bench.landing.flights", flights.len() as f64);
+    metrics
+}
+
+/// `bench.landing.{scene}.{matched_share,drift_m,drift_rad,tipping_load_end_error,…}` of scans in which nothing was planned yet.
+pub fn landing_scan_metrics(scans: &[LandingScan]) -> Metrics {
+    let mut metrics = Metrics::new();
+    for scan in scans {
+        let word = word(scan.scene);
+        let share = scan.matched as f64 / scan.objects.max(1) as f64;
+        metrics.set(format!("bench.landing.{word}.matched_share"), share);
+        if let Some(standing) = &scan.standing {
+            standing.tell(&word, &mut metrics);
+        }
+    }
     metrics
 }
 

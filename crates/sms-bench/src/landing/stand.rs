@@ -1,0 +1,168 @@
+//! Whether what was scanned stands as it does in truth, and tips under the same load.
+
+use crate::BenchError;
+use glamx::DVec2;
+use sms_core::{MassProperties, metrics::Metrics};
+use sms_landing::LandingError;
+use sms_scene::Scene;
+use sms_sim::{LoadTest, RapierFactory, resting_drift, tipping_load_n};
+use sms_synth::{LandingTruth, TruthScene};
+use sms_target::{TargetError, match_bodies, scene_from_truth};
+
+/// Time that the structure is left alone, seconds.
+const STANDS_S: f64 = 2.0;
+/// Loads above this do not tell of a landing: three quadrotors, newtons.
+const MOST_N: f64 = 35.0;
+
+/// The least load straight down at a point of the platform that topples the structure, newtons; infinite where none does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EdgeLoad {
+    /// The point, in the world of the truth, metres.
+    pub p_w: DVec2,
+    /// By statics of the true contacts.
+    pub truth_n: f64,
+    /// In the planner's world, with the masses that it was told.
+    pub told_n: f64,
+    /// In the planner's world with the true masses: what is left is geometry.
+    pub true_masses_n: f64,
+}
+
+/// How a scanned structure stands.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Standing {
+    /// How far the body that comes farthest comes by itself in 2 s, metres.
+    pub drift_m: f64,
+    /// The most that one turns by itself in 2 s, radians.
+    pub drift_rad: f64,
+    /// Loads at corners of the platform, in the middles of its edges and, first, at the overhang's end, as far as less than three
+    /// quadrotors tip it there in truth.
+    pub loads: Vec<EdgeLoad>,
+}
+
+impl Standing {
+    /// Share by which the load at the overhang's end differs from the truth, with the masses told and with the true ones; infinite where
+    /// no load tips it.
+    pub fn end_errors(&self) -> Option<[f64; 2]> {
+        self.loads.first().map(EdgeLoad::errors)
+    }
+
+    /// The largest such shares of all points.
+    pub fn worst_errors(&self) -> Option<[f64; 2]> {
+        let worst = |a: [f64; 2], b: [f64; 2]| {
+            let larger = |i: usize| if b[i].abs() > a[i].abs() { b[i] } else { a[i] };
+            [larger(0), larger(1)]
+        };
+        self.loads.iter().map(EdgeLoad::errors).reduce(worst)
+    }
+
+    pub(super) fn tell(&self, word: &str, metrics: &mut Metrics) {
+        let mut set = |key: &str, value: f64| {
+            metrics.set(format!("bench.landing.{word}.{key}"), value);
+        };
+        set("drift_m", self.drift_m);
+        set("drift_rad", self.drift_rad);
+        let told = [("end", self.end_errors()), ("worst", self.worst_errors())];
+        for (which, [error, geometry]) in told.into_iter().filter_map(|(which, e)| Some((which, e?))) {
+            set(&format!("tipping_load_{which}_error"), error);
+            set(&format!("tipping_load_{which}_error_true_masses"), geometry);
+        }
+    }
+}
+
+impl EdgeLoad {
+    fn errors(&self) -> [f64; 2] {
+        [self.told_n, self.true_masses_n].map(|n| n / self.truth_n - 1.0)
+    }
+}
+
+/// Lets the planner's structure stand, and loads its platform.
+pub(super) fn standing(
+    scene: &Scene,
+    truth: &TruthScene,
+    structure: &[String],
+    platform: &str,
+) -> Result<Standing, BenchError> {
+    let scene = scene.without_pictures();
+    let drifts = resting_drift(&RapierFactory, &scene, STANDS_S).map_err(LandingError::from)?;
+    let most = |of: &dyn Fn(&sms_sim::RestingDrift) -> f64| {
+        drifts.iter().filter(|d| structure.contains(&d.body)).map(of).fold(0.0, f64::max)
+    };
+    let mut found =
+        Standing { drift_m: most(&|d| d.moved_m), drift_rad: most(&|d| d.turned_rad), loads: Vec::new() };
+    let Some(landing) = &truth.landing else { return Ok(found) };
+    let weighed = with_true_masses(&scene, truth)?;
+    let test = LoadTest { most_n: 4.0 * MOST_N, ..LoadTest::default() };
+    for p_w in points(landing) {
+        let Some(truth_n) = truth.tipping_load_n(p_w).filter(|n| (0.0..MOST_N).contains(n)) else { continue };
+        let at_w = scene.x_world_recording.transform_point(p_w.extend(landing.top_m));
+        let load = |scene: &Scene| {
+            let load = tipping_load_n(&RapierFactory, scene, platform, at_w, &test);
+            load.map(|n| n.unwrap_or(f64::INFINITY)).map_err(LandingError::from)
+        };
+        found.loads.push(EdgeLoad { p_w, truth_n, told_n: load(&scene)?, true_masses_n: load(&weighed)? });
+    }
+    Ok(found)
+}
+
+/// The overhang's end, corners, and middles of edges.
+fn points(landing: &LandingTruth) -> Vec<DVec2> {
+    let corners: Vec<DVec2> = landing.outline_w.iter().map(|&q| q.into()).collect();
+    let mut points = vec![DVec2::from(landing.end_w)];
+    for (i, &a) in corners.iter().enumerate() {
+        let middle = a.midpoint(corners[(i + 1) % corners.len()]);
+        points.extend([a, middle].into_iter().filter(|p| p.distance(points[0]) > 1e-6).collect::<Vec<_>>());
+    }
+    points
+}
+
+/// The scene with the masses of the truth where a body is in a true one's place.
+fn with_true_masses(scene: &Scene, truth: &TruthScene) -> Result<Scene, BenchError> {
+    let mut there = scene_from_truth(truth).map_err(TargetError::from)?;
+    for body in &mut there.bodies {
+        body.x_wb = scene.x_world_recording * body.x_wb;
+    }
+    let mut weighed = scene.clone();
+    for (own, other) in match_bodies(scene, &there) {
+        let (Some(i), Some(object)) = (weighed.body_index(&own), truth.object(&other)) else { continue };
+        let Some(was) = weighed.bodies[i].mass else { continue };
+        let mass = object.mass.mass();
+        let scaled = MassProperties::new(mass, was.com(), was.inertia() * (mass / was.mass()));
+        weighed.bodies[i].mass = scaled.ok().or(Some(was));
+    }
+    Ok(weighed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_synth::LandingStructure;
+
+    /// With true geometry and masses the planner's engine agrees with statics; what is heavier by a fifth bears a fifth more.
+    #[test]
+    fn true_structures_tip_under_the_loads_of_statics() {
+        for structure in LandingStructure::ALL {
+            let truth = structure.fixed();
+            let mut scene = scene_from_truth(&truth).unwrap();
+            let names: Vec<String> = truth.objects.iter().map(|o| o.name.clone()).collect();
+            for body in &mut scene.bodies {
+                if let Some(m) = body.mass {
+                    let heavier = MassProperties::new(1.2 * m.mass(), m.com(), m.inertia() * 1.2);
+                    body.mass = Some(heavier.unwrap());
+                }
+            }
+            let platform = truth.landing.as_ref().unwrap().platform.clone();
+            let found = standing(&scene, &truth, &names, &platform).unwrap();
+            assert!(found.drift_m < 1e-3, "{}: {} m", truth.name, found.drift_m);
+            assert!(found.loads.len() > 1);
+            for l in &found.loads {
+                println!(
+                    "{} {:.2}: {:.2} {:.2} {:.2}",
+                    truth.name, l.p_w, l.truth_n, l.told_n, l.true_masses_n
+                );
+            }
+            let ([told, own], [_, worst]) = (found.end_errors().unwrap(), found.worst_errors().unwrap());
+            assert!((told - 0.2).abs() < 0.06 && own.abs() < 0.05, "{}: {told}, {own}", truth.name);
+            assert!(worst.abs() < 0.08, "{}: {worst}", truth.name);
+        }
+    }
+}
