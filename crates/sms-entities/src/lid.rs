@@ -28,8 +28,7 @@ const NEIGHBORS: usize = 3;
 const NEAR_M: f64 = 0.02;
 /// What ends this near to what lies on it bears it, once it has settled, metres.
 const TOUCH_M: f64 = 1e-3;
-/// Faces of contact may end before the edge that was seen, or beyond it, by so much, metres; farther beyond than the last the edge
-/// was not seen.
+/// Faces of contact may end before the edge that was seen, or beyond it, by so much, metres; farther beyond than the last, it is no bulge.
 const MISSING_M: f64 = 0.008;
 const EXCESS_M: f64 = 0.004;
 const UNSEEN_M: f64 = 0.06;
@@ -96,17 +95,20 @@ struct Lid {
 fn lid(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Lid> {
     let tops = carrier.parts.iter().flat_map(|part| under(part, outline));
     let touching = outline_of(tops.filter(|p| (p.z - height).abs() < TOUCH_M));
-    let edge = common(&seen_edge(carrier, outline, height, around)?, outline);
-    let edge = simplified(&convex_outline(&edge));
+    let seen = seen_sides(carrier, outline, height, around)?;
+    // Where no side was seen the edge is a guess, and the mesh another.
+    let is_guessed = |p: &&DVec2| {
+        let there = nearest_on(&seen.edge, **p);
+        p.distance(there) > UNSEEN_M || !seen.points.iter().any(|q| q.distance(there) < NEAR_M)
+    };
+    let guessed = touching.iter().filter(|p| !is_within(&seen.edge, **p, EXCESS_M)).filter(is_guessed);
+    let edge = convex_outline(&seen.edge.iter().chain(guessed).copied().collect::<Vec<_>>());
+    let edge = simplified(&convex_outline(&common(&edge, outline)));
     if edge.len() < 3 || width(&edge) < NARROW_M {
         return None;
     }
     let is_missing = touching.len() < 3 || edge.iter().any(|&p| !is_within(&touching, p, MISSING_M));
-    let is_beyond = |margin: f64| touching.iter().any(|&p| !is_within(&edge, p, margin));
-    if is_beyond(UNSEEN_M) {
-        return None;
-    }
-    let replaces = is_beyond(EXCESS_M);
+    let replaces = touching.iter().any(|&p| !is_within(&edge, p, EXCESS_M));
     if !is_missing && !replaces {
         return None;
     }
@@ -124,9 +126,25 @@ fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     convex_outline(&(0..CORNERS).filter_map(extreme).collect::<Vec<_>>())
 }
 
-/// The convex outline of an object's sides right below a face at a height, as they were seen. Unlabelled surface beside the object counts as
-/// its own.
-fn seen_edge(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Vec<DVec2>> {
+/// The place of an outline that is nearest to a point outside of it.
+fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
+    let on = |i: usize| {
+        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
+        a + (b - a) * ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0)
+    };
+    let places = (0..outline.len()).map(on);
+    places.min_by(|a, b| a.distance_squared(p).total_cmp(&b.distance_squared(p))).unwrap_or(p)
+}
+
+/// What was seen of an object's sides, from above.
+struct Sides {
+    points: Vec<DVec2>,
+    /// Their convex outline.
+    edge: Vec<DVec2>,
+}
+
+/// An object's sides right below a face at a height, as they were seen. Unlabelled surface beside the object counts as its own.
+fn seen_sides(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Sides> {
     let is_near = |p: &DVec3, depth: f64| {
         let is_side = p.z > height - depth && p.z < height - MADE_UP_M;
         is_side && is_within(outline, p.truncate(), NEAR_M)
@@ -146,8 +164,9 @@ fn seen_edge(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surround
     // The outermost Gaussians are noise; unlabelled points are means of depths.
     let outermost = convex_outline(&sides);
     let inner = sides.into_iter().filter(|p| !outermost.contains(p));
-    let edge = convex_outline(&inner.chain(lost).collect::<Vec<_>>());
-    Some(edge)
+    let points: Vec<DVec2> = inner.chain(lost).collect();
+    let edge = convex_outline(&points);
+    (edge.len() >= 3).then_some(Sides { points, edge })
 }
 
 #[cfg(test)]
@@ -250,6 +269,13 @@ mod tests {
         let mut all = [post.clone(), board.clone()];
         add_lids(&mut all, 0.0, 64, &nothing());
         assert_eq!(all[0].parts[1], post.parts[1]);
+        // Its back was not seen: there the mesh is the better guess.
+        let mut half = stool.clone();
+        half.cloud.points_w.retain(|p| p.y < 0.0);
+        let mut all = [half, board.clone()];
+        add_lids(&mut all, 0.0, 64, &nothing());
+        let bounds = all[0].parts[1].aabb().unwrap();
+        assert!((bounds.min.y + 0.2).abs() < 0.006 && bounds.max.y > 0.22, "{bounds:?}");
         let mut all = [bin(0.0), board];
         all[0].parts = cuboid("seat", DVec3::new(0.15, 0.2, 0.1), DVec3::Z * 0.4).parts;
         let before = all.clone();

@@ -239,10 +239,17 @@ fn carrier_by_its_sides(
             below.entry(l).or_default().push(p.z);
         }
     }
-    let (carrier, heights) = below.into_iter().max_by_key(|(l, z)| (z.len(), std::cmp::Reverse(*l)))?;
-    let count = heights.len();
-    let top = quantile(heights, 0.95);
-    (count >= LEAST && top < lowest + ENDS_M).then_some((carrier, top))
+    // What lies on the object is over its foot, too.
+    let ends = |(carrier, heights): (u16, Vec<f64>)| {
+        let count = heights.len();
+        let top = quantile(heights, 0.95);
+        (count >= LEAST && top < lowest + ENDS_M).then_some((count, carrier, top))
+    };
+    let most = below
+        .into_iter()
+        .filter_map(ends)
+        .max_by_key(|&(count, carrier, _)| (count, std::cmp::Reverse(carrier)))?;
+    Some((most.1, most.2))
 }
 
 /// Heights below an object's lowest points in which sides of its carrier are looked for, and above them, metres.
