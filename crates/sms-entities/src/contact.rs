@@ -125,12 +125,16 @@ fn part_pair(
     for entity in [a, b] {
         entity.parts.retain(|p| !p.triangles.is_empty());
         // What cuts left thinner than engines take goes, where there is more of the object.
-        let is_thick = |p: &Mesh| 2.0 * p.volume() > THINNEST * p.area();
         if entity.parts.iter().any(is_thick) {
             entity.parts.retain(is_thick);
         }
     }
     deepest
+}
+
+/// Whether a convex piece is as thick as engines need it.
+pub(crate) fn is_thick(part: &Mesh) -> bool {
+    2.0 * part.volume() > THINNEST * part.area()
 }
 
 /// Largest distance that an exact solid is moved to part it from another, metres.

@@ -2,8 +2,8 @@
 //! centimetres, and of an open bin, whose wall is thin, it ends millimetres too low, or nowhere. What stands there would tip at another
 //! edge than in truth. What was seen is the sides, up to millimetres below the face, and they say where its edge is.
 
-use crate::contact::{Piece, cut_to, is_exact, pieces_near};
-use crate::grid::PointGrid;
+use crate::contact::{Piece, cut_to, is_exact, is_thick, pieces_near};
+use crate::grid::{PointGrid, quantile};
 use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
 use crate::support::Surroundings;
@@ -17,11 +17,13 @@ const CORNERS: usize = 24;
 const FEWEST: usize = 30;
 /// Thickness of a lid, metres.
 const THICK_M: f64 = 0.01;
-/// Sides are looked at from this far below the face, metres ...
-const SIDES_M: f64 = 0.01;
-/// (... unlabelled ones this far below it, and this near to the object: masks lose strips between two things)
+/// Masks lose a strip between two things: a carrier that was seen to end within this below the face ends there, metres.
+const STRIP_M: f64 = 0.012;
+/// Sides are looked at where they end, over so much of their height, metres.
+const SIDES_M: f64 = 0.008;
+/// Unlabelled surface this far below the face, and this near to the object, is its own, metres.
 const LOST_M: f64 = 0.03;
-/// ... up to this far below it: between the two objects surface is made up.
+/// This near to the face surface is made up, metres.
 const MADE_UP_M: f64 = 0.002;
 /// Seen points have so many others within this, metres: else they are noise.
 const NEIGHBORS: usize = 3;
@@ -79,8 +81,13 @@ fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertice
         let touches = || under(part, outline).iter().any(|p| p.z > height - LOWERED_M);
         high < height + REACH_M && high > height - LOWERED_M && touches()
     };
-    let lowered =
-        |part: &mut Mesh| !is_bearing(part) || cut_to(part, DVec3::Z, height - LOWERED_M, max_vertices, 1e-6);
+    let lowered = |part: &mut Mesh| {
+        if !is_bearing(part) {
+            return true;
+        }
+        let is_left = cut_to(part, DVec3::Z, height - LOWERED_M, max_vertices, 1e-6);
+        is_left && is_thick(part)
+    };
     // The lid takes the place of what lies in the last millimetre altogether.
     parts.retain_mut(lowered);
 }
@@ -145,15 +152,22 @@ struct Sides {
 
 /// An object's sides right below a face at a height, as they were seen. Unlabelled surface beside the object counts as its own.
 fn seen_sides(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Sides> {
-    let is_near = |p: &DVec3, depth: f64| {
-        let is_side = p.z > height - depth && p.z < height - MADE_UP_M;
+    let is_near = |p: &DVec3| {
+        let is_side = p.z > height - LOST_M && p.z < height - MADE_UP_M;
         is_side && is_within(outline, p.truncate(), NEAR_M)
     };
     let own = PointGrid::new(&carrier.cloud.points_w, LOST_M);
     let labelled = around.points.iter().zip(&around.labels);
-    let lost = labelled.filter(|(p, l)| **l == BACKGROUND && is_near(p, LOST_M) && own.is_near(**p, LOST_M));
-    let lost: Vec<DVec2> = lost.map(|(p, _)| p.truncate()).collect();
-    let sides: Vec<DVec3> = carrier.cloud.points_w.iter().copied().filter(|p| is_near(p, SIDES_M)).collect();
+    let lost = labelled.filter(|(p, l)| **l == BACKGROUND && is_near(p) && own.is_near(**p, LOST_M));
+    let lost: Vec<DVec3> = lost.map(|(p, _)| *p).collect();
+    let mut sides: Vec<DVec3> = carrier.cloud.points_w.iter().copied().filter(is_near).collect();
+    let end = |of: &[DVec3]| (!of.is_empty()).then(|| quantile(of.iter().map(|p| p.z).collect(), 0.98));
+    let (own_end, lost_end) = (end(&sides)?, end(&lost));
+    if own_end.max(lost_end.unwrap_or(own_end)) < height - STRIP_M {
+        return None;
+    }
+    sides.retain(|p| p.z > own_end - SIDES_M);
+    let lost: Vec<DVec2> = lost.iter().map(|p| p.truncate()).collect();
     let grid = PointGrid::new(&sides, NEAR_M);
     // Itself is among them.
     let kept = |p: &&DVec3| grid.within(**p, NEAR_M).len() > NEIGHBORS;

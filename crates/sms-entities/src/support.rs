@@ -185,8 +185,8 @@ pub(crate) fn find_rest(
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
         return match support {
             Some(h) if lowest - h < 0.04 => rest(Plane::horizontal(h), Carrier::Floor, &[]),
-            _ => match carrier_by_its_sides(&foot, lowest, label, around) {
-                Some((carrier, top)) => rest(Plane::horizontal(top), Carrier::Object(carrier), &[]),
+            _ => match carrier_by_its_sides(points, &foot, label, around) {
+                Some((carrier, end)) => rest(Plane::horizontal(end), Carrier::Object(carrier), &[]),
                 None => rest(Plane::horizontal(lowest), Carrier::Unseen, &[]),
             },
         };
@@ -220,10 +220,10 @@ pub(crate) fn find_rest(
 const LEANS: f64 = 0.09;
 const LEVEL_M: f64 = 0.002;
 
-/// The object below a foot that ends where the foot begins, and where: of an open bin under a board cameras see the sides alone.
+/// The object below a foot of which cameras see the sides alone (an open bin under a board), and the height of the foot.
 fn carrier_by_its_sides(
+    points: &[DVec3],
     foot: &[DVec3],
-    lowest: f64,
     label: u16,
     around: &Surroundings,
 ) -> Option<(u16, f64)> {
@@ -232,9 +232,10 @@ fn carrier_by_its_sides(
     if outline.len() < 3 {
         return None;
     }
+    let end = lower_end(points);
     let mut below: BTreeMap<u16, Vec<f64>> = BTreeMap::new();
     for (p, &l) in around.points.iter().zip(&around.labels) {
-        let is_there = l != label && l != sms_core::BACKGROUND && p.z > lowest - SIDES_M;
+        let is_there = l != label && l != sms_core::BACKGROUND && p.z > end - SIDES_M;
         if is_there && is_within(&outline, p.truncate(), 0.0) {
             below.entry(l).or_default().push(p.z);
         }
@@ -242,19 +243,31 @@ fn carrier_by_its_sides(
     // What lies on the object is over its foot, too.
     let ends = |(carrier, heights): (u16, Vec<f64>)| {
         let count = heights.len();
-        let top = quantile(heights, 0.95);
-        (count >= LEAST && top < lowest + ENDS_M).then_some((count, carrier, top))
+        (count >= LEAST && quantile(heights, 0.95) < end + ENDS_M).then_some((count, carrier))
     };
     let most = below
         .into_iter()
         .filter_map(ends)
-        .max_by_key(|&(count, carrier, _)| (count, std::cmp::Reverse(carrier)))?;
-    Some((most.1, most.2))
+        .max_by_key(|&(count, carrier)| (count, std::cmp::Reverse(carrier)))?;
+    Some((most.1, end))
 }
 
-/// Heights below an object's lowest points in which sides of its carrier are looked for, and above them, metres.
+/// Where an object ends below: where there begin to be many points. Strays lie up to centimetres lower.
+fn lower_end(points: &[DVec3]) -> f64 {
+    const BIN_M: f64 = 0.002;
+    const BINS: usize = 15;
+    let low = quantile(points.iter().map(|p| p.z).collect(), 0.005);
+    let bin = |p: &DVec3| ((p.z - low) / BIN_M).floor();
+    let mut counts = [0usize; BINS];
+    points.iter().map(bin).filter(|b| (0.0..BINS as f64).contains(b)).for_each(|b| counts[b as usize] += 1);
+    let most = counts.iter().copied().max().unwrap_or(0);
+    let first = counts.iter().position(|&n| 4 * n >= most).unwrap_or(0);
+    median(points.iter().filter(|p| bin(p) == first as f64).map(|p| p.z).collect())
+}
+
+/// Sides of a carrier are looked for this far below an object's end, and may seem to reach this far above it, metres.
 const SIDES_M: f64 = 0.04;
-const ENDS_M: f64 = 0.02;
+const ENDS_M: f64 = 0.005;
 
 /// Reach, horizontally from the foot, of what surrounds it, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
@@ -460,9 +473,13 @@ mod tests {
         let bin = || wall(-0.08, 0.451).chain(wall(0.08, 0.451));
         let rest = rest_of_box(&seen(bin(), DVec3::X));
         assert_eq!(rest.carrier, Carrier::Object(STOOL));
-        assert!((rest.plane.offset - 0.45).abs() < 2e-3, "{}", rest.plane.offset);
-        // What reaches up through the box, or stands beside it, carries nothing.
-        for other in [wall(0.0, 0.5), wall(0.14, 0.451)] {
+        assert!((rest.plane.offset - 0.452).abs() < 1e-9, "{}", rest.plane.offset);
+        // Strays below it say nothing.
+        let strays = (0..40).map(|k| DVec3::new(0.0, 0.0, 0.43 + 5e-4 * f64::from(k)));
+        let strayed: Vec<DVec3> = sides_of_box().into_iter().chain(strays).collect();
+        assert!((lower_end(&strayed) - 0.452).abs() < 1e-3, "{}", lower_end(&strayed));
+        // What reaches up into the box (with its mask), or stands beside it, carries nothing.
+        for other in [wall(0.0, 0.5), wall(0.0, 0.468), wall(0.14, 0.451)] {
             assert_eq!(rest_of_box(&seen(other, DVec3::X)).carrier, Carrier::Unseen);
         }
     }
