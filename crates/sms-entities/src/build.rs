@@ -12,7 +12,7 @@ use crate::recognise::{recognise_sphere, sunk};
 use crate::sphere::SphereFit;
 use crate::stack;
 use crate::support::{self, Carrier, Rest, Surroundings};
-use crate::underside::{is_over, outline_on_plane};
+use crate::underside::{is_over, outline_on_plane, return_sides, return_undersides};
 use crate::views::Views;
 use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
@@ -31,6 +31,8 @@ pub(crate) const STAGE: &str = "materialize";
 pub(crate) struct Draft {
     pub(crate) info: LabelInfo,
     pub(crate) cloud: PointCloud,
+    /// What has its label below the face that it stands on: not its own.
+    pub(crate) below: PointCloud,
     /// Distance between neighbouring points of the cloud, metres.
     pub(crate) spacing: f64,
     pub(crate) rest: Rest,
@@ -81,6 +83,8 @@ pub fn build_entities(
         joined = join_pieces(&mut drafts, &views, &around, config, seed, warnings);
         fix_floating(&mut drafts, &around, warnings);
     }
+    return_sides(&mut drafts);
+    return_undersides(&mut drafts);
     // From here on what was joined has one label.
     let mut own_labels;
     let views = if joined.is_empty() {
@@ -244,9 +248,9 @@ fn draft(
             "scan the surface around it",
         );
     }
-    drop_carrier_points(&mut cloud, &rest);
+    let below = drop_carrier_points(&mut cloud, &rest);
     let sphere = recognise_sphere(&cloud, views, around, info.id, &rest, config, seed);
-    Some(Draft { info: info.clone(), cloud, spacing, rest, sphere, fixed: false })
+    Some(Draft { info: info.clone(), cloud, below, spacing, rest, sphere, fixed: false })
 }
 
 /// What touches another object but could not stay where it is by itself is a piece of that object that its mask
@@ -384,22 +388,21 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     highest.iter().all(|&z| z > -fit.radius - give)
 }
 
-/// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own.
-/// No more than the plane's scatter is taken, because the floor of a thin dish lies just over it.
-fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) {
-    let top = cloud.points_w.iter().map(|&p| rest.plane.height_over(p)).fold(0.0, f64::max);
+/// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own. Gives those that
+/// lie below.
+fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
+    const BELOW_M: f64 = -0.003;
+    let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height_over(p)).collect();
+    let top = heights.iter().copied().fold(0.0, f64::max);
     // A thin object's top may be this near to the plane itself.
     let band = (0.15 * top).min((4.0 * rest.noise_m).clamp(0.0008, 0.003));
-    let keep: Vec<bool> = cloud
-        .points_w
-        .iter()
-        .zip(&cloud.normals_w)
-        .map(|(&p, n)| {
-            let h = rest.plane.height_over(p);
-            h > -0.003 && !(h < band && n.dot(rest.plane.normal) > 0.8)
-        })
-        .collect();
-    if keep.iter().filter(|&&k| k).count() >= 20 {
-        cloud::retain(cloud, &keep);
+    let is_own = |(h, n): (&f64, &DVec3)| *h > BELOW_M && !(*h < band && n.dot(rest.plane.normal) > 0.8);
+    let keep: Vec<bool> = heights.iter().zip(&cloud.normals_w).map(is_own).collect();
+    if keep.iter().filter(|&&k| k).count() < 20 {
+        return PointCloud::default();
     }
+    let mut below = cloud.clone();
+    cloud::retain(&mut below, &heights.iter().map(|h| *h <= BELOW_M).collect::<Vec<_>>());
+    cloud::retain(cloud, &keep);
+    below
 }

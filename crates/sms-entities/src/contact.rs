@@ -1,8 +1,9 @@
 //! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
 
 use crate::level::LevelFace;
-use crate::stack::can_carry;
-use glamx::{DPose3, DQuat, DVec3};
+use crate::outline::is_within;
+use crate::stack::{REACH_M, bottom_outline, can_carry};
+use glamx::{DPose3, DQuat, DVec2, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
 use sms_convex::{clip, convex_hull};
@@ -76,6 +77,8 @@ fn part_pair(
     max_vertices: usize,
 ) -> f64 {
     let level = level_between(entities, faces, first, second);
+    let foot = level
+        .map(|(_, second_is_upper)| bottom_outline(&entities[if second_is_upper { second } else { first }]));
     let (left, right) = entities.split_at_mut(second);
     let (a, b) = (&mut left[first], &mut right[0]);
     let either_moves = a.kind == EntityKind::Dynamic || b.kind == EntityKind::Dynamic;
@@ -91,7 +94,7 @@ fn part_pair(
         for j in 0..piece_count(b) {
             // Each cut lessens the overlap along one direction; a few suffice for convex pieces.
             for _ in 0..4 {
-                let Some((mut normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
+                let Some((normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
                 let depth = (on_a - on_b).dot(normal);
                 deepest = deepest.max(depth);
                 let middle = match (is_exact(a), is_exact(b)) {
@@ -103,17 +106,23 @@ fn part_pair(
                     (false, true) => on_b,
                     (false, false) => 0.5 * (on_a + on_b),
                 };
-                let mut offset = normal.dot(middle);
-                if let Some((height, second_is_upper)) = level {
+                let between = (normal, normal.dot(middle));
+                let at_face = level.and_then(|(height, second_is_upper)| {
                     let up = if second_is_upper { DVec3::Z } else { DVec3::NEG_Z };
-                    if (middle.z - height).abs() < AT_FACE_M && normal.dot(up) > ALONG {
-                        let end = if is_exact(a) || is_exact(b) { middle.z } else { height };
-                        (normal, offset) = (up, up.z * end);
-                    }
-                }
-                let cut_a = is_exact(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
-                let cut_b = is_exact(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
-                if !cut_a || !cut_b {
+                    let end = if is_exact(a) || is_exact(b) { middle.z } else { height };
+                    let is_at_face = (middle.z - height).abs() < AT_FACE_M && normal.dot(up) > ALONG;
+                    let lower = if second_is_upper { (&*a, i) } else { (&*b, j) };
+                    let foot = foot.as_deref().unwrap_or_default();
+                    let ends_there =
+                        is_exact(lower.0) || !reaches_beside(&lower.0.parts[lower.1], foot, height);
+                    (is_at_face && ends_there).then_some((up, up.z * end))
+                });
+                let mut cut_along = |(normal, offset): (DVec3, f64)| {
+                    let cut_a = is_exact(a) || cut(&mut a.parts[i], normal, offset, max_vertices);
+                    let cut_b = is_exact(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
+                    cut_a && cut_b
+                };
+                if !(at_face.is_some_and(&mut cut_along) || cut_along(between)) {
                     break;
                 }
             }
@@ -130,6 +139,11 @@ fn part_pair(
         }
     }
     deepest
+}
+
+/// Whether a piece reaches far above a face beside the outline of what stands on it: it was seen there, and stays.
+fn reaches_beside(part: &Mesh, outline: &[DVec2], height: f64) -> bool {
+    part.vertices.iter().any(|v| v.z > height + REACH_M && !is_within(outline, v.truncate(), 0.0))
 }
 
 /// Whether a convex piece is as thick as engines need it.
@@ -353,6 +367,26 @@ mod tests {
         translate(&mut pair[0], DVec3::X * 0.02);
         let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);
+    }
+
+    #[test]
+    fn what_reaches_up_beside_a_level_face_is_parted_where_it_is_deepest() {
+        // An upright of 20 cm beside a block that stands 5 mm in it, 10 cm up.
+        let block = entity(DVec3::new(0.0, 0.0, 0.15), 0.05, None);
+        let mut upright = entity(DVec3::new(0.095, 0.0, 0.1), 0.05, None);
+        upright.parts[0].vertices.iter_mut().for_each(|v| v.z = if v.z > 0.1 { 0.2 } else { 0.0 });
+        let faces = [LevelFace { upper: 0, height: 0.1 }];
+        let mut pair = [block.clone(), upright.clone()];
+        part_objects(&mut pair, &faces, 64, 1e-4);
+        let (left, right) = (pair[0].parts[0].aabb().unwrap(), pair[1].parts[0].aabb().unwrap());
+        assert!((left.max.x - right.min.x).abs() < 1e-6 && right.max.z == 0.2, "{right:?}");
+        // A lid of 4 mm that bulges 15 mm over the face: a level cut would leave too little of it.
+        let mut lid = entity(DVec3::ZERO, 0.05, None);
+        lid.parts[0].vertices.iter_mut().for_each(|v| v.z = if v.z > 0.0 { 0.115 } else { 0.097 });
+        let mut pair = [block, lid];
+        part_objects(&mut pair, &faces, 64, 1e-4);
+        let (upper, lower) = (pair[0].parts[0].aabb().unwrap(), pair[1].parts[0].aabb().unwrap());
+        assert!((upper.min.z - lower.max.z).abs() < 1e-6 && lower.max.z > 0.1, "{lower:?}");
     }
 
     #[test]

@@ -5,12 +5,14 @@
 //!
 //! 1. `cloud`: the Gaussians classified as the object, without islands and without what the frames contradict, become
 //!    an even, oriented surface cloud.
-//! 2. `support`, `underside`: what it rests on is found, and the contact area that no camera saw is closed.
+//! 2. `support`, `underside`: what it rests on is found, labels that bled over the edge between the two are put right, and the contact
+//!    area that no camera saw is closed.
 //! 3. `sphere`: round objects become spheres, whatever they are called.
 //! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes; `primitive`: boxes and
 //!    cylinders that explain what was seen take the place of theirs.
 //! 5. crate `sms-convex`: meshes are split into convex parts for physics.
-//! 6. `contact`: parts of different objects that overlap are cut apart.
+//! 6. `level`, `contact`, `stack`, `lid`: where one stands on another, both get the level face that was seen or follows from the sides
+//!    that were seen; parts of different objects that overlap are cut apart, gaps are closed.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
 //! 8. `texture` ([`bake_textures`]): meshes get pictures from the frames.
 //!

@@ -15,19 +15,26 @@ use sms_core::{BACKGROUND, Entity, Mesh};
 const CORNERS: usize = 24;
 /// Fewer points say nothing of an edge.
 const FEWEST: usize = 30;
-/// Thickness of a lid, metres.
+/// Thickness of a lid, metres, where its carrier is as high, and the least.
 const THICK_M: f64 = 0.01;
-/// Masks lose a strip between two things: a carrier that was seen to end within this below the face ends there, metres.
+const THIN_M: f64 = 0.002;
+/// Masks lose a strip between two things: a carrier that was seen to end within this below the face ends there, metres. Where another one
+/// bears what stands there, only what ends within [`REACH_M`] does.
 const STRIP_M: f64 = 0.012;
 /// Sides are looked at where they end, over so much of their height, metres.
 const SIDES_M: f64 = 0.008;
-/// Unlabelled surface this far below the face, and this near to the object, is its own, metres.
+/// Unlabelled sides this far below the face, and this near to the object, are its own, metres.
 const LOST_M: f64 = 0.03;
+/// Sides look up or down by less than this (sine): a level surface is the table beside the object, or the underside of what stands on it.
+const UPRIGHT: f64 = 0.7;
 /// This near to the face surface is made up, metres.
 const MADE_UP_M: f64 = 0.002;
-/// Seen points have so many others within this, metres: else they are noise.
+/// Seen points have more than so many others within [`NEAR_M`], metres: else they are noise.
 const NEIGHBORS: usize = 3;
+/// What is this near to a place was seen there.
 const NEAR_M: f64 = 0.02;
+/// Sides end a bulge where they look the way it reaches (cosine of the angle between, seen from above).
+const FACES: f64 = 0.5;
 /// What ends this near to what lies on it bears it, once it has settled, metres.
 const TOUCH_M: f64 = 1e-3;
 /// Faces of contact may end before the edge that was seen, or beyond it, by so much, metres; farther beyond than the last, it is no bulge.
@@ -53,8 +60,16 @@ pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, max_vertices: usize,
             if is_exact(carrier) || !can_carry(carrier, height) {
                 continue;
             }
-            let Some(lid) = lid(carrier, &outline, height, around) else { continue };
-            if !is_clear(&lid.piece, lower, entities) {
+            let others = || (0..entities.len()).filter(|&i| i != lower && i != upper).map(|i| &entities[i]);
+            let bears = |e: &Entity| can_carry(e, height) && touches(e, &outline, height);
+            let strip = if others().any(bears) { REACH_M } else { STRIP_M };
+            let Some(lid) = lid(carrier, &outline, height, strip, around) else { continue };
+            // What is lowered for one would be lowered below the other.
+            let is_shared = |e: &Entity| {
+                let foot = bottom_outline(e);
+                (bottom(e) - height).abs() < REACH_M && touches(carrier, &foot, bottom(e))
+            };
+            if !is_clear(&lid.piece, lower, entities) || lid.replaces && others().any(is_shared) {
                 continue;
             }
             if lid.replaces {
@@ -63,6 +78,13 @@ pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, max_vertices: usize,
             entities[lower].parts.push(lid.piece);
         }
     }
+}
+
+/// Whether what has this outline, and ends at a height, touches an object.
+fn touches(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
+    let is_near = |p: &DVec3| (p.z - height).abs() < TOUCH_M;
+    let of = |piece: &Mesh| under(piece, outline).iter().any(is_near);
+    outline.len() >= 3 && if is_exact(carrier) { of(&carrier.mesh) } else { carrier.parts.iter().any(of) }
 }
 
 /// Whether a piece is in none of the others.
@@ -98,20 +120,23 @@ struct Lid {
     replaces: bool,
 }
 
-/// `None` where the shape ends at the edge that was seen, or none was.
-fn lid(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Lid> {
+/// `None` where the shape ends at the edge that was seen, or none was within `strip` of the face.
+fn lid(carrier: &Entity, outline: &[DVec2], height: f64, strip: f64, around: &Surroundings) -> Option<Lid> {
     let tops = carrier.parts.iter().flat_map(|part| under(part, outline));
     let touching = outline_of(tops.filter(|p| (p.z - height).abs() < TOUCH_M));
-    let seen = seen_sides(carrier, outline, height, around)?;
-    // Where no side was seen the edge is a guess, and the mesh another.
+    let seen = seen_sides(carrier, outline, height, strip, around)?;
+    // Where no side was seen that looks there the edge is a guess, and the mesh another.
     let is_guessed = |p: &&DVec2| {
-        let there = nearest_on(&seen.edge, **p);
-        p.distance(there) > UNSEEN_M || !seen.points.iter().any(|q| q.distance(there) < NEAR_M)
+        let edge = nearest_on(&seen.edge, **p);
+        let out = (**p - edge).normalize_or_zero();
+        let ends = |side: &Side| side.p.distance(edge) < NEAR_M && side.normal.dot(out) > FACES;
+        p.distance(edge) > UNSEEN_M || !seen.sides.iter().any(ends)
     };
     let guessed = touching.iter().filter(|p| !is_within(&seen.edge, **p, EXCESS_M)).filter(is_guessed);
     let edge = convex_outline(&seen.edge.iter().chain(guessed).copied().collect::<Vec<_>>());
     let edge = simplified(&convex_outline(&common(&edge, outline)));
-    if edge.len() < 3 || width(&edge) < NARROW_M {
+    let thickness = THICK_M.min(height - bottom(carrier));
+    if edge.len() < 3 || width(&edge) < NARROW_M || thickness < THIN_M {
         return None;
     }
     let is_missing = touching.len() < 3 || edge.iter().any(|&p| !is_within(&touching, p, MISSING_M));
@@ -119,7 +144,7 @@ fn lid(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) 
     if !is_missing && !replaces {
         return None;
     }
-    let both = edge.iter().flat_map(|p| [p.extend(height), p.extend(height - THICK_M)]);
+    let both = edge.iter().flat_map(|p| [p.extend(height), p.extend(height - thickness)]);
     let piece = convex_hull(&both.collect::<Vec<_>>(), 2 * CORNERS, 1e-9)?;
     Some(Lid { piece, replaces })
 }
@@ -143,44 +168,72 @@ fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
     places.min_by(|a, b| a.distance_squared(p).total_cmp(&b.distance_squared(p))).unwrap_or(p)
 }
 
+/// A point that was seen of a side, from above.
+#[derive(Clone, Copy)]
+struct Side {
+    p: DVec2,
+    /// Where the side looks: of unit length, or nothing where it looks up or down.
+    normal: DVec2,
+}
+
+impl Side {
+    fn new(p: DVec3, normal: DVec3) -> Self {
+        Self { p: p.truncate(), normal: normal.truncate().normalize_or_zero() }
+    }
+}
+
 /// What was seen of an object's sides, from above.
 struct Sides {
-    points: Vec<DVec2>,
+    sides: Vec<Side>,
     /// Their convex outline.
     edge: Vec<DVec2>,
 }
 
-/// An object's sides right below a face at a height, as they were seen. Unlabelled surface beside the object counts as its own.
-fn seen_sides(carrier: &Entity, outline: &[DVec2], height: f64, around: &Surroundings) -> Option<Sides> {
-    let is_near = |p: &DVec3| {
+/// An object's sides right below a face at a height, as they were seen. Unlabelled sides beside the object count as its own.
+fn seen_sides(
+    carrier: &Entity,
+    outline: &[DVec2],
+    height: f64,
+    strip: f64,
+    around: &Surroundings,
+) -> Option<Sides> {
+    let is_near = |p: DVec3| {
         let is_side = p.z > height - LOST_M && p.z < height - MADE_UP_M;
         is_side && is_within(outline, p.truncate(), NEAR_M)
     };
-    let own = PointGrid::new(&carrier.cloud.points_w, LOST_M);
-    let labelled = around.points.iter().zip(&around.labels);
-    let lost = labelled.filter(|(p, l)| **l == BACKGROUND && is_near(p) && own.is_near(**p, LOST_M));
-    let lost: Vec<DVec3> = lost.map(|(p, _)| *p).collect();
-    let mut sides: Vec<DVec3> = carrier.cloud.points_w.iter().copied().filter(is_near).collect();
-    let end = |of: &[DVec3]| (!of.is_empty()).then(|| quantile(of.iter().map(|p| p.z).collect(), 0.98));
-    let (own_end, lost_end) = (end(&sides)?, end(&lost));
-    if own_end.max(lost_end.unwrap_or(own_end)) < height - STRIP_M {
+    let cloud = &carrier.cloud;
+    let own = PointGrid::new(&cloud.points_w, LOST_M);
+    let unlabelled = (0..around.points.len()).filter(|&i| around.labels[i] == BACKGROUND);
+    let is_lost = |&i: &usize| {
+        let (p, normal) = (around.points[i], around.normals[i]);
+        normal.z.abs() < UPRIGHT && is_near(p) && own.is_near(p, LOST_M)
+    };
+    let lost: Vec<usize> = unlabelled.filter(is_lost).collect();
+    let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
+    let is_own = |&i: &usize| is_near(cloud.points_w[i]) && normal(i).z.abs() < UPRIGHT;
+    let mut sides: Vec<usize> = (0..cloud.points_w.len()).filter(is_own).collect();
+    let end = |heights: Vec<f64>| (!heights.is_empty()).then(|| quantile(heights, 0.98));
+    let own_end = end(sides.iter().map(|&i| cloud.points_w[i].z).collect())?;
+    let lost_end = end(lost.iter().map(|&i| around.points[i].z).collect());
+    if own_end.max(lost_end.unwrap_or(own_end)) < height - strip {
         return None;
     }
-    sides.retain(|p| p.z > own_end - SIDES_M);
-    let lost: Vec<DVec2> = lost.iter().map(|p| p.truncate()).collect();
-    let grid = PointGrid::new(&sides, NEAR_M);
+    sides.retain(|&i| cloud.points_w[i].z > own_end - SIDES_M);
+    let points: Vec<DVec3> = sides.iter().map(|&i| cloud.points_w[i]).collect();
+    let grid = PointGrid::new(&points, NEAR_M);
     // Itself is among them.
-    let kept = |p: &&DVec3| grid.within(**p, NEAR_M).len() > NEIGHBORS;
-    let sides: Vec<DVec2> = sides.iter().filter(kept).map(|p| p.truncate()).collect();
+    sides.retain(|&i| grid.within(cloud.points_w[i], NEAR_M).len() > NEIGHBORS);
     if sides.len() + lost.len() < FEWEST {
         return None;
     }
+    let sides: Vec<Side> = sides.into_iter().map(|i| Side::new(cloud.points_w[i], normal(i))).collect();
     // The outermost Gaussians are noise; unlabelled points are means of depths.
-    let outermost = convex_outline(&sides);
-    let inner = sides.into_iter().filter(|p| !outermost.contains(p));
-    let points: Vec<DVec2> = inner.chain(lost).collect();
-    let edge = convex_outline(&points);
-    (edge.len() >= 3).then_some(Sides { points, edge })
+    let outermost = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
+    let inner = sides.into_iter().filter(|s| !outermost.contains(&s.p));
+    let lost = lost.into_iter().map(|i| Side::new(around.points[i], around.normals[i]));
+    let sides: Vec<Side> = inner.chain(lost).collect();
+    let edge = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
+    (edge.len() >= 3).then_some(Sides { sides, edge })
 }
 
 #[cfg(test)]
@@ -201,16 +254,18 @@ mod tests {
         let mut bin = cuboid("bin", DVec3::new(0.1, 0.12, half), DVec3::Z * half);
         for k in 0..700 {
             let (along, z) = (f64::from(k % 350) / 350.0 * 1.4, 0.499 - 0.003 * f64::from(k / 350));
-            let p = match along {
-                a if a < 0.3 => DVec2::new(a - 0.15, -0.2),
-                a if a < 0.7 => DVec2::new(0.15, a - 0.5),
-                a if a < 1.0 => DVec2::new(0.85 - a, 0.2),
-                a => DVec2::new(-0.15, 1.2 - a),
+            let (p, normal) = match along {
+                a if a < 0.3 => (DVec2::new(a - 0.15, -0.2), DVec3::NEG_Y),
+                a if a < 0.7 => (DVec2::new(0.15, a - 0.5), DVec3::X),
+                a if a < 1.0 => (DVec2::new(0.85 - a, 0.2), DVec3::Y),
+                a => (DVec2::new(-0.15, 1.2 - a), DVec3::NEG_X),
             };
             bin.cloud.points_w.push(p.extend(z));
+            bin.cloud.normals_w.push(normal);
         }
         // Noise far outside.
         bin.cloud.points_w.push(DVec3::new(0.25, 0.0, 0.499));
+        bin.cloud.normals_w.push(DVec3::X);
         bin
     }
 
@@ -285,7 +340,9 @@ mod tests {
         assert_eq!(all[0].parts[1], post.parts[1]);
         // Its back was not seen: there the mesh is the better guess.
         let mut half = stool.clone();
-        half.cloud.points_w.retain(|p| p.y < 0.0);
+        let (points, normals): (Vec<_>, Vec<_>) =
+            half.cloud.points_w.iter().zip(&half.cloud.normals_w).filter(|(p, _)| p.y < 0.0).unzip();
+        (half.cloud.points_w, half.cloud.normals_w) = (points, normals);
         let mut all = [half, board.clone()];
         add_lids(&mut all, 0.0, 64, &nothing());
         let bounds = all[0].parts[1].aabb().unwrap();
@@ -295,6 +352,66 @@ mod tests {
         let before = all.clone();
         add_lids(&mut all, 0.0, 64, &nothing());
         assert_eq!(all, before);
+    }
+
+    #[test]
+    fn a_table_beside_a_book_is_no_side_of_it() {
+        // Half of the board is over the book, 2 cm above a table that no label has.
+        let mut book = cuboid("book", DVec3::new(0.1, 0.15, 0.01), DVec3::Z * 0.49);
+        for k in 0..1200 {
+            let (i, j) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 29.0);
+            let side = |p: DVec3, n: DVec3| (p, n);
+            let (p, n) = match k % 3 {
+                0 => side(DVec3::new(0.1, 0.3 * i - 0.15, 0.481 + 0.018 * j), DVec3::X),
+                1 => side(DVec3::new(0.2 * i - 0.1, 0.15, 0.481 + 0.018 * j), DVec3::Y),
+                _ => side(DVec3::new(0.2 * i - 0.1, -0.15, 0.481 + 0.018 * j), DVec3::NEG_Y),
+            };
+            book.cloud.points_w.push(p);
+            book.cloud.normals_w.push(n);
+        }
+        let board = cuboid("board", DVec3::new(0.3, 0.1, 0.006), DVec3::new(0.2, 0.0, 0.506));
+        let mut around = nothing();
+        for k in 0..400 {
+            let (i, j) = (f64::from(k % 20) / 19.0, f64::from(k / 20) / 19.0);
+            around.points.push(DVec3::new(0.102 + 0.3 * i, 0.3 * j - 0.15, 0.48));
+            around.normals.push(DVec3::Z);
+            around.colors.push([0; 3]);
+            around.labels.push(BACKGROUND);
+        }
+        let mut all = [book, board];
+        let before = all.clone();
+        add_lids(&mut all, 0.0, 64, &around);
+        assert_eq!(all, before);
+    }
+
+    #[test]
+    fn two_that_stand_on_one_top_keep_it() {
+        let board = |y: f64| cuboid("board", DVec3::new(0.2, 0.1, 0.006), DVec3::new(0.0, y, 0.506));
+        let mut seat = bin(0.0);
+        seat.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.003);
+        // Its mesh reaches 3 cm farther than its sides were seen.
+        seat.parts = cuboid("seat", DVec3::new(0.18, 0.23, 0.25), DVec3::Z * 0.25).parts;
+        let mut alone = [seat.clone(), board(-0.12)];
+        add_lids(&mut alone, 0.0, 64, &nothing());
+        assert_eq!(alone[0].parts.len(), 2);
+        let mut both = [seat.clone(), board(-0.12), board(0.12)];
+        add_lids(&mut both, 0.0, 64, &nothing());
+        assert_eq!(both[0], seat);
+    }
+
+    #[test]
+    fn a_rim_is_not_raised_to_what_stands_on_another() {
+        let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
+        let post = cuboid("post", DVec3::new(0.05, 0.05, 0.25), DVec3::new(0.0, -0.7, 0.25));
+        // Seen to end 7 mm below the board.
+        let mut low = bin(0.007);
+        low.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.007);
+        let mut all = [low.clone(), board.clone()];
+        add_lids(&mut all, 0.0, 64, &nothing());
+        assert_eq!(all[0].parts.len(), 2);
+        let mut all = [low.clone(), board, post];
+        add_lids(&mut all, 0.0, 64, &nothing());
+        assert_eq!(all[0], low);
     }
 
     #[test]

@@ -54,6 +54,11 @@ pub(crate) fn width(outline: &[DVec2]) -> f64 {
     (0..outline.len()).map(across).fold(f64::INFINITY, f64::min)
 }
 
+/// Area of a convex outline, square metres.
+pub(crate) fn area(outline: &[DVec2]) -> f64 {
+    (0..outline.len()).map(|i| 0.5 * outline[i].perp_dot(outline[(i + 1) % outline.len()])).sum()
+}
+
 /// Whether two convex outlines have a point in common; one of fewer than three corners as the points or the line it has.
 pub(crate) fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     let parted_by = |p: &[DVec2], q: &[DVec2]| {
@@ -114,7 +119,6 @@ mod tests {
 
     #[test]
     fn what_two_outlines_have_in_common() {
-        let area = |p: &[DVec2]| (0..p.len()).map(|i| 0.5 * p[i].perp_dot(p[(i + 1) % p.len()])).sum::<f64>();
         assert!((width(&square(0.3, 0.0, 0.2)) - 0.4).abs() < 1e-12);
         assert_eq!(width(&[DVec2::ZERO, DVec2::X]), 0.0);
         let both = common(&square(0.0, 0.0, 1.0), &square(1.5, 0.5, 1.0));

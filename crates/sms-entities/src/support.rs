@@ -1,7 +1,7 @@
 //! What objects rest on.
 
 use crate::grid::{PointGrid, median, quantile};
-use crate::outline::{convex_outline, is_within};
+use crate::outline::{area, is_within, outline_of};
 use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::{DMat4, DVec3, DVec4};
@@ -185,7 +185,7 @@ pub(crate) fn find_rest(
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
         return match support {
             Some(h) if lowest - h < 0.04 => rest(Plane::horizontal(h), Carrier::Floor, &[]),
-            _ => match carrier_by_its_sides(points, &foot, label, around) {
+            _ => match carrier_by_its_sides(points, label, around) {
                 Some((carrier, end)) => rest(Plane::horizontal(end), Carrier::Object(carrier), &[]),
                 None => rest(Plane::horizontal(lowest), Carrier::Unseen, &[]),
             },
@@ -208,42 +208,49 @@ pub(crate) fn find_rest(
     if most == sms_core::BACKGROUND {
         return rest(plane, Carrier::Environment, &members);
     }
-    // What was seen of an object's top beside what stands on it is often a strip, which says little of how it leans.
+    // What was seen of an object's top beside what stands on it is often a strip, which says little of how it leans. All round it a lean
+    // was seen.
     let heights: Vec<f64> = members.iter().map(|&i| around.points[i].z).collect();
     let height = median(heights.clone());
     let off = median(heights.iter().map(|z| (z - height).abs()).collect());
-    let is_level = plane.normal.z > LEANS.cos() && off < LEVEL_M;
+    let mut seen = [false; SECTORS];
+    members.iter().for_each(|&i| seen[sector(around.points[i] - center)] = true);
+    let is_strip = seen.iter().filter(|s| **s).count() < ALL_ROUND;
+    let noise = median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect());
+    let is_level = plane.normal.z > LEANS.cos() && off < LEVEL_M && (is_strip || off < CLEARER * noise);
     rest(if is_level { Plane::horizontal(height) } else { plane }, Carrier::Object(most), &members)
 }
 
 /// A top that leans less than this, radians, and half of whose points lie within this height of their middle, metres, is level.
 const LEANS: f64 = 0.09;
 const LEVEL_M: f64 = 0.002;
+/// A top that was seen in so many directions leans where its points scatter so many times less about the plane that leans.
+const ALL_ROUND: usize = 6;
+const CLEARER: f64 = 1.5;
 
 /// The object below a foot of which cameras see the sides alone (an open bin under a board), and the height of the foot.
-fn carrier_by_its_sides(
-    points: &[DVec3],
-    foot: &[DVec3],
-    label: u16,
-    around: &Surroundings,
-) -> Option<(u16, f64)> {
+fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> Option<(u16, f64)> {
     const LEAST: usize = 50;
-    let outline = convex_outline(&foot.iter().map(|p| p.truncate()).collect::<Vec<_>>());
+    let end = lower_end(points);
+    let high = quantile(points.iter().map(|p| p.z).collect(), 0.98);
+    let is_foot = |p: &DVec3| p.z > end - ENDS_M && p.z < end + (0.3 * (high - end)).max(0.01);
+    let outline = outline_of(points.iter().copied().filter(is_foot));
     if outline.len() < 3 {
         return None;
     }
-    let end = lower_end(points);
-    let mut below: BTreeMap<u16, Vec<f64>> = BTreeMap::new();
+    let mut below: BTreeMap<u16, Vec<DVec3>> = BTreeMap::new();
     for (p, &l) in around.points.iter().zip(&around.labels) {
         let is_there = l != label && l != sms_core::BACKGROUND && p.z > end - SIDES_M;
         if is_there && is_within(&outline, p.truncate(), 0.0) {
-            below.entry(l).or_default().push(p.z);
+            below.entry(l).or_default().push(*p);
         }
     }
-    // What lies on the object is over its foot, too.
-    let ends = |(carrier, heights): (u16, Vec<f64>)| {
-        let count = heights.len();
-        (count >= LEAST && quantile(heights, 0.95) < end + ENDS_M).then_some((count, carrier))
+    // What lies on the object is over its foot, too; what is as wide as the foot may be the lower part of the same thing.
+    let ends = |(carrier, sides): (u16, Vec<DVec3>)| {
+        let high = quantile(sides.iter().map(|p| p.z).collect(), 0.95);
+        let is_end = high > end - STRIP_M && high < end + ENDS_M;
+        let is_narrow = area(&outline) > WIDER * area(&outline_of(sides.iter().copied()));
+        (sides.len() >= LEAST && is_end && is_narrow).then_some((sides.len(), carrier))
     };
     let most = below
         .into_iter()
@@ -252,22 +259,27 @@ fn carrier_by_its_sides(
     Some((most.1, end))
 }
 
-/// Where an object ends below: where there begin to be many points. Strays lie up to centimetres lower.
+/// Where an object ends below: where there begin to be as many points as usual for its lower half. Strays of its label lie up to
+/// centimetres lower.
 fn lower_end(points: &[DVec3]) -> f64 {
     const BIN_M: f64 = 0.002;
-    const BINS: usize = 15;
-    let low = quantile(points.iter().map(|p| p.z).collect(), 0.005);
-    let bin = |p: &DVec3| ((p.z - low) / BIN_M).floor();
-    let mut counts = [0usize; BINS];
-    points.iter().map(bin).filter(|b| (0.0..BINS as f64).contains(b)).for_each(|b| counts[b as usize] += 1);
-    let most = counts.iter().copied().max().unwrap_or(0);
-    let first = counts.iter().position(|&n| 4 * n >= most).unwrap_or(0);
-    median(points.iter().filter(|p| bin(p) == first as f64).map(|p| p.z).collect())
+    let heights: Vec<f64> = points.iter().map(|p| p.z).collect();
+    let (low, middle) = (quantile(heights.clone(), 0.005), median(heights.clone()));
+    let bin = |z: f64| ((z - low) / BIN_M).floor();
+    let mut counts = vec![0usize; bin(middle) as usize + 1];
+    let below = heights.iter().filter(|&&z| z >= low && bin(z) < counts.len() as f64);
+    below.map(|&z| bin(z) as usize).collect::<Vec<_>>().into_iter().for_each(|b| counts[b] += 1);
+    let usual = counts.iter().sum::<usize>().div_ceil(counts.len());
+    let first = counts.iter().position(|&n| 3 * n >= usual).unwrap_or(0);
+    median(heights.into_iter().filter(|&z| bin(z) == first as f64).collect())
 }
 
-/// Sides of a carrier are looked for this far below an object's end, and may seem to reach this far above it, metres.
+/// Sides of a carrier are looked for this far below an object's end, and end within these distances below and above it, metres. The
+/// object's foot is so much larger than what they enclose.
 const SIDES_M: f64 = 0.04;
+const STRIP_M: f64 = 0.012;
 const ENDS_M: f64 = 0.005;
+const WIDER: f64 = 1.5;
 
 /// Reach, horizontally from the foot, of what surrounds it, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
@@ -457,6 +469,19 @@ mod tests {
         let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(lean), DVec3::Z));
         assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
         assert!((rest.plane.offset - 0.45).abs() < 1e-3, "{}", rest.plane.offset);
+        // Small, and seen all round, a board leans as well.
+        let small: Vec<DVec3> = sides_of_box()
+            .iter()
+            .map(|p| p.with_z(0.45 + 0.25 * (p.z - 0.45)) * DVec3::new(0.25, 0.25, 1.0))
+            .collect();
+        let noise = |p: DVec3| 3e-4 * (900.0 * p.x + 1700.0 * p.y).sin();
+        let all_round = |slope: f64| {
+            grid([-0.05, 0.05], [-0.05, 0.05]).map(move |p| p.with_z(0.45 + slope * p.x + noise(p)))
+        };
+        let rest = find_rest(&small, BOX, &seen(all_round(0.07), DVec3::Z), Some(0.0), Seed(3));
+        assert!((rest.plane.normal.x + 0.07).abs() < 0.01, "{}", rest.plane.normal);
+        let rest = find_rest(&small, BOX, &seen(all_round(0.003), DVec3::Z), Some(0.0), Seed(3));
+        assert_eq!(rest.plane.normal, DVec3::Z);
         // A board that leans as much was seen all round.
         let sloping = grid([-0.13, 0.13], [-0.13, 0.13]).map(|p| p.with_z(0.45 + 0.07 * p.x));
         let rest = rest_of_box(&seen(sloping, DVec3::Z));

@@ -1,8 +1,11 @@
-//! Closing what no camera saw: the contact area on the surface below.
+//! Faces that look down: closing what no camera saw, the contact area on the surface below, and giving what was seen of it to whom it
+//! belongs.
 
-use crate::grid::quantile;
+use crate::build::Draft;
+use crate::cloud;
+use crate::grid::{PointGrid, quantile};
 use crate::outline::{convex_outline, is_within};
-use crate::support::{Plane, Rest};
+use crate::support::{Carrier, Plane, Rest};
 use crate::views::{Sight, Views};
 use glamx::{DVec2, DVec3};
 use sms_core::PointCloud;
@@ -80,6 +83,76 @@ pub(crate) fn contact_points(
     points
 }
 
+/// Sides look up or down by less than this (cosine), continue others within this distance, metres, and look the same way within 60°.
+const SIDE: f64 = 0.5;
+const CONTINUES_M: f64 = 0.02;
+
+/// Gives sides below the face on which an object stands, which have the object's label, to what carries it. Masks err by centimetres where
+/// a camera saw both edges behind each other, and how far its sides reach up says where a carrier's edge is.
+pub(crate) fn return_sides(drafts: &mut [Draft]) {
+    for upper in 0..drafts.len() {
+        let below = std::mem::take(&mut drafts[upper].below);
+        let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { continue };
+        let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper);
+        let Some(lower) = lower.filter(|_| drafts[upper].sphere.is_none()) else { continue };
+        let own = &drafts[lower].cloud;
+        let grid = PointGrid::new(&own.points_w, CONTINUES_M);
+        let is_side = |i: &usize| {
+            let (p, normal) = (below.points_w[*i], below.normals_w[*i]);
+            let continues = |(_, k): &(f64, usize)| own.normals_w[*k].dot(normal) > 0.5;
+            normal.dot(plane.normal).abs() < SIDE && grid.within(p, CONTINUES_M).iter().any(continues)
+        };
+        let moved: Vec<usize> = (0..below.points_w.len()).filter(is_side).collect();
+        append(&mut drafts[lower].cloud, &below, &moved);
+    }
+}
+
+fn append(to: &mut PointCloud, from: &PointCloud, which: &[usize]) {
+    to.points_w.extend(which.iter().map(|&i| from.points_w[i]));
+    to.normals_w.extend(which.iter().map(|&i| from.normals_w[i]));
+    to.colors.extend(which.iter().map(|&i| from.colors[i]));
+}
+
+/// Points at most this far below and above the face on which an object stands, metres, that look down at least so steeply (cosine), and lie
+/// within its outline from above or this near to it, metres, are its underside.
+const UNDERSIDE_M: [f64; 2] = [0.0025, 0.004];
+const LOOKS_DOWN: f64 = 0.8;
+const BESIDE_M: f64 = 0.01;
+/// Fewer points make no object.
+const FEWEST: usize = 20;
+
+/// Gives undersides that masks took for what carries an object back to the object. What carries it ends at that height: nothing of it
+/// looks down there, and a few such points would make its top reach as far as they lie.
+pub(crate) fn return_undersides(drafts: &mut [Draft]) {
+    for upper in 0..drafts.len() {
+        let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { continue };
+        let Some(lower) = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper) else {
+            continue;
+        };
+        let u = plane.normal.any_orthonormal_vector();
+        let v = plane.normal.cross(u);
+        let on_plane = |p: DVec3| DVec2::new(p.dot(u), p.dot(v));
+        let points = drafts[upper].cloud.points_w.iter();
+        let outline = convex_outline(&points.map(|&p| on_plane(p)).collect::<Vec<_>>());
+        let of = &drafts[lower].cloud;
+        let is_underside = |i: &usize| {
+            let (p, height) = (of.points_w[*i], plane.height_over(of.points_w[*i]));
+            let [below, above] = UNDERSIDE_M;
+            let is_there = height > -below && height < above && is_within(&outline, on_plane(p), BESIDE_M);
+            is_there && of.normals_w[*i].dot(plane.normal) < -LOOKS_DOWN
+        };
+        let moved: Vec<usize> = (0..of.points_w.len()).filter(is_underside).collect();
+        if moved.is_empty() || of.points_w.len() - moved.len() < FEWEST {
+            continue;
+        }
+        let mut stays = vec![true; of.points_w.len()];
+        moved.iter().for_each(|&i| stays[i] = false);
+        let of = of.clone();
+        append(&mut drafts[upper].cloud, &of, &moved);
+        cloud::retain(&mut drafts[lower].cloud, &stays);
+    }
+}
+
 /// The convex outline, grown by `margin`, of the points less than `band` above a plane: on the plane, counter-clockwise
 /// seen from its normal.
 pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
@@ -130,4 +203,67 @@ fn resample(outline: &[DVec2], spacing: f64) -> Vec<DVec2> {
         out.extend((0..steps as usize).map(|k| a + k as f64 / steps * (b - a)));
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::LabelInfo;
+
+    fn draft(id: u16, rest: Rest, points: &[(DVec3, DVec3)]) -> Draft {
+        let cloud = PointCloud {
+            points_w: points.iter().map(|p| p.0).collect(),
+            normals_w: points.iter().map(|p| p.1).collect(),
+            colors: vec![[id as u8; 3]; points.len()],
+        };
+        let info = LabelInfo { id, name: id.to_string(), description: String::new() };
+        Draft { info, cloud, below: PointCloud::default(), spacing: 0.004, rest, sphere: None, fixed: false }
+    }
+
+    #[test]
+    fn a_side_that_has_the_label_of_what_stands_on_it_is_given_back() {
+        let rest =
+            |height: f64, carrier: Carrier| Rest { plane: Plane::horizontal(height), carrier, noise_m: 1e-3 };
+        let side = |z: f64, normal: DVec3| move |k: usize| (DVec3::new(0.0, 0.005 * k as f64, z), normal);
+        let bin: Vec<_> = (0..30).map(side(0.47, DVec3::X)).collect();
+        let board: Vec<_> = (0..30).map(side(0.506, DVec3::X)).collect();
+        let mut drafts =
+            [draft(1, rest(0.0, Carrier::Floor), &bin), draft(2, rest(0.5, Carrier::Object(1)), &board)];
+        // The bin's rim; what hangs in the air beside it; what looks elsewhere there.
+        let rim: Vec<_> = (0..30).map(side(0.485, DVec3::X)).collect();
+        let others = [(DVec3::new(0.3, 0.0, 0.485), DVec3::X), (DVec3::new(0.0, 0.05, 0.48), DVec3::NEG_X)];
+        let labelled: Vec<_> = rim.iter().chain(&others).copied().collect();
+        drafts[1].below = draft(2, drafts[1].rest, &labelled).cloud;
+        return_sides(&mut drafts);
+        assert_eq!(drafts[0].cloud.points_w.len(), 60);
+        assert!(drafts[0].cloud.points_w[30..].iter().all(|p| p.z == 0.485 && p.x == 0.0));
+        assert_eq!(drafts[1].cloud.points_w.len(), 30);
+    }
+
+    #[test]
+    fn an_underside_that_has_its_carriers_label_is_given_back() {
+        let row = |z: f64, normal: DVec3| {
+            move |k: usize| (DVec3::new(0.01 * k as f64, 0.05 * (k % 2) as f64, z), normal)
+        };
+        let rest =
+            |height: f64, carrier: Carrier| Rest { plane: Plane::horizontal(height), carrier, noise_m: 1e-3 };
+        let board: Vec<_> = (0..40).map(row(0.512, DVec3::Z)).collect();
+        // A stool's side and top, 5 cards of the board's underside, the lip of its own seat 2 cm lower, and a shelf beside the board.
+        let mut stool: Vec<_> =
+            (0..30).map(row(0.45, DVec3::X)).chain((0..8).map(row(0.5, DVec3::Z))).collect();
+        stool.extend((20..25).map(row(0.501, DVec3::NEG_Z)));
+        let lip: Vec<_> = (8..12).map(row(0.48, DVec3::NEG_Z)).collect();
+        let shelf: Vec<_> = (60..64).map(row(0.5, DVec3::NEG_Z)).collect();
+        stool.extend(lip.iter().chain(&shelf));
+        let mut drafts =
+            [draft(1, rest(0.0, Carrier::Floor), &stool), draft(2, rest(0.5, Carrier::Object(1)), &board)];
+        return_undersides(&mut drafts);
+        let [stool, board] = &drafts;
+        assert_eq!((stool.cloud.points_w.len(), board.cloud.points_w.len()), (46, 45));
+        assert_eq!(board.cloud.colors[40..], [[1; 3]; 5]);
+        assert!(board.cloud.points_w[40..].iter().all(|p| p.z == 0.501));
+        for (p, n) in lip.iter().chain(&shelf) {
+            assert!(stool.cloud.points_w.iter().zip(&stool.cloud.normals_w).any(|own| own == (p, n)));
+        }
+    }
 }

@@ -54,7 +54,7 @@ pub(crate) struct BenchBilliards {
     /// Target engines (default: all that are built in).
     #[arg(long, value_enum, value_name = "ENGINES", value_delimiter = ',')]
     pub engines: Vec<EngineName>,
-    /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 10).
+    /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 6).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
     /// Tell where the loss between predicted and realised comes from: shapes, poses, materials and engine are replaced by

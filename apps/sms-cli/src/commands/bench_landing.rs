@@ -221,13 +221,17 @@ fn standing_text(standing: &Standing) -> String {
     let drift =
         format!("; drifts {:.2} mm, {:.2}° in 2 s", 1e3 * standing.drift_m, standing.drift_rad.to_degrees());
     let (Some(load), Some([end, own]), Some([_, worst])) =
-        (standing.loads.first(), standing.end_errors(), standing.worst_errors())
+        (&standing.end, standing.end_errors(), standing.worst_errors())
     else {
         return drift;
     };
+    let unmatched = match &standing.unmatched[..] {
+        [] => String::new(),
+        bodies => format!("; {} of no true object, with the mass told", bodies.join(", ")),
+    };
     format!(
         "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, up to {:+.0} % \
-         elsewhere on its edge)",
+         elsewhere on its edge{unmatched})",
         load.told_n,
         1e2 * end,
         load.truth_n,

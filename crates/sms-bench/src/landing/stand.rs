@@ -34,16 +34,19 @@ pub struct Standing {
     pub drift_m: f64,
     /// The most that one turns by itself in 2 s, radians.
     pub drift_rad: f64,
-    /// Loads at corners of the platform, in the middles of its edges and, first, at the overhang's end, as far as less than three
-    /// quadrotors tip it there in truth.
-    pub loads: Vec<EdgeLoad>,
+    /// The load at the overhang's end, where less than three quadrotors tip the platform there in truth.
+    pub end: Option<EdgeLoad>,
+    /// Loads at corners of the platform and in the middles of its edges, as far as less than that tips it there in truth.
+    pub edges: Vec<EdgeLoad>,
+    /// Bodies of the structure that are no true object's: their masses are as they were told in [`EdgeLoad::true_masses_n`] too.
+    pub unmatched: Vec<String>,
 }
 
 impl Standing {
     /// Share by which the load at the overhang's end differs from the truth, with the masses told and with the true ones; infinite where
     /// no load tips it.
     pub fn end_errors(&self) -> Option<[f64; 2]> {
-        self.loads.first().map(EdgeLoad::errors)
+        self.end.as_ref().map(EdgeLoad::errors)
     }
 
     /// The largest such shares of all points.
@@ -52,7 +55,11 @@ impl Standing {
             let larger = |i: usize| if b[i].abs() > a[i].abs() { b[i] } else { a[i] };
             [larger(0), larger(1)]
         };
-        self.loads.iter().map(EdgeLoad::errors).reduce(worst)
+        self.loads().map(EdgeLoad::errors).reduce(worst)
+    }
+
+    fn loads(&self) -> impl Iterator<Item = &EdgeLoad> {
+        self.end.iter().chain(&self.edges)
     }
 
     pub(super) fn tell(&self, word: &str, metrics: &mut Metrics) {
@@ -61,6 +68,10 @@ impl Standing {
         };
         set("drift_m", self.drift_m);
         set("drift_rad", self.drift_rad);
+        // JSON has no infinity: where nothing tips the scanned structure its error is null, and counted here.
+        set("tipping_points", self.loads().count() as f64);
+        set("tipping_points_held", self.loads().filter(|l| l.true_masses_n.is_infinite()).count() as f64);
+        set("unmatched_bodies", self.unmatched.len() as f64);
         let told = [("end", self.end_errors()), ("worst", self.worst_errors())];
         for (which, [error, geometry]) in told.into_iter().filter_map(|(which, e)| Some((which, e?))) {
             set(&format!("tipping_load_{which}_error"), error);
@@ -88,48 +99,54 @@ pub(super) fn standing(
         drifts.iter().filter(|d| structure.contains(&d.body)).map(of).fold(0.0, f64::max)
     };
     let mut found =
-        Standing { drift_m: most(&|d| d.moved_m), drift_rad: most(&|d| d.turned_rad), loads: Vec::new() };
+        Standing { drift_m: most(&|d| d.moved_m), drift_rad: most(&|d| d.turned_rad), ..Standing::default() };
     let Some(landing) = &truth.landing else { return Ok(found) };
-    let weighed = with_true_masses(&scene, truth)?;
+    let (weighed, matched) = with_true_masses(&scene, truth)?;
+    found.unmatched = structure.iter().filter(|body| !matched.contains(body)).cloned().collect();
     let test = LoadTest { most_n: 4.0 * MOST_N, ..LoadTest::default() };
-    for p_w in points(landing) {
-        let Some(truth_n) = truth.tipping_load_n(p_w).filter(|n| (0.0..MOST_N).contains(n)) else { continue };
+    let load_at = |p_w: DVec2| -> Result<Option<EdgeLoad>, BenchError> {
+        // What would topple without a load has no share of it.
+        let tips = |n: &f64| *n > 0.0 && *n < MOST_N;
+        let Some(truth_n) = truth.tipping_load_n(p_w).filter(tips) else { return Ok(None) };
         let at_w = scene.x_world_recording.transform_point(p_w.extend(landing.top_m));
         let load = |scene: &Scene| {
             let load = tipping_load_n(&RapierFactory, scene, platform, at_w, &test);
             load.map(|n| n.unwrap_or(f64::INFINITY)).map_err(LandingError::from)
         };
-        found.loads.push(EdgeLoad { p_w, truth_n, told_n: load(&scene)?, true_masses_n: load(&weighed)? });
+        Ok(Some(EdgeLoad { p_w, truth_n, told_n: load(&scene)?, true_masses_n: load(&weighed)? }))
+    };
+    found.end = load_at(landing.end_w.into())?;
+    for p_w in edge_points(landing) {
+        found.edges.extend(load_at(p_w)?);
     }
     Ok(found)
 }
 
-/// The overhang's end, corners, and middles of edges.
-fn points(landing: &LandingTruth) -> Vec<DVec2> {
+/// Corners and middles of the platform's edges but for the overhang's end.
+fn edge_points(landing: &LandingTruth) -> Vec<DVec2> {
     let corners: Vec<DVec2> = landing.outline_w.iter().map(|&q| q.into()).collect();
-    let mut points = vec![DVec2::from(landing.end_w)];
-    for (i, &a) in corners.iter().enumerate() {
-        let middle = a.midpoint(corners[(i + 1) % corners.len()]);
-        points.extend([a, middle].into_iter().filter(|p| p.distance(points[0]) > 1e-6).collect::<Vec<_>>());
-    }
-    points
+    let with_middle = |i: usize| [corners[i], corners[i].midpoint(corners[(i + 1) % corners.len()])];
+    let points = (0..corners.len()).flat_map(with_middle);
+    points.filter(|p| p.distance(landing.end_w.into()) > 1e-6).collect()
 }
 
-/// The scene with the masses of the truth where a body is in a true one's place.
-fn with_true_masses(scene: &Scene, truth: &TruthScene) -> Result<Scene, BenchError> {
+/// The scene with the masses of the truth where a body is in a true one's place, and the names of these bodies.
+fn with_true_masses(scene: &Scene, truth: &TruthScene) -> Result<(Scene, Vec<String>), BenchError> {
     let mut there = scene_from_truth(truth).map_err(TargetError::from)?;
     for body in &mut there.bodies {
         body.x_wb = scene.x_world_recording * body.x_wb;
     }
-    let mut weighed = scene.clone();
+    let (mut weighed, mut matched) = (scene.clone(), Vec::new());
     for (own, other) in match_bodies(scene, &there) {
         let (Some(i), Some(object)) = (weighed.body_index(&own), truth.object(&other)) else { continue };
         let Some(was) = weighed.bodies[i].mass else { continue };
         let mass = object.mass.mass();
-        let scaled = MassProperties::new(mass, was.com(), was.inertia() * (mass / was.mass()));
-        weighed.bodies[i].mass = scaled.ok().or(Some(was));
+        if let Ok(scaled) = MassProperties::new(mass, was.com(), was.inertia() * (mass / was.mass())) {
+            weighed.bodies[i].mass = Some(scaled);
+            matched.push(own);
+        }
     }
-    Ok(weighed)
+    Ok((weighed, matched))
 }
 
 #[cfg(test)]
@@ -153,8 +170,8 @@ mod tests {
             let platform = truth.landing.as_ref().unwrap().platform.clone();
             let found = standing(&scene, &truth, &names, &platform).unwrap();
             assert!(found.drift_m < 1e-3, "{}: {} m", truth.name, found.drift_m);
-            assert!(found.loads.len() > 1);
-            for l in &found.loads {
+            assert!(found.end.is_some() && !found.edges.is_empty() && found.unmatched.is_empty());
+            for l in found.loads() {
                 println!(
                     "{} {:.2}: {:.2} {:.2} {:.2}",
                     truth.name, l.p_w, l.truth_n, l.told_n, l.true_masses_n
