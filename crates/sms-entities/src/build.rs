@@ -62,7 +62,8 @@ pub fn build_entities(
     let views = Views { sequence, labels };
     let count = labels.objects.len() as u64;
     progress.begin("objects", 2 * count + 1);
-    let around = support::surroundings(&views, 0.005);
+    let mut around = support::surroundings(&views, 0.005);
+    around.collect_lost_sides(&cloud::label_discs(model, &views, sms_core::BACKGROUND, config));
     let support_height = support::support_height(&around);
     // Objects do not know of each other here; warnings are sorted when they are written.
     let done = AtomicU64::new(0);

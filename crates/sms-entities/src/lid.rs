@@ -6,10 +6,10 @@ use crate::contact::{Piece, cut_to, is_exact, is_thick, pieces_near};
 use crate::grid::{PointGrid, quantile};
 use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
-use crate::support::Surroundings;
+use crate::support::{Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_convex::convex_hull;
-use sms_core::{BACKGROUND, Entity, Mesh};
+use sms_core::{Entity, Mesh};
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
@@ -23,10 +23,10 @@ const THIN_M: f64 = 0.002;
 const STRIP_M: f64 = 0.012;
 /// Sides are looked at where they end, over so much of their height, metres.
 const SIDES_M: f64 = 0.008;
-/// Unlabelled sides this far below the face, and this near to the object, are its own, metres.
+/// Unlabelled sides this far below the face, and this near to the object, are its own, metres: of a flared rim, which masks lose as a whole
+/// in the shade of what lies on it, the edge is farther from the wall below it than the face.
 const LOST_M: f64 = 0.03;
-/// Sides look up or down by less than this (sine): a level surface is the table beside the object, or the underside of what stands on it.
-const UPRIGHT: f64 = 0.7;
+const FLARED_M: f64 = 0.045;
 /// This near to the face surface is made up, metres.
 const MADE_UP_M: f64 = 0.002;
 /// Seen points have more than so many others within [`NEAR_M`], metres: else they are noise.
@@ -202,27 +202,27 @@ fn seen_sides(
         is_side && is_within(outline, p.truncate(), NEAR_M)
     };
     let cloud = &carrier.cloud;
-    let own = PointGrid::new(&cloud.points_w, LOST_M);
-    let unlabelled = (0..around.points.len()).filter(|&i| around.labels[i] == BACKGROUND);
-    let is_lost = |&i: &usize| {
-        let (p, normal) = (around.points[i], around.normals[i]);
-        normal.z.abs() < UPRIGHT && is_near(p) && own.is_near(p, LOST_M)
-    };
-    let lost: Vec<usize> = unlabelled.filter(is_lost).collect();
+    let own = PointGrid::new(&cloud.points_w, FLARED_M);
+    let is_lost = |(p, _): &(DVec3, DVec3)| is_near(*p) && own.is_near(*p, FLARED_M);
+    let lost: Vec<(DVec3, DVec3)> = around.lost_sides.iter().copied().filter(is_lost).collect();
+    let points: Vec<DVec3> = lost.iter().map(|(p, _)| *p).collect();
+    let grid = PointGrid::new(&points, NEAR_M);
+    // Itself is among them.
+    let is_no_noise = |p: DVec3, grid: &PointGrid| grid.within(p, NEAR_M).len() > NEIGHBORS;
+    let lost: Vec<(DVec3, DVec3)> = lost.into_iter().filter(|(p, _)| is_no_noise(*p, &grid)).collect();
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
     let is_own = |&i: &usize| is_near(cloud.points_w[i]) && normal(i).z.abs() < UPRIGHT;
     let mut sides: Vec<usize> = (0..cloud.points_w.len()).filter(is_own).collect();
     let end = |heights: Vec<f64>| (!heights.is_empty()).then(|| quantile(heights, 0.98));
     let own_end = end(sides.iter().map(|&i| cloud.points_w[i].z).collect())?;
-    let lost_end = end(lost.iter().map(|&i| around.points[i].z).collect());
+    let lost_end = end(lost.iter().map(|(p, _)| p.z).collect());
     if own_end.max(lost_end.unwrap_or(own_end)) < height - strip {
         return None;
     }
     sides.retain(|&i| cloud.points_w[i].z > own_end - SIDES_M);
     let points: Vec<DVec3> = sides.iter().map(|&i| cloud.points_w[i]).collect();
     let grid = PointGrid::new(&points, NEAR_M);
-    // Itself is among them.
-    sides.retain(|&i| grid.within(cloud.points_w[i], NEAR_M).len() > NEIGHBORS);
+    sides.retain(|&i| is_no_noise(cloud.points_w[i], &grid));
     if sides.len() + lost.len() < FEWEST {
         return None;
     }
@@ -230,7 +230,7 @@ fn seen_sides(
     // The outermost Gaussians are noise; unlabelled points are means of depths.
     let outermost = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
     let inner = sides.into_iter().filter(|s| !outermost.contains(&s.p));
-    let lost = lost.into_iter().map(|i| Side::new(around.points[i], around.normals[i]));
+    let lost = lost.into_iter().map(|(p, normal)| Side::new(p, normal));
     let sides: Vec<Side> = inner.chain(lost).collect();
     let edge = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
     (edge.len() >= 3).then_some(Sides { sides, edge })
@@ -241,6 +241,7 @@ mod tests {
     use super::*;
     use crate::stack::tests::entity;
     use glamx::DPose3;
+    use sms_core::BACKGROUND;
     use sms_core::EntityShape;
 
     fn cuboid(name: &str, half: DVec3, center: DVec3) -> Entity {
@@ -270,7 +271,7 @@ mod tests {
     }
 
     fn nothing() -> Surroundings {
-        Surroundings { points: Vec::new(), normals: Vec::new(), colors: Vec::new(), labels: Vec::new() }
+        Surroundings::default()
     }
 
     #[test]
@@ -288,6 +289,7 @@ mod tests {
             around.colors.push([0; 3]);
             around.labels.push(BACKGROUND);
         }
+        around.collect_lost_sides(&[]);
         let mut all = [bin, board];
         add_lids(&mut all, 0.0, 64, &around);
         let bounds = all[0].parts[1].aabb().unwrap();
@@ -378,6 +380,7 @@ mod tests {
             around.colors.push([0; 3]);
             around.labels.push(BACKGROUND);
         }
+        around.collect_lost_sides(&[]);
         let mut all = [book, board];
         let before = all.clone();
         add_lids(&mut all, 0.0, 64, &around);

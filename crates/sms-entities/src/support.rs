@@ -1,5 +1,6 @@
 //! What objects rest on.
 
+use crate::cloud::Disc;
 use crate::grid::{PointGrid, median, quantile};
 use crate::outline::{area, is_within, outline_of};
 use crate::pca::{principal_axes, scatter};
@@ -16,6 +17,19 @@ pub(crate) struct Surroundings {
     pub(crate) normals: Vec<DVec3>,
     pub(crate) labels: Vec<u16>,
     pub(crate) colors: Vec<[u8; 3]>,
+    /// Sides that no label explains, with their normals: masks lose a strip between two things, a rim in the shade as a whole.
+    pub(crate) lost_sides: Vec<(DVec3, DVec3)>,
+}
+
+impl Surroundings {
+    /// Collects the sides that no label explains: of what the frames measured, and of these discs of the reconstruction, which sees thin
+    /// rims whole.
+    pub(crate) fn collect_lost_sides(&mut self, unlabelled: &[Disc]) {
+        let measured = (0..self.points.len()).filter(|&i| self.labels[i] == sms_core::BACKGROUND);
+        let measured = measured.map(|i| (self.points[i], self.normals[i]));
+        let all = measured.chain(unlabelled.iter().map(|d| (d.center, d.normal)));
+        self.lost_sides = all.filter(|(_, normal)| normal.z.abs() < UPRIGHT).collect();
+    }
 }
 
 /// A plane: points x with `normal · x = offset`; the normal points up, out of what carries.
@@ -217,16 +231,20 @@ pub(crate) fn find_rest(
     members.iter().for_each(|&i| seen[sector(around.points[i] - center)] = true);
     let is_strip = seen.iter().filter(|s| **s).count() < ALL_ROUND;
     let noise = median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect());
-    let is_level = plane.normal.z > LEANS.cos() && off < LEVEL_M && (is_strip || off < CLEARER * noise);
+    let leans = plane.normal.z.min(1.0).acos();
+    let is_unclear = if is_strip { leans < STRIP_LEANS } else { leans < LEANS && off < CLEARER * noise };
+    let is_level = off < LEVEL_M && is_unclear;
     rest(if is_level { Plane::horizontal(height) } else { plane }, Carrier::Object(most), &members)
 }
 
-/// A top that leans less than this, radians, and half of whose points lie within this height of their middle, metres, is level.
-const LEANS: f64 = 0.09;
+/// A top half of whose points lie within this height of their middle, metres, is level where it leans less than this, radians: if it was
+/// seen in so many directions and its points scatter as much about the plane that leans, or so many times less at most; if it was seen as
+/// a strip on few sides, where it leans less than the last.
 const LEVEL_M: f64 = 0.002;
-/// A top that was seen in so many directions leans where its points scatter so many times less about the plane that leans.
+const LEANS: f64 = 0.09;
 const ALL_ROUND: usize = 6;
 const CLEARER: f64 = 1.5;
+const STRIP_LEANS: f64 = 0.2;
 
 /// The object below a foot of which cameras see the sides alone (an open bin under a board), and the height of the foot.
 fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> Option<(u16, f64)> {
@@ -238,12 +256,19 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
     if outline.len() < 3 {
         return None;
     }
+    let is_there = |p: &DVec3| p.z > end - SIDES_M && is_within(&outline, p.truncate(), 0.0);
     let mut below: BTreeMap<u16, Vec<DVec3>> = BTreeMap::new();
     for (p, &l) in around.points.iter().zip(&around.labels) {
-        let is_there = l != label && l != sms_core::BACKGROUND && p.z > end - SIDES_M;
-        if is_there && is_within(&outline, p.truncate(), 0.0) {
+        if l != sms_core::BACKGROUND && l != label && is_there(p) {
             below.entry(l).or_default().push(*p);
         }
+    }
+    let lost = around.lost_sides.iter().map(|(p, _)| *p).filter(|p| p.z < end + ENDS_M && is_there(p));
+    let lost: Vec<DVec3> = lost.collect();
+    for sides in below.values_mut() {
+        let grid = PointGrid::new(sides, CONTINUES_M);
+        let own: Vec<DVec3> = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M)).collect();
+        sides.extend(own);
     }
     // What lies on the object is over its foot, too; what is as wide as the foot may be the lower part of the same thing.
     let ends = |(carrier, sides): (u16, Vec<DVec3>)| {
@@ -280,6 +305,10 @@ const SIDES_M: f64 = 0.04;
 const STRIP_M: f64 = 0.012;
 const ENDS_M: f64 = 0.005;
 const WIDER: f64 = 1.5;
+/// Sides look up or down by less than this (sine): a level surface is the table beside an object, or the underside of what stands on it.
+pub(crate) const UPRIGHT: f64 = 0.7;
+/// Unlabelled sides this near to an object's, metres, are its own.
+const CONTINUES_M: f64 = 0.03;
 
 /// Reach, horizontally from the foot, of what surrounds it, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
@@ -450,6 +479,7 @@ mod tests {
             normals: vec![normal; count],
             labels: vec![STOOL; count],
             colors: vec![[0; 3]; count],
+            lost_sides: Vec::new(),
         }
     }
 
