@@ -31,7 +31,7 @@ pub(crate) const STAGE: &str = "materialize";
 pub(crate) struct Draft {
     pub(crate) info: LabelInfo,
     pub(crate) cloud: PointCloud,
-    /// What has its label below the face that it stands on: not its own.
+    /// What has its label below the face that it stands on.
     pub(crate) below: PointCloud,
     /// Distance between neighbouring points of the cloud, metres.
     pub(crate) spacing: f64,
@@ -128,7 +128,7 @@ pub fn build_entities(
         warnings.add(STAGE, "objects_overlap", message, "check the masks where the two meet");
     }
     stack::close_gaps(&mut entities, floor, config.convex.max_vertices);
-    lid::add_lids(&mut entities, floor, config.convex.max_vertices, &around);
+    lid::add_lids(&mut entities, &rests, floor, config.convex.max_vertices, &around);
     for (entity, before) in entities.iter().zip(before) {
         let lost = 1.0 - solid(entity) / before;
         if lost > 0.1 {

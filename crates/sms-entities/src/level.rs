@@ -37,7 +37,7 @@ const LEANS: f64 = 0.05;
 /// What is narrower is an edge to stand on, no face, metres.
 const FACE_M: f64 = 0.01;
 /// A foot is flat where so much of its width within [`REACH_M`] is within this of its lowest corner, metres: scans are uneven by two
-/// millimetres, and of a ball it is 0.79.
+/// millimetres, and of a ball it is 0.7.
 const LOWEST_M: f64 = 0.0022;
 const FLAT_SHARE: f64 = 0.85;
 /// Farther outside of the outline of what stands on a piece, that piece was seen, metres.
@@ -69,7 +69,7 @@ pub(crate) fn level_faces(
         let height = face.height;
         faces.push(LevelFace { upper, height });
         if !is_exact(&entities[upper]) {
-            flatten(&mut entities[upper], &face, REACH_M, max_vertices, &|v| v.z < height + REACH_M);
+            flatten(&mut entities[upper], &face, REACH_M, max_vertices, &|_| true);
         }
         let outline = bottom_outline(&entities[upper]);
         if outline.len() < 3 {

@@ -6,7 +6,7 @@ use crate::contact::{Piece, cut_to, is_exact, is_thick, pieces_near};
 use crate::grid::{PointGrid, quantile};
 use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
-use crate::support::{Surroundings, UPRIGHT};
+use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_convex::convex_hull;
 use sms_core::{Entity, Mesh};
@@ -15,9 +15,8 @@ use sms_core::{Entity, Mesh};
 const CORNERS: usize = 24;
 /// Fewer points say nothing of an edge.
 const FEWEST: usize = 30;
-/// Thickness of a lid, metres, where its carrier is as high, and the least.
+/// Thickness of a lid, metres, where its carrier is as high.
 const THICK_M: f64 = 0.01;
-const THIN_M: f64 = 0.002;
 /// Masks lose a strip between two things: a carrier that was seen to end within this below the face ends there, metres. Where another one
 /// bears what stands there, only what ends within [`REACH_M`] does.
 const STRIP_M: f64 = 0.012;
@@ -27,6 +26,8 @@ const SIDES_M: f64 = 0.008;
 /// in the shade of what lies on it, the edge is farther from the wall below it than the face.
 const LOST_M: f64 = 0.03;
 const FLARED_M: f64 = 0.045;
+/// … unless they look back at it (cosine of the angle between).
+const BACK: f64 = 0.5;
 /// This near to the face surface is made up, metres.
 const MADE_UP_M: f64 = 0.002;
 /// Seen points have more than so many others within [`NEAR_M`], metres: else they are noise.
@@ -49,7 +50,13 @@ const NARROW_M: f64 = 0.02;
 /// Where the collision shape of what carries another ends elsewhere than its edge was seen: a convex piece under the other's
 /// underside, with the outline that was seen, takes the place of the face. For what lies on a rim it is as good as the rim: both bear it
 /// within the same outline.
-pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, max_vertices: usize, around: &Surroundings) {
+pub(crate) fn add_lids(
+    entities: &mut [Entity],
+    rests: &[(u16, Rest)],
+    floor: f64,
+    max_vertices: usize,
+    around: &Surroundings,
+) {
     for upper in standing(entities, floor) {
         let (outline, height) = (bottom_outline(&entities[upper]), bottom(&entities[upper]));
         if outline.len() < 3 {
@@ -61,8 +68,14 @@ pub(crate) fn add_lids(entities: &mut [Entity], floor: f64, max_vertices: usize,
                 continue;
             }
             let others = || (0..entities.len()).filter(|&i| i != lower && i != upper).map(|i| &entities[i]);
-            let bears = |e: &Entity| can_carry(e, height) && touches(e, &outline, height);
-            let strip = if others().any(bears) { REACH_M } else { STRIP_M };
+            let bears = |e: &Entity| bottom(e) < height - REACH_M && touches(e, &outline, height);
+            let rest = rests.iter().find(|r| r.0 == entities[upper].label).map(|r| r.1.carrier);
+            let is_elsewhere = match rest {
+                Some(Carrier::Object(label)) => label != carrier.label,
+                Some(Carrier::Environment | Carrier::Floor) => true,
+                Some(Carrier::Unseen) | None => false,
+            };
+            let strip = if is_elsewhere || others().any(bears) { REACH_M } else { STRIP_M };
             let Some(lid) = lid(carrier, &outline, height, strip, around) else { continue };
             // What is lowered for one would be lowered below the other.
             let is_shared = |e: &Entity| {
@@ -136,7 +149,7 @@ fn lid(carrier: &Entity, outline: &[DVec2], height: f64, strip: f64, around: &Su
     let edge = convex_outline(&seen.edge.iter().chain(guessed).copied().collect::<Vec<_>>());
     let edge = simplified(&convex_outline(&common(&edge, outline)));
     let thickness = THICK_M.min(height - bottom(carrier));
-    if edge.len() < 3 || width(&edge) < NARROW_M || thickness < THIN_M {
+    if edge.len() < 3 || width(&edge) < NARROW_M {
         return None;
     }
     let is_missing = touching.len() < 3 || edge.iter().any(|&p| !is_within(&touching, p, MISSING_M));
@@ -172,7 +185,7 @@ fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
 #[derive(Clone, Copy)]
 struct Side {
     p: DVec2,
-    /// Where the side looks: of unit length, or nothing where it looks up or down.
+    /// Where the side looks: of unit length, or nothing where that is not known.
     normal: DVec2,
 }
 
@@ -203,7 +216,15 @@ fn seen_sides(
     };
     let cloud = &carrier.cloud;
     let own = PointGrid::new(&cloud.points_w, FLARED_M);
-    let is_lost = |(p, _): &(DVec3, DVec3)| is_near(*p) && own.is_near(*p, FLARED_M);
+    // A rim looks away from the wall below it, and what stands beside the object looks back.
+    let looks_away = |p: DVec3, normal: DVec3, k: usize| {
+        let from = p - cloud.points_w[k];
+        normal.dot(from) > -BACK * from.length()
+    };
+    let is_lost = |(p, normal): &(DVec3, DVec3)| {
+        let near = is_near(*p) && own.is_near(*p, FLARED_M);
+        near && own.nearest(*p).is_some_and(|(_, k)| looks_away(*p, *normal, k))
+    };
     let lost: Vec<(DVec3, DVec3)> = around.lost_sides.iter().copied().filter(is_lost).collect();
     let points: Vec<DVec3> = lost.iter().map(|(p, _)| *p).collect();
     let grid = PointGrid::new(&points, NEAR_M);
@@ -213,6 +234,14 @@ fn seen_sides(
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
     let is_own = |&i: &usize| is_near(cloud.points_w[i]) && normal(i).z.abs() < UPRIGHT;
     let mut sides: Vec<usize> = (0..cloud.points_w.len()).filter(is_own).collect();
+    // What goes on beyond the face does not end there.
+    let goes_on = |&i: &usize| {
+        let (p, is_side) = (cloud.points_w[i], normal(i).z.abs() < UPRIGHT);
+        is_side && p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0)
+    };
+    if (0..cloud.points_w.len()).filter(goes_on).count() > sides.len() / 10 {
+        return None;
+    }
     let end = |heights: Vec<f64>| (!heights.is_empty()).then(|| quantile(heights, 0.98));
     let own_end = end(sides.iter().map(|&i| cloud.points_w[i].z).collect())?;
     let lost_end = end(lost.iter().map(|(p, _)| p.z).collect());
@@ -240,9 +269,10 @@ fn seen_sides(
 mod tests {
     use super::*;
     use crate::stack::tests::entity;
+    use crate::support::Plane;
     use glamx::DPose3;
-    use sms_core::BACKGROUND;
     use sms_core::EntityShape;
+    use sms_core::{BACKGROUND, EntityKind};
 
     fn cuboid(name: &str, half: DVec3, center: DVec3) -> Entity {
         let mesh = Mesh::cuboid(half).transformed(&DPose3::from_translation(center));
@@ -291,7 +321,7 @@ mod tests {
         }
         around.collect_lost_sides(&[]);
         let mut all = [bin, board];
-        add_lids(&mut all, 0.0, 64, &around);
+        add_lids(&mut all, &[], 0.0, 64, &around);
         let bounds = all[0].parts[1].aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
         assert!((bounds.min - DVec3::new(-0.15, -0.2, 0.49)).abs().max_element() < 0.006, "{bounds:?}");
@@ -301,7 +331,7 @@ mod tests {
     fn a_rim_that_was_seen_bears_what_lies_on_it() {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let mut all = [bin(0.007), board.clone()];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
         let bounds = lid.aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.005, "{bounds:?}");
@@ -310,7 +340,7 @@ mod tests {
         assert_eq!(all[1], board);
         // Once is enough.
         let before = all.clone();
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all, before);
     }
 
@@ -327,7 +357,7 @@ mod tests {
         let lamp = cuboid("lamp", DVec3::splat(0.02), DVec3::Z * 0.52).parts.remove(0);
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let mut all = [stool.clone(), board.clone()];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         let [seat, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
         assert!((seat.aabb().unwrap().max.z - (0.5 - LOWERED_M)).abs() < 1e-9);
         let bounds = lid.aabb().unwrap();
@@ -338,7 +368,7 @@ mod tests {
         let mut post = stool.clone();
         post.parts.push(lamp.transformed(&DPose3::from_translation(DVec3::new(0.0, 0.4, 0.0))));
         let mut all = [post.clone(), board.clone()];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0].parts[1], post.parts[1]);
         // Its back was not seen: there the mesh is the better guess.
         let mut half = stool.clone();
@@ -346,13 +376,13 @@ mod tests {
             half.cloud.points_w.iter().zip(&half.cloud.normals_w).filter(|(p, _)| p.y < 0.0).unzip();
         (half.cloud.points_w, half.cloud.normals_w) = (points, normals);
         let mut all = [half, board.clone()];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         let bounds = all[0].parts[1].aabb().unwrap();
         assert!((bounds.min.y + 0.2).abs() < 0.006 && bounds.max.y > 0.22, "{bounds:?}");
         let mut all = [bin(0.0), board];
         all[0].parts = cuboid("seat", DVec3::new(0.15, 0.2, 0.1), DVec3::Z * 0.4).parts;
         let before = all.clone();
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all, before);
     }
 
@@ -383,7 +413,7 @@ mod tests {
         around.collect_lost_sides(&[]);
         let mut all = [book, board];
         let before = all.clone();
-        add_lids(&mut all, 0.0, 64, &around);
+        add_lids(&mut all, &[], 0.0, 64, &around);
         assert_eq!(all, before);
     }
 
@@ -395,10 +425,10 @@ mod tests {
         // Its mesh reaches 3 cm farther than its sides were seen.
         seat.parts = cuboid("seat", DVec3::new(0.18, 0.23, 0.25), DVec3::Z * 0.25).parts;
         let mut alone = [seat.clone(), board(-0.12)];
-        add_lids(&mut alone, 0.0, 64, &nothing());
+        add_lids(&mut alone, &[], 0.0, 64, &nothing());
         assert_eq!(alone[0].parts.len(), 2);
         let mut both = [seat.clone(), board(-0.12), board(0.12)];
-        add_lids(&mut both, 0.0, 64, &nothing());
+        add_lids(&mut both, &[], 0.0, 64, &nothing());
         assert_eq!(both[0], seat);
     }
 
@@ -410,23 +440,71 @@ mod tests {
         let mut low = bin(0.007);
         low.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.007);
         let mut all = [low.clone(), board.clone()];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0].parts.len(), 2);
-        let mut all = [low.clone(), board, post];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        let mut fixed = post.clone();
+        fixed.kind = EntityKind::Static;
+        for other in [post, fixed] {
+            let mut all = [low.clone(), board.clone(), other];
+            add_lids(&mut all, &[], 0.0, 64, &nothing());
+            assert_eq!(all[0], low);
+        }
+        // A bracket that no label has.
+        let mut all = [low.clone(), board];
+        all[1].label = 7;
+        let rest = |carrier| Rest { plane: Plane::horizontal(0.5), carrier, noise_m: 1e-3 };
+        add_lids(&mut all, &[(7, rest(Carrier::Environment))], 0.0, 64, &nothing());
         assert_eq!(all[0], low);
+        add_lids(&mut all, &[(7, rest(Carrier::Object(low.label)))], 0.0, 64, &nothing());
+        assert_eq!(all[0].parts.len(), 2);
+    }
+
+    #[test]
+    fn what_goes_on_beyond_the_face_gets_no_lid() {
+        // A mug of 20 cm below a riser that stands elsewhere.
+        let riser = cuboid("riser", DVec3::new(0.3, 0.3, 0.006), DVec3::Z * 0.406);
+        let mut mug = bin(0.0);
+        mug.parts = cuboid("mug", DVec3::new(0.02, 0.02, 0.1), DVec3::Z * 0.1).parts;
+        let rows = (0..700).map(|k| mug.cloud.points_w[k % 700].with_z(0.3 + 0.2 * (k as f64 / 700.0)));
+        mug.cloud.points_w = rows.collect();
+        mug.cloud.normals_w.truncate(700);
+        let mut all = [mug.clone(), riser];
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
+        assert_eq!(all[0], mug);
+    }
+
+    #[test]
+    fn a_wall_behind_is_no_side() {
+        let board = cuboid("board", DVec3::new(0.3, 0.6, 0.006), DVec3::new(0.1, -0.3, 0.506));
+        let wall = |normal: DVec3| {
+            let mut around = nothing();
+            for k in 0..200 {
+                let (i, j) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 4.0);
+                around.points.push(DVec3::new(0.18, 0.4 * i - 0.2, 0.475 + 0.02 * j));
+                around.normals.push(normal);
+                around.colors.push([0; 3]);
+                around.labels.push(BACKGROUND);
+            }
+            around.collect_lost_sides(&[]);
+            let mut all = [bin(0.007), board.clone()];
+            add_lids(&mut all, &[], 0.0, 64, &around);
+            all[0].parts[1].aabb().unwrap().max.x
+        };
+        // A panel 3 cm behind the bin looks at it; a flared rim looks away.
+        assert!((wall(DVec3::NEG_X) - 0.15).abs() < 0.006, "{}", wall(DVec3::NEG_X));
+        assert!((wall(DVec3::X) - 0.18).abs() < 0.006, "{}", wall(DVec3::X));
     }
 
     #[test]
     fn what_was_seen_to_end_lower_bears_nothing_and_nothing_is_put_into_others() {
         let high = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.52));
         let mut all = [bin(0.007), high];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0].parts.len(), 1);
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let inside = cuboid("bottle", DVec3::new(0.02, 0.02, 0.2), DVec3::new(0.13, 0.0, 0.295));
         let mut all = [bin(0.007), board, inside];
-        add_lids(&mut all, 0.0, 64, &nothing());
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0].parts.len(), 1);
     }
 }

@@ -232,7 +232,8 @@ pub(crate) fn find_rest(
     let is_strip = seen.iter().filter(|s| **s).count() < ALL_ROUND;
     let noise = median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect());
     let leans = plane.normal.z.min(1.0).acos();
-    let is_unclear = if is_strip { leans < STRIP_LEANS } else { leans < LEANS && off < CLEARER * noise };
+    let is_unclear =
+        if is_strip { leans < STRIP_LEANS } else { leans < LEANS && off < CLEARER * noise.max(NOISE_M) };
     let is_level = off < LEVEL_M && is_unclear;
     rest(if is_level { Plane::horizontal(height) } else { plane }, Carrier::Object(most), &members)
 }
@@ -244,11 +245,14 @@ const LEVEL_M: f64 = 0.002;
 const LEANS: f64 = 0.09;
 const ALL_ROUND: usize = 6;
 const CLEARER: f64 = 1.5;
+const NOISE_M: f64 = 5e-4;
 const STRIP_LEANS: f64 = 0.2;
 
 /// The object below a foot of which cameras see the sides alone (an open bin under a board), and the height of the foot.
 fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> Option<(u16, f64)> {
+    /// Points of sides, and those of them that have a label.
     const LEAST: usize = 50;
+    const LEAST_LABELLED: usize = 25;
     let end = lower_end(points);
     let high = quantile(points.iter().map(|p| p.z).collect(), 0.98);
     let is_foot = |p: &DVec3| p.z > end - ENDS_M && p.z < end + (0.3 * (high - end)).max(0.01);
@@ -265,17 +269,18 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
     }
     let lost = around.lost_sides.iter().map(|(p, _)| *p).filter(|p| p.z < end + ENDS_M && is_there(p));
     let lost: Vec<DVec3> = lost.collect();
-    for sides in below.values_mut() {
-        let grid = PointGrid::new(sides, CONTINUES_M);
-        let own: Vec<DVec3> = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M)).collect();
-        sides.extend(own);
-    }
     // What lies on the object is over its foot, too; what is as wide as the foot may be the lower part of the same thing.
-    let ends = |(carrier, sides): (u16, Vec<DVec3>)| {
-        let high = quantile(sides.iter().map(|p| p.z).collect(), 0.95);
-        let is_end = high > end - STRIP_M && high < end + ENDS_M;
+    let ends = |(carrier, labelled): (u16, Vec<DVec3>)| {
+        let high = |of: &[DVec3]| quantile(of.iter().map(|p| p.z).collect(), 0.95);
+        if labelled.len() < LEAST_LABELLED || high(&labelled) > end + ENDS_M {
+            return None;
+        }
+        let grid = PointGrid::new(&labelled, CONTINUES_M);
+        let own = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M));
+        let sides: Vec<DVec3> = labelled.iter().copied().chain(own).collect();
         let is_narrow = area(&outline) > WIDER * area(&outline_of(sides.iter().copied()));
-        (sides.len() >= LEAST && is_end && is_narrow).then_some((sides.len(), carrier))
+        (sides.len() >= LEAST && high(&sides) > end - STRIP_M && is_narrow)
+            .then_some((labelled.len(), carrier))
     };
     let most = below
         .into_iter()
@@ -288,10 +293,11 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
 /// centimetres lower.
 fn lower_end(points: &[DVec3]) -> f64 {
     const BIN_M: f64 = 0.002;
+    const MOST_BINS: usize = 5000;
     let heights: Vec<f64> = points.iter().map(|p| p.z).collect();
     let (low, middle) = (quantile(heights.clone(), 0.005), median(heights.clone()));
     let bin = |z: f64| ((z - low) / BIN_M).floor();
-    let mut counts = vec![0usize; bin(middle) as usize + 1];
+    let mut counts = vec![0usize; (bin(middle) as usize).min(MOST_BINS) + 1];
     let below = heights.iter().filter(|&&z| z >= low && bin(z) < counts.len() as f64);
     below.map(|&z| bin(z) as usize).collect::<Vec<_>>().into_iter().for_each(|b| counts[b] += 1);
     let usual = counts.iter().sum::<usize>().div_ceil(counts.len());
@@ -499,6 +505,9 @@ mod tests {
         let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(lean), DVec3::Z));
         assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
         assert!((rest.plane.offset - 0.45).abs() < 1e-3, "{}", rest.plane.offset);
+        let steeper = |p: DVec3| p.with_z(0.45 + 0.15 * (p.x - 0.12));
+        let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(steeper), DVec3::Z));
+        assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
         // Small, and seen all round, a board leans as well.
         let small: Vec<DVec3> = sides_of_box()
             .iter()
@@ -533,6 +542,16 @@ mod tests {
         let strays = (0..40).map(|k| DVec3::new(0.0, 0.0, 0.43 + 5e-4 * f64::from(k)));
         let strayed: Vec<DVec3> = sides_of_box().into_iter().chain(strays).collect();
         assert!((lower_end(&strayed) - 0.452).abs() < 1e-3, "{}", lower_end(&strayed));
+        // A rim that no label has, above walls that end too low; few labels, however much is beside them.
+        let dark = |labelled: usize| {
+            let mut around = seen(wall(-0.08, 0.43).chain(wall(0.08, 0.43)).take(labelled), DVec3::X);
+            around.lost_sides = wall(-0.08, 0.451).chain(wall(0.08, 0.451)).map(|p| (p, DVec3::X)).collect();
+            rest_of_box(&around).carrier
+        };
+        assert_eq!((dark(160), dark(20)), (Carrier::Object(STOOL), Carrier::Unseen));
+        // What is as wide as the box may be its own lower part.
+        let whole = || wall(-0.1, 0.451).chain(wall(0.1, 0.451)).map(|p| p * DVec3::new(1.0, 1.4, 1.0));
+        assert_eq!(rest_of_box(&seen(whole(), DVec3::X)).carrier, Carrier::Unseen);
         // What reaches up into the box (with its mask), or stands beside it, carries nothing.
         for other in [wall(0.0, 0.5), wall(0.0, 0.468), wall(0.14, 0.451)] {
             assert_eq!(rest_of_box(&seen(other, DVec3::X)).carrier, Carrier::Unseen);

@@ -118,6 +118,8 @@ fn append(to: &mut PointCloud, from: &PointCloud, which: &[usize]) {
 const UNDERSIDE_M: [f64; 2] = [0.0025, 0.004];
 const LOOKS_DOWN: f64 = 0.8;
 const BESIDE_M: f64 = 0.01;
+/// … unless this near to surface of what carries it that looks up, metres.
+const SHEET_M: f64 = 0.008;
 /// Fewer points make no object.
 const FEWEST: usize = 20;
 
@@ -126,20 +128,24 @@ const FEWEST: usize = 20;
 pub(crate) fn return_undersides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { continue };
-        let Some(lower) = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper) else {
-            continue;
-        };
+        let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper);
+        let Some(lower) = lower.filter(|_| drafts[upper].sphere.is_none()) else { continue };
         let u = plane.normal.any_orthonormal_vector();
         let v = plane.normal.cross(u);
         let on_plane = |p: DVec3| DVec2::new(p.dot(u), p.dot(v));
         let points = drafts[upper].cloud.points_w.iter();
         let outline = convex_outline(&points.map(|&p| on_plane(p)).collect::<Vec<_>>());
         let of = &drafts[lower].cloud;
+        // Of a thin sheet the other side was seen right above.
+        let looks_up = |(_, n): &(&DVec3, &DVec3)| n.dot(plane.normal) > LOOKS_DOWN;
+        let tops: Vec<DVec3> =
+            of.points_w.iter().zip(&of.normals_w).filter(looks_up).map(|(p, _)| *p).collect();
+        let tops = PointGrid::new(&tops, SHEET_M);
         let is_underside = |i: &usize| {
             let (p, height) = (of.points_w[*i], plane.height_over(of.points_w[*i]));
             let [below, above] = UNDERSIDE_M;
             let is_there = height > -below && height < above && is_within(&outline, on_plane(p), BESIDE_M);
-            is_there && of.normals_w[*i].dot(plane.normal) < -LOOKS_DOWN
+            is_there && of.normals_w[*i].dot(plane.normal) < -LOOKS_DOWN && !tops.is_near(p, SHEET_M)
         };
         let moved: Vec<usize> = (0..of.points_w.len()).filter(is_underside).collect();
         if moved.is_empty() || of.points_w.len() - moved.len() < FEWEST {
@@ -254,15 +260,18 @@ mod tests {
         stool.extend((20..25).map(row(0.501, DVec3::NEG_Z)));
         let lip: Vec<_> = (8..12).map(row(0.48, DVec3::NEG_Z)).collect();
         let shelf: Vec<_> = (60..64).map(row(0.5, DVec3::NEG_Z)).collect();
-        stool.extend(lip.iter().chain(&shelf));
+        // A sheet of 1 mm, from both sides.
+        let sheet: Vec<_> = (30..34).map(row(0.499, DVec3::NEG_Z)).collect();
+        let sheet: Vec<_> = sheet.into_iter().chain((30..34).map(row(0.5, DVec3::Z))).collect();
+        stool.extend(lip.iter().chain(&shelf).chain(&sheet));
         let mut drafts =
             [draft(1, rest(0.0, Carrier::Floor), &stool), draft(2, rest(0.5, Carrier::Object(1)), &board)];
         return_undersides(&mut drafts);
         let [stool, board] = &drafts;
-        assert_eq!((stool.cloud.points_w.len(), board.cloud.points_w.len()), (46, 45));
+        assert_eq!((stool.cloud.points_w.len(), board.cloud.points_w.len()), (54, 45));
         assert_eq!(board.cloud.colors[40..], [[1; 3]; 5]);
         assert!(board.cloud.points_w[40..].iter().all(|p| p.z == 0.501));
-        for (p, n) in lip.iter().chain(&shelf) {
+        for (p, n) in lip.iter().chain(&shelf).chain(&sheet) {
             assert!(stool.cloud.points_w.iter().zip(&stool.cloud.normals_w).any(|own| own == (p, n)));
         }
     }

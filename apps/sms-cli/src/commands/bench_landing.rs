@@ -230,8 +230,8 @@ fn standing_text(standing: &Standing) -> String {
         bodies => format!("; {} of no true object, with the mass told", bodies.join(", ")),
     };
     format!(
-        "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, up to {:+.0} % \
-         elsewhere on its edge{unmatched})",
+        "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, at most {:+.0} % \
+         on its edge{unmatched})",
         load.told_n,
         1e2 * end,
         load.truth_n,

@@ -70,7 +70,9 @@ impl Standing {
         set("drift_rad", self.drift_rad);
         // JSON has no infinity: where nothing tips the scanned structure its error is null, and counted here.
         set("tipping_points", self.loads().count() as f64);
-        set("tipping_points_held", self.loads().filter(|l| l.true_masses_n.is_infinite()).count() as f64);
+        let held = |of: fn(&EdgeLoad) -> f64| self.loads().filter(|l| of(l).is_infinite()).count() as f64;
+        set("tipping_points_held", held(|l| l.told_n));
+        set("tipping_points_held_true_masses", held(|l| l.true_masses_n));
         set("unmatched_bodies", self.unmatched.len() as f64);
         let told = [("end", self.end_errors()), ("worst", self.worst_errors())];
         for (which, [error, geometry]) in told.into_iter().filter_map(|(which, e)| Some((which, e?))) {
