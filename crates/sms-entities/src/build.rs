@@ -295,9 +295,7 @@ fn join_pieces(
         let piece = drafts.remove(i);
         let host = &mut drafts[if host > i { host - 1 } else { host }];
         joined.push((piece.info.id, host.info.id));
-        host.cloud.points_w.extend(piece.cloud.points_w);
-        host.cloud.normals_w.extend(piece.cloud.normals_w);
-        host.cloud.colors.extend(piece.cloud.colors);
+        cloud::extend(&mut host.cloud, piece.cloud);
         host.spacing = host.spacing.max(piece.spacing);
         host.sphere = recognise_sphere(&host.cloud, views, around, host.info.id, &host.rest, config, seed);
         let message = format!(
@@ -389,8 +387,8 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     highest.iter().all(|&z| z > -fit.radius - give)
 }
 
-/// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own. Gives those that
-/// lie below.
+/// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own. No more
+/// than the plane's scatter is taken, because the floor of a thin dish lies just over it. Gives those that lie below.
 fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
     const BELOW_M: f64 = -0.003;
     let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height_over(p)).collect();
@@ -402,8 +400,7 @@ fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
     if keep.iter().filter(|&&k| k).count() < 20 {
         return PointCloud::default();
     }
-    let mut below = cloud.clone();
-    cloud::retain(&mut below, &heights.iter().map(|h| *h <= BELOW_M).collect::<Vec<_>>());
+    let below = cloud::chosen(cloud, &heights.iter().map(|h| *h <= BELOW_M).collect::<Vec<_>>());
     cloud::retain(cloud, &keep);
     below
 }

@@ -350,6 +350,20 @@ fn drop_strays(cloud: &mut PointCloud, spacing: f64) {
     retain(cloud, &keep);
 }
 
+/// The points of a cloud whose entry is true.
+pub(crate) fn chosen(cloud: &PointCloud, which: &[bool]) -> PointCloud {
+    let mut part = cloud.clone();
+    retain(&mut part, which);
+    part
+}
+
+/// Adds the points of one cloud to another.
+pub(crate) fn extend(cloud: &mut PointCloud, by: PointCloud) {
+    cloud.points_w.extend(by.points_w);
+    cloud.normals_w.extend(by.normals_w);
+    cloud.colors.extend(by.colors);
+}
+
 /// Keeps the points whose entry is true.
 pub(crate) fn retain(cloud: &mut PointCloud, keep: &[bool]) {
     fn filter<T: Copy>(values: &mut Vec<T>, keep: &[bool]) {

@@ -107,7 +107,6 @@ fn part_pair(
                     (false, false) => 0.5 * (on_a + on_b),
                 };
                 let between = (normal, normal.dot(middle));
-                let before = (a.parts.get(i).cloned(), b.parts.get(j).cloned());
                 let at_face = level.and_then(|(height, second_is_upper)| {
                     let up = if second_is_upper { DVec3::Z } else { DVec3::NEG_Z };
                     let end = if is_exact(a) || is_exact(b) { middle.z } else { height };
@@ -115,16 +114,13 @@ fn part_pair(
                     let lower = if second_is_upper { (&*a, i) } else { (&*b, j) };
                     let foot = foot.as_deref().unwrap_or_default();
                     let ends_there =
-                        is_exact(lower.0) || !reaches_beside(&lower.0.parts[lower.1], foot, height);
+                        is_exact(lower.0) || !reaches_beside(&lower.0.parts[lower.1], foot, height, 0.0);
                     (is_at_face && ends_there).then_some((up, up.z * end))
                 });
-                let is_cut = at_face.is_some_and(|plane| cut_both((a, i), (b, j), plane, max_vertices));
-                if !is_cut && at_face.is_some() {
-                    // A level cut of one of them alone would be sliced again by what follows.
-                    restore(a, i, before.0);
-                    restore(b, j, before.1);
-                }
-                if !(is_cut || cut_both((a, i), (b, j), between, max_vertices)) {
+                let is_cut = at_face
+                    .is_some_and(|plane| cut_both_or_neither((a, i), (b, j), plane, max_vertices))
+                    || cut_both((a, i), (b, j), between, max_vertices);
+                if !is_cut {
                     break;
                 }
             }
@@ -155,15 +151,28 @@ fn cut_both(
     cut_a && cut_b
 }
 
-fn restore(entity: &mut Entity, i: usize, part: Option<Mesh>) {
-    if let (Some(now), Some(part)) = (entity.parts.get_mut(i), part) {
-        *now = part;
+/// [`cut_both`] that changes nothing where too little would be left of one: a level cut of the other alone would be sliced again.
+fn cut_both_or_neither(
+    (a, i): (&mut Entity, usize),
+    (b, j): (&mut Entity, usize),
+    (normal, offset): (DVec3, f64),
+    max_vertices: usize,
+) -> bool {
+    let before = a.parts.get(i).cloned();
+    if !(is_exact(a) || cut(&mut a.parts[i], normal, offset, max_vertices)) {
+        return false;
     }
+    let is_cut = is_exact(b) || cut(&mut b.parts[j], -normal, -offset, max_vertices);
+    if let (false, Some(part)) = (is_cut, before) {
+        a.parts[i] = part;
+    }
+    is_cut
 }
 
-/// Whether a piece reaches far above a face beside the outline of what stands on it: it was seen there, and stays.
-fn reaches_beside(part: &Mesh, outline: &[DVec2], height: f64) -> bool {
-    part.vertices.iter().any(|v| v.z > height + REACH_M && !is_within(outline, v.truncate(), 0.0))
+/// Whether a piece reaches far above a face beside the outline of what stands on it, by more than `margin` (metres): it was seen there, and
+/// stays.
+pub(crate) fn reaches_beside(part: &Mesh, outline: &[DVec2], height: f64, margin: f64) -> bool {
+    part.vertices.iter().any(|v| v.z > height + REACH_M && !is_within(outline, v.truncate(), margin))
 }
 
 /// Whether a convex piece is as thick as engines need it.

@@ -5,13 +5,14 @@
 //! the face itself is known, from the seen part of an overhanging underside, from where its carrier was seen to end, or because the object
 //! is an exact solid, what carries it ends there, and it is flat. What carries others stands on a flat foot itself.
 
-use crate::contact::{cut_to, is_exact};
+use crate::contact::{cut_to, is_exact, reaches_beside};
 use crate::grid::{PointGrid, median, quantile};
 use crate::outline::{common, is_within, outline_of, width};
 use crate::stack::{
     CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
 };
 use crate::support::{Carrier, Rest, least_squares_plane};
+use crate::underside::SIDE;
 use glamx::{DVec2, DVec3};
 use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityShape, Mesh};
@@ -25,10 +26,8 @@ const FEWEST: usize = 30;
 /// What carries others stands on the floor with all that ends within this of it, metres: a foot that is uneven by a millimetre lets a
 /// stack lean.
 const FOOT_M: f64 = 0.0035;
-/// Masks lose a strip above the floor: where an upright side (one that looks up or down by less than this, cosine) was seen to end lower
-/// than this, near a corner (metres), it goes on to the floor.
+/// Masks lose a strip above the floor: where a side was seen lower than this, this near to a corner (metres), it goes on to the floor.
 const STRIP_M: f64 = 0.012;
-const SIDE: f64 = 0.5;
 const NEAR_M: f64 = 0.01;
 /// Four fifths of the points seen of a face lie within this height, metres, or this near to a plane that leans less than this, radians: what
 /// stands there does not lean, but a strip that was seen at a grazing angle seems to. Others are no level face.
@@ -213,8 +212,9 @@ fn flatten(
 
 /// Cuts off what of a piece reaches above a face that stands on it. What reaches far above it beside the face was seen there.
 fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f64, max_vertices: usize) {
-    let beside = |v: &DVec3| v.z > height + REACH_M && !is_within(outline, v.truncate(), BESIDE_M);
-    if part.vertices.iter().any(beside) || part.vertices.iter().all(|v| v.z < height + CLOSED_M) {
+    if reaches_beside(part, outline, height, BESIDE_M)
+        || part.vertices.iter().all(|v| v.z < height + CLOSED_M)
+    {
         return;
     }
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();

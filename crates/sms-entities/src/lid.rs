@@ -62,6 +62,7 @@ pub(crate) fn add_lids(
         if outline.len() < 3 {
             continue;
         }
+        let rest = rests.iter().find(|r| r.0 == entities[upper].label).map(|r| r.1.carrier);
         for lower in (0..entities.len()).filter(|&i| i != upper) {
             let carrier = &entities[lower];
             if is_exact(carrier) || !can_carry(carrier, height) {
@@ -69,7 +70,6 @@ pub(crate) fn add_lids(
             }
             let others = || (0..entities.len()).filter(|&i| i != lower && i != upper).map(|i| &entities[i]);
             let bears = |e: &Entity| bottom(e) < height - REACH_M && touches(e, &outline, height);
-            let rest = rests.iter().find(|r| r.0 == entities[upper].label).map(|r| r.1.carrier);
             let is_elsewhere = match rest {
                 Some(Carrier::Object(label)) => label != carrier.label,
                 Some(Carrier::Environment | Carrier::Floor) => true,
@@ -217,14 +217,11 @@ fn seen_sides(
     let cloud = &carrier.cloud;
     let own = PointGrid::new(&cloud.points_w, FLARED_M);
     // A rim looks away from the wall below it, and what stands beside the object looks back.
-    let looks_away = |p: DVec3, normal: DVec3, k: usize| {
-        let from = p - cloud.points_w[k];
-        normal.dot(from) > -BACK * from.length()
+    let looks_away = |p: DVec3, normal: DVec3| {
+        let wall = own.nearest(p).filter(|(distance, _)| *distance <= FLARED_M);
+        wall.is_some_and(|(distance, k)| normal.dot(p - cloud.points_w[k]) > -BACK * distance)
     };
-    let is_lost = |(p, normal): &(DVec3, DVec3)| {
-        let near = is_near(*p) && own.is_near(*p, FLARED_M);
-        near && own.nearest(*p).is_some_and(|(_, k)| looks_away(*p, *normal, k))
-    };
+    let is_lost = |(p, normal): &(DVec3, DVec3)| is_near(*p) && looks_away(*p, *normal);
     let lost: Vec<(DVec3, DVec3)> = around.lost_sides.iter().copied().filter(is_lost).collect();
     let points: Vec<DVec3> = lost.iter().map(|(p, _)| *p).collect();
     let grid = PointGrid::new(&points, NEAR_M);
@@ -232,14 +229,11 @@ fn seen_sides(
     let is_no_noise = |p: DVec3, grid: &PointGrid| grid.within(p, NEAR_M).len() > NEIGHBORS;
     let lost: Vec<(DVec3, DVec3)> = lost.into_iter().filter(|(p, _)| is_no_noise(*p, &grid)).collect();
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
-    let is_own = |&i: &usize| is_near(cloud.points_w[i]) && normal(i).z.abs() < UPRIGHT;
-    let mut sides: Vec<usize> = (0..cloud.points_w.len()).filter(is_own).collect();
+    let upright: Vec<usize> = (0..cloud.points_w.len()).filter(|&i| normal(i).z.abs() < UPRIGHT).collect();
+    let mut sides: Vec<usize> = upright.iter().copied().filter(|&i| is_near(cloud.points_w[i])).collect();
     // What goes on beyond the face does not end there.
-    let goes_on = |&i: &usize| {
-        let (p, is_side) = (cloud.points_w[i], normal(i).z.abs() < UPRIGHT);
-        is_side && p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0)
-    };
-    if (0..cloud.points_w.len()).filter(goes_on).count() > sides.len() / 10 {
+    let goes_on = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
+    if upright.iter().filter(|&&i| goes_on(cloud.points_w[i])).count() > sides.len() / 10 {
         return None;
     }
     let end = |heights: Vec<f64>| (!heights.is_empty()).then(|| quantile(heights, 0.98));
@@ -271,8 +265,7 @@ mod tests {
     use crate::stack::tests::entity;
     use crate::support::Plane;
     use glamx::DPose3;
-    use sms_core::EntityShape;
-    use sms_core::{BACKGROUND, EntityKind};
+    use sms_core::{BACKGROUND, EntityKind, EntityShape};
 
     fn cuboid(name: &str, half: DVec3, center: DVec3) -> Entity {
         let mesh = Mesh::cuboid(half).transformed(&DPose3::from_translation(center));
@@ -304,6 +297,15 @@ mod tests {
         Surroundings::default()
     }
 
+    /// Surface that no label has.
+    fn unlabelled(points: impl Iterator<Item = DVec3>, normal: DVec3) -> Surroundings {
+        let points: Vec<DVec3> = points.collect();
+        let (normals, labels) = (vec![normal; points.len()], vec![BACKGROUND; points.len()]);
+        let mut around = Surroundings { points, normals, labels, ..nothing() };
+        around.collect_lost_sides(&[]);
+        around
+    }
+
     #[test]
     fn a_rim_that_no_mask_explains_is_of_what_is_beside_it() {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
@@ -311,15 +313,8 @@ mod tests {
         // Labels end 1 cm below the rim, which is background.
         let rim = std::mem::take(&mut bin.cloud.points_w);
         bin.cloud.points_w.extend(rim.iter().map(|p| p - DVec3::Z * 0.012));
-        let mut around = nothing();
         let far = (0..50).map(|k| DVec3::new(0.0, -0.6, 0.498) + DVec3::X * 0.002 * f64::from(k));
-        for p in rim.iter().step_by(3).copied().chain(far) {
-            around.points.push(p);
-            around.normals.push(DVec3::X);
-            around.colors.push([0; 3]);
-            around.labels.push(BACKGROUND);
-        }
-        around.collect_lost_sides(&[]);
+        let around = unlabelled(rim.iter().step_by(3).copied().chain(far), DVec3::X);
         let mut all = [bin, board];
         add_lids(&mut all, &[], 0.0, 64, &around);
         let bounds = all[0].parts[1].aabb().unwrap();
@@ -392,25 +387,19 @@ mod tests {
         let mut book = cuboid("book", DVec3::new(0.1, 0.15, 0.01), DVec3::Z * 0.49);
         for k in 0..1200 {
             let (i, j) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 29.0);
-            let side = |p: DVec3, n: DVec3| (p, n);
             let (p, n) = match k % 3 {
-                0 => side(DVec3::new(0.1, 0.3 * i - 0.15, 0.481 + 0.018 * j), DVec3::X),
-                1 => side(DVec3::new(0.2 * i - 0.1, 0.15, 0.481 + 0.018 * j), DVec3::Y),
-                _ => side(DVec3::new(0.2 * i - 0.1, -0.15, 0.481 + 0.018 * j), DVec3::NEG_Y),
+                0 => (DVec3::new(0.1, 0.3 * i - 0.15, 0.481 + 0.018 * j), DVec3::X),
+                1 => (DVec3::new(0.2 * i - 0.1, 0.15, 0.481 + 0.018 * j), DVec3::Y),
+                _ => (DVec3::new(0.2 * i - 0.1, -0.15, 0.481 + 0.018 * j), DVec3::NEG_Y),
             };
             book.cloud.points_w.push(p);
             book.cloud.normals_w.push(n);
         }
         let board = cuboid("board", DVec3::new(0.3, 0.1, 0.006), DVec3::new(0.2, 0.0, 0.506));
-        let mut around = nothing();
-        for k in 0..400 {
-            let (i, j) = (f64::from(k % 20) / 19.0, f64::from(k / 20) / 19.0);
-            around.points.push(DVec3::new(0.102 + 0.3 * i, 0.3 * j - 0.15, 0.48));
-            around.normals.push(DVec3::Z);
-            around.colors.push([0; 3]);
-            around.labels.push(BACKGROUND);
-        }
-        around.collect_lost_sides(&[]);
+        let at = |k: u32| {
+            DVec3::new(0.102 + 0.3 * f64::from(k % 20) / 19.0, 0.3 * f64::from(k / 20) / 19.0 - 0.15, 0.48)
+        };
+        let around = unlabelled((0..400).map(at), DVec3::Z);
         let mut all = [book, board];
         let before = all.clone();
         add_lids(&mut all, &[], 0.0, 64, &around);
@@ -477,15 +466,10 @@ mod tests {
     fn a_wall_behind_is_no_side() {
         let board = cuboid("board", DVec3::new(0.3, 0.6, 0.006), DVec3::new(0.1, -0.3, 0.506));
         let wall = |normal: DVec3| {
-            let mut around = nothing();
-            for k in 0..200 {
-                let (i, j) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 4.0);
-                around.points.push(DVec3::new(0.18, 0.4 * i - 0.2, 0.475 + 0.02 * j));
-                around.normals.push(normal);
-                around.colors.push([0; 3]);
-                around.labels.push(BACKGROUND);
-            }
-            around.collect_lost_sides(&[]);
+            let at = |k: u32| {
+                DVec3::new(0.18, 0.4 * f64::from(k % 40) / 39.0 - 0.2, 0.475 + 0.005 * f64::from(k / 40))
+            };
+            let around = unlabelled((0..200).map(at), normal);
             let mut all = [bin(0.007), board.clone()];
             add_lids(&mut all, &[], 0.0, 64, &around);
             all[0].parts[1].aabb().unwrap().max.x

@@ -191,9 +191,11 @@ pub(crate) fn find_rest(
     if let Some(carrier) = surrounding_object(&next_to_foot, around, center) {
         candidates.retain(|&i| around.labels[i] == carrier);
     }
+    let scatter = |plane: &Plane, members: &[usize]| {
+        median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect())
+    };
     let rest = |plane: Plane, carrier: Carrier, members: &[usize]| {
-        let off = members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect::<Vec<_>>();
-        let noise_m = if off.len() < 12 { UNSEEN_NOISE_M } else { 1.4826 * median(off) };
+        let noise_m = if members.len() < 12 { UNSEEN_NOISE_M } else { 1.4826 * scatter(&plane, members) };
         Rest { plane, carrier, noise_m }
     };
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
@@ -224,18 +226,17 @@ pub(crate) fn find_rest(
     }
     // What was seen of an object's top beside what stands on it is often a strip, which says little of how it leans. All round it a lean
     // was seen.
-    let heights: Vec<f64> = members.iter().map(|&i| around.points[i].z).collect();
-    let height = median(heights.clone());
-    let off = median(heights.iter().map(|z| (z - height).abs()).collect());
+    let level = Plane::horizontal(median(members.iter().map(|&i| around.points[i].z).collect()));
+    let off = scatter(&level, &members);
     let mut seen = [false; SECTORS];
     members.iter().for_each(|&i| seen[sector(around.points[i] - center)] = true);
     let is_strip = seen.iter().filter(|s| **s).count() < ALL_ROUND;
-    let noise = median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect());
+    let noise = scatter(&plane, &members);
     let leans = plane.normal.z.min(1.0).acos();
     let is_unclear =
         if is_strip { leans < STRIP_LEANS } else { leans < LEANS && off < CLEARER * noise.max(NOISE_M) };
     let is_level = off < LEVEL_M && is_unclear;
-    rest(if is_level { Plane::horizontal(height) } else { plane }, Carrier::Object(most), &members)
+    rest(if is_level { level } else { plane }, Carrier::Object(most), &members)
 }
 
 /// A top half of whose points lie within this height of their middle, metres, is level where it leans less than this, radians: if it was
@@ -298,8 +299,11 @@ fn lower_end(points: &[DVec3]) -> f64 {
     let (low, middle) = (quantile(heights.clone(), 0.005), median(heights.clone()));
     let bin = |z: f64| ((z - low) / BIN_M).floor();
     let mut counts = vec![0usize; (bin(middle) as usize).min(MOST_BINS) + 1];
-    let below = heights.iter().filter(|&&z| z >= low && bin(z) < counts.len() as f64);
-    below.map(|&z| bin(z) as usize).collect::<Vec<_>>().into_iter().for_each(|b| counts[b] += 1);
+    for &z in heights.iter().filter(|&&z| z >= low) {
+        if let Some(count) = counts.get_mut(bin(z) as usize) {
+            *count += 1;
+        }
+    }
     let usual = counts.iter().sum::<usize>().div_ceil(counts.len());
     let first = counts.iter().position(|&n| 3 * n >= usual).unwrap_or(0);
     median(heights.into_iter().filter(|&z| bin(z) == first as f64).collect())
@@ -311,7 +315,7 @@ const SIDES_M: f64 = 0.04;
 const STRIP_M: f64 = 0.012;
 const ENDS_M: f64 = 0.005;
 const WIDER: f64 = 1.5;
-/// Sides look up or down by less than this (sine): a level surface is the table beside an object, or the underside of what stands on it.
+/// What looks up or down by less than this (cosine of the angle to the vertical) may be a side: a level surface is the table beside an object, or the underside of what stands on it.
 pub(crate) const UPRIGHT: f64 = 0.7;
 /// Unlabelled sides this near to an object's, metres, are its own.
 const CONTINUES_M: f64 = 0.03;

@@ -83,34 +83,33 @@ pub(crate) fn contact_points(
     points
 }
 
-/// Sides look up or down by less than this (cosine), continue others within this distance, metres, and look the same way within 60°.
-const SIDE: f64 = 0.5;
+/// Sides look up or down by less than this (cosine of the angle to the vertical).
+pub(crate) const SIDE: f64 = 0.5;
+/// They continue others within this distance, metres, that look the same way within 60°.
 const CONTINUES_M: f64 = 0.02;
+
+/// The plane on which an object stands and the one that carries it, by its index. Balls touch at a point, and their labels bleed otherwise.
+fn carried(drafts: &[Draft], upper: usize) -> Option<(Plane, usize)> {
+    let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { return None };
+    let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper)?;
+    drafts[upper].sphere.is_none().then_some((plane, lower))
+}
 
 /// Gives sides below the face on which an object stands, which have the object's label, to what carries it. Masks err by centimetres where
 /// a camera saw both edges behind each other, and how far its sides reach up says where a carrier's edge is.
 pub(crate) fn return_sides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let below = std::mem::take(&mut drafts[upper].below);
-        let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { continue };
-        let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper);
-        let Some(lower) = lower.filter(|_| drafts[upper].sphere.is_none()) else { continue };
+        let Some((plane, lower)) = carried(drafts, upper) else { continue };
         let own = &drafts[lower].cloud;
         let grid = PointGrid::new(&own.points_w, CONTINUES_M);
-        let is_side = |i: &usize| {
-            let (p, normal) = (below.points_w[*i], below.normals_w[*i]);
-            let continues = |(_, k): &(f64, usize)| own.normals_w[*k].dot(normal) > 0.5;
-            normal.dot(plane.normal).abs() < SIDE && grid.within(p, CONTINUES_M).iter().any(continues)
+        let is_side = |(p, normal): (&DVec3, &DVec3)| {
+            let continues = |(_, k): &(f64, usize)| own.normals_w[*k].dot(*normal) > 0.5;
+            normal.dot(plane.normal).abs() < SIDE && grid.within(*p, CONTINUES_M).iter().any(continues)
         };
-        let moved: Vec<usize> = (0..below.points_w.len()).filter(is_side).collect();
-        append(&mut drafts[lower].cloud, &below, &moved);
+        let moved: Vec<bool> = below.points_w.iter().zip(&below.normals_w).map(is_side).collect();
+        cloud::extend(&mut drafts[lower].cloud, cloud::chosen(&below, &moved));
     }
-}
-
-fn append(to: &mut PointCloud, from: &PointCloud, which: &[usize]) {
-    to.points_w.extend(which.iter().map(|&i| from.points_w[i]));
-    to.normals_w.extend(which.iter().map(|&i| from.normals_w[i]));
-    to.colors.extend(which.iter().map(|&i| from.colors[i]));
 }
 
 /// Points at most this far below and above the face on which an object stands, metres, that look down at least so steeply (cosine), and lie
@@ -127,9 +126,7 @@ const FEWEST: usize = 20;
 /// looks down there, and a few such points would make its top reach as far as they lie.
 pub(crate) fn return_undersides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
-        let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { continue };
-        let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper);
-        let Some(lower) = lower.filter(|_| drafts[upper].sphere.is_none()) else { continue };
+        let Some((plane, lower)) = carried(drafts, upper) else { continue };
         let u = plane.normal.any_orthonormal_vector();
         let v = plane.normal.cross(u);
         let on_plane = |p: DVec3| DVec2::new(p.dot(u), p.dot(v));
@@ -141,20 +138,18 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
         let tops: Vec<DVec3> =
             of.points_w.iter().zip(&of.normals_w).filter(looks_up).map(|(p, _)| *p).collect();
         let tops = PointGrid::new(&tops, SHEET_M);
-        let is_underside = |i: &usize| {
-            let (p, height) = (of.points_w[*i], plane.height_over(of.points_w[*i]));
-            let [below, above] = UNDERSIDE_M;
+        let is_underside = |(&p, normal): (&DVec3, &DVec3)| {
+            let (height, [below, above]) = (plane.height_over(p), UNDERSIDE_M);
             let is_there = height > -below && height < above && is_within(&outline, on_plane(p), BESIDE_M);
-            is_there && of.normals_w[*i].dot(plane.normal) < -LOOKS_DOWN && !tops.is_near(p, SHEET_M)
+            is_there && normal.dot(plane.normal) < -LOOKS_DOWN && !tops.is_near(p, SHEET_M)
         };
-        let moved: Vec<usize> = (0..of.points_w.len()).filter(is_underside).collect();
-        if moved.is_empty() || of.points_w.len() - moved.len() < FEWEST {
+        let moved: Vec<bool> = of.points_w.iter().zip(&of.normals_w).map(is_underside).collect();
+        let stays: Vec<bool> = moved.iter().map(|moves| !moves).collect();
+        if stays.iter().filter(|s| **s).count() < FEWEST {
             continue;
         }
-        let mut stays = vec![true; of.points_w.len()];
-        moved.iter().for_each(|&i| stays[i] = false);
-        let of = of.clone();
-        append(&mut drafts[upper].cloud, &of, &moved);
+        let moved = cloud::chosen(of, &moved);
+        cloud::extend(&mut drafts[upper].cloud, moved);
         cloud::retain(&mut drafts[lower].cloud, &stays);
     }
 }
