@@ -63,17 +63,25 @@ pub fn build_entities(
     let count = labels.objects.len() as u64;
     progress.begin("objects", 2 * count + 1);
     let mut around = support::surroundings(&views, 0.005);
-    around.collect_lost_sides(&cloud::label_discs(model, &views, sms_core::BACKGROUND, config));
+    let discs_of = |label: u16| cloud::label_discs(model, &views, label, config);
+    let ids = labels.objects.par_iter().map(|info| info.id);
+    let (unlabelled, discs): (Vec<Disc>, Vec<Vec<Disc>>) =
+        rayon::join(|| discs_of(sms_core::BACKGROUND), || ids.map(discs_of).collect());
+    around.collect_lost_sides(&unlabelled);
+    for (info, discs) in labels.objects.iter().zip(&discs) {
+        around.collect_own_sides(info.id, discs);
+    }
     let support_height = support::support_height(&around);
     // Objects do not know of each other here; warnings are sorted when they are written.
     let done = AtomicU64::new(0);
     let drafts: Vec<Option<Draft>> = labels
         .objects
         .par_iter()
-        .map(|info| {
+        .zip(discs)
+        .map(|(info, discs)| {
             cancel.check()?;
             let object_seed = seed.derive_index("object", u64::from(info.id));
-            let draft = draft(model, &views, &around, support_height, info, config, object_seed, warnings);
+            let draft = draft(discs, &views, &around, support_height, info, config, object_seed, warnings);
             progress.update(done.fetch_add(1, Ordering::Relaxed) + 1, &info.name);
             Ok(draft)
         })
@@ -191,7 +199,7 @@ fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesErro
 const FEW_DISCS: usize = 40;
 
 fn draft(
-    model: &GaussianModel,
+    mut discs: Vec<Disc>,
     views: &Views,
     around: &Surroundings,
     support_height: Option<f64>,
@@ -201,7 +209,6 @@ fn draft(
     warnings: &Warnings,
 ) -> Option<Draft> {
     let coarse = cloud::coarse_spacing(config);
-    let mut discs: Vec<Disc> = cloud::label_discs(model, views, info.id, config);
     if discs.len() < FEW_DISCS {
         let from_model = discs.len();
         discs = cloud::pixel_discs(views, info.id, coarse);

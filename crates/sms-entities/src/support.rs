@@ -19,11 +19,18 @@ pub(crate) struct Surroundings {
     pub(crate) colors: Vec<[u8; 3]>,
     /// Sides that no label explains, with their normals: masks lose a strip between two things, a rim in the shade as a whole.
     pub(crate) lost_sides: Vec<(DVec3, DVec3)>,
+    /// Sides of objects with their labels, of the reconstruction, which sees thin rims whole.
+    pub(crate) own_sides: Vec<(DVec3, u16)>,
 }
 
 impl Surroundings {
-    /// Collects the sides that no label explains: of what the frames measured, and of these discs of the reconstruction, which sees thin
-    /// rims whole.
+    /// Collects the sides of an object, of its discs.
+    pub(crate) fn collect_own_sides(&mut self, label: u16, discs: &[Disc]) {
+        let sides = discs.iter().filter(|d| d.normal.z.abs() < UPRIGHT);
+        self.own_sides.extend(sides.map(|d| (d.center, label)));
+    }
+
+    /// Collects the sides that no label explains: of what the frames measured, and of these discs of the reconstruction.
     pub(crate) fn collect_lost_sides(&mut self, unlabelled: &[Disc]) {
         let measured = (0..self.points.len()).filter(|&i| self.labels[i] == sms_core::BACKGROUND);
         let measured = measured.map(|i| (self.points[i], self.normals[i]));
@@ -268,8 +275,8 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
             below.entry(l).or_default().push(*p);
         }
     }
-    let lost = around.lost_sides.iter().map(|(p, _)| *p).filter(|p| p.z < end + ENDS_M && is_there(p));
-    let lost: Vec<DVec3> = lost.collect();
+    let may_carry = |p: &DVec3| p.z < end + ENDS_M && is_there(p);
+    let lost: Vec<DVec3> = around.lost_sides.iter().map(|(p, _)| *p).filter(may_carry).collect();
     // What lies on the object is over its foot, too; what is as wide as the foot may be the lower part of the same thing.
     let ends = |(carrier, labelled): (u16, Vec<DVec3>)| {
         let high = |of: &[DVec3]| quantile(of.iter().map(|p| p.z).collect(), 0.95);
@@ -277,8 +284,9 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
             return None;
         }
         let grid = PointGrid::new(&labelled, CONTINUES_M);
-        let own = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M));
-        let sides: Vec<DVec3> = labelled.iter().copied().chain(own).collect();
+        let unlabelled = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M));
+        let own = around.own_sides.iter().filter(|(p, l)| *l == carrier && may_carry(p)).map(|(p, _)| *p);
+        let sides: Vec<DVec3> = labelled.iter().copied().chain(unlabelled).chain(own).collect();
         let is_narrow = area(&outline) > WIDER * area(&outline_of(sides.iter().copied()));
         (sides.len() >= LEAST && high(&sides) > end - STRIP_M && is_narrow)
             .then_some((labelled.len(), carrier))
@@ -489,7 +497,7 @@ mod tests {
             normals: vec![normal; count],
             labels: vec![STOOL; count],
             colors: vec![[0; 3]; count],
-            lost_sides: Vec::new(),
+            ..Surroundings::default()
         }
     }
 
@@ -553,6 +561,13 @@ mod tests {
             rest_of_box(&around).carrier
         };
         assert_eq!((dark(160), dark(20)), (Carrier::Object(STOOL), Carrier::Unseen));
+        // A rim that the reconstruction alone saw; of another object it is none.
+        let thin = |label: u16| {
+            let mut around = seen(wall(-0.08, 0.43).chain(wall(0.08, 0.43)), DVec3::X);
+            around.own_sides = wall(-0.08, 0.451).chain(wall(0.08, 0.451)).map(|p| (p, label)).collect();
+            rest_of_box(&around).carrier
+        };
+        assert_eq!((thin(STOOL), thin(7)), (Carrier::Object(STOOL), Carrier::Unseen));
         // What is as wide as the box may be its own lower part.
         let whole = || wall(-0.1, 0.451).chain(wall(0.1, 0.451)).map(|p| p * DVec3::new(1.0, 1.4, 1.0));
         assert_eq!(rest_of_box(&seen(whole(), DVec3::X)).carrier, Carrier::Unseen);
