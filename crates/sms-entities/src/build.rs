@@ -244,6 +244,10 @@ fn draft(
         .into_iter()
         .map(|i| cloud.points_w[i])
         .collect();
+    // Discs reach centimetres beyond what was seen of them, into a board below the foot: that is not where the object ends.
+    let is_seen = |p: &DVec3| views.count(*p, info.id).own > 0;
+    let seen: Vec<DVec3> = sparse.iter().copied().filter(is_seen).collect();
+    let sparse = if seen.len() < FEW_DISCS { sparse } else { seen };
     let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
     if rest.carrier == Carrier::Unseen {
         warnings.add(

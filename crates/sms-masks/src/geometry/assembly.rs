@@ -1,7 +1,7 @@
 //! What stands free on the ground and is larger than an object: furniture, containers, and what is stacked on them.
 
 use super::GeometryConfig;
-use super::cluster::quantile;
+use super::cluster::{is_ragged, quantile};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::extents;
 use super::posts::{Footprint, Post};
@@ -96,6 +96,8 @@ const LEVEL: f64 = 0.2;
 /// Parts of the way along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
 const SECTORS: usize = 24;
 const RUNNING: f64 = 0.5;
+/// … or, between two colours, this share in one piece: a side of a board, where the shade hides the others.
+const SIDE: f64 = 0.25;
 /// A seam that is less wide than this share of its length runs along a line.
 const LINE: f64 = 0.2;
 /// What is that much shorter than what it carries is a foot of it.
@@ -117,7 +119,7 @@ enum Seam {
 }
 
 /// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` the surfels of the least
-/// object.
+/// object, `cell_m2` the area of a surfel.
 ///
 /// What stands free is stacked: bodies meet where one stands on another, in a level seam around the contact with the one above
 /// it and the other below. And nothing floats: what neither reaches the ground nor stands on something is part of what it
@@ -128,8 +130,9 @@ pub(crate) fn merge_bodies(
     graph: &Neighbors,
     members: &[usize],
     smallest: usize,
+    cell_m2: f64,
 ) {
-    let mut bodies = Bodies { owner: vec![usize::MAX; surfels.len()], surfels, graph };
+    let mut bodies = Bodies { owner: vec![usize::MAX; surfels.len()], surfels, graph, cell_m2 };
     for a in s.left() {
         s.members(a).iter().for_each(|&i| bodies.owner[i] = a);
     }
@@ -150,7 +153,8 @@ pub(crate) fn merge_bodies(
         );
         let pair = surest.map(|x| x.1).or_else(|| bodies.floating(s, &seams, ground, smallest));
         let leg = || bodies.hidden_leg(s, &seams, smallest);
-        let Some((a, b)) = pair.or_else(leg) else { break };
+        let ragged = || bodies.ragged(s, &seams, smallest);
+        let Some((a, b)) = pair.or_else(leg).or_else(ragged) else { break };
         bodies.merge(s, a, b);
     }
 }
@@ -161,6 +165,8 @@ struct Bodies<'a> {
     owner: Vec<usize>,
     surfels: &'a [Surfel],
     graph: &'a Neighbors,
+    /// Area of a surfel, m².
+    cell_m2: f64,
 }
 
 impl Bodies<'_> {
@@ -242,10 +248,15 @@ impl Bodies<'_> {
         if is_post || is_foot || self.is_underside(s, lower) {
             return one;
         }
-        if !is_level || self.running(s, a, b, border) < RUNNING {
+        let is_flush_color = contrast.is_some_and(|c| c > FLUSH_COLOR);
+        let runs = || {
+            let [all, in_one] = self.running(s, a, b, border);
+            all >= RUNNING || is_flush_color && in_one >= SIDE
+        };
+        if !is_level || !runs() {
             return beside();
         }
-        let parts = bent > BENT || contrast.is_some_and(|c| c > FLUSH_COLOR);
+        let parts = bent > BENT || is_flush_color;
         match parts {
             false => one,
             true if upper == a => Seam::On,
@@ -258,8 +269,8 @@ impl Bodies<'_> {
         s.facing(a).z < -0.7 && s.spread(a).height() < LEVEL_M
     }
 
-    /// The share of the way along or around a border in which it runs.
-    fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
+    /// The share of the way along or around a border in which it runs, and the largest that it does in one piece.
+    fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> [f64; 2] {
         let (small, other) = if s.size(a) < s.size(b) { (a, b) } else { (b, a) };
         let touches = |&&i: &&usize| self.graph.of(i).any(|j| self.owner[j] == other);
         let points: Vec<DVec3> =
@@ -275,15 +286,43 @@ impl Bodies<'_> {
             DVec2::new(0.5 * (xl + xh), 0.5 * (yl + yh))
         };
         let mut reached = [false; SECTORS];
+        let is_line = middle < LINE * long;
         for p in &points {
-            let share = if middle < LINE * long {
+            let share = if is_line {
                 (axis.dot(*p) - from) / (to - from).max(1e-9)
             } else {
                 (p.truncate() - center).to_angle() / std::f64::consts::TAU + 0.5
             };
             reached[((share * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
         }
-        reached.iter().filter(|r| **r).count() as f64 / SECTORS as f64
+        // Around, it may run over the end.
+        let rounds = if is_line { 1 } else { 2 };
+        let (mut run, mut longest) = (0, 0);
+        for &r in reached.iter().cycle().take(rounds * SECTORS) {
+            run = if r { run + 1 } else { 0 };
+            longest = longest.max(run.min(SECTORS));
+        }
+        [reached.iter().filter(|r| **r).count(), longest].map(|n| n as f64 / SECTORS as f64)
+    }
+
+    /// A ragged strip, which is no body: the rim of a bin or the sides of a seat, in the shade of what lies on it. With what it is
+    /// most alike in colour of those it touches.
+    fn ragged(
+        &self,
+        s: &Segments,
+        seams: &BTreeMap<(usize, usize), Seam>,
+        smallest: usize,
+    ) -> Option<(usize, usize)> {
+        let is_ragged = |a: &usize| {
+            let [_, middle, long] = s.spread(*a).extents();
+            s.size(*a) >= smallest && is_ragged(s.size(*a) as f64 * self.cell_m2, middle, long)
+        };
+        s.left().into_iter().filter(is_ragged).find_map(|a| {
+            let others =
+                seams.keys().filter_map(|&(x, y)| if x == a { Some(y) } else { (y == a).then_some(x) });
+            let alike = others.filter(|&b| !is_ragged(&b)).map(|b| (s.contrast(a, b), b));
+            alike.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1))).map(|(_, b)| (b, a))
+        })
     }
 
     /// The lowest segment that hangs in the air, and what it is part of.

@@ -71,7 +71,7 @@ pub(crate) fn bodies(
 ) -> Vec<Vec<usize>> {
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
     let mut segments = split(surfels, graph, members, config);
-    merge_bodies(&mut segments, surfels, graph, members, smallest);
+    merge_bodies(&mut segments, surfels, graph, members, smallest, config.voxel_m.powi(2));
     segments.into_members()
 }
 
@@ -82,6 +82,11 @@ const TOUCHING: f64 = 0.1;
 /// things are seldom in the same place.
 const SMALL_M2: f64 = 9e-4;
 const SMALL_SEEN: f64 = 0.5;
+
+/// Whether a piece fills little of the rectangle around it, as rims do.
+pub(crate) fn is_ragged(area_m2: f64, middle_m: f64, long_m: f64) -> bool {
+    area_m2 < 0.35 * middle_m * long_m
+}
 
 /// Whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
 fn is_plausible(
@@ -99,8 +104,7 @@ fn is_plausible(
     if area < config.min_area_m2
         || long < config.min_object_m
         || middle < 0.9 * config.min_object_m
-        // Ragged rims fill little of the rectangle around them.
-        || area < 0.35 * middle * long
+        || is_ragged(area, middle, long)
         || long > longest
     {
         return false;

@@ -187,6 +187,37 @@ fn a_board_on_a_bin_and_ballast_on_the_board_are_three_bodies() {
 }
 
 #[test]
+fn a_board_over_a_rim_that_shows_in_pieces_lies_on_it() {
+    let mut blocks = [
+        block(0, GREEN, [-0.13, -0.11, 0.0], [0.13, 0.11, 0.4]),
+        block(1, BLUE, [-0.13, -0.11, 0.4], [0.5, 0.11, 0.43]),
+    ];
+    // Two sides, one of them in part, as the shade of the board has it.
+    let is_hidden = |p: DVec3| (0.3..0.4).contains(&p.z) && (p.y > 0.0 || (-0.02..0.09).contains(&p.x));
+    Cloud::of(&blocks, is_hidden).assert_bodies(&[0, 1]);
+    // Of one colour that is a top on what may be legs.
+    blocks[0].color = BLUE;
+    assert_eq!(Cloud::of(&blocks, is_hidden).bodies().len(), 1);
+}
+
+#[test]
+fn a_rim_in_the_shade_is_part_of_its_bin() {
+    let blocks = [
+        block(0, GREEN, [-0.22, -0.17, 0.0], [0.22, 0.17, 0.372]),
+        block(0, GREEN.map(|c| 0.45 * c), [-0.2, -0.15, 0.372], [0.2, 0.15, 0.396]),
+        block(1, WOOD, [-0.18, -0.13, 0.396], [0.5, 0.13, 0.42]),
+    ];
+    let is_hidden = |p: DVec3| (0.372..0.397).contains(&p.z) && p.x > -0.17 && p.y > -0.12;
+    let cloud = Cloud::of(&blocks, is_hidden);
+    cloud.assert_bodies(&[0, 1]);
+    let strip = (0..cloud.body.len()).filter(|&i| (0.376..0.392).contains(&cloud.surfels[i].p_w.z));
+    let all: Vec<usize> = (0..cloud.body.len()).collect();
+    let found = bodies(&cloud.surfels, &cloud.graph, &all, &cloud.config);
+    let bin = found.iter().find(|m| cloud.body[m[0]] == 0 && m.len() > 60).unwrap();
+    assert!(strip.clone().count() > 200 && strip.clone().all(|i| bin.contains(&i)));
+}
+
+#[test]
 fn what_floats_is_part_of_what_it_hangs_on() {
     // A sign of another colour on the side of a crate.
     let blocks = [
