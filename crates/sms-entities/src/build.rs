@@ -245,9 +245,8 @@ fn draft(
         .map(|i| cloud.points_w[i])
         .collect();
     // Discs reach centimetres beyond what was seen of them, into a board below the foot: that is not where the object ends.
-    let is_seen = |p: &DVec3| views.count(*p, info.id).own > 0;
-    let seen: Vec<DVec3> = sparse.iter().copied().filter(is_seen).collect();
-    let sparse = if seen.len() < FEW_DISCS { sparse } else { seen };
+    let outside: Vec<DVec3> = sparse.iter().copied().filter(|&p| !views.is_inside(p, info.id)).collect();
+    let sparse = if 2 * outside.len() < sparse.len() { sparse } else { outside };
     let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
     if rest.carrier == Carrier::Unseen {
         warnings.add(

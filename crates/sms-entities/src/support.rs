@@ -284,12 +284,17 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
             return None;
         }
         let grid = PointGrid::new(&labelled, CONTINUES_M);
-        let unlabelled = lost.iter().copied().filter(|p| grid.is_near(*p, CONTINUES_M));
-        let own = around.own_sides.iter().filter(|(p, l)| *l == carrier && may_carry(p)).map(|(p, _)| *p);
-        let sides: Vec<DVec3> = labelled.iter().copied().chain(unlabelled).chain(own).collect();
-        let is_narrow = area(&outline) > WIDER * area(&outline_of(sides.iter().copied()));
-        (sides.len() >= LEAST && high(&sides) > end - STRIP_M && is_narrow)
-            .then_some((labelled.len(), carrier))
+        let is_beside = |p: &DVec3| grid.is_near(*p, CONTINUES_M);
+        let carries = |sides: &[DVec3]| {
+            let is_narrow = area(&outline) > WIDER * area(&outline_of(sides.iter().copied()));
+            sides.len() >= LEAST && high(sides) > end - STRIP_M && is_narrow
+        };
+        let unlabelled = lost.iter().copied().filter(is_beside);
+        let mut sides: Vec<DVec3> = labelled.iter().copied().chain(unlabelled).collect();
+        let is_measured = carries(&sides);
+        let own = around.own_sides.iter().filter(|(p, l)| *l == carrier && may_carry(p) && is_beside(p));
+        sides.extend(own.map(|(p, _)| *p));
+        (is_measured || carries(&sides)).then_some((labelled.len(), carrier))
     };
     let most = below
         .into_iter()

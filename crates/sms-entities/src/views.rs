@@ -95,6 +95,20 @@ impl Views<'_> {
         count
     }
 
+    /// Whether no frame sees a surface with this label at `p_w`, and most see something nearer. What has no depth (glass) may be there.
+    pub(crate) fn is_inside(&self, p_w: DVec3, label: u16) -> bool {
+        let frames = self.sequence.frames.len();
+        let mut hidden = 0;
+        for f in 0..frames {
+            match self.sight(f, p_w, 0.0) {
+                Sight::Surface(seen) if seen == label => return false,
+                Sight::Hidden => hidden += 1,
+                _ => {}
+            }
+        }
+        2 * hidden > frames
+    }
+
     /// Median signed distance along `normal` from `p_w` to the surface that frames measure at its pixel, over frames
     /// that label it `label`; `None` with fewer than `min_frames`.
     pub(crate) fn surface_offset(
@@ -124,5 +138,53 @@ impl Views<'_> {
             }
         }
         (offsets.len() >= min_frames).then(|| crate::grid::median(offsets))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+    use sms_core::{Camera, Image, Intrinsics, LabelMap, MaskSource};
+    use sms_frames::Frame;
+
+    /// Cameras 1 m over a plate of label 1 in the left half of their images, which have no depth beyond `width`.
+    fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
+        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
+        let frame = |index: usize| Frame {
+            index,
+            time_s: None,
+            camera: Camera::look_at(intrinsics, DVec3::Z, DVec3::ZERO, DVec3::Y),
+            color: Image::filled(100, 100, [0; 3]),
+            depth: Image::from_vec(
+                100,
+                100,
+                (0..10_000).map(|i| if i % 100 < width { 1.0 } else { 0.0 }).collect::<Vec<f32>>(),
+            ),
+            normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
+            color_path: "none".into(),
+            mask_path: None,
+        };
+        let half =
+            LabelMap::from_vec(100, 100, (0..10_000).map(|i| u16::from(i % 100 < 50)).collect::<Vec<_>>());
+        let frames: Vec<Frame> = (0..cameras).map(frame).collect();
+        let labels = Labels { maps: vec![half; cameras], objects: Vec::new(), source: MaskSource::Files };
+        (Sequence { frames, x_world_recording: DPose3::IDENTITY, source: "none".into() }, labels)
+    }
+
+    #[test]
+    fn what_lies_below_a_surface_is_inside_and_what_has_no_depth_may_be_there() {
+        let (sequence, labels) = over_plate(3, 80);
+        let views = Views { sequence: &sequence, labels: &labels };
+        let at = |column: f64, z: f64| {
+            let p = sequence.frames[0].camera.unproject_pixel(column as usize, 50, 1.0 - z);
+            p.with_z(z)
+        };
+        // On the plate, and 5 cm below it; below what is beside it; where nothing was measured.
+        assert!(!views.is_inside(at(20.0, 0.0), 1) && views.is_inside(at(20.0, -0.05), 1));
+        assert!(views.is_inside(at(60.0, -0.05), 1));
+        assert!(!views.is_inside(at(90.0, -0.05), 1));
+        // What other labels have on the surface is not inside.
+        assert!(!views.is_inside(at(60.0, 0.0), 1));
     }
 }

@@ -178,6 +178,7 @@ impl BilliardsBench {
             ("robust", json!(self.robust)),
             ("grid", json!(self.grid)),
             ("seed", json!(self.seed)),
+            ("vlm", json!(self.vlm.as_ref().map(|c| (&c.config().url, &c.config().model)))),
         ] {
             map.insert(name.to_owned(), value);
         }

@@ -1,6 +1,6 @@
 //! Scene by scene.
 
-use super::ablation::ablate;
+use super::ablation::{Ablation, ablate};
 use super::drawing::{outlines, ways};
 use super::realise::Table;
 use super::result::kept;
@@ -72,10 +72,11 @@ fn run_scene(
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
     };
-    let ablated = |r: &BilliardsScene| {
-        bench.ablation_starts == 0
-            || r.ablation.as_ref().is_some_and(|a| a.starts == bench.ablation_starts.min(bench.starts))
-    };
+    let judge = bench.engines.first().map(|e| e.key());
+    let is_as_asked =
+        |a: &Ablation| a.starts == bench.ablation_starts.min(bench.starts) && Some(a.judge.as_str()) == judge;
+    let ablated =
+        |r: &BilliardsScene| bench.ablation_starts == 0 || r.ablation.as_ref().is_some_and(is_as_asked);
     if let Some(result) = before.as_ref().filter(|r| missing(r).is_empty() && ablated(r)) {
         return Ok(result.clone());
     }

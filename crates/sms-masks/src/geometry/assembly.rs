@@ -123,7 +123,7 @@ enum Seam {
 ///
 /// What stands free is stacked: bodies meet where one stands on another, in a level seam around the contact with the one above
 /// it and the other below. And nothing floats: what neither reaches the ground nor stands on something is part of what it
-/// hangs on, whatever its colour.
+/// hangs on, whatever its colour. A strip that is too ragged for an object is part of what it stands on.
 pub(crate) fn merge_bodies(
     s: &mut Segments,
     surfels: &[Surfel],
@@ -305,22 +305,28 @@ impl Bodies<'_> {
         [reached.iter().filter(|r| **r).count(), longest].map(|n| n as f64 / SECTORS as f64)
     }
 
-    /// A ragged strip, which is no body: the rim of a bin or the sides of a seat, in the shade of what lies on it. With what it is
-    /// most alike in colour of those it touches.
+    /// A strip too ragged for an object: the rim of a bin or the sides of a seat, in the shade of what lies on it. It is part of what it
+    /// stands on, else of what it is most alike in colour of those it touches.
     fn ragged(
         &self,
         s: &Segments,
         seams: &BTreeMap<(usize, usize), Seam>,
         smallest: usize,
     ) -> Option<(usize, usize)> {
-        let is_ragged = |a: &usize| {
-            let [_, middle, long] = s.spread(*a).extents();
+        let is_strip = |a: &usize| {
+            let [_, middle, long] = extents(self.surfels, s.members(*a));
             s.size(*a) >= smallest && is_ragged(s.size(*a) as f64 * self.cell_m2, middle, long)
         };
-        s.left().into_iter().filter(is_ragged).find_map(|a| {
-            let others =
-                seams.keys().filter_map(|&(x, y)| if x == a { Some(y) } else { (y == a).then_some(x) });
-            let alike = others.filter(|&b| !is_ragged(&b)).map(|b| (s.contrast(a, b), b));
+        s.left().into_iter().filter(is_strip).find_map(|a| {
+            let touched = seams.iter().filter_map(|(&(x, y), &seam)| match (x == a, y == a) {
+                (true, _) => Some((y, seam == Seam::On)),
+                (_, true) => Some((x, seam == Seam::Under)),
+                _ => None,
+            });
+            let whole: Vec<(usize, bool)> = touched.filter(|(b, _)| !is_strip(b)).collect();
+            let stands = whole.iter().any(|(_, carries)| *carries);
+            let hosts = whole.iter().filter(|(_, carries)| *carries || !stands).map(|(b, _)| *b);
+            let alike = hosts.map(|b| (s.contrast(a, b), b));
             alike.min_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1))).map(|(_, b)| (b, a))
         })
     }
