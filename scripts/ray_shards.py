@@ -6,7 +6,7 @@
     python scripts/ray_shards.py --parts 18 --results RESULTS --address auto billiards
 
 Without --address a Ray of this machine's cores is started. RESULTS is a folder that all nodes see; the program (--sms) lies
-in the same place on all of them. A part that fails is started again up to --retries times; billiards goes on where it was.
+in the same place on all of them. A part that fails is started again up to --retries times; billiards and landing go on where they were.
 """
 
 import argparse
@@ -22,8 +22,10 @@ def command(options: argparse.Namespace, part: int) -> list[str]:
     """What runs one part, counted from 1."""
     results = pathlib.Path(options.results).resolve()
     parts = results / "parts"
-    out = [str(parts)] if options.bench == "billiards" else [str(parts / f"{options.bench}-{part}.json")]
-    keep = ["--keep", str(results / "scans")] if options.bench in ("billiards", "materialize") else []
+    # Their results are folders, which parts may share: no two have the same scene or flight.
+    folder = options.bench in ("billiards", "landing", "masks", "scan")
+    out = [str(parts)] if folder else [str(parts / f"{options.bench}-{part}.json")]
+    keep = ["--keep", str(results / "scans")] if options.bench in ("billiards", "landing", "materialize") else []
     shard = ["--shard", f"{part}/{options.parts}"]
     return [options.sms, "bench", options.bench, *shard, "--out", *out, *keep, *options.rest]
 
@@ -44,7 +46,7 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=2, help="cores of each part")
     parser.add_argument("--retries", type=int, default=1)
     parser.add_argument("--address", help="a Ray cluster, such as auto")
-    parser.add_argument("bench", help="benchmark: billiards, robust, optimisers, plan, materialize, scenes")
+    parser.add_argument("bench", help="benchmark: billiards, landing, robust, optimisers, plan, scan, masks, materialize, scenes")
     parser.add_argument("rest", nargs=argparse.REMAINDER, help="its options")
     options = parser.parse_args()
 

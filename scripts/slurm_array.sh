@@ -27,8 +27,9 @@ mkdir -p "$parts"
 export RAYON_NUM_THREADS="${SLURM_CPUS_PER_TASK:-2}"
 
 case "$bench" in
-# Its results are a folder. Each scene is in one part only, so all parts may share folders.
-billiards) out=(--out "$parts" --keep "$results/scans") ;;
+# Results in folders: each scene or flight is in one part only, so all parts may share them.
+billiards | landing) out=(--out "$parts" --keep "$results/scans") ;;
+masks | scan) out=(--out "$parts") ;;
 materialize) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json" --keep "$results/scans") ;;
 *) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json") ;;
 esac

@@ -124,7 +124,7 @@ pub use scenes::{
 };
 pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};
-pub use shards::{Shard, merge_shards, part_of};
+pub use shards::{Merged, Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
@@ -153,6 +153,9 @@ pub enum BenchError {
     /// Bad input by the user.
     #[error(transparent)]
     Input(#[from] InputError),
+    /// A vision-language model that does not answer: what is asked of it cannot be run now, all else can.
+    #[error(transparent)]
+    Unanswered(InputError),
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),

@@ -7,8 +7,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, Hash, InputError, atomic, hash_serializable};
-use std::collections::BTreeMap;
+use sms_core::{CoreError, Hash, Hasher, InputError, atomic, hash_serializable};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Version of the files; others are refused.
@@ -23,6 +23,9 @@ pub struct Shard {
     version: u32,
     /// Version of the program that wrote it.
     pub program: String,
+    /// Which build of it: a hash of the executable; empty in files of before and where it cannot be read.
+    #[serde(default)]
+    pub build: String,
     /// The benchmark: `robust`, `billiards`, …
     pub bench: String,
     /// Which part of how many, from 1; after merging 1 of 1 where nothing is missing.
@@ -41,6 +44,7 @@ impl Shard {
         Self {
             version: VERSION,
             program: env!("CARGO_PKG_VERSION").to_owned(),
+            build: this_build(),
             bench: bench.to_owned(),
             part,
             settings_hash: hash_serializable(&settings),
@@ -115,12 +119,31 @@ pub fn part_of<T>(all: Vec<T>, (i, n): (usize, usize)) -> Vec<T> {
     all.into_iter().skip(i.saturating_sub(1)).step_by(n.max(1)).collect()
 }
 
-/// The parts in files and folders (all `*.shard.json` in them), put together, with the parts that are missing (as `2/4`).
+/// A hash of the running executable: code is all that figures depend on besides settings and items, and a version stays the same
+/// through many changes of it.
+fn this_build() -> String {
+    let hashed = |path: &Path| Some(Hasher::new().file(path).ok()?.finish().0);
+    std::env::current_exe().ok().and_then(|path| hashed(&path)).unwrap_or_default()
+}
+
+/// Parts that were put together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Merged {
+    /// All items.
+    pub whole: Shard,
+    /// The parts that are missing, as `2/4`.
+    pub missing: Vec<String>,
+    /// How many builds of the program wrote them. Programs built on two machines are two builds of the same code, so more than
+    /// one is no error.
+    pub builds: usize,
+}
+
+/// The parts in files and folders (all `*.shard.json` in them), put together.
 ///
 /// # Errors
 /// [`InputError`] where there is none, where they are of different benchmarks, programs or settings (it says which), or
 /// where two parts hold the same item with different results; [`CoreError`] of a file that cannot be read.
-pub fn merge_shards(paths: &[PathBuf]) -> Result<(Shard, Vec<String>), CoreError> {
+pub fn merge_shards(paths: &[PathBuf]) -> Result<Merged, CoreError> {
     let mut files = Vec::new();
     for path in paths {
         if path.is_dir() {
@@ -141,9 +164,11 @@ pub fn merge_shards(paths: &[PathBuf]) -> Result<(Shard, Vec<String>), CoreError
     }
     let mut whole: Option<(Shard, PathBuf)> = None;
     let mut parts: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let mut builds = BTreeSet::new();
     for file in files {
         let shard = Shard::load(&file)?;
         parts.entry(shard.part.1).or_default().push(shard.part.0);
+        builds.insert(shard.build.clone());
         match &mut whole {
             None => whole = Some((shard, file)),
             Some((whole, first)) => join(whole, first, shard, &file)?,
@@ -160,7 +185,7 @@ pub fn merge_shards(paths: &[PathBuf]) -> Result<(Shard, Vec<String>), CoreError
     if missing.is_empty() {
         whole.part = (1, 1);
     }
-    Ok((whole, missing))
+    Ok(Merged { whole, missing, builds: builds.len() })
 }
 
 fn join(whole: &mut Shard, first: &Path, shard: Shard, file: &Path) -> Result<(), CoreError> {
@@ -249,14 +274,20 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let a = write(dir.path(), (1, 3), settings(4, 0.5), &[("1001", 0.1), ("1003", 0.3)]);
         let b = write(dir.path(), (2, 3), settings(4, 0.5), &[("1002", 0.2)]);
-        let (one, missing) = merge_shards(&[a.clone(), b.clone()]).unwrap();
-        assert_eq!(missing, ["3/3"]);
-        assert_eq!(merge_shards(&[b, a]).unwrap().0.items, one.items);
+        let Merged { whole: one, missing, builds } = merge_shards(&[a.clone(), b.clone()]).unwrap();
+        assert_eq!((&missing[..], builds), (&["3/3".to_owned()][..], 1));
+        assert_eq!(merge_shards(&[b.clone(), a]).unwrap().whole.items, one.items);
         assert_eq!(one.items.keys().collect::<Vec<_>>(), ["1001", "1002", "1003"]);
         assert_eq!(one.figures("1002").number("bench.value"), Some(0.2));
         write(dir.path(), (3, 3), settings(4, 0.5), &[]);
-        let (whole, missing) = merge_shards(&[dir.path().to_owned()]).unwrap();
+        let Merged { whole, missing, .. } = merge_shards(&[dir.path().to_owned()]).unwrap();
         assert!(missing.is_empty() && whole.part == (1, 1));
+        // Of another build of the same version.
+        let mut other = Shard::load(&b).unwrap();
+        assert_eq!(other.build.len(), 32, "the test's own executable can be read");
+        other.build = "before".into();
+        other.save(&b).unwrap();
+        assert_eq!(merge_shards(&[dir.path().to_owned()]).unwrap().builds, 2);
         assert_eq!(whole.setting::<usize>("worlds").unwrap(), 4);
         assert!(whole.setting::<usize>("nothing").unwrap_err().to_string().contains("nothing"));
         let parts: Vec<i32> =

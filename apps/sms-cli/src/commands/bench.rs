@@ -7,9 +7,9 @@ use super::bench_landing::{self, BenchLanding};
 use super::bench_masks::{self, BenchMasks};
 use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_merge::{self, BenchMerge};
-use super::bench_optimisers::{self, BenchOptimisers};
+use super::bench_optimisers::{self, BenchOptimisers, finish};
 use super::bench_physics::{self, BenchPhysics};
-use super::bench_plan::{self, BenchPlan, BenchRebound, BenchRobust};
+use super::bench_plan::{self, BenchPlan, BenchRebound, BenchRobust, parse_shard};
 use super::bench_scenes::{self, BenchScenes};
 use super::settings::poses_defaults;
 use super::shown;
@@ -18,9 +18,10 @@ use crate::context::Context;
 use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
+use serde_json::json;
 use sms_bench::{
-    BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, add_means, export_scene, locate, parse_length_m,
-    parse_pose_noise, prepare, run_scene, score_files, select_scenes, table,
+    BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, Shard, add_means, export_scene, locate,
+    parse_length_m, parse_pose_noise, part_of, prepare, run_scene, score_files, select_scenes, table,
 };
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, Warnings};
@@ -82,6 +83,9 @@ pub(crate) struct BenchScan {
     /// Other seeds of the billiards family, in place of the fixed ones.
     #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
     pub seed_list: Vec<u64>,
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out")]
+    pub shard: Option<String>,
     /// Frames that are recorded of each generated scene.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
@@ -171,8 +175,9 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
     } else {
         a.seed_list.iter().map(|&seed| BenchScene::Billiards(seed)).collect()
     };
+    let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let mut present = Vec::new();
-    for scene in scenes {
+    for scene in part_of(scenes, part.unwrap_or((1, 1))) {
         if matches!(scene, BenchScene::Real(_)) && options.disturbance.disturbs_poses() {
             eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
         } else if is_absent(&scene) {
@@ -201,6 +206,10 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         let _ = std::fs::remove_dir_all(&aside);
     }
     let mut metrics = measured?;
+    if let Some(part) = part {
+        part_of_scans(part, &options, &present, &metrics)
+            .save(&out.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
+    }
     add_means(&mut metrics, &present);
     metrics.set("bench.scan.preset", options.preset_name());
     if let Some(out) = &a.out {
@@ -212,6 +221,44 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         context.say(table(&metrics, &present, options.preset_name(), baseline.as_ref()).trim_end());
     }
     Ok(())
+}
+
+/// What one part found out about its scenes.
+fn part_of_scans(
+    part: (usize, usize),
+    options: &BenchOptions,
+    scenes: &[BenchScene],
+    metrics: &Metrics,
+) -> Shard {
+    let mut settings = bench_plan::settings(options.settings());
+    settings.insert("poses".to_owned(), json!(options.poses));
+    settings.insert("disturbance".to_owned(), json!(options.disturbance));
+    settings.insert("measured".to_owned(), json!([options.meshes, options.quality]));
+    let mut shard = Shard::new("scan", part, settings);
+    for scene in scenes {
+        let mut own = Metrics::new();
+        let prefix = format!("bench.scan.{scene}.");
+        metrics.iter().filter(|(key, _)| key.starts_with(&prefix)).for_each(|(key, value)| {
+            own.set(key.clone(), value.clone());
+        });
+        shard.add(&scene.to_string(), &own);
+    }
+    shard
+}
+
+/// Figures and table of parts of `bench scan`.
+pub(super) fn show_merged_scans(
+    context: &Context,
+    whole: &Shard,
+    out: Option<&PathBuf>,
+) -> anyhow::Result<()> {
+    let scenes = whole.items.keys().map(|id| id.parse()).collect::<Result<Vec<BenchScene>, _>>()?;
+    let mut metrics = Metrics::new();
+    whole.items.keys().for_each(|id| metrics.merge(whole.figures(id)));
+    add_means(&mut metrics, &scenes);
+    let preset: String = whole.setting("preset")?;
+    metrics.set("bench.scan.preset", preset.as_str());
+    finish(context, &metrics, out, table(&metrics, &scenes, &preset, None).trim_end())
 }
 
 /// Whether it is a real recording that is not here.

@@ -146,7 +146,15 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
     }
     if !a.table {
         let line = |s: &BilliardsScene| context.say(scene_line(s));
-        run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+        let unanswered = run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+        if let Some(why) = unanswered {
+            if read_billiards(&bench)?.is_empty() {
+                return Err(why.into());
+            }
+            eprintln!(
+                "warning: materials vlm: what is left was not run: {why}. Run again, it goes on from there"
+            );
+        }
     }
     let found = read_billiards(&bench)?;
     if found.is_empty() {

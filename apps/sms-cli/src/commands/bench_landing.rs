@@ -11,11 +11,12 @@ use super::vlm;
 use crate::cli::{EngineName, PresetName};
 use crate::context::Context;
 use crate::device::Device;
+use anyhow::Context as _;
 use clap::Args;
 use sms_bench::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
-    LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics, landing_table, read_landings,
-    run_landings, scan_landings,
+    LandingScan, LandingSight, Shard, Standing, landing_metrics, landing_scan_metrics, landing_table,
+    part_of, read_landings, run_landings, scan_landings,
 };
 use sms_core::{InputError, Seed, Warnings};
 use sms_landing::LandingSettings;
@@ -43,7 +44,8 @@ pub(crate) struct BenchLanding {
     /// Also let a vision-language model choose (the paper's visual prompting); server and model by SMS_VLM_URL and SMS_VLM_MODEL.
     #[arg(long)]
     pub visual_prompting: bool,
-    /// Only every n-th flight, from the i-th (i/n, from 1); shards meet in the folder of the results.
+    /// Only every n-th flight, from the i-th (i/n, from 1). Shards meet in the folder of the results where they share it, else with
+    /// `sms bench merge`.
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
     /// Where the planner's geometry comes from.
@@ -115,8 +117,47 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     if found.is_empty() {
         return Err(nothing_there(&a.out).into());
     }
-    let text = landing_table(&found);
-    finish(context, &landing_metrics(&found), Some(&a.out.join("results.json")), text.trim_end())
+    if a.shard.is_some() {
+        let shard = part_with(bench.part, &bench, &found)?;
+        shard.save(&bench.out.join(format!("part_{}_of_{}.shard.json", bench.part.0, bench.part.1)))?;
+    }
+    show(context, &found, Some(&a.out.join("results.json")))
+}
+
+/// Figures and table of all flights of a run or of merged parts.
+fn show(context: &Context, found: &[LandingFlight], out: Option<&PathBuf>) -> anyhow::Result<()> {
+    finish(context, &landing_metrics(found), out, landing_table(found).trim_end())
+}
+
+/// The same of merged parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    show(context, &flights_of(whole)?, out)
+}
+
+/// What a part holds.
+fn part_with(
+    part: (usize, usize),
+    bench: &LandingBench<'_>,
+    found: &[LandingFlight],
+) -> anyhow::Result<Shard> {
+    let own = part_of(bench.flights(), part);
+    let mut shard = Shard::new("landing", part, bench.settings());
+    for f in found.iter().filter(|f| own.contains(&f.part())) {
+        shard.items.insert(f.item(), serde_json::to_value(f).context("a flight cannot be written")?);
+    }
+    Ok(shard)
+}
+
+/// The flights of parts, in the order of a run in one piece.
+fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
+    let mut found: Vec<LandingFlight> = whole
+        .items
+        .values()
+        .map(|v| serde_json::from_value(v.clone()))
+        .collect::<Result<_, _>>()
+        .context("a part of `bench landing` holds no flights")?;
+    found.sort_by_key(|f| (f.told, f.scene, f.draw, f.start));
+    Ok(found)
 }
 
 fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
@@ -250,4 +291,49 @@ fn flight_line(f: &LandingFlight) -> String {
         })
         .collect();
     format!("scene {}, start {}, {}: {}", f.scene, f.start, f.told.as_str(), each.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_bench::{LandingPart, merge_shards};
+    use sms_core::Hash;
+
+    fn flight(part: LandingPart) -> LandingFlight {
+        LandingFlight {
+            key: Hash(String::new()),
+            scene: part.scene,
+            start: part.start,
+            told: part.told,
+            draw: part.draw,
+            objects: 2,
+            matched: 2,
+            evaluation_s: Some(0.1 * part.start as f64),
+            planned: Default::default(),
+        }
+    }
+
+    #[test]
+    fn parts_of_a_run_make_the_run() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut bench = LandingBench::new(vec![1, 2], dir.path(), dir.path());
+        (bench.starts, bench.noisy_draws, bench.noisy_starts) = (3, 2, 2);
+        let all: Vec<LandingFlight> = bench.flights().into_iter().map(flight).collect();
+        assert_eq!(all.len(), 2 * 3 + 2 * 2 * 2);
+        for i in 1..=3 {
+            // All parts see what is in a folder that they share, and write down their own.
+            let shard = part_with((i, 3), &bench, &all).unwrap();
+            assert!(shard.items.len() < all.len());
+            shard.save(&dir.path().join(format!("part_{i}_of_3.shard.json"))).unwrap();
+        }
+        let merged = merge_shards(&[dir.path().to_owned()]).unwrap();
+        assert!(merged.missing.is_empty() && merged.builds == 1);
+        let flights = flights_of(&merged.whole).unwrap();
+        assert_eq!(flights, all);
+        assert_eq!(landing_metrics(&flights), landing_metrics(&all));
+        // With other settings they are no parts of one run.
+        bench.seed = Seed(1);
+        part_with((1, 3), &bench, &all).unwrap().save(&dir.path().join("part_1_of_3.shard.json")).unwrap();
+        assert!(merge_shards(&[dir.path().to_owned()]).unwrap_err().to_string().contains("`seed`"));
+    }
 }

@@ -1,16 +1,19 @@
 //! `sms bench masks`: masks from geometry against the truth.
 
 use super::bench_optimisers::finish;
+use super::bench_plan::{parse_shard, settings};
 use crate::context::Context;
+use anyhow::Context as _;
 use clap::Args;
 use sms_bench::{
-    BenchOptions, BenchScene, FRAMES, REAL, masks_metrics, masks_table, run_masks, select_mask_scenes,
+    BenchOptions, BenchScene, FRAMES, MaskScores, REAL, Shard, masks_metrics, masks_table, part_of,
+    run_masks, select_mask_scenes,
 };
 use sms_core::{InputError, Warnings};
 use sms_frames::ReadOptions;
 use sms_gaussians::Preset;
 use sms_masks::GeometryConfig;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BenchMasks {
@@ -21,6 +24,9 @@ pub(crate) struct BenchMasks {
     /// Frames that are recorded of each generated scene.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    #[arg(long, value_name = "I/N", requires = "out")]
+    pub shard: Option<String>,
     /// Folder for results.json and a picture of each scene: colour, true labels, found labels.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -39,8 +45,9 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         ..base
     };
     options.load.validate()?;
+    let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let mut scores = Vec::new();
-    for scene in select_mask_scenes(&a.scenes)? {
+    for scene in part_of(select_mask_scenes(&a.scenes)?, part.unwrap_or((1, 1))) {
         let warnings = Warnings::new();
         let progress = context.progress.as_ref();
         match run_masks(&scene, &options, a.out.as_deref(), progress, &context.cancel, &warnings)? {
@@ -49,6 +56,9 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         }
         context.tell(&warnings);
     }
+    if let (Some(part), Some(dir)) = (part, &a.out) {
+        return keep_part(context, part, &options, &scores, dir);
+    }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
     if scores.is_empty() || (scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all")
     {
@@ -56,4 +66,77 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));
     finish(context, &masks_metrics(&scores), results.as_ref(), masks_table(&scores).trim_end())
+}
+
+type Scored = (BenchScene, MaskScores, f64);
+
+/// One part's scenes, none of which may be here.
+fn keep_part(
+    context: &Context,
+    part: (usize, usize),
+    options: &BenchOptions,
+    scores: &[Scored],
+    dir: &Path,
+) -> anyhow::Result<()> {
+    let shard = part_with(part, options, scores)?;
+    shard.save(&dir.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
+    show_merged(context, &shard, Some(&dir.join("results.json")))
+}
+
+fn part_with(part: (usize, usize), options: &BenchOptions, scores: &[Scored]) -> anyhow::Result<Shard> {
+    let mut shard = Shard::new("masks", part, settings(options.settings()));
+    for (scene, score, seconds) in scores {
+        let value = serde_json::to_value((score, seconds)).context("a score cannot be written")?;
+        shard.items.insert(scene.to_string(), value);
+    }
+    Ok(shard)
+}
+
+/// Figures and table of parts.
+pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    let scores = scores_of(whole)?;
+    finish(context, &masks_metrics(&scores), out, masks_table(&scores).trim_end())
+}
+
+/// The scores of parts, in the order of a run in one piece.
+fn scores_of(whole: &Shard) -> anyhow::Result<Vec<Scored>> {
+    let usual: Vec<String> = select_mask_scenes("all")?.iter().map(BenchScene::to_string).collect();
+    let mut names: Vec<&String> = whole.items.keys().collect();
+    names.sort_by_key(|name| usual.iter().position(|u| u == *name).unwrap_or(usual.len()));
+    let scored = |name: &String| {
+        let scene = select_mask_scenes(name)?.remove(0);
+        let (score, seconds) = serde_json::from_value(whole.items[name].clone())
+            .context("a part of `bench masks` holds no scores")?;
+        Ok((scene, score, seconds))
+    };
+    names.into_iter().map(scored).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_bench::{MaskedObject, merge_shards};
+
+    #[test]
+    fn parts_of_a_run_make_the_run() {
+        let dir = tempfile::tempdir().unwrap();
+        let options = BenchOptions::new(Preset::Standard, dir.path());
+        let score = |(i, scene): (usize, BenchScene)| {
+            let object = MaskedObject { name: "mug".into(), iou: 1.0 / (i + 1) as f64, held_share: 0.1 };
+            let score =
+                MaskScores { objects: vec![object], labels: i, false_labels: 1, whole_truth: i % 5 > 0 };
+            (scene, score, 0.3)
+        };
+        let all: Vec<Scored> =
+            select_mask_scenes("all").unwrap().into_iter().enumerate().map(score).collect();
+        for i in 1..=4 {
+            let own = part_of(all.clone(), (i, 4));
+            let path = dir.path().join(format!("part_{i}_of_4.shard.json"));
+            part_with((i, 4), &options, &own).unwrap().save(&path).unwrap();
+        }
+        let merged = merge_shards(&[dir.path().to_owned()]).unwrap();
+        let scores = scores_of(&merged.whole).unwrap();
+        assert_eq!(masks_metrics(&scores), masks_metrics(&all));
+        assert_eq!(masks_table(&scores), masks_table(&all));
+    }
 }

@@ -3,12 +3,11 @@
 use super::bench::{read_baseline, with_settings};
 use super::bench_gpu;
 use super::bench_optimisers::finish;
-use super::bench_plan::{parse_shard, settings};
+use super::bench_plan::parse_shard;
 use crate::cli::PresetName;
 use crate::context::Context;
 use crate::device::Device;
 use clap::{Args, ValueEnum};
-use serde_json::{Map, Value, json};
 use sms_bench::{
     BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, Shard,
     add_materialize_means, materialize_markdown, materialize_table, model_path, part_of, run_materialize,
@@ -87,7 +86,7 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
     let options = options(context, a)?;
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     scenes = part_of(scenes, part.unwrap_or((1, 1)));
-    let mut shard = Shard::new("materialize", part.unwrap_or((1, 1)), part_settings(&options));
+    let mut shard = Shard::new("materialize", part.unwrap_or((1, 1)), options.settings());
     let mut metrics = Metrics::new();
     let mut measured = Vec::new();
     for scene in scenes {
@@ -125,17 +124,6 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
         }
     }
     show(context, a, &metrics, &measured, baseline.as_ref())
-}
-
-fn part_settings(options: &MaterializeOptions) -> Map<String, Value> {
-    let masks = match options.masks {
-        MaskChoice::Auto => "auto",
-        MaskChoice::Geometry => "geometry",
-        MaskChoice::Truth => "truth",
-    };
-    let mut all = settings(options.bench.settings());
-    all.insert("choice_of_masks".to_owned(), json!(masks));
-    all
 }
 
 /// Figures and table of merged parts.

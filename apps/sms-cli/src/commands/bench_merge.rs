@@ -1,9 +1,12 @@
 //! `sms bench merge`: parts of a benchmark that ran with `--shard`, as one.
 
-use super::{bench_billiards, bench_materialize, bench_optimisers, bench_plan, bench_scenes};
+use super::{
+    bench, bench_billiards, bench_landing, bench_masks, bench_materialize, bench_optimisers, bench_plan,
+    bench_scenes,
+};
 use crate::context::Context;
 use clap::Args;
-use sms_bench::merge_shards;
+use sms_bench::{Merged, merge_shards};
 use sms_core::InputError;
 use std::path::PathBuf;
 
@@ -12,15 +15,20 @@ pub(crate) struct BenchMerge {
     /// Files `*.shard.json` that runs with `--shard` wrote beside their results, or folders of such.
     #[arg(value_name = "PARTS", required = true)]
     pub parts: Vec<PathBuf>,
-    /// Folder for results.json (of `billiards`, pictures and shots.parquet too).
+    /// Folder for results.json (of `billiards`, which needs one, pictures and shots.parquet too).
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
 
 pub(crate) fn run(context: &Context, a: &BenchMerge) -> anyhow::Result<()> {
-    let (whole, missing) = merge_shards(&a.parts)?;
+    let Merged { whole, missing, builds } = merge_shards(&a.parts)?;
     if !missing.is_empty() {
         eprintln!("warning: parts that are missing: {}", missing.join(", "));
+    }
+    if builds > 1 {
+        eprintln!(
+            "warning: {builds} builds of the program wrote these parts; where its code changed between them, so may what it finds"
+        );
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));
     let out = results.as_ref();
@@ -32,6 +40,9 @@ pub(crate) fn run(context: &Context, a: &BenchMerge) -> anyhow::Result<()> {
                 Err(InputError::new("`bench billiards` needs a folder", "--out", cure).into())
             }
         },
+        "landing" => bench_landing::show_merged(context, &whole, out),
+        "masks" => bench_masks::show_merged(context, &whole, out),
+        "scan" => bench::show_merged_scans(context, &whole, out),
         "robust" => bench_plan::show_robust(context, &whole, out),
         "plan" => bench_plan::show_plan(context, &whole, out),
         "optimisers" => bench_optimisers::show_merged(context, &whole, out),

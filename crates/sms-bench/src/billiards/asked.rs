@@ -66,8 +66,8 @@ pub(crate) fn keep_questions(
 /// answer the prior stays. Replies are kept in `cache`.
 ///
 /// # Errors
-/// [`BenchError::Input`] where the scene was kept without views or the server answers nothing; [`BenchError::Core`] for files and
-/// interruption.
+/// [`BenchError::Input`] where the scene was kept without views; [`BenchError::Unanswered`] where the server stops answering or the model
+/// says nothing that can be used; [`BenchError::Core`] for files and interruption.
 pub(super) fn tell_asked(
     scene: &mut Scene,
     dir: &Path,
@@ -99,12 +99,13 @@ pub(super) fn tell_asked(
         .collect::<Result<_, BenchError>>()?;
     let warnings = Warnings::new();
     let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
-    if asked.answered() == 0 {
+    // Of what a model was not asked in the end the prior would be told, and the row would be no longer the model's.
+    if asked.given_up.is_some() || asked.answered() == 0 {
         let (what, cure) = match &asked.given_up {
             Some(why) => (why.what.clone(), why.cure.clone()),
             None => ("the model answered nothing that can be used".into(), "try another model".into()),
         };
-        return Err(InputError::new(what, client.config().url.clone(), cure).into());
+        return Err(BenchError::Unanswered(InputError::new(what, client.config().url.clone(), cure)));
     }
     for (question, outcome) in questions.iter().zip(&asked.outcomes) {
         queries[question.query].estimate = outcome.estimate().cloned();
@@ -127,21 +128,27 @@ pub(super) fn tell_asked(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::billiards::seen::scan_dir;
+    use crate::{BenchScene, BilliardsGeometry, MaterialsTold, read_billiards, run_billiards};
     use sms_core::{NoProgress, PropertySource, Seed};
+    use sms_scene::save_scene;
     use sms_synth::FIXED_SCENES;
     use sms_target::scene_from_truth;
     use sms_vlm::{Pause, Reply, Request, Transport, TransportError};
     use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-    /// Says the same of everything, or that the key is wrong.
-    struct Says(u16);
+    /// Says the same of everything, so many times, and then that the key is wrong.
+    struct Says(AtomicUsize);
 
     impl Transport for Says {
         fn post(&self, _: &Request) -> Result<Reply, TransportError> {
+            let is_left = self.0.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_ok();
             let said = r#"{"material": "brass", "density": {"best": 8500, "low": 8000, "high": 8800}, "friction": 0.3}"#;
             let body =
                 serde_json::json!({"choices": [{"message": {"content": said}, "finish_reason": "stop"}]});
-            Ok(Reply { status: self.0, retry_after: None, body: body.to_string().into_bytes() })
+            let status = if is_left { 200 } else { 401 };
+            Ok(Reply { status, retry_after: None, body: body.to_string().into_bytes() })
         }
     }
 
@@ -153,9 +160,9 @@ mod tests {
         }
     }
 
-    fn client(status: u16) -> Client {
+    fn client(answers: usize) -> Client {
         let config = VlmConfig { url: "http://server/v1".into(), model: "m".into(), ..VlmConfig::default() };
-        Client::with(&config, None, Seed(0), Arc::new(Says(status)), Arc::new(Never)).unwrap()
+        Client::with(&config, None, Seed(0), Arc::new(Says(answers.into())), Arc::new(Never)).unwrap()
     }
 
     #[test]
@@ -164,11 +171,11 @@ mod tests {
         let mut scene = scene_from_truth(&FIXED_SCENES[1].generate()).unwrap();
         scene.bodies.iter_mut().for_each(super::super::seen::forget_material);
         let before = scene.clone();
-        let tell = |scene: &mut Scene, status| {
+        let tell = |scene: &mut Scene, answers| {
             let cache = folder.path().join("vlm");
-            tell_asked(scene, folder.path(), &client(status), &cache, &NoProgress, &Cancel::new())
+            tell_asked(scene, folder.path(), &client(answers), &cache, &NoProgress, &Cancel::new())
         };
-        assert!(tell(&mut scene, 200).unwrap_err().to_string().contains("without views"));
+        assert!(tell(&mut scene, 9).unwrap_err().to_string().contains("without views"));
 
         let name = |i: usize| scene.bodies[i].name.clone();
         let query = |name: String| ObjectQuery { name, ..ObjectQuery::default() };
@@ -182,11 +189,13 @@ mod tests {
         let kept = Kept { queries, questions: vec![question(0), question(2)] };
         atomic::write_json(&folder.path().join(QUESTIONS), &kept).unwrap();
 
-        let refused = tell(&mut scene, 401).unwrap_err().to_string();
-        assert!(refused.contains("http://server"), "{refused}");
-        assert_eq!(scene, before, "what failed changes nothing");
-
-        tell(&mut scene, 200).unwrap();
+        // The second try hears of one of the two, and no more.
+        for answers in [0, 1] {
+            let Err(BenchError::Unanswered(why)) = tell(&mut scene, answers) else { panic!("it stops") };
+            assert!(why.to_string().contains("http://server"), "{why}");
+            assert_eq!(scene, before, "what failed changes nothing");
+        }
+        tell(&mut scene, 9).unwrap();
         assert_eq!(scene.bodies[2..], before.bodies[2..]);
         for i in [0, 1] {
             let material = &scene.bodies[i].material;
@@ -197,5 +206,30 @@ mod tests {
         let ratio =
             scene.bodies[1].material.effective_density() / before.bodies[1].material.effective_density();
         assert!((is / was / ratio - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_model_that_does_not_answer_costs_its_own_row_only() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut bench = super::super::run::tests::tiny(dir.path(), &[1]);
+        bench.geometry = BilliardsGeometry::Scan;
+        bench.told = vec![MaterialsTold::Vlm, MaterialsTold::Class];
+        bench.vlm = Some(Arc::new(client(0)));
+        // The truth for a scan, which is what its geometry would be at best.
+        let mut scene = scene_from_truth(&bench.scenes[0].generate()).unwrap();
+        scene.bodies.iter_mut().for_each(super::super::seen::forget_material);
+        let ball = ObjectQuery { name: scene.bodies[1].name.clone(), ..ObjectQuery::default() };
+        let question = KeptQuestion { query: 0, is_surface: false, jpeg: "0.jpg".into() };
+        let kept = Kept { queries: vec![ball, ObjectQuery::default()], questions: vec![question] };
+        for entities in [&bench.scan.bench.entities, &bench.paper_entities] {
+            let scan = scan_dir(&bench.scan, &BenchScene::Fixed(1), entities).unwrap();
+            save_scene(&scan, &scene).unwrap();
+            atomic::write_bytes(&scan.join("0.jpg"), &[0xFF, 0xD8]).unwrap();
+            atomic::write_json(&scan.join(QUESTIONS), &kept).unwrap();
+        }
+        let run = || run_billiards(&bench, &|_| {}, &NoProgress, &Cancel::new()).unwrap();
+        assert!(run().unwrap().to_string().contains("http://server"));
+        let ran: Vec<MaterialsTold> = read_billiards(&bench).unwrap().iter().map(|s| s.told).collect();
+        assert_eq!(ran, [MaterialsTold::Class]);
     }
 }

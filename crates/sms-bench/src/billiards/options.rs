@@ -1,6 +1,6 @@
 //! What the experiment depends on.
 
-use crate::{MaskChoice, MaterializeOptions, MaterialsTold};
+use crate::{MaterializeOptions, MaterialsTold};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_convex::ConvexConfig;
@@ -161,14 +161,11 @@ impl BilliardsBench {
 
     /// What the figures depend on, besides scenes and code, for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
-        let scan = self.scan.bench.settings();
-        let mut map: Map<String, Value> =
-            scan.map(|(name, value)| (name.to_owned(), value)).into_iter().collect();
+        let mut map = self.scan.settings();
         let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
         for (name, value) in [
             ("materials", json!(self.told)),
             ("geometry", json!(self.geometry)),
-            ("true_masks", json!(self.scan.masks == MaskChoice::Truth)),
             ("paper_entities", json!(self.paper_entities)),
             ("engines", json!(engines)),
             ("starts", json!(self.starts)),

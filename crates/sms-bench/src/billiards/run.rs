@@ -9,7 +9,7 @@ use super::seen::{Seen, see};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
 use crate::{BenchError, MaterialsTold, cpu_seconds, robot_of};
 use glamx::DVec2;
-use sms_core::{Cancel, Progress, Seed, atomic};
+use sms_core::{Cancel, InputError, Progress, Seed, atomic};
 use sms_plan::PlanError;
 use sms_robot::RobotConfig;
 use sms_synth::{FixedScene, TruthScene};
@@ -20,6 +20,8 @@ use std::collections::BTreeMap;
 /// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they have not been carried out in.
 /// `done` is told of every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
 ///
+/// Where a vision-language model stops answering, what is left of its row is not run, and the other rows are: why is the result.
+///
 /// # Errors
 /// [`BenchError`]. A scene in which the planner finds no cue or target ball is no error: nothing is done in it then.
 pub fn run_billiards(
@@ -27,14 +29,22 @@ pub fn run_billiards(
     done: &dyn Fn(&BilliardsScene),
     progress: &dyn Progress,
     cancel: &Cancel,
-) -> Result<(), BenchError> {
+) -> Result<Option<InputError>, BenchError> {
+    let mut unanswered = None;
     for &told in &bench.told {
         for scene in &bench.scenes {
             cancel.check()?;
-            done(&run_scene(bench, scene, told, progress, cancel)?);
+            match run_scene(bench, scene, told, progress, cancel) {
+                Ok(scene) => done(&scene),
+                Err(BenchError::Unanswered(why)) => {
+                    unanswered = Some(why);
+                    break;
+                }
+                Err(e) => return Err(e),
+            }
         }
     }
-    Ok(())
+    Ok(unanswered)
 }
 
 /// Only scans the scenes of `bench` and makes their bodies; [`run_billiards`] finds them in the folder where scans are
@@ -222,7 +232,7 @@ fn idle_m(truth: &TruthScene) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::{
         BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_pictures,
@@ -238,7 +248,7 @@ mod tests {
     use std::sync::Mutex;
 
     /// Two starts with next to no rollouts, on the truth's geometry.
-    fn tiny(out: &Path, scenes: &[usize]) -> BilliardsBench {
+    pub(in super::super) fn tiny(out: &Path, scenes: &[usize]) -> BilliardsBench {
         let scenes = scenes.iter().map(|n| FIXED_SCENES[n - 1]).collect();
         let mut bench = BilliardsBench::new(scenes, out, out);
         bench.geometry = BilliardsGeometry::Truth;

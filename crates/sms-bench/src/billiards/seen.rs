@@ -176,7 +176,7 @@ fn no_scene(which: &BenchScene) -> sms_core::InputError {
 }
 
 /// Where a scanned scene is kept, named by what it is made from.
-fn scan_dir(
+pub(super) fn scan_dir(
     scan: &MaterializeOptions,
     which: &BenchScene,
     entities: &EntitiesConfig,

@@ -2,6 +2,7 @@
 
 use super::LandingSight;
 use crate::{BenchError, BenchOptions, BilliardsGeometry, MaterializeOptions, MaterialsTold};
+use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_gaussians::Preset;
 use sms_landing::{LandingAction, LandingSettings};
@@ -118,6 +119,25 @@ impl LandingBench<'_> {
             }
         }
         all
+    }
+
+    /// What the flights depend on, besides scenes and code, for comparing parts of a run.
+    pub fn settings(&self) -> Map<String, Value> {
+        let mut map = self.scan.settings();
+        let baselines: Vec<[&str; 2]> = self.baselines.iter().map(|b| [&*b.name, &*b.variant]).collect();
+        for (name, value) in [
+            ("geometry", json!(self.geometry)),
+            ("starts", json!(self.starts)),
+            ("noisy_draws", json!(self.noisy_draws)),
+            ("noisy_starts", json!(self.noisy_starts)),
+            ("engine", json!(self.engine.key())),
+            ("landing", json!(self.settings)),
+            ("baselines", json!(baselines)),
+            ("seed", json!(self.seed)),
+        ] {
+            map.insert(name.to_owned(), value);
+        }
+        map
     }
 
     /// Names a flight by everything it is made from but the code.

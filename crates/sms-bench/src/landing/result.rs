@@ -62,6 +62,18 @@ pub struct LandingFlight {
     pub planned: BTreeMap<String, LandingPlanned>,
 }
 
+impl LandingFlight {
+    /// Which flight of the experiment it is.
+    pub fn part(&self) -> LandingPart {
+        LandingPart { scene: self.scene, start: self.start, told: self.told, draw: self.draw }
+    }
+
+    /// What it is called in parts of a run: no two flights of a run have the same.
+    pub fn item(&self) -> String {
+        format!("{} {} draw {} start {}", self.told.as_str(), self.scene, self.draw, self.start)
+    }
+}
+
 /// Name of our planner's row.
 pub(super) const OURS: &str = "sms";
 

@@ -20,11 +20,13 @@ pub use trained::{Inputs, Trained, train};
 use crate::TrainerMaker;
 use crate::prepare::BenchOptions;
 use serde::Serialize;
+use serde_json::{Map, Value, json};
 use sms_gaussians::Preset;
 use std::path::{Path, PathBuf};
 
 /// Which masks a scan is given.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum MaskChoice {
     /// By geometry; the true ones for models longer than what the masks by geometry take for an object at all
     /// (`max_object_m`), as a user would label them.
@@ -61,6 +63,12 @@ impl MaterializeOptions {
             rescan: false,
             trainer: TrainerMaker::default(),
         }
+    }
+
+    /// What scans and bodies depend on, besides scenes and code, by name; for comparing parts of a run.
+    pub fn settings(&self) -> Map<String, Value> {
+        let scan = self.bench.settings().into_iter();
+        scan.chain([("choice_of_masks", json!(self.masks))]).map(|(k, v)| (k.to_owned(), v)).collect()
     }
 
     /// What a scan depends on, besides scene, seed and code, for naming what was made of it.
