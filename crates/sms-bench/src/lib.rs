@@ -153,7 +153,7 @@ pub enum BenchError {
     /// Bad input by the user.
     #[error(transparent)]
     Input(#[from] InputError),
-    /// A vision-language model that does not answer: what is asked of it cannot be run now, all else can.
+    /// A vision-language model's server that stops answering: what is asked of it cannot be run now, all else can.
     #[error(transparent)]
     Unanswered(InputError),
     /// Files or interruption.

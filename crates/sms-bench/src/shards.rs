@@ -123,7 +123,9 @@ pub fn part_of<T>(all: Vec<T>, (i, n): (usize, usize)) -> Vec<T> {
 /// through many changes of it.
 fn this_build() -> String {
     let hashed = |path: &Path| Some(Hasher::new().file(path).ok()?.finish().0);
-    std::env::current_exe().ok().and_then(|path| hashed(&path)).unwrap_or_default()
+    // The former is the running program even where it has been replaced since (Linux).
+    let itself = hashed(Path::new("/proc/self/exe"));
+    itself.or_else(|| hashed(&std::env::current_exe().ok()?)).unwrap_or_default()
 }
 
 /// Parts that were put together.

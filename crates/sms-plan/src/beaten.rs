@@ -1,8 +1,8 @@
 //! The last worlds of the choice: who cannot become the best of its strategy any more is not tried in the rest of them.
 
-use crate::PlanError;
-use crate::prediction::{RobustObjective, compare};
+use crate::prediction::compare;
 use crate::robust::{Candidate, STRATEGIES};
+use crate::{PlanConfig, PlanError};
 use std::ops::Range;
 
 /// Worlds that candidates are tried in between two looks at whether they are beaten.
@@ -19,7 +19,7 @@ pub(crate) fn until_beaten(
     all: &mut [Candidate],
     ranked: &[usize],
     range: Range<usize>,
-    objective: RobustObjective,
+    config: &PlanConfig,
     try_in: TryIn<'_>,
 ) -> Result<Vec<usize>, PlanError> {
     let mut leaders: Vec<usize> = Vec::new();
@@ -34,9 +34,10 @@ pub(crate) fn until_beaten(
     let mut seen = range.start;
     while seen < range.end && !others.is_empty() {
         others.retain(|&i| {
-            let least = least_rank(&all[i].outcomes, range.end, objective);
+            // The best rank that it can still come to: no objective is less than 0, and what cannot be believed ranks last.
+            let least = all[i].rank(config, range.end.saturating_sub(all[i].outcomes.len()));
             let beats = |&l: &usize| {
-                all[l].strategy == all[i].strategy && compare(objective.rank(&all[l].outcomes), least).is_lt()
+                all[l].strategy == all[i].strategy && compare(all[l].rank(config, 0), least).is_lt()
             };
             !leaders.iter().any(beats)
         });
@@ -47,17 +48,10 @@ pub(crate) fn until_beaten(
     Ok(ranked.iter().copied().filter(|i| leaders.contains(i) || others.contains(i)).collect())
 }
 
-/// The best rank that outcomes can still come to in `total` worlds: with an objective of 0 in all the others. No objective is
-/// less, and what cannot be believed ranks last.
-fn least_rank(outcomes: &[f64], total: usize, objective: RobustObjective) -> (usize, f64) {
-    let mut best = outcomes.to_vec();
-    best.resize(total.max(outcomes.len()), 0.0);
-    objective.rank(&best)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RobustObjective;
     use proptest::prelude::*;
     use sms_task::Action;
 
@@ -65,10 +59,10 @@ mod tests {
     const TOTAL: usize = 16;
 
     /// The best of each strategy in order, as the choice takes them.
-    fn best(all: &[Candidate], who: &[usize], objective: RobustObjective) -> Vec<usize> {
+    fn best(all: &[Candidate], who: &[usize], config: &PlanConfig) -> Vec<usize> {
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
-            compare(objective.rank(&all[a].outcomes), objective.rank(&all[b].outcomes))
+            compare(all[a].rank(config, 0), all[b].rank(config, 0))
                 .then(all[a].objective.total_cmp(&all[b].objective))
         });
         let mut best: Vec<usize> = Vec::new();
@@ -86,9 +80,11 @@ mod tests {
         fn the_choice_is_that_of_trying_everything(
             outcomes in prop::collection::vec((0..6usize, prop::collection::vec(0.0..1.0f64, TOTAL)), 1..14),
             kind in 0..4usize,
+            nominal_worlds in 0..5usize,
         ) {
             let objective =
                 [RobustObjective::Mean, RobustObjective::Q50, RobustObjective::Q75, RobustObjective::Q90][kind];
+            let config = PlanConfig { objective, nominal_worlds, ..PlanConfig::default() };
             // Bad candidates and unbelievable rollouts among good ones.
             let truth: Vec<(usize, Vec<f64>)> = outcomes
                 .into_iter()
@@ -108,12 +104,12 @@ mod tests {
             let full: Vec<Candidate> = truth.iter().map(|t| candidate(t, TOTAL)).collect();
             let everyone: Vec<usize> = (0..full.len()).collect();
             let mut all: Vec<Candidate> = truth.iter().map(|t| candidate(t, FROM)).collect();
-            let left = until_beaten(&mut all, &everyone, FROM..TOTAL, objective, &mut |all, who, range| {
+            let left = until_beaten(&mut all, &everyone, FROM..TOTAL, &config, &mut |all, who, range| {
                 who.iter().for_each(|&i| all[i].outcomes.extend(&truth[i].1[range.clone()]));
                 Ok(())
             }).unwrap();
             prop_assert!(left.iter().all(|&i| all[i].outcomes == full[i].outcomes));
-            prop_assert_eq!(best(&all, &left, objective), best(&full, &everyone, objective));
+            prop_assert_eq!(best(&all, &left, &config), best(&full, &everyone, &config));
         }
     }
 
@@ -132,13 +128,18 @@ mod tests {
             })
             .collect();
         let mut tried = 0;
-        let left =
-            until_beaten(&mut all, &[0, 1, 2], FROM..TOTAL, RobustObjective::Mean, &mut |all, who, range| {
+        let left = until_beaten(
+            &mut all,
+            &[0, 1, 2],
+            FROM..TOTAL,
+            &PlanConfig::default(),
+            &mut |all, who, range| {
                 tried += who.len() * range.len();
                 who.iter().for_each(|&i| all[i].outcomes.extend(&rows[i][range.clone()]));
                 Ok(())
-            })
-            .unwrap();
+            },
+        )
+        .unwrap();
         assert_eq!((left, tried), (vec![0, 2], 2 * (TOTAL - FROM)));
     }
 }

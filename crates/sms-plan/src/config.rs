@@ -84,6 +84,10 @@ pub struct PlanConfig {
     pub finalists: usize,
     /// What is minimised over the disturbed worlds.
     pub objective: RobustObjective,
+    /// How many of them the world as scanned, the likeliest of all, counts for when candidates are ranked. It steadies a choice over few
+    /// worlds. Simplex searches over disturbed worlds (`descents`, `polish_starts`) go on without it; what they find is carried out there
+    /// before it is ranked.
+    pub nominal_worlds: usize,
     /// How many simplex searches go on over all worlds, from the best candidates.
     pub polish_starts: usize,
     /// Points that each of them may try, each in all worlds.
@@ -117,6 +121,7 @@ impl Default for PlanConfig {
             descent: 8,
             finalists: 12,
             objective: RobustObjective::Mean,
+            nominal_worlds: 0,
             polish_starts: 3,
             polish: 12,
             forecast_worlds: 32,
@@ -147,6 +152,7 @@ impl PlanConfig {
             ("descents", self.descents, 0, 1_000_000),
             ("descent", self.descent, 1, 1_000_000),
             ("finalists", self.finalists, 1, 1_000_000),
+            ("nominal_worlds", self.nominal_worlds, 0, 1000),
             ("polish_starts", self.polish_starts, 0, 1_000_000),
             ("polish", self.polish, 0, 1_000_000),
             ("forecast_worlds", self.forecast_worlds, 1, 1_000_000),

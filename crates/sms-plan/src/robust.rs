@@ -33,6 +33,18 @@ pub(crate) struct Candidate {
     pub(crate) outcomes: Vec<f64>,
 }
 
+impl Candidate {
+    /// What it is ranked by over the worlds seen so far, the world as scanned among them where that is known, and `more` in which its
+    /// objective is 0.
+    pub(crate) fn rank(&self, config: &PlanConfig, more: usize) -> (usize, f64) {
+        let nominal = if self.objective.is_finite() { config.nominal_worlds } else { 0 };
+        let mut values = self.outcomes.clone();
+        values.extend(std::iter::repeat_n(self.objective, nominal));
+        values.extend(std::iter::repeat_n(0.0, more));
+        config.objective.rank(&values)
+    }
+}
+
 /// What the choice needs.
 pub(crate) struct Choice<'a> {
     pub(crate) task: &'a ResolvedTask,
@@ -78,12 +90,18 @@ impl Choice<'_> {
             let trials = &mut found.trials;
             all.extend(self.scan(worlds, seed, trials)?);
             alive.extend(alive.len()..all.len());
+            if config.nominal_worlds > 0 {
+                alive = self.looked_at(&mut all, &alive, trials)?;
+            }
             self.run(&mut all, &alive, worlds, 0..few, trials)?;
             alive = self.ranked(&all, &alive);
             let searches =
                 Searches { starts: config.descents, survivors: 4, points: config.descent, worlds: few };
             let added = self.descend(&mut all, &alive, worlds, &searches, trials)?;
             alive.extend(added);
+            if config.nominal_worlds > 0 {
+                alive = self.looked_at(&mut all, &alive, trials)?;
+            }
             alive = self.ranked(&all, &alive);
             alive = self.apart(&all, &alive, config.candidates.div_ceil(2).max(config.finalists));
             alive = self.looked_at(&mut all, &alive, trials)?;
@@ -111,7 +129,7 @@ impl Choice<'_> {
             alive = self.executable(&all, &alive)?;
             alive = self.best_with_strategies(&all, &alive, config.finalists);
             let last = half..worlds.len();
-            alive = until_beaten(&mut all, &alive, last, config.objective, &mut |all, who, range| {
+            alive = until_beaten(&mut all, &alive, last, config, &mut |all, who, range| {
                 self.run(all, who, worlds, range, trials)
             })?;
             alive = self.ranked(&all, &alive);
@@ -220,10 +238,9 @@ impl Choice<'_> {
 
     /// In order of the stated objective over the worlds; ties keep the nominally better one first.
     pub(crate) fn ranked(&self, all: &[Candidate], who: &[usize]) -> Vec<usize> {
-        let objective = self.config.objective;
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
-            compare(objective.rank(&all[a].outcomes), objective.rank(&all[b].outcomes))
+            compare(all[a].rank(self.config, 0), all[b].rank(self.config, 0))
                 .then(all[a].objective.total_cmp(&all[b].objective))
         });
         order
@@ -325,6 +342,24 @@ mod tests {
         assert_eq!(places(0.3, 8), [0.1, 0.5]);
         assert_eq!(places(0.3, 1), [0.1]);
         assert_eq!(places(0.0, 8), [0.1]);
+    }
+
+    #[test]
+    fn the_scanned_world_counts_for_as_many_worlds_as_is_asked() {
+        let with = |objective: f64, outcomes: &[f64]| Candidate {
+            outcomes: outcomes.to_vec(),
+            ..candidate(objective, "direct")
+        };
+        let config = |nominal_worlds| PlanConfig { nominal_worlds, ..PlanConfig::default() };
+        let (here, there) = (with(0.0625, &[0.25, 0.5]), with(0.5, &[0.125, 0.375]));
+        assert!(here.rank(&config(0), 0) > there.rank(&config(0), 0));
+        assert!(here.rank(&config(1), 0) < there.rank(&config(1), 0));
+        assert_eq!(there.rank(&config(2), 0), (0, 0.375));
+        // Worlds to come, in which nothing can be better than 0.
+        assert_eq!(there.rank(&config(2), 4), (0, 0.1875));
+        // What a shot of a simplex search does in the scanned world is not known before it is looked at.
+        let unknown = with(f64::INFINITY, &[0.125, 0.375]);
+        assert_eq!(unknown.rank(&config(2), 0), (0, 0.25));
     }
 
     #[test]

@@ -187,7 +187,8 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
             present.push(scene);
         }
     }
-    if present.is_empty() {
+    // A part may be of scenes that are not here; the others are not the worse for it.
+    if present.is_empty() && part.is_none() {
         return Err(InputError::new(
             "none of these scenes is here",
             "--scenes",

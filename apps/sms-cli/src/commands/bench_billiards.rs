@@ -144,21 +144,14 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
         };
         return Ok(scan_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?);
     }
+    let mut unanswered = None;
     if !a.table {
         let line = |s: &BilliardsScene| context.say(scene_line(s));
-        let unanswered = run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
-        if let Some(why) = unanswered {
-            if read_billiards(&bench)?.is_empty() {
-                return Err(why.into());
-            }
-            eprintln!(
-                "warning: materials vlm: what is left was not run: {why}. Run again, it goes on from there"
-            );
-        }
+        unanswered = run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
     }
     let found = read_billiards(&bench)?;
     if found.is_empty() {
-        return Err(nothing_there(&a.out).into());
+        return Err(unanswered.unwrap_or_else(|| nothing_there(&a.out)).into());
     }
     if let Some(part) = a.shard.as_deref().map(parse_shard).transpose()? {
         let mut shard = Shard::new("billiards", part, bench.settings());
@@ -169,7 +162,9 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
         }
         shard.save(&bench.out.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
     }
-    show(context, &found, &Shard::new("billiards", (1, 1), bench.settings()), &bench.out)
+    show(context, &found, &Shard::new("billiards", (1, 1), bench.settings()), &bench.out)?;
+    // Said at the end and by the exit code, so that what drives parts runs this one again.
+    unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
 /// Figures, table and pictures of all scenes of a run or of merged parts.

@@ -66,8 +66,8 @@ pub(crate) fn keep_questions(
 /// answer the prior stays. Replies are kept in `cache`.
 ///
 /// # Errors
-/// [`BenchError::Input`] where the scene was kept without views; [`BenchError::Unanswered`] where the server stops answering or the model
-/// says nothing that can be used; [`BenchError::Core`] for files and interruption.
+/// [`BenchError::Input`] where the scene was kept without views; [`BenchError::Unanswered`] where the server stops answering;
+/// [`BenchError::Core`] for files and interruption.
 pub(super) fn tell_asked(
     scene: &mut Scene,
     dir: &Path,
@@ -99,13 +99,10 @@ pub(super) fn tell_asked(
         .collect::<Result<_, BenchError>>()?;
     let warnings = Warnings::new();
     let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
-    // Of what a model was not asked in the end the prior would be told, and the row would be no longer the model's.
-    if asked.given_up.is_some() || asked.answered() == 0 {
-        let (what, cure) = match &asked.given_up {
-            Some(why) => (why.what.clone(), why.cure.clone()),
-            None => ("the model answered nothing that can be used".into(), "try another model".into()),
-        };
-        return Err(BenchError::Unanswered(InputError::new(what, client.config().url.clone(), cure)));
+    // What a model cannot tell is part of what it is worth, and keeps the prior. What it was not asked in the end says nothing of it.
+    if let Some(why) = &asked.given_up {
+        let at = client.config().url.clone();
+        return Err(BenchError::Unanswered(InputError::new(why.what.clone(), at, why.cure.clone())));
     }
     for (question, outcome) in questions.iter().zip(&asked.outcomes) {
         queries[question.query].estimate = outcome.estimate().cloned();

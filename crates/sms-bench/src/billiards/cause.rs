@@ -121,6 +121,7 @@ pub(super) mod tests {
             matched: 4,
             strays: 0,
             problem: None,
+            paper_problem: None,
             plans: BTreeMap::from([(Row::Robust, vec![shot])]),
             seconds: BTreeMap::new(),
             realised: BTreeMap::from([("judge".to_owned(), of(realised_m))]),

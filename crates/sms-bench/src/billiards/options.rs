@@ -123,8 +123,8 @@ impl BilliardsBench {
     }
 
     /// The planner with about as many rollouts for each start as five of the paper's starts take: a short search of the
-    /// scanned world, and the choice among its best by how they fare in a few disturbed ones. Thirty of them are what
-    /// eighteen scenes can have in ninety minutes on two cores.
+    /// scanned world, and the choice among its best by how they fare in a few disturbed ones, for as many of which the scanned
+    /// world counts. Thirty of them are what eighteen scenes can have in ninety minutes on two cores.
     fn small() -> PlanConfig {
         PlanConfig {
             starts: 12,
@@ -135,6 +135,7 @@ impl BilliardsBench {
             candidates: 12,
             descents: 0,
             finalists: 3,
+            nominal_worlds: 4,
             polish_starts: 0,
             forecast_worlds: 1,
             sensitivity_rollouts: 0,

@@ -96,6 +96,9 @@ pub struct BilliardsScene {
     pub strays: usize,
     /// Why nothing could be planned.
     pub problem: Option<String>,
+    /// Why nothing could be planned in row `paper`, whose bodies are made otherwise.
+    #[serde(default)]
+    pub paper_problem: Option<String>,
     /// Plans of every row.
     pub plans: BTreeMap<Row, Vec<Shot>>,
     /// Seconds of planning, by row.

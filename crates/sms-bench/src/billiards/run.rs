@@ -160,6 +160,7 @@ fn plan_all(
         matched: seen.matched,
         strays: seen.strays,
         problem: None,
+        paper_problem: None,
         plans: BTreeMap::new(),
         seconds: BTreeMap::new(),
         realised: BTreeMap::new(),
@@ -182,9 +183,8 @@ fn plan_all(
             }
             // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
             Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
-                if row != Row::Paper {
-                    result.problem = Some(e.to_string());
-                }
+                let problem = if row == Row::Paper { &mut result.paper_problem } else { &mut result.problem };
+                *problem = Some(e.to_string());
                 let count = if matches!(row, Row::Paper | Row::Ours) { bench.starts } else { 1 };
                 result.plans.insert(row, vec![Shot::nothing(result.idle_m); count]);
             }
@@ -379,10 +379,12 @@ pub(super) mod tests {
         let (rows, unfinished) = (realised.rows, realised.unfinished);
         let mut result = crate::billiards::cause::tests::scene(0.01, None);
         result.plans = plans;
+        result.paper_problem = Some("no ball is blue".into());
         result.realised = BTreeMap::from([("rapier_f64".to_owned(), rows)]);
         result.unfinished = BTreeMap::from([("rapier_f64".to_owned(), unfinished)]);
         let text = billiards_table(std::slice::from_ref(&result));
         assert!(text.contains("not finished, scene  3: ours 2, robust 1: the robot cannot make"), "{text}");
+        assert!(text.contains("not planned, scene  3: row paper: no ball is blue"), "{text}");
         let metrics = billiards_metrics(std::slice::from_ref(&result));
         for key in ["unfinished", "robust_single_unfinished"] {
             assert_eq!(metrics.number(&format!("bench.billiards.rapier_f64.ours.class.{key}")), Some(1.0));

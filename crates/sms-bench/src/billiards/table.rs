@@ -103,9 +103,13 @@ fn block(
     per_scene(text, &there, key);
 }
 
-/// Shots that the engine could not finish, with the reasons: they count as shots that do nothing.
+/// What could not be planned in row `paper`, and shots that the engine could not finish, with the reasons: they count as shots that do
+/// nothing.
 fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     for s in scenes {
+        if let Some(why) = &s.paper_problem {
+            let _ = writeln!(text, "  not planned, scene {:>2}: row paper: {why}", s.number);
+        }
         let mut whys: BTreeMap<&str, Vec<String>> = BTreeMap::new();
         for row in Row::ALL {
             let outcomes = s.realised.get(engine).and_then(|of| of.get(&row)).map_or(&[][..], Vec::as_slice);
