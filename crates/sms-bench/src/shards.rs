@@ -59,6 +59,35 @@ impl Shard {
         self.items.insert(item.to_owned(), Value::Object(map));
     }
 
+    /// Adds what was found out about an item, as what [`Shard::values`] reads.
+    ///
+    /// # Errors
+    /// Values that JSON has no text for.
+    pub fn put<T: Serialize>(&mut self, item: &str, value: &T) -> Result<(), serde_json::Error> {
+        self.items.insert(item.to_owned(), serde_json::to_value(value)?);
+        Ok(())
+    }
+
+    /// What [`Shard::put`] added, with the items' names, in their order.
+    ///
+    /// # Errors
+    /// [`InputError`] where an item is something else.
+    pub fn values<T: serde::de::DeserializeOwned>(&self) -> Result<Vec<(&str, T)>, InputError> {
+        self.items
+            .iter()
+            .map(|(item, value)| {
+                let value = serde_json::from_value(value.clone()).map_err(|e| {
+                    InputError::new(
+                        format!("a part of `bench {}` has no usable results of `{item}`: {e}", self.bench),
+                        "merge",
+                        "run the parts again with this version",
+                    )
+                })?;
+                Ok((item.as_str(), value))
+            })
+            .collect()
+    }
+
     /// The figures of an item; empty where there are none.
     pub fn figures(&self, item: &str) -> Metrics {
         let mut metrics = Metrics::new();
@@ -88,6 +117,14 @@ impl Shard {
     /// Where a part goes whose results go to `out`: beside it (`part2.json`: `part2.shard.json`).
     pub fn path_beside(out: &Path) -> PathBuf {
         out.with_extension("shard.json")
+    }
+
+    /// Writes the file of a part whose results go to a folder, which parts may share.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn save_in(&self, folder: &Path) -> Result<(), CoreError> {
+        self.save(&folder.join(format!("part_{}_of_{}{ENDING}", self.part.0, self.part.1)))
     }
 
     /// Writes the file.

@@ -90,18 +90,14 @@ impl Choice<'_> {
             let trials = &mut found.trials;
             all.extend(self.scan(worlds, seed, trials)?);
             alive.extend(alive.len()..all.len());
-            if config.nominal_worlds > 0 {
-                alive = self.looked_at(&mut all, &alive, trials)?;
-            }
+            alive = self.counted(&mut all, alive, trials)?;
             self.run(&mut all, &alive, worlds, 0..few, trials)?;
             alive = self.ranked(&all, &alive);
             let searches =
                 Searches { starts: config.descents, survivors: 4, points: config.descent, worlds: few };
             let added = self.descend(&mut all, &alive, worlds, &searches, trials)?;
             alive.extend(added);
-            if config.nominal_worlds > 0 {
-                alive = self.looked_at(&mut all, &alive, trials)?;
-            }
+            alive = self.counted(&mut all, alive, trials)?;
             alive = self.ranked(&all, &alive);
             alive = self.apart(&all, &alive, config.candidates.div_ceil(2).max(config.finalists));
             alive = self.looked_at(&mut all, &alive, trials)?;
@@ -213,6 +209,16 @@ impl Choice<'_> {
             trials.push(Trial::new(Phase::Disturbed, i as i32, -1, all[i].action.clone(), objective));
         }
         Ok(who.iter().copied().filter(|&i| all[i].objective.is_finite()).collect())
+    }
+
+    /// Where the scanned world is among those that candidates are ranked by, they are [`Choice::looked_at`] before.
+    fn counted(
+        &self,
+        all: &mut [Candidate],
+        who: Vec<usize>,
+        trials: &mut Vec<Trial>,
+    ) -> Result<Vec<usize>, PlanError> {
+        if self.config.nominal_worlds == 0 { Ok(who) } else { self.looked_at(all, &who, trials) }
     }
 
     /// Tries the candidates `who` in the given worlds; outcomes are appended in the worlds' order.

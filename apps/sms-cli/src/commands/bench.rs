@@ -206,22 +206,26 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         // Best effort: the results are printed.
         let _ = std::fs::remove_dir_all(&aside);
     }
-    let mut metrics = measured?;
+    let metrics = measured?;
     if let Some(part) = part {
-        part_of_scans(part, &options, &present, &metrics)
-            .save(&out.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
+        part_of_scans(part, &options, &present, &metrics).save_in(out)?;
     }
-    add_means(&mut metrics, &present);
-    metrics.set("bench.scan.preset", options.preset_name());
-    if let Some(out) = &a.out {
-        metrics.save(&out.join("results.json"))?;
-    }
-    if context.json {
-        context.print_json(&metrics)?;
-    } else {
-        context.say(table(&metrics, &present, options.preset_name(), baseline.as_ref()).trim_end());
-    }
-    Ok(())
+    let results = a.out.as_ref().map(|out| out.join("results.json"));
+    show_scans(context, metrics, &present, options.preset_name(), baseline.as_ref(), results.as_ref())
+}
+
+/// Figures and table of the scenes that were measured, with their means.
+fn show_scans(
+    context: &Context,
+    mut metrics: Metrics,
+    scenes: &[BenchScene],
+    preset: &str,
+    baseline: Option<&Metrics>,
+    out: Option<&PathBuf>,
+) -> anyhow::Result<()> {
+    add_means(&mut metrics, scenes);
+    metrics.set("bench.scan.preset", preset);
+    finish(context, &metrics, out, table(&metrics, scenes, preset, baseline).trim_end())
 }
 
 /// What one part found out about its scenes.
@@ -256,10 +260,7 @@ pub(super) fn show_merged_scans(
     let scenes = whole.items.keys().map(|id| id.parse()).collect::<Result<Vec<BenchScene>, _>>()?;
     let mut metrics = Metrics::new();
     whole.items.keys().for_each(|id| metrics.merge(whole.figures(id)));
-    add_means(&mut metrics, &scenes);
-    let preset: String = whole.setting("preset")?;
-    metrics.set("bench.scan.preset", preset.as_str());
-    finish(context, &metrics, out, table(&metrics, &scenes, &preset, None).trim_end())
+    show_scans(context, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
 }
 
 /// Whether it is a real recording that is not here.

@@ -10,6 +10,7 @@ use crate::context::Context;
 use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
+use serde_json::{Map, Value};
 use sms_bench::{
     BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
     billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, scan_billiards,
@@ -158,21 +159,25 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
         let own = |s: &&BilliardsScene| bench.scenes.iter().any(|fixed| fixed.number == s.number);
         for s in found.iter().filter(own) {
             let item = format!("{} {:02}", s.told.as_str(), s.number);
-            shard.items.insert(item, serde_json::to_value(s).context("a scene's result cannot be written")?);
+            shard.put(&item, s).context("a scene's result cannot be written")?;
         }
-        shard.save(&bench.out.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
+        shard.save_in(&bench.out)?;
     }
-    show(context, &found, &Shard::new("billiards", (1, 1), bench.settings()), &bench.out)?;
+    show(context, &found, &bench.settings(), &bench.out)?;
     // Said at the end and by the exit code, so that what drives parts runs this one again.
     unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
 /// Figures, table and pictures of all scenes of a run or of merged parts.
-fn show(context: &Context, found: &[BilliardsScene], of: &Shard, out: &Path) -> anyhow::Result<()> {
+fn show(
+    context: &Context,
+    found: &[BilliardsScene],
+    settings: &Map<String, Value>,
+    out: &Path,
+) -> anyhow::Result<()> {
     let mut metrics = billiards_metrics(found);
     for name in ["geometry", "preset", "starts"] {
-        let value: serde_json::Value = of.setting(name)?;
-        metrics.set(format!("bench.billiards.{name}"), value);
+        metrics.set(format!("bench.billiards.{name}"), settings.get(name).cloned().unwrap_or_default());
     }
     write_shots(&out.join("shots.parquet"), found)?;
     let text = billiards_table(found);
@@ -182,14 +187,9 @@ fn show(context: &Context, found: &[BilliardsScene], of: &Shard, out: &Path) -> 
 
 /// The same of merged parts.
 pub(crate) fn show_merged(context: &Context, whole: &Shard, out: &Path) -> anyhow::Result<()> {
-    let mut found: Vec<BilliardsScene> = whole
-        .items
-        .values()
-        .map(|v| serde_json::from_value(v.clone()))
-        .collect::<Result<_, _>>()
-        .context("a part of `bench billiards` holds no results of scenes")?;
+    let mut found: Vec<BilliardsScene> = whole.values()?.into_iter().map(|(_, scene)| scene).collect();
     found.sort_by_key(|s| (s.told, s.number));
-    show(context, &found, whole, out)
+    show(context, &found, &whole.settings, out)
 }
 
 fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {

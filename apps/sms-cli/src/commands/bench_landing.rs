@@ -118,8 +118,7 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
         return Err(nothing_there(&a.out).into());
     }
     if a.shard.is_some() {
-        let shard = part_with(bench.part, &bench, &found)?;
-        shard.save(&bench.out.join(format!("part_{}_of_{}.shard.json", bench.part.0, bench.part.1)))?;
+        part_with(bench.part, &bench, &found)?.save_in(&bench.out)?;
     }
     show(context, &found, Some(&a.out.join("results.json")))
 }
@@ -143,19 +142,14 @@ fn part_with(
     let own = part_of(bench.flights(), part);
     let mut shard = Shard::new("landing", part, bench.settings());
     for f in found.iter().filter(|f| own.contains(&f.part())) {
-        shard.items.insert(f.item(), serde_json::to_value(f).context("a flight cannot be written")?);
+        shard.put(&f.item(), f).context("a flight cannot be written")?;
     }
     Ok(shard)
 }
 
 /// The flights of parts, in the order of a run in one piece.
 fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
-    let mut found: Vec<LandingFlight> = whole
-        .items
-        .values()
-        .map(|v| serde_json::from_value(v.clone()))
-        .collect::<Result<_, _>>()
-        .context("a part of `bench landing` holds no flights")?;
+    let mut found: Vec<LandingFlight> = whole.values()?.into_iter().map(|(_, flight)| flight).collect();
     found.sort_by_key(|f| (f.told, f.scene, f.draw, f.start));
     Ok(found)
 }
@@ -324,7 +318,7 @@ mod tests {
             // All parts see what is in a folder that they share, and write down their own.
             let shard = part_with((i, 3), &bench, &all).unwrap();
             assert!(shard.items.len() < all.len());
-            shard.save(&dir.path().join(format!("part_{i}_of_3.shard.json"))).unwrap();
+            shard.save_in(dir.path()).unwrap();
         }
         let merged = merge_shards(&[dir.path().to_owned()]).unwrap();
         assert!(merged.missing.is_empty() && merged.builds == 1);
@@ -333,7 +327,7 @@ mod tests {
         assert_eq!(landing_metrics(&flights), landing_metrics(&all));
         // With other settings they are no parts of one run.
         bench.seed = Seed(1);
-        part_with((1, 3), &bench, &all).unwrap().save(&dir.path().join("part_1_of_3.shard.json")).unwrap();
+        part_with((1, 3), &bench, &all).unwrap().save_in(dir.path()).unwrap();
         assert!(merge_shards(&[dir.path().to_owned()]).unwrap_err().to_string().contains("`seed`"));
     }
 }

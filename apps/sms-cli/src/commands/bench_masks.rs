@@ -13,7 +13,7 @@ use sms_core::{InputError, Warnings};
 use sms_frames::ReadOptions;
 use sms_gaussians::Preset;
 use sms_masks::GeometryConfig;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BenchMasks {
@@ -56,12 +56,12 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         }
         context.tell(&warnings);
     }
-    if let (Some(part), Some(dir)) = (part, &a.out) {
-        return keep_part(context, part, &options, &scores, dir);
-    }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
-    if scores.is_empty() || (scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all")
-    {
+    let none_generated = scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all";
+    if let (Some(part), Some(dir)) = (part, &a.out) {
+        // None of its scenes may be here.
+        part_with(part, &options, &scores)?.save_in(dir)?;
+    } else if scores.is_empty() || none_generated {
         return Err(InputError::new("no scene could be measured", "--scenes", "name other scenes").into());
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));
@@ -70,24 +70,10 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
 
 type Scored = (BenchScene, MaskScores, f64);
 
-/// One part's scenes, none of which may be here.
-fn keep_part(
-    context: &Context,
-    part: (usize, usize),
-    options: &BenchOptions,
-    scores: &[Scored],
-    dir: &Path,
-) -> anyhow::Result<()> {
-    let shard = part_with(part, options, scores)?;
-    shard.save(&dir.join(format!("part_{}_of_{}.shard.json", part.0, part.1)))?;
-    show_merged(context, &shard, Some(&dir.join("results.json")))
-}
-
 fn part_with(part: (usize, usize), options: &BenchOptions, scores: &[Scored]) -> anyhow::Result<Shard> {
     let mut shard = Shard::new("masks", part, settings(options.settings()));
     for (scene, score, seconds) in scores {
-        let value = serde_json::to_value((score, seconds)).context("a score cannot be written")?;
-        shard.items.insert(scene.to_string(), value);
+        shard.put(&scene.to_string(), &(score, seconds)).context("a score cannot be written")?;
     }
     Ok(shard)
 }
@@ -101,15 +87,9 @@ pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf
 /// The scores of parts, in the order of a run in one piece.
 fn scores_of(whole: &Shard) -> anyhow::Result<Vec<Scored>> {
     let usual: Vec<String> = select_mask_scenes("all")?.iter().map(BenchScene::to_string).collect();
-    let mut names: Vec<&String> = whole.items.keys().collect();
-    names.sort_by_key(|name| usual.iter().position(|u| u == *name).unwrap_or(usual.len()));
-    let scored = |name: &String| {
-        let scene = select_mask_scenes(name)?.remove(0);
-        let (score, seconds) = serde_json::from_value(whole.items[name].clone())
-            .context("a part of `bench masks` holds no scores")?;
-        Ok((scene, score, seconds))
-    };
-    names.into_iter().map(scored).collect()
+    let mut all: Vec<(&str, (MaskScores, f64))> = whole.values()?;
+    all.sort_by_key(|(name, _)| usual.iter().position(|u| u == name).unwrap_or(usual.len()));
+    all.into_iter().map(|(name, (score, s))| Ok((select_mask_scenes(name)?.remove(0), score, s))).collect()
 }
 
 #[cfg(test)]
@@ -131,8 +111,7 @@ mod tests {
             select_mask_scenes("all").unwrap().into_iter().enumerate().map(score).collect();
         for i in 1..=4 {
             let own = part_of(all.clone(), (i, 4));
-            let path = dir.path().join(format!("part_{i}_of_4.shard.json"));
-            part_with((i, 4), &options, &own).unwrap().save(&path).unwrap();
+            part_with((i, 4), &options, &own).unwrap().save_in(dir.path()).unwrap();
         }
         let merged = merge_shards(&[dir.path().to_owned()]).unwrap();
         let scores = scores_of(&merged.whole).unwrap();

@@ -317,13 +317,14 @@ impl Bodies<'_> {
             let [_, middle, long] = extents(self.surfels, s.members(*a));
             s.size(*a) >= smallest && is_ragged(s.size(*a) as f64 * self.cell_m2, middle, long)
         };
-        s.left().into_iter().filter(is_strip).find_map(|a| {
+        let strips: Vec<usize> = s.left().into_iter().filter(is_strip).collect();
+        strips.iter().find_map(|&a| {
             let touched = seams.iter().filter_map(|(&(x, y), &seam)| match (x == a, y == a) {
                 (true, _) => Some((y, seam == Seam::On)),
                 (_, true) => Some((x, seam == Seam::Under)),
                 _ => None,
             });
-            let whole: Vec<(usize, bool)> = touched.filter(|(b, _)| !is_strip(b)).collect();
+            let whole: Vec<(usize, bool)> = touched.filter(|(b, _)| !strips.contains(b)).collect();
             let stands = whole.iter().any(|(_, carries)| *carries);
             let hosts = whole.iter().filter(|(_, carries)| *carries || !stands).map(|(b, _)| *b);
             let alike = hosts.map(|b| (s.contrast(a, b), b));
