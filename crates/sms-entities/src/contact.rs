@@ -271,6 +271,11 @@ impl Piece {
         usable.then_some((contact.normal1, contact.point1, contact.point2))
     }
 
+    /// Whether a point of the world is in it.
+    pub(crate) fn holds(&self, p_w: DVec3) -> bool {
+        self.shape.contains_point(&self.x_ws, p_w)
+    }
+
     /// How deep it is in another piece, metres; 0 where it is not.
     pub(crate) fn depth_in(&self, other: &Self) -> f64 {
         self.overlap(other).map_or(0.0, |(normal, p, q)| (p - q).dot(normal))

@@ -9,7 +9,7 @@ use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standin
 use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_convex::convex_hull;
-use sms_core::{Entity, Mesh};
+use sms_core::{Aabb, Entity, Mesh};
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
@@ -76,7 +76,8 @@ pub(crate) fn add_lids(
                 Some(Carrier::Unseen) | None => false,
             };
             let strip = if is_elsewhere || others().any(bears) { REACH_M } else { STRIP_M };
-            let Some(lid) = lid(carrier, &outline, height, strip, around) else { continue };
+            let upper = Upper { entity: &entities[upper], outline: &outline, height };
+            let Some(lid) = lid(carrier, &upper, strip, around) else { continue };
             // What is lowered for one would be lowered below the other.
             let is_shared = |e: &Entity| {
                 let foot = bottom_outline(e);
@@ -133,11 +134,19 @@ struct Lid {
     replaces: bool,
 }
 
+/// What stands on a face: its outline, and the face's height.
+struct Upper<'a> {
+    entity: &'a Entity,
+    outline: &'a [DVec2],
+    height: f64,
+}
+
 /// `None` where the shape ends at the edge that was seen, or none was within `strip` of the face.
-fn lid(carrier: &Entity, outline: &[DVec2], height: f64, strip: f64, around: &Surroundings) -> Option<Lid> {
+fn lid(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -> Option<Lid> {
+    let Upper { outline, height, .. } = *upper;
     let tops = carrier.parts.iter().flat_map(|part| under(part, outline));
     let touching = outline_of(tops.filter(|p| (p.z - height).abs() < TOUCH_M));
-    let seen = seen_sides(carrier, outline, height, strip, around)?;
+    let seen = seen_sides(carrier, upper, strip, around)?;
     // Where no side was seen that looks there the edge is a guess, and the mesh another.
     let is_guessed = |p: &&DVec2| {
         let edge = nearest_on(&seen.edge, **p);
@@ -203,13 +212,8 @@ struct Sides {
 }
 
 /// An object's sides right below a face at a height, as they were seen. Unlabelled sides beside the object count as its own.
-fn seen_sides(
-    carrier: &Entity,
-    outline: &[DVec2],
-    height: f64,
-    strip: f64,
-    around: &Surroundings,
-) -> Option<Sides> {
+fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -> Option<Sides> {
+    let Upper { outline, height, .. } = *upper;
     let is_near = |p: DVec3| {
         let is_side = p.z > height - LOST_M && p.z < height - MADE_UP_M;
         is_side && is_within(outline, p.truncate(), NEAR_M)
@@ -231,9 +235,14 @@ fn seen_sides(
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
     let upright: Vec<usize> = (0..cloud.points_w.len()).filter(|&i| normal(i).z.abs() < UPRIGHT).collect();
     let mut sides: Vec<usize> = upright.iter().copied().filter(|&i| is_near(cloud.points_w[i])).collect();
-    // What goes on beyond the face does not end there.
-    let goes_on = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
-    if upright.iter().filter(|&&i| goes_on(cloud.points_w[i])).count() > sides.len() / 10 {
+    // What goes on beyond the face does not end there. What nobody can have seen, since it would be inside of what stands there, is skirts
+    // of discs below.
+    let beyond = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
+    let beyond: Vec<DVec3> = upright.iter().map(|&i| cloud.points_w[i]).filter(|&p| beyond(p)).collect();
+    let space = Aabb::of_points(beyond.iter().copied());
+    let inside: Vec<Piece> = space.iter().flat_map(|space| pieces_near(upper.entity, space)).collect();
+    let goes_on = beyond.iter().filter(|p| !inside.iter().any(|piece| piece.holds(**p))).count();
+    if goes_on > sides.len() / 10 {
         return None;
     }
     let end = |heights: Vec<f64>| (!heights.is_empty()).then(|| quantile(heights, 0.98));
@@ -460,6 +469,36 @@ mod tests {
         let mut all = [mug.clone(), riser];
         add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0], mug);
+    }
+
+    #[test]
+    fn skirts_within_what_stands_there_are_no_sides_that_go_on() {
+        // A box of 10 cm on a seat: a third of the discs of its sides reach up to 3 cm into the box.
+        let upright = cuboid("box", DVec3::new(0.25, 0.3, 0.05), DVec3::Z * 0.55);
+        let mut seat = bin(0.007);
+        let skirt: Vec<DVec3> = (0..700)
+            .step_by(3)
+            .map(|k| seat.cloud.points_w[k] + DVec3::Z * (0.01 + 3e-5 * k as f64))
+            .collect();
+        let normals: Vec<DVec3> = seat.cloud.normals_w[..700].iter().copied().step_by(3).collect();
+        seat.cloud.normals_w.extend(normals);
+        seat.cloud.points_w.extend(skirt);
+        let mut all = [seat.clone(), upright.clone()];
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
+        let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
+        let bounds = lid.aabb().unwrap();
+        assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
+        // Of a frame that stands around them they are sides, and the seat reaches through it.
+        let mut frame = upright;
+        frame.parts = [-1.0, 1.0]
+            .map(|s| {
+                cuboid("bar", DVec3::new(0.02, 0.3, 0.05), DVec3::new(0.23 * s, 0.0, 0.55)).parts.remove(0)
+            })
+            .to_vec();
+        frame.shape = EntityShape::TriMesh;
+        let mut all = [seat.clone(), frame];
+        add_lids(&mut all, &[], 0.0, 64, &nothing());
+        assert_eq!(all[0], seat);
     }
 
     #[test]
