@@ -55,6 +55,9 @@ pub(crate) struct BenchBilliards {
     /// Target engines (default: all that are built in).
     #[arg(long, value_enum, value_name = "ENGINES", value_delimiter = ',')]
     pub engines: Vec<EngineName>,
+    /// Rows that are planned (default: all).
+    #[arg(long, value_enum, value_name = "ROWS", value_delimiter = ',')]
+    pub rows: Vec<RowName>,
     /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 6).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
@@ -95,6 +98,30 @@ pub(crate) enum Geometry {
     Scan,
     /// The truth, for ablations and quick tests.
     Truth,
+}
+
+/// Planners.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum RowName {
+    /// The paper's planner, in bodies made the paper's way.
+    Paper,
+    /// A small plan of ours from each start.
+    Ours,
+    /// The one plan a scene that a user would carry out.
+    Robust,
+    /// The paper's grid baseline.
+    Grid,
+}
+
+impl RowName {
+    fn row(self) -> Row {
+        match self {
+            Self::Paper => Row::Paper,
+            Self::Ours => Row::Ours,
+            Self::Robust => Row::Robust,
+            Self::Grid => Row::Grid,
+        }
+    }
 }
 
 /// Masks of scans.
@@ -222,6 +249,14 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     bench.starts = a.starts.unwrap_or(if a.quick { 6 } else { bench.starts }).max(1);
     bench.seed = Seed(a.seed);
     bench.ablation_starts = a.ablation.map_or(0, |starts| starts.max(1));
+    if !a.rows.is_empty() {
+        bench.rows = Row::ALL.into_iter().filter(|row| a.rows.iter().any(|r| r.row() == *row)).collect();
+        let is_there = |row: &Row| bench.rows.contains(row);
+        if bench.ablation_starts > 0 && ![Row::Ours, Row::Robust].iter().all(is_there) {
+            let what = "the ablation looks at the rows `ours` and `robust`";
+            return Err(InputError::new(what, "--rows", "add them, or leave --ablation out").into());
+        }
+    }
     let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
     bench.robust = context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
     Ok(bench)
@@ -254,17 +289,25 @@ fn scenes(a: &BenchBilliards) -> anyhow::Result<Vec<FixedScene>> {
 fn scene_line(s: &BilliardsScene) -> String {
     let mean = |values: Vec<f64>| length_text(values.iter().sum::<f64>() / values.len().max(1) as f64);
     let mut line = format!(
-        "scene {:>2} ({}, {}): {} of {} objects seen; predicted {}",
+        "scene {:>2} ({}, {}): {} of {} objects seen",
         s.number,
         s.layout.as_str(),
         s.told.as_str(),
         s.matched,
         s.objects,
-        mean(s.predicted_m(Row::Ours))
     );
+    if s.plans.contains_key(&Row::Ours) {
+        line.push_str(&format!("; predicted {}", mean(s.predicted_m(Row::Ours))));
+    }
     for engine in s.realised.keys() {
-        let of = |row| s.realised_m(engine, row).map_or_else(|| "?".to_owned(), mean);
-        line.push_str(&format!("; {engine} ours {}, one plan {}", of(Row::Ours), of(Row::Robust)));
+        let of = |row| s.realised_m(engine, row).map(mean);
+        let told: Vec<String> = [("ours", Row::Ours), ("one plan", Row::Robust)]
+            .into_iter()
+            .filter_map(|(name, row)| Some(format!("{name} {}", of(row)?)))
+            .collect();
+        if !told.is_empty() {
+            line.push_str(&format!("; {engine} {}", told.join(", ")));
+        }
     }
     line
 }

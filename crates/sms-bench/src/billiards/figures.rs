@@ -36,13 +36,16 @@ pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
                 continue;
             }
             let engine_prefix = format!("bench.billiards.{engine}");
-            for row in [Row::Paper, Row::Ours, Row::Grid] {
+            let is_planned = |row: &Row| there.iter().any(|s| s.plans.contains_key(row));
+            for row in [Row::Paper, Row::Ours, Row::Grid].into_iter().filter(is_planned) {
                 let prefix = format!("{engine_prefix}.{}.{}", row.as_str(), told.as_str());
                 metrics.set(format!("{prefix}.scenes"), there.len());
                 add_row(&mut metrics, &prefix, engine, row, &there);
             }
             let prefix = format!("{engine_prefix}.ours.{}", told.as_str());
-            add_single(&mut metrics, &prefix, engine, &there);
+            if is_planned(&Row::Robust) {
+                add_single(&mut metrics, &prefix, engine, &there);
+            }
         }
         for s in &of_told {
             let prefix = format!("bench.billiards.scene_{:02}.{}", s.number, told.as_str());

@@ -1,5 +1,6 @@
 //! What the experiment depends on.
 
+use super::Row;
 use crate::{MaterializeOptions, MaterialsTold};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -77,6 +78,8 @@ pub struct BilliardsBench {
     pub scan: MaterializeOptions,
     /// Target worlds; the first is the judge of the ablation.
     pub engines: Vec<TargetEngine>,
+    /// Rows that are planned.
+    pub rows: Vec<Row>,
     /// Plans of row `paper` and of row `ours` (paper: 30).
     pub starts: usize,
     /// Row `paper`; its number of starts is [`BilliardsBench::starts`].
@@ -109,6 +112,7 @@ impl BilliardsBench {
             geometry: BilliardsGeometry::Scan,
             scan: MaterializeOptions::standard(keep),
             engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
+            rows: Row::ALL.to_vec(),
             starts: 30,
             paper: PlanConfig::paper(),
             paper_entities: paper_entities(),
@@ -153,10 +157,14 @@ impl BilliardsBench {
             }
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
+        // All of them are the experiment, whose key has never named them.
+        let rows = (!Row::ALL.iter().all(|r| self.rows.contains(r))).then_some(&self.rows);
         let asked = self.vlm.as_ref().filter(|_| told == MaterialsTold::Vlm).map(|c| c.config());
-        match asked {
-            None => hash_serializable(&(VERSION, scene.generate(), told, seen, plans)),
-            Some(c) => hash_serializable(&(VERSION, scene.generate(), told, seen, plans, &c.url, &c.model)),
+        let made = (VERSION, scene.generate(), told, seen, plans);
+        match (asked, rows) {
+            (None, None) => hash_serializable(&made),
+            (Some(c), None) => hash_serializable(&(VERSION, made.1, told, made.3, plans, &c.url, &c.model)),
+            (asked, Some(rows)) => hash_serializable(&(made, asked.map(|c| (&c.url, &c.model)), rows)),
         }
     }
 
@@ -169,6 +177,7 @@ impl BilliardsBench {
             ("geometry", json!(self.geometry)),
             ("paper_entities", json!(self.paper_entities)),
             ("engines", json!(engines)),
+            ("rows", json!(self.rows)),
             ("starts", json!(self.starts)),
             ("ablation_starts", json!(self.ablation_starts)),
             ("paper", json!(self.paper)),

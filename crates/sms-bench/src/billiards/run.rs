@@ -170,7 +170,7 @@ fn plan_all(
         drawing: drawing(seen, truth)?,
         ablation: None,
     };
-    for row in [Row::Grid, Row::Robust, Row::Ours, Row::Paper] {
+    for row in Row::ALL.into_iter().rev().filter(|row| bench.rows.contains(row)) {
         let view = View { task: &seen.task, scene: seen.scene_of(row) };
         match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
             Ok(planned) => {
@@ -308,6 +308,16 @@ pub(super) mod tests {
         assert!(
             text.contains("20.5 (17.9)") && text.contains("same engine") && text.contains("vlm: not run")
         );
+
+        // Rows alone are another run with the same plans, and tables have nothing in the others' places.
+        let few = BilliardsBench { rows: vec![Row::Ours], ..tiny(dir.path(), &[1]) };
+        let alone = run(&few);
+        assert_eq!(alone[0].plans.keys().collect::<Vec<_>>(), [&Row::Ours]);
+        assert_eq!(alone[0].plans[&Row::Ours], first[0].plans[&Row::Ours]);
+        let text = billiards_table(&alone);
+        assert!(text.contains("2 starts") && !text.contains("NaN") && !text.contains("inf"), "{text}");
+        assert!(billiards_metrics(&alone).number("bench.billiards.rapier_f64.paper.class.scenes").is_none());
+        write_pictures(dir.path(), &alone, &text).unwrap();
 
         let parquet = dir.path().join("shots.parquet");
         write_shots(&parquet, &all).unwrap();

@@ -28,8 +28,8 @@ const SEED: Seed = Seed(0);
 #[derive(Debug, Clone)]
 pub(super) struct Seen {
     pub(super) scene: Scene,
-    /// The same scan made into bodies the paper's way, for row `paper`.
-    pub(super) paper: Scene,
+    /// The same scan made into bodies the paper's way, where row `paper` is planned.
+    pub(super) paper: Option<Scene>,
     pub(super) task: Task,
     /// Seed of what is told of materials.
     pub(super) told_seed: Seed,
@@ -42,7 +42,7 @@ pub(super) struct Seen {
 impl Seen {
     /// What a row plans in.
     pub(super) fn scene_of(&self, row: Row) -> &Scene {
-        if row == Row::Paper { &self.paper } else { &self.scene }
+        self.paper.as_ref().filter(|_| row == Row::Paper).unwrap_or(&self.scene)
     }
 }
 
@@ -56,6 +56,7 @@ pub(super) fn see(
     cancel: &Cancel,
 ) -> Result<Seen, BenchError> {
     let is_asked = told == MaterialsTold::Vlm;
+    let has_paper = bench.rows.contains(&Row::Paper);
     let (mut scene, mut paper) = match bench.geometry {
         BilliardsGeometry::Truth if is_asked => {
             let cure = "take --geometry scan, or leave `vlm` out of --materials";
@@ -65,10 +66,9 @@ pub(super) fn see(
         BilliardsGeometry::Truth => {
             let mut scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
             scene.bodies.iter_mut().for_each(forget_material);
-            (scene.clone(), scene)
+            (scene.clone(), has_paper.then_some(scene))
         }
         BilliardsGeometry::Scan => {
-            let entities = [&bench.scan.bench.entities, &bench.paper_entities];
             let which = BenchScene::Fixed(fixed.number);
             let seen = |entities: &EntitiesConfig| {
                 let mut scene = scanned(&bench.scan, &which, entities, progress, cancel)?;
@@ -79,13 +79,15 @@ pub(super) fn see(
                 }
                 Ok::<_, BenchError>(scene)
             };
-            let [ours, papers] = entities.map(seen);
-            (ours?, papers?)
+            let papers = has_paper.then_some(&bench.paper_entities);
+            (seen(&bench.scan.bench.entities)?, papers.map(seen).transpose()?)
         }
     };
     let told_seed = Seed(fixed.seed);
     let pairs = tell_matched(&mut scene, truth, told, told_seed)?;
-    tell_matched(&mut paper, truth, told, told_seed)?;
+    if let Some(paper) = &mut paper {
+        tell_matched(paper, truth, told, told_seed)?;
+    }
     let goal = truth.goal_w;
     let goal_w = scene
         .x_world_recording

@@ -63,7 +63,7 @@ fn block(
     }
     let same = if engine == TargetEngine::Rapier { " (same engine)" } else { "" };
     let geometry = there[0].geometry.as_str();
-    let starts = there[0].plans.get(&Row::Ours).map_or(0, Vec::len);
+    let starts = [Row::Ours, Row::Paper].iter().find_map(|row| there[0].plans.get(row)).map_or(1, Vec::len);
     let _ = writeln!(
         text,
         "{key}{same}, materials {}, geometry {geometry}: {} of {} scenes, {starts} starts; cm, mean (sd)\n  {:<28}{:>14}{:>14}{:>14}{:>14}{:>14}",
@@ -128,6 +128,8 @@ fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
 fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     let of = |s: &BilliardsScene, row: Row| s.realised_m(engine, row).unwrap_or_default();
     let single = |s: &BilliardsScene| of(s, Row::Robust).first().copied().unwrap_or(f64::NAN);
+    // Rows that were not asked for have nothing.
+    let cm = |m: f64| if m.is_finite() { format!("{:.1}", 1e2 * m) } else { "-".to_owned() };
     let mut order = scenes.to_vec();
     order.sort_by(|a, b| single(b).total_cmp(&single(a)).then(a.number.cmp(&b.number)));
     let _ = writeln!(
@@ -140,20 +142,20 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
             let (mean, _) = super::figures::mean_sd(&values);
             let best = values.iter().copied().fold(f64::INFINITY, f64::min);
             let worst = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            format!("{:>10.1} {:>5.1} {:>5.1}", 1e2 * mean, 1e2 * best, 1e2 * worst)
+            format!("{:>10} {:>5} {:>5}", cm(mean), cm(best), cm(worst))
         };
         let shot = s.plans.get(&Row::Robust).and_then(|v| v.first());
         let promised = shot.map_or(f64::NAN, promised_m);
         let _ = writeln!(
             text,
-            "  {:>2} {:<10} {:>8.1} {:>7}    {}    {}  {:>6.1}   {}/{}",
+            "  {:>2} {:<10} {:>8} {:>7}    {}    {}  {:>6}   {}/{}",
             s.number,
             s.layout.as_str(),
-            1e2 * single(s),
-            format!("({:.1})", 1e2 * promised),
+            cm(single(s)),
+            format!("({})", cm(promised)),
             spread(Row::Ours),
             spread(Row::Paper),
-            1e2 * of(s, Row::Grid).first().copied().unwrap_or(f64::NAN),
+            cm(of(s, Row::Grid).first().copied().unwrap_or(f64::NAN)),
             s.matched,
             s.objects
         );
