@@ -36,13 +36,17 @@ pub(crate) fn devices() -> Vec<(&'static str, Device)> {
 
 /// The first GPU, where this build knows of GPUs. Each caller gets a handle of its own, since CUDA orders work by thread.
 pub(crate) fn gpu() -> Result<(&'static str, Device), String> {
-    if cfg!(feature = "cuda") {
-        Device::new_cuda(0).map(|device| ("cuda", device)).map_err(|e| format!("CUDA cannot be used: {e}"))
+    let (name, device) = if cfg!(feature = "cuda") {
+        ("cuda", Device::new_cuda(0))
     } else if cfg!(feature = "metal") {
-        Device::new_metal(0).map(|device| ("metal", device)).map_err(|e| format!("Metal cannot be used: {e}"))
+        ("metal", Device::new_metal(0))
     } else {
-        Err("built without the features `cuda` and `metal`".into())
-    }
+        return Err("built without the features `cuda` and `metal`".into());
+    };
+    // The first line: a backtrace may follow.
+    device
+        .map(|device| (name, device))
+        .map_err(|e| format!("{name} cannot be used: {}", e.to_string().lines().next().unwrap_or_default()))
 }
 
 /// The folder of the small fixtures. Cargo tells where the package lies when it runs a test; a test program that was
