@@ -1,5 +1,7 @@
-//! Times the full-size networks with random weights: `speed owlv2|encoder|track|reprompt [REPEATS] [OBJECTS]`. One JSON object
-//! is printed, with the time of every repeat and the peak memory; `benches/peers/nets.py` sets it beside PyTorch's.
+//! Times the full-size networks with random weights: `speed owlv2|encoder|track|reprompt [REPEATS] [OBJECTS] [--device
+//! cpu|cuda|metal]`. One JSON object is printed, with the time of every repeat and the peak of main memory;
+//! `benches/peers/nets.py` sets it beside PyTorch's. On a GPU the clock is read when it has finished, and the first repeats
+//! load its kernels.
 
 use candle_core::{Device, Tensor};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
@@ -22,11 +24,22 @@ fn peak_bytes() -> u64 {
 }
 
 fn main() -> Result<(), NetsError> {
-    let mut args = std::env::args().skip(1);
+    let mut args: Vec<String> = std::env::args().skip(1).collect();
+    let on = args.iter().position(|a| a == "--device").map_or("cpu".to_owned(), |at| {
+        let on = args.get(at + 1).cloned().unwrap_or_default();
+        args.drain(at..args.len().min(at + 2));
+        on
+    });
+    let device = match on.as_str() {
+        "cpu" => Device::Cpu,
+        "cuda" => Device::new_cuda(0)?,
+        "metal" => Device::new_metal(0)?,
+        _ => panic!("--device takes cpu, cuda or metal"),
+    };
+    let mut args = args.into_iter();
     let what = args.next().unwrap_or_else(|| "encoder".into());
     let repeats: usize = args.next().and_then(|a| a.parse().ok()).unwrap_or(3);
     let objects: usize = args.next().and_then(|a| a.parse().ok()).unwrap_or(6);
-    let device = Device::Cpu;
     let image = |side: usize, seed: usize| {
         let values = (0..3 * side * side).map(|i| ((i * (seed + 7) % 1013) as f32 / 506.0) - 1.0).collect();
         Tensor::from_vec(values, (1, 3, side, side), &device)
@@ -38,8 +51,10 @@ fn main() -> Result<(), NetsError> {
             let model = Owlv2::new(&Owlv2Config::base_patch16(), &weights)?;
             for i in 0..repeats {
                 let pixels = image(960, i)?;
+                device.synchronize()?;
                 let (start, cpu) = (Instant::now(), cpu_seconds());
                 model.image(&pixels, &mut Seams::none())?;
+                device.synchronize()?;
                 seconds.push(start.elapsed().as_secs_f64());
                 cpu_used.push(cpu_seconds() - cpu);
             }
@@ -52,6 +67,7 @@ fn main() -> Result<(), NetsError> {
             let mut tracker = Tracker::new(&model, &boxes, (640, 400), repeats);
             for i in 0..repeats {
                 let pixels = image(1024, i)?;
+                device.synchronize()?;
                 let (start, cpu) = (Instant::now(), cpu_seconds());
                 let features = model.encode(&pixels, &mut Seams::none())?;
                 match what.as_str() {
@@ -63,14 +79,21 @@ fn main() -> Result<(), NetsError> {
                     }
                     _ => {}
                 }
+                device.synchronize()?;
                 seconds.push(start.elapsed().as_secs_f64());
                 cpu_used.push(cpu_seconds() - cpu);
             }
         }
     }
+    let median = {
+        let mut sorted = seconds.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    };
     let best = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
     println!(
-        "{{\"what\": \"{what}\", \"seconds\": {seconds:?}, \"best_s\": {:.4}, \"best_cpu_s\": {:.4}, \
+        "{{\"what\": \"{what}\", \"device\": \"{on}\", \"seconds\": {seconds:.4?}, \"best_s\": {:.4}, \
+         \"median_s\": {median:.4}, \"best_cpu_s\": {:.4}, \
          \"total_s\": {:.1}, \"total_cpu_s\": {:.1}, \"peak_bytes\": {}}}",
         best(&seconds),
         best(&cpu_used),

@@ -95,14 +95,11 @@ pub(crate) fn activated(x: Tensor, activation: Activation) -> Result<Tensor> {
     }
 }
 
-/// The softmax of `scale · scores` over the last dimension; `scores` must be fresh and contiguous, and are spoilt.
+/// The softmax of `scale · scores` over the last dimension; `scores` must be fresh, contiguous and such as our kernels
+/// take, and are spoilt.
 fn softmax(scores: Tensor, scale: f64) -> Result<Tensor> {
-    if can_take(&scores) {
-        scores.inplace_op1(&ScaledSoftmax { scale: scale as f32 })?;
-        Ok(scores)
-    } else {
-        ops::softmax_last_dim(&(scores * scale)?)
-    }
+    scores.inplace_op1(&ScaledSoftmax { scale: scale as f32 })?;
+    Ok(scores)
 }
 
 /// `softmax(q kᵀ · scale) v` for each of `heads` equal parts of the channels: `q` (b, n, c), `k` (b, m, c),
@@ -115,8 +112,13 @@ pub(crate) fn attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize, scale:
             x.reshape((b, n, heads, c / heads))?.transpose(1, 2)?.contiguous()
         };
         let (q, k, v) = (split(q, n, c)?, split(k, m, c)?, split(v, m, e)?);
-        let scores = softmax(q.matmul(&k.transpose(2, 3)?)?, scale)?;
-        return scores.matmul(&v)?.transpose(1, 2)?.reshape((b, n, e));
+        let shares = if can_take(&q) {
+            softmax(q.matmul(&k.transpose(2, 3)?)?, scale)?
+        } else {
+            // The queries are few beside the scores, and scaling them instead saves a pass.
+            ops::softmax_last_dim(&(q * scale)?.matmul(&k.transpose(2, 3)?)?)?
+        };
+        return shares.matmul(&v)?.transpose(1, 2)?.reshape((b, n, e));
     }
     let mut images = Vec::with_capacity(b);
     for i in 0..b {
@@ -158,10 +160,17 @@ pub(crate) fn depthwise(x: &Tensor, taps: &Tensor, bias: &Tensor, kernel: usize)
     if can_take(x) {
         return x.contiguous()?.apply_op3_no_bwd(taps, bias, &Depthwise { kernel });
     }
-    let channels = x.dim(D::Minus1)?;
-    let weight = taps.t()?.contiguous()?.reshape((channels, 1, kernel, kernel))?;
-    let maps = x.permute((0, 3, 1, 2))?.contiguous()?;
-    maps.conv2d(&weight, kernel / 2, 1, 1, channels)?.permute((0, 2, 3, 1))?.contiguous()?.broadcast_add(bias)
+    // candle convolves each group by itself, 256 of them one after the other; a sum over the taps is one pass over all
+    // channels for each of 49.
+    let (_, h, w, _) = x.dims4()?;
+    let pad = kernel / 2;
+    let padded = x.pad_with_zeros(1, pad, pad)?.pad_with_zeros(2, pad, pad)?;
+    let mut sum = bias.broadcast_as(x.shape())?;
+    for (at, tap) in (0..kernel * kernel).map(|i| (i, taps.get(i))) {
+        let seen = padded.narrow(1, at / kernel, h)?.narrow(2, at % kernel, w)?;
+        sum = (sum + seen.broadcast_mul(&tap?)?)?;
+    }
+    Ok(sum)
 }
 
 /// Several fully connected layers with `activation` between them.
@@ -182,7 +191,7 @@ pub(crate) fn normalized(x: &Tensor, eps: f64) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::Device;
+    use candle_core::{DType, Device};
 
     #[test]
     fn attention_by_blocks_equals_attention_at_once() {
@@ -199,5 +208,30 @@ mod tests {
         let plain = plain.transpose(1, 2).unwrap().reshape((2, 300, 6)).unwrap();
         let gap = (blocked - plain).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
         assert!(gap < 1e-5, "{gap}");
+    }
+
+    /// What GPUs compute, candle's own operations, on the CPU: in double precision, which our kernels leave to them.
+    #[test]
+    fn without_our_kernels_the_same_comes_out() {
+        let at = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
+        let double = |x: &Tensor| x.to_dtype(DType::F64).unwrap();
+        let gap = |ours: &Tensor, plain: &Tensor| {
+            let gap = (double(ours) - plain).unwrap().abs().unwrap();
+            gap.max_all().unwrap().to_scalar::<f64>().unwrap()
+        };
+        let (x, taps, bias) = (at(&[2, 6, 9, 5]), at(&[49, 5]), at(&[5]));
+        let ours = depthwise(&x, &taps, &bias, 7).unwrap();
+        let plain = depthwise(&double(&x), &double(&taps), &double(&bias), 7).unwrap();
+        assert!(gap(&ours, &plain) < 1e-5);
+        let (q, k, v) = (at(&[2, 300, 12]), at(&[2, 257, 12]), at(&[2, 257, 6]));
+        let ours = attention(&q, &k, &v, 3, 0.7).unwrap();
+        let plain = attention(&double(&q), &double(&k), &double(&v), 3, 0.7).unwrap();
+        assert!(gap(&ours, &plain) < 1e-5);
+        let layer = Linear::new(at(&[7, 12]), Some(at(&[7])));
+        let exact = Linear::new(double(&layer.weight), layer.bias.as_ref().map(double));
+        for activation in [Activation::Identity, Activation::Gelu, Activation::QuickGelu, Activation::Relu] {
+            let plain = exact.then(&double(&q), activation).unwrap();
+            assert!(gap(&layer.then(&q, activation).unwrap(), &plain) < 1e-5, "{activation:?}");
+        }
     }
 }

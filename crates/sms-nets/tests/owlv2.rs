@@ -6,7 +6,7 @@ use candle_core::{Device, Tensor};
 use sms_nets::owlv2::{ClipTokenizer, Owlv2, Owlv2Config, Tokens, detections, pixel_values};
 use sms_nets::{Seams, Weights};
 use std::path::Path;
-use support::{Reference, full_size, made_up, reference_folder};
+use support::{Reference, data, devices, full_size, made_up, reference_folder, weights};
 
 fn config(folder: &Path) -> Owlv2Config {
     serde_json::from_slice(&std::fs::read(folder.join("config.json")).unwrap()).unwrap()
@@ -52,32 +52,35 @@ fn tokens(folder: &Path, reference: &mut Reference) -> Vec<Tokens> {
 #[test]
 fn every_seam_equals_the_reference() {
     let Some(folder) = reference_folder().map(|f| f.join("owlv2")) else { return };
-    let mut reference = Reference::open(&folder.join("reference.safetensors"));
-    let weights = Weights::open(&folder.join("model.safetensors"), &Device::Cpu).unwrap();
-    let model = Owlv2::new(&config(&folder), &weights).unwrap();
-    let image = support::frame(0);
-    let bytes: Vec<u8> = image.data.iter().flatten().copied().collect();
-    reference.see("input.image", &Tensor::new(bytes, &Device::Cpu).unwrap());
-    let pixels = pixel_values(&image, 96, &Device::Cpu).unwrap();
-    reference.see("input.pixel_values", &pixels);
-    let tokens = tokens(&folder, &mut reference);
-    run(&model, &tokens, &pixels, &mut reference);
-    reference.finish(&[""], &[]);
+    for (name, device) in devices() {
+        let mut reference = Reference::open(&folder.join("reference.safetensors"), name);
+        let model = Owlv2::new(&config(&folder), &weights(&folder, &device)).unwrap();
+        let image = support::frame(0);
+        let bytes: Vec<u8> = image.data.iter().flatten().copied().collect();
+        reference.see("input.image", &Tensor::new(bytes, &Device::Cpu).unwrap());
+        let pixels = pixel_values(&image, 96, &device).unwrap();
+        reference.see("input.pixel_values", &pixels);
+        let tokens = tokens(&folder, &mut reference);
+        run(&model, &tokens, &pixels, &mut reference);
+        reference.finish(&[""], &[]);
+    }
 }
 
 #[test]
 fn what_matters_equals_the_reference_with_weights_made_up_here() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/owlv2");
-    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let folder = data("owlv2");
     let config = config(&folder);
     let names = Weights::zeros();
     Owlv2::new(&config, &names).unwrap();
-    let (_folder, weights) = made_up(&names.asked(), 20_250_515, |_, _| {});
-    let model = Owlv2::new(&config, &weights).unwrap();
-    let pixels = pixel_values(&support::frame(0), 96, &Device::Cpu).unwrap();
-    let tokens = tokens(&folder, &mut reference);
-    run(&model, &tokens, &pixels, &mut reference);
-    reference.finish(&[""], &[]);
+    let made_up = made_up(&names.asked(), 20_250_515, |_, _| {});
+    for (name, device) in devices() {
+        let mut reference = Reference::open(&folder.join("reference.safetensors"), name);
+        let model = Owlv2::new(&config, &weights(made_up.path(), &device)).unwrap();
+        let pixels = pixel_values(&support::frame(0), 96, &device).unwrap();
+        let tokens = tokens(&folder, &mut reference);
+        run(&model, &tokens, &pixels, &mut reference);
+        reference.finish(&[""], &[]);
+    }
 }
 
 #[test]
@@ -99,12 +102,12 @@ fn a_config_that_says_little_is_the_base_model() {
 
 #[test]
 fn the_same_input_gives_the_same_bytes_whatever_the_threads() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/owlv2");
-    let run = |threads: usize| {
+    let folder = data("owlv2");
+    let run = |threads: usize, device: &Device| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let model = Owlv2::new(&config(&folder), &Weights::random(3, &Device::Cpu)).unwrap();
-            let pixels = pixel_values(&support::frame(2), 96, &Device::Cpu).unwrap();
+            let model = Owlv2::new(&config(&folder), &Weights::random(3, device)).unwrap();
+            let pixels = pixel_values(&support::frame(2), 96, device).unwrap();
             let features = model.image(&pixels, &mut Seams::none()).unwrap();
             features
                 .flatten_all()
@@ -116,5 +119,7 @@ fn the_same_input_gives_the_same_bytes_whatever_the_threads() {
                 .collect::<Vec<_>>()
         })
     };
-    assert_eq!(run(1), run(2));
+    for (name, device) in devices() {
+        assert_eq!(run(1, &device), run(2, &device), "{name}");
+    }
 }

@@ -7,7 +7,7 @@ use sms_nets::owlv2::PixelBox;
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker, pixel_values};
 use sms_nets::{Seams, Weights};
 use std::path::Path;
-use support::{Reference, TOLERANCE, full_size, made_up, reference_folder};
+use support::{Reference, TOLERANCE, data, devices, full_size, made_up, reference_folder, weights};
 
 const SIZE: (usize, usize) = (150, 100);
 const FRAMES: usize = 8;
@@ -46,25 +46,27 @@ fn track(model: &Sam2, pixels: &[Tensor], reference: &mut Reference) {
 #[test]
 fn every_seam_of_all_frames_and_objects_equals_the_reference() {
     let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
-    let mut reference = Reference::open(&folder.join("reference.safetensors"));
-    let weights = Weights::open(&folder.join("model.safetensors"), &Device::Cpu).unwrap();
-    let model = Sam2::new(&config(&folder), &weights).unwrap();
-    let pixels = reference.tensor("input.pixel_values").clone();
-    let pixels: Vec<Tensor> = (0..FRAMES).map(|t| pixels.narrow(0, t, 1).unwrap()).collect();
-    track(&model, &pixels, &mut reference);
-    reference.see("memory.position", &model.memory_positions().clone());
-    for (i, corners) in boxes(&reference).iter().map(|b| model.box_prompt(b, SIZE)).enumerate() {
-        reference.see(&format!("input.obj{i}.point_coords"), &Tensor::new(&corners, &Device::Cpu).unwrap());
-        reference.see(&format!("input.obj{i}.point_labels"), &Tensor::new(&[2u32, 3], &Device::Cpu).unwrap());
+    for (name, device) in devices() {
+        let mut reference = Reference::open(&folder.join("reference.safetensors"), name);
+        let model = Sam2::new(&config(&folder), &weights(&folder, &device)).unwrap();
+        let pixels = reference.tensor("input.pixel_values").to_device(&device).unwrap();
+        let pixels: Vec<Tensor> = (0..FRAMES).map(|t| pixels.narrow(0, t, 1).unwrap()).collect();
+        track(&model, &pixels, &mut reference);
+        reference.see("memory.position", &model.memory_positions().clone());
+        let here = Device::Cpu;
+        for (i, corners) in boxes(&reference).iter().map(|b| model.box_prompt(b, SIZE)).enumerate() {
+            reference.see(&format!("input.obj{i}.point_coords"), &Tensor::new(&corners, &here).unwrap());
+            reference.see(&format!("input.obj{i}.point_labels"), &Tensor::new(&[2u32, 3], &here).unwrap());
+        }
+        let given = ["input.boxes", "input.frames", "input.pixel_values"];
+        reference.finish(&[""], &given);
     }
-    let given = ["input.boxes", "input.frames", "input.pixel_values"];
-    reference.finish(&[""], &given);
 }
 
 #[test]
 fn images_are_prepared_as_the_reference_does() {
     let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
-    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let reference = Reference::open(&folder.join("reference.safetensors"), "cpu");
     let theirs = reference.tensor("input.pixel_values");
     let frames = reference.tensor("input.frames");
     for t in 0..FRAMES {
@@ -81,33 +83,35 @@ fn images_are_prepared_as_the_reference_does() {
 
 #[test]
 fn tracking_equals_the_reference_with_weights_made_up_here() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/sam2");
-    let mut reference = Reference::open(&folder.join("reference.safetensors"));
+    let folder = data("sam2");
     let config = config(&folder);
     let names = Weights::zeros();
     Sam2::new(&config, &names).unwrap();
     let mut shapes = names.asked();
     // Tied to the image's.
     shapes.remove("prompt_encoder.shared_embedding.positional_embedding");
-    let (_folder, weights) = made_up(&shapes, 20_250_534, |name, values| match name {
+    let made_up = made_up(&shapes, 20_250_534, |name, values| match name {
         "mask_decoder.pred_obj_score_head.proj_out.weight" => {
             values.iter_mut().for_each(|v| *v = f64::from(*v as f32 * 5.0))
         }
         "mask_decoder.pred_obj_score_head.proj_out.bias" => values.fill(-1.5),
         _ => {}
     });
-    let model = Sam2::new(&config, &weights).unwrap();
-    let pixels: Vec<Tensor> =
-        (0..FRAMES).map(|t| pixel_values(&support::frame(t as i64), 128, &Device::Cpu).unwrap()).collect();
-    track(&model, &pixels, &mut reference);
-    reference.finish(&[""], &["input.boxes"]);
+    for (name, device) in devices() {
+        let mut reference = Reference::open(&folder.join("reference.safetensors"), name);
+        let model = Sam2::new(&config, &weights(made_up.path(), &device)).unwrap();
+        let pixels = |t: usize| pixel_values(&support::frame(t as i64), 128, &device).unwrap();
+        let pixels: Vec<Tensor> = (0..FRAMES).map(pixels).collect();
+        track(&model, &pixels, &mut reference);
+        reference.finish(&[""], &["input.boxes"]);
+    }
 }
 
 #[test]
 fn memories_in_f32_differ_from_the_librarys_rounded_ones_as_the_reference_says() {
     let Some(folder) = reference_folder().map(|f| f.join("sam2")) else { return };
-    let exact = Reference::open(&folder.join("reference.safetensors"));
-    let rounded = Reference::open(&folder.join("reference_bf16_memory.safetensors"));
+    let exact = Reference::open(&folder.join("reference.safetensors"), "cpu");
+    let rounded = Reference::open(&folder.join("reference_bf16_memory.safetensors"), "cpu");
     let mut largest = 0f32;
     for t in 0..FRAMES {
         let name = format!("frame{t}.pred_masks");

@@ -82,6 +82,18 @@ mod with_nets {
             }
         }
 
+        /// Warns where a GPU was to be expected and the CPU computes.
+        fn warn(&self, warnings: &Warnings) {
+            if let Some(why) = &self.without_gpu {
+                warnings.add(
+                    "masks",
+                    "gpu_not_used",
+                    format!("{why}; the networks compute on the CPU"),
+                    "build with `--features cuda` or `metal`; --device cpu asks for no GPU",
+                );
+            }
+        }
+
         fn detector(&self) -> Result<Option<Model>, MasksError> {
             (!self.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()
         }
@@ -128,12 +140,18 @@ mod with_nets {
 
     #[cfg(feature = "cuda")]
     fn gpu() -> Result<Device, String> {
-        Device::new_cuda(0).map_err(|e| format!("CUDA cannot be used: {e}"))
+        Device::new_cuda(0).map_err(|e| format!("CUDA cannot be used: {}", first_line(&e)))
     }
 
     #[cfg(all(feature = "metal", not(feature = "cuda")))]
     fn gpu() -> Result<Device, String> {
-        Device::new_metal(0).map_err(|e| format!("Metal cannot be used: {e}"))
+        Device::new_metal(0).map_err(|e| format!("Metal cannot be used: {}", first_line(&e)))
+    }
+
+    /// What went wrong, without the backtrace that candle appends under `RUST_BACKTRACE`.
+    #[cfg(any(feature = "cuda", feature = "metal"))]
+    fn first_line(error: &impl std::fmt::Display) -> String {
+        error.to_string().lines().next().unwrap_or_default().to_owned()
     }
 
     #[cfg(not(any(feature = "cuda", feature = "metal")))]
@@ -152,14 +170,7 @@ mod with_nets {
         warnings: &Warnings,
     ) -> anyhow::Result<Labels> {
         let chosen = chosen.ok_or_else(|| anyhow::anyhow!("no networks were chosen"))?;
-        if let Some(why) = &chosen.without_gpu {
-            warnings.add(
-                "masks",
-                "gpu_not_used",
-                format!("{why}; the networks compute on the CPU"),
-                "build with `--features cuda` or `metal`; --device cpu asks for no GPU",
-            );
-        }
+        chosen.warn(warnings);
         let models = model_folders(
             chosen.detector()?,
             chosen.tracker,
@@ -193,6 +204,7 @@ mod with_nets {
         // The tracker is not looked at.
         let networks = chosen.masks(ModelFolders { owlv2, sam2: PathBuf::new() });
         let warnings = Warnings::new();
+        chosen.warn(&warnings);
         let found = networks.find_first(sequence, &context.cancel, &warnings)?;
         context.tell(&warnings);
         masks::tell_found(context, run, sequence, &boxes_of(&found))

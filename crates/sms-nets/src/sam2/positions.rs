@@ -1,6 +1,7 @@
 //! Position encodings: sines, random Fourier features, rotations.
 
 use candle_core::{CpuStorage, CustomOp3, Device, Error, Layout, Result, Shape, Tensor};
+use candle_nn::rotary_emb::rope_i;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
@@ -71,14 +72,13 @@ impl Rotary {
         if crate::kernels::can_take(x) {
             return x.contiguous()?.apply_op3_no_bwd(&self.cos, &self.sin, &Turn { unturned });
         }
-        let cells = self.cos.dim(0)?;
-        let turned = x.narrow(0, 0, n - unturned)?.reshape(((), cells, c / 2, 2))?;
-        let (a, b) = (turned.narrow(3, 0, 1)?, turned.narrow(3, 1, 1)?);
-        let (cos, sin) = (self.cos.unsqueeze(2)?, self.sin.unsqueeze(2)?);
-        let first = (a.broadcast_mul(&cos)? - b.broadcast_mul(&sin)?)?;
-        let second = (a.broadcast_mul(&sin)? + b.broadcast_mul(&cos)?)?;
-        let turned = Tensor::cat(&[first, second], 3)?.reshape((n - unturned, c))?;
-        Tensor::cat(&[&turned, &x.narrow(0, n - unturned, unturned)?], 0)
+        let (cells, turned) = (self.cos.dim(0)?, n - unturned);
+        let grids = x.narrow(0, 0, turned)?.reshape((turned / cells, 1, cells, c))?;
+        let grids = rope_i(&grids.contiguous()?, &self.cos, &self.sin)?.reshape((turned, c))?;
+        if unturned == 0 {
+            return Ok(grids);
+        }
+        Tensor::cat(&[&grids, &x.narrow(0, turned, unturned)?], 0)
     }
 }
 
@@ -165,6 +165,7 @@ pub(crate) fn resize_bicubic(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::DType;
 
     #[test]
     fn a_rotation_keeps_lengths_and_leaves_the_last_tokens() {
@@ -180,6 +181,23 @@ mod tests {
         // The first cell is turned by nothing, and the grid repeats.
         assert_eq!((&x[0], &x[9]), (&y[0], &y[9]));
         assert_ne!(x[1], y[1]);
+    }
+
+    /// As GPUs turn them: in double precision, which our kernel leaves to candle.
+    #[test]
+    fn without_our_kernel_the_rotation_is_the_same() {
+        let rotary = Rotary::new(3, 8, 10_000.0, &Device::Cpu).unwrap();
+        let double = |x: &Tensor| x.to_dtype(DType::F64).unwrap();
+        let exact = Rotary { cos: double(&rotary.cos), sin: double(&rotary.sin) };
+        let x = Tensor::randn(0f32, 1.0, (2 * 9 + 2, 16), &Device::Cpu).unwrap();
+        // The second head of two, and memories with and without pointers.
+        let x = x.narrow(1, 8, 8).unwrap();
+        for (n, unturned) in [(20, 2), (18, 0)] {
+            let x = x.narrow(0, 0, n).unwrap();
+            let ours = double(&rotary.turn(&x, unturned).unwrap());
+            let gap = (ours - exact.turn(&double(&x), unturned).unwrap()).unwrap().abs().unwrap();
+            assert!(gap.max_all().unwrap().to_scalar::<f64>().unwrap() < 1e-6);
+        }
     }
 
     #[test]

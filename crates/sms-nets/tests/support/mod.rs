@@ -3,6 +3,9 @@
 //! The whole reference lies beside the repository (environment variable `SMS_TEST_REFERENCE`, `../shared/reference` by
 //! default); the tests that need it are skipped where it is absent. A small part of it is in `tests/data`, and the weights
 //! that belong to it are made up again from their names, so that the networks are compared anywhere.
+//!
+//! Every comparison is made on the CPU and, in builds with the feature `cuda` or `metal`, on the GPU that is there.
+//! `SMS_TEST_DEVICE=cpu|gpu` chooses one of them; with `gpu` it is a failure that there is none.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use candle_core::{DType, Device, Tensor};
@@ -12,6 +15,46 @@ use std::path::{Path, PathBuf};
 
 /// The largest difference allowed between a tensor of ours and the reference's.
 pub(crate) const TOLERANCE: f32 = 1e-4;
+
+/// What to compute on, by name.
+pub(crate) fn devices() -> Vec<(&'static str, Device)> {
+    let asked = std::env::var("SMS_TEST_DEVICE").unwrap_or_default();
+    assert!(["", "cpu", "gpu"].contains(&asked.as_str()), "SMS_TEST_DEVICE={asked}: give cpu or gpu");
+    let mut devices = Vec::new();
+    if asked != "gpu" {
+        devices.push(("cpu", Device::Cpu));
+    }
+    if asked != "cpu" {
+        match gpu() {
+            Ok(gpu) => devices.push(gpu),
+            Err(why) if asked.is_empty() => println!("skipped on a GPU: {why}"),
+            Err(why) => panic!("SMS_TEST_DEVICE=gpu: {why}"),
+        }
+    }
+    devices
+}
+
+/// The first GPU, where this build knows of GPUs. Each caller gets a handle of its own, since CUDA orders work by thread.
+pub(crate) fn gpu() -> Result<(&'static str, Device), String> {
+    let (name, device) = if cfg!(feature = "cuda") {
+        ("cuda", Device::new_cuda(0))
+    } else if cfg!(feature = "metal") {
+        ("metal", Device::new_metal(0))
+    } else {
+        return Err("built without the features `cuda` and `metal`".into());
+    };
+    // The first line: a backtrace may follow.
+    device
+        .map(|device| (name, device))
+        .map_err(|e| format!("{name} cannot be used: {}", e.to_string().lines().next().unwrap_or_default()))
+}
+
+/// The folder of the small fixtures. Cargo tells where the package lies when it runs a test; a test program that was
+/// carried elsewhere is told by the same variable.
+pub(crate) fn data(model: &str) -> PathBuf {
+    let package = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
+    package.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into()).join("tests/data").join(model)
+}
 
 /// The folder of the whole reference, if it is here.
 pub(crate) fn reference_folder() -> Option<PathBuf> {
@@ -27,16 +70,18 @@ pub(crate) fn reference_folder() -> Option<PathBuf> {
     Some(tiny)
 }
 
-/// Reference tensors, and what was compared with them.
+/// Reference tensors, which lie in main memory, and what was compared with them.
 pub(crate) struct Reference {
     pub(crate) tensors: BTreeMap<String, Tensor>,
     gaps: BTreeMap<String, f32>,
+    /// What computes the tensors compared.
+    device: &'static str,
 }
 
 impl Reference {
-    pub(crate) fn open(path: &Path) -> Self {
+    pub(crate) fn open(path: &Path, device: &'static str) -> Self {
         let tensors = SafetensorsFile::open(path).unwrap().all(&Device::Cpu).unwrap();
-        Self { tensors, gaps: BTreeMap::new() }
+        Self { tensors, gaps: BTreeMap::new(), device }
     }
 
     pub(crate) fn tensor(&self, name: &str) -> &Tensor {
@@ -61,15 +106,16 @@ impl Reference {
     /// `prefixes` was compared and is within the tolerance, `except` those.
     pub(crate) fn finish(&self, prefixes: &[&str], except: &[&str]) {
         let mut by_seam: BTreeMap<String, f32> = BTreeMap::new();
+        let device = self.device;
         for (name, gap) in &self.gaps {
-            println!("{gap:9.2e} {name}");
+            println!("{gap:9.2e} {device} {name}");
             let seam = name.split('.').next_back().unwrap_or(name);
             let largest = by_seam.entry(seam.to_owned()).or_default();
             *largest = if *gap <= *largest { *largest } else { *gap };
         }
-        println!("largest difference of each seam: {by_seam:?}");
+        println!("largest difference of each seam on {device}: {by_seam:?}");
         for (name, gap) in &self.gaps {
-            assert!(*gap <= TOLERANCE, "{name}: {gap}");
+            assert!(*gap <= TOLERANCE, "{name} on {device}: {gap}");
         }
         let expected = self.tensors.keys().filter(|n| prefixes.iter().any(|p| n.starts_with(p)));
         let missed: Vec<&String> =
@@ -90,12 +136,8 @@ pub(crate) fn full_size(model: &str) -> Shapes {
 }
 
 /// The reference's weights made up again: values depend on a parameter's name, its shape and the seed alone.
-/// `patch` changes them afterwards.
-pub(crate) fn made_up(
-    shapes: &Shapes,
-    seed: u64,
-    patch: impl Fn(&str, &mut [f64]),
-) -> (tempfile::TempDir, Weights) {
+/// `patch` changes them afterwards. A folder with them as `model.safetensors`.
+pub(crate) fn made_up(shapes: &Shapes, seed: u64, patch: impl Fn(&str, &mut [f64])) -> tempfile::TempDir {
     let mut tensors = HashMap::new();
     for (name, shape) in shapes {
         let mut values = values_of(name, shape, seed);
@@ -104,10 +146,13 @@ pub(crate) fn made_up(
         tensors.insert(name.clone(), Tensor::from_vec(values, shape.as_slice(), &Device::Cpu).unwrap());
     }
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("model.safetensors");
-    candle_core::safetensors::save(&tensors, &path).unwrap();
-    let weights = Weights::open(&path, &Device::Cpu).unwrap();
-    (folder, weights)
+    candle_core::safetensors::save(&tensors, folder.path().join("model.safetensors")).unwrap();
+    folder
+}
+
+/// The weights in a folder.
+pub(crate) fn weights(folder: &Path, device: &Device) -> Weights {
+    Weights::open(&folder.join("model.safetensors"), device).unwrap()
 }
 
 fn values_of(name: &str, shape: &[usize], seed: u64) -> Vec<f64> {
