@@ -5,6 +5,7 @@ use super::cluster::{is_ragged, quantile};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::extents;
 use super::posts::{Footprint, Post};
+use super::seams::{LevelSeam, OTHER_HUE, between, hue_contrast};
 use super::segments::{Border, Segments};
 use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
@@ -129,10 +130,11 @@ pub(crate) fn merge_bodies(
     surfels: &[Surfel],
     graph: &Neighbors,
     members: &[usize],
+    level_seams: &[LevelSeam],
     smallest: usize,
     cell_m2: f64,
 ) {
-    let mut bodies = Bodies { owner: vec![usize::MAX; surfels.len()], surfels, graph, cell_m2 };
+    let mut bodies = Bodies { owner: vec![usize::MAX; surfels.len()], surfels, graph, level_seams, cell_m2 };
     for a in s.left() {
         s.members(a).iter().for_each(|&i| bodies.owner[i] = a);
     }
@@ -165,6 +167,7 @@ struct Bodies<'a> {
     owner: Vec<usize>,
     surfels: &'a [Surfel],
     graph: &'a Neighbors,
+    level_seams: &'a [LevelSeam],
     /// Area of a surfel, m².
     cell_m2: f64,
 }
@@ -186,7 +189,10 @@ impl Bodies<'_> {
             let mut joins = Vec::new();
             for a in s.left().into_iter().filter(|&a| s.size(a) < smallest) {
                 let mut near: BTreeMap<usize, usize> = BTreeMap::new();
-                for b in s.members(a).iter().flat_map(|&i| self.graph.of(i)).map(|j| self.owner[j]) {
+                let aside =
+                    |i: usize, j: usize| between(self.level_seams, &self.surfels[i], &self.surfels[j]) == 0.0;
+                let beside = |&i: &usize| self.graph.of(i).filter(move |&j| aside(i, j));
+                for b in s.members(a).iter().flat_map(beside).map(|j| self.owner[j]) {
                     if b != usize::MAX && s.size(b) > s.size(a) {
                         *near.entry(b).or_default() += 1;
                     }
@@ -217,6 +223,9 @@ impl Bodies<'_> {
     }
 
     fn seam(&self, s: &Segments, a: usize, b: usize, border: &Border) -> Seam {
+        if border.is_seam() {
+            return if border.over > 0.0 { Seam::On } else { Seam::Under };
+        }
         let z = border.spread.center().z;
         let above = |c: usize| self.height(s, c, 0.05) > z - LEVEL_M;
         let below = |c: usize| self.height(s, c, 0.95) < z + LEVEL_M;
@@ -256,12 +265,25 @@ impl Bodies<'_> {
         if !is_level || !runs() {
             return beside();
         }
-        let parts = bent > BENT || is_flush_color;
+        let parts = (bent > BENT || is_flush_color) && !self.is_rim(s, upper, lower);
         match parts {
             false => one,
             true if upper == a => Seam::On,
             true => Seam::Under,
         }
+    }
+
+    /// Whether a segment is the rim of what it seems to stand on, or its seat: low, of one hue with it, and right below a level
+    /// seam, so that what lies on it hides all but its sides, and shades them.
+    fn is_rim(&self, s: &Segments, rim: usize, lower: usize) -> bool {
+        let [bottom, top] = [0.05, 0.95].map(|share| self.height(s, rim, share));
+        let is_under = |seam: &LevelSeam| {
+            (top - seam.height_m).abs() < LEVEL_M
+                && top - bottom < LEVEL * seam.outline.narrowest()
+                && seam.outline.covers(s.spread(rim).center().truncate(), LEVEL_M)
+        };
+        self.level_seams.iter().any(is_under)
+            && hue_contrast(self.surfels, s.members(rim), s.members(lower)) < OTHER_HUE
     }
 
     /// Whether a segment is a level face that looks down.
@@ -324,7 +346,8 @@ impl Bodies<'_> {
                 (_, true) => Some((x, seam == Seam::Under)),
                 _ => None,
             });
-            let whole: Vec<(usize, bool)> = touched.filter(|(b, _)| !strips.contains(b)).collect();
+            let whole: Vec<(usize, bool)> =
+                touched.filter(|(b, _)| !strips.contains(b) && !s.borders(a)[b].is_seam()).collect();
             let stands = whole.iter().any(|(_, carries)| *carries);
             let hosts = whole.iter().filter(|(_, carries)| *carries || !stands).map(|(b, _)| *b);
             let alike = hosts.map(|b| (s.contrast(a, b), b));

@@ -5,6 +5,7 @@ use super::assembly::{FOOT_M, OVER, merge_bodies};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents, is_seen_through};
 use super::posts::{Footprint, Post};
+use super::seams::{LevelSeam, level_seams};
 use super::segments::{Border, Segments};
 use glamx::DVec3;
 use rayon::prelude::*;
@@ -38,7 +39,7 @@ pub(crate) fn clusters(
     });
     let parts: Vec<Vec<usize>> = pieces
         .filter(|p| p.len() >= smallest)
-        .flat_map(|p| split(surfels, graph, &p, config).into_members())
+        .flat_map(|p| split(surfels, graph, &p, &[], config).into_members())
         .collect();
     feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
     assemblies.iter_mut().for_each(|members| members.sort_unstable());
@@ -70,8 +71,9 @@ pub(crate) fn bodies(
     config: &GeometryConfig,
 ) -> Vec<Vec<usize>> {
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
-    let mut segments = split(surfels, graph, members, config);
-    merge_bodies(&mut segments, surfels, graph, members, smallest, config.voxel_m.powi(2));
+    let seams = level_seams(surfels, members, config.voxel_m);
+    let mut segments = split(surfels, graph, members, &seams, config);
+    merge_bodies(&mut segments, surfels, graph, members, &seams, smallest, config.voxel_m.powi(2));
     segments.into_members()
 }
 
@@ -144,10 +146,17 @@ fn is_plausible(
 /// After locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR 2014), with
 /// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
 /// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
-/// the longest border. Not every crease separates: see [`are_distinct`].
-fn split(surfels: &[Surfel], graph: &Neighbors, piece: &[usize], config: &GeometryConfig) -> Segments {
+/// the longest border. Not every crease separates: see [`are_distinct`]. Level `seams` always do.
+fn split(
+    surfels: &[Surfel],
+    graph: &Neighbors,
+    piece: &[usize],
+    seams: &[LevelSeam],
+    config: &GeometryConfig,
+) -> Segments {
     let voxel = config.voxel_m;
-    let mut segments = Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad);
+    let mut segments =
+        Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad, seams);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
     let length = extents(surfels, piece)[2];
     // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
@@ -223,6 +232,9 @@ fn are_distinct(
     length: f64,
     config: &GeometryConfig,
 ) -> bool {
+    if border.is_seam() {
+        return true;
+    }
     let contrast = s.contrast(a, b);
     if is_inside(s, a, b, border) || is_inside(s, b, a, border) {
         return false;

@@ -14,6 +14,7 @@ mod linalg;
 mod planes;
 mod posts;
 mod project;
+mod seams;
 mod segments;
 
 use crate::{MasksError, STAGE, Segmenter};

@@ -6,7 +6,7 @@ use super::planes::extents;
 use glamx::{DVec2, DVec3};
 
 /// Posts are at most so wide, and so many times as long.
-const WIDE_M: f64 = 0.12;
+pub(crate) const WIDE_M: f64 = 0.12;
 const SLENDER: f64 = 2.5;
 /// Share of a post's length that it rises at least.
 const UPRIGHT: f64 = 0.85;
@@ -94,6 +94,27 @@ impl Footprint {
     /// Whether a point lies within the outline, or at most `margin_m` outside of it.
     pub(crate) fn covers(&self, p: DVec2, margin_m: f64) -> bool {
         self.0.iter().enumerate().all(|(k, reach)| Self::direction(k).dot(p) < reach + margin_m)
+    }
+
+    /// The middle of the box around it.
+    pub(crate) fn center(&self) -> DVec2 {
+        let middle = |k: usize| 0.5 * (self.0[k] - self.0[k + Self::DIRECTIONS / 2]);
+        DVec2::new(middle(0), middle(Self::DIRECTIONS / 4))
+    }
+
+    /// How wide it is in a direction.
+    fn width(&self, k: usize) -> f64 {
+        self.0[k] + self.0[(k + Self::DIRECTIONS / 2) % Self::DIRECTIONS]
+    }
+
+    /// Its least width.
+    pub(crate) fn narrowest(&self) -> f64 {
+        (0..Self::DIRECTIONS).map(|k| self.width(k)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether it reaches beyond another one, in some direction, by more than a share of the other's width there.
+    pub(crate) fn juts_out(&self, other: &Self, share: f64) -> bool {
+        (0..Self::DIRECTIONS).any(|k| self.0[k] - other.0[k] > share * other.width(k))
     }
 
     fn direction(k: usize) -> DVec2 {

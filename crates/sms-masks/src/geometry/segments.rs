@@ -2,6 +2,7 @@
 
 use super::fuse::{Neighbors, Surfel};
 use super::linalg::{outer, symmetric_eigen};
+use super::seams::{LevelSeam, between};
 use crate::voxels::key_of;
 use glamx::{DMat3, DVec3};
 use std::cmp::Reverse;
@@ -172,8 +173,22 @@ pub(crate) struct Border {
     pub(crate) pairs: f64,
     /// The same, weighted by how sharply each bends inwards (0 to 1).
     pub(crate) crease: f64,
+    /// Number of pairs across a level seam whose first is above it, less those whose second is.
+    pub(crate) over: f64,
     /// Where it runs.
     pub(crate) spread: Spread,
+}
+
+impl Border {
+    /// Whether it runs along a level seam.
+    pub(crate) fn is_seam(&self) -> bool {
+        2.0 * self.over.abs() > self.pairs
+    }
+
+    /// As the other side has it.
+    fn reversed(self) -> Self {
+        Self { over: -self.over, ..self }
+    }
 }
 
 /// Segments that merge pairwise, and their borders.
@@ -215,7 +230,7 @@ impl Ord for Score {
 impl Segments {
     /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way. Surfels
     /// nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on, and wholly from
-    /// three times that.
+    /// three times that. No patch lies on both sides of one of the `seams`.
     pub(crate) fn patches(
         surfels: &[Surfel],
         graph: &Neighbors,
@@ -223,8 +238,9 @@ impl Segments {
         cell_m: f64,
         near_m: f64,
         crease_rad: f64,
+        seams: &[LevelSeam],
     ) -> Self {
-        let patches = patches(surfels, piece, cell_m);
+        let patches = patches(surfels, piece, cell_m, seams);
         let mut patch_of = BTreeMap::new();
         for (k, patch) in patches.iter().enumerate() {
             patch.members.iter().for_each(|&i| {
@@ -239,6 +255,7 @@ impl Segments {
                 if a < b && surfels[i].p_w.distance_squared(surfels[j].p_w) < near_m * near_m {
                     let border = borders[a].entry(b).or_default();
                     border.pairs += 1.0;
+                    border.over += between(seams, &surfels[i], &surfels[j]);
                     border.spread.add(0.5 * (surfels[i].p_w + surfels[j].p_w));
                 }
             }
@@ -248,7 +265,7 @@ impl Segments {
             for (b, mut border) in one_sided {
                 border.crease = border.pairs * inward_bend(&patches[a], &patches[b], crease_rad);
                 borders[a].insert(b, border);
-                borders[b].insert(a, border);
+                borders[b].insert(a, border.reversed());
             }
         }
         let spread = |members: &[usize]| {
@@ -315,7 +332,8 @@ impl Segments {
 
     /// Merges what is locally convex and of one colour: the border that bends inwards least first, until every border bends
     /// by at least `crease_share`. `light` is how much the colours of neighbouring patches may differ by light alone, in
-    /// 8-bit levels: the less, the more colours count. What hangs together by a thread stays apart.
+    /// 8-bit levels: the less, the more colours count. What hangs together by a thread stays apart, and so do the sides of a
+    /// level seam.
     pub(crate) fn merge_convex(
         &mut self,
         crease_share: f64,
@@ -323,7 +341,7 @@ impl Segments {
         is_thread: impl Fn(&Self, usize, usize, &Border) -> bool,
     ) {
         let score = |s: &Self, a: usize, b: usize, border: &Border| {
-            if is_thread(s, a, b, border) {
+            if border.is_seam() || is_thread(s, a, b, border) {
                 return 0.0;
             }
             1.0 - border.crease / border.pairs - 0.1 * s.looks[a].distance(&s.looks[b], light).min(2.0)
@@ -334,7 +352,8 @@ impl Segments {
     /// Merges the patches that two partitions of them both keep together.
     pub(crate) fn merge_agreed(&mut self, one: &Self, other: &Self) {
         let group: Vec<(usize, usize)> = one.roots.iter().copied().zip(other.roots.iter().copied()).collect();
-        self.merge_while(|_, a, b, _| if group[a] == group[b] { 1.0 } else { 0.0 }, 0.0);
+        let together = |a: usize, b: usize, border: &Border| group[a] == group[b] && !border.is_seam();
+        self.merge_while(|_, a, b, border| if together(a, b, border) { 1.0 } else { 0.0 }, 0.0);
     }
 
     /// Merges the pair whose border scores highest (the first of equals) until none scores above `least`.
@@ -373,8 +392,10 @@ impl Segments {
             if size != self.size(a) || self.borders[a].is_empty() {
                 continue;
             }
-            let longest =
-                self.borders[a].iter().max_by(|x, y| x.1.pairs.total_cmp(&y.1.pairs).then(y.0.cmp(x.0)));
+            let longest = self.borders[a]
+                .iter()
+                .filter(|(_, border)| !border.is_seam())
+                .max_by(|x, y| x.1.pairs.total_cmp(&y.1.pairs).then(y.0.cmp(x.0)));
             let Some((&b, _)) = longest else { continue };
             let (keep, gone) = (a.min(b), a.max(b));
             self.merge(keep, gone);
@@ -403,10 +424,11 @@ impl Segments {
         for (c, border) in std::mem::take(&mut self.borders[b]) {
             self.borders[c].remove(&b);
             if c != a {
-                for (x, y) in [(a, c), (c, a)] {
+                for (x, y, border) in [(a, c, border), (c, a, border.reversed())] {
                     let sum = self.borders[x].entry(y).or_default();
                     sum.pairs += border.pairs;
                     sum.crease += border.crease;
+                    sum.over += border.over;
                     sum.spread.merge(&border.spread);
                 }
             }
@@ -421,11 +443,12 @@ impl Segments {
     }
 }
 
-fn patches(surfels: &[Surfel], piece: &[usize], cell_m: f64) -> Vec<Patch> {
-    let mut cells: BTreeMap<(u64, usize), Vec<usize>> = BTreeMap::new();
+fn patches(surfels: &[Surfel], piece: &[usize], cell_m: f64, seams: &[LevelSeam]) -> Vec<Patch> {
+    let mut cells: BTreeMap<(u64, usize, usize), Vec<usize>> = BTreeMap::new();
     for &i in piece {
         if let Some(key) = key_of(surfels[i].p_w, cell_m) {
-            cells.entry((key, facing(surfels[i].n_w))).or_default().push(i);
+            let above = seams.iter().filter(|s| s.is_above(&surfels[i])).count();
+            cells.entry((key, facing(surfels[i].n_w), above)).or_default().push(i);
         }
     }
     cells

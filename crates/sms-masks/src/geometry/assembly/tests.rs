@@ -2,6 +2,7 @@
 
 use super::super::cluster::{bodies, join_legs};
 use super::super::fuse::coarsen;
+use super::super::seams::level_seams;
 use super::*;
 use crate::voxels::key_of;
 
@@ -125,6 +126,11 @@ impl Cloud {
         assert!(found.iter().all(|f| f.1 > 0.97), "{found:.2?}");
     }
 
+    fn seams(&self) -> Vec<LevelSeam> {
+        let all: Vec<usize> = (0..self.surfels.len()).collect();
+        level_seams(&self.surfels, &all, self.config.voxel_m)
+    }
+
     /// What stands free as a whole on the ground at z = 0, in surfels.
     fn free_standing(&self, is_static: impl Fn(&Surfel) -> bool) -> Vec<Vec<usize>> {
         let (coarse, graph, parent) = coarsen(&self.surfels, 3.0 * self.config.voxel_m);
@@ -215,6 +221,59 @@ fn a_rim_in_the_shade_is_part_of_its_bin() {
     let found = bodies(&cloud.surfels, &cloud.graph, &all, &cloud.config);
     let bin = found.iter().find(|m| cloud.body[m[0]] == 0 && m.len() > 60).unwrap();
     assert!(strip.clone().count() > 200 && strip.clone().all(|i| bin.contains(&i)));
+}
+
+/// A stool, and on it a thin board that juts out far; their sides are flush, and at the back the seat shows.
+fn board_on_stool(board: [f32; 3]) -> Vec<Block> {
+    let mut blocks = table(0, [0.18, 0.18], 0.6, 0.02, 0.036);
+    blocks.push(block(1, board, [-0.15, -0.18, 0.6], [0.7, 0.18, 0.612]));
+    blocks
+}
+
+#[test]
+fn a_board_whose_sides_are_flush_with_a_stool_is_told_by_its_hue_all_along() {
+    // Another wood: less than two spreads of what light does to whole sides, but it steps everywhere.
+    Cloud::all_of(&board_on_stool([205.0, 150.0, 92.0])).assert_bodies(&[0, 1]);
+    // Of one wood a ledge on one side of four is too little: a top that juts out over its stand has it, too.
+    assert_eq!(Cloud::all_of(&board_on_stool(WOOD)).bodies().len(), 1);
+}
+
+#[test]
+fn a_board_of_one_colour_with_its_stool_is_told_by_ledges_on_three_sides() {
+    let mut blocks = board_on_stool(WOOD);
+    (blocks[5].low.y, blocks[5].high.y) = (-0.16, 0.16);
+    let cloud = Cloud::all_of(&blocks);
+    cloud.assert_bodies(&[0, 1]);
+    // What is above a seam is so to the surfel: a board is hardly thicker than three of them.
+    let all: Vec<usize> = (0..cloud.body.len()).collect();
+    let found = bodies(&cloud.surfels, &cloud.graph, &all, &cloud.config);
+    let board = found.iter().find(|m| m.len() > 60 && cloud.body[m[0]] == 1).unwrap();
+    let sides = (0..cloud.body.len()).filter(|&i| cloud.body[i] == 1 && cloud.surfels[i].n_w.z < 0.2);
+    assert!(sides.clone().count() > 500 && sides.clone().all(|i| board.contains(&i)));
+}
+
+#[test]
+fn a_top_with_a_lip_does_not_come_off() {
+    // A counter on a plinth of another wood: no more than a lip juts out.
+    let blocks = [
+        block(0, WOOD, [-0.25, -0.2, 0.0], [0.25, 0.2, 0.5]),
+        block(0, [205.0, 150.0, 92.0], [-0.25, -0.2, 0.5], [0.3, 0.2, 0.54]),
+    ];
+    assert!(Cloud::all_of(&blocks).seams().is_empty());
+    let juts = block(0, blocks[1].color, [-0.25, -0.2, 0.5], [0.5, 0.2, 0.54]);
+    let cloud = Cloud::all_of(&[blocks[0], juts]);
+    let [seam] = &cloud.seams()[..] else { panic!("{:?}", cloud.seams()) };
+    assert!((seam.height_m - 0.5).abs() < 0.003, "{}", seam.height_m);
+}
+
+#[test]
+fn a_tall_rim_in_the_shade_is_part_of_its_bin() {
+    let blocks = [
+        block(0, GREEN, [-0.22, -0.17, 0.0], [0.22, 0.17, 0.36]),
+        block(0, GREEN.map(|c| 0.45 * c), [-0.2, -0.15, 0.36], [0.2, 0.15, 0.4]),
+        block(1, WOOD, [-0.18, -0.13, 0.4], [0.6, 0.13, 0.424]),
+    ];
+    Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
 }
 
 #[test]
