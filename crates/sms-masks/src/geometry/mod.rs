@@ -132,7 +132,8 @@ impl GeometryConfig {
 /// another. The bottom of a vessel belongs to its walls, and upright posts to what they carry. What stands free on the ground
 /// and is larger than an object is stacked of bodies that meet in level seams.
 ///
-/// Limits: a stack whose sides are flush and whose colours are alike remains one object, or is cut wrongly; so do things of one
+/// Limits: a stack whose sides are flush and whose colours are alike remains one object, or is cut wrongly, unless what is above juts
+/// out over what is below and shows it along half of the way around; so do things of one
 /// colour side by side on a piece of furniture; a thing without
 /// contrast to a wall that it touches may keep a fringe of it; flat soft things on a noisy support may be lost in it.
 #[derive(Debug, Clone, Default)]

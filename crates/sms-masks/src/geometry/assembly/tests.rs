@@ -232,7 +232,7 @@ fn board_on_stool(board: [f32; 3]) -> Vec<Block> {
 
 #[test]
 fn a_board_whose_sides_are_flush_with_a_stool_is_told_by_its_hue_all_along() {
-    // Another wood: less than two spreads of what light does to whole sides, but it steps everywhere.
+    // Another wood, hardly darker: its hue steps everywhere along the sides.
     Cloud::all_of(&board_on_stool([205.0, 150.0, 92.0])).assert_bodies(&[0, 1]);
     // Of one wood a ledge on one side of four is too little: a top that juts out over its stand has it, too.
     assert_eq!(Cloud::all_of(&board_on_stool(WOOD)).bodies().len(), 1);
