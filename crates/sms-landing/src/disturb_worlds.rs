@@ -1,13 +1,13 @@
-//! Worlds that rollouts borrow: the scanned one, or a family of disturbed ones, the same for every action.
+//! Worlds that rollouts borrow, the same for every action.
 
+use crate::hard::World;
 use crate::{
     LandingAction, LandingError, LandingOutcome, LandingPrediction, LandingSettings, LandingWorld,
     ResolvedLanding, RolloutOptions,
 };
 use rayon::prelude::*;
-use sms_core::{Cancel, MassProperties, Progress, Seed};
+use sms_core::{Cancel, Progress};
 use sms_plan::quantile;
-use sms_scene::Scene;
 use sms_sim::WorldFactory;
 use sms_wash::{WashModel, WashSettings};
 use std::collections::BTreeMap;
@@ -25,20 +25,8 @@ pub(crate) struct Flown {
 
 /// One world, built as often as threads need it at the same time. All its copies are the same.
 struct Shared {
-    scene: Scene,
-    carried_out: crate::CarriedOut,
+    world: World,
     idle: Mutex<Vec<LandingWorld>>,
-}
-
-/// Which worlds.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Worlds {
-    /// The scanned one.
-    Scanned,
-    /// Disturbed ones.
-    Disturbed { seed: Seed, count: usize },
-    /// The scanned one with a structure that is lighter and lighter ([`LandingSettings::margins`]).
-    Lighter,
 }
 
 /// Worlds of one model of wash.
@@ -56,45 +44,24 @@ pub(crate) struct Family<'a> {
 impl<'a> Family<'a> {
     pub(crate) fn new(
         landing: &'a ResolvedLanding,
-        scene: &Scene,
         factory: &'a dyn WorldFactory,
         settings: &LandingSettings,
         wash: WashSettings,
-        which: Worlds,
+        worlds: Vec<World>,
         progress: &'a dyn Progress,
         cancel: &'a Cancel,
-    ) -> Result<Self, LandingError> {
-        let count = match which {
-            Worlds::Scanned => 1,
-            Worlds::Disturbed { count, .. } => count,
-            Worlds::Lighter => settings.margins,
-        };
-        let world = |index: usize| {
-            let (d, exactly) = (&settings.disturbances, crate::CarriedOut::default());
-            let (scene, carried_out) = match which {
-                Worlds::Scanned => (scene.clone(), exactly),
-                Worlds::Disturbed { seed, .. } => {
-                    cancel.check()?;
-                    let drawn = d.standing_scene(landing, factory, scene, seed, index)?;
-                    (drawn, d.carried_out(seed, index))
-                }
-                Worlds::Lighter => {
-                    let share = settings.lightest.powf((index + 1) as f64 / count as f64);
-                    (lighter(landing, scene, share), exactly)
-                }
-            };
-            Ok(Shared { scene, carried_out, idle: Mutex::default() })
-        };
-        Ok(Self {
+    ) -> Self {
+        let shared = |world: World| Shared { world, idle: Mutex::default() };
+        Self {
             landing,
             factory,
             wash,
             enough: settings.toppled,
-            worlds: (0..count).map(world).collect::<Result<_, LandingError>>()?,
+            worlds: worlds.into_iter().map(shared).collect(),
             progress,
             cancel,
             done: AtomicU64::new(0),
-        })
+        }
     }
 
     pub(crate) fn model(&self) -> WashModel {
@@ -132,13 +99,13 @@ impl<'a> Family<'a> {
             None => LandingWorld::new(
                 self.factory,
                 &self.landing.world_options(),
-                &shared.scene,
+                &shared.world.scene,
                 self.landing,
                 self.landing.structure(),
                 &self.wash,
             )?,
         };
-        let options = RolloutOptions { carried_out: shared.carried_out, ..*options };
+        let options = RolloutOptions { carried_out: shared.world.carried_out, ..*options };
         let outcome = own.fly(action, &options)?;
         if own.is_reusable()
             && let Ok(mut idle) = shared.idle.lock()
@@ -147,18 +114,6 @@ impl<'a> Family<'a> {
         }
         Ok(outcome)
     }
-}
-
-/// The scene with a structure of this share of its mass.
-fn lighter(landing: &ResolvedLanding, scene: &Scene, share: f64) -> Scene {
-    let mut scene = scene.clone();
-    for body in scene.bodies.iter_mut().filter(|b| landing.structure().contains(&b.name)) {
-        let scaled = |m: MassProperties| {
-            MassProperties::new(m.mass() * share, m.com(), m.inertia() * share).unwrap_or(m)
-        };
-        body.mass = body.mass.map(scaled);
-    }
-    scene
 }
 
 impl LandingPrediction {

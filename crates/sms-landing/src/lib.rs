@@ -44,6 +44,7 @@ mod disturb;
 mod disturb_worlds;
 mod error;
 mod free;
+mod hard;
 mod outcome;
 mod plan;
 mod planner;

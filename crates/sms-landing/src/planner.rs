@@ -1,6 +1,7 @@
 //! Planning: many approaches with `jet`, the promising ones with `sph`, the final choice in disturbed worlds.
 
-use crate::disturb_worlds::{Family, Flown, Worlds};
+use crate::disturb_worlds::{Family, Flown};
+use crate::hard::{Hardness, World, spread};
 use crate::plan::{LandingAlternative, LandingEvaluations};
 use crate::{
     LandingAction, LandingError, LandingPlan, LandingPlanOutcome, LandingPrediction, LandingRecording,
@@ -17,7 +18,7 @@ use std::path::Path;
 const MOST_DRAWS: u64 = 16;
 /// First steps of a local search in the unit box.
 const STEP: f64 = 0.06;
-/// Landings with a lighter structure that are flown side by side.
+/// Landings in the margins' worlds that are flown side by side.
 const MARGINS_AT_ONCE: usize = 16;
 /// Time between the states of the plan's recorded motion, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 60.0;
@@ -33,20 +34,22 @@ struct Candidate {
     prediction: Option<LandingPrediction>,
 }
 
-/// What candidates are ranked by: first the failures, then the margin, then the mean objective. Objectives of landings that succeed
-/// differ by millimetres, which says nothing of how near they are to failing.
+/// What candidates are ranked by, in this order. Objectives of landings that succeed differ by millimetres, which says nothing of how
+/// near they are to failing.
 #[derive(Debug, Clone, Copy)]
 struct Rank {
     /// Failed rollouts of those with the better model, or in the most worlds.
     failures: usize,
-    /// In how many steps the structure could be made lighter.
+    /// Failed rollouts with `jet` in the hardest worlds.
+    hard_failures: usize,
+    /// Up to which of the margins' worlds, the easiest being the first, it succeeds.
     margin: usize,
     mean: f64,
 }
 
 impl Rank {
     fn order(&self, other: &Self) -> std::cmp::Ordering {
-        let failures = self.failures.cmp(&other.failures);
+        let failures = self.failures.cmp(&other.failures).then(self.hard_failures.cmp(&other.hard_failures));
         failures.then(other.margin.cmp(&self.margin)).then(self.mean.total_cmp(&other.mean))
     }
 }
@@ -60,9 +63,9 @@ struct Planning<'a> {
     evaluations: LandingEvaluations,
 }
 
-/// Plans a landing in a scene: the action that succeeds in the most disturbed worlds (the same ones for every action), among
-/// equals the one that still succeeds with the lightest structure, then the one with the smallest mean objective, of those that
-/// screening with `jet` and refinement with `sph` found. What it is predicted to do is measured in other worlds. The plan is the same for
+/// Plans a landing in a scene: of those actions that screening with `jet` and refinement with `sph` found, the one that succeeds in
+/// the most of the worlds that are hard within what is known (the same ones for every action), among equals the one that succeeds in
+/// a harder one still, then the one with the smallest mean objective. What it is predicted to do is measured in other worlds. The plan is the same for
 /// any number of threads; rayon's current pool is used. Only `scene`, which the scan made, is looked at.
 ///
 /// # Errors
@@ -95,49 +98,56 @@ pub fn plan_landing(
         );
     }
     let scene = &scene;
-    let family = |model: WashModel, seed: Option<Seed>, count: usize| {
-        let worlds = seed.map_or(Worlds::Scanned, |seed| Worlds::Disturbed { seed, count });
-        Family::new(landing, scene, factory, settings, wash(settings, model), worlds, progress, cancel)
+    let family = |model: WashModel, worlds: Vec<World>| {
+        Family::new(landing, factory, settings, wash(settings, model), worlds, progress, cancel)
     };
+    let scanned = || vec![World::exactly(scene.clone())];
     let mut planning =
         Planning { landing, settings, seed, trials: Vec::new(), evaluations: LandingEvaluations::default() };
 
     progress.begin("landing: screening", settings.screening as u64);
-    let jet = family(WashModel::Jet, None, 1)?;
+    let jet = family(WashModel::Jet, scanned());
     let mut found = planning.screen(&jet)?;
     progress.end(&format!("best of {}: {:.3}", found.len(), found.first().map_or(f64::NAN, |c| c.nominal)));
 
+    let hardness = Hardness { landing, factory, disturbances: &settings.disturbances, progress, cancel };
+    let hard =
+        if robust { hardness.order(scene, seed.derive("choice"), settings.draws)? } else { Vec::new() };
     if robust && settings.margins > 0 {
         progress.begin("landing: margins", 0);
-        let (air, worlds) = (wash(settings, WashModel::Jet), Worlds::Lighter);
-        let worlds = Family::new(landing, scene, factory, settings, air, worlds, progress, cancel)?;
-        planning.margins(&mut found, &worlds)?;
+        let worlds = hardness.margins(&hard, settings);
+        let count = worlds.len();
+        planning.margins(&mut found, &family(WashModel::Jet, worlds), count)?;
         let most = found.first().map_or(0, |c| c.rank.margin);
-        progress.end(&format!("at most {most} of {}", settings.margins));
+        progress.end(&format!("at most {most} of {count}"));
     }
 
-    let (choice, fresh) = (seed.derive("choice"), seed.derive("forecast"));
     if robust && settings.jet_worlds > 0 {
         found = distinct(found, settings.candidates);
-        progress.begin("landing: disturbed worlds, jet", (found.len() * settings.jet_worlds) as u64);
-        let worlds = family(WashModel::Jet, Some(choice), settings.jet_worlds)?;
-        planning.in_worlds(&mut found, &worlds, Phase::Disturbed, 0..settings.jet_worlds)?;
+        let hardest: Vec<World> = hard.iter().take(settings.jet_worlds).cloned().collect();
+        let count = hardest.len();
+        progress.begin("landing: hardest worlds, jet", (found.len() * count) as u64);
+        planning.in_worlds(&mut found, &family(WashModel::Jet, hardest), Phase::Disturbed, count)?;
+        for candidate in &mut found {
+            candidate.rank.hard_failures = candidate.rank.failures;
+        }
         progress.end("");
     }
 
     found.truncate(settings.refine);
     let polish = settings.polish_starts * settings.polish;
     progress.begin("landing: refinement, sph", (found.len() + polish) as u64);
-    let sph = family(WashModel::Sph, None, 1)?;
+    let sph = family(WashModel::Sph, scanned());
     planning.in_nominal(&mut found, &sph)?;
     planning.polish(&mut found, &sph)?;
     progress.end("");
 
     found.truncate(settings.finalists);
     if robust {
-        progress.begin("landing: disturbed worlds, sph", (found.len() * settings.worlds) as u64);
-        let worlds = family(WashModel::Sph, Some(choice), settings.worlds)?;
-        planning.in_worlds(&mut found, &worlds, Phase::Disturbed, 0..settings.worlds)?;
+        let worlds = spread(&hard, settings.worlds);
+        let count = worlds.len();
+        progress.begin("landing: hard worlds, sph", (found.len() * count) as u64);
+        planning.in_worlds(&mut found, &family(WashModel::Sph, worlds), Phase::Disturbed, count)?;
         progress.end("");
     }
     let Some(winner) = found.first().filter(|w| w.rank.mean.is_finite()).cloned() else {
@@ -151,9 +161,10 @@ pub fn plan_landing(
     let mut predicted = None;
     if robust && settings.forecast_worlds > 0 {
         progress.begin("landing: forecast", settings.forecast_worlds as u64);
-        let worlds = family(WashModel::Sph, Some(fresh), settings.forecast_worlds)?;
+        let count = settings.forecast_worlds;
+        let worlds = family(WashModel::Sph, hardness.draw(scene, seed.derive("forecast"), count)?);
         let mut only = vec![winner.clone()];
-        planning.in_worlds(&mut only, &worlds, Phase::Forecast, 0..settings.forecast_worlds)?;
+        planning.in_worlds(&mut only, &worlds, Phase::Forecast, count)?;
         predicted = only.swap_remove(0).prediction;
         progress.end("");
     }
@@ -212,7 +223,7 @@ impl Planning<'_> {
             .map(|u| Candidate {
                 action: self.landing.action_at(&u),
                 u,
-                rank: Rank { failures: 0, margin: 0, mean: f64::INFINITY },
+                rank: Rank { failures: 0, hard_failures: 0, margin: 0, mean: f64::INFINITY },
                 nominal: f64::INFINITY,
                 prediction: None,
             })
@@ -227,13 +238,17 @@ impl Planning<'_> {
         Ok(found)
     }
 
-    /// Flies those that succeeded with a lighter structure, which is harder for the wash and for the touchdown alike: the lightest first,
-    /// and those that fail with heavier ones. Only as many are flown as it takes to know the best that go on: among equals they come in
-    /// the order in which they are flown. Best first.
-    fn margins(&mut self, found: &mut [Candidate], lighter: &Family<'_>) -> Result<(), LandingError> {
+    /// Flies those that succeeded in the hardest world of the margins (the last), and those that fail in easier ones. Only as many are
+    /// flown as it takes to know the best that go on: among equals they come in the order in which they are flown. Best first.
+    fn margins(
+        &mut self,
+        found: &mut [Candidate],
+        worlds: &Family<'_>,
+        count: usize,
+    ) -> Result<(), LandingError> {
         let wanted = self.settings.candidates.max(self.settings.refine);
         let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
-        for level in (0..self.settings.margins).rev() {
+        for level in (0..count).rev() {
             let mut failed = Vec::new();
             for some in left.chunks(MARGINS_AT_ONCE) {
                 let mut known: Vec<Candidate> = found.iter().filter(|c| c.rank.margin > 0).cloned().collect();
@@ -243,7 +258,7 @@ impl Planning<'_> {
                     return Ok(());
                 }
                 let jobs: Vec<_> = some.iter().map(|i| (found[*i].action, level)).collect();
-                let flown = self.count(lighter.fly_all(&jobs)?, WashModel::Jet);
+                let flown = self.count(worlds.fly_all(&jobs)?, WashModel::Jet);
                 for (&i, flown) in some.iter().zip(&flown) {
                     self.trials.push(trial(Phase::Disturbed, -1, level, found[i].action, flown.score));
                     match flown.failure {
@@ -324,16 +339,15 @@ impl Planning<'_> {
         (high - low - std::f64::consts::TAU).abs() < 1e-9
     }
 
-    /// Flies all candidates in the same disturbed worlds; best first.
+    /// Flies all candidates in the same `n` disturbed worlds; best first.
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
         worlds: &Family<'_>,
         phase: Phase,
-        range: std::ops::Range<usize>,
+        n: usize,
     ) -> Result<(), LandingError> {
-        let n = range.len();
-        let jobs: Vec<_> = found.iter().flat_map(|c| range.clone().map(move |w| (c.action, w))).collect();
+        let jobs: Vec<_> = found.iter().flat_map(|c| (0..n).map(move |w| (c.action, w))).collect();
         let flown = self.count(worlds.fly_all(&jobs)?, worlds.model());
         for (i, (candidate, row)) in found.iter_mut().zip(flown.chunks(n)).enumerate() {
             for (w, flown) in row.iter().enumerate() {

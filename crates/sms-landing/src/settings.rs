@@ -36,14 +36,18 @@ impl Default for LandingDisturbances {
 pub struct LandingSettings {
     /// Points of the screening, each flown with `jet` in the scanned world.
     pub screening: usize,
-    /// Those that succeed are flown with `jet` again while the structure is lighter, in so many steps at most: how light it may be
-    /// is their margin, against a stronger wash and against heavier landings than expected.
+    /// Disturbed worlds in which the structure stands, among which those are sought in which the least load tips it.
+    pub draws: usize,
+    /// So many of them, the hardest and those at the half, the quarter and so on of the order, are margins: what succeeds in the
+    /// scanned world is flown with `jet` in the hardest, what fails in the next, and so on. 0 leaves margins out.
     pub margins: usize,
-    /// Share of its mass that is left in the last of these steps.
+    /// Margins beyond them: the hardest but few, with a structure that is lighter and lighter.
+    pub lighter: usize,
+    /// Share of its mass that is left in the last of these.
     pub lightest: f64,
-    /// The best of them that are flown with `jet` in disturbed worlds.
+    /// Those with the best margins that are flown with `jet` in the hardest of the worlds.
     pub candidates: usize,
-    /// Number of these worlds.
+    /// Number of the hardest worlds.
     pub jet_worlds: usize,
     /// The best of those that are flown with `sph` in the scanned world.
     pub refine: usize,
@@ -53,7 +57,7 @@ pub struct LandingSettings {
     pub polish: usize,
     /// How many go on to disturbed worlds with `sph`.
     pub finalists: usize,
-    /// Number of these worlds; 0 plans for the scanned world alone, with `jet_worlds` left out, too.
+    /// Number of these worlds, chosen as the margins are; 0 plans for the scanned world alone, with `jet_worlds` left out, too.
     pub worlds: usize,
     /// Worlds that play no part in the choice, for the prediction.
     pub forecast_worlds: usize,
@@ -71,10 +75,12 @@ impl Default for LandingSettings {
     fn default() -> Self {
         Self {
             screening: 200,
+            draws: 40,
             margins: 5,
+            lighter: 3,
             lightest: 0.4,
             candidates: 8,
-            jet_worlds: 4,
+            jet_worlds: 6,
             refine: 4,
             polish_starts: 0,
             polish: 4,
@@ -95,6 +101,7 @@ impl LandingSettings {
     pub fn draft() -> Self {
         Self {
             screening: 96,
+            draws: 24,
             candidates: 4,
             refine: 2,
             finalists: 1,
@@ -108,6 +115,7 @@ impl LandingSettings {
     pub fn fine() -> Self {
         Self {
             screening: 640,
+            draws: 128,
             candidates: 48,
             jet_worlds: 12,
             refine: 20,
@@ -129,7 +137,9 @@ impl LandingSettings {
         let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
         for (key, value, low, high) in [
             ("screening", self.screening, 1, 1_000_000),
+            ("draws", self.draws, 1, 1024),
             ("margins", self.margins, 0, 64),
+            ("lighter", self.lighter, 0, 64),
             ("candidates", self.candidates, 1, 1_000_000),
             ("jet_worlds", self.jet_worlds, 0, 1024),
             ("refine", self.refine, 1, 1_000_000),

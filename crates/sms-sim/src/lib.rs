@@ -61,7 +61,7 @@ pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
 pub use sms_robot::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
-pub use tipping::{LoadTest, tipping_load_n};
+pub use tipping::{LoadRamp, LoadTest, ramp_load_n, tipping_load_n};
 pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
     ArmKind, BodyId, BodyState, ContactEvent, Impossible, KinematicShape, SimError, World, WorldFactory,

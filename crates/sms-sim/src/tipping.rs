@@ -61,6 +61,44 @@ pub fn tipping_load_n(
     Ok(Some(0.5 * (stands + falls)))
 }
 
+/// How fast a load grows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoadRamp {
+    /// Newtons per second.
+    pub rate_n_per_s: f64,
+    /// The largest load, newtons.
+    pub most_n: f64,
+    /// What sinks farther than this has tipped, metres.
+    pub sinks_m: f64,
+}
+
+impl Default for LoadRamp {
+    /// Up to the weight of two small quadrotors in six seconds.
+    fn default() -> Self {
+        Self { rate_n_per_s: 4.0, most_n: 24.0, sinks_m: 0.01 }
+    }
+}
+
+/// The force straight down at a point of a body (world, metres) under which the point has sunk by [`LoadRamp::sinks_m`] while the force
+/// grows from zero, newtons; `None` where the largest does not do it or the body cannot move. It is more than
+/// [`tipping_load_n`] by what it grows while the body sinks, a newton or two, but takes one simulation: good for what is to be ordered.
+///
+/// # Errors
+/// [`SimError`] when the world cannot be built.
+pub fn ramp_load_n(
+    factory: &dyn WorldFactory,
+    scene: &Scene,
+    body: &str,
+    p_w: DVec3,
+    ramp: &LoadRamp,
+) -> Result<Option<f64>, SimError> {
+    let Some(id) = scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic) else {
+        return Ok(None);
+    };
+    let load_at = |t: f64| ramp.rate_n_per_s * t;
+    loaded(factory, scene, id, p_w, ramp.most_n / ramp.rate_n_per_s, &load_at, ramp.sinks_m)
+}
+
 fn tips(
     factory: &dyn WorldFactory,
     scene: &Scene,
@@ -69,25 +107,40 @@ fn tips(
     load_n: f64,
     test: &LoadTest,
 ) -> Result<bool, SimError> {
+    let load_at = |t: f64| load_n * (t / test.grows_s).min(1.0);
+    let seconds = test.grows_s + test.stays_s;
+    Ok(loaded(factory, scene, id, p_w, seconds, &load_at, test.sinks_m)?.is_some())
+}
+
+/// The load under which the point had sunk, of one that is a function of time; `None` where it does not sink in that time.
+fn loaded(
+    factory: &dyn WorldFactory,
+    scene: &Scene,
+    id: usize,
+    p_w: DVec3,
+    seconds: f64,
+    load_at: &dyn Fn(f64) -> f64,
+    sinks_m: f64,
+) -> Result<Option<f64>, SimError> {
     let options = WorldOptions { sleep: false, contact_timing: false, ..WorldOptions::default() };
     let mut simulation = Simulation::new(factory, scene, &options)?;
     let com_b = scene.bodies[id].mass.map_or(DVec3::ZERO, |m| m.com());
     let p_b = simulation.state(id).x_wb.inverse() * p_w;
-    let steps = ((test.grows_s + test.stays_s) / options.dt).round() as usize;
+    let steps = (seconds / options.dt).round() as usize;
     for step in 0..steps {
         let now = simulation.state(id).x_wb;
-        let share = ((step + 1) as f64 * options.dt / test.grows_s).min(1.0);
-        let force = DVec3::NEG_Z * load_n * share;
+        let load_n = load_at((step + 1) as f64 * options.dt);
+        let force = DVec3::NEG_Z * load_n;
         simulation.apply_wrench(id, force, (now * p_b - now * com_b).cross(force));
         match simulation.advance(options.dt) {
             Ok(_) => {}
             // What flies apart under a load does not bear it.
-            Err(SimError::Diverged { .. }) => return Ok(true),
+            Err(SimError::Diverged { .. }) => return Ok(Some(load_n)),
             Err(e) => return Err(e),
         }
-        if p_w.z - (simulation.state(id).x_wb * p_b).z > test.sinks_m {
-            return Ok(true);
+        if p_w.z - (simulation.state(id).x_wb * p_b).z > sinks_m {
+            return Ok(Some(load_n));
         }
     }
-    Ok(false)
+    Ok(None)
 }

@@ -10,8 +10,8 @@ use sms_core::{
 };
 use sms_scene::{Body, BodyKind, BodyShape, floor_body};
 use sms_sim::{
-    BodyState, LoadTest, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless, resting_drift,
-    tipping_load_n,
+    BodyState, LoadRamp, LoadTest, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless,
+    ramp_load_n, resting_drift, tipping_load_n,
 };
 
 fn floor_and_ball(mu: f64, rolling_m: f64) -> sms_scene::Scene {
@@ -470,6 +470,13 @@ fn a_plank_tips_under_the_load_of_the_lever() {
             match found {
                 Some(n) => assert!((n / statics - 1.0).abs() < 0.01, "{n} N, {statics} N"),
                 None => assert!(statics > most),
+            }
+            // One that grows is more by what it grows while the plank sinks.
+            let p_w = DVec3::new(x, 0.0, 0.42);
+            let ramp = LoadRamp { most_n: 40.0, ..LoadRamp::default() };
+            match ramp_load_n(factory, &world, "plank", p_w, &ramp).unwrap() {
+                Some(n) => assert!(n > statics && n < statics + 3.0, "{n} N, {statics} N"),
+                None => assert!(statics > ramp.most_n - 3.0),
             }
         }
         // Over the block nothing tips, and what cannot move bears anything.

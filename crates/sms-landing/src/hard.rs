@@ -1,0 +1,172 @@
+//! Worlds within what is known in which the structure stands, but not by much.
+//!
+//! What is told of masses may be wrong by factors. A ballast that is told too heavy, and what it holds too light, make a structure that
+//! nothing seems to topple: every landing succeeds there, and nothing tells a good one from a bad one. The structure was seen standing,
+//! and that is all that is certain, so landings are told apart in those worlds in which it stands and a small load tips it.
+
+use crate::{CarriedOut, LandingDisturbances, LandingError, LandingSettings, ResolvedLanding};
+use glamx::{DVec2, DVec3};
+use rayon::prelude::*;
+use sms_core::{Cancel, MassProperties, Progress, Seed};
+use sms_scene::Scene;
+use sms_sim::{LoadRamp, WorldFactory, ramp_load_n};
+
+/// The load that tips the structure is sought at so many points of the platform's edge: those where it is the least in the scanned world.
+const WEAK_POINTS: usize = 3;
+/// How far within the platform's outline they are, as a share of it: corners of reconstructions are round.
+const INSET: f64 = 0.03;
+/// Of the worlds in their order, hardest first, so many are harder than the one that is made lighter (one of this many): the
+/// hardest of all may be one in which nothing succeeds.
+const LIGHTENED: usize = 16;
+
+/// A world and how exactly the flight is carried out in it.
+#[derive(Debug, Clone)]
+pub(crate) struct World {
+    pub(crate) scene: Scene,
+    pub(crate) carried_out: CarriedOut,
+}
+
+impl World {
+    /// A scene in which flights are carried out exactly.
+    pub(crate) fn exactly(scene: Scene) -> Self {
+        Self { scene, carried_out: CarriedOut::default() }
+    }
+}
+
+/// What draws worlds and says how hard they are.
+pub(crate) struct Hardness<'a> {
+    pub(crate) landing: &'a ResolvedLanding,
+    pub(crate) factory: &'a dyn WorldFactory,
+    pub(crate) disturbances: &'a LandingDisturbances,
+    pub(crate) progress: &'a dyn Progress,
+    pub(crate) cancel: &'a Cancel,
+}
+
+impl Hardness<'_> {
+    /// Disturbed worlds in which the structure stands.
+    pub(crate) fn draw(&self, scene: &Scene, seed: Seed, count: usize) -> Result<Vec<World>, LandingError> {
+        let draw = |index: usize| {
+            self.cancel.check()?;
+            let d = self.disturbances;
+            let drawn = d.standing_scene(self.landing, self.factory, scene, seed, index)?;
+            Ok(World { scene: drawn, carried_out: d.carried_out(seed, index) })
+        };
+        (0..count).into_par_iter().map(draw).collect()
+    }
+
+    /// Disturbed worlds in which the structure stands, those first in which the least load tips it, measured by the strength of the
+    /// wash there.
+    pub(crate) fn order(&self, scene: &Scene, seed: Seed, count: usize) -> Result<Vec<World>, LandingError> {
+        self.progress.begin("landing: worlds in which the structure stands", 0);
+        let worlds = self.draw(scene, seed, count)?;
+        let points = self.weak_points(scene)?;
+        let hardness = |world: &World| {
+            self.cancel.check()?;
+            let mut least = f64::INFINITY;
+            for p_w in &points {
+                least = least.min(self.load_n(&world.scene, *p_w)?);
+            }
+            Ok::<f64, LandingError>(least / world.carried_out.wash)
+        };
+        let loads = worlds.par_iter().map(hardness).collect::<Result<Vec<f64>, _>>()?;
+        let mut ordered: Vec<(f64, World)> = loads.into_iter().zip(worlds).collect();
+        ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.progress.end(&match (ordered.first(), ordered.get(count / 2)) {
+            (Some(least), Some(middle)) => {
+                format!("{} drawn, which {:.1} N (half of them: {:.1} N) tip", count, least.0, middle.0)
+            }
+            _ => String::new(),
+        });
+        Ok(ordered.into_iter().map(|(_, world)| world).collect())
+    }
+
+    /// The worlds of the margins, the hardest last, of worlds that are ordered hardest first.
+    pub(crate) fn margins(&self, ordered: &[World], settings: &LandingSettings) -> Vec<World> {
+        let mut worlds = spread(ordered, settings.margins);
+        worlds.reverse();
+        let Some(base) = ordered.get(ordered.len() / LIGHTENED) else { return worlds };
+        for step in 1..=settings.lighter {
+            let share = settings.lightest.powf(step as f64 / settings.lighter as f64);
+            let scene = lighter(self.landing, &base.scene, share);
+            worlds.push(World { scene, carried_out: base.carried_out });
+        }
+        worlds
+    }
+
+    /// Points of the platform's edge where the least loads tip it.
+    fn weak_points(&self, scene: &Scene) -> Result<Vec<DVec3>, LandingError> {
+        let surface = self.landing.surface();
+        let corners = surface.outline_w.map(DVec2::from);
+        let middle = corners.iter().sum::<DVec2>() / corners.len() as f64;
+        let points: Vec<DVec3> = (0..corners.len())
+            .flat_map(|i| [corners[i], corners[i].midpoint(corners[(i + 1) % corners.len()])])
+            .map(|p| p.lerp(middle, INSET).extend(surface.top_w))
+            .collect();
+        let loads = points.par_iter().map(|p| self.load_n(scene, *p)).collect::<Result<Vec<f64>, _>>()?;
+        let mut ordered: Vec<(f64, DVec3)> = loads.into_iter().zip(points).collect();
+        ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(ordered.into_iter().take(WEAK_POINTS).map(|(_, p)| p).collect())
+    }
+
+    /// The load at a point of the platform that tips the structure, newtons; infinite where none does that could matter.
+    fn load_n(&self, scene: &Scene, p_w: DVec3) -> Result<f64, LandingError> {
+        let body = &self.landing.surface().body;
+        let load = ramp_load_n(self.factory, scene, body, p_w, &LoadRamp::default())?;
+        Ok(load.unwrap_or(f64::INFINITY))
+    }
+}
+
+/// The first, and those at the half, the quarter and so on of the order, in their order; all where there are not more. Fewer than
+/// `count` where the halves come to the first before.
+pub(crate) fn spread(ordered: &[World], count: usize) -> Vec<World> {
+    if ordered.len() <= count {
+        return ordered.to_vec();
+    }
+    let mut ranks: Vec<usize> = (1..count).map(|i| ordered.len() >> i).chain([0]).collect();
+    ranks.sort_unstable();
+    ranks.dedup();
+    ranks.truncate(count);
+    ranks.into_iter().map(|i| ordered[i].clone()).collect()
+}
+
+/// The scene with a structure of this share of its mass.
+fn lighter(landing: &ResolvedLanding, scene: &Scene, share: f64) -> Scene {
+    let mut scene = scene.clone();
+    for body in scene.bodies.iter_mut().filter(|b| landing.structure().contains(&b.name)) {
+        let scaled = |m: MassProperties| {
+            MassProperties::new(m.mass() * share, m.com(), m.inertia() * share).unwrap_or(m)
+        };
+        body.mass = body.mass.map(scaled);
+    }
+    scene
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sms_core::NoProgress;
+    use sms_scene::SCENE_VERSION;
+
+    #[test]
+    fn worlds_are_taken_at_halves_of_their_order() {
+        let scene = Scene {
+            version: SCENE_VERSION,
+            name: "empty".into(),
+            gravity_w: DVec3::NEG_Z,
+            x_world_recording: glamx::DPose3::IDENTITY,
+            bodies: Vec::new(),
+        };
+        let worlds: Vec<World> = (0..40)
+            .map(|i| World {
+                carried_out: CarriedOut { speed: f64::from(i), ..CarriedOut::default() },
+                ..World::exactly(scene.clone())
+            })
+            .collect();
+        let speeds = |ws: Vec<World>| ws.iter().map(|w| w.carried_out.speed).collect::<Vec<_>>();
+        assert_eq!(speeds(spread(&worlds, 5)), [0.0, 2.0, 5.0, 10.0, 20.0]);
+        assert_eq!(speeds(spread(&worlds, 1)), [0.0]);
+        assert_eq!(speeds(spread(&worlds[..3], 5)), [0.0, 1.0, 2.0]);
+        assert_eq!(speeds(spread(&worlds[..3], 2)), [0.0, 1.0]);
+        assert!(spread(&worlds, 0).is_empty() && spread(&[], 5).is_empty());
+    }
+}
