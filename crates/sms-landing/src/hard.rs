@@ -144,7 +144,6 @@ fn lighter(landing: &ResolvedLanding, scene: &Scene, share: f64) -> Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_core::NoProgress;
     use sms_scene::SCENE_VERSION;
 
     #[test]
