@@ -15,8 +15,7 @@ use sms_sim::{LoadRamp, WorldFactory, ramp_load_n};
 const WEAK_POINTS: usize = 3;
 /// How far within the platform's outline they are, as a share of it: corners of reconstructions are round.
 const INSET: f64 = 0.03;
-/// Of the worlds in their order, hardest first, so many are harder than the one that is made lighter (one of this many): the
-/// hardest of all may be one in which nothing succeeds.
+/// One in so many of the worlds is harder than the one that is made lighter: in the hardest of all it may be that nothing succeeds.
 const LIGHTENED: usize = 16;
 
 /// A world and how exactly the flight is carried out in it.
@@ -116,16 +115,21 @@ impl Hardness<'_> {
     }
 }
 
-/// The first, and those at the half, the quarter and so on of the order, in their order; all where there are not more. Fewer than
-/// `count` where the halves come to the first before.
+/// So many of the worlds, in their order: the first, those at the half, the quarter and so on of the order, and where that is not
+/// enough the next ones from the first on. All where there are not more.
 pub(crate) fn spread(ordered: &[World], count: usize) -> Vec<World> {
     if ordered.len() <= count {
         return ordered.to_vec();
     }
-    let mut ranks: Vec<usize> = (1..count).map(|i| ordered.len() >> i).chain([0]).collect();
+    let mut ranks: Vec<usize> = (1..count).map(|i| ordered.len() >> i).chain([0]).take(count).collect();
     ranks.sort_unstable();
     ranks.dedup();
-    ranks.truncate(count);
+    for rank in 0..count {
+        if ranks.len() < count && !ranks.contains(&rank) {
+            ranks.push(rank);
+        }
+    }
+    ranks.sort_unstable();
     ranks.into_iter().map(|i| ordered[i].clone()).collect()
 }
 
@@ -164,6 +168,7 @@ mod tests {
         let speeds = |ws: Vec<World>| ws.iter().map(|w| w.carried_out.speed).collect::<Vec<_>>();
         assert_eq!(speeds(spread(&worlds, 5)), [0.0, 2.0, 5.0, 10.0, 20.0]);
         assert_eq!(speeds(spread(&worlds, 1)), [0.0]);
+        assert_eq!(speeds(spread(&worlds, 8)), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 10.0, 20.0]);
         assert_eq!(speeds(spread(&worlds[..3], 5)), [0.0, 1.0, 2.0]);
         assert_eq!(speeds(spread(&worlds[..3], 2)), [0.0, 1.0]);
         assert!(spread(&worlds, 0).is_empty() && spread(&[], 5).is_empty());

@@ -42,7 +42,7 @@ pub struct LandingAlternative {
     pub action: LandingAction,
     /// Its objective in the scanned world, by the better model of wash; `None` where that rollout cannot be believed.
     pub objective: Option<f64>,
-    /// What is predicted of it, from the worlds in which it was chosen or dropped.
+    /// What becomes of it in the worlds in which it was chosen or dropped, which are hard ones: less than what is to be expected.
     pub prediction: Option<LandingPrediction>,
 }
 
