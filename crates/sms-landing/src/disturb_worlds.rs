@@ -64,6 +64,11 @@ impl<'a> Family<'a> {
         }
     }
 
+    /// How many worlds there are.
+    pub(crate) fn len(&self) -> usize {
+        self.worlds.len()
+    }
+
     pub(crate) fn model(&self) -> WashModel {
         self.wash.model
     }

@@ -65,8 +65,8 @@ struct Planning<'a> {
 
 /// Plans a landing in a scene: of those actions that screening with `jet` and refinement with `sph` found, the one that succeeds in
 /// the most of the worlds that are hard within what is known (the same ones for every action), among equals the one that succeeds in
-/// a harder one still, then the one with the smallest mean objective. What it is predicted to do is measured in other worlds. The plan is the same for
-/// any number of threads; rayon's current pool is used. Only `scene`, which the scan made, is looked at.
+/// a harder one still, then the one with the smallest mean objective. What it is predicted to do is measured in other worlds. The
+/// plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the scan made, is looked at.
 ///
 /// # Errors
 /// [`LandingError`]: bad settings, a structure that is falling already, a scene that cannot be simulated, or interruption.
@@ -115,19 +115,18 @@ pub fn plan_landing(
         if robust { hardness.order(scene, seed.derive("choice"), settings.draws)? } else { Vec::new() };
     if robust && settings.margins > 0 {
         progress.begin("landing: margins", 0);
-        let worlds = hardness.margins(&hard, settings);
-        let count = worlds.len();
-        planning.margins(&mut found, &family(WashModel::Jet, worlds), count)?;
+        let worlds = family(WashModel::Jet, hardness.margins(&hard, settings));
+        planning.margins(&mut found, &worlds)?;
         let most = found.first().map_or(0, |c| c.rank.margin);
-        progress.end(&format!("at most {most} of {count}"));
+        progress.end(&format!("at most {most} of {}", worlds.len()));
     }
 
     if robust && settings.jet_worlds > 0 {
         found = distinct(found, settings.candidates);
-        let hardest: Vec<World> = hard.iter().take(settings.jet_worlds).cloned().collect();
-        let count = hardest.len();
-        progress.begin("landing: hardest worlds, jet", (found.len() * count) as u64);
-        planning.in_worlds(&mut found, &family(WashModel::Jet, hardest), Phase::Disturbed, count)?;
+        let hardest = hard.iter().take(settings.jet_worlds).cloned().collect();
+        let worlds = family(WashModel::Jet, hardest);
+        progress.begin("landing: hardest worlds, jet", (found.len() * worlds.len()) as u64);
+        planning.in_worlds(&mut found, &worlds, Phase::Disturbed)?;
         for candidate in &mut found {
             candidate.rank.hard_failures = candidate.rank.failures;
         }
@@ -144,10 +143,9 @@ pub fn plan_landing(
 
     found.truncate(settings.finalists);
     if robust {
-        let worlds = spread(&hard, settings.worlds);
-        let count = worlds.len();
-        progress.begin("landing: hard worlds, sph", (found.len() * count) as u64);
-        planning.in_worlds(&mut found, &family(WashModel::Sph, worlds), Phase::Disturbed, count)?;
+        let worlds = family(WashModel::Sph, spread(&hard, settings.worlds));
+        progress.begin("landing: hard worlds, sph", (found.len() * worlds.len()) as u64);
+        planning.in_worlds(&mut found, &worlds, Phase::Disturbed)?;
         progress.end("");
     }
     let Some(winner) = found.first().filter(|w| w.rank.mean.is_finite()).cloned() else {
@@ -161,10 +159,10 @@ pub fn plan_landing(
     let mut predicted = None;
     if robust && settings.forecast_worlds > 0 {
         progress.begin("landing: forecast", settings.forecast_worlds as u64);
-        let count = settings.forecast_worlds;
-        let worlds = family(WashModel::Sph, hardness.draw(scene, seed.derive("forecast"), count)?);
+        let drawn = hardness.draw(scene, seed.derive("forecast"), settings.forecast_worlds)?;
+        let worlds = family(WashModel::Sph, drawn);
         let mut only = vec![winner.clone()];
-        planning.in_worlds(&mut only, &worlds, Phase::Forecast, count)?;
+        planning.in_worlds(&mut only, &worlds, Phase::Forecast)?;
         predicted = only.swap_remove(0).prediction;
         progress.end("");
     }
@@ -240,15 +238,10 @@ impl Planning<'_> {
 
     /// Flies those that succeeded in the hardest world of the margins (the last), and those that fail in easier ones. Only as many are
     /// flown as it takes to know the best that go on: among equals they come in the order in which they are flown. Best first.
-    fn margins(
-        &mut self,
-        found: &mut [Candidate],
-        worlds: &Family<'_>,
-        count: usize,
-    ) -> Result<(), LandingError> {
+    fn margins(&mut self, found: &mut [Candidate], worlds: &Family<'_>) -> Result<(), LandingError> {
         let wanted = self.settings.candidates.max(self.settings.refine);
         let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
-        for level in (0..count).rev() {
+        for level in (0..worlds.len()).rev() {
             let mut failed = Vec::new();
             for some in left.chunks(MARGINS_AT_ONCE) {
                 let mut known: Vec<Candidate> = found.iter().filter(|c| c.rank.margin > 0).cloned().collect();
@@ -339,14 +332,14 @@ impl Planning<'_> {
         (high - low - std::f64::consts::TAU).abs() < 1e-9
     }
 
-    /// Flies all candidates in the same `n` disturbed worlds; best first.
+    /// Flies all candidates in the same disturbed worlds; best first.
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
         worlds: &Family<'_>,
         phase: Phase,
-        n: usize,
     ) -> Result<(), LandingError> {
+        let n = worlds.len();
         let jobs: Vec<_> = found.iter().flat_map(|c| (0..n).map(move |w| (c.action, w))).collect();
         let flown = self.count(worlds.fly_all(&jobs)?, worlds.model());
         for (i, (candidate, row)) in found.iter_mut().zip(flown.chunks(n)).enumerate() {

@@ -39,9 +39,7 @@ pub fn tipping_load_n(
     p_w: DVec3,
     test: &LoadTest,
 ) -> Result<Option<f64>, SimError> {
-    let Some(id) = scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic) else {
-        return Ok(None);
-    };
+    let Some(id) = movable(scene, body) else { return Ok(None) };
     let tips = |load_n: f64| tips(factory, scene, id, p_w, load_n, test);
     if tips(0.0)? {
         return Ok(Some(0.0));
@@ -92,11 +90,14 @@ pub fn ramp_load_n(
     p_w: DVec3,
     ramp: &LoadRamp,
 ) -> Result<Option<f64>, SimError> {
-    let Some(id) = scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic) else {
-        return Ok(None);
-    };
+    let Some(id) = movable(scene, body) else { return Ok(None) };
     let load_at = |t: f64| ramp.rate_n_per_s * t;
     loaded(factory, scene, id, p_w, ramp.most_n / ramp.rate_n_per_s, &load_at, ramp.sinks_m)
+}
+
+/// The index of a body that can move.
+fn movable(scene: &Scene, body: &str) -> Option<usize> {
+    scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic)
 }
 
 fn tips(
