@@ -14,6 +14,8 @@ pub(crate) enum Solid {
     Box(DVec3, DVec3, f64),
     /// A cylinder: centre, from there to the middle of one end, radius.
     Rod(DVec3, DVec3, f64),
+    /// An upright cup, open at the top, its walls and floor 4 mm thick: centre of its base, radius, height.
+    Cup(DVec3, f64, f64),
 }
 
 /// What the camera does to depth.
@@ -86,6 +88,32 @@ fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
             let ends = [-1.0, 1.0].map(|side| (side * half.length() - o_along) / d_along);
             let near = round[0].max(ends[0].min(ends[1]));
             (near < round[1].min(ends[0].max(ends[1])) && near > 0.0).then_some(near)
+        }
+        Solid::Cup(base, r, height) => {
+            const WALL: f64 = 0.004;
+            let o = o - base;
+            let at = |t: f64| o + d * t;
+            // Both walls of the hollow, where the ray leaves the inner cylinder and enters the outer one.
+            let wall = |r: f64, side: f64, low: f64| {
+                let (a, b) = (d.truncate().length_squared(), o.truncate().dot(d.truncate()));
+                let disc = b * b - a * (o.truncate().length_squared() - r * r);
+                (disc > 0.0)
+                    .then(|| (-b + side * disc.sqrt()) / a)
+                    .filter(|&t| (low..height).contains(&at(t).z))
+            };
+            let level = |z: f64, radii: std::ops::Range<f64>| {
+                Some((z - o.z) / d.z).filter(|&t| radii.contains(&at(t).truncate().length()))
+            };
+            [
+                wall(r, -1.0, 0.0),
+                wall(r - WALL, 1.0, WALL),
+                level(height, r - WALL..r),
+                level(WALL, 0.0..r - WALL),
+            ]
+            .into_iter()
+            .flatten()
+            .filter(|&t| t > 0.0)
+            .min_by(f64::total_cmp)
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::GeometryConfig;
 use super::assembly::{FOOT_M, OVER, merge_bodies};
+use super::balls::{Ball, balls};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::{StaticPlane, extents, is_seen_through};
 use super::posts::{Footprint, Post};
@@ -39,7 +40,9 @@ pub(crate) fn clusters(
     });
     let parts: Vec<Vec<usize>> = pieces
         .filter(|p| p.len() >= smallest)
-        .flat_map(|p| split(surfels, graph, &p, &[], config).into_members())
+        .flat_map(|p| {
+            split(surfels, graph, &p, &[], &balls(surfels, graph, &p, config.voxel_m), config).into_members()
+        })
         .collect();
     feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
     assemblies.iter_mut().for_each(|members| members.sort_unstable());
@@ -72,7 +75,7 @@ pub(crate) fn bodies(
 ) -> Vec<Vec<usize>> {
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
     let seams = level_seams(surfels, members, config.voxel_m);
-    let mut segments = split(surfels, graph, members, &seams, config);
+    let mut segments = split(surfels, graph, members, &seams, &[], config);
     merge_bodies(&mut segments, surfels, graph, members, &seams, smallest, config.voxel_m.powi(2));
     segments.into_members()
 }
@@ -146,17 +149,18 @@ fn is_plausible(
 /// After locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR 2014), with
 /// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
 /// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
-/// the longest border. Not every crease separates: see [`are_distinct`]. Level `seams` always do.
+/// the longest border. Not every crease separates: see [`are_distinct`]. Level `seams` always do, and `balls` are never cut.
 fn split(
     surfels: &[Surfel],
     graph: &Neighbors,
     piece: &[usize],
     seams: &[LevelSeam],
+    balls: &[Ball],
     config: &GeometryConfig,
 ) -> Segments {
     let voxel = config.voxel_m;
     let mut segments =
-        Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad, seams);
+        Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad, seams, balls);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
     let length = extents(surfels, piece)[2];
     // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
@@ -241,6 +245,10 @@ fn are_distinct(
     }
     let sharp = border.crease > 0.5 * border.pairs;
     let neck = neck(s, a, b, border);
+    if border.is_round() {
+        // A round head of its body's colour is none.
+        return contrast > 1.0 || neck < 0.6;
+    }
     let narrow = sharp && (neck < 0.6 || (neck < 0.75 && contrast > 1.0));
     if length > config.clutter_m {
         let [thin, middle, _] = border.spread.extents();

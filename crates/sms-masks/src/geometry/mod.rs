@@ -4,10 +4,11 @@
 //! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static, but none of what
 //!    stands free on the ground as a whole ([`assembly`]: furniture, containers, what is stacked on them).
 //! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet
-//!    ([`segments`]), assemblies where one thing stands on another; posts join what they carry; pieces that cannot be objects are left to the background.
+//!    ([`segments`]), and around what is round all over ([`balls`]), assemblies where one thing stands on another; posts join what they carry; pieces that cannot be objects are left to the background.
 //! 4. [`project`]: each pixel takes the label of the surfels that it sees.
 
 mod assembly;
+mod balls;
 mod cluster;
 mod fuse;
 mod linalg;
@@ -127,7 +128,7 @@ impl GeometryConfig {
 ///
 /// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Things that touch are separated where
 /// they meet in an inward crease and differ in colour, or touch in less than their cross-section; a crease alone is not
-/// enough, since toys and statues have creases. In clutter (connected pieces longer than [`GeometryConfig::clutter_m`])
+/// enough, since toys and statues have creases. A ball is a thing of its own where it differs in colour from what it touches. In clutter (connected pieces longer than [`GeometryConfig::clutter_m`])
 /// less evidence is needed, and in pieces longer than 0.35 m a level crease all around is where one thing stands on
 /// another. The bottom of a vessel belongs to its walls, and upright posts to what they carry. What stands free on the ground
 /// and is larger than an object is stacked of bodies that meet in level seams.

@@ -1,12 +1,13 @@
 //! Segments of a connected piece: patches that merge pairwise, with what tells two of them apart.
 
+use super::balls::Ball;
 use super::fuse::{Neighbors, Surfel};
 use super::linalg::{outer, symmetric_eigen};
 use super::seams::{LevelSeam, between};
 use crate::voxels::key_of;
 use glamx::{DMat3, DVec3};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap, HashSet};
 
 /// Surfels of one coarse cell that face about the same way.
 #[derive(Debug, Clone)]
@@ -175,6 +176,8 @@ pub(crate) struct Border {
     pub(crate) crease: f64,
     /// Number of pairs across a level seam whose first is above it, less those whose second is.
     pub(crate) over: f64,
+    /// Number of pairs of which one lies on a ball that the other does not.
+    round: f64,
     /// Where it runs.
     pub(crate) spread: Spread,
 }
@@ -183,6 +186,16 @@ impl Border {
     /// Whether it runs along a level seam.
     pub(crate) fn is_seam(&self) -> bool {
         2.0 * self.over.abs() > self.pairs
+    }
+
+    /// Whether a ball ends there.
+    pub(crate) fn is_round(&self) -> bool {
+        2.0 * self.round > self.pairs
+    }
+
+    /// Whether something that was seen of larger parts says that two things meet there.
+    fn is_parted(&self) -> bool {
+        self.is_seam() || self.is_round()
     }
 
     /// As the other side has it.
@@ -230,7 +243,7 @@ impl Ord for Score {
 impl Segments {
     /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way. Surfels
     /// nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on, and wholly from
-    /// three times that. No patch lies on both sides of one of the `seams`.
+    /// three times that. No patch lies on both sides of one of the `seams`, and each of the `balls` is one patch.
     pub(crate) fn patches(
         surfels: &[Surfel],
         graph: &Neighbors,
@@ -239,8 +252,11 @@ impl Segments {
         near_m: f64,
         crease_rad: f64,
         seams: &[LevelSeam],
+        balls: &[Ball],
     ) -> Self {
-        let patches = patches(surfels, piece, cell_m, seams);
+        let patches = patches(surfels, piece, cell_m, seams, balls);
+        // Balls are the last patches.
+        let first_ball = patches.len() - balls.len();
         let mut patch_of = BTreeMap::new();
         for (k, patch) in patches.iter().enumerate() {
             patch.members.iter().for_each(|&i| {
@@ -263,7 +279,11 @@ impl Segments {
         for a in 0..patches.len() {
             let one_sided: Vec<(usize, Border)> = borders[a].range(a + 1..).map(|(&b, &x)| (b, x)).collect();
             for (b, mut border) in one_sided {
-                border.crease = border.pairs * inward_bend(&patches[a], &patches[b], crease_rad);
+                let is_ball = b >= first_ball;
+                border.round = if is_ball { border.pairs } else { 0.0 };
+                // Outside of a ball everything bends inwards, and its patch faces no way.
+                let bend = if is_ball { 1.0 } else { inward_bend(&patches[a], &patches[b], crease_rad) };
+                border.crease = border.pairs * bend;
                 borders[a].insert(b, border);
                 borders[b].insert(a, border.reversed());
             }
@@ -333,7 +353,7 @@ impl Segments {
     /// Merges what is locally convex and of one colour: the border that bends inwards least first, until every border bends
     /// by at least `crease_share`. `light` is how much the colours of neighbouring patches may differ by light alone, in
     /// 8-bit levels: the less, the more colours count. What hangs together by a thread stays apart, and so do the sides of a
-    /// level seam.
+    /// level seam, and balls.
     pub(crate) fn merge_convex(
         &mut self,
         crease_share: f64,
@@ -341,7 +361,7 @@ impl Segments {
         is_thread: impl Fn(&Self, usize, usize, &Border) -> bool,
     ) {
         let score = |s: &Self, a: usize, b: usize, border: &Border| {
-            if border.is_seam() || is_thread(s, a, b, border) {
+            if border.is_parted() || is_thread(s, a, b, border) {
                 return 0.0;
             }
             1.0 - border.crease / border.pairs - 0.1 * s.looks[a].distance(&s.looks[b], light).min(2.0)
@@ -352,7 +372,7 @@ impl Segments {
     /// Merges the patches that two partitions of them both keep together.
     pub(crate) fn merge_agreed(&mut self, one: &Self, other: &Self) {
         let group: Vec<(usize, usize)> = one.roots.iter().copied().zip(other.roots.iter().copied()).collect();
-        let together = |a: usize, b: usize, border: &Border| group[a] == group[b] && !border.is_seam();
+        let together = |a: usize, b: usize, border: &Border| group[a] == group[b] && !border.is_parted();
         self.merge_while(|_, a, b, border| if together(a, b, border) { 1.0 } else { 0.0 }, 0.0);
     }
 
@@ -395,7 +415,11 @@ impl Segments {
             let longest = self.borders[a]
                 .iter()
                 .filter(|(_, border)| !border.is_seam())
-                .max_by(|x, y| x.1.pairs.total_cmp(&y.1.pairs).then(y.0.cmp(x.0)));
+                // What is left between a ball and what it touches is not round.
+                .max_by(|x, y| {
+                    let flat = (!x.1.is_round()).cmp(&!y.1.is_round());
+                    flat.then(x.1.pairs.total_cmp(&y.1.pairs)).then(y.0.cmp(x.0))
+                });
             let Some((&b, _)) = longest else { continue };
             let (keep, gone) = (a.min(b), a.max(b));
             self.merge(keep, gone);
@@ -429,6 +453,7 @@ impl Segments {
                     sum.pairs += border.pairs;
                     sum.crease += border.crease;
                     sum.over += border.over;
+                    sum.round += border.round;
                     sum.spread.merge(&border.spread);
                 }
             }
@@ -443,9 +468,16 @@ impl Segments {
     }
 }
 
-fn patches(surfels: &[Surfel], piece: &[usize], cell_m: f64, seams: &[LevelSeam]) -> Vec<Patch> {
+fn patches(
+    surfels: &[Surfel],
+    piece: &[usize],
+    cell_m: f64,
+    seams: &[LevelSeam],
+    balls: &[Ball],
+) -> Vec<Patch> {
+    let round: HashSet<usize> = balls.iter().flat_map(|b| b.members.iter().copied()).collect();
     let mut cells: BTreeMap<(u64, usize, usize), Vec<usize>> = BTreeMap::new();
-    for &i in piece {
+    for &i in piece.iter().filter(|i| !round.contains(i)) {
         if let Some(key) = key_of(surfels[i].p_w, cell_m) {
             let above = seams.iter().filter(|s| s.is_above(&surfels[i])).count();
             cells.entry((key, facing(surfels[i].n_w), above)).or_default().push(i);
@@ -453,6 +485,7 @@ fn patches(surfels: &[Surfel], piece: &[usize], cell_m: f64, seams: &[LevelSeam]
     }
     cells
         .into_values()
+        .chain(balls.iter().map(|b| b.members.clone()))
         .map(|members| {
             let mean = |f: &dyn Fn(&Surfel) -> DVec3| members.iter().map(|&i| f(&surfels[i])).sum::<DVec3>();
             let p_w = mean(&|s| s.p_w) / members.len() as f64;
