@@ -118,6 +118,26 @@ impl RunFolder {
         read_record(&self.root.join(name)).map(|r| r.inputs)
     }
 
+    /// Takes a stage away, and what was begun of it: what it was made from is no longer so, and nothing takes its place.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn discard(&self, name: &str) -> Result<(), CoreError> {
+        debug_assert!(self.lock.is_some(), "a run that was opened to read");
+        for dir in [format!(".{name}.partial"), format!(".{name}.old"), name.to_owned()] {
+            let dir = self.root.join(dir);
+            // Without its record a stage is none, however far a kill lets this come.
+            let record = dir.join(RECORD);
+            if record.exists() {
+                fs::remove_file(&record).map_err(CoreError::write(&record))?;
+            }
+            if dir.exists() {
+                fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
+            }
+        }
+        Ok(())
+    }
+
     /// Begins a stage whose inputs and settings have this hash. With `force` it is redone from the start.
     ///
     /// # Errors
@@ -328,6 +348,21 @@ mod tests {
         assert_eq!((table["a"]["rate"].as_float(), table["a"]["share"].as_float()), (Some(3e-6), Some(0.1)));
         assert!(table["a"].get("none").is_none() && !text.contains("0000149"), "{text}");
         assert_eq!((table["b"]["seed"].as_integer(), table["b"]["none"].as_integer()), (Some(7), Some(3)));
+    }
+
+    #[test]
+    fn what_is_discarded_is_gone_and_can_be_made_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        let hash = hash_serializable(&1);
+        todo(run.begin("plan", &hash, false).unwrap()).commit().unwrap();
+        drop(todo(run.begin("plan", &hash_serializable(&2), false).unwrap()));
+        todo(run.begin("scene", &hash, false).unwrap()).commit().unwrap();
+        run.discard("plan").unwrap();
+        run.discard("never made").unwrap();
+        assert!(run.stage_dir("plan", "plan").is_err() && run.stage_dir("scene", "materialize").is_ok());
+        assert!(!dir.path().join(".plan.partial").exists());
+        todo(run.begin("plan", &hash, false).unwrap()).commit().unwrap();
     }
 
     #[test]

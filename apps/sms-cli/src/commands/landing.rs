@@ -58,7 +58,8 @@ pub(crate) fn is_planned(plan_dir: &Path) -> bool {
     plan_dir.join(LANDING_PLAN_FILE).is_file()
 }
 
-/// `sms plan` of a landing. What refuses the task is also kept as a warning, so that the report says it.
+/// `sms plan` of a landing. What refuses the task is also kept as a warning, so that the report says it, and no earlier plan stays, which
+/// would be flown in its place.
 pub(crate) fn plan(context: &Context, a: &Plan, base: LandingSettings) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let error = match planned(context, a, base, &run) {
@@ -71,6 +72,9 @@ pub(crate) fn plan(context: &Context, a: &Plan, base: LandingSettings) -> anyhow
         .or(error.downcast_ref::<InputError>())
         .cloned();
     let Some(refused) = refused else { return Err(error) };
+    for stage in ["target", "plan"] {
+        run.discard(stage)?;
+    }
     let warnings = Warnings::new();
     let what = format!("no landing was planned: {}", refused.what);
     warnings.add("plan", "landing_refused", what, refused.cure.clone());

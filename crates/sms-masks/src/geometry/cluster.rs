@@ -245,9 +245,9 @@ fn are_distinct(
     }
     let sharp = border.crease > 0.5 * border.pairs;
     let neck = neck(s, a, b, border);
-    if border.is_round() {
-        // A round head of its body's colour is none.
-        return contrast > 1.0 || neck < 0.6;
+    // A round head of its body's colour is no ball for that alone.
+    if border.is_round() && (contrast > 1.0 || neck < 0.6) {
+        return true;
     }
     let narrow = sharp && (neck < 0.6 || (neck < 0.75 && contrast > 1.0));
     if length > config.clutter_m {

@@ -214,6 +214,8 @@ pub(crate) struct Segments {
     normals: Vec<DVec3>,
     /// Borders of each segment, under both of its sides' numbers.
     borders: Vec<BTreeMap<usize, Border>>,
+    /// Which of them hold a ball.
+    round: Vec<bool>,
     /// Grows with every merge of a segment.
     stamps: Vec<u32>,
     /// The segment of each patch.
@@ -281,7 +283,7 @@ impl Segments {
             for (b, mut border) in one_sided {
                 let is_ball = b >= first_ball;
                 border.round = if is_ball { border.pairs } else { 0.0 };
-                // Outside of a ball everything bends inwards, and its patch faces no way.
+                // Outside of a ball everything bends inwards, and it faces no way.
                 let bend = if is_ball { 1.0 } else { inward_bend(&patches[a], &patches[b], crease_rad) };
                 border.crease = border.pairs * bend;
                 borders[a].insert(b, border);
@@ -296,7 +298,18 @@ impl Segments {
         Self {
             spreads: patches.iter().map(|p| spread(&p.members)).collect(),
             looks: patches.iter().map(|p| p.look).collect(),
-            normals: patches.iter().map(|p| p.n_w * p.members.len() as f64).collect(),
+            normals: patches
+                .iter()
+                .enumerate()
+                .map(|(k, p)| {
+                    if k < first_ball {
+                        p.n_w * p.members.len() as f64
+                    } else {
+                        p.members.iter().map(|&i| surfels[i].n_w).sum()
+                    }
+                })
+                .collect(),
+            round: (0..patches.len()).map(|k| k >= first_ball).collect(),
             stamps: vec![0; patches.len()],
             roots: (0..patches.len()).collect(),
             patches: (0..patches.len()).map(|k| vec![k]).collect(),
@@ -401,11 +414,11 @@ impl Segments {
         }
     }
 
-    /// Merges segments that are too small into the neighbour with the longest border, smallest first.
+    /// Merges segments that are too small into the neighbour with the longest border, smallest first. A ball is none however small.
     pub(crate) fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
         // What is not small does not become so by growing.
         let mut open: std::collections::BTreeSet<(usize, usize)> = (0..self.members.len())
-            .filter(|&a| self.members[a].as_ref().is_some_and(|m| is_small(m)))
+            .filter(|&a| !self.round[a] && self.members[a].as_ref().is_some_and(|m| is_small(m)))
             .map(|a| (self.size(a), a))
             .collect();
         while let Some((size, a)) = open.pop_first() {
@@ -423,7 +436,7 @@ impl Segments {
             let Some((&b, _)) = longest else { continue };
             let (keep, gone) = (a.min(b), a.max(b));
             self.merge(keep, gone);
-            if self.members[keep].as_ref().is_some_and(|m| is_small(m)) {
+            if !self.round[keep] && self.members[keep].as_ref().is_some_and(|m| is_small(m)) {
                 open.insert((self.size(keep), keep));
             }
         }
@@ -436,6 +449,7 @@ impl Segments {
         }
         let (look, spread) = (self.looks[b], self.spreads[b]);
         self.looks[a].merge(&look);
+        self.round[a] |= self.round[b];
         let normal = self.normals[b];
         self.normals[a] += normal;
         self.spreads[a].merge(&spread);

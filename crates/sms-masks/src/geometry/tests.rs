@@ -74,6 +74,17 @@ fn a_ball_against_a_cup_is_another_thing() {
 }
 
 #[test]
+fn a_marble_against_a_box_is_another_thing() {
+    // It shows less surface than what else is taken for a detail.
+    let (side, marble) = (0.04, 0.015);
+    let solids = [
+        Solid::Box(DVec3::new(0.0, 0.0, side), DVec3::splat(side), 0.0),
+        Solid::Sphere(DVec3::new(0.01, -side - marble - 0.0005, marble), marble),
+    ];
+    assert_found(&solids, Sensor { sigma_1m: 0.001, missing: 0.0, ..Sensor::default() }, 0.7);
+}
+
+#[test]
 fn a_round_head_of_its_body_s_colour_stays_on() {
     let aside = |x: f64| Solid::Box(DVec3::new(x, 0.2, 0.03), DVec3::splat(0.03), 0.0);
     // The sixth has the colour of the first.
