@@ -54,7 +54,7 @@ pub(crate) struct BenchLanding {
     /// Masks that the scans are given.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: Masks,
-    /// How much work the scans are given (default: standard, with --quick draft).
+    /// How much work the scans are given (default: standard).
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
     /// Frames that are recorded of each structure (default: 60, with --quick 24).
@@ -66,7 +66,7 @@ pub(crate) struct BenchLanding {
     /// Seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// One structure, four starts, a draft scan: at most five minutes.
+    /// One structure, four starts, 24 frames, a smaller search: six minutes on two cores.
     #[arg(long)]
     pub quick: bool,
     /// Folder of the results: a file for each flight, and results.json.
@@ -169,7 +169,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     } else {
         LandingBench::new(scenes, &keep, &a.out)
     };
-    let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
+    let preset = a.preset.unwrap_or(PresetName::Standard);
     let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
     bench.scan.bench = BenchOptions {
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),

@@ -74,7 +74,8 @@ fn scan_and_materialize(
     let scan_arguments = cli::Scan {
         recording: recording.to_owned(),
         out: root.to_owned(),
-        preset: a.preset.or(a.quick.then_some(PresetName::Draft)),
+        // 200 pixels do not tell what stands on a ladder from the ladder.
+        preset: a.preset.or((a.quick && a.name == DemoName::Billiards).then_some(PresetName::Draft)),
         masks: a.masks,
         nets: cli::NetsArguments::default(),
         holdout: Some(HOLDOUT),

@@ -90,12 +90,13 @@ impl LandingBench<'_> {
         }
     }
 
-    /// One scene with four starts and a draft scan.
+    /// One scene with four starts, few frames and a smaller search. The scan is of full size: 200 pixels do not tell what stands on a ladder
+    /// from the ladder.
     pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
         let mut bench = Self::new(vec![1], keep, out);
         bench.starts = 4;
         bench.scan.bench =
-            BenchOptions { frames: 24, ..BenchOptions::new(Preset::Draft, keep.join("recordings")) };
+            BenchOptions { frames: 24, ..BenchOptions::new(Preset::Standard, keep.join("recordings")) };
         bench.settings = LandingSettings::draft();
         bench
     }
