@@ -1,10 +1,9 @@
 //! What the experiment depends on.
 
 use super::LandingSight;
-use crate::{BenchError, BenchOptions, BilliardsGeometry, MaterializeOptions, MaterialsTold};
+use crate::{BenchError, BilliardsGeometry, MaterializeOptions, MaterialsTold};
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
-use sms_gaussians::Preset;
 use sms_landing::{LandingAction, LandingSettings};
 use sms_synth::{LandingStructure, landing_scene, landing_structure};
 use sms_target::TargetEngine;
@@ -95,8 +94,7 @@ impl LandingBench<'_> {
     pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
         let mut bench = Self::new(vec![1], keep, out);
         bench.starts = 4;
-        bench.scan.bench =
-            BenchOptions { frames: 24, ..BenchOptions::new(Preset::Standard, keep.join("recordings")) };
+        bench.scan.bench.frames = 24;
         bench.settings = LandingSettings::draft();
         bench
     }

@@ -4,7 +4,8 @@
 //! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static, but none of what
 //!    stands free on the ground as a whole ([`assembly`]: furniture, containers, what is stacked on them).
 //! 3. [`cluster`]: what is left falls into connected pieces; pieces are split where two convex things meet
-//!    ([`segments`]), and around what is round all over ([`balls`]), assemblies where one thing stands on another; posts join what they carry; pieces that cannot be objects are left to the background.
+//!    ([`segments`]) and around what is round all over ([`balls`]), assemblies where one thing stands on another; posts join what
+//!    they carry; pieces that cannot be objects are left to the background.
 //! 4. [`project`]: each pixel takes the label of the surfels that it sees.
 
 mod assembly;
