@@ -10,7 +10,7 @@ use candle_core::Device;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    BACKGROUND, Cancel, ColorImage, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
+    BACKGROUND, Cancel, ColorImage, CoreError, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
 };
 use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
 use sms_masks::{MasksError, Segmenter};
@@ -147,14 +147,26 @@ fn config<T: DeserializeOwned>(folder: &Path, kinds: &[&str]) -> Result<T, NetsE
             format!("the folder needs config.json and model.safetensors of a model of the kind {}", kinds[0]);
         return Err(InputError::new("this folder has no model", folder, cure).into());
     }
-    let value: serde_json::Value = sms_core::atomic::read_json(&path)?;
+    let unread = |e: serde_json::Error| {
+        InputError::new("this config.json cannot be read", &path, "fetch the model again").because(e)
+    };
+    // Read twice from the text: what is wrong then comes with its line.
+    let text = std::fs::read_to_string(&path).map_err(CoreError::read(&path))?;
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(unread)?;
     let kind = value["model_type"].as_str().unwrap_or("none");
     if !kinds.contains(&kind) {
         let cure = format!("a model of the kind {} is needed here", kinds[0]);
         return Err(InputError::new(format!("this is a model of the kind `{kind}`"), &path, cure).into());
     }
-    serde_json::from_value(value).map_err(|e| {
-        InputError::new("this config.json cannot be read", &path, "fetch the model again").because(e).into()
+    Ok(serde_json::from_str(&text).map_err(unread)?)
+}
+
+/// An error for a model whose `config.json` has a fault.
+fn refuse(folder: &Path, fault: Option<String>) -> Result<(), InputError> {
+    let cure = "fetch the model again, or give the folder of another one";
+    fault.map_or(Ok(()), |fault| {
+        let what = format!("this model cannot be built: {fault}");
+        Err(InputError::new(what, folder.join("config.json"), cure))
     })
 }
 
@@ -260,6 +272,7 @@ impl NetsMasks {
             return Err(InputError::new("there is no detector", "--weights", cure).into());
         };
         let config: Owlv2Config = config(folder, &["owlv2"])?;
+        refuse(folder, config.fault())?;
         let tokenizer = ClipTokenizer::open(folder, config.text_config.max_position_embeddings)?;
         let model = Owlv2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
         let mut tokens = Vec::new();
@@ -304,11 +317,7 @@ impl NetsMasks {
     ) -> Result<Vec<LabelMap>, NetsError> {
         let folder = &self.models.sam2;
         let config: Sam2Config = config(folder, &["sam2_video", "sam2"])?;
-        if let Some(fault) = config.fault() {
-            let cure = "fetch the model again, or give the folder of another one";
-            let what = format!("this model cannot be built: {fault}");
-            return Err(InputError::new(what, folder.join("config.json"), cure).into());
-        }
+        refuse(folder, config.fault())?;
         let model = Sam2::new(&config, &Weights::open(&folder.join("model.safetensors"), &self.device)?)?;
         let size = sequence.frames[0].color.size();
         let mut boxes: Vec<Option<PixelBox>> = found.iter().map(|f| Some(f.bbox)).collect();

@@ -258,3 +258,34 @@ fn bad_input_is_explained() {
     std::fs::copy(owl.path().join("model.safetensors"), mixed.path().join("model.safetensors")).unwrap();
     fault(["another model", "has no `"], &|m| m.models.sam2 = mixed.path().into());
 }
+
+#[test]
+fn a_detector_whose_config_cannot_be_is_refused_by_file_and_field() {
+    let (owl, sam) = (folder("owlv2"), folder("sam2"));
+    let masks = NetsMasks {
+        config: NetsConfig { objects: vec!["ball".into()], ..NetsConfig::default() },
+        boxes: vec![],
+        models: ModelFolders { owlv2: Some(owl.path().into()), sam2: sam.path().into() },
+        device: Device::Cpu,
+        read: ReadOptions::default(),
+    };
+    let path = owl.path().join("config.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    for (from, to, word) in [
+        (r#""model_type": "owlv2","#, r#""model_type": "owlvit","#, "kind `owlvit`"),
+        (r#""patch_size": 16"#, r#""patch_size": 20"#, "vision_config.patch_size, 20"),
+        (r#""patch_size": 16"#, r#""patch_size": 0"#, "vision_config.patch_size is 0"),
+        (r#""image_size": 96"#, r#""image_size": 1600000"#, "vision_config.image_size is 1600000"),
+        (r#""num_attention_heads": 4"#, r#""num_attention_heads": 5"#, "text_config.num_attention_heads, 5"),
+        (r#""vocab_size": 589"#, r#""vocab_size": 0"#, "text_config.vocab_size is 0"),
+        (r#""projection_dim": 32"#, r#""projection_dim": 64"#, "projection_dim is 64"),
+        // Of what is no number at all, the line is told.
+        (r#""projection_dim": 32"#, r#""projection_dim": -1"#, "line 9"),
+        (r#""patch_size": 16"#, r#""patch_size": "#, "line 42"),
+    ] {
+        std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        let run = masks.segment(&sequence(1), &NoProgress, &Cancel::new(), &Warnings::new());
+        let message = run.unwrap_err().to_string();
+        assert!(message.contains(word) && message.contains("config.json"), "{to}: {message}");
+    }
+}

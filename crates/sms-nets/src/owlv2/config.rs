@@ -63,7 +63,63 @@ impl VisionConfig {
     }
 }
 
+/// No published model has a size beyond this.
+const LARGEST: usize = 1 << 16;
+
 impl Owlv2Config {
+    /// The first value with which no network can be built; `None` where all can be used. Sizes that do not fit the weights are told
+    /// when those are read.
+    pub fn fault(&self) -> Option<String> {
+        let (text, vision) = (&self.text_config, &self.vision_config);
+        for (name, value, least, most) in [
+            ("projection_dim", self.projection_dim, 1, LARGEST),
+            ("text_config.vocab_size", text.vocab_size, 1, 16 * LARGEST),
+            ("text_config.hidden_size", text.hidden_size, 1, LARGEST),
+            ("text_config.intermediate_size", text.intermediate_size, 1, LARGEST),
+            ("text_config.num_hidden_layers", text.num_hidden_layers, 1, 1024),
+            ("text_config.num_attention_heads", text.num_attention_heads, 1, LARGEST),
+            // Start, a word, end.
+            ("text_config.max_position_embeddings", text.max_position_embeddings, 3, 1024),
+            ("vision_config.hidden_size", vision.hidden_size, 1, LARGEST),
+            ("vision_config.intermediate_size", vision.intermediate_size, 1, LARGEST),
+            ("vision_config.num_hidden_layers", vision.num_hidden_layers, 1, 1024),
+            ("vision_config.num_attention_heads", vision.num_attention_heads, 1, LARGEST),
+            ("vision_config.image_size", vision.image_size, 1, 8192),
+            ("vision_config.patch_size", vision.patch_size, 1, 8192),
+        ] {
+            if !(least..=most).contains(&value) {
+                return Some(format!("{name} is {value}: {least} to {most} are possible"));
+            }
+        }
+        for (tower, hidden, heads, eps) in [
+            ("text_config", text.hidden_size, text.num_attention_heads, text.layer_norm_eps),
+            ("vision_config", vision.hidden_size, vision.num_attention_heads, vision.layer_norm_eps),
+        ] {
+            if !hidden.is_multiple_of(heads) {
+                return Some(format!(
+                    "{tower}.hidden_size is {hidden}, no multiple of {tower}.num_attention_heads, {heads}"
+                ));
+            }
+            if !(eps > 0.0 && eps <= 1.0) {
+                return Some(format!("{tower}.layer_norm_eps is {eps}: above 0 and at most 1 are possible"));
+            }
+        }
+        if !vision.image_size.is_multiple_of(vision.patch_size) {
+            let (image, patch) = (vision.image_size, vision.patch_size);
+            return Some(format!(
+                "vision_config.image_size is {image}, no multiple of vision_config.patch_size, {patch}"
+            ));
+        }
+        // The class head's answers have the text tower's channels and are compared with queries of the shared length.
+        if self.projection_dim != text.hidden_size {
+            let (shared, hidden) = (self.projection_dim, text.hidden_size);
+            return Some(format!(
+                "projection_dim is {shared}, text_config.hidden_size {hidden}: they must be equal"
+            ));
+        }
+        None
+    }
+
     /// The sizes of `google/owlv2-base-patch16-ensemble`.
     pub fn base_patch16() -> Self {
         let mut config = Self::default();
@@ -107,6 +163,71 @@ impl Default for VisionConfig {
             image_size: 768,
             patch_size: 16,
             layer_norm_eps: 1e-5,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(json: &str) -> Option<String> {
+        serde_json::from_str::<Owlv2Config>(json).unwrap().fault()
+    }
+
+    #[test]
+    fn published_models_can_be_built() {
+        assert_eq!(Owlv2Config::default().fault(), None);
+        assert_eq!(Owlv2Config::base_patch16().fault(), None);
+        // `google/owlv2-large-patch14-ensemble`.
+        let large = r#"{"projection_dim": 768, "text_config": {"hidden_size": 768, "intermediate_size": 3072, "num_attention_heads": 12},
+            "vision_config": {"hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 24, "num_attention_heads": 16,
+            "image_size": 1008, "patch_size": 14}}"#;
+        assert_eq!(fault(large), None);
+    }
+
+    #[test]
+    fn what_cannot_be_built_is_named() {
+        for (tower, key, value) in [
+            ("text_config", "vocab_size", "0"),
+            ("text_config", "hidden_size", "0"),
+            ("text_config", "intermediate_size", "18446744073709551615"),
+            ("text_config", "num_hidden_layers", "0"),
+            ("text_config", "num_attention_heads", "0"),
+            ("text_config", "max_position_embeddings", "2"),
+            ("text_config", "max_position_embeddings", "1000000"),
+            ("text_config", "layer_norm_eps", "-1e-5"),
+            ("vision_config", "hidden_size", "100000000"),
+            ("vision_config", "num_hidden_layers", "1000000000"),
+            ("vision_config", "num_attention_heads", "0"),
+            ("vision_config", "image_size", "0"),
+            ("vision_config", "image_size", "160000"),
+            ("vision_config", "patch_size", "0"),
+            ("vision_config", "layer_norm_eps", "0"),
+        ] {
+            let json = format!(r#"{{"{tower}": {{"{key}": {value}}}}}"#);
+            let fault = fault(&json).unwrap_or_default();
+            assert!(fault.starts_with(&format!("{tower}.{key} is ")), "{json}: {fault}");
+        }
+        assert!(fault(r#"{"projection_dim": 0}"#).unwrap().starts_with("projection_dim is 0"));
+    }
+
+    #[test]
+    fn sizes_that_do_not_divide_are_named() {
+        for (json, parts) in [
+            (r#"{"vision_config": {"patch_size": 14}}"#, ["image_size is 768", "patch_size, 14"]),
+            (
+                r#"{"vision_config": {"num_attention_heads": 7}}"#,
+                ["hidden_size is 768", "num_attention_heads, 7"],
+            ),
+            (
+                r#"{"text_config": {"num_attention_heads": 5}}"#,
+                ["text_config.hidden_size is 512", "heads, 5"],
+            ),
+            (r#"{"projection_dim": 256}"#, ["projection_dim is 256", "text_config.hidden_size 512"]),
+        ] {
+            let fault = fault(json).unwrap_or_default();
+            assert!(parts.iter().all(|part| fault.contains(part)), "{json}: {fault}");
         }
     }
 }
