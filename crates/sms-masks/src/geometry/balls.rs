@@ -3,6 +3,8 @@
 
 use super::fuse::{Neighbors, Surfel};
 use glamx::{DMat3, DVec3};
+use rayon::prelude::*;
+use sms_core::{Cancel, CoreError};
 use std::collections::{BTreeSet, HashSet};
 
 /// A ball, by the surfels that show it.
@@ -27,6 +29,8 @@ const RADII_M: std::ops::Range<f64> = 0.012..0.13;
 /// One surfel in so many is where a search starts, in large pieces one in more: there are at most so many searches.
 const STRIDE: usize = 29;
 const SEARCHES: usize = 1000;
+/// Searches that are done at once: so many at most are in vain for each ball that is found.
+const BATCH: usize = 64;
 /// A ball shows at least this share of its surface: balls of 3 cm on a table and against a mug show 0.86 to 0.97, a band around
 /// a cup or a rod 0.44 to 0.72.
 const COVERED: f64 = 0.75;
@@ -105,6 +109,13 @@ impl Sphere {
         found
     }
 
+    /// Whether it is round within the noise where surfels lie on it, and shows enough of its surface.
+    fn is_ball(&self, surfels: &[Surfel], on_it: &[usize], directions: &[DVec3]) -> bool {
+        let square: f64 = on_it.iter().map(|&i| self.height(surfels[i].p_w).powi(2)).sum();
+        let rms_m = (square / on_it.len() as f64).sqrt();
+        rms_m <= NOISE_M + UNROUND * self.radius_m && self.covered(surfels, on_it, directions) >= COVERED
+    }
+
     /// The share of directions in which there is one of the surfels.
     fn covered(&self, surfels: &[Surfel], of: &[usize], directions: &[DVec3]) -> f64 {
         let mut seen = vec![false; directions.len()];
@@ -133,23 +144,39 @@ fn directions(count: usize) -> Vec<DVec3> {
 ///
 /// From every [`STRIDE`]-th surfel a sphere is fitted to two rings of neighbours, then to all that hangs together on it, four times
 /// over. What is round within the noise and shows [`COVERED`] of its surface is a ball.
-pub(crate) fn balls(surfels: &[Surfel], graph: &Neighbors, piece: &[usize], voxel_m: f64) -> Vec<Ball> {
+///
+/// # Errors
+/// [`CoreError::Interrupted`] once a stop was asked for.
+pub(crate) fn balls(
+    surfels: &[Surfel],
+    graph: &Neighbors,
+    piece: &[usize],
+    voxel_m: f64,
+    cancel: &Cancel,
+) -> Result<Vec<Ball>, CoreError> {
     let directions = directions(DIRECTIONS);
+    let seeds: Vec<usize> = piece.iter().copied().step_by(STRIDE.max(piece.len() / SEARCHES)).collect();
     let mut taken: HashSet<usize> = HashSet::new();
     let mut balls: Vec<Ball> = Vec::new();
-    for &seed in piece.iter().step_by(STRIDE.max(piece.len() / SEARCHES)) {
-        if taken.contains(&seed) {
-            continue;
-        }
+    let mut next = 0;
+    while next < seeds.len() {
+        cancel.check()?;
         let free = |i: usize| !taken.contains(&i) && piece.binary_search(&i).is_ok();
-        let Some((sphere, on_it)) = grown(surfels, graph, seed, voxel_m, free) else { continue };
-        let square: f64 = on_it.iter().map(|&i| sphere.height(surfels[i].p_w).powi(2)).sum();
-        let rms_m = (square / on_it.len() as f64).sqrt();
-        if rms_m > NOISE_M + UNROUND * sphere.radius_m
-            || sphere.covered(surfels, &on_it, &directions) < COVERED
-        {
+        let search = |(at, &seed): (usize, &usize)| {
+            if taken.contains(&seed) {
+                return None;
+            }
+            let (sphere, on_it) = grown(surfels, graph, seed, voxel_m, free)?;
+            sphere.is_ball(surfels, &on_it, &directions).then_some((at, sphere))
+        };
+        // A search depends on the balls before it alone: of several at once the first that finds one counts, and those after it
+        // are done again.
+        let batch = &seeds[next..seeds.len().min(next + BATCH)];
+        let Some((at, sphere)) = batch.par_iter().enumerate().find_map_first(search) else {
+            next += batch.len();
             continue;
-        }
+        };
+        next += at + 1;
         // Right under its surface there is nothing else, whichever way noise has it face.
         let is_member = |&i: &usize| {
             let s = &surfels[i];
@@ -157,11 +184,13 @@ pub(crate) fn balls(surfels: &[Surfel], graph: &Neighbors, piece: &[usize], voxe
             !taken.contains(&i) && (under || sphere.shows(s, 1.2 * voxel_m, 0.5))
         };
         let members: Vec<usize> = piece.iter().copied().filter(is_member).collect();
-        taken.extend(&members);
-        balls.push(Ball { members, sphere });
+        if !members.is_empty() {
+            taken.extend(&members);
+            balls.push(Ball { members, sphere });
+        }
     }
     balls.sort_by_key(|b| b.members[0]);
-    balls
+    Ok(balls)
 }
 
 /// A sphere that fits around a surfel, and the surfels on it.
@@ -196,7 +225,6 @@ mod tests {
     use super::super::{GeometryConfig, fuse};
     use super::*;
     use crate::fixture::{Sensor, Solid, scene};
-    use sms_core::Cancel;
 
     /// The balls of a scene, a table's surface taken away.
     fn found(solids: &[Solid], sensor: Sensor) -> Vec<Sphere> {
@@ -206,7 +234,7 @@ mod tests {
         let pieces = graph.components(|i| surfels[i].p_w.z > 0.006);
         pieces
             .iter()
-            .flat_map(|piece| balls(&surfels, &graph, piece, config.voxel_m))
+            .flat_map(|piece| balls(&surfels, &graph, piece, config.voxel_m, &Cancel::new()).unwrap())
             .map(|b| b.sphere)
             .collect()
     }
@@ -243,6 +271,18 @@ mod tests {
                 assert!(off < 0.0015 && (sphere.radius_m - radius).abs() < 0.001, "{sphere:?}: {solid:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_search_stops_when_asked() {
+        let config = GeometryConfig::default();
+        let (sequence, _) = scene(&[ball(0.0, 0.0, 0.03)], Sensor::default(), 3);
+        let (surfels, graph) = fuse::fuse(&sequence, &config, &Cancel::new()).unwrap();
+        let piece = &graph.components(|i| surfels[i].p_w.z > 0.006)[0];
+        let cancel = Cancel::new();
+        cancel.cancel();
+        let stopped = balls(&surfels, &graph, piece, config.voxel_m, &cancel);
+        assert!(matches!(stopped, Err(CoreError::Interrupted)));
     }
 
     #[test]

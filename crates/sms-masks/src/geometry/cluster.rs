@@ -10,9 +10,13 @@ use super::seams::{LevelSeam, level_seams};
 use super::segments::{Border, Segments};
 use glamx::DVec3;
 use rayon::prelude::*;
+use sms_core::{Cancel, CoreError};
 use sms_frames::Sequence;
 
 /// The objects: sorted lists of surfels, the largest first.
+///
+/// # Errors
+/// [`CoreError::Interrupted`] once a stop was asked for.
 pub(crate) fn clusters(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -21,7 +25,8 @@ pub(crate) fn clusters(
     planes: &[StaticPlane],
     sequence: &Sequence,
     config: &GeometryConfig,
-) -> Vec<Vec<usize>> {
+    cancel: &Cancel,
+) -> Result<Vec<Vec<usize>>, CoreError> {
     let pieces = graph.components(|i| !is_static[i] && assembly_of[i].is_none());
     let smallest = (config.min_area_m2 / config.voxel_m.powi(2)) as usize;
     let mut assemblies: Vec<Vec<usize>> =
@@ -38,22 +43,25 @@ pub(crate) fn clusters(
         feet.extend(foot.map(|k| (k, piece.clone())));
         foot.is_none()
     });
-    let parts: Vec<Vec<usize>> = pieces
-        .filter(|p| p.len() >= smallest)
-        .flat_map(|p| {
-            split(surfels, graph, &p, &[], &balls(surfels, graph, &p, config.voxel_m), config).into_members()
-        })
-        .collect();
+    let mut parts = Vec::new();
+    for piece in pieces.filter(|p| p.len() >= smallest) {
+        let balls = balls(surfels, graph, &piece, config.voxel_m, cancel)?;
+        parts.extend(split(surfels, graph, &piece, &[], &balls, config).into_members());
+    }
     feet.into_iter().for_each(|(k, piece)| assemblies[k].extend(piece));
     assemblies.iter_mut().for_each(|members| members.sort_unstable());
-    let bodies = assemblies.iter().flat_map(|members| bodies(surfels, graph, members, config));
+    let mut standing = Vec::new();
+    for members in &assemblies {
+        cancel.check()?;
+        standing.extend(bodies(surfels, graph, members, config));
+    }
     let parts = join_legs(surfels, parts, |p_w| is_seen_through(p_w, sequence));
     // A body that stands free may be as long as all of what stands there.
     let [part, body] = [1.2, OVER].map(|times| times * config.max_structure_m);
     let mut objects: Vec<Vec<usize>> = parts
         .into_iter()
         .map(|object| (object, part))
-        .chain(bodies.map(|object| (object, body)))
+        .chain(standing.into_iter().map(|object| (object, body)))
         .collect::<Vec<_>>()
         .into_par_iter()
         .filter(|(object, longest)| {
@@ -63,7 +71,7 @@ pub(crate) fn clusters(
         .collect();
     objects.sort_by_key(|o| (std::cmp::Reverse(o.len()), o[0]));
     objects.truncate(usize::from(u16::MAX) - 1);
-    objects
+    Ok(objects)
 }
 
 /// The bodies of an assembly, whose surfels are `members`.

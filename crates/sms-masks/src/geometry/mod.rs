@@ -173,7 +173,7 @@ impl Clustered {
             planes::static_surfels(&surfels, &graph, sequence, config, cancel)?;
         progress.update(2, &format!("{} large planes", planes.len()));
         let clusters =
-            cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config);
+            cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config, cancel)?;
         cancel.check()?;
         progress.update(3, &format!("{} objects", clusters.len()));
         let oversize_m = planes.iter().filter_map(|p| p.free_length_m).collect();
