@@ -4,6 +4,7 @@ use crate::truth::{SurfacePoint, TrueSurface};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use sms_core::GOLDEN_ANGLE_RAD;
 use sms_gaussians::GaussianModel;
 use sms_report::SurfaceIndex;
 
@@ -41,7 +42,6 @@ pub struct LabelledPoint {
 
 /// Points on the discs of the Gaussians, uniform by area (each disc is covered by a sunflower spiral), carried by `x_tw`.
 pub fn disc_points(model: &GaussianModel, x_tw: &DPose3, sampling: &DiscSampling) -> Vec<LabelledPoint> {
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let mut points = Vec::new();
     for i in 0..model.len() {
         let usable = model.opacities[i] >= sampling.min_opacity
@@ -58,7 +58,7 @@ pub fn disc_points(model: &GaussianModel, x_tw: &DPose3, sampling: &DiscSampling
         let count = ((area * sampling.density_per_m2).round() as usize).clamp(1, 5000);
         for k in 0..count {
             let radius = ((k as f64 + 0.5) / count as f64).sqrt();
-            let (sin, cos) = (golden * (k + i) as f64).sin_cos();
+            let (sin, cos) = (GOLDEN_ANGLE_RAD * (k + i) as f64).sin_cos();
             let p_w = center + a * (radius * cos) + b * (radius * sin);
             points.push(LabelledPoint { point: x_tw.transform_point(p_w), label: model.labels[i] });
         }

@@ -7,7 +7,7 @@ use crate::sphere::{self, RaySample, SphereFit};
 use crate::support::{Carrier, Plane, Rest, Surroundings, height_below_ball};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use glamx::{DPose3, DQuat, DVec3};
-use sms_core::{EntityShape, Mesh, PointCloud, Seed};
+use sms_core::{EntityShape, Mesh, PointCloud, Seed, even_directions};
 
 /// Labelled depth pixels away from edges of depth and mask, as rays.
 fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
@@ -96,7 +96,7 @@ fn is_contradicted(fit: &SphereFit, views: &Views, around: &Surroundings, label:
         return true;
     }
     let (mut seen, mut through) = (0, 0);
-    for direction in sphere::directions(400) {
+    for direction in even_directions(400) {
         // Slightly inside, so that noise of a true surface is not taken for emptiness.
         let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
         if count.own + count.free >= 2 {

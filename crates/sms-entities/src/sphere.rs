@@ -237,17 +237,6 @@ fn solve_normal(rows: impl Iterator<Item = ([f64; 4], f64, f64)>) -> Option<[f64
     x.iter().all(|v| v.is_finite()).then_some(x)
 }
 
-/// `n` unit directions spread evenly over the sphere (Fibonacci lattice).
-pub(crate) fn directions(n: usize) -> impl Iterator<Item = DVec3> {
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    (0..n).map(move |i| {
-        let z = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
-        let across = (1.0 - z * z).sqrt();
-        let angle = golden * i as f64;
-        DVec3::new(across * angle.cos(), across * angle.sin(), z)
-    })
-}
-
 /// Whether a fit is good enough to treat the object as a ball: most of the cloud lies on it, enough of it was seen,
 /// and it is not a small patch of something large.
 pub(crate) fn is_sphere(fit: &SphereFit, points: &[DVec3], config: &SphereConfig) -> bool {

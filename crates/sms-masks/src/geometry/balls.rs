@@ -4,7 +4,7 @@
 use super::fuse::{Neighbors, Surfel};
 use glamx::{DMat3, DVec3};
 use rayon::prelude::*;
-use sms_core::{Cancel, CoreError};
+use sms_core::{Cancel, CoreError, even_directions};
 use std::collections::{BTreeSet, HashSet};
 
 /// A ball, by the surfels that show it.
@@ -129,17 +129,6 @@ impl Sphere {
     }
 }
 
-/// Directions spread evenly over a sphere (Fibonacci's spiral).
-fn directions(count: usize) -> Vec<DVec3> {
-    let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    let direction = |k: usize| {
-        let z = 1.0 - (2.0 * k as f64 + 1.0) / count as f64;
-        let (sin, cos) = (turn * k as f64).sin_cos();
-        (1.0 - z * z).sqrt() * DVec3::new(cos, sin, 0.0) + z * DVec3::Z
-    };
-    (0..count).map(direction).collect()
-}
-
 /// The balls among the surfels of a connected piece (sorted), that share no surfels, in the order of their first ones.
 ///
 /// From every [`STRIDE`]-th surfel a sphere is fitted to two rings of neighbours, then to all that hangs together on it, four times
@@ -154,7 +143,7 @@ pub(crate) fn balls(
     voxel_m: f64,
     cancel: &Cancel,
 ) -> Result<Vec<Ball>, CoreError> {
-    let directions = directions(DIRECTIONS);
+    let directions: Vec<DVec3> = even_directions(DIRECTIONS).collect();
     let seeds: Vec<usize> = piece.iter().copied().step_by(STRIDE.max(piece.len() / SEARCHES)).collect();
     let mut taken: HashSet<usize> = HashSet::new();
     let mut balls: Vec<Ball> = Vec::new();
@@ -294,9 +283,9 @@ mod tests {
     #[test]
     fn fits_are_exact_for_exact_points() {
         let (center_w, radius_m) = (DVec3::new(0.3, -0.2, 1.1), 0.04);
-        let surfels: Vec<Surfel> = directions(50)[..30]
-            .iter()
-            .map(|&n_w| Surfel {
+        let surfels: Vec<Surfel> = even_directions(50)
+            .take(30)
+            .map(|n_w| Surfel {
                 p_w: center_w + radius_m * n_w,
                 n_w,
                 weight: 1.0,
