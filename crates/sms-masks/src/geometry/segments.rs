@@ -214,8 +214,8 @@ pub(crate) struct Segments {
     normals: Vec<DVec3>,
     /// Borders of each segment, under both of its sides' numbers.
     borders: Vec<BTreeMap<usize, Border>>,
-    /// Which of them hold a ball.
-    round: Vec<bool>,
+    /// The patches from this one on are balls.
+    first_ball: usize,
     /// Grows with every merge of a segment.
     stamps: Vec<u32>,
     /// The segment of each patch.
@@ -257,7 +257,6 @@ impl Segments {
         balls: &[Ball],
     ) -> Self {
         let patches = patches(surfels, piece, cell_m, seams, balls);
-        // Balls are the last patches.
         let first_ball = patches.len() - balls.len();
         let mut patch_of = BTreeMap::new();
         for (k, patch) in patches.iter().enumerate() {
@@ -309,7 +308,7 @@ impl Segments {
                     }
                 })
                 .collect(),
-            round: (0..patches.len()).map(|k| k >= first_ball).collect(),
+            first_ball,
             stamps: vec![0; patches.len()],
             roots: (0..patches.len()).collect(),
             patches: (0..patches.len()).map(|k| vec![k]).collect(),
@@ -326,6 +325,11 @@ impl Segments {
     /// Surfels of a segment; none once it has merged into another.
     pub(crate) fn members(&self, a: usize) -> &[usize] {
         self.members[a].as_deref().unwrap_or_default()
+    }
+
+    /// Whether one of a segment's patches is a ball.
+    fn holds_ball(&self, a: usize) -> bool {
+        self.patches[a].iter().any(|&k| k >= self.first_ball)
     }
 
     /// The segments that are left.
@@ -418,7 +422,7 @@ impl Segments {
     pub(crate) fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
         // What is not small does not become so by growing.
         let mut open: std::collections::BTreeSet<(usize, usize)> = (0..self.members.len())
-            .filter(|&a| !self.round[a] && self.members[a].as_ref().is_some_and(|m| is_small(m)))
+            .filter(|&a| !self.holds_ball(a) && self.members[a].as_ref().is_some_and(|m| is_small(m)))
             .map(|a| (self.size(a), a))
             .collect();
         while let Some((size, a)) = open.pop_first() {
@@ -436,7 +440,7 @@ impl Segments {
             let Some((&b, _)) = longest else { continue };
             let (keep, gone) = (a.min(b), a.max(b));
             self.merge(keep, gone);
-            if !self.round[keep] && self.members[keep].as_ref().is_some_and(|m| is_small(m)) {
+            if !self.holds_ball(keep) && self.members[keep].as_ref().is_some_and(|m| is_small(m)) {
                 open.insert((self.size(keep), keep));
             }
         }
@@ -449,7 +453,6 @@ impl Segments {
         }
         let (look, spread) = (self.looks[b], self.spreads[b]);
         self.looks[a].merge(&look);
-        self.round[a] |= self.round[b];
         let normal = self.normals[b];
         self.normals[a] += normal;
         self.spreads[a].merge(&spread);
@@ -482,6 +485,7 @@ impl Segments {
     }
 }
 
+/// The patches of a piece, the balls last.
 fn patches(
     surfels: &[Surfel],
     piece: &[usize],
