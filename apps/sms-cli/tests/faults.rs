@@ -1,16 +1,13 @@
 //! Bad input gives one clear message that names the file and the cure, and exit code 2.
 
+mod common;
+
+use common::{said, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
-
-fn sms(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
-    command.args(arguments).arg("--quiet");
-    command.output().expect("the program starts")
-}
 
 /// A generated recording, made once.
 fn sample() -> &'static Path {
@@ -20,7 +17,7 @@ fn sample() -> &'static Path {
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("sample");
             let made = sms(&["sample", path.to_str().unwrap()]);
-            assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+            assert!(made.status.success(), "{}", said(&made));
             (dir, path)
         })
         .1

@@ -1,21 +1,9 @@
 //! A landing that cannot be planned: the reason is told, stands in the report, and no earlier plan is taken for it.
 
+mod common;
+
+use common::{done, said, sms};
 use std::fs;
-use std::process::{Command, Output};
-
-fn sms(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
-    command.args(arguments).arg("--quiet").output().expect("the program starts")
-}
-
-fn said(output: &Output) -> String {
-    [&output.stdout, &output.stderr].map(|s| String::from_utf8_lossy(s).into_owned()).concat()
-}
-
-fn done(arguments: &[&str]) {
-    let output = sms(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", said(&output));
-}
 
 #[test]
 fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_no_plan_is_left() {

@@ -1,20 +1,10 @@
 //! What edits of `masks/labels.json` have done again, and what `sms masks --preview` shows.
 
+mod common;
+
+use common::{done, sms};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn sms(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
-    command.args(arguments).arg("--quiet");
-    command.output().expect("the program starts")
-}
-
-fn done(arguments: &[&str]) -> String {
-    let output = sms(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).into_owned()
-}
 
 /// A small generated recording, and where a run of it may be.
 fn sample(dir: &Path) -> (PathBuf, PathBuf) {

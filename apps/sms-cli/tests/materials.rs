@@ -1,16 +1,16 @@
 //! `sms materials`: lists what objects are made of, keeps edits in the run, refuses what is wrong with exit code 2.
 
+mod common;
+
 use serde_json::Value;
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::{Entity, EntityKind, EntityShape, Hash, Mesh, PointCloud, RunFolder, StageState, Warnings};
 use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign, save_queries};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
-fn sms(run: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
-    command.arg("materials").arg(run).args(arguments).arg("--quiet");
-    command.output().expect("the program starts")
+fn materials(run: &Path, arguments: &[&str]) -> Output {
+    common::sms(&[&["materials", run.to_str().unwrap()], arguments].concat())
 }
 
 fn text(output: &Output) -> String {
@@ -19,7 +19,7 @@ fn text(output: &Output) -> String {
 }
 
 fn json(run: &Path, arguments: &[&str]) -> Value {
-    let output = sms(run, &[arguments, &["--json"]].concat());
+    let output = materials(run, &[arguments, &["--json"]].concat());
     serde_json::from_str(&text(&output)).unwrap()
 }
 
@@ -69,7 +69,7 @@ fn run_with_a_mug() -> tempfile::TempDir {
 fn values_are_listed_changed_and_taken_back() {
     let dir = run_with_a_mug();
     let run = dir.path();
-    let list = text(&sms(run, &[]));
+    let list = text(&materials(run, &[]));
     for words in
         ["object_01 (mug): ceramic", "floor: floor", "2400", "[2000 – 2700]", "fill_factor", "table", "0.9"]
     {
@@ -79,7 +79,7 @@ fn values_are_listed_changed_and_taken_back() {
     assert!(!run.join("materials.toml").exists(), "to look at it writes nothing");
 
     let list =
-        text(&sms(run, &["--set", "object_01.friction=0.3,0.2,0.4", "--set", "object_01.mass_kg=0.5"]));
+        text(&materials(run, &["--set", "object_01.friction=0.3,0.2,0.4", "--set", "object_01.mass_kg=0.5"]));
     assert!(list.contains("[0.2 – 0.4]") && list.contains("user"), "{list}");
     assert!(list.contains("other values for object_01: run `sms materialize"), "{list}");
     let m = json(run, &[]);
@@ -96,7 +96,7 @@ fn values_are_listed_changed_and_taken_back() {
         (m["materials.object_01.class"].as_str(), m["materials.object_01.density"].as_f64()),
         (Some("steel"), Some(7850.0))
     );
-    let list = text(&sms(run, &["--unset", "object_01"]));
+    let list = text(&materials(run, &["--unset", "object_01"]));
     assert!(
         list.contains("ceramic") && !list.contains("user") && !list.contains("sms materialize"),
         "{list}"
@@ -107,7 +107,7 @@ fn values_are_listed_changed_and_taken_back() {
 fn mistakes_are_named_and_change_nothing() {
     let dir = run_with_a_mug();
     let run = dir.path();
-    text(&sms(run, &["--set", "object_01.friction=0.3"]));
+    text(&materials(run, &["--set", "object_01.friction=0.3"]));
     let before = std::fs::read(run.join("materials.toml")).unwrap();
     for (arguments, words) in [
         (&["--set", "object_7.friction=0.3"][..], ["object_7", "object_01, floor"]),
@@ -120,19 +120,19 @@ fn mistakes_are_named_and_change_nothing() {
         (&["--unset", "object_01.density"], ["density is not set", "user"]),
         (&["--unset", "object_7"], ["object_7", "object_01, floor"]),
     ] {
-        let output = sms(run, arguments);
+        let output = materials(run, arguments);
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains("cure:") && words.iter().all(|w| message.contains(w)), "{message}");
         assert_eq!(std::fs::read(run.join("materials.toml")).unwrap(), before, "{arguments:?}");
     }
     std::fs::write(run.join("materials.toml"), "[object.object_01]\nfrition = 1\n").unwrap();
-    let output = sms(run, &[]);
+    let output = materials(run, &[]);
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && message.contains("materials.toml"), "{message}");
     let empty = tempfile::tempdir().unwrap();
     drop(empty_run(empty.path()));
-    let output = sms(empty.path(), &[]);
+    let output = materials(empty.path(), &[]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("sms materialize"));
 }

@@ -1,24 +1,11 @@
 //! A plan for the robot is one that the robot can carry out: `sms plan`, then `sms robot`, on the sample scene.
 
+mod common;
+
+use common::{done, said, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn sms(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
-    command.args(arguments).arg("--quiet").output().expect("the program starts")
-}
-
-fn done(arguments: &[&str]) -> String {
-    let output = sms(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", said(&output));
-    said(&output)
-}
-
-fn said(output: &Output) -> String {
-    [&output.stdout, &output.stderr].map(|s| String::from_utf8_lossy(s).into_owned()).concat()
-}
 
 fn json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
