@@ -554,7 +554,8 @@ pub(crate) struct Synth {
     /// Obstacles besides the balls (families billiards and challenge).
     #[arg(long)]
     pub objects: Option<usize>,
-    /// Folder of scanned models (NAME/model.obj) to stand among the obstacles (family billiards).
+    /// Folder of scanned models (NAME/model.obj) to stand among the obstacles (family billiards), or in the place of box, tote,
+    /// bin and stool (family landing).
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
     /// Frames.

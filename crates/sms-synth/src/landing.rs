@@ -21,6 +21,8 @@ const STARTS: usize = 10;
 const START_RADIUS_M: f64 = 2.0;
 /// Flights go this far above the platform (issue "landing": "in the plane 0.35 m above the platform").
 const FLIGHT_HEIGHT_M: f64 = 0.35;
+/// Corners this far below the highest are of the same top: scanned models are not level to the micrometre.
+const LEVEL_M: f64 = 1e-4;
 /// The floor reaches farther than in other scenes: flights start above it.
 const FLOOR_HALF_SIZE_M: f64 = 2.5;
 
@@ -75,8 +77,12 @@ impl LandingStructure {
     /// The fixed scene of the benchmark: usual sizes, and [`LandingStructure::fixed_end_load_n`] at the end of the overhang
     /// topple it. Frozen: a test holds the hash of all four.
     pub fn fixed(self) -> TruthScene {
+        self.fixed_of(&mut household)
+    }
+
+    fn fixed_of(self, make: &mut Make<'_>) -> TruthScene {
         let number = self as usize + 1;
-        let mut scene = build(self, Seed(number as u64), 0.0, [self.fixed_end_load_n(); 2]);
+        let mut scene = build(self, Seed(number as u64), 0.0, [self.fixed_end_load_n(); 2], make);
         scene.name = format!("landing scene {number} of 4 ({})", self.as_str());
         scene
     }
@@ -105,7 +111,7 @@ pub struct LandingTruth {
 /// origin. It is slid over its base as far as lets 2 to 3.5 N at the end of the overhang topple it. Frozen: the same seed gives
 /// the same scene.
 pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
-    build(structure, seed, SPREAD, END_LOADS_N)
+    build(structure, seed, SPREAD, END_LOADS_N, &mut household)
 }
 
 /// The structure of a landing scene's number: 1 to 4 are the fixed ones, others are of each structure in turn.
@@ -120,20 +126,40 @@ fn fixed_structure(number: u64) -> Option<LandingStructure> {
 
 /// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed.
 pub fn landing_scene(number: u64) -> TruthScene {
-    let drawn = || generate_landing(landing_structure(number), Seed(number));
-    fixed_structure(number).map_or_else(drawn, |s| s.fixed())
+    landing_scene_of(number, &mut household)
 }
 
-fn build(structure: LandingStructure, scene_seed: Seed, spread: f64, end_loads: [f64; 2]) -> TruthScene {
+/// As [`landing_scene`], of things made otherwise.
+pub(crate) fn landing_scene_of(number: u64, make: &mut Make<'_>) -> TruthScene {
+    match fixed_structure(number) {
+        Some(fixed) => fixed.fixed_of(make),
+        None => build(landing_structure(number), Seed(number), SPREAD, END_LOADS_N, make),
+    }
+}
+
+/// Makes a thing that stands at the origin with its longer side turned to a yaw from x (radians); by the share that its sizes may
+/// differ from the usual ones, and its own seed.
+pub(crate) type Make<'a> = dyn FnMut(Household, f64, f64, Seed) -> TruthObject + 'a;
+
+/// A thing made in code.
+pub(crate) fn household(kind: Household, spread: f64, yaw: f64, seed: Seed) -> TruthObject {
+    make_household(kind, spread, DVec2::ZERO, yaw, &mut seed.rng())
+}
+
+fn build(
+    structure: LandingStructure,
+    scene_seed: Seed,
+    spread: f64,
+    end_loads: [f64; 2],
+    make: &mut Make<'_>,
+) -> TruthScene {
     let seed = scene_seed.derive("landing v1").derive(structure.as_str());
     let mut rng = seed.derive("layout").rng();
     let yaw = uniform(&mut rng, [0.0, std::f64::consts::TAU]);
     let turn = yaw + uniform(&mut rng, [-0.06, 0.06]);
     let ballast_yaw = turn + uniform(&mut rng, [-0.08, 0.08]);
     let end_load = uniform(&mut rng, end_loads);
-    let make = |kind: Household, yaw: f64| {
-        make_household(kind, spread, DVec2::ZERO, yaw, &mut seed.derive(kind.as_str()).rng())
-    };
+    let mut make = |kind: Household, yaw: f64| make(kind, spread, yaw, seed.derive(kind.as_str()));
     let (base, platform, ballast) = structure.things();
     let base = make(base, yaw);
     let platform = on_top(make(platform, turn), &base);
@@ -192,7 +218,8 @@ fn landing_truth(scene: &TruthScene, overhang: DVec2, half_length: f64) -> Landi
     let mut supports = vec![support(base, None, &all), support(platform, Some(base), &above)];
     supports.extend(ballast.iter().map(|b| support(b, Some(platform), &[])));
     let top = platform.aabb_w().max.z;
-    let corners = platform.mesh_w().vertices.into_iter().filter(|v| top - v.z < 1e-6).map(|v| v.truncate());
+    let corners =
+        platform.mesh_w().vertices.into_iter().filter(|v| top - v.z < LEVEL_M).map(|v| v.truncate());
     let center = platform.aabb_w().center().truncate();
     LandingTruth {
         platform: platform.name.clone(),

@@ -4,7 +4,7 @@
 //!   surface, convex pieces, true material and mass properties.
 //! - [`generate_stacked`]: things that stand on each other or touch, for masks.
 //! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
-//!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] films them.
+//!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] films them. [`landing_scene_among`] builds them of scanned models.
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
 //!   the depth as imperfect as that of a real stereo camera.
 //! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
@@ -35,6 +35,7 @@ mod depth_camera;
 mod eighteen;
 mod floor_light;
 mod landing;
+mod landing_models;
 mod materials;
 mod model;
 mod path;
@@ -56,6 +57,7 @@ pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIRST_DRAWN, FIXED_SCENES, FixedScene, billiards_scene};
 pub use landing::{LandingStructure, LandingTruth, generate_landing, landing_scene, landing_structure};
+pub use landing_models::landing_scene_among;
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, HelicalPath, paper_billiards_path};

@@ -126,7 +126,7 @@ fn make(named: &NamedModel, seed: Seed) -> (TruthObject, Option<Skin>) {
 }
 
 /// Of each vertex the picture at one of its corners.
-fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3]> {
+pub(crate) fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3]> {
     const FOOTPRINT_M: f32 = 0.004;
     let mut colors = vec![plain; mesh.vertices.len()];
     if let Some(skin) = skin {

@@ -3,11 +3,14 @@
 use crate::scene::{TruthObject, TruthScene};
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
+use sms_core::Mesh;
 
 /// Acceleration of gravity, m/s².
 const GRAVITY: f64 = 9.81;
 /// Faces within this height of each other touch, metres.
 const TOUCH_M: f64 = 1e-6;
+/// The same of scanned models, whose faces are less level.
+const SCANNED_TOUCH_M: f64 = 1e-4;
 
 /// A level at which a stack stands on what is below.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -70,12 +73,12 @@ impl TruthScene {
 /// The level at which `upper` stands on `lower` (the floor: `None`): the convex hull of where its lowest faces meet upper faces.
 pub(crate) fn support(upper: &TruthObject, lower: Option<&TruthObject>, carried: &[&TruthObject]) -> Support {
     let height = upper.aabb_w().min.z;
-    let feet = level_faces(upper, height, false);
+    let feet = level(upper, height, false);
     let points: Vec<DVec2> = match lower {
         None => feet.concat(),
         Some(lower) => {
-            let tops = level_faces(lower, height, true);
-            let pairs = feet.iter().flat_map(|foot| tops.iter().map(move |top| common(foot, top)));
+            let tops = level(lower, height, true);
+            let pairs = feet.iter().flat_map(|foot| tops.iter().map(move |top| touching(foot, top)));
             pairs.flatten().collect()
         }
     };
@@ -88,9 +91,47 @@ pub(crate) fn support(upper: &TruthObject, lower: Option<&TruthObject>, carried:
     }
 }
 
+/// What two level features, faces or single corners, have in common; two corners nothing.
+fn touching(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
+    match (a.len(), b.len()) {
+        (_, 3..) => common(a, b),
+        (3.., _) => common(b, a),
+        _ => Vec::new(),
+    }
+}
+
+/// What of an object lies at a height.
+fn level(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
+    match object.parts.is_empty() {
+        true => level_of_mesh(&object.mesh_w(), height, upper),
+        false => level_faces(object, height, upper),
+    }
+}
+
+/// Faces of a mesh at a height that look up or down, counterclockwise, and single corners there: a rim that is rounded has no
+/// level face.
+fn level_of_mesh(mesh_w: &Mesh, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
+    let is_level = |v: u32| (mesh_w.vertices[v as usize].z - height).abs() <= SCANNED_TOUCH_M;
+    let at = |v: u32| mesh_w.vertices[v as usize].truncate();
+    let mut found = Vec::new();
+    for &[a, b, c] in &mesh_w.triangles {
+        let corners: Vec<DVec2> = [a, b, c].into_iter().filter(|v| is_level(*v)).map(at).collect();
+        match corners[..] {
+            [p, q, r] => {
+                let area = (q - p).perp_dot(r - p);
+                if (area > 0.0) == upper && area != 0.0 {
+                    found.push(if upper { vec![p, q, r] } else { vec![p, r, q] });
+                }
+            }
+            _ => found.extend(corners.into_iter().map(|p| vec![p])),
+        }
+    }
+    found
+}
+
 /// The highest or lowest faces of an object's convex pieces at a height, each counterclockwise.
 fn level_faces(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
-    let face = |part: &sms_core::Mesh| {
+    let face = |part: &Mesh| {
         let corners = || part.vertices.iter().map(|v| object.x_wb * *v);
         let end = match upper {
             true => corners().map(|p| p.z).fold(f64::MIN, f64::max),

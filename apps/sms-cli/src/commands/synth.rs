@@ -6,7 +6,7 @@ use crate::context::Context;
 use sms_core::{InputError, Seed};
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, generate_billiards,
-    generate_billiards_among, generate_challenge, landing_scene, read_models, record_views,
+    generate_billiards_among, generate_challenge, landing_scene_among, read_models, record_views,
 };
 
 pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
@@ -44,25 +44,26 @@ pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
 
 fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
     let plain = |scene| ModelScene { scene, skins: Vec::new() };
-    if a.meshes.is_some() && a.family != FamilyName::Billiards {
-        let what = "scanned models stand in scenes of the family billiards only";
-        return Err(InputError::new(what, "--meshes", "add --family billiards, or leave it out").into());
+    if a.meshes.is_some() && !matches!(a.family, FamilyName::Billiards | FamilyName::Landing) {
+        let what = "scanned models stand in scenes of the families billiards and landing only";
+        let cure = "add --family billiards or --family landing, or leave it out";
+        return Err(InputError::new(what, "--meshes", cure).into());
     }
+    let models = match &a.meshes {
+        Some(dir) if dir.is_dir() => read_models(dir)?,
+        Some(dir) => {
+            context.say(format!(
+                "there is no folder {}: without scanned models, everything is made in code",
+                shown(dir)
+            ));
+            Vec::new()
+        }
+        None => Vec::new(),
+    };
     match a.family {
         FamilyName::Billiards => {
             let defaults = BilliardsSettings::default();
             let settings = BilliardsSettings { objects: a.objects.unwrap_or(defaults.objects), ..defaults };
-            let models = match &a.meshes {
-                Some(dir) if dir.is_dir() => read_models(dir)?,
-                Some(dir) => {
-                    context.say(format!(
-                        "there is no folder {}: without scanned models, obstacles are made in code",
-                        shown(dir)
-                    ));
-                    Vec::new()
-                }
-                None => Vec::new(),
-            };
             if models.is_empty() {
                 return Ok(plain(generate_billiards(Seed(a.seed), &settings)));
             }
@@ -83,6 +84,6 @@ fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
             })?;
             Ok(plain(fixed.generate()))
         }
-        FamilyName::Landing => Ok(plain(landing_scene(a.seed))),
+        FamilyName::Landing => Ok(landing_scene_among(a.seed, &models)),
     }
 }

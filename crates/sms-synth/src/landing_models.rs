@@ -1,0 +1,209 @@
+//! Landing structures with scanned models in the place of things made in code.
+
+use crate::assets::Household;
+use crate::landing::{household, landing_scene_of};
+use crate::materials::{draw_material, with_effective_density};
+use crate::model::{Model, ModelScene, standing};
+use crate::scanned::{NamedModel, vertex_colors};
+use crate::scene::{Hollow, TruthObject};
+use crate::skin::Skin;
+use glamx::{DQuat, DVec3};
+use rand::RngExt;
+use sms_core::Seed;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What a model stands in for, by a word in its name; what it is made of, and, where its surface is closed around air, how
+/// thick its walls are, metres: as thick as those of the thing that it replaces.
+const IN_PLACE_OF: [(Household, &str, &str, Option<f64>); 4] = [
+    (Household::FlatBox, "cardboard_box", "cardboard", Some(0.0065)),
+    (Household::LiddedTote, "tote", "plastic", Some(0.0025)),
+    (Household::RecyclingBin, "bin", "plastic", None),
+    (Household::CounterStool, "table", "wood", None),
+];
+
+/// As [`crate::landing_scene`], with scanned models in the place of the flat box (a model whose name contains
+/// `cardboard_box`), the tote (`tote`), the recycling bin (`bin`) and the stool of counter height (`table`), each as far as there
+/// is such a model; of several the first by name. Models keep their size; how far what stands on top is slid out follows from
+/// the same loads. Layout, ladder, other stool, board and ballast are those of the scene made in code.
+pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> ModelScene {
+    let mut skins: Vec<(String, Skin)> = Vec::new();
+    let scene = landing_scene_of(number, &mut |kind, spread, yaw, seed| {
+        let place = IN_PLACE_OF.iter().find(|(replaced, ..)| *replaced == kind);
+        let model = |word: &str| models.iter().filter(|m| m.name.contains(word)).min_by_key(|m| &m.name);
+        match place.and_then(|&(_, word, class, wall_m)| Some((model(word)?, class, wall_m))) {
+            None => household(kind, spread, yaw, seed),
+            Some((model, class, wall_m)) => {
+                let (object, skin) = stand(model, class, wall_m, yaw, seed);
+                skins.extend(skin.map(|s| (object.name.clone(), s)));
+                object
+            }
+        }
+    });
+    let mut skin_of = |o: &TruthObject| {
+        let at = skins.iter().position(|(name, _)| *name == o.name)?;
+        Some(skins.swap_remove(at).1)
+    };
+    let skins = scene.objects.iter().map(&mut skin_of).collect();
+    ModelScene { scene, skins }
+}
+
+/// A model at the origin, its x turned to a yaw.
+fn stand(
+    named: &NamedModel,
+    class: &str,
+    wall_m: Option<f64>,
+    yaw: f64,
+    seed: Seed,
+) -> (TruthObject, Option<Skin>) {
+    let mut rng = seed.derive("scanned model v1").rng();
+    let material = draw_material(class, &mut rng);
+    let wall_density = material.density.value.best;
+    let named = &NamedModel { name: named.name.clone(), model: closed(&named.model) };
+    let mesh = &named.model.mesh;
+    let fill = wall_m.map_or(1.0, |wall| (wall * mesh.area() / mesh.volume().abs().max(1e-9)).min(1.0));
+    let material = with_effective_density(material, fill * wall_density);
+    let turn = DQuat::from_axis_angle(DVec3::Z, yaw);
+    let (mut object, skin) =
+        standing(&named.name, &named.model, turn, material, fill * wall_density, rng.random::<u32>());
+    if let Some(wall_m) = wall_m {
+        object.hollow = Hollow::Shell { wall_m, wall_density };
+    }
+    object.mesh.colors = vertex_colors(&object.mesh, skin.as_ref(), named.model.color);
+    (object, skin)
+}
+
+/// The model with its holes closed, each by a fan of triangles about its middle: a column that is open where it meets a table's top
+/// encloses nothing, and would be taken for a sheet. Where more than two faces meet in an edge, holes stay.
+fn closed(model: &Model) -> Model {
+    let mut closed = model.clone();
+    // Half edges without their opposites, by where they start.
+    let mut next: BTreeMap<u32, u32> = BTreeMap::new();
+    let half_edges = || model.mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+    let there: BTreeSet<(u32, u32)> = half_edges().collect();
+    for (a, b) in half_edges().filter(|&(a, b)| !there.contains(&(b, a))) {
+        next.insert(b, a);
+    }
+    while let Some((&first, _)) = next.first_key_value() {
+        let mut rim = vec![first];
+        let mut to = next.remove(&first);
+        while let Some(at) = to.filter(|&at| at != first) {
+            rim.push(at);
+            to = next.remove(&at);
+        }
+        if to.is_none() {
+            continue;
+        }
+        let vertices = &mut closed.mesh.vertices;
+        let middle: DVec3 = rim.iter().map(|&v| vertices[v as usize]).sum();
+        vertices.push(middle / rim.len() as f64);
+        let middle = vertices.len() as u32 - 1;
+        for (k, &a) in rim.iter().enumerate() {
+            closed.mesh.triangles.push([a, rim[(k + 1) % rim.len()], middle]);
+            if let Some(texture) = &mut closed.texture {
+                texture.corner_uv.push([[0.5; 2]; 3]);
+            }
+        }
+    }
+    closed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{landing_scene, read_models};
+    use glamx::DVec2;
+    use sms_core::Mesh;
+    use std::path::Path;
+
+    fn boxed(name: &str, half: DVec3) -> NamedModel {
+        let mesh = Mesh::cuboid(half);
+        NamedModel { name: name.into(), model: Model { mesh, texture: None, color: [9, 90, 9] } }
+    }
+
+    #[test]
+    fn holes_are_closed() {
+        let mut open = boxed("box", DVec3::new(0.3, 0.2, 0.1)).model;
+        let whole = open.mesh.volume();
+        // Without its top, and a corner at the bottom.
+        open.mesh.triangles.retain(|t| t.iter().any(|&v| open.mesh.vertices[v as usize].z < 0.0));
+        open.mesh.triangles.swap_remove(0);
+        assert!(!open.mesh.is_closed_oriented());
+        let mesh = closed(&open).mesh;
+        assert!(mesh.is_closed_oriented() && (mesh.volume() / whole - 1.0).abs() < 1e-9, "{}", mesh.volume());
+        let whole = boxed("box", DVec3::ONE).model;
+        assert_eq!(closed(&whole), whole);
+    }
+
+    #[test]
+    fn a_model_stands_in_for_its_kind_and_the_rest_stays() {
+        let models = [boxed("a_cardboard_box", DVec3::new(0.3, 0.2, 0.1)), boxed("duck", DVec3::splat(0.1))];
+        let made = landing_scene_among(1, &models);
+        let plain = landing_scene(1);
+        assert_eq!(made.scene.objects[0], plain.objects[0]);
+        let platform = &made.scene.objects[1];
+        assert_eq!(platform.name, "a_cardboard_box");
+        let landing = made.scene.landing.as_ref().unwrap();
+        assert_eq!((&landing.platform, landing.outline_w.len()), (&platform.name, 4));
+        // Walls of 6.5 mm around air.
+        let Hollow::Shell { wall_density, .. } = platform.hollow else { panic!("{:?}", platform.hollow) };
+        let area = 8.0 * (0.3 * 0.2 + 0.2 * 0.1 + 0.1 * 0.3);
+        assert!((platform.mass.mass() / (area * 0.0065 * wall_density) - 1.0).abs() < 1e-9);
+        assert_eq!((made.skins.len(), made.scene.clone()), (2, landing_scene_among(1, &models).scene));
+        for number in [2, 3, 4, 1003] {
+            assert_eq!(landing_scene_among(number, &models).scene, landing_scene(number));
+        }
+    }
+
+    /// A box described by its mesh is supported, and topples, as one described by its convex pieces.
+    #[test]
+    fn what_has_no_pieces_is_supported_by_its_faces() {
+        let model = boxed("a_cardboard_box", DVec3::new(0.3, 0.2, 0.055));
+        let made = landing_scene_among(1, std::slice::from_ref(&model)).scene;
+        let mut pieces = made.clone();
+        pieces.objects[1].parts = vec![pieces.objects[1].mesh.clone()];
+        let [ladder, platform] = &pieces.objects[..] else { panic!("two objects") };
+        let exact = crate::tipping::support(platform, Some(ladder), &[]);
+        let landing = made.landing.as_ref().unwrap();
+        let of_mesh = &landing.supports[1];
+        assert_eq!((&exact.above, exact.height_m), (&of_mesh.above, of_mesh.height_m));
+        let end = DVec2::from(landing.end_w);
+        let (a, b) = (pieces.support_load_n(&exact, end), made.support_load_n(of_mesh, end));
+        assert!(
+            (a / b - 1.0).abs() < 1e-9 && (made.tipping_load_n(end).unwrap() - 1.75).abs() < 1e-6,
+            "{a} {b}"
+        );
+    }
+
+    #[test]
+    fn structures_of_the_scanned_models_of_the_test_data_stand_and_topple_at_the_load_asked_for() {
+        let data = std::env::var_os("SMS_TEST_DATA").unwrap_or_else(|| "../../../shared/data".into());
+        let dir = Path::new(&data).join("meshes");
+        if !dir.is_dir() {
+            println!("skipped: there are no scanned meshes in {}", dir.display());
+            return;
+        }
+        let models = read_models(&dir).unwrap();
+        for (number, scanned) in
+            [(1, "gz_cardboard_box"), (2, "gz_grey_tote"), (3, "aws_waste_bin"), (4, "aws_low_table")]
+        {
+            let ModelScene { scene, skins } = landing_scene_among(number, &models);
+            let landing = scene.landing.as_ref().unwrap();
+            let object = scene.object(scanned).unwrap();
+            let at = scene.objects.iter().position(|o| o.name == scanned).unwrap();
+            println!("{}: {} of {:.2} kg, {:?}", scene.name, scanned, object.mass.mass(), landing.supports);
+            let pictures = models.iter().filter(|m| m.name == scanned && m.model.texture.is_some()).count();
+            assert!(skins.iter().flatten().count() == pictures && skins[at].is_some() == (pictures == 1));
+            for (i, s) in landing.supports.iter().enumerate() {
+                assert!(s.footprint_w.len() >= 3, "{}: {s:?}", scene.name);
+                assert!(
+                    scene.support_load_n(s, s.footprint_w[0].into()) > 0.0,
+                    "level {i} topples by itself"
+                );
+            }
+            let load = scene.tipping_load_n(landing.end_w.into()).unwrap();
+            let asked = crate::LandingStructure::ALL[number as usize - 1].fixed_end_load_n();
+            assert!((load - asked).abs() < 1e-3, "{}: {load} N, asked {asked}", scene.name);
+            assert!((0.3..9.0).contains(&object.mass.mass()), "{}", object.mass.mass());
+        }
+    }
+}
