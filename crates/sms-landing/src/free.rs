@@ -36,10 +36,11 @@ impl LandingTask {
     /// those that touch the platform once all that is solid can move; their masses are those of their shapes and materials. Where the
     /// structure then stands, with masses within its materials' intervals if need be, all of them stay free; else what leaves first is
     /// fixed again until the rest stands by the limits of [`ResolvedLanding::check_rest`]. Where that leaves nothing free, the scene is
-    /// as it was. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
+    /// as it was. What would have failed a landing by itself, with nothing flying over it, is no structure to land on: a platform that
+    /// leaves by more than [`crate::LandingSuccess`] allows is not fixed but refused. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
     ///
     /// # Errors
-    /// [`LandingError`] of scenes that cannot be simulated.
+    /// [`LandingError::AlreadyFalling`], and errors of scenes that cannot be simulated.
     pub fn freed(
         &self,
         factory: &dyn WorldFactory,
@@ -78,6 +79,16 @@ impl LandingTask {
             Ok(Some(stands)) => (freed, other_masses) = (stands, true),
             Err(LandingError::AlreadyFalling(_)) => {
                 (held, stuck) = hold(&landing, factory, &mut freed, &bodies)?;
+                let platform = &landing.surface().body;
+                let is_fixed = freed.body(platform).is_some_and(|b| b.kind != BodyKind::Dynamic);
+                let drifts = held.iter().chain(stuck.iter().map(|s| &s.leaves));
+                let limits = &self.success;
+                let falls =
+                    |d: &&RestingDrift| d.moved_m > limits.moved_m || d.turned_rad > limits.turned_rad;
+                if is_fixed && let Some(drift) = drifts.into_iter().find(falls) {
+                    let or = "; to plan as if it were fixed, write `free = false` in the task";
+                    return Err(landing.falling(drift, scene, or));
+                }
             }
             Err(e) => return Err(e),
         }

@@ -236,23 +236,12 @@ impl ResolvedLanding {
         factory: &dyn WorldFactory,
         scene: &Scene,
     ) -> Result<Vec<RestingDrift>, LandingError> {
-        let fallen = |body: &str, how: String| {
-            LandingError::AlreadyFalling(
-                InputError::new(
-                    format!(
-                        "the structure does not stand by itself: within {} s `{body}` {how}",
-                        STANDS.seconds
-                    ),
-                    self.task.path(),
-                    "look at the reconstruction with `sms report`: contact faces that no camera saw, or masses that are too \
-                     far off (`sms materials`)",
-                )
-                .because(format!("scene `{}`", scene.name)),
-            )
-        };
         let drifts = match resting_drift(factory, &scene.without_pictures(), STANDS.seconds) {
             Ok(drifts) => drifts,
-            Err(SimError::Diverged { body, .. }) => return Err(fallen(&body, "flies apart".to_owned())),
+            Err(SimError::Diverged { body, .. }) => {
+                let drift = RestingDrift { body, moved_m: f64::INFINITY, turned_rad: std::f64::consts::PI };
+                return Err(self.falling(&drift, scene, ""));
+            }
             Err(e) => return Err(e.into()),
         };
         let own: Vec<RestingDrift> =
@@ -260,10 +249,32 @@ impl ResolvedLanding {
         let excess = |d: &RestingDrift| STANDS.excess(d);
         match own.iter().max_by(|a, b| excess(a).total_cmp(&excess(b))).filter(|d| excess(d) > 1.0) {
             None => Ok(own),
-            Some(d) => Err(fallen(
-                &d.body,
-                format!("moves by {:.1} cm and turns by {:.0}°", 1e2 * d.moved_m, d.turned_rad.to_degrees()),
-            )),
+            Some(d) => Err(self.falling(d, scene, "")),
         }
+    }
+
+    /// The structure falls, by this drift of one of its bodies; `or` is one more cure.
+    pub(crate) fn falling(&self, drift: &RestingDrift, scene: &Scene, or: &str) -> LandingError {
+        let how = match drift.moved_m.is_finite() {
+            true => {
+                let (cm, degrees) = (1e2 * drift.moved_m, drift.turned_rad.to_degrees());
+                format!("moves by {cm:.1} cm and turns by {degrees:.0}°")
+            }
+            false => "flies apart".to_owned(),
+        };
+        LandingError::AlreadyFalling(
+            InputError::new(
+                format!(
+                    "the structure does not stand by itself: within {} s `{}` {how}",
+                    STANDS.seconds, drift.body
+                ),
+                self.task.path(),
+                format!(
+                    "look at the reconstruction with `sms report`: contact faces that no camera saw, or masses that are too \
+                     far off (`sms materials`){or}"
+                ),
+            )
+            .because(format!("scene `{}`", scene.name)),
+        )
     }
 }

@@ -468,8 +468,17 @@ fn what_was_fixed_can_topple_again_where_it_stands() {
     assert!((freed.scene.bodies[2].mass.unwrap().mass() / kg - 1.0).abs() < 1e-9);
     assert_eq!(task().resolve(&freed.scene).unwrap().structure(), ["base", "board"]);
 
-    // Its middle is beyond the edge, and nothing holds it, whatever it weighs: it stays where it was seen, and its base is free.
-    let freed = free(&fixed(board(3.0, 0.3))).unwrap();
+    // Its middle is beyond the edge, and nothing holds it, whatever it weighs: it falls, and that nothing of it could move would be no
+    // reason to land on it.
+    let falls = task().freed(&RapierFactory, &fixed(board(3.0, 0.3)), &d, Seed(1)).unwrap_err();
+    assert!(matches!(falls, LandingError::AlreadyFalling(_)), "{falls}");
+    assert!(
+        falls.input().unwrap().what.contains("board") && falls.input().unwrap().cure.contains("free = false")
+    );
+    // Where so much may happen to it, it stays where it was seen, and its base is free.
+    let mut patient = task();
+    (patient.success.moved_m, patient.success.turned_rad) = (10.0, std::f64::consts::PI);
+    let freed = patient.freed(&RapierFactory, &fixed(board(3.0, 0.3)), &d, Seed(1)).unwrap().unwrap();
     assert_eq!((freed.bodies.as_slice(), freed.scene.bodies[2].kind), (&["base".to_owned()][..], fast));
     assert_eq!(freed.held.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["board"]);
 
