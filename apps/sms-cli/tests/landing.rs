@@ -32,3 +32,56 @@ fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_no_plan_is
     let page = fs::read_to_string(dir.path().join("run/report/index.html")).unwrap();
     assert!(page.contains("no landing was planned"), "the report tells why there is no plan");
 }
+
+/// The paper's second experiment from a recording to a flight in the target world, in the engine that is preferred there.
+#[test]
+fn a_recorded_structure_is_landed_on_in_the_target_world() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (recording, run) = (path("ladder"), path("run"));
+    done(&["synth", &recording, "--family", "landing", "--seed", "1", "--frames", "16", "--width", "320"]);
+    done(&["scan", &recording, "--out", &run, "--preset", "draft", "--masks", "truth"]);
+    done(&["materialize", &run]);
+    let task = format!("{recording}/task.toml");
+    let mut plan = vec!["plan", &run, "--task", &task, "--seed", "1"];
+    for setting in [
+        "landing.screening=24",
+        "landing.draws=8",
+        "landing.candidates=2",
+        "landing.refine=1",
+        "landing.polish_starts=0",
+        "landing.worlds=2",
+        "landing.forecast_worlds=2",
+        "landing.sph.spacing=0.05",
+    ] {
+        plan.extend(["--set", setting]);
+    }
+    done(&plan);
+    let json = |file: &str| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(dir.path().join("run").join(file)).unwrap()).unwrap()
+    };
+    let planned = json("plan/landing.json");
+    assert_eq!(planned["surface"]["body"], "flat_box");
+    let executed = sms(&["execute", &run]);
+    let text = said(&executed);
+    assert!(executed.status.success() && text.contains("realised: success"), "{text}");
+    let flown = json("target/landing_execution.json");
+    assert_eq!(flown["action"], planned["action"], "what was planned is what is flown");
+    let engine = flown["engine"].as_str().unwrap();
+    assert!(engine.contains(if cfg!(feature = "physx") { "physx" } else { "rapier" }), "{engine}");
+    // Both parts of the structure had to stay, and each was seen.
+    assert_eq!(flown["outcome"]["bodies"].as_array().unwrap().len(), 2);
+    assert_eq!(flown["matches"].as_array().unwrap().len(), 2);
+
+    done(&["report", &run]);
+    let page = fs::read_to_string(dir.path().join("run/report/index.html")).unwrap();
+    assert!(
+        page.contains("realised") && page.contains(engine),
+        "the report shows what became of it, and where"
+    );
+
+    // The truth is not the planner's: without it nothing changes before the target.
+    fs::remove_dir_all(dir.path().join("ladder/truth")).unwrap();
+    done(&[&plan[..], &["--force"]].concat());
+    assert_eq!(json("plan/landing.json")["action"], planned["action"]);
+}

@@ -119,8 +119,8 @@ pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene, run_scene_with};
 pub use scenes::{
-    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, real_data_dir,
-    recording, select_mask_scenes, select_models, select_scenes, truth_scene,
+    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, models_dir,
+    real_data_dir, recording, select_mask_scenes, select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};

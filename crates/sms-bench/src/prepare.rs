@@ -204,7 +204,8 @@ pub fn prepare(
         | BenchScene::Model(_)
         | BenchScene::Fixed(_)
         | BenchScene::Stacked(_)
-        | BenchScene::Landing(_) => Seed(0),
+        | BenchScene::Landing(_)
+        | BenchScene::ScannedLanding(_) => Seed(0),
     };
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();

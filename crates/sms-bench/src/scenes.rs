@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, ModelScene, RecordingSettings, Skin, Structure, TruthScene,
-    billiards_scene, bounds_w, generate_billiards, generate_stacked, landing_scene, model_scene, orbit_poses,
-    read_model, record_views, write_recording,
+    billiards_scene, bounds_w, generate_billiards, generate_stacked, landing_scene, landing_scene_among,
+    model_scene, orbit_poses, read_model, read_models, record_views, write_recording,
 };
 use std::fmt;
 use std::path::PathBuf;
@@ -65,6 +65,8 @@ pub enum BenchScene {
     /// One of the four fixed landing structures, by its number from 1 (`landing_1`), seen from a helix; other numbers are seeds of drawn
     /// ones (`landing_1001`).
     Landing(usize),
+    /// The same with scanned models where there are such (`landing_scanned_1`).
+    ScannedLanding(usize),
 }
 
 /// Seed of the stacked structures that are measured; masks are tuned on seeds from 1001 on.
@@ -79,6 +81,7 @@ impl fmt::Display for BenchScene {
             Self::Fixed(number) => write!(f, "fixed_{number:02}"),
             Self::Stacked(structure) => write!(f, "stacked_{}", structure.as_str()),
             Self::Landing(number) => write!(f, "landing_{number}"),
+            Self::ScannedLanding(number) => write!(f, "landing_scanned_{number}"),
         }
     }
 }
@@ -142,10 +145,11 @@ pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
         .map(str::trim)
         .map(|id| match known.iter().find(|s| s.to_string() == id) {
             Some(scene) => Ok(scene.clone()),
-            None => match id.strip_prefix("landing_").map(str::parse) {
-                Some(Ok(number)) => Ok(BenchScene::Landing(number)),
-                _ => id.parse(),
-            },
+            None => {
+                let numbered = |prefix: &str| id.strip_prefix(prefix)?.parse().ok();
+                let scanned = numbered("landing_scanned_").map(BenchScene::ScannedLanding);
+                scanned.or(numbered("landing_").map(BenchScene::Landing)).map_or_else(|| id.parse(), Ok)
+            }
         })
         .collect()
 }
@@ -181,6 +185,13 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
         },
         BenchScene::Stacked(structure) => plain(generate_stacked(*structure, Seed(STACKED_SEED))),
         BenchScene::Landing(number) => plain(landing_scene(*number as u64)),
+        BenchScene::ScannedLanding(number) => {
+            let dir = models_dir();
+            if !dir.is_dir() {
+                return Ok(None);
+            }
+            Ok(Some(landing_scene_among(*number as u64, &read_models(&dir)?)))
+        }
         BenchScene::Real(_) => Ok(None),
     }
 }
@@ -208,7 +219,9 @@ pub fn recording(
     let orbit = match (scene, truth.objects.first()) {
         (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
         (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
-        (BenchScene::Landing(_), _) => Some(HelicalPath::default().poses(truth, frames)),
+        (BenchScene::Landing(_) | BenchScene::ScannedLanding(_), _) => {
+            Some(HelicalPath::default().poses(truth, frames))
+        }
         _ => None,
     };
     let (hash, version) = (hash_serializable(truth).0, env!("CARGO_PKG_VERSION"));
@@ -249,9 +262,14 @@ fn skins_hash(skins: &[Option<Skin>]) -> String {
     hasher.finish().0
 }
 
+/// The folder of the scanned models.
+pub fn models_dir() -> PathBuf {
+    real_data_dir().join("meshes")
+}
+
 /// Where a scanned model lies.
 pub fn model_path(name: &str) -> PathBuf {
-    real_data_dir().join("meshes").join(name).join("model.obj")
+    models_dir().join(name).join("model.obj")
 }
 
 /// The models whose names contain one of these words (`mug`, `ycb_025_mug`).
@@ -293,6 +311,11 @@ mod tests {
         let text: Vec<String> = mixed.iter().map(ToString::to_string).collect();
         assert_eq!(text, ["fixed_08", "stacked_tote_on_table", "billiards_1001"]);
         let landing = select_mask_scenes("landing").unwrap();
+        let scanned = &select_mask_scenes("landing_scanned_3").unwrap()[0];
+        assert_eq!(
+            (scanned, scanned.to_string().as_str()),
+            (&BenchScene::ScannedLanding(3), "landing_scanned_3")
+        );
         assert_eq!((landing.len(), &landing[1]), (4, &select_mask_scenes("landing_2").unwrap()[0]));
         assert!(select_mask_scenes("fixed_19").unwrap_err().to_string().contains("fixed_19"));
     }

@@ -270,7 +270,8 @@ fn is_absent(scene: &BenchScene) -> bool {
         | BenchScene::Ten(_)
         | BenchScene::Fixed(_)
         | BenchScene::Stacked(_)
-        | BenchScene::Landing(_) => false,
+        | BenchScene::Landing(_)
+        | BenchScene::ScannedLanding(_) => false,
         BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
         BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
     }

@@ -19,7 +19,6 @@ use sms_bench::{
     part_of, read_landings, run_landings, scan_landings,
 };
 use sms_core::{InputError, Seed, Warnings};
-use sms_landing::LandingSettings;
 use sms_prompting::{
     ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
     visual_prompting,
@@ -35,6 +34,9 @@ pub(crate) struct BenchLanding {
     /// Numbers of structures: 1 to 4, or seeds of drawn ones from 5 on (default: the four, with --quick 1).
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
+    /// With scanned models (folder meshes in SMS_TEST_DATA, default ../shared/data) in the place of box, tote, bin and one stool.
+    #[arg(long)]
+    pub scanned: bool,
     /// Starts on the circle (default: 10, with --quick 4).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
@@ -66,7 +68,7 @@ pub(crate) struct BenchLanding {
     /// Seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// One structure, four starts, 24 frames, a smaller search: six minutes on two cores.
+    /// One structure, four starts, 24 frames, a smaller search, coarser air: five minutes on two cores.
     #[arg(long)]
     pub quick: bool,
     /// Folder of the results: a file for each flight, and results.json.
@@ -100,10 +102,11 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
             let held: String =
                 scan.held.iter().map(|d| format!("; stays fixed: {}", drift_text(d))).collect();
             let stuck = scan.stuck.as_ref().map(|s| format!("; {}", stuck_text(s))).unwrap_or_default();
+            let falling = scan.falling.as_ref().map(|why| format!("; {why}")).unwrap_or_default();
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
             let stands = scan.standing.as_ref().map(standing_text).unwrap_or_default();
             context.say(format!(
-                "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{stands}"
+                "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{falling}{stands}"
             ));
         };
         let scans = scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
@@ -179,6 +182,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
+    bench.scanned = a.scanned;
     bench.starts = a.starts.unwrap_or(bench.starts).clamp(1, 10);
     (bench.noisy_draws, bench.noisy_starts) = (a.noisy.unwrap_or(0), NOISY_STARTS);
     bench.seed = Seed(a.seed);
@@ -186,8 +190,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     if let Some(engine) = a.engine {
         bench.engine = engine.engine();
     }
-    let settings = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };
-    bench.settings = context.settings.section("landing", settings)?;
+    bench.settings = context.settings.section("landing", bench.settings)?;
     bench.baselines = vec![
         baseline("geometric", "", |sight, sites, ways| {
             Ok(Ok(geometric(sites, sight.landing.start_w(), ways)))
@@ -297,6 +300,8 @@ mod tests {
         LandingFlight {
             key: Hash(String::new()),
             scene: part.scene,
+            scanned: false,
+            engine: String::new(),
             start: part.start,
             told: part.told,
             draw: part.draw,

@@ -169,11 +169,12 @@ pub(crate) fn scanned(
     Ok(scene)
 }
 
-fn no_scene(which: &BenchScene) -> sms_core::InputError {
+/// There is no such scene, or the scanned models that it is built of are not there.
+pub(crate) fn no_scene(which: &BenchScene) -> sms_core::InputError {
     sms_core::InputError::new(
         format!("there is no generated scene {which}"),
         "--scenes",
-        "give numbers of scenes that there are",
+        "give numbers of scenes that there are; scanned models are looked for in meshes/ of SMS_TEST_DATA",
     )
 }
 

@@ -1,17 +1,27 @@
 //! What the experiment depends on.
 
 use super::LandingSight;
-use crate::{BenchError, BilliardsGeometry, MaterializeOptions, MaterialsTold};
+use crate::billiards::seen::no_scene;
+use crate::{BenchError, BenchScene, BilliardsGeometry, MaterializeOptions, MaterialsTold, generated};
+use glamx::DVec3;
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
-use sms_landing::{LandingAction, LandingSettings};
-use sms_synth::{LandingStructure, landing_scene, landing_structure};
+use sms_landing::{LandingAction, LandingSettings, LandingTask};
+use sms_scene::Scene;
+use sms_synth::{LandingStructure, TruthScene, landing_structure};
 use sms_target::TargetEngine;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
 const VERSION: u32 = 8;
+
+/// Platforms of scanned models are at least this high, metres: bin and table are 0.34 and 0.40 m high, lower than what is landed on
+/// else.
+const SCANNED_HEIGHT_M: f64 = 0.3;
+
+/// Distance of the planner's particles in the quick run, metres.
+const QUICK_SPACING_M: f64 = 0.03;
 
 /// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
 pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
@@ -46,6 +56,8 @@ pub struct LandingPart {
 pub struct LandingBench<'a> {
     /// Numbers of scenes: those of [`LANDING_SCENES`], and seeds of drawn ones beyond them.
     pub scenes: Vec<usize>,
+    /// Whether scanned models stand in for what is made in code, where there are such ([`crate::models_dir`]).
+    pub scanned: bool,
     /// Starts on the circle (paper: 10), evenly spread.
     pub starts: usize,
     /// Draws of noisy materials for each scene; 0 leaves the noisy rows out.
@@ -75,6 +87,7 @@ impl LandingBench<'_> {
     pub fn new(scenes: Vec<usize>, keep: &Path, out: impl Into<PathBuf>) -> Self {
         Self {
             scenes,
+            scanned: false,
             starts: 10,
             noisy_draws: 0,
             noisy_starts: 4,
@@ -89,13 +102,14 @@ impl LandingBench<'_> {
         }
     }
 
-    /// One scene with four starts, few frames and a smaller search. The scan is of full size: 200 pixels do not tell what stands on a ladder
-    /// from the ladder.
+    /// One scene with four starts, few frames, a smaller search, and particles of 30 mm (15 mm in the target), which cost half of those of
+    /// the whole run. The scan is of full size: 200 pixels do not tell what stands on a ladder from the ladder.
     pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
         let mut bench = Self::new(vec![1], keep, out);
         bench.starts = 4;
         bench.scan.bench.frames = 24;
         bench.settings = LandingSettings::draft();
+        bench.settings.sph.spacing = QUICK_SPACING_M;
         bench
     }
 
@@ -126,6 +140,7 @@ impl LandingBench<'_> {
         let baselines: Vec<[&str; 2]> = self.baselines.iter().map(|b| [&*b.name, &*b.variant]).collect();
         for (name, value) in [
             ("geometry", json!(self.geometry)),
+            ("scanned", json!(self.scanned)),
             ("starts", json!(self.starts)),
             ("noisy_draws", json!(self.noisy_draws)),
             ("noisy_starts", json!(self.noisy_starts)),
@@ -139,27 +154,55 @@ impl LandingBench<'_> {
         map
     }
 
+    /// The scene of a number.
+    pub(super) fn scene(&self, number: usize) -> BenchScene {
+        if self.scanned { BenchScene::ScannedLanding(number) } else { BenchScene::Landing(number) }
+    }
+
+    /// What is true of it.
+    pub(super) fn truth(&self, number: usize) -> Result<TruthScene, BenchError> {
+        let which = self.scene(number);
+        Ok(generated(&which)?.ok_or_else(|| no_scene(&which))?.scene)
+    }
+
+    /// The task of a flight in a scene.
+    pub(super) fn task(&self, scene: &Scene, truth: &TruthScene, part: LandingPart) -> LandingTask {
+        let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
+        let mut task =
+            LandingTask::new(scene.x_world_recording.transform_point(start_w).truncate().to_array());
+        if self.scanned {
+            task.surface.height_m = SCANNED_HEIGHT_M;
+        }
+        task
+    }
+
     /// Names a flight by everything it is made from but the code.
-    pub(super) fn key(&self, part: LandingPart) -> Hash {
+    pub(super) fn key(&self, part: LandingPart) -> Result<Hash, BenchError> {
         let seen = match self.geometry {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => Some((self.scan.made_from(), &self.scan.bench.entities)),
         };
         let which = (part.scene, part.start, part.told, part.draw);
-        let truth = landing_scene(part.scene as u64);
-        hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed))
+        let truth = self.truth(part.scene)?;
+        Ok(hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed)))
     }
 
     /// File of a flight.
     pub(super) fn file(&self, part: LandingPart) -> PathBuf {
-        let folder = format!("{}-{}", self.geometry.as_str(), part.told.as_str());
+        let scanned = if self.scanned { "scanned-" } else { "" };
+        let folder = format!("{scanned}{}-{}", self.geometry.as_str(), part.told.as_str());
         let name = format!("landing_{}_draw_{}_start_{}.json", part.scene, part.draw, part.start);
         self.out.join(folder).join(name)
     }
 }
 
-/// What a scene is called in keys: its structure's word, of drawn ones with their number.
-pub(super) fn word(number: usize) -> String {
+/// What a scene is called in keys: its structure's word, of drawn ones with their number, `scanned_` before it where scanned models
+/// stand in it.
+pub(super) fn word(number: usize, scanned: bool) -> String {
     let structure = landing_structure(number as u64).as_str();
-    if LANDING_SCENES.contains(&number) { structure.to_owned() } else { format!("{structure}_{number}") }
+    let scanned = if scanned { "scanned_" } else { "" };
+    match LANDING_SCENES.contains(&number) {
+        true => format!("{scanned}{structure}"),
+        false => format!("{scanned}{structure}_{number}"),
+    }
 }

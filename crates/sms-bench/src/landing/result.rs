@@ -3,7 +3,7 @@
 use super::{LandingBench, LandingPart};
 use crate::{BenchError, MaterialsTold};
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, Hash, atomic};
+use sms_core::{Hash, atomic};
 use sms_landing::LandingAction;
 use std::collections::BTreeMap;
 
@@ -35,7 +35,7 @@ pub struct LandingPlanned {
     pub jet_success: Option<bool>,
     /// CPU seconds of planning.
     pub plan_cpu_s: f64,
-    /// CPU seconds of both flights in the target.
+    /// CPU seconds of both flights in the target: the mean of those that were flown side by side.
     pub target_cpu_s: f64,
 }
 
@@ -46,6 +46,12 @@ pub struct LandingFlight {
     pub key: Hash,
     /// Number of the scene.
     pub scene: usize,
+    /// Whether scanned models stand in it.
+    #[serde(default)]
+    pub scanned: bool,
+    /// Engine of the target, with its label.
+    #[serde(default)]
+    pub engine: String,
     /// Number of the start.
     pub start: usize,
     /// What the planner was told of materials.
@@ -78,14 +84,15 @@ impl LandingFlight {
 pub(super) const OURS: &str = "sms";
 
 /// What is kept of a flight; `None` where nothing is, or where it was made from something else.
-pub(super) fn kept(bench: &LandingBench<'_>, part: LandingPart) -> Result<Option<LandingFlight>, CoreError> {
+pub(super) fn kept(bench: &LandingBench<'_>, part: LandingPart) -> Result<Option<LandingFlight>, BenchError> {
     let path = bench.file(part);
     if !path.is_file() {
         return Ok(None);
     }
+    let key = bench.key(part)?;
     // A file of an earlier version is made again.
     let Ok(found) = atomic::read_json::<LandingFlight>(&path) else { return Ok(None) };
-    Ok(Some(found).filter(|f| f.key == bench.key(part)))
+    Ok(Some(found).filter(|f| f.key == key))
 }
 
 /// All results in the folder that were made with the settings of `bench`, of all its parts.

@@ -5,16 +5,15 @@ use super::sight::Recorded;
 use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
 use crate::billiards::seen::{forget_material, scanned, tell_matched};
-use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
-use glamx::DVec3;
-use sms_core::{Cancel, NoProgress, Progress, Warnings, atomic};
+use crate::{BenchError, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
+use rayon::prelude::*;
+use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
 use sms_landing::{
-    LandingAction, LandingError, LandingTask, LandingWorld, ResolvedLanding, RolloutOptions, Stuck,
-    plan_landing,
+    LandingAction, LandingError, LandingWorld, ResolvedLanding, RolloutOptions, Stuck, plan_landing,
 };
 use sms_scene::Scene;
 use sms_sim::{RapierFactory, RestingDrift};
-use sms_synth::{TruthScene, landing_scene};
+use sms_synth::TruthScene;
 use sms_target::{LandingTargetOptions, Target, TargetError, execute_landing, scene_from_truth};
 use sms_wash::{WashModel, WashSettings};
 use std::time::Instant;
@@ -26,6 +25,8 @@ const ENOUGH: f64 = 1.0;
 struct Seen {
     scene: Scene,
     matched: usize,
+    /// Why nothing can be planned in it.
+    refused: Option<String>,
 }
 
 /// What flights that follow each other have in common.
@@ -68,6 +69,8 @@ pub fn run_landings(
 pub struct LandingScan {
     /// Number of the scene.
     pub scene: usize,
+    /// Whether scanned models stand in it.
+    pub scanned: bool,
     /// True objects in whose place a body is.
     pub matched: usize,
     /// True objects.
@@ -78,6 +81,8 @@ pub struct LandingScan {
     pub held: Vec<RestingDrift>,
     /// Bodies that have to stay fixed for another one's sake.
     pub stuck: Option<Stuck>,
+    /// Why it is no structure to land on: it falls by itself.
+    pub falling: Option<String>,
     /// How the structure stands and when it tips; `None` where there is no surface to land on.
     pub standing: Option<Standing>,
 }
@@ -96,12 +101,19 @@ pub fn scan_landings(
     let mut scans = Vec::new();
     for &number in &bench.scenes {
         cancel.check()?;
-        let truth = landing_scene(number as u64);
+        let truth = bench.truth(number)?;
         let scene = geometry_of(bench, number, &truth, progress, cancel)?;
         let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Class, draw: 0 };
         let seen = see(scene, &truth, part)?;
-        let task = task_of(&seen.scene, &truth, part);
-        let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed)?;
+        let task = bench.task(&seen.scene, &truth, part);
+        let mut falling = None;
+        let freed = match task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed) {
+            Err(e) if e.input().is_some() => {
+                falling = Some(e.to_string());
+                None
+            }
+            freed => freed?,
+        };
         let planned_in = freed.as_ref().map_or(&seen.scene, |f| &f.scene);
         let standing = match task.resolve(planned_in) {
             Ok(landing) => Some(standing(planned_in, &truth, landing.structure(), &landing.surface().body)?),
@@ -110,7 +122,9 @@ pub fn scan_landings(
         };
         let (freed, held, stuck) = freed.map_or_else(Default::default, |f| (f.bodies, f.held, f.stuck));
         let (matched, objects) = (seen.matched, truth.objects.len());
-        let scan = LandingScan { scene: number, matched, objects, freed, held, stuck, standing };
+        let scanned = bench.scanned;
+        let scan =
+            LandingScan { scene: number, scanned, matched, objects, freed, held, stuck, falling, standing };
         done(&scan);
         scans.push(scan);
     }
@@ -146,8 +160,10 @@ fn flown(
         Some(flight) if is_done(bench, part, &flight) => return Ok((flight, false)),
         Some(flight) => flight,
         None => LandingFlight {
-            key: bench.key(part),
+            key: bench.key(part)?,
             scene: part.scene,
+            scanned: bench.scanned,
+            engine: target.label().to_owned(),
             start: part.start,
             told: part.told,
             draw: part.draw,
@@ -157,35 +173,42 @@ fn flown(
             planned: Default::default(),
         },
     };
-    let truth = landing_scene(part.scene as u64);
+    let truth = bench.truth(part.scene)?;
     let seen = shared.seen(bench, part, &truth, progress, cancel)?;
     let scene = &seen.scene;
     (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
-    let task = task_of(scene, &truth, part);
-    match task.resolve(scene) {
+    let task = bench.task(scene, &truth, part);
+    let refused = seen.refused.clone().map_or(Ok(()), Err);
+    let landing = match (refused, task.resolve(scene)) {
+        (Err(why), _) => Err(why),
+        (_, Err(e)) if e.input().is_some() => Err(e.to_string()),
+        (_, landing) => Ok(landing?),
+    };
+    match landing {
         Ok(landing) => {
+            let sight = LandingSight { landing: &landing, scene, seed: seed_of(bench, part), recorded };
+            let mut chosen = Vec::new();
             for name in names(bench, part) {
                 if is_kept(bench, &flight, &name) {
                     continue;
                 }
-                let planned =
-                    carry_out(bench, part, &name, &landing, scene, recorded, &truth, target, cancel)?;
-                if name == OURS {
-                    let action = planned.action;
-                    flight.evaluation_s = action.map(|a| evaluate(bench, &landing, scene, &a)).transpose()?;
+                let planned = choose(bench, &name, &sight, cancel)?;
+                let ours = planned.action.filter(|_| name == OURS);
+                if let Some(action) = ours {
+                    flight.evaluation_s = Some(evaluate(bench, &landing, scene, &action)?);
                 }
-                flight.planned.insert(name, planned);
-                atomic::write_json(&bench.file(part), &flight)?;
+                chosen.push((name, planned));
             }
+            fly(bench, &mut chosen, &landing, scene, &truth, target)?;
+            cancel.check()?;
+            flight.planned.extend(chosen);
         }
-        Err(e) if e.input().is_some() => {
-            for name in names(bench, part) {
-                flight.planned.insert(name, LandingPlanned::nothing(e.to_string()));
-            }
-            atomic::write_json(&bench.file(part), &flight)?;
+        Err(why) => {
+            let nothing = |name| (name, LandingPlanned::nothing(why.clone()));
+            flight.planned.extend(names(bench, part).into_iter().map(nothing));
         }
-        Err(e) => return Err(e.into()),
     }
+    atomic::write_json(&bench.file(part), &flight)?;
     Ok((flight, true))
 }
 
@@ -209,22 +232,19 @@ impl Shared {
                     Some((_, scene)) => scene,
                     None => geometry_of(bench, part.scene, truth, progress, cancel)?,
                 };
-                let Seen { scene, matched } = see(geometry.clone(), truth, part)?;
+                let Seen { scene, matched, .. } = see(geometry.clone(), truth, part)?;
                 self.geometry = Some((part.scene, geometry));
                 cancel.check()?;
-                let task = task_of(&scene, truth, any_start);
-                let freed = task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed)?;
-                Seen { scene: freed.map_or(scene, |f| f.scene), matched }
+                let task = bench.task(&scene, truth, any_start);
+                match task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed) {
+                    Ok(freed) => Seen { scene: freed.map_or(scene, |f| f.scene), matched, refused: None },
+                    Err(e) if e.input().is_some() => Seen { scene, matched, refused: Some(e.to_string()) },
+                    Err(e) => return Err(e.into()),
+                }
             }
         };
         Ok(&self.seen.insert((any_start, seen)).1)
     }
-}
-
-/// The landing from a part's start.
-fn task_of(scene: &Scene, truth: &TruthScene, part: LandingPart) -> LandingTask {
-    let start_w = truth.landing.as_ref().map_or(DVec3::ZERO, |l| l.starts_w[part.start]);
-    LandingTask::new(scene.x_world_recording.transform_point(start_w).truncate().to_array())
 }
 
 /// The planners of a flight.
@@ -258,8 +278,7 @@ fn geometry_of(
             Ok(scene)
         }
         BilliardsGeometry::Scan => {
-            let which = BenchScene::Landing(number);
-            scanned(&bench.scan, &which, &bench.scan.bench.entities, progress, cancel)
+            scanned(&bench.scan, &bench.scene(number), &bench.scan.bench.entities, progress, cancel)
         }
     }
 }
@@ -268,7 +287,7 @@ fn geometry_of(
 fn see(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<Seen, BenchError> {
     let seed = truth.seed.derive_index("landing materials", part.draw as u64);
     let matched = tell_matched(&mut scene, truth, part.told, seed)?;
-    Ok(Seen { scene, matched })
+    Ok(Seen { scene, matched, refused: None })
 }
 
 impl LandingPlanned {
@@ -303,49 +322,68 @@ impl LandingPlanned {
     }
 }
 
-/// Plans and flies one landing.
-fn carry_out(
+/// Seed of a flight's plans.
+fn seed_of(bench: &LandingBench<'_>, part: LandingPart) -> Seed {
+    let seed = bench.seed.derive_index("landing", part.scene as u64).derive_index("start", part.start as u64);
+    seed.derive_index("draw", part.draw as u64)
+}
+
+/// CPU seconds of this process since a moment.
+fn cpu_since(began: Option<f64>) -> f64 {
+    cpu_seconds().zip(began).map_or(0.0, |(now, began)| now - began)
+}
+
+/// One planner's landing, not flown yet. That there is nothing to fly is a result.
+fn choose(
     bench: &LandingBench<'_>,
-    part: LandingPart,
     name: &str,
-    landing: &ResolvedLanding,
-    scene: &Scene,
-    recorded: &Recorded<'_>,
-    truth: &TruthScene,
-    target: &dyn Target,
+    sight: &LandingSight<'_>,
     cancel: &Cancel,
 ) -> Result<LandingPlanned, BenchError> {
-    let seed = bench.seed.derive_index("landing", part.scene as u64).derive_index("start", part.start as u64);
-    let seed = seed.derive_index("draw", part.draw as u64);
     let began = cpu_seconds();
-    let since = |from: Option<f64>| cpu_seconds().zip(from).map_or(0.0, |(now, from)| now - from);
-    let sight = LandingSight { landing, scene, seed, recorded };
-    let mut planned = match plan(bench, name, &sight, cancel) {
+    let planned = match plan(bench, name, sight, cancel) {
         Ok(planned) => planned,
         Err(BenchError::Landing(e)) if e.input().is_some() || matches!(e, LandingError::Nothing { .. }) => {
             LandingPlanned::nothing(e.to_string())
         }
         Err(e) => return Err(e),
     };
-    planned.plan_cpu_s = since(began);
-    let Some(action) = planned.action else { return Ok(planned) };
-    let began = cpu_seconds();
+    Ok(LandingPlanned { plan_cpu_s: cpu_since(began), ..planned })
+}
+
+/// Flies what several planners chose, side by side: a flight alone leaves cores idle, since air and bodies take turns.
+fn fly(
+    bench: &LandingBench<'_>,
+    chosen: &mut [(String, LandingPlanned)],
+    landing: &ResolvedLanding,
+    scene: &Scene,
+    truth: &TruthScene,
+    target: &dyn Target,
+) -> Result<(), BenchError> {
     let options = LandingTargetOptions {
         planner_sph: bench.settings.sph,
         recording: None,
         enough: Some(ENOUGH),
         ..LandingTargetOptions::default()
     };
-    let done = execute_landing(target, landing, &action, scene, truth, &options)?;
-    planned.target_cpu_s = since(began);
-    let o = &done.outcome;
-    planned.success = o.is_success();
-    planned.failure = o.failure.as_ref().map(ToString::to_string);
-    planned.failure_kind = o.failure.as_ref().map(|f| f.as_str().to_owned());
-    planned.in_the_air = o.is_toppled_by_wash();
-    planned.realised = o.objective;
-    planned.jet_success = done.second_opinion.map(|o| o.is_success());
-    Ok(planned)
+    let flights = chosen.iter().filter(|(_, planned)| planned.action.is_some()).count();
+    let began = cpu_seconds();
+    chosen.par_iter_mut().try_for_each(|(_, planned)| {
+        let Some(action) = planned.action else { return Ok(()) };
+        let done = execute_landing(target, landing, &action, scene, truth, &options)?;
+        let o = &done.outcome;
+        planned.success = o.is_success();
+        planned.failure = o.failure.as_ref().map(ToString::to_string);
+        planned.failure_kind = o.failure.as_ref().map(|f| f.as_str().to_owned());
+        planned.in_the_air = o.is_toppled_by_wash();
+        planned.realised = o.objective;
+        planned.jet_success = done.second_opinion.map(|o| o.is_success());
+        Ok::<(), TargetError>(())
+    })?;
+    // What each of them took cannot be told apart.
+    let each = cpu_since(began) / flights.max(1) as f64;
+    chosen.iter_mut().filter(|(_, p)| p.action.is_some()).for_each(|(_, p)| p.target_cpu_s = each);
+    Ok(())
 }
 
 fn plan(
@@ -386,4 +424,74 @@ fn evaluate(
     let began = Instant::now();
     world.fly(action, &RolloutOptions::default())?;
     Ok(began.elapsed().as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{LandingBaseline, landing_table, read_landings};
+    use glamx::DVec2;
+    use sms_landing::LandingSettings;
+    use std::cell::RefCell;
+
+    /// In the truth's geometry, which takes no scan: a start is planned and flown, kept, and neither planned nor flown again.
+    #[test]
+    fn flights_are_flown_once_and_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut bench = LandingBench::quick(dir.path(), dir.path());
+        bench.geometry = BilliardsGeometry::Truth;
+        bench.starts = 1;
+        bench.settings = LandingSettings {
+            screening: 24,
+            draws: 8,
+            candidates: 2,
+            refine: 1,
+            polish_starts: 0,
+            worlds: 2,
+            forecast_worlds: 0,
+            ..bench.settings
+        };
+        bench.settings.sph.spacing = 0.05;
+        // Beyond the overhang's end, where nothing can stand, and one that finds nothing.
+        let end = |sight: &LandingSight<'_>| {
+            let landing = bench_truth(1);
+            let end_w = sight.scene.x_world_recording.transform_point(DVec2::from(landing.end_w).extend(0.0));
+            Ok(Ok(sight.landing.straight(end_w.truncate())))
+        };
+        let nothing = |_: &LandingSight<'_>| Ok(Err("there is no place".to_owned()));
+        for (name, choose) in
+            [("end", Box::new(end) as Box<dyn Fn(&LandingSight<'_>) -> _>), ("nothing", Box::new(nothing))]
+        {
+            bench.baselines.push(LandingBaseline { name: name.into(), variant: String::new(), choose });
+        }
+        let flown = RefCell::new(Vec::new());
+        let run = || {
+            run_landings(&bench, &|f| flown.borrow_mut().push(f.clone()), &NoProgress, &Cancel::new())
+                .unwrap();
+            flown.take()
+        };
+        let first = run();
+        assert_eq!(first.len(), 1);
+        let flight = &first[0];
+        let of = |name: &str| &flight.planned[name];
+        assert!(of(OURS).success && of(OURS).action.is_some(), "{:?}", of(OURS).failure);
+        assert!(flight.evaluation_s.is_some() && (flight.matched, flight.objects) == (2, 2));
+        assert!(!of("end").success && of("end").failure.is_some());
+        assert_eq!(
+            (of("nothing").action, of("nothing").problem.as_deref()),
+            (None, Some("there is no place"))
+        );
+        assert_eq!(flight.engine, bench.engine.target().unwrap().label());
+        assert_eq!(read_landings(&bench).unwrap(), first);
+        let table = landing_table(&first);
+        assert!(table.contains(&flight.engine) && table.contains("end (baseline)"), "{table}");
+        assert_eq!(run(), [], "all of it is kept");
+        // With other settings it is another flight.
+        bench.settings.worlds = 1;
+        assert_eq!(read_landings(&bench).unwrap(), []);
+    }
+
+    fn bench_truth(number: u64) -> sms_synth::LandingTruth {
+        sms_synth::landing_scene(number).landing.unwrap()
+    }
 }

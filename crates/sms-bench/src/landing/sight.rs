@@ -1,9 +1,10 @@
 //! What a planner to compare with may look at: what ours looks at, and the recording.
 
 use super::LandingBench;
+use crate::BenchError;
+use crate::billiards::seen::no_scene;
 use crate::prepare::locate;
 use crate::truth::carried;
-use crate::{BenchError, BenchScene};
 use sms_core::{Cancel, Progress, Seed, Warnings};
 use sms_frames::{Frame, Recording, load};
 use sms_landing::ResolvedLanding;
@@ -60,11 +61,8 @@ impl<'a> Recorded<'a> {
             return Ok(frames);
         }
         let options = &self.bench.scan.bench;
-        let which = BenchScene::Landing(self.number);
-        let dir = locate(&which, options, self.progress, self.cancel)?.ok_or_else(|| {
-            let cure = "give numbers of scenes that there are";
-            sms_core::InputError::new(format!("there is no generated scene {which}"), "--scenes", cure)
-        })?;
+        let which = self.bench.scene(self.number);
+        let dir = locate(&which, options, self.progress, self.cancel)?.ok_or_else(|| no_scene(&which))?;
         let recording = Recording::open(&dir, &options.read)?;
         let mut sequence = load(&recording, &options.load, self.progress, self.cancel, &Warnings::new())?;
         // The planner's scene may be the truth itself, which lies as the recording has it.

@@ -52,8 +52,10 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
     let mut metrics = Metrics::new();
     let (class, noisy) = (MaterialsTold::Class, MaterialsTold::Noisy);
     let mut figures: Vec<(String, Vec<f64>)> = Vec::new();
+    let scanned = flights.iter().any(|f| f.scanned);
+    let mean_word = if scanned { "scanned_mean" } else { "mean" };
     for scene in scenes(flights) {
-        let word = word(scene);
+        let word = word(scene, scanned);
         let own = of(flights, Some(scene), class, OURS);
         let jet: Vec<f64> = own.iter().filter_map(|l| Some(f64::from(u8::from(l.jet_success?)))).collect();
         let there = || flights.iter().filter(move |f| f.scene == scene);
@@ -86,7 +88,10 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
         }
     }
     for (key, values) in figures {
-        metrics.set(format!("bench.landing.mean.{key}"), values.iter().sum::<f64>() / values.len() as f64);
+        metrics.set(
+            format!("bench.landing.{mean_word}.{key}"),
+            values.iter().sum::<f64>() / values.len() as f64,
+        );
     }
     metrics.set("bench.landing.flights", flights.len() as f64);
     metrics
@@ -96,7 +101,7 @@ pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
 pub fn landing_scan_metrics(scans: &[LandingScan]) -> Metrics {
     let mut metrics = Metrics::new();
     for scan in scans {
-        let word = word(scan.scene);
+        let word = word(scan.scene, scan.scanned);
         let share = scan.matched as f64 / scan.objects.max(1) as f64;
         metrics.set(format!("bench.landing.{word}.matched_share"), share);
         if let Some(standing) = &scan.standing {
@@ -161,6 +166,11 @@ pub fn landing_table(flights: &[LandingFlight]) -> String {
             own.problem.as_ref().map_or(String::new(), |p| format!(" ({p})"))
         );
     }
+    let engines: BTreeSet<&str> =
+        flights.iter().map(|f| f.engine.as_str()).filter(|e| !e.is_empty()).collect();
+    for engine in engines {
+        let _ = writeln!(text, "target world: {engine}");
+    }
     let sph = mean(flights.iter().filter_map(|f| f.evaluation_s));
     let plans: Vec<&LandingPlanned> = flights.iter().filter_map(|f| f.planned.get(OURS)).collect();
     let plan = mean(plans.iter().map(|p| p.plan_cpu_s));
@@ -202,6 +212,8 @@ mod tests {
         LandingFlight {
             key: Hash(String::new()),
             scene,
+            scanned: false,
+            engine: "an engine".to_owned(),
             start,
             told,
             draw: 0,
@@ -239,6 +251,7 @@ mod tests {
             "paper, SMS",
             "scene 1001",
             "scene 2, start 0",
+            "target world: an engine",
             "visual prompting: not run",
             "40 cm",
         ] {

@@ -137,7 +137,7 @@ pub(crate) fn scan_key(scene: &BenchScene, bench: &BenchOptions) -> Result<Strin
         }
     }
     // A number stays when its scene is made otherwise.
-    if let BenchScene::Fixed(_) | BenchScene::Landing(_) = scene
+    if let BenchScene::Fixed(_) | BenchScene::Landing(_) | BenchScene::ScannedLanding(_) = scene
         && let Some(made) = generated(scene)?
     {
         hasher.text(&hash_serializable(&made.scene).0);
