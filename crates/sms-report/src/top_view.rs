@@ -121,7 +121,7 @@ impl TopView {
         let (w, h) = (size.x * scale, size.y * scale);
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" \
-             aria-label=\"the shot from above\" font-family=\"system-ui,sans-serif\">\
+             aria-label=\"the scene from above\" font-family=\"system-ui,sans-serif\">\
              <rect width=\"100%\" height=\"100%\" fill=\"{BACKGROUND}\"/>"
         );
         canvas.grid(&mut svg);

@@ -68,7 +68,7 @@ pub(crate) struct BenchLanding {
     /// Seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// One structure, four starts, 24 frames, a smaller search, coarser air: five minutes on two cores.
+    /// One structure, four starts, 24 frames, a smaller search, coarser air: four minutes on two cores.
     #[arg(long)]
     pub quick: bool,
     /// Folder of the results: a file for each flight, and results.json.

@@ -362,7 +362,7 @@ pub(super) mod tests {
         // Each body of the true scene is drawn in the picture of what was realised, and the balls leave ghosts.
         let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
         let picture = std::fs::read_to_string(picture).unwrap();
-        assert_eq!(picture.matches("aria-label=\"the shot from above\"").count(), 2);
+        assert_eq!(picture.matches("aria-label=\"the scene from above\"").count(), 2);
         assert!(picture.matches("<circle").count() > 10 && picture.contains("realised"), "{picture}");
         assert!(page.len() > picture.len() && !page.contains("href"));
     }

@@ -103,6 +103,8 @@ const SIDE: f64 = 0.25;
 const LINE: f64 = 0.2;
 /// What is that much shorter than what it carries is a foot of it.
 const FOOT: f64 = 0.15;
+/// What rises above a level face by this bounds it; noise and edges that are rounded off do not.
+const SUNK_M: f64 = 0.006;
 /// What hangs in the air is part of what is nearest to it, this far at most.
 const HANGS_M: f64 = 0.1;
 
@@ -265,7 +267,9 @@ impl Bodies<'_> {
         if !is_level || !runs() {
             return beside();
         }
-        let parts = (bent > BENT || is_flush_color) && !self.is_rim(s, upper, lower);
+        let parts = (bent > BENT || is_flush_color)
+            && !self.is_rim(s, upper, lower)
+            && !self.is_sunk(s, upper, lower);
         match parts {
             false => one,
             true if upper == a => Seam::On,
@@ -284,6 +288,15 @@ impl Bodies<'_> {
         };
         self.level_seams.iter().any(is_under)
             && hue_contrast(self.surfels, s.members(rim), s.members(lower)) < OTHER_HUE
+    }
+
+    /// Whether a level face that looks up is the bottom of a hollow, or a lid within its rim: what bounds it rises above it, and
+    /// is of its hue. What stands on something is nowhere below its top.
+    fn is_sunk(&self, s: &Segments, face: usize, around: usize) -> bool {
+        s.facing(face).z > 0.7
+            && s.spread(face).height() < LEVEL_M
+            && self.height(s, around, 0.98) > self.height(s, face, 0.5) + SUNK_M
+            && hue_contrast(self.surfels, s.members(face), s.members(around)) < OTHER_HUE
     }
 
     /// Whether a segment is a level face that looks down.

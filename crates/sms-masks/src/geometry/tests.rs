@@ -243,3 +243,29 @@ fn labels_do_not_depend_on_the_number_of_threads() {
     };
     assert_eq!(with(1), with(2));
 }
+
+/// A closed box whose lid lies 12 mm below its rim is one thing, all of one colour.
+#[test]
+fn a_lid_within_its_rim_is_part_of_its_box() {
+    let (half, rim, deep) = (DVec3::new(0.17, 0.13, 0.19), 0.008, 0.006);
+    let top = 2.0 * half.z + deep;
+    let solids = [
+        Solid::Box(DVec3::new(0.0, 0.0, half.z), half, 0.0),
+        Solid::Box(DVec3::new(half.x - rim, 0.0, top), DVec3::new(rim, half.y, deep), 0.0),
+        Solid::Box(DVec3::new(rim - half.x, 0.0, top), DVec3::new(rim, half.y, deep), 0.0),
+        Solid::Box(DVec3::new(0.0, half.y - rim, top), DVec3::new(half.x, rim, deep), 0.0),
+        Solid::Box(DVec3::new(0.0, rim - half.y, top), DVec3::new(half.x, rim, deep), 0.0),
+    ];
+    let (mut sequence, mut truth) = scene(&solids, Sensor { size: (320, 200), ..Sensor::default() }, 3);
+    for (frame, labels) in sequence.frames.iter_mut().zip(&mut truth) {
+        for (label, color) in labels.data.iter_mut().zip(&mut frame.color.data).filter(|(l, _)| **l > 0) {
+            (*label, *color) = (1, [80, 90, 95]);
+        }
+    }
+    let config = GeometryConfig { max_object_m: 0.3, ..GeometryConfig::default() };
+    let masks = GeometryMasks { config };
+    let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+    let iou = best_iou(&truth, 1, &labels).0;
+    assert_eq!(labels.objects.len(), 1, "IoU {iou:.3}");
+    assert!(iou > 0.9, "{iou}");
+}
