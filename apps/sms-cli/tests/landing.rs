@@ -80,7 +80,7 @@ fn a_recorded_structure_is_landed_on_in_the_target_world() {
         "the report shows what became of it, and where"
     );
 
-    // The truth is not the planner's: without it nothing changes before the target.
+    // The truth is not the planner's: without it the same is planned.
     fs::remove_dir_all(dir.path().join("ladder/truth")).unwrap();
     done(&[&plan[..], &["--force"]].concat());
     assert_eq!(json("plan/landing.json")["action"], planned["action"]);

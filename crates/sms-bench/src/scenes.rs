@@ -190,7 +190,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             if !dir.is_dir() {
                 return Ok(None);
             }
-            Ok(Some(landing_scene_among(*number as u64, &read_models(&dir)?)))
+            Ok(Some(landing_scene_among(*number as u64, &read_models(&dir)?)?))
         }
         BenchScene::Real(_) => Ok(None),
     }

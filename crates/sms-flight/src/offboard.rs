@@ -2,24 +2,20 @@
 
 use crate::{Home, Phase, TimedFlight};
 use glamx::DVec3;
+use mavlink::dialects::common::{
+    MavFrame, MavMessage, PositionTargetTypemask as Ignored, SET_POSITION_TARGET_LOCAL_NED_DATA,
+};
+use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkReader, MavlinkVersion};
 use sms_core::{CoreError, InputError, atomic};
 use std::fmt::Write;
 use std::path::Path;
 
-/// The message SET_POSITION_TARGET_LOCAL_NED: its number, the length of its payload, and the byte that its checksum ends with.
-const MESSAGE: u32 = 84;
-const PAYLOAD: usize = 53;
-const CRC_EXTRA: u8 = 143;
 /// Header of a frame of MAVLink 2, its first byte, and its checksum.
 const HEADER: usize = 10;
 const MAGIC: u8 = 0xfd;
 const CHECKSUM: usize = 2;
 /// Bytes of the time before each frame of a log.
 const STAMP: usize = 8;
-/// What is not given: accelerations (bits 6 to 8) and the rate of yaw (bit 11).
-const TYPE_MASK: u16 = 0b1001_1100_0000;
-/// `MAV_FRAME_LOCAL_NED`.
-const LOCAL_NED: u8 = 1;
 /// Who sends: a companion computer (system 1, component 191), to the autopilot of the same system.
 const SENDER: [u8; 2] = [1, 191];
 const RECEIVER: [u8; 2] = [1, 1];
@@ -77,7 +73,7 @@ pub fn write_csv(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
 }
 
 /// Writes a telemetry log: of each set-point the time in microseconds (eight bytes, the highest first), then a frame of MAVLink 2
-/// with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not in it.
+/// (crate `mavlink`) with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not in it.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -106,58 +102,50 @@ pub fn read_tlog(path: &Path) -> Result<Vec<(u8, u32, [f32; 7])>, CoreError> {
         let length = rest.get(STAMP + 1).map(|l| usize::from(*l)).ok_or_else(|| fault("is cut off"))?;
         let end = STAMP + HEADER + length + CHECKSUM;
         let frame = rest.get(STAMP..end).ok_or_else(|| fault("is cut off"))?;
-        let number = u32::from_le_bytes([frame[7], frame[8], frame[9], 0]);
-        if frame[0] != MAGIC || number != MESSAGE || length > PAYLOAD {
+        if frame[0] != MAGIC {
             return Err(fault("is no set-point"));
         }
-        let (body, sum) = frame.split_at(HEADER + length);
-        if checksum(&body[1..]).to_le_bytes() != sum {
-            return Err(fault("is damaged"));
-        }
-        // Zeros at the end are not sent.
-        let mut payload = [0; PAYLOAD];
-        payload[..length].copy_from_slice(&body[HEADER..]);
-        let word = |k: usize| [payload[k], payload[k + 1], payload[k + 2], payload[k + 3]];
-        let float = |i: usize| f32::from_le_bytes(word(4 + 4 * i));
-        let values = [float(0), float(1), float(2), float(3), float(4), float(5), float(9)];
-        messages.push((frame[4], u32::from_le_bytes(word(0)), values));
+        // One frame alone: the reader would look for the next one that is whole.
+        let read = MavlinkReader::new(frame).read_message::<MavMessage>(MavlinkVersion::V2);
+        let (header, message) = read.map_err(|_| fault("is damaged"))?;
+        let MavMessage::SET_POSITION_TARGET_LOCAL_NED(m) = message else {
+            return Err(fault("is no set-point"));
+        };
+        messages.push((header.sequence, m.time_boot_ms, [m.x, m.y, m.z, m.vx, m.vy, m.vz, m.yaw]));
         rest = &rest[end..];
     }
     Ok(messages)
 }
 
-/// A frame of MAVLink 2 (mavlink.io, "Packet Serialization"): fields in the order of their sizes, zeros at the end left out.
+/// A frame of MAVLink 2. Accelerations and the rate of yaw are not given.
 fn frame(point: &SetPoint, sequence: u8) -> Vec<u8> {
-    let mut payload = Vec::with_capacity(PAYLOAD);
-    payload.extend(((point.time_s * 1e3).round() as u32).to_le_bytes());
-    let (p, v) = (point.p_ned, point.v_ned);
-    for value in [p.x, p.y, p.z, v.x, v.y, v.z, 0.0, 0.0, 0.0, point.heading, 0.0] {
-        payload.extend((value as f32).to_le_bytes());
-    }
-    payload.extend(TYPE_MASK.to_le_bytes());
-    payload.extend(RECEIVER);
-    payload.push(LOCAL_NED);
-    debug_assert_eq!(payload.len(), PAYLOAD);
-    while payload.len() > 1 && payload.last() == Some(&0) {
-        payload.pop();
-    }
-    let mut frame = vec![MAGIC, payload.len() as u8, 0, 0, sequence];
-    frame.extend(SENDER);
-    frame.extend(&MESSAGE.to_le_bytes()[..3]);
-    frame.extend(payload);
-    let sum = checksum(&frame[1..]);
-    frame.extend(sum.to_le_bytes());
-    frame
+    let ([x, y, z], [vx, vy, vz]) = (single(point.p_ned), single(point.v_ned));
+    let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: (point.time_s * 1e3).round() as u32,
+        x,
+        y,
+        z,
+        vx,
+        vy,
+        vz,
+        yaw: point.heading as f32,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        type_mask: Ignored::POSITION_TARGET_TYPEMASK_AX_IGNORE
+            | Ignored::POSITION_TARGET_TYPEMASK_AY_IGNORE
+            | Ignored::POSITION_TARGET_TYPEMASK_AZ_IGNORE
+            | Ignored::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE,
+        target_system: RECEIVER[0],
+        target_component: RECEIVER[1],
+        ..Default::default()
+    });
+    let [system_id, component_id] = SENDER;
+    let mut raw = MAVLinkV2MessageRaw::new();
+    raw.serialize_message(MavHeader { system_id: system_id.into(), component_id, sequence }, &message);
+    raw.raw_bytes().to_vec()
 }
 
-/// CRC-16/MCRF4XX over the frame without its first byte, and the message's own byte.
-fn checksum(bytes: &[u8]) -> u16 {
-    bytes.iter().chain([&CRC_EXTRA]).fold(0xffff, |crc: u16, byte| {
-        let mut t = byte ^ crc as u8;
-        t ^= t << 4;
-        let t = u16::from(t);
-        (crc >> 8) ^ (t << 8) ^ (t << 3) ^ (t >> 4)
-    })
+fn single(v: DVec3) -> [f32; 3] {
+    v.to_array().map(|c| c as f32)
 }
 
 #[cfg(test)]

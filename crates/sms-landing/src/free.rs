@@ -36,8 +36,8 @@ impl LandingTask {
     /// those that touch the platform once all that is solid can move; their masses are those of their shapes and materials. Where the
     /// structure then stands, with masses within its materials' intervals if need be, all of them stay free; else what leaves first is
     /// fixed again until the rest stands by the limits of [`ResolvedLanding::check_rest`]. Where that leaves nothing free, the scene is
-    /// as it was. What would have failed a landing by itself, with nothing flying over it, is no structure to land on: a platform that
-    /// leaves by more than [`crate::LandingSuccess`] allows is not fixed but refused. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
+    /// as it was. What would have failed a landing by itself, with nothing flying over it, is no structure to land on: where the platform
+    /// would be fixed because a part leaves by more than [`crate::LandingSuccess`] allows, it is refused. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
     ///
     /// # Errors
     /// [`LandingError::AlreadyFalling`], and errors of scenes that cannot be simulated.
@@ -113,7 +113,8 @@ fn hold(
     let (mut held, mut leaves) = (Vec::new(), None);
     for drift in fix_restless(factory, &mut freed.without_pictures(), &STANDS)? {
         if !bodies.contains(&drift.body) {
-            leaves = leaves.or(Some(drift));
+            // What else moves in the room is no concern of the structure.
+            leaves = leaves.or(Some(drift).filter(|d| landing.structure().contains(&d.body)));
             continue;
         }
         fix(freed, &drift.body);

@@ -7,10 +7,11 @@ use crate::model::{Model, ModelScene, standing};
 use crate::scanned::{NamedModel, vertex_colors};
 use crate::scene::{Hollow, TruthObject};
 use crate::skin::Skin;
-use glamx::{DQuat, DVec3};
+use glamx::{DQuat, DVec2, DVec3};
 use rand::RngExt;
-use sms_core::Seed;
+use sms_core::{InputError, Seed};
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::FRAC_PI_2;
 
 /// What a model stands in for, by a word in its name; what it is made of, and, where its surface is closed around air, how
 /// thick its walls are, metres: as thick as those of the thing that it replaces.
@@ -21,33 +22,52 @@ const IN_PLACE_OF: [(Household, &str, &str, Option<f64>); 4] = [
     (Household::CounterStool, "table", "wood", None),
 ];
 
+/// Less at the end of the overhang, newtons, is no load that a structure was slid out for.
+const LEAST_LOAD_N: f64 = 1.0;
+/// A side that exceeds the other by this factor is the longer one.
+const LONGER: f64 = 1.01;
+
 /// As [`crate::landing_scene`], with scanned models in the place of the flat box (a model whose name contains
 /// `cardboard_box`), the tote (`tote`), the recycling bin (`bin`) and the stool of counter height (`table`), each as far as there
-/// is such a model; of several the first by name. Models keep their size; how far what stands on top is slid out follows from
+/// is such a model (whole words of names count); of several the first by name. Models keep their size; how far what stands on top is slid out follows from
 /// the same loads. Layout, ladder, other stool, board and ballast are those of the scene made in code.
-pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> ModelScene {
-    let mut skins: Vec<(String, Skin)> = Vec::new();
-    let scene = landing_scene_of(number, &mut |kind, spread, yaw, seed| {
+///
+/// # Errors
+/// [`InputError`] naming the models where the structure would not stand: what has neither a level foot nor a rim.
+pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelScene, InputError> {
+    let (mut skins, mut used): (Vec<(String, Skin)>, Vec<&str>) = Default::default();
+    let mut scene = landing_scene_of(number, &mut |kind, spread, yaw, seed| {
         let place = IN_PLACE_OF.iter().find(|(replaced, ..)| *replaced == kind);
-        let model = |word: &str| models.iter().filter(|m| m.name.contains(word)).min_by_key(|m| &m.name);
+        let is_called = |m: &NamedModel, word: &str| format!("_{}_", m.name).contains(&format!("_{word}_"));
+        let model = |word: &str| models.iter().filter(|m| is_called(m, word)).min_by_key(|m| &m.name);
         match place.and_then(|&(_, word, class, wall_m)| Some((model(word)?, class, wall_m))) {
             None => household(kind, spread, yaw, seed),
             Some((model, class, wall_m)) => {
                 let (object, skin) = stand(model, class, wall_m, yaw, seed);
+                used.push(&model.name);
                 skins.extend(skin.map(|s| (object.name.clone(), s)));
                 object
             }
         }
     });
+    if !used.is_empty() {
+        let end_w = scene.landing.as_ref().map_or(DVec2::ZERO, |l| l.end_w.into());
+        if scene.tipping_load_n(end_w).is_none_or(|load| load < LEAST_LOAD_N) {
+            let what = format!("a structure of {} does not stand by itself", used.join(" and "));
+            let cure = "models need a level foot, and a level top or rim; leave this one out of the folder";
+            return Err(InputError::new(what, "--meshes", cure));
+        }
+        scene.name += ", with scanned models";
+    }
     let mut skin_of = |o: &TruthObject| {
         let at = skins.iter().position(|(name, _)| *name == o.name)?;
         Some(skins.swap_remove(at).1)
     };
     let skins = scene.objects.iter().map(&mut skin_of).collect();
-    ModelScene { scene, skins }
+    Ok(ModelScene { scene, skins })
 }
 
-/// A model at the origin, its x turned to a yaw.
+/// A model at the origin, its longer side turned to a yaw.
 fn stand(
     named: &NamedModel,
     class: &str,
@@ -62,7 +82,8 @@ fn stand(
     let mesh = &named.model.mesh;
     let fill = wall_m.map_or(1.0, |wall| (wall * mesh.area() / mesh.volume().abs().max(1e-9)).min(1.0));
     let material = with_effective_density(material, fill * wall_density);
-    let turn = DQuat::from_axis_angle(DVec3::Z, yaw);
+    let long_in_y = mesh.aabb().is_some_and(|b| b.extents().y > LONGER * b.extents().x);
+    let turn = DQuat::from_axis_angle(DVec3::Z, if long_in_y { yaw - FRAC_PI_2 } else { yaw });
     let (mut object, skin) =
         standing(&named.name, &named.model, turn, material, fill * wall_density, rng.random::<u32>());
     if let Some(wall_m) = wall_m {
@@ -111,7 +132,6 @@ fn closed(model: &Model) -> Model {
 mod tests {
     use super::*;
     use crate::{landing_scene, read_models};
-    use glamx::DVec2;
     use sms_core::Mesh;
     use std::path::Path;
 
@@ -137,7 +157,7 @@ mod tests {
     #[test]
     fn a_model_stands_in_for_its_kind_and_the_rest_stays() {
         let models = [boxed("a_cardboard_box", DVec3::new(0.3, 0.2, 0.1)), boxed("duck", DVec3::splat(0.1))];
-        let made = landing_scene_among(1, &models);
+        let made = landing_scene_among(1, &models).unwrap();
         let plain = landing_scene(1);
         assert_eq!(made.scene.objects[0], plain.objects[0]);
         let platform = &made.scene.objects[1];
@@ -148,17 +168,40 @@ mod tests {
         let Hollow::Shell { wall_density, .. } = platform.hollow else { panic!("{:?}", platform.hollow) };
         let area = 8.0 * (0.3 * 0.2 + 0.2 * 0.1 + 0.1 * 0.3);
         assert!((platform.mass.mass() / (area * 0.0065 * wall_density) - 1.0).abs() < 1e-9);
-        assert_eq!((made.skins.len(), made.scene.clone()), (2, landing_scene_among(1, &models).scene));
+        assert_eq!(
+            (made.skins.len(), made.scene.clone()),
+            (2, landing_scene_among(1, &models).unwrap().scene)
+        );
         for number in [2, 3, 4, 1003] {
-            assert_eq!(landing_scene_among(number, &models).scene, landing_scene(number));
+            assert_eq!(landing_scene_among(number, &models).unwrap().scene, landing_scene(number));
         }
+    }
+
+    #[test]
+    fn the_longer_side_overhangs_and_what_cannot_stand_is_refused() {
+        let long_in_y = boxed("a_cardboard_box", DVec3::new(0.2, 0.3, 0.1));
+        let made = landing_scene_among(1, &[long_in_y]).unwrap().scene;
+        let landing = made.landing.as_ref().unwrap();
+        let overhang = DVec2::from(landing.overhang_w);
+        let along = |p: &[f64; 2]| DVec2::from(*p).dot(overhang);
+        let (low, high) =
+            landing.outline_w.iter().map(along).fold((9.0f64, -9.0f64), |(l, h), x| (l.min(x), h.max(x)));
+        assert!((high - low - 0.6).abs() < 1e-9, "{}", high - low);
+        // A ball stands on nothing. A cabinet is no bin.
+        let mesh = Mesh::icosphere(0.2, 3);
+        let ball =
+            NamedModel { name: "cardboard_box".into(), model: Model { mesh, texture: None, color: [9; 3] } };
+        let refused = landing_scene_among(1, &[ball]).unwrap_err().to_string();
+        assert!(refused.contains("cardboard_box") && refused.contains("does not stand"), "{refused}");
+        let cabinet = boxed("a_cabinet", DVec3::splat(0.2));
+        assert_eq!(landing_scene_among(3, &[cabinet]).unwrap().scene, landing_scene(3));
     }
 
     /// A box described by its mesh is supported, and topples, as one described by its convex pieces.
     #[test]
     fn what_has_no_pieces_is_supported_by_its_faces() {
         let model = boxed("a_cardboard_box", DVec3::new(0.3, 0.2, 0.055));
-        let made = landing_scene_among(1, std::slice::from_ref(&model)).scene;
+        let made = landing_scene_among(1, std::slice::from_ref(&model)).unwrap().scene;
         let mut pieces = made.clone();
         pieces.objects[1].parts = vec![pieces.objects[1].mesh.clone()];
         let [ladder, platform] = &pieces.objects[..] else { panic!("two objects") };
@@ -186,7 +229,7 @@ mod tests {
         for (number, scanned) in
             [(1, "gz_cardboard_box"), (2, "gz_grey_tote"), (3, "aws_waste_bin"), (4, "aws_low_table")]
         {
-            let ModelScene { scene, skins } = landing_scene_among(number, &models);
+            let ModelScene { scene, skins } = landing_scene_among(number, &models).unwrap();
             let landing = scene.landing.as_ref().unwrap();
             let object = scene.object(scanned).unwrap();
             let at = scene.objects.iter().position(|o| o.name == scanned).unwrap();

@@ -54,12 +54,17 @@ pub(crate) fn write_beside(truth: &TruthScene, folder: &Path) -> anyhow::Result<
 }
 
 /// Land, starting where the straight way leads over the structure's overhang; `None` for scenes of other kinds. Nothing of the
-/// truth but the start of the flight is in it.
+/// truth but the start of the flight is in it, and about how low the top is where that is less than tasks ask for.
 pub(crate) fn landing_task_of(truth: &TruthScene) -> Option<LandingTask> {
     let landing = truth.landing.as_ref()?;
     let outward = |p: &DVec3| p.truncate().dot(landing.overhang_w.into());
     let start_w = landing.starts_w.iter().max_by(|a, b| outward(a).total_cmp(&outward(b)))?;
-    Some(LandingTask::new(start_w.truncate().to_array()))
+    let mut task = LandingTask::new(start_w.truncate().to_array());
+    if landing.top_m < task.surface.height_m {
+        // Whole fives of centimetres, at least a tenth below it: reconstructions are a little off.
+        task.surface.height_m = (18.0 * landing.top_m).floor() / 20.0;
+    }
+    Some(task)
 }
 
 /// What a user would say: strike the white ball so that the blue one reaches the goal. Nothing of the truth but the

@@ -84,6 +84,6 @@ fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
             })?;
             Ok(plain(fixed.generate()))
         }
-        FamilyName::Landing => Ok(landing_scene_among(a.seed, &models)),
+        FamilyName::Landing => Ok(landing_scene_among(a.seed, &models)?),
     }
 }

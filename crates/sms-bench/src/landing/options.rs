@@ -14,7 +14,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
-const VERSION: u32 = 8;
+const VERSION: u32 = 9;
 
 /// Platforms of scanned models are at least this high, metres: bin and table are 0.34 and 0.40 m high, lower than what is landed on
 /// else.

@@ -46,11 +46,9 @@ pub struct LandingFlight {
     pub key: Hash,
     /// Number of the scene.
     pub scene: usize,
-    /// Whether scanned models stand in it.
-    #[serde(default)]
+    /// Whether scanned models stand in it, as far as there are such.
     pub scanned: bool,
     /// Engine of the target, with its label.
-    #[serde(default)]
     pub engine: String,
     /// Number of the start.
     pub start: usize,

@@ -69,13 +69,13 @@ pub fn run_landings(
 pub struct LandingScan {
     /// Number of the scene.
     pub scene: usize,
-    /// Whether scanned models stand in it.
+    /// Whether scanned models stand in it, as far as there are such.
     pub scanned: bool,
     /// True objects in whose place a body is.
     pub matched: usize,
     /// True objects.
     pub objects: usize,
-    /// Bodies that were fixed when the scene was made, and are freed for the plan (see [`LandingTask::freed`]).
+    /// Bodies that were fixed when the scene was made, and are freed for the plan (see [`sms_landing::LandingTask::freed`]).
     pub freed: Vec<String>,
     /// Bodies that have to stay fixed, with how far they come by themselves.
     pub held: Vec<RestingDrift>,
@@ -187,12 +187,20 @@ fn flown(
     match landing {
         Ok(landing) => {
             let sight = LandingSight { landing: &landing, scene, seed: seed_of(bench, part), recorded };
-            let mut chosen = Vec::new();
+            let (mut chosen, mut failed) = (Vec::new(), None);
             for name in names(bench, part) {
                 if is_kept(bench, &flight, &name) {
                     continue;
                 }
-                let planned = choose(bench, &name, &sight, cancel)?;
+                let planned = match choose(bench, &name, &sight, cancel) {
+                    Ok(planned) => planned,
+                    // What was chosen before is flown and kept all the same, but for who wants to stop.
+                    Err(e) if cancel.check().is_ok() => {
+                        failed = Some(e);
+                        break;
+                    }
+                    Err(e) => return Err(e),
+                };
                 let ours = planned.action.filter(|_| name == OURS);
                 if let Some(action) = ours {
                     flight.evaluation_s = Some(evaluate(bench, &landing, scene, &action)?);
@@ -200,12 +208,21 @@ fn flown(
                 chosen.push((name, planned));
             }
             fly(bench, &mut chosen, &landing, scene, &truth, target)?;
-            cancel.check()?;
             flight.planned.extend(chosen);
+            if let Some(e) = failed {
+                atomic::write_json(&bench.file(part), &flight)?;
+                return Err(e);
+            }
         }
         Err(why) => {
-            let nothing = |name| (name, LandingPlanned::nothing(why.clone()));
-            flight.planned.extend(names(bench, part).into_iter().map(nothing));
+            for name in names(bench, part) {
+                if !is_kept(bench, &flight, &name) {
+                    let variant = variant(bench, &name);
+                    flight
+                        .planned
+                        .insert(name, LandingPlanned { variant, ..LandingPlanned::nothing(why.clone()) });
+                }
+            }
         }
     }
     atomic::write_json(&bench.file(part), &flight)?;
@@ -259,8 +276,12 @@ fn is_done(bench: &LandingBench<'_>, part: LandingPart, flight: &LandingFlight) 
 
 /// Whether the landing of that name is there, chosen by the one who would choose now.
 fn is_kept(bench: &LandingBench<'_>, flight: &LandingFlight, name: &str) -> bool {
-    let variant = bench.baselines.iter().find(|b| b.name == name).map_or("", |b| b.variant.as_str());
-    flight.planned.get(name).is_some_and(|p| p.variant == variant)
+    flight.planned.get(name).is_some_and(|p| p.variant == variant(bench, name))
+}
+
+/// Which of the choosers of that name would choose now.
+fn variant(bench: &LandingBench<'_>, name: &str) -> String {
+    bench.baselines.iter().find(|b| b.name == name).map_or_else(String::new, |b| b.variant.clone())
 }
 
 /// Bodies with the prior's materials.
@@ -348,7 +369,7 @@ fn choose(
         }
         Err(e) => return Err(e),
     };
-    Ok(LandingPlanned { plan_cpu_s: cpu_since(began), ..planned })
+    Ok(LandingPlanned { plan_cpu_s: cpu_since(began), variant: variant(bench, name), ..planned })
 }
 
 /// Flies what several planners chose, side by side: a flight alone leaves cores idle, since air and bodies take turns.
@@ -452,7 +473,7 @@ mod tests {
             ..bench.settings
         };
         bench.settings.sph.spacing = 0.05;
-        // Beyond the overhang's end, where nothing can stand, and one that finds nothing.
+        // At the overhang's end, where nothing can stand, and one that finds nothing.
         let end = |sight: &LandingSight<'_>| {
             let landing = bench_truth(1);
             let end_w = sight.scene.x_world_recording.transform_point(DVec2::from(landing.end_w).extend(0.0));

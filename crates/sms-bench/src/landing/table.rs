@@ -104,7 +104,8 @@ pub fn landing_scan_metrics(scans: &[LandingScan]) -> Metrics {
         let word = word(scan.scene, scan.scanned);
         let share = scan.matched as f64 / scan.objects.max(1) as f64;
         metrics.set(format!("bench.landing.{word}.matched_share"), share);
-        if let Some(standing) = &scan.standing {
+        metrics.set(format!("bench.landing.{word}.falling"), scan.falling.is_some());
+        if let Some(standing) = scan.standing.as_ref().filter(|_| scan.falling.is_none()) {
             standing.tell(&word, &mut metrics);
         }
     }

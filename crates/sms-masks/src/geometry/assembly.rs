@@ -105,6 +105,9 @@ const LINE: f64 = 0.2;
 const FOOT: f64 = 0.15;
 /// What rises above a level face by this bounds it; noise and edges that are rounded off do not.
 const SUNK_M: f64 = 0.006;
+/// … where it does so within this of the face, metres, over this share of the way around it: a ridge beside it does not.
+const RIM_M: f64 = 0.03;
+const BOUNDED: f64 = 0.75;
 /// What hangs in the air is part of what is nearest to it, this far at most.
 const HANGS_M: f64 = 0.1;
 
@@ -293,10 +296,30 @@ impl Bodies<'_> {
     /// Whether a level face that looks up is the bottom of a hollow, or a lid within its rim: what bounds it rises above it, and
     /// is of its hue. What stands on something is nowhere below its top.
     fn is_sunk(&self, s: &Segments, face: usize, around: usize) -> bool {
-        s.facing(face).z > 0.7
-            && s.spread(face).height() < LEVEL_M
-            && self.height(s, around, 0.98) > self.height(s, face, 0.5) + SUNK_M
-            && hue_contrast(self.surfels, s.members(face), s.members(around)) < OTHER_HUE
+        if s.facing(face).z < 0.7
+            || s.spread(face).height() > LEVEL_M
+            || hue_contrast(self.surfels, s.members(face), s.members(around)) >= OTHER_HUE
+        {
+            return false;
+        }
+        let center = s.spread(face).center().truncate();
+        let polar = |i: usize| {
+            let d = self.surfels[i].p_w.truncate() - center;
+            let share = d.to_angle() / std::f64::consts::TAU + 0.5;
+            (((share * SECTORS as f64) as usize).min(SECTORS - 1), d.length())
+        };
+        let mut ends = [0.0f64; SECTORS];
+        for (sector, radius) in s.members(face).iter().map(|&i| polar(i)) {
+            ends[sector] = ends[sector].max(radius);
+        }
+        let level = self.height(s, face, 0.5);
+        let mut bounded = [false; SECTORS];
+        for &i in s.members(around) {
+            let rise = self.surfels[i].p_w.z - level;
+            let (sector, radius) = polar(i);
+            bounded[sector] |= rise > SUNK_M && rise < HANGS_M && radius < ends[sector] + RIM_M;
+        }
+        bounded.iter().filter(|b| **b).count() as f64 >= BOUNDED * SECTORS as f64
     }
 
     /// Whether a segment is a level face that looks down.
