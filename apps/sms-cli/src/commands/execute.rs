@@ -7,7 +7,7 @@ use crate::cli::{ArmName, EngineName, Execute};
 use crate::context::Context;
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder};
-use sms_landing::LANDING_PLAN_FILE;
+use sms_landing::{LANDING_PLAN_FILE, LandingPlan};
 use sms_plan::load_plan;
 use sms_scene::load_scene;
 use sms_sim::ArmKind;
@@ -120,7 +120,8 @@ fn run_landing(
 ) -> anyhow::Result<()> {
     let engine = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine);
     let target = engine.target()?;
-    let options = LandingTargetOptions::default();
+    let planner_sph = LandingPlan::load(plan_dir)?.wash.sph;
+    let options = LandingTargetOptions { planner_sph, ..LandingTargetOptions::default() };
     let mut read = Hasher::new();
     read.file(&plan_dir.join(LANDING_PLAN_FILE))?.file(&scene_dir.join("scene.json"))?;
     read.file(&recording.join("truth").join("truth.json"))?.text(target.label());
