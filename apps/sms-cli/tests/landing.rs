@@ -1,4 +1,5 @@
-//! A landing that cannot be planned: the reason is told, stands in the report, and no earlier plan is taken for it.
+//! A landing from a recording to the target world, and one that cannot be planned: the reason is told, stands in the report, and no
+//! earlier plan is taken for it.
 
 mod common;
 

@@ -2,13 +2,11 @@
 
 use crate::assets::Household;
 use crate::landing::{household, landing_scene_of};
-use crate::materials::{draw_material, with_effective_density};
-use crate::model::{Model, ModelScene, standing};
-use crate::scanned::{NamedModel, vertex_colors};
-use crate::scene::{Hollow, TruthObject};
+use crate::model::{Model, ModelScene};
+use crate::scanned::{NamedModel, made_of};
+use crate::scene::TruthObject;
 use crate::skin::Skin;
 use glamx::{DQuat, DVec2, DVec3};
-use rand::RngExt;
 use sms_core::{InputError, Seed};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
@@ -35,7 +33,7 @@ const LONGER: f64 = 1.01;
 /// # Errors
 /// [`InputError`] naming the models where the structure would not stand: what has neither a level foot nor a rim.
 pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelScene, InputError> {
-    let (mut skins, mut used): (Vec<(String, Skin)>, Vec<&str>) = Default::default();
+    let (mut skins, mut used): (BTreeMap<String, Skin>, Vec<&str>) = Default::default();
     let mut scene = landing_scene_of(number, &mut |kind, spread, yaw, seed| {
         let place = IN_PLACE_OF.iter().find(|(replaced, ..)| *replaced == kind);
         let is_called = |m: &NamedModel, word: &str| format!("_{}_", m.name).contains(&format!("_{word}_"));
@@ -59,11 +57,7 @@ pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelSc
         }
         scene.name += ", with scanned models";
     }
-    let mut skin_of = |o: &TruthObject| {
-        let at = skins.iter().position(|(name, _)| *name == o.name)?;
-        Some(skins.swap_remove(at).1)
-    };
-    let skins = scene.objects.iter().map(&mut skin_of).collect();
+    let skins = scene.objects.iter().map(|o| skins.remove(&o.name)).collect();
     Ok(ModelScene { scene, skins })
 }
 
@@ -75,22 +69,12 @@ fn stand(
     yaw: f64,
     seed: Seed,
 ) -> (TruthObject, Option<Skin>) {
-    let mut rng = seed.derive("scanned model v1").rng();
-    let material = draw_material(class, &mut rng);
-    let wall_density = material.density.value.best;
-    let named = &NamedModel { name: named.name.clone(), model: closed(&named.model) };
-    let mesh = &named.model.mesh;
+    let model = closed(&named.model);
+    let mesh = &model.mesh;
     let fill = wall_m.map_or(1.0, |wall| (wall * mesh.area() / mesh.volume().abs().max(1e-9)).min(1.0));
-    let material = with_effective_density(material, fill * wall_density);
     let long_in_y = mesh.aabb().is_some_and(|b| b.extents().y > LONGER * b.extents().x);
     let turn = DQuat::from_axis_angle(DVec3::Z, if long_in_y { yaw - FRAC_PI_2 } else { yaw });
-    let (mut object, skin) =
-        standing(&named.name, &named.model, turn, material, fill * wall_density, rng.random::<u32>());
-    if let Some(wall_m) = wall_m {
-        object.hollow = Hollow::Shell { wall_m, wall_density };
-    }
-    object.mesh.colors = vertex_colors(&object.mesh, skin.as_ref(), named.model.color);
-    (object, skin)
+    made_of(&named.name, &model, turn, class, fill, |_| wall_m, &mut seed.derive("scanned model v1").rng())
 }
 
 /// The model with its holes closed, each by a fan of triangles about its middle: a column that is open where it meets a table's top
@@ -131,9 +115,10 @@ fn closed(model: &Model) -> Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{landing_scene, read_models};
+    use crate::landing_scene;
+    use crate::scanned::test_models;
+    use crate::scene::Hollow;
     use sms_core::Mesh;
-    use std::path::Path;
 
     fn boxed(name: &str, half: DVec3) -> NamedModel {
         let mesh = Mesh::cuboid(half);
@@ -219,13 +204,7 @@ mod tests {
 
     #[test]
     fn structures_of_the_scanned_models_of_the_test_data_stand_and_topple_at_the_load_asked_for() {
-        let data = std::env::var_os("SMS_TEST_DATA").unwrap_or_else(|| "../../../shared/data".into());
-        let dir = Path::new(&data).join("meshes");
-        if !dir.is_dir() {
-            println!("skipped: there are no scanned meshes in {}", dir.display());
-            return;
-        }
-        let models = read_models(&dir).unwrap();
+        let Some(models) = test_models() else { return };
         for (number, scanned) in
             [(1, "gz_cardboard_box"), (2, "gz_grey_tote"), (3, "aws_waste_bin"), (4, "aws_low_table")]
         {

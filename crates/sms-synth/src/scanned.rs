@@ -7,7 +7,7 @@ use crate::scene::{Hollow, TruthObject};
 use crate::skin::Skin;
 use glamx::{DQuat, DVec2, DVec3};
 use rand::RngExt;
-use sms_core::{CoreError, Mesh, Seed};
+use sms_core::{CoreError, Mesh, Seed, StageRng};
 use std::path::Path;
 
 /// A scanned model and the name of its folder.
@@ -112,21 +112,34 @@ fn make(named: &NamedModel, seed: Seed) -> (TruthObject, Option<Skin>) {
     let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
     let (_, class, fill) =
         MADE_OF.iter().find(|(word, ..)| named.name.contains(word)).copied().unwrap_or(MADE_OF[11]);
-    let material = draw_material(class, &mut rng);
+    let wall_m = |mesh: &Mesh| (fill < 1.0).then(|| fill * mesh.volume().abs() / mesh.area().max(1e-6));
+    made_of(&named.name, &named.model, turn, class, fill, wall_m, &mut rng)
+}
+
+/// A model at the origin, turned, with a material of this class drawn for it, which fills this share of what it encloses; `wall_m` says
+/// how thick the walls of its placed mesh are where there is air within them.
+pub(crate) fn made_of(
+    name: &str,
+    model: &Model,
+    turn: DQuat,
+    class: &str,
+    fill: f64,
+    wall_m: impl FnOnce(&Mesh) -> Option<f64>,
+    rng: &mut StageRng,
+) -> (TruthObject, Option<Skin>) {
+    let material = draw_material(class, rng);
     let wall_density = material.density.value.best;
     let material = with_effective_density(material, fill * wall_density);
-    let (mut object, skin) =
-        standing(&named.name, &named.model, turn, material, fill * wall_density, rng.random::<u32>());
-    if fill < 1.0 {
-        let wall_m = fill * object.mesh.volume().abs() / object.mesh.area().max(1e-6);
+    let (mut object, skin) = standing(name, model, turn, material, fill * wall_density, rng.random::<u32>());
+    if let Some(wall_m) = wall_m(&object.mesh) {
         object.hollow = Hollow::Shell { wall_m, wall_density };
     }
-    object.mesh.colors = vertex_colors(&object.mesh, skin.as_ref(), named.model.color);
+    object.mesh.colors = vertex_colors(&object.mesh, skin.as_ref(), model.color);
     (object, skin)
 }
 
 /// Of each vertex the picture at one of its corners.
-pub(crate) fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3]> {
+fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3]> {
     const FOOTPRINT_M: f32 = 0.004;
     let mut colors = vec![plain; mesh.vertices.len()];
     if let Some(skin) = skin {
@@ -140,6 +153,18 @@ pub(crate) fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) ->
         }
     }
     colors
+}
+
+/// The models of the test data; says that there are none where there are none.
+#[cfg(test)]
+pub(crate) fn test_models() -> Option<Vec<NamedModel>> {
+    let data = std::env::var_os("SMS_TEST_DATA").unwrap_or_else(|| "../../../shared/data".into());
+    let dir = Path::new(&data).join("meshes");
+    if !dir.is_dir() {
+        println!("skipped: there are no scanned meshes in {}", dir.display());
+        return None;
+    }
+    Some(read_models(&dir).unwrap())
 }
 
 #[cfg(test)]
@@ -194,13 +219,7 @@ mod tests {
 
     #[test]
     fn scanned_models_of_the_test_data_stand_among_the_balls() {
-        let data = std::env::var_os("SMS_TEST_DATA").unwrap_or_else(|| "../../../shared/data".into());
-        let dir = Path::new(&data).join("meshes");
-        if !dir.is_dir() {
-            println!("skipped: there are no scanned meshes in {}", dir.display());
-            return;
-        }
-        let models = read_models(&dir).unwrap();
+        let Some(models) = test_models() else { return };
         assert!(models.len() >= 10 && models.windows(2).all(|w| w[0].name < w[1].name));
         let made = generate_billiards_among(Seed(1), &BilliardsSettings::default(), &models);
         let scanned = made.skins.iter().flatten().count();

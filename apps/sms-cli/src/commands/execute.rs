@@ -120,15 +120,15 @@ fn run_landing(
 ) -> anyhow::Result<()> {
     let engine = a.engine.map_or_else(TargetEngine::preferred, EngineName::engine);
     let target = engine.target()?;
-    let planner_sph = LandingPlan::load(plan_dir)?.wash.sph;
-    let options = LandingTargetOptions { planner_sph, ..LandingTargetOptions::default() };
+    let plan = LandingPlan::load(plan_dir)?;
+    let options = LandingTargetOptions { planner_sph: plan.wash.sph, ..LandingTargetOptions::default() };
     let mut read = Hasher::new();
     read.file(&plan_dir.join(LANDING_PLAN_FILE))?.file(&scene_dir.join("scene.json"))?;
     read.file(&recording.join("truth").join("truth.json"))?.text(target.label());
     let hash = inputs_hash(&[&read.finish()], &options)?;
     let dir = run_stage(context, run, "target", &["execute."], &hash, |stage, _| {
         let (scene, truth) = (load_scene(scene_dir)?, read_truth(recording)?);
-        landing::execute(&*target, plan_dir, &scene, &truth, stage.dir(), &options)
+        landing::execute(&*target, &plan, &scene, &truth, stage.dir(), &options)
     })?;
     for line in landing::execution_summary(&dir)? {
         context.say(line);

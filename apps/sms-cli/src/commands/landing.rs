@@ -377,13 +377,12 @@ fn prompted(
 /// `sms execute` of a landing's plan: the stage's figures.
 pub(crate) fn execute(
     target: &dyn Target,
-    plan_dir: &Path,
+    plan: &LandingPlan,
     scene: &Scene,
     truth: &TruthScene,
     dir: &Path,
     options: &LandingTargetOptions,
 ) -> anyhow::Result<Metrics> {
-    let plan = LandingPlan::load(plan_dir)?;
     let world = plan.world(scene);
     let execution = execute_landing(target, &plan.landing(), &plan.action, &world, truth, options)?;
     execution.save(dir)?;

@@ -106,19 +106,15 @@ pub fn scan_landings(
         let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Class, draw: 0 };
         let seen = see(scene, &truth, part)?;
         let task = bench.task(&seen.scene, &truth, part);
-        let mut falling = None;
-        let freed = match task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed) {
-            Err(e) if e.input().is_some() => {
-                falling = Some(e.to_string());
-                None
-            }
-            freed => freed?,
+        let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed);
+        let (freed, falling) = match or_why(freed)? {
+            Ok(freed) => (freed, None),
+            Err(why) => (None, Some(why)),
         };
         let planned_in = freed.as_ref().map_or(&seen.scene, |f| &f.scene);
-        let standing = match task.resolve(planned_in) {
+        let standing = match or_why(task.resolve(planned_in))? {
             Ok(landing) => Some(standing(planned_in, &truth, landing.structure(), &landing.surface().body)?),
-            Err(e) if e.input().is_some() => None,
-            Err(e) => return Err(e.into()),
+            Err(_) => None,
         };
         let (freed, held, stuck) = freed.map_or_else(Default::default, |f| (f.bodies, f.held, f.stuck));
         let (matched, objects) = (seen.matched, truth.objects.len());
@@ -178,16 +174,15 @@ fn flown(
     let scene = &seen.scene;
     (flight.objects, flight.matched) = (truth.objects.len(), seen.matched);
     let task = bench.task(scene, &truth, part);
-    let refused = seen.refused.clone().map_or(Ok(()), Err);
-    let landing = match (refused, task.resolve(scene)) {
-        (Err(why), _) => Err(why),
-        (_, Err(e)) if e.input().is_some() => Err(e.to_string()),
-        (_, landing) => Ok(landing?),
+    let landing = match &seen.refused {
+        Some(why) => Err(why.clone()),
+        None => or_why(task.resolve(scene))?,
     };
+    let mut failed = None;
     match landing {
         Ok(landing) => {
             let sight = LandingSight { landing: &landing, scene, seed: seed_of(bench, part), recorded };
-            let (mut chosen, mut failed) = (Vec::new(), None);
+            let mut chosen = Vec::new();
             for name in names(bench, part) {
                 if is_kept(bench, &flight, &name) {
                     continue;
@@ -209,24 +204,19 @@ fn flown(
             }
             fly(bench, &mut chosen, &landing, scene, &truth, target)?;
             flight.planned.extend(chosen);
-            if let Some(e) = failed {
-                atomic::write_json(&bench.file(part), &flight)?;
-                return Err(e);
-            }
         }
         Err(why) => {
             for name in names(bench, part) {
                 if !is_kept(bench, &flight, &name) {
-                    let variant = variant(bench, &name);
-                    flight
-                        .planned
-                        .insert(name, LandingPlanned { variant, ..LandingPlanned::nothing(why.clone()) });
+                    let nothing = LandingPlanned::nothing(why.clone());
+                    let variant = variant(bench, &name).to_owned();
+                    flight.planned.insert(name, LandingPlanned { variant, ..nothing });
                 }
             }
         }
     }
     atomic::write_json(&bench.file(part), &flight)?;
-    Ok((flight, true))
+    failed.map_or(Ok((flight, true)), Err)
 }
 
 impl Shared {
@@ -253,14 +243,22 @@ impl Shared {
                 self.geometry = Some((part.scene, geometry));
                 cancel.check()?;
                 let task = bench.task(&scene, truth, any_start);
-                match task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed) {
+                let freed = task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed);
+                match or_why(freed)? {
                     Ok(freed) => Seen { scene: freed.map_or(scene, |f| f.scene), matched, refused: None },
-                    Err(e) if e.input().is_some() => Seen { scene, matched, refused: Some(e.to_string()) },
-                    Err(e) => return Err(e.into()),
+                    Err(why) => Seen { scene, matched, refused: Some(why) },
                 }
             }
         };
         Ok(&self.seen.insert((any_start, seen)).1)
+    }
+}
+
+/// What was found, or why the scene is none to land in, which is a result.
+fn or_why<T>(found: Result<T, LandingError>) -> Result<Result<T, String>, BenchError> {
+    match found {
+        Err(e) if e.input().is_some() => Ok(Err(e.to_string())),
+        found => Ok(Ok(found?)),
     }
 }
 
@@ -280,8 +278,8 @@ fn is_kept(bench: &LandingBench<'_>, flight: &LandingFlight, name: &str) -> bool
 }
 
 /// Which of the choosers of that name would choose now.
-fn variant(bench: &LandingBench<'_>, name: &str) -> String {
-    bench.baselines.iter().find(|b| b.name == name).map_or_else(String::new, |b| b.variant.clone())
+fn variant<'a>(bench: &'a LandingBench<'_>, name: &str) -> &'a str {
+    bench.baselines.iter().find(|b| b.name == name).map_or("", |b| b.variant.as_str())
 }
 
 /// Bodies with the prior's materials.
@@ -369,7 +367,7 @@ fn choose(
         }
         Err(e) => return Err(e),
     };
-    Ok(LandingPlanned { plan_cpu_s: cpu_since(began), variant: variant(bench, name), ..planned })
+    Ok(LandingPlanned { plan_cpu_s: cpu_since(began), variant: variant(bench, name).to_owned(), ..planned })
 }
 
 /// Flies what several planners chose, side by side: a flight alone leaves cores idle, since air and bodies take turns.

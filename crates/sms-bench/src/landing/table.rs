@@ -167,8 +167,7 @@ pub fn landing_table(flights: &[LandingFlight]) -> String {
             own.problem.as_ref().map_or(String::new(), |p| format!(" ({p})"))
         );
     }
-    let engines: BTreeSet<&str> =
-        flights.iter().map(|f| f.engine.as_str()).filter(|e| !e.is_empty()).collect();
+    let engines: BTreeSet<&str> = flights.iter().map(|f| f.engine.as_str()).collect();
     for engine in engines {
         let _ = writeln!(text, "target world: {engine}");
     }

@@ -5,7 +5,7 @@ use super::cluster::{is_ragged, quantile};
 use super::fuse::{Neighbors, Surfel};
 use super::planes::extents;
 use super::posts::{Footprint, Post};
-use super::seams::{LevelSeam, OTHER_HUE, between, hue_contrast};
+use super::seams::{LevelSeam, OTHER_HUE, between, hue_contrast, sector, share_around};
 use super::segments::{Border, Segments};
 use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
@@ -305,8 +305,7 @@ impl Bodies<'_> {
         let center = s.spread(face).center().truncate();
         let polar = |i: usize| {
             let d = self.surfels[i].p_w.truncate() - center;
-            let share = d.to_angle() / std::f64::consts::TAU + 0.5;
-            (((share * SECTORS as f64) as usize).min(SECTORS - 1), d.length())
+            (sector(share_around(d), SECTORS), d.length())
         };
         let mut ends = [0.0f64; SECTORS];
         for (sector, radius) in s.members(face).iter().map(|&i| polar(i)) {
@@ -349,9 +348,9 @@ impl Bodies<'_> {
             let share = if is_line {
                 (axis.dot(*p) - from) / (to - from).max(1e-9)
             } else {
-                (p.truncate() - center).to_angle() / std::f64::consts::TAU + 0.5
+                share_around(p.truncate() - center)
             };
-            reached[((share * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
+            reached[sector(share, SECTORS)] = true;
         }
         // Around, it may run over the end.
         let rounds = if is_line { 1 } else { 2 };

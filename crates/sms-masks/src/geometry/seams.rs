@@ -221,8 +221,7 @@ fn along(
     let mut steps: Vec<(usize, DVec2)> = Vec::new();
     for &i in lower {
         let s = &surfels[i];
-        let share = (s.p_w.truncate() - center).to_angle() / std::f64::consts::TAU + 0.5;
-        let at = ((share * SECTORS as f64) as usize).min(SECTORS - 1);
+        let at = sector(share_around(s.p_w.truncate() - center), SECTORS);
         let sector = &mut sectors[at];
         sector.all += 1;
         let mut flush = near(above, s.p_w, FLUSH_M);
@@ -277,4 +276,13 @@ fn spreads(difference: DVec2, variance: DVec2) -> f64 {
 fn hue(s: &Surfel) -> DVec2 {
     let [r, g, b] = s.color.map(|c| f64::from(c.max(8.0)).ln());
     DVec2::new(r - g, g - b)
+}
+/// The share of the way around at which an offset points, from 0 to 1.
+pub(crate) fn share_around(offset: DVec2) -> f64 {
+    offset.to_angle() / std::f64::consts::TAU + 0.5
+}
+
+/// Which of `count` equal parts of the way a share of it is in.
+pub(crate) fn sector(share: f64, count: usize) -> usize {
+    ((share * count as f64) as usize).min(count - 1)
 }
