@@ -8,7 +8,7 @@
 #
 # RESULTS is a folder that all nodes see. SMS names the program (default: sms). What follows the benchmark's name goes to it
 # as it is. Afterwards: sms bench merge RESULTS/parts --out RESULTS/merged
-#SBATCH --job-name=sms-bench
+#SBATCH --job-name=sms-experiments
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=6G
 #SBATCH --time=04:00:00

@@ -1,6 +1,6 @@
-"""Convex parts of sms-convex and of PyPI `coacd`, side by side on the same meshes and measured by the same estimator.
+"""Convex parts of sms-mesh and of PyPI `coacd`, side by side on the same meshes and measured by the same estimator.
 
-    cargo build --release -p sms-convex --examples
+    cargo build --release -p sms-mesh --examples
     python benches/peers/coacd_parts.py MESH.obj ... [--threshold 0.05] [--max-vertices 64] [--out runs/parts] [--reuse]
 
 Each method decomposes each mesh in a process of its own, with two threads; timed is the decomposition alone, CPU seconds

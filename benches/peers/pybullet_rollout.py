@@ -30,7 +30,7 @@ ARM_JOINTS = 7
 
 
 def travel(speed: float, t: float) -> tuple[float, float, float]:
-    """Distance, speed and acceleration of a sweep of two 0.1 m segments: the smooth profile of `sms-robot`."""
+    """Distance, speed and acceleration of a sweep of two 0.1 m segments: the smooth profile of `sms-robots`."""
     half = 0.2 / speed
     if t <= 0.0 or t >= 2.0 * half:
         return (0.0 if t <= 0.0 else 0.2), 0.0, 0.0
@@ -121,7 +121,7 @@ class Peer:
         self.last = self.np.array(p.calculateInverseDynamics(self.arm, strike["q_start"], [0.0] * 7, [0.0] * 7))
 
     def torques(self, strike: dict, t: float):
-        """Operational-space control as `sms-robot` does it, with the robot's dynamics from PyBullet."""
+        """Operational-space control as `sms-robots` does it, with the robot's dynamics from PyBullet."""
         np, p, osc = self.np, self.p, self.job["osc"]
         states = p.getJointStates(self.arm, self.joints)
         q, qd = [s[0] for s in states], [s[1] for s in states]

@@ -64,7 +64,7 @@ class Selftest(unittest.TestCase):
                 self.assertAlmostEqual((after[1] - before[1]) / (2 * h), now[2], delta=1e-3)
 
     def test_the_robot_of_the_rollout_has_no_shape_but_the_fist(self):
-        text = (HERE.parent.parent / "crates/sms-robot/assets/fr3.urdf").read_text()
+        text = (HERE.parent.parent / "crates/sms-robots/assets/fr3.urdf").read_text()
         made = pybullet_rollout.robot_urdf(text, [0.01, 0.02, 0.03])
         self.assertEqual((made.count("<collision"), made.count('size="0.02 0.04 0.06"')), (1, 1))
         self.assertEqual(made.count('type="revolute"'), pybullet_rollout.ARM_JOINTS)

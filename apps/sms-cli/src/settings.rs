@@ -11,7 +11,7 @@ use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
-use sms_robot::RobotConfig;
+use sms_robots::RobotConfig;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 

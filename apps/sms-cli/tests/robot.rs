@@ -67,7 +67,7 @@ fn bad_input_is_refused(dir: &Path, run: &str, task: &str) {
     plan_refused(&unknown, &[], &["teapot", "unknown.toml", "object_01"]);
 
     // A robot with a mesh that is not there.
-    let urdf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/sms-robot/assets/fr3.urdf");
+    let urdf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/sms-robots/assets/fr3.urdf");
     let urdf = fs::read_to_string(urdf).unwrap();
     let shape = "<sphere radius=\"0.04\"/>";
     assert!(urdf.contains(shape));

@@ -43,6 +43,7 @@ mod progress;
 mod ranges;
 mod run_folder;
 mod seed;
+mod stage_context;
 pub mod table;
 mod text;
 mod topology;
@@ -71,5 +72,6 @@ pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, li
 pub use ranges::Ranges;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng, standard_normal};
+pub use stage_context::StageContext;
 pub use text::{duration_text, length_text};
 pub use warnings::{Warning, Warnings};

@@ -101,7 +101,7 @@ pub(crate) fn mesh_entity(
         Some(_) => Vec::new(),
         None => {
             let mut parts =
-                sms_convex::convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
+                sms_mesh::convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
             crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
             parts
         }

@@ -1,8 +1,8 @@
 //! Settings of the stage.
 
 use serde::{Deserialize, Serialize};
-use sms_convex::ConvexConfig;
 use sms_core::{InputError, Ranges};
+use sms_mesh::ConvexConfig;
 use std::path::PathBuf;
 
 /// Which tetrahedra belong to the solid.

@@ -6,8 +6,8 @@ use crate::stack::{REACH_M, bottom_outline, can_carry};
 use glamx::{DPose3, DQuat, DVec2, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
-use sms_convex::{clip, convex_hull};
 use sms_core::{Aabb, Entity, EntityKind, EntityShape, Mesh};
+use sms_mesh::{clip, convex_hull};
 
 /// Overlap that physics engines tolerate, metres.
 const ALLOWED: f64 = 1e-5;

@@ -8,7 +8,7 @@
 use crate::hilbert::insertion_order;
 use crate::predicates::in_sphere;
 use glamx::DVec3;
-use sms_convex::{collinear, orient};
+use sms_mesh::{collinear, orient};
 
 /// No tetrahedron: what lies beyond a hull face.
 pub const NONE: u32 = u32::MAX;

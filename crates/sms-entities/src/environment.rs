@@ -8,8 +8,8 @@ use crate::tsdf::Tsdf;
 use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use glamx::DVec3;
-use sms_convex::convex_hull;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
+use sms_mesh::convex_hull;
 
 /// Environment surface this near to an object's own surface is the object, bled over its mask's edge, metres.
 const CLEARANCE: f64 = 0.008;

@@ -2,8 +2,8 @@
 
 use crate::support::Plane;
 use glamx::DVec3;
-use sms_convex::convex_hull;
 use sms_core::Mesh;
+use sms_mesh::convex_hull;
 
 /// Vertices this near to the lowest belong to the foot, metres.
 const FOOT_M: f64 = 3e-4;

@@ -14,8 +14,8 @@ use crate::stack::{
 use crate::support::{Carrier, Rest, least_squares_plane};
 use crate::underside::SIDE;
 use glamx::{DVec2, DVec3};
-use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityShape, Mesh};
+use sms_mesh::{clip, convex_hull};
 
 /// Seen points of an underside look down at least so steeply (cosine).
 const DOWN: f64 = 0.95;

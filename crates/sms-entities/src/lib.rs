@@ -10,7 +10,7 @@
 //! 3. `sphere`: round objects become spheres, whatever they are called.
 //! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes; `primitive`: boxes and
 //!    cylinders that explain what was seen take the place of theirs.
-//! 5. crate `sms-convex`: meshes are split into convex parts for physics.
+//! 5. crate `sms-mesh`: meshes are split into convex parts for physics.
 //! 6. `level`, `contact`, `stack`, `lid`: where one stands on another, both get the level face that was seen or follows from the sides
 //!    that were seen; parts of different objects that overlap are cut apart, gaps are closed.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
@@ -75,7 +75,7 @@ pub use mesher::mesh_cloud;
 pub use primitive::{PrimitiveFit, fit_primitive};
 pub use queries::material_queries;
 pub use save::{load_entities, save_entities};
-pub use sms_convex::{ConvexConfig, convex_hull, convex_parts};
+pub use sms_mesh::{ConvexConfig, convex_hull, convex_parts};
 pub use sphere::{SphereFit, fit_sphere};
 pub use texture::bake_textures;
 

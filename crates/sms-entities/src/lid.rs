@@ -8,8 +8,8 @@ use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
 use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
-use sms_convex::convex_hull;
 use sms_core::{Aabb, Entity, Mesh};
+use sms_mesh::convex_hull;
 
 /// Corners of a lid.
 const CORNERS: usize = 24;

@@ -9,8 +9,8 @@ use crate::views::{Sight, Views};
 use crate::{inside, refine, surface};
 use glamx::DVec3;
 use rayon::prelude::*;
-use sms_convex::convex_hull;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
+use sms_mesh::convex_hull;
 
 /// How the mesh was obtained; later ones are fallbacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! The exact in-sphere test on [`DVec3`], beside `sms_convex`'s orientation tests.
+//! The exact in-sphere test on [`DVec3`], beside `sms_mesh`'s orientation tests.
 
 use glamx::DVec3;
 use robust::Coord3D;
@@ -16,7 +16,7 @@ pub(crate) fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_convex::{collinear, orient};
+    use sms_mesh::{collinear, orient};
 
     #[test]
     fn signs_are_as_documented() {

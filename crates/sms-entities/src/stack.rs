@@ -6,8 +6,8 @@ use crate::outline::{common, is_within, meet, outline_of, width};
 use glamx::{DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::ConvexPolyhedron;
-use sms_convex::{clip, convex_hull};
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+use sms_mesh::{clip, convex_hull};
 
 /// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
 pub(crate) const REACH_M: f64 = 0.005;

@@ -2,7 +2,7 @@
 
 use crate::{Prediction, Reason, RobustObjective, Sensitivity, Strategy};
 use serde::{Deserialize, Deserializer, Serialize};
-use sms_robot::RobotConfig;
+use sms_robots::RobotConfig;
 use sms_task::{Action, AgainstPrediction, Parameter, Trajectory};
 
 /// One optimisation from one start.

@@ -9,7 +9,7 @@ use sms_core::{Cancel, Mesh, NoProgress, Seed, Warnings};
 use sms_plan::{
     Disturbances, Halton, Method, Phase, PlanConfig, PlanError, PlanOutcome, plan, rehearse, search_nominal,
 };
-use sms_robot::{RobotConfig, ToolPath};
+use sms_robots::{RobotConfig, ToolPath};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{RapierFactory, Striker};
 use sms_task::{Action, Billiards, ResolvedTask, Selector, Task};
@@ -175,7 +175,7 @@ fn errors_of_the_execution_shift_the_planned_posture() {
     };
     assert!((b.sweep.direction_w - off.direction_w()).length() < 1e-12 && b.sweep.speed == off.speed);
     let model = task.arm().unwrap().model();
-    let mut ws = sms_robot::Workspace::default();
+    let mut ws = sms_robots::Workspace::default();
     model.forward_kinematics(&b.q_start, &mut ws);
     let tool = model.frame_pose(model.tool(), &ws);
     let start = b.path().at(0.0).x_wt;

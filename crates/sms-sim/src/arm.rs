@@ -13,7 +13,7 @@
 
 use crate::{BodyId, BodyState, KinematicShape, World};
 use glamx::{DPose3, DQuat, DVec3};
-use sms_robot::{ArmStrike, SweepDrive};
+use sms_robots::{ArmStrike, SweepDrive};
 
 /// An arm in a world.
 #[derive(Clone)]

@@ -1,7 +1,7 @@
 //! An arm that is an articulation of the engine: the controller of [`crate::arm`]'s arm, with the engine's own joints.
 
 use crate::{BodyId, BodyState, KinematicShape, World};
-use sms_robot::{ArmStrike, MAX_JOINTS, Osc, ToolPath, Workspace};
+use sms_robots::{ArmStrike, MAX_JOINTS, Osc, ToolPath, Workspace};
 use std::sync::Arc;
 
 /// Steps that begin this much before a control period do so at its beginning, seconds.

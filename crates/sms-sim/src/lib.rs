@@ -59,7 +59,7 @@ pub use geometry::signed_distance;
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Profile, Simulation};
-pub use sms_robot::SEGMENT_M;
+pub use sms_robots::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use tipping::{LoadRamp, LoadTest, ramp_load_n, tipping_load_n};
 pub use wash::{WashInWorld, wash_surfaces};

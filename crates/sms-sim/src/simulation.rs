@@ -10,7 +10,7 @@ use crate::{
     WorldFactory, WorldOptions,
 };
 use glamx::DVec3;
-use sms_robot::SweepDrive;
+use sms_robots::SweepDrive;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use std::collections::BTreeSet;
 use std::time::Instant;

@@ -4,7 +4,7 @@
 use crate::KinematicShape;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_robot::{ArmStrike, FIST_HALF, SEGMENT_M, Sweep};
+use sms_robots::{ArmStrike, FIST_HALF, SEGMENT_M, Sweep};
 use std::sync::Arc;
 
 /// How far a striker is lifted when its sweep is over, metres.

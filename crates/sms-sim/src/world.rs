@@ -2,7 +2,7 @@
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_robot::{ArmStrike, StrikeError};
+use sms_robots::{ArmStrike, StrikeError};
 use sms_scene::Scene;
 
 /// Index of a body: scene bodies first, in the scene's order, then kinematic ones and tools in the order they were added.

@@ -5,7 +5,7 @@ mod common;
 use common::*;
 use glamx::{DPose3, DVec3};
 use sms_core::sphere_mass_properties;
-use sms_robot::{
+use sms_robots::{
     ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, SweepPlan, Workspace, plan_sweep,
     simulate_sweep,
 };

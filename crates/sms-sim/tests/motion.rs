@@ -4,10 +4,10 @@ mod common;
 
 use common::*;
 use glamx::{DMat3, DPose3, DQuat, DVec3};
-use sms_convex::convex_hull;
 use sms_core::{
     MassProperties, Mesh, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
 };
+use sms_mesh::convex_hull;
 use sms_scene::{Body, BodyKind, BodyShape, floor_body};
 use sms_sim::{
     BodyState, LoadRamp, LoadTest, RestLimits, StrikerMotion, WorldFactory, WorldOptions, fix_restless,

@@ -34,7 +34,7 @@ const fn moved(number: usize, layout: Layout, seed: u64, obstacles: usize, goal_
 /// each of a finger that gives no way, then with 500 shots each of the arm, in the planner's engine. As drawn, goals were 13 to
 /// 38 cm from their balls, so that the paper's baseline lost 15 cm on average where it lost 28 in the paper's scenes: whoever misses
 /// leaves the ball where it was. In nine scenes the goal is therefore farther away, 24 to 51 cm, where brute force (the example `goals`
-/// of `sms-bench`) comes to and the baseline does not. In each scene the arm has a shot that comes within 12 mm, and at
+/// of `sms-experiments`) comes to and the baseline does not. In each scene the arm has a shot that comes within 12 mm, and at
 /// least 0.6 % of shots come within 5 cm. Scenes 8 to 18 have no straight shot of the arm that comes nearer than 7.5 cm; scene 18
 /// none with one rebound that comes nearer than 14 cm. No plan was looked at when goals were placed, but that scene 15's ball was struck
 /// as fast as could be at the goal before (it was chosen anew from shots below 0.7 m/s, and scene 14's kept). The other way round, some

@@ -3,7 +3,7 @@
 
 use rand::RngExt;
 use sms_core::Seed;
-use sms_robot::RobotConfig;
+use sms_robots::RobotConfig;
 use sms_sim::{RapierFactory, SimError};
 use sms_synth::FIXED_SCENES;
 use sms_target::{TargetEngine, scene_from_truth};

@@ -6,7 +6,7 @@ use glamx::DVec3;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, Seed};
-use sms_robot::RobotConfig;
+use sms_robots::RobotConfig;
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{ArmKind, SimError, Striker, WorldOptions};
 use sms_synth::TruthScene;

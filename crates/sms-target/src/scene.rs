@@ -1,8 +1,8 @@
 //! A generated scene's truth as a physics scene.
 
 use glamx::{DPose3, DVec3};
-use sms_convex::{ConvexConfig, convex_parts};
 use sms_core::{Hash, InertiaError, MassProperties, Mesh, hash_serializable};
+use sms_mesh::{ConvexConfig, convex_parts};
 use sms_scene::{Body, BodyKind, BodyShape, GRAVITY, SCENE_VERSION, Scene, floor_body};
 use sms_synth::{TruthObject, TruthScene};
 use std::collections::BTreeMap;
@@ -105,7 +105,7 @@ fn mean_color(mesh: &Mesh) -> [u8; 3] {
 mod tests {
     use super::*;
     use glamx::DQuat;
-    use sms_convex::convex_hull;
+    use sms_mesh::convex_hull;
 
     /// Volume between the parts' union and the mesh where parts do not overlap.
     fn excess(parts: &[Mesh], mesh: &Mesh) -> f64 {

@@ -3,7 +3,7 @@
 
 use glamx::DVec3;
 use sms_core::{Interval, Material, Property, PropertySource, sphere_mass_properties};
-use sms_robot::{ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, Workspace, plan_sweep};
+use sms_robots::{ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, Workspace, plan_sweep};
 use sms_scene::{Body, BodyKind, BodyShape, GRAVITY, SCENE_VERSION, Scene, floor_body};
 use sms_sim::{ArmKind, Simulation, Striker, WorldOptions};
 use sms_target::PhysxFactory;

@@ -3,7 +3,7 @@
 use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
 use sms_core::{Hash, Hasher, InputError};
-use sms_robot::{
+use sms_robots::{
     ArmStrike, IkTarget, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
     check_strike, obstacles, plan_startable_sweep, plan_strike,
 };

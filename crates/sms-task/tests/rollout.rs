@@ -246,7 +246,7 @@ fn arms_among_other_things_are_not_the_same() {
     let scene = two_balls();
     let mut moved = scene.clone();
     moved.bodies[2].x_wb.translation.y += 0.001;
-    let config = sms_robot::RobotConfig {
+    let config = sms_robots::RobotConfig {
         x_world_robot: Some([
             [1.0, 0.0, 0.0, -0.1],
             [0.0, 1.0, 0.0, 0.0],

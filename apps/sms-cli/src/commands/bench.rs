@@ -19,12 +19,12 @@ use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use serde_json::json;
-use sms_bench::{
+use sms_core::metrics::Metrics;
+use sms_core::{CoreError, InputError, Warnings};
+use sms_experiments::{
     BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, Shard, add_means, export_scene, locate,
     parse_length_m, parse_pose_noise, part_of, prepare, run_scene, score_files, select_scenes, table,
 };
-use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, Warnings};
 use sms_poses::PosesMode;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -181,7 +181,7 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         if matches!(scene, BenchScene::Real(_)) && options.disturbance.disturbs_poses() {
             eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
         } else if is_absent(&scene) {
-            let dir = sms_bench::real_data_dir();
+            let dir = sms_experiments::real_data_dir();
             eprintln!("skipped {scene}: there is no such recording in {} (SMS_TEST_DATA)", dir.display());
         } else {
             present.push(scene);
@@ -199,7 +199,7 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
     if let Some(dir) = &a.export {
         return export(context, &present, &options, dir);
     }
-    let aside = std::env::temp_dir().join(format!("sms-bench-{}", std::process::id()));
+    let aside = std::env::temp_dir().join(format!("sms-experiments-{}", std::process::id()));
     let out = a.out.as_ref().unwrap_or(&aside);
     let measured = run_children(context, &present, &options, out);
     if a.out.is_none() {
@@ -272,8 +272,10 @@ fn is_absent(scene: &BenchScene) -> bool {
         | BenchScene::Stacked(_)
         | BenchScene::Landing(_)
         | BenchScene::ScannedLanding(_) => false,
-        BenchScene::Model(name) => !sms_bench::model_path(name).is_file(),
-        BenchScene::Real(name) => !sms_bench::real_data_dir().join(name).join("transforms.json").is_file(),
+        BenchScene::Model(name) => !sms_experiments::model_path(name).is_file(),
+        BenchScene::Real(name) => {
+            !sms_experiments::real_data_dir().join(name).join("transforms.json").is_file()
+        }
     }
 }
 

@@ -11,12 +11,12 @@ use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
-use sms_bench::{
+use sms_core::{InputError, Seed};
+use sms_experiments::{
     BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
     billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, scan_billiards,
     write_pictures, write_shots,
 };
-use sms_core::{InputError, Seed};
 use sms_plan::PlanConfig;
 use sms_synth::{FIXED_SCENES, FixedScene, billiards_scene};
 use sms_vlm::{ApiKey, Client};

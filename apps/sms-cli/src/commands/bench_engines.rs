@@ -3,7 +3,7 @@
 use super::bench_optimisers::{Family, finish, parse_seeds};
 use crate::context::Context;
 use clap::Args;
-use sms_bench::{PlanScene, engines_table, run_engines};
+use sms_experiments::{PlanScene, engines_table, run_engines};
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]

@@ -2,10 +2,10 @@
 
 use crate::context::Context;
 use crate::device::Device;
-use sms_bench::{BenchOptions, BenchScene, TrainerMaker};
 #[cfg(feature = "gpu")]
 use sms_core::Seed;
 use sms_core::Warnings;
+use sms_experiments::{BenchOptions, BenchScene, TrainerMaker};
 #[cfg(feature = "gpu")]
 use sms_gaussians::TrainConfig;
 use std::path::Path;
@@ -20,8 +20,8 @@ pub(crate) fn run(
     dir: &Path,
     warnings: &Warnings,
 ) -> anyhow::Result<()> {
-    use sms_bench::{Prepared, run_scene_with};
     use sms_core::metrics::Metrics;
+    use sms_experiments::{Prepared, run_scene_with};
     use sms_gaussians_gpu::GpuTrainer;
     let make = |train: &TrainConfig, classes, seed| checked(train, classes, seed, index);
     let figures = |prefix: &str, trainer: &mut GpuTrainer, prepared: &Prepared| {
@@ -52,7 +52,7 @@ fn checked(
     classes: usize,
     seed: Seed,
     index: Option<usize>,
-) -> Result<sms_gaussians_gpu::GpuTrainer, sms_bench::BenchError> {
+) -> Result<sms_gaussians_gpu::GpuTrainer, sms_experiments::BenchError> {
     use sms_gaussians_gpu::{Choice, checked_trainer};
     let choice = index.map_or(Choice::Best, Choice::Index);
     checked_trainer(train, classes, seed, choice).map_err(|error| {

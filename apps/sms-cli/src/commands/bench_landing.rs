@@ -13,12 +13,12 @@ use crate::context::Context;
 use crate::device::Device;
 use anyhow::Context as _;
 use clap::Args;
-use sms_bench::{
+use sms_core::{InputError, Seed, Warnings};
+use sms_experiments::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
     LandingScan, LandingSight, Shard, Standing, landing_metrics, landing_scan_metrics, landing_table,
     part_of, read_landings, run_landings, scan_landings,
 };
-use sms_core::{InputError, Seed, Warnings};
 use sms_prompting::{
     ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
     visual_prompting,
@@ -293,8 +293,8 @@ fn flight_line(f: &LandingFlight) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_bench::{LandingPart, merge_shards};
     use sms_core::Hash;
+    use sms_experiments::{LandingPart, merge_shards};
 
     fn flight(part: LandingPart) -> LandingFlight {
         LandingFlight {

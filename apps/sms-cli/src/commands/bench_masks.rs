@@ -5,11 +5,11 @@ use super::bench_plan::{parse_shard, settings};
 use crate::context::Context;
 use anyhow::Context as _;
 use clap::Args;
-use sms_bench::{
+use sms_core::{InputError, Warnings};
+use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, MaskScores, REAL, Shard, masks_metrics, masks_table, part_of,
     run_masks, select_mask_scenes,
 };
-use sms_core::{InputError, Warnings};
 use sms_frames::ReadOptions;
 use sms_gaussians::Preset;
 use sms_masks::GeometryConfig;
@@ -95,7 +95,7 @@ fn scores_of(whole: &Shard) -> anyhow::Result<Vec<Scored>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_bench::{MaskedObject, merge_shards};
+    use sms_experiments::{MaskedObject, merge_shards};
 
     #[test]
     fn parts_of_a_run_make_the_run() {

@@ -8,12 +8,12 @@ use crate::cli::PresetName;
 use crate::context::Context;
 use crate::device::Device;
 use clap::{Args, ValueEnum};
-use sms_bench::{
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, Warnings};
+use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, Shard,
     add_materialize_means, materialize_markdown, materialize_table, model_path, part_of, run_materialize,
 };
-use sms_core::metrics::Metrics;
-use sms_core::{InputError, Warnings};
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
@@ -74,7 +74,7 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
     let mut scenes = match (&a.objects[..], &a.seeds[..]) {
         ([], [_, ..]) => Vec::new(),
         ([], []) => MODELS.iter().map(|m| BenchScene::Model((*m).to_owned())).collect(),
-        (words, _) => sms_bench::select_models(words)?,
+        (words, _) => sms_experiments::select_models(words)?,
     };
     scenes.extend(a.seeds.iter().map(|&seed| BenchScene::Ten(seed)));
     let baseline = a.compare.as_deref().map(read_baseline).transpose()?;

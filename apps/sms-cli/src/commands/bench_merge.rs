@@ -6,8 +6,8 @@ use super::{
 };
 use crate::context::Context;
 use clap::Args;
-use sms_bench::{Merged, merge_shards};
 use sms_core::InputError;
+use sms_experiments::{Merged, merge_shards};
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]

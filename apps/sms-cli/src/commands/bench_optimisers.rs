@@ -4,11 +4,11 @@ use super::bench_plan::{parse_shard, seeds_of, settings};
 use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use sms_bench::{
-    OptimiserBench, SceneFamily, Shard, merge_optimisers, optimiser_table, part_of, run_optimisers,
-};
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
+use sms_experiments::{
+    OptimiserBench, SceneFamily, Shard, merge_optimisers, optimiser_table, part_of, run_optimisers,
+};
 use std::path::PathBuf;
 
 /// How hard the scenes of a planner's benchmark are.

@@ -5,12 +5,12 @@ use super::plan::summary;
 use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
-use sms_bench::{
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, Seed, atomic};
+use sms_experiments::{
     MaterialsTold, PlanScene, RobustBench, Shard, merge_plan_speed, part_of, robust_table, run_full_shots,
     run_plan_speed,
 };
-use sms_core::metrics::Metrics;
-use sms_core::{InputError, Seed, atomic};
 use sms_plan::PlanConfig;
 use sms_target::TargetEngine;
 use std::collections::BTreeMap;
@@ -249,7 +249,8 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         Some(out) => Ok(metrics.save(out)?),
         None => Ok(()),
     };
-    let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    let metrics =
+        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
     if let (Some(out), Some(part)) = (&a.out, part) {
         let mut shard = Shard::new("robust", part, robust_settings(&bench));
         for &seed in &bench.seeds {
@@ -304,7 +305,8 @@ pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf
     let mut known = Metrics::new();
     whole.items.keys().for_each(|k| known.merge(whole.figures(k)));
     let keep = |_: &Metrics| Ok(());
-    let metrics = sms_bench::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    let metrics =
+        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, out, robust_table(&bench, &metrics).trim_end())
 }
 
@@ -312,7 +314,7 @@ pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result
     let config = context.settings.section("plan", PlanConfig::default())?;
     let mut metrics = Metrics::new();
     let mut text = Vec::new();
-    for (statue, plan) in sms_bench::run_rebound(&config, Seed(a.seed), &context.cancel)? {
+    for (statue, plan) in sms_experiments::run_rebound(&config, Seed(a.seed), &context.cancel)? {
         let key = |name: &str| format!("bench.rebound.{}.{name}", statue.as_str());
         metrics.set(key("objective"), plan.objective);
         metrics.set(key("strategy"), plan.strategies.first().map_or("", |s| s.name.as_str()));

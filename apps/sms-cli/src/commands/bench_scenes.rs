@@ -7,12 +7,12 @@ use crate::context::Context;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::{Value, json};
-use sms_bench::{
+use sms_core::InputError;
+use sms_core::metrics::Metrics;
+use sms_experiments::{
     Shard, Solvability, SolvabilityBench, SolvedBench, part_of, run_solvability, run_solved, solved_metrics,
     solved_table,
 };
-use sms_core::InputError;
-use sms_core::metrics::Metrics;
 use sms_synth::Layout;
 use sms_target::TargetEngine;
 use std::fmt::Write as _;

@@ -9,7 +9,7 @@ use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder, atomic};
 use sms_plan::{Plan, load_plan};
-use sms_robot::{
+use sms_robots::{
     JointProgram, RobotConfig, StrikeCheck, Sweep, Workspace, check_strike, obstacles, plan_strike,
 };
 use sms_scene::load_scene;

@@ -4,7 +4,7 @@ use super::scenes::{R, ball, material, simulate};
 use crate::{SimError, Striker, WorldFactory};
 use glamx::DVec3;
 use sms_core::sphere_mass_properties;
-use sms_robot::{ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, Workspace, plan_sweep};
+use sms_robots::{ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, Workspace, plan_sweep};
 use sms_scene::Body;
 use std::sync::Arc;
 

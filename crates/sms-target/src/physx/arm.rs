@@ -9,7 +9,7 @@ use super::shapes::{Shape, transform, vector};
 use crate::principal::principal;
 use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::*;
-use sms_robot::{ArmStrike, JointKind, RobotModel, Workspace, joint_friction};
+use sms_robots::{ArmStrike, JointKind, RobotModel, Workspace, joint_friction};
 use std::ptr::null_mut;
 use std::sync::Arc;
 
@@ -173,7 +173,7 @@ impl Arm {
 unsafe fn link(
     articulation: *mut PxArticulationReducedCoordinate,
     parent: *mut PxArticulationLink,
-    joint: &sms_robot::Joint,
+    joint: &sms_robots::Joint,
     x_wj: &DPose3,
 ) -> Option<*mut PxArticulationLink> {
     let mass = joint.mass.as_ref()?;

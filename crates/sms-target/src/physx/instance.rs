@@ -9,7 +9,7 @@ use crate::principal::principal;
 use glamx::{DPose3, DVec3};
 use physx_sys::*;
 use sms_core::MassProperties;
-use sms_robot::ArmStrike;
+use sms_robots::ArmStrike;
 use std::ptr::{null, null_mut};
 
 /// Moment of inertia of a tool, kg·m²: no contact turns it. TGS solves for angular velocities times the root of the inertia and

@@ -6,7 +6,7 @@ use super::shapes::{Shaper, Surface, transform};
 use super::tuning::Tuning;
 use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::{PxTransform, PxVec3};
-use sms_robot::ArmStrike;
+use sms_robots::ArmStrike;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 

@@ -1,0 +1,104 @@
+//! Inverse kinematics of the FR3.
+
+use glamx::{DPose3, DQuat, DVec3};
+use proptest::prelude::*;
+use sms_robots::{IkConfig, IkTarget, RobotModel, Workspace};
+
+fn tool_at(model: &RobotModel, q: &[f64]) -> DPose3 {
+    let mut ws = Workspace::default();
+    model.forward_kinematics(q, &mut ws);
+    model.frame_pose(model.tool(), &ws)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Where some posture well inside the limits puts the tool, one is found; all that are found are true.
+    #[test]
+    fn what_can_be_reached_is_found(shares in prop::array::uniform7(0.1..0.9f64)) {
+        let model = RobotModel::fr3();
+        let q: Vec<f64> = model
+            .joints()
+            .iter()
+            .zip(shares)
+            .map(|(j, s)| j.limits.lower + s * (j.limits.upper - j.limits.lower))
+            .collect();
+        let goal = tool_at(&model, &q);
+        // More starts than for a strike: poses behind the back are rare in practice.
+        let config = IkConfig { starts: 48, ..Default::default() };
+        let found = model.inverse_kinematics(&IkTarget::Pose(goal), None, &config, &mut Workspace::default());
+        let found = found.map_err(|e| TestCaseError::fail(e.to_string()))?;
+        for solution in &found {
+            let x = tool_at(&model, &solution.q);
+            prop_assert!((x.translation - goal.translation).length() < 1e-8);
+            prop_assert!(x.rotation.angle_between(goal.rotation) < 1e-6);
+            prop_assert!(model.limit_margin(&solution.q).1 >= 0.02 - 1e-12);
+            let (_, margin) = model.limit_margin(&solution.q);
+            // A margin of 0.02 rad is the least, and no half range is more than 3.1 rad.
+            prop_assert!(solution.limit_share > 0.02 / 3.1 && solution.limit_share <= margin, "{solution:?}");
+        }
+        let worth = |s: &sms_robots::IkSolution| s.limit_share * s.manipulability;
+        prop_assert!(found.windows(2).all(|w| worth(&w[0]) >= worth(&w[1])), "{found:?}");
+    }
+
+    #[test]
+    fn a_direction_alone_is_reached(x in 0.3..0.6f64, y in -0.3..0.3f64, z in 0.1..0.5f64) {
+        let model = RobotModel::fr3();
+        let target = IkTarget::Axis { position_w: DVec3::new(x, y, z), z_w: DVec3::new(0.1, 0.0, 1.0).normalize() };
+        let IkTarget::Axis { position_w, z_w } = target else { unreachable!() };
+        let found = model.inverse_kinematics(&target, None, &IkConfig::default(), &mut Workspace::default()).unwrap();
+        let at = tool_at(&model, &found[0].q);
+        prop_assert!((at.translation - position_w).length() < 1e-8);
+        prop_assert!((at.rotation * DVec3::Z - z_w).length() < 1e-8);
+    }
+}
+
+#[test]
+fn what_is_out_of_reach_is_said_with_how_far() {
+    let model = RobotModel::fr3();
+    // The arm's shoulder is at 0.333 m; stretched, the tool comes no farther than this.
+    let far = DPose3::from_parts(DVec3::new(1.5, 0.0, 0.333), DQuat::IDENTITY);
+    let e = model
+        .inverse_kinematics(&IkTarget::Pose(far), None, &IkConfig::default(), &mut Workspace::default())
+        .unwrap_err();
+    assert!(e.position_error_m > 1.5 - model.reach_bound_m(), "{e}");
+    assert!(e.position_error_m < 1.0, "{e}");
+    let reached = tool_at(&model, &e.best_q);
+    assert!((reached.translation.distance(far.translation) - e.position_error_m).abs() < 1e-12);
+    assert!(e.to_string().contains("cannot reach"), "{e}");
+    // A point that is near enough, but not with this attitude: palm up close to the floor.
+    let twisted =
+        DPose3::from_parts(DVec3::new(0.5, 0.0, 0.03), DQuat::from_rotation_x(std::f64::consts::PI));
+    let e = model
+        .inverse_kinematics(&IkTarget::Pose(twisted), None, &IkConfig::default(), &mut Workspace::default())
+        .unwrap_err();
+    assert!(!e.binding.is_empty() && e.to_string().contains("limit"), "{e}");
+}
+
+#[test]
+fn limits_that_cannot_reach_are_named() {
+    // An arm that can hardly leave the plane y = 0 cannot bring the tool to its side.
+    let mut text = sms_robots::FR3_URDF.to_owned();
+    for limit in ["2.7437", "2.9007", "2.8065"] {
+        let wide = format!("lower=\"-{limit}\" upper=\"{limit}\"");
+        assert!(text.contains(&wide));
+        text = text.replace(&wide, "lower=\"-0.1\" upper=\"0.1\"");
+    }
+    let options = sms_robots::UrdfOptions { tool: Some("fr3_fist".into()), ..Default::default() };
+    let model = RobotModel::from_urdf_text(&text, std::path::Path::new("stiff.urdf"), &options).unwrap();
+    let aside = DPose3::from_translation(DVec3::new(0.3, 0.4, 0.1));
+    let e = model
+        .inverse_kinematics(&IkTarget::Pose(aside), None, &IkConfig::default(), &mut Workspace::default())
+        .unwrap_err();
+    assert!(e.binding.iter().any(|(name, upper)| name == "fr3_joint1" && *upper), "{e}");
+    assert!(e.to_string().contains("fr3_joint1 at its upper limit"), "{e}");
+}
+
+#[test]
+fn the_same_target_gives_the_same_postures() {
+    let model = RobotModel::fr3();
+    let target = IkTarget::Pose(DPose3::from_translation(DVec3::new(0.5, 0.1, 0.05)));
+    let find =
+        || model.inverse_kinematics(&target, None, &IkConfig::default(), &mut Workspace::default()).unwrap();
+    assert_eq!(find(), find());
+}

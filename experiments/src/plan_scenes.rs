@@ -1,0 +1,127 @@
+//! The scenes on which the planner is measured.
+
+use crate::{BenchError, MaterialsTold, tell_materials};
+use serde::{Deserialize, Serialize};
+use sms_core::glamx::DVec3;
+use sms_core::{InputError, Seed};
+use sms_plan::PlanError;
+use sms_robots::RobotConfig;
+use sms_scene::Scene;
+use sms_synth::{BilliardsSettings, FIXED_SCENES, FixedScene, TruthScene, generate_billiards};
+use sms_target::scene_from_truth;
+use sms_task::{Billiards, ResolvedTask, Selector, Task};
+
+/// Seeds for tuning the planner; seeds below 1000 are held back for the final tables.
+pub const TUNING_SEEDS: std::ops::RangeInclusive<u64> = 1001..=1012;
+
+/// How hard the generated scenes are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneFamily {
+    /// The paper's: both corridors free, cut of at most 35°.
+    Open,
+    /// Nine obstacles, corridors not kept free, cut of up to 75°.
+    Crowded,
+    /// The eighteen of the billiards experiment, by their numbers.
+    Fixed,
+}
+
+impl SceneFamily {
+    /// The scene of a seed; of the fixed ones, of a number.
+    ///
+    /// # Errors
+    /// [`InputError`] where no fixed scene has the number.
+    pub fn generate(self, seed: u64) -> Result<TruthScene, InputError> {
+        let settings = match self {
+            Self::Open => BilliardsSettings::default(),
+            Self::Crowded => BilliardsSettings {
+                objects: 9,
+                corridor_half_width_m: 0.0,
+                max_cut_angle: 75f64.to_radians(),
+                ..BilliardsSettings::default()
+            },
+            Self::Fixed => {
+                let fixed = seed.checked_sub(1).and_then(|i| FIXED_SCENES.get(usize::try_from(i).ok()?));
+                return fixed.map(FixedScene::generate).ok_or_else(|| {
+                    InputError::new(
+                        format!("there is no fixed scene {seed}"),
+                        "--seeds",
+                        format!("give numbers from 1 to {}", FIXED_SCENES.len()),
+                    )
+                });
+            }
+        };
+        Ok(generate_billiards(Seed(seed), &settings))
+    }
+}
+
+/// A task in the true geometry of a generated scene: what a perfect scan would give.
+#[derive(Debug, Clone)]
+pub struct PlanScene {
+    /// Seed of the scene.
+    pub seed: u64,
+    /// The scene as the planner is told it.
+    pub scene: Scene,
+    /// What is true; never shown to the planner.
+    pub truth: TruthScene,
+    /// The task in it, carried out by a finger that gives no way.
+    pub task: ResolvedTask,
+    /// The robot that stands before it.
+    pub robot: RobotConfig,
+}
+
+/// How far the arm stands behind the generator's place for it, metres: nearer, its own links 5 and 7 meet in one strike of
+/// six.
+pub(crate) const STAND_BACK_M: f64 = 0.1;
+
+/// The built-in arm before a generated scene. Its place is known beforehand, as from a hand-eye calibration, and nothing
+/// that a scan has to find out.
+pub fn robot_of(truth: &TruthScene) -> RobotConfig {
+    let [x, y, z] = (truth.robot_base_w - DVec3::X * STAND_BACK_M).to_array();
+    let x_recording_robot =
+        [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
+    RobotConfig { x_recording_robot: Some(x_recording_robot), ..RobotConfig::default() }
+}
+
+impl PlanScene {
+    /// Generates the scene of a seed, with the true materials told.
+    ///
+    /// # Errors
+    /// [`BenchError`] when the generator's masses or task are impossible.
+    pub fn new(family: SceneFamily, seed: u64) -> Result<Self, BenchError> {
+        Self::told(family, seed, MaterialsTold::Truth)
+    }
+
+    /// Generates the scene of a seed, with something told of the materials.
+    ///
+    /// # Errors
+    /// As [`PlanScene::new`].
+    pub fn told(family: SceneFamily, seed: u64, told: MaterialsTold) -> Result<Self, BenchError> {
+        let truth = family.generate(seed)?;
+        let mut scene = true_scene(&truth, seed)?;
+        tell_materials(&mut scene, &truth, told, Seed(seed));
+        let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
+        let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
+        let task = task.resolve(&scene).map_err(PlanError::from)?;
+        Ok(Self { seed, robot: robot_of(&truth), scene, truth, task })
+    }
+
+    /// The task, carried out by the arm.
+    ///
+    /// # Errors
+    /// [`BenchError`] of the robot's description.
+    pub fn arm_task(&self) -> Result<ResolvedTask, BenchError> {
+        Ok(self.task.clone().with_robot(&self.robot, &self.scene)?)
+    }
+}
+
+/// The truth as a scene.
+pub(crate) fn true_scene(truth: &TruthScene, seed: u64) -> Result<Scene, BenchError> {
+    Ok(scene_from_truth(truth).map_err(|e| {
+        InputError::new(
+            format!("the scene cannot be simulated: {e}"),
+            format!("seed {seed}"),
+            "use another seed",
+        )
+    })?)
+}
