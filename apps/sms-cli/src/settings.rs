@@ -3,7 +3,6 @@
 use serde::{Serialize, de::DeserializeOwned};
 use sms_core::{InputError, atomic};
 use sms_entities::EntitiesConfig;
-use sms_flight::FlightFiles;
 use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::ScanConfig;
 use sms_landing::LandingSettings;
@@ -12,6 +11,7 @@ use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_report::EvaluateSettings;
 use sms_robots::RobotConfig;
+use sms_robots::autopilot::FlightFiles;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 

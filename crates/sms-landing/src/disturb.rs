@@ -27,7 +27,7 @@ impl LandingDisturbances {
         };
         let mut disturbed = materials.scene(scene, seed, index);
         if self.object_m > 0.0 {
-            let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(aabb_w).collect();
+            let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(Body::aabb_w).collect();
             let seed = seed.derive_index("places", index as u64);
             for (i, body) in disturbed.bodies.iter_mut().enumerate() {
                 if !landing.structure().contains(&body.name) || !stands_on_something(i, &boxes) {
@@ -135,11 +135,6 @@ fn stands_on_something(index: usize, boxes: &[Option<Aabb>]) -> bool {
         stands |= above.abs() <= ON_TOP_M;
     }
     stands
-}
-
-fn aabb_w(body: &Body) -> Option<Aabb> {
-    let corners = body.shape.meshes().into_iter().flat_map(|m| m.vertices);
-    Aabb::of_points(corners.map(|p| body.x_wb.transform_point(p)))
 }
 
 /// Uniform in [−1, 1).

@@ -2,6 +2,7 @@
 
 use sms_core::{CoreError, InputError};
 use sms_plan::PlanError;
+use sms_robots::VehicleError;
 use sms_sim::SimError;
 use sms_wash::WashError;
 
@@ -33,6 +34,9 @@ pub enum LandingError {
     /// The air cannot be built.
     #[error(transparent)]
     Wash(#[from] WashError),
+    /// The flight cannot be built.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleError),
     /// The search failed.
     #[error(transparent)]
     Plan(#[from] PlanError),

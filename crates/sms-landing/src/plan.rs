@@ -4,9 +4,10 @@ use crate::{LandingAction, LandingOutcome, LandingSurface, LandingTask, Resolved
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, MassProperties, Material, atomic};
 use sms_plan::Trial;
+use sms_robots::Quadrotor;
 use sms_scene::{Body, BodyKind, Scene};
 use sms_task::{Parameter, json};
-use sms_wash::{Quadrotor, WashModel, WashSettings};
+use sms_wash::{WashModel, WashSettings};
 use std::path::Path;
 
 /// Where the plan lies in a run's folder of the stage.

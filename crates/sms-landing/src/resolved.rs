@@ -4,10 +4,10 @@ use crate::surface::body_index;
 use crate::{LandingAction, LandingError, LandingSurface, LandingTask};
 use glamx::{DVec2, DVec3};
 use sms_core::{Aabb, InputError};
+use sms_robots::{BezierPath, Flight, FlightSettings, Quadrotor};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{RestLimits, RestingDrift, SimError, WorldFactory, WorldOptions, resting_drift, wash_surfaces};
 use sms_task::Parameter;
-use sms_wash::{BezierPath, Flight, FlightSettings, Quadrotor};
 
 /// Bodies whose boxes come this close touch, metres: reconstructions leave gaps.
 const TOUCH_M: f64 = 0.01;
@@ -201,7 +201,7 @@ impl ResolvedLanding {
     /// The flight of an action: the Bézier curve of the paper in the flight plane, then straight down.
     ///
     /// # Errors
-    /// [`LandingError::Wash`] for speeds that are not positive.
+    /// [`LandingError::Vehicle`] for speeds that are not positive.
     pub fn flight(&self, action: &LandingAction, carried_out: &CarriedOut) -> Result<Flight, LandingError> {
         let shift = carried_out.shift_w.extend(0.0);
         let landing_w = self.standing_w(action.landing()) + shift;

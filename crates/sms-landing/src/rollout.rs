@@ -7,14 +7,15 @@ use crate::{
 };
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_core::{Aabb, Interval, Mesh, Property, PropertySource};
-use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material};
+use sms_core::{Aabb, Interval, Property, PropertySource};
+use sms_robots::{Flight, Rotor};
+use sms_scene::{Body, Scene, example_material};
 use sms_sim::{
     BodyId, BodyState, Impossible, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions,
     wash_surfaces,
 };
 use sms_task::{BodyTrack, Trajectory};
-use sms_wash::{Flight, Rotor, VehicleState, WashModel, WashSettings};
+use sms_wash::{VehicleState, WashModel, WashSettings};
 
 /// A world stands so long before it is used, seconds: contacts find their forces.
 const SETTLE_S: f64 = 0.25;
@@ -443,21 +444,7 @@ fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, Landin
     let mass = vehicle
         .mass_properties()
         .map_err(|e| SimError::Body { body: vehicle.name.clone(), why: e.to_string() })?;
-    Ok(Body {
-        name,
-        label: 0,
-        description: vehicle.name.clone(),
-        kind: BodyKind::Dynamic,
-        x_wb: DPose3::from_translation(landing.start_w()),
-        shape: BodyShape::Hulls { hulls: vehicle.solids() },
-        visual: Mesh::default(),
-        texture: None,
-        mass: Some(mass),
-        material,
-        color: [60, 60, 65],
-        observed_share: 1.0,
-        fit_se_m: 0.0,
-    })
+    Ok(vehicle.body(&name, DPose3::from_translation(landing.start_w()), Some(mass), material))
 }
 
 /// Carries out one landing in a world of its own, which is the planner's ([`sms_sim::RapierFactory`], the scanned scene) or a

@@ -4,9 +4,10 @@ use crate::{LandingError, LandingTask, SurfaceLimits};
 use glamx::{DMat2, DPose3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, InputError};
+use sms_robots::Quadrotor;
 use sms_scene::{BodyShape, Scene};
 use sms_sim::wash_surfaces;
-use sms_wash::{BodySurface, Quadrotor};
+use sms_wash::BodySurface;
 
 /// Spacing of the grid, metres.
 const CELL_M: f64 = 0.01;

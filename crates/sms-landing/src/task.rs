@@ -3,7 +3,7 @@
 use crate::LandingError;
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, Ranges, atomic};
-use sms_wash::{FlightSettings, Quadrotor};
+use sms_robots::{FlightSettings, Quadrotor};
 use std::path::{Path, PathBuf};
 
 /// The word that leaves a choice to the program.

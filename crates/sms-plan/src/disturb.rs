@@ -179,7 +179,7 @@ impl Disturbances {
 
     /// Which dynamic bodies stand apart from all others by more than both can be off, in the scene's order.
     fn free(&self, scene: &Scene) -> Vec<bool> {
-        let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(aabb_w).collect();
+        let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(Body::aabb_w).collect();
         let reach: Vec<f64> = scene.bodies.iter().map(|b| self.shift(b) + self.swell(b)).collect();
         (0..boxes.len())
             .map(|i| {
@@ -217,16 +217,6 @@ fn is_ball(body: &Body) -> bool {
 /// What is common to all bodies and what a body's own residuals show; nothing where `common` is switched off.
 fn with_residual(common: f64, shown: f64) -> f64 {
     if common > 0.0 { common + shown } else { 0.0 }
-}
-
-/// The box around a body in the world; `None` for a half space.
-fn aabb_w(body: &Body) -> Option<Aabb> {
-    if let BodyShape::Sphere { radius } = body.shape {
-        let center = body.x_wb.translation;
-        return Some(Aabb { min: center - radius, max: center + radius });
-    }
-    let corners = body.shape.meshes().into_iter().flat_map(|m| m.vertices);
-    Aabb::of_points(corners.map(|p| body.x_wb.transform_point(p)))
 }
 
 /// Distance between two bodies, or less: between balls exactly, else along the axis in which their boxes are farthest

@@ -2,7 +2,7 @@
 
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
-use sms_wash::BezierPath;
+use sms_robots::BezierPath;
 
 /// Settings of [`approaches`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

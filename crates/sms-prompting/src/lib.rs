@@ -15,7 +15,7 @@
 //! use glamx::{DPose3, DVec3};
 //! use sms_core::Mesh;
 //! use sms_prompting::{ApproachSettings, SiteSettings, Surface, approaches, geometric, landing_sites};
-//! use sms_wash::Quadrotor;
+//! use sms_robots::Quadrotor;
 //!
 //! let lifted = DPose3::from_translation(DVec3::new(0.2, 0.0, 0.68));
 //! let platform = Surface { name: "box".into(), mesh_w: Mesh::cuboid(DVec3::new(0.4, 0.3, 0.02)).transformed(&lifted) };

@@ -4,7 +4,7 @@ use crate::top_map::{Surface, TopMap};
 use glamx::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::length_text;
-use sms_wash::Quadrotor;
+use sms_robots::Quadrotor;
 use std::collections::BTreeMap;
 
 /// Half of the square in which the slope of a surface is measured, metres.

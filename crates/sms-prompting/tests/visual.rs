@@ -6,8 +6,8 @@ use sms_prompting::{
     ApproachSettings, Chooser, Observation, Prompted, SiteSettings, Sites, Surface, landing_sites,
     visual_prompting,
 };
+use sms_robots::Quadrotor;
 use sms_vlm::{Cache, ChooseError, Client, VlmConfig};
-use sms_wash::Quadrotor;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
 use std::path::Path;

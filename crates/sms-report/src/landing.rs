@@ -5,7 +5,7 @@ use crate::top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, length_text};
 use sms_landing::{LandingOutcome, LandingPlan, LandingPrediction, QUADROTOR};
-use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use sms_scene::{Body, BodyKind, Scene};
 use sms_task::Trajectory;
 use sms_wash::{SPREADING_RATE, WashModel};
 use std::borrow::Cow;
@@ -48,6 +48,7 @@ pub struct LandingRealised<'a> {
 /// The vehicle as a body where its flight starts, for pictures.
 fn vehicle_body(plan: &LandingPlan) -> Body {
     let vehicle = &plan.vehicle;
+    let x_wv = DPose3::from_translation(plan.landing().start_w());
     let mut visual = Mesh::default();
     let rotor = |p: &DVec3| {
         Mesh::cylinder(vehicle.rotor_radius, ROTOR_HALF_M, ROTOR_SEGMENTS)
@@ -61,15 +62,7 @@ fn vehicle_body(plan: &LandingPlan) -> Body {
         visual.colors.extend(vec![color; mesh.vertices.len()]);
         visual.vertices.extend(mesh.vertices);
     }
-    Body {
-        name: QUADROTOR.to_owned(),
-        kind: BodyKind::Dynamic,
-        x_wb: DPose3::from_translation(plan.landing().start_w()),
-        shape: BodyShape::Hulls { hulls: vehicle.solids() },
-        visual,
-        color: [52, 56, 64],
-        ..sms_scene::floor_body(0.0, sms_scene::example_material())
-    }
+    Body { visual, color: [52, 56, 64], ..vehicle.body(QUADROTOR, x_wv, None, sms_scene::example_material()) }
 }
 
 /// The scene with the vehicle, where there is a landing.

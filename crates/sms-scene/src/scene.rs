@@ -2,7 +2,7 @@
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_core::{MassProperties, Material, Mesh, MeshTexture};
+use sms_core::{Aabb, MassProperties, Material, Mesh, MeshTexture};
 
 /// Version of the manifest's schema; readers refuse newer ones.
 pub const SCENE_VERSION: u32 = 1;
@@ -117,6 +117,18 @@ pub struct Body {
     /// Standard error of a coordinate of its place, as the residuals of its reconstruction show it, metres; 0 where it
     /// is not known. Errors that are common to all bodies (scale, the recording's pose) are not in it.
     pub fit_se_m: f64,
+}
+
+impl Body {
+    /// Axis-aligned bounding box of the collision shape in the world; `None` for a half space.
+    pub fn aabb_w(&self) -> Option<Aabb> {
+        if let BodyShape::Sphere { radius } = self.shape {
+            let center = self.x_wb.translation;
+            return Some(Aabb { min: center - radius, max: center + radius });
+        }
+        let vertices = self.shape.meshes().into_iter().flat_map(|m| m.vertices);
+        Aabb::of_points(vertices.map(|p| self.x_wb.transform_point(p)))
+    }
 }
 
 impl Scene {

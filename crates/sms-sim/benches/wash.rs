@@ -6,12 +6,10 @@
 
 use glamx::{DPose3, DVec3};
 use sms_core::box_mass_properties;
+use sms_robots::{BezierPath, Flight, FlightSettings, Quadrotor};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
 use sms_sim::{RapierFactory, Simulation, WashInWorld, WorldOptions, wash_surfaces};
-use sms_wash::{
-    BezierPath, Flight, FlightSettings, Quadrotor, SphSettings, SphWash, StreamSettings, StreamWash,
-    VehicleState, Wash,
-};
+use sms_wash::{SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash};
 use std::error::Error;
 use std::fmt::Write;
 use std::time::Instant;

@@ -2,9 +2,10 @@
 
 use glamx::{DPose3, DVec3};
 use sms_core::box_mass_properties;
+use sms_robots::{Quadrotor, Rotor};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
 use sms_sim::{RapierF64Factory, Simulation, WashInWorld, WorldOptions, wash_surfaces};
-use sms_wash::{Quadrotor, Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash};
+use sms_wash::{SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash};
 
 const G: f64 = 9.81;
 const DT: f64 = 0.0025;
@@ -126,14 +127,9 @@ fn the_quadrotor_stands_on_its_legs() {
     let vehicle = Quadrotor::default();
     let mut scene = scene(2.0);
     let top = TOP + 0.02;
-    scene.bodies.push(Body {
-        name: "quadrotor".into(),
-        kind: BodyKind::Dynamic,
-        x_wb: DPose3::from_translation(DVec3::new(0.02, 0.01, top + 0.01 + vehicle.standing_height())),
-        shape: BodyShape::Hulls { hulls: vehicle.solids() },
-        mass: Some(vehicle.mass_properties().unwrap()),
-        ..floor_body(0.0, example_material())
-    });
+    let x_wv = DPose3::from_translation(DVec3::new(0.02, 0.01, top + 0.01 + vehicle.standing_height()));
+    let mass = vehicle.mass_properties().unwrap();
+    scene.bodies.push(vehicle.body("quadrotor", x_wv, Some(mass), example_material()));
     let mut simulation =
         Simulation::new(&RapierF64Factory, &scene, &WorldOptions { dt: DT, ..WorldOptions::default() })
             .unwrap();

@@ -2,7 +2,7 @@
 
 use glamx::DVec3;
 use sms_core::Aabb;
-use sms_scene::{Body, BodyKind, BodyShape, Scene};
+use sms_scene::{Body, BodyKind, Scene};
 
 /// Least share of the union of both boxes that their intersection must have.
 const MIN_OVERLAP: f64 = 0.1;
@@ -34,19 +34,7 @@ pub fn match_bodies(planned: &Scene, truth: &Scene) -> Vec<(String, String)> {
 
 fn boxes(scene: &Scene) -> Vec<(&Body, Aabb)> {
     let dynamic = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
-    dynamic.filter_map(|b| Some((b, aabb_w(b)?))).collect()
-}
-
-fn aabb_w(body: &Body) -> Option<Aabb> {
-    let in_world = |p: &DVec3| body.x_wb.transform_point(*p);
-    match &body.shape {
-        BodyShape::Sphere { radius } => {
-            let center = body.x_wb.translation;
-            Some(Aabb { min: center - *radius, max: center + *radius })
-        }
-        BodyShape::HalfSpace => None,
-        shape => Aabb::of_points(shape.meshes().iter().flat_map(|m| m.vertices.iter().map(in_world))),
-    }
+    dynamic.filter_map(|b| Some((b, b.aabb_w()?))).collect()
 }
 
 fn intersection_over_union(a: &Aabb, b: &Aabb) -> f64 {
@@ -60,7 +48,7 @@ mod tests {
     use super::*;
     use glamx::DPose3;
     use sms_core::sphere_mass_properties;
-    use sms_scene::{SCENE_VERSION, example_material, floor_body};
+    use sms_scene::{BodyShape, SCENE_VERSION, example_material, floor_body};
 
     fn scene(balls: &[(&str, f64, f64)]) -> Scene {
         let ball = |&(name, x, radius): &(&str, f64, f64)| Body {

@@ -5,9 +5,9 @@
 //! (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along x), `propellers`, `seconds`.
 
 use glamx::{DPose3, DQuat, DVec3};
+use sms_robots::Rotor;
 use sms_wash::{
-    BodyMotion, BodySurface, Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash,
-    Wrench,
+    BodyMotion, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
 };
 use std::error::Error;
 use std::time::Instant;

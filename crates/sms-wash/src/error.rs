@@ -3,7 +3,7 @@
 /// What wash cannot be made of.
 #[derive(Debug, thiserror::Error)]
 pub enum WashError {
-    /// A setting or a figure of the vehicle is out of range.
+    /// A setting is out of range.
     #[error("{name} is {value}, but must be {must}")]
     Setting {
         /// Which.
@@ -21,9 +21,6 @@ pub enum WashError {
         /// What is wrong.
         why: String,
     },
-    /// A vehicle file cannot be read.
-    #[error("the vehicle cannot be used: {0}")]
-    Vehicle(String),
 }
 
 impl WashError {

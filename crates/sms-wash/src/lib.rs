@@ -11,11 +11,12 @@
 //! on the same surfaces, unions of convex parts ([`BodySurface`]). Friction of air along surfaces is left out: air loses what
 //! momentum it has along a surface's normal.
 //!
-//! The vehicle is [`Quadrotor`], its approach a [`Flight`].
+//! The vehicle is a [`sms_robots::Quadrotor`], its approach a [`sms_robots::Flight`].
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};
-//! use sms_wash::{BodyMotion, BodySurface, Rotor, StreamSettings, StreamWash, VehicleState, Wash, Wrench};
+//! use sms_robots::Rotor;
+//! use sms_wash::{BodyMotion, BodySurface, StreamSettings, StreamWash, VehicleState, Wash, Wrench};
 //!
 //! // A quadrotor of 11.6 N hovers half a metre above a table.
 //! let table = BodySurface::cuboid(DVec3::new(0.5, 0.5, 0.02))?;
@@ -36,10 +37,8 @@
 
 mod disk;
 mod error;
-mod flight;
 mod jet;
 mod model;
-mod quadrotor;
 mod sph;
 mod stream;
 mod surface;
@@ -47,11 +46,9 @@ mod wash;
 
 pub use disk::{AIR_DENSITY, ActuatorDisk, Emission, Emitted, particle_density};
 pub use error::WashError;
-pub use flight::{BezierPath, Flight, FlightSettings, FlightState};
 pub use jet::{RoundJet, SPREADING_RATE};
 pub use model::{WashModel, WashSettings};
-pub use quadrotor::Quadrotor;
 pub use sph::{Kernel, Ledger, Pattern, SphSettings, SphWash};
 pub use stream::{StreamSettings, StreamWash};
 pub use surface::{BodySurface, SurfacePoint};
-pub use wash::{BodyMotion, Rotor, VehicleState, Wash, Wrench};
+pub use wash::{BodyMotion, VehicleState, Wash, Wrench};

@@ -2,17 +2,7 @@
 
 use crate::{ActuatorDisk, Emission, Emitted};
 use glamx::{DPose3, DVec3};
-use serde::{Deserialize, Serialize};
-
-/// A propeller of a vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Rotor {
-    /// Centre of the disk in the vehicle's frame `V`, metres.
-    pub p_v: DVec3,
-    /// Radius, metres.
-    pub radius: f64,
-}
+use sms_robots::Rotor;
 
 /// A vehicle at one moment. Its propellers blow along −z of `V`.
 #[derive(Debug, Clone, Copy)]

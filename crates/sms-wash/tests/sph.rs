@@ -4,7 +4,8 @@ mod common;
 
 use common::{WEIGHT, at, hover, rotors};
 use glamx::{DPose3, DVec3};
-use sms_wash::{BodyMotion, BodySurface, Emission, Rotor, SphSettings, SphWash, VehicleState, Wash, Wrench};
+use sms_robots::Rotor;
+use sms_wash::{BodyMotion, BodySurface, Emission, SphSettings, SphWash, VehicleState, Wash, Wrench};
 
 const DT: f64 = 0.0025;
 

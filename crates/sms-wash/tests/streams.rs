@@ -48,7 +48,7 @@ fn the_paper_s_emission_presses_half_as_much() {
 /// the distance of where the axis meets it.
 #[test]
 fn an_inclined_plate_is_pressed_along_its_normal() {
-    let rotor = [sms_wash::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
+    let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
     for angle in [0.2f64, 0.6, 1.0] {
         let x_wb = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_y(angle));
         let normal_w = x_wb.rotation * DVec3::Z;
@@ -116,7 +116,7 @@ fn a_small_target_far_below_takes_its_share_of_the_jet() {
 /// A body that flees at the air's speed feels nothing; one that comes towards it feels more.
 #[test]
 fn the_speed_of_the_body_counts() {
-    let rotor = [sms_wash::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
+    let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
     let exit = sms_wash::ActuatorDisk { thrust: 3.0, radius: 0.05, air_density: 1.225 }.exit_speed();
     let mut wash = StreamWash::disk(vec![plate(0.6)], StreamSettings::default()).unwrap();
     let mut wrench = [sms_wash::Wrench::default()];
@@ -133,7 +133,7 @@ fn the_speed_of_the_body_counts() {
 /// Air that meets the plate now left a moving propeller earlier: by height / exit speed.
 #[test]
 fn the_wash_of_a_moving_vehicle_lags_behind() {
-    let rotor = [sms_wash::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
+    let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
     let exit = sms_wash::ActuatorDisk { thrust: 3.0, radius: 0.05, air_density: 1.225 }.exit_speed();
     let v_w = DVec3::new(2.0, -1.0, 0.0);
     for (mut wash, slower) in models(&[plate(0.9)]).into_iter().zip([1.001, 1.35]) {

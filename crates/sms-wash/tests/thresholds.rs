@@ -4,9 +4,9 @@ mod common;
 
 use common::hover;
 use glamx::{DPose3, DQuat, DVec3};
+use sms_robots::Rotor;
 use sms_wash::{
-    BodyMotion, BodySurface, Rotor, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash,
-    Wrench,
+    BodyMotion, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
 };
 
 const DT: f64 = 0.0025;

@@ -10,7 +10,6 @@ use sms_core::metrics::Metrics;
 use sms_core::{
     ColorImage, Hasher, InputError, RunFolder, Seed, Warnings, atomic, read_png_color, write_png_color,
 };
-use sms_flight::{FlightFiles, write_flight};
 use sms_frames::{Frame, Sequence};
 use sms_landing::{
     CarriedOut, Freed, LANDING_PLAN_FILE, LandingAction, LandingError, LandingEvaluations, LandingOutcome,
@@ -22,6 +21,7 @@ use sms_prompting::{
     ApproachSettings, Choice, Observation, SiteSettings, Sites, approaches, best_view, geometric,
     landing_sites, paths_picture, random, resized, sites_picture, surfaces_of, visual_prompting,
 };
+use sms_robots::autopilot::{FlightFiles, write_flight};
 use sms_scene::{Scene, load_scene};
 use sms_sim::RapierFactory;
 use sms_synth::TruthScene;

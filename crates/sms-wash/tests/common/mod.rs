@@ -2,7 +2,8 @@
 #![allow(dead_code, reason = "each test file uses some of them")]
 
 use glamx::{DPose3, DQuat, DVec3};
-use sms_wash::{BodyMotion, Rotor, VehicleState, Wash, Wrench};
+use sms_robots::Rotor;
+use sms_wash::{BodyMotion, VehicleState, Wash, Wrench};
 
 /// Weight of the published vehicle, N.
 pub(crate) const WEIGHT: f64 = 1.182 * 9.81;

@@ -1,0 +1,148 @@
+//! Self-collision and distance to obstacles.
+
+use crate::arm::dynamics::workspace::Workspace;
+use crate::arm::model::{LinkCollision, RobotModel};
+use crate::arm::shape::{Clearance, Obstacle, distance, obstacle_distance};
+use glamx::DPose3;
+
+/// Postures looked at to find shapes that always overlap, and the share of them in which they do so.
+const PROBES: usize = 64;
+const ALWAYS: f64 = 0.95;
+
+impl RobotModel {
+    /// Poses `X_WS` of all collision shapes, in the order of [`Self::collisions`]. After
+    /// [`Self::forward_kinematics`].
+    pub fn shape_poses(&self, ws: &Workspace, out: &mut Vec<DPose3>) {
+        out.clear();
+        out.extend(self.collisions.iter().map(|c| self.body_pose(c.joint, ws) * c.x_js));
+    }
+
+    /// The two links that are nearest to each other, or overlap most. Links of one body and of neighbouring bodies are
+    /// not compared, nor shapes that overlap in (nearly) every posture: those that the maker meant to touch. `None` when
+    /// there is nothing to compare. Distances beyond `enough` metres are not worked out.
+    pub fn self_clearance(&self, poses: &[DPose3], enough: f64) -> Option<Clearance> {
+        let mut best = (f64::INFINITY, None);
+        for &(i, j) in &self.pairs {
+            let (a, b) = (&self.collisions[i], &self.collisions[j]);
+            let gap = bounding_gap(&self.collisions, poses, i, j);
+            if gap > enough.min(best.0) {
+                best = if gap < best.0 { (gap, Some((i, j))) } else { best };
+                continue;
+            }
+            let d = distance(&a.shape, &poses[i], &b.shape, &poses[j]);
+            if d < best.0 {
+                best = (d, Some((i, j)));
+            }
+        }
+        best.1.map(|(i, j)| Clearance {
+            link: self.collisions[i].link.clone(),
+            other: self.collisions[j].link.clone(),
+            distance_m: best.0,
+        })
+    }
+
+    /// The link that is nearest to an obstacle. Links that stand on the base are not compared. `None` when no link that
+    /// moves has a shape. Distances beyond `enough` metres are not worked out.
+    pub fn obstacle_clearance(
+        &self,
+        poses: &[DPose3],
+        obstacle: &Obstacle,
+        enough: f64,
+    ) -> Option<Clearance> {
+        let mut best = (f64::INFINITY, None);
+        for (i, c) in self.collisions.iter().enumerate().filter(|(_, c)| c.joint.is_some()) {
+            let d = obstacle_distance((&c.shape, c.radius), &poses[i], obstacle, enough.min(best.0));
+            if d < best.0 {
+                best = (d, Some(i));
+            }
+        }
+        best.1.map(|i| Clearance {
+            link: self.collisions[i].link.clone(),
+            other: obstacle.name.clone(),
+            distance_m: best.0,
+        })
+    }
+
+    /// Whether the spheres about an obstacle and about a link that moves come within `enough` metres of each other: where not,
+    /// no distance is that small.
+    pub(crate) fn may_be_near(&self, poses: &[DPose3], obstacle: &Obstacle, enough: f64) -> bool {
+        let (center_w, radius) = obstacle.sphere_w();
+        let mut moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
+        moving.any(|(c, x)| {
+            let most = enough + radius + c.radius;
+            center_w.distance_squared(x.translation) <= most * most
+        })
+    }
+
+    /// Pairs of collision shapes that [`Self::self_clearance`] compares.
+    pub fn compared_pairs(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.pairs.iter().map(|&(i, j)| (self.collisions[i].link.as_str(), self.collisions[j].link.as_str()))
+    }
+
+    /// Finds the pairs of shapes to compare.
+    pub(crate) fn find_pairs(&mut self) {
+        let parent = |joint: Option<usize>| joint.and_then(|j| self.joints[j].parent);
+        let neighbours = |a: Option<usize>, b: Option<usize>| {
+            a == b || (b.is_some() && parent(b) == a) || (a.is_some() && parent(a) == b)
+        };
+        let mut pairs = Vec::new();
+        for i in 0..self.collisions.len() {
+            for j in i + 1..self.collisions.len() {
+                if !neighbours(self.collisions[i].joint, self.collisions[j].joint) {
+                    pairs.push((i, j));
+                }
+            }
+        }
+        let mut touching = vec![0usize; pairs.len()];
+        let mut ws = Workspace::default();
+        let mut poses = Vec::new();
+        for probe in 0..PROBES {
+            let q = self.spread_posture(probe);
+            self.forward_kinematics(&q, &mut ws);
+            self.shape_poses(&ws, &mut poses);
+            for (count, &(i, j)) in touching.iter_mut().zip(&pairs) {
+                let apart = bounding_gap(&self.collisions, &poses, i, j) > 0.0
+                    || distance(&self.collisions[i].shape, &poses[i], &self.collisions[j].shape, &poses[j])
+                        > 0.0;
+                *count += usize::from(!apart);
+            }
+        }
+        let mut counts = touching.into_iter();
+        pairs.retain(|_| counts.next().is_some_and(|c| (c as f64) < ALWAYS * PROBES as f64));
+        self.pairs = pairs;
+    }
+
+    /// The `index`-th of a sequence of postures that spread over all joints' ranges (Halton; 0 is the middle).
+    pub(crate) fn spread_posture(&self, index: usize) -> Vec<f64> {
+        const PRIMES: [u32; 16] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53];
+        self.joints
+            .iter()
+            .zip(PRIMES)
+            .map(|(joint, prime)| {
+                // Started late, where the bases with large primes no longer move in step.
+                let share = if index == 0 { 0.5 } else { halton(index as u32 + 60, prime) };
+                let (low, high) = if joint.limits.lower.is_finite() {
+                    (joint.limits.lower, joint.limits.upper)
+                } else {
+                    (-std::f64::consts::PI, std::f64::consts::PI)
+                };
+                low + share * (high - low)
+            })
+            .collect()
+    }
+}
+
+/// Distance of the spheres around two shapes.
+fn bounding_gap(shapes: &[LinkCollision], poses: &[DPose3], i: usize, j: usize) -> f64 {
+    poses[i].translation.distance(poses[j].translation) - shapes[i].radius - shapes[j].radius
+}
+
+fn halton(mut index: u32, base: u32) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0);
+    while index > 0 {
+        digit /= f64::from(base);
+        value += digit * f64::from(index % base);
+        index /= base;
+    }
+    value
+}

@@ -1,0 +1,298 @@
+//! Operational-space torque control (Khatib 1987): the paper's controller of the arm, and the same law without a plant,
+//! which foretells a motion.
+
+use crate::arm::dynamics::ik::attitude_error;
+use crate::arm::dynamics::linalg::MAX_JOINTS;
+use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
+use crate::arm::model::RobotModel;
+use crate::arm::strike::sweep::ToolReference;
+use glamx::DMat3;
+use serde::{Deserialize, Serialize};
+use sms_core::Cholesky;
+
+/// Speed at which Coulomb friction is almost fully there, rad/s or m/s: friction is τ_c tanh(q̇ / this).
+pub const FRICTION_SPEED: f64 = 0.01;
+
+/// Settings of the controller. Gains are accelerations per error: stiffness in 1/s², damping in 1/s.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OscConfig {
+    /// Control period, seconds (paper: 400 Hz).
+    pub period_s: f64,
+    /// Position of the tool.
+    pub position_stiffness: f64,
+    /// Velocity of the tool.
+    pub position_damping: f64,
+    /// Attitude of the tool.
+    pub rotation_stiffness: f64,
+    /// Angular velocity of the tool.
+    pub rotation_damping: f64,
+    /// Posture, in the null space of the tool's motion.
+    pub posture_stiffness: f64,
+    /// Joint speeds, in the null space.
+    pub posture_damping: f64,
+    /// Largest change of a torque per second, N·m/s; the FR3 stops at 1000 (libfranka's `kMaxTorqueRate`).
+    pub torque_rate: f64,
+    /// Whether the model's damping and Coulomb friction are added to the torques, as the FR3's own joint controllers
+    /// do.
+    pub friction_compensation: bool,
+}
+
+impl Default for OscConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 0.0025,
+            position_stiffness: 900.0,
+            position_damping: 60.0,
+            rotation_stiffness: 900.0,
+            rotation_damping: 60.0,
+            posture_stiffness: 100.0,
+            posture_damping: 20.0,
+            torque_rate: 1000.0,
+            friction_compensation: true,
+        }
+    }
+}
+
+impl OscConfig {
+    /// The gains of the paper's released code: position 100/45, rotation 7.5/5, posture 3/4.5.
+    pub fn paper() -> Self {
+        Self {
+            position_stiffness: 100.0,
+            position_damping: 45.0,
+            rotation_stiffness: 7.5,
+            rotation_damping: 5.0,
+            posture_stiffness: 100.0,
+            posture_damping: 20.0,
+            ..Self::default()
+        }
+    }
+}
+
+/// Torques of one control period, and what limited them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OscOutput {
+    /// Torques (forces) of the joints, with gravity.
+    pub tau: JointVector,
+    /// The joint whose effort limit cut its torque the most.
+    pub saturated: Option<usize>,
+    /// The joint whose torque could not change fast enough, the one with the largest gap.
+    pub rate_limited: Option<usize>,
+    /// The joint that is farthest beyond its speed limit; its torque brakes.
+    pub over_speed: Option<usize>,
+}
+
+/// The controller. Nothing is allocated in a step.
+#[derive(Debug, Clone)]
+pub struct Osc {
+    config: OscConfig,
+    posture: JointVector,
+    last_tau: JointVector,
+    law: TaskLaw,
+}
+
+impl Osc {
+    /// A controller that keeps near `posture` where the tool leaves it free, for a robot that is held by the torques
+    /// `tau` until now (see [`RobotModel::gravity_torques`]).
+    ///
+    /// # Panics
+    /// When there are more than [`MAX_JOINTS`] entries.
+    pub fn new(config: OscConfig, posture: &[f64], tau: &[f64]) -> Self {
+        let mut osc =
+            Self { config, posture: [0.0; MAX_JOINTS], last_tau: [0.0; MAX_JOINTS], law: TaskLaw::default() };
+        osc.posture[..posture.len()].copy_from_slice(posture);
+        osc.last_tau[..tau.len()].copy_from_slice(tau);
+        osc
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &OscConfig {
+        &self.config
+    }
+
+    /// Torques for the next period from measured positions and speeds. Give pose and velocities of `reference` for now,
+    /// and its accelerations for the middle of the period over which the torques will be held.
+    pub fn step(
+        &mut self,
+        model: &RobotModel,
+        q: &[f64],
+        qd: &[f64],
+        reference: &ToolReference,
+    ) -> OscOutput {
+        let n = model.dof();
+        let mut tau = [0.0; MAX_JOINTS];
+        self.law.torques(model, q, qd, reference, &self.posture, &self.config, &mut tau);
+        let mut worst = [(0.0, None); 3];
+        let mut note = |kind: usize, excess: f64, joint: usize| {
+            if excess > worst[kind].0 {
+                worst[kind] = (excess, Some(joint));
+            }
+        };
+        let rate = self.config.torque_rate * self.config.period_s;
+        for i in 0..n {
+            let joint = &model.joints[i];
+            let limits = &joint.limits;
+            let excess = qd[i].abs() - limits.velocity;
+            if excess > 0.0 {
+                note(2, excess / limits.velocity, i);
+                // Brakes within some ten periods, whatever the tool wants.
+                let brake = self.law.bias[i]
+                    - qd[i].signum() * excess * self.law.inertia(i) / (10.0 * self.config.period_s);
+                tau[i] = if qd[i] > 0.0 { tau[i].min(brake) } else { tau[i].max(brake) };
+            }
+            let limited = tau[i].clamp(-limits.effort, limits.effort);
+            note(0, (tau[i] - limited).abs() / limits.effort, i);
+            let slow = limited.clamp(self.last_tau[i] - rate, self.last_tau[i] + rate);
+            note(1, (limited - slow).abs(), i);
+            tau[i] = slow;
+        }
+        self.last_tau = tau;
+        OscOutput { tau, saturated: worst[0].1, rate_limited: worst[1].1, over_speed: worst[2].1 }
+    }
+}
+
+impl Osc {
+    /// Accelerations under `driven` torques (without friction's) in the state of the last step: what
+    /// [`RobotModel::forward_dynamics`] gives, from what the step has worked out. `None` before the first step.
+    pub(crate) fn acceleration(&self, model: &RobotModel, driven: &JointVector) -> Option<JointVector> {
+        let n = model.dof();
+        let mut a = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            a[i] = driven[i] - self.law.bias[i];
+        }
+        self.law.factor.as_ref()?.solve(&mut a[..n]);
+        Some(a)
+    }
+
+    /// [`RobotModel::point_mobility`] of the tool's origin in the state of the last step; zero before the first.
+    pub(crate) fn mobility_w(&self) -> DMat3 {
+        self.law.mobility_w
+    }
+}
+
+/// Friction of a joint at speed `qd`: viscous and Coulomb, N·m or N.
+pub fn joint_friction(damping: f64, coulomb: f64, qd: f64) -> f64 {
+    damping * qd + coulomb * (qd / FRICTION_SPEED).tanh()
+}
+
+/// The accelerations that operational-space control asks for, and what it takes to work them out.
+#[derive(Debug, Clone)]
+pub(crate) struct TaskLaw {
+    ws: Workspace,
+    jacobian: Jacobian,
+    bias: JointVector,
+    /// Of the mass matrix.
+    factor: Option<Cholesky<MAX_JOINTS>>,
+    /// J M⁻¹ Jᵀ of the tool's origin.
+    mobility_w: DMat3,
+}
+
+impl Default for TaskLaw {
+    fn default() -> Self {
+        Self {
+            ws: Workspace::default(),
+            jacobian: Jacobian::default(),
+            bias: [0.0; MAX_JOINTS],
+            factor: None,
+            mobility_w: DMat3::ZERO,
+        }
+    }
+}
+
+impl TaskLaw {
+    fn inertia(&self, i: usize) -> f64 {
+        self.ws.mass_matrix[i][i]
+    }
+
+    /// Torques of the law; returns the joint accelerations that they give on the model ([`Self::accelerations`]).
+    pub(crate) fn torques(
+        &mut self,
+        model: &RobotModel,
+        q: &[f64],
+        qd: &[f64],
+        reference: &ToolReference,
+        posture: &JointVector,
+        config: &OscConfig,
+        tau: &mut JointVector,
+    ) -> JointVector {
+        let n = model.dof();
+        let qdd = self.accelerations(model, q, qd, reference, posture, config);
+        let mass_matrix = &self.ws.mass_matrix;
+        for i in 0..n {
+            tau[i] = self.bias[i] + (0..n).map(|j| mass_matrix[i][j] * qdd[j]).sum::<f64>();
+            if config.friction_compensation {
+                tau[i] += joint_friction(model.joints[i].damping, model.joints[i].friction, qd[i]);
+            }
+        }
+        qdd
+    }
+
+    /// The joint accelerations that the law asks for.
+    ///
+    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, a the tool's wanted acceleration and p the posture's, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
+    /// the tool has its way, and the posture what is left in the dynamically consistent null space.
+    pub(crate) fn accelerations(
+        &mut self,
+        model: &RobotModel,
+        q: &[f64],
+        qd: &[f64],
+        reference: &ToolReference,
+        posture: &JointVector,
+        config: &OscConfig,
+    ) -> JointVector {
+        let n = model.dof();
+        let ws = &mut self.ws;
+        model.bias_torques(q, qd, ws, &mut self.bias);
+        model.fill_mass_matrix(ws);
+        model.jacobian(model.tool, ws, &mut self.jacobian);
+        let jacobian = &self.jacobian;
+        let (p_w, r_w) = model.frame_placed(model.tool, ws);
+        let (v_w, w_w) = model.frame_velocity(model.tool, ws);
+        let (drift_v, drift_w) = model.frame_acceleration(model.tool, ws);
+        let turn = attitude_error(&DMat3::from_quat(reference.x_wt.rotation), &r_w);
+        let linear = reference.a_w
+            + config.position_stiffness * (reference.x_wt.translation - p_w)
+            + config.position_damping * (reference.v_w - v_w)
+            - drift_v;
+        let angular = reference.alpha_w
+            + config.rotation_stiffness * turn
+            + config.rotation_damping * (reference.w_w - w_w)
+            - drift_w;
+        let mut qdd = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            qdd[i] = config.posture_stiffness * (posture[i] - q[i]) - config.posture_damping * qd[i];
+        }
+        let (posture_v, posture_w) = jacobian.times(&qdd);
+        let (linear, angular) = (linear - posture_v, angular - posture_w);
+        let mut wanted = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        // A mass matrix that cannot be factored belongs to a model without inertia, which is refused on reading.
+        self.factor = Cholesky::new(&ws.mass_matrix, n);
+        if let Some(mass) = &self.factor {
+            let mut rows = [[0.0; 6]; MAX_JOINTS];
+            for (row, (v, w)) in rows[..n].iter_mut().zip(jacobian.linear_w.iter().zip(&jacobian.angular_w)) {
+                *row = [v.x, v.y, v.z, w.x, w.y, w.z];
+            }
+            let mut columns = rows;
+            mass.solve_each(&mut columns[..n]);
+            let mut mobility = [[0.0; 6]; 6];
+            for (row, column) in rows[..n].iter().zip(&columns[..n]) {
+                for r in 0..6 {
+                    (0..6).for_each(|s| mobility[r][s] += row[r] * column[s]);
+                }
+            }
+            for r in 0..6 {
+                // Keeps the force finite in directions that the arm has lost; 0.0001 % elsewhere.
+                mobility[r][r] += 1e-6;
+            }
+            let entry = |r: usize, s: usize| mobility[r.max(s)][r.min(s)];
+            self.mobility_w = DMat3::from_cols_array_2d(&[0, 1, 2].map(|c| [0, 1, 2].map(|r| entry(r, c))));
+            if let Some(factor) = Cholesky::<6>::new(&mobility, 6) {
+                factor.solve(&mut wanted);
+                for i in 0..n {
+                    qdd[i] += (0..6).map(|r| columns[i][r] * wanted[r]).sum::<f64>();
+                }
+            }
+        }
+        qdd
+    }
+}

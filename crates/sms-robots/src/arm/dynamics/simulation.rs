@@ -1,0 +1,102 @@
+//! The arm alone in free space: our own forward dynamics, for tests of the controller and for looking ahead.
+
+use crate::arm::control::osc::joint_friction;
+use crate::arm::dynamics::linalg::MAX_JOINTS;
+use crate::arm::dynamics::workspace::{JointVector, Workspace};
+use crate::arm::model::RobotModel;
+use glamx::{DPose3, DVec3};
+
+/// A robot that moves under joint torques, with damping, Coulomb friction and rotors' inertia. It touches nothing, and
+/// position limits do not stop it.
+#[derive(Debug, Clone)]
+pub struct ArmSim {
+    /// Positions; the first `dof` are in use.
+    pub q: JointVector,
+    /// Speeds.
+    pub qd: JointVector,
+    /// Factor on the model's damping and friction: 1 unless the real robot is to differ from its model.
+    pub friction_scale: f64,
+    ws: Workspace,
+}
+
+impl ArmSim {
+    /// A robot at rest.
+    pub fn new(q: &[f64]) -> Self {
+        let mut sim = Self {
+            q: [0.0; MAX_JOINTS],
+            qd: [0.0; MAX_JOINTS],
+            friction_scale: 1.0,
+            ws: Workspace::default(),
+        };
+        sim.q[..q.len()].copy_from_slice(q);
+        sim
+    }
+
+    /// Advances by `dt` seconds under constant torques, by one step of the classic Runge-Kutta method.
+    pub fn step(&mut self, model: &RobotModel, tau: &[f64], dt: f64) {
+        let first = self.acceleration(model, &self.q.clone(), &self.qd.clone(), tau);
+        self.step_from(model, tau, dt, &first);
+    }
+
+    /// [`Self::step`] from a state whose accelerations are known.
+    pub(crate) fn step_from(&mut self, model: &RobotModel, tau: &[f64], dt: f64, first: &JointVector) {
+        let n = model.dof();
+        let (q0, v0) = (self.q, self.qd);
+        let (mut dq, mut dv) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let (mut q, mut v) = (q0, v0);
+        for (stage, (ahead, weight)) in
+            [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate()
+        {
+            let a = if stage == 0 { *first } else { self.acceleration(model, &q, &v, tau) };
+            for i in 0..n {
+                dq[i] += weight / 6.0 * v[i];
+                dv[i] += weight / 6.0 * a[i];
+                let rate = v[i];
+                q[i] = q0[i] + ahead * dt * rate;
+                v[i] = v0[i] + ahead * dt * a[i];
+            }
+        }
+        for i in 0..n {
+            self.q[i] = q0[i] + dt * dq[i];
+            self.qd[i] = v0[i] + dt * dv[i];
+        }
+    }
+
+    pub(crate) fn acceleration(
+        &mut self,
+        model: &RobotModel,
+        q: &JointVector,
+        v: &JointVector,
+        tau: &[f64],
+    ) -> JointVector {
+        let n = model.dof();
+        let mut a = [0.0; MAX_JOINTS];
+        let driven = self.driven(model, v, tau);
+        model.forward_dynamics(&q[..n], &v[..n], &driven[..n], &mut self.ws, &mut a[..n]);
+        a
+    }
+
+    /// Torques less friction.
+    pub(crate) fn driven(&self, model: &RobotModel, v: &JointVector, tau: &[f64]) -> JointVector {
+        let mut driven = [0.0; MAX_JOINTS];
+        for (i, joint) in model.joints().iter().enumerate() {
+            driven[i] = tau[i] - self.friction_scale * joint_friction(joint.damping, joint.friction, v[i]);
+        }
+        driven
+    }
+
+    /// Pose `X_WT` and velocity of the tool.
+    pub fn tool(&mut self, model: &RobotModel) -> (DPose3, DVec3) {
+        let n = model.dof();
+        model.forward_kinematics(&self.q[..n], &mut self.ws);
+        model.forward_motion(&self.qd[..n], &[0.0; MAX_JOINTS][..n], &mut self.ws);
+        (model.frame_pose(model.tool(), &self.ws), model.frame_velocity(model.tool(), &self.ws).0)
+    }
+
+    /// Kinetic and potential energy, J.
+    pub fn energy(&mut self, model: &RobotModel) -> f64 {
+        let n = model.dof();
+        model.forward_kinematics(&self.q[..n], &mut self.ws);
+        model.kinetic_energy(&self.qd[..n], &mut self.ws) + model.potential_energy(&self.ws)
+    }
+}

@@ -1,0 +1,253 @@
+//! What a robot is: bodies in a tree, each carried by one joint.
+
+use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
+use crate::arm::shape::LinkShape;
+use glamx::{DMat3, DPose3, DVec3};
+use serde::{Deserialize, Serialize};
+use sms_core::{InertiaError, MassProperties};
+
+/// Standard gravity in the world, m/s².
+pub const GRAVITY_W: DVec3 = DVec3::new(0.0, 0.0, -9.81);
+
+/// How a joint moves along or about its axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum JointKind {
+    /// Turns between limits.
+    Revolute,
+    /// Turns without limits.
+    Continuous,
+    /// Slides between limits.
+    Prismatic,
+}
+
+impl JointKind {
+    /// Whether the joint turns.
+    pub fn turns(self) -> bool {
+        self != Self::Prismatic
+    }
+}
+
+/// Limits of one joint: radians, rad/s, N·m; metres, m/s, N where it slides.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct JointLimits {
+    /// Smallest position (−∞ for a continuous joint).
+    pub lower: f64,
+    /// Largest position.
+    pub upper: f64,
+    /// Largest speed.
+    pub velocity: f64,
+    /// Largest torque or force.
+    pub effort: f64,
+}
+
+/// A joint that moves, with the body behind it.
+#[derive(Debug, Clone)]
+pub struct Joint {
+    /// Name.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// The joint before it in the tree; `None` when it stands on the base. Always a smaller index.
+    pub parent: Option<usize>,
+    /// Pose `X_PJ` of the joint at position zero in the parent joint's frame (or the base).
+    pub x_pj: DPose3,
+    /// Axis in the joint's frame, a unit vector.
+    pub axis: DVec3,
+    /// Limits.
+    pub limits: JointLimits,
+    /// Viscous friction, N·m·s/rad (N·s/m).
+    pub damping: f64,
+    /// Coulomb friction, N·m (N).
+    pub friction: f64,
+    /// Inertia of the rotor reflected through the gear, kg·m² (kg).
+    pub armature: f64,
+    /// Mass properties of all links that this joint carries rigidly, in the joint's frame; `None` for a joint whose
+    /// links have no mass (another joint follows).
+    pub mass: Option<MassProperties>,
+}
+
+/// A named frame fixed to a joint's body: every link of the URDF is one.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Name of the link.
+    pub name: String,
+    /// The joint that carries it; `None` for the base.
+    pub joint: Option<usize>,
+    /// Pose `X_JF` in that joint's frame (or the base).
+    pub x_jf: DPose3,
+}
+
+/// Index of a [`Frame`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameId(pub(crate) usize);
+
+/// A collision shape.
+#[derive(Debug, Clone)]
+pub struct LinkCollision {
+    /// Name of the link that it belongs to.
+    pub link: String,
+    /// The joint that carries it; `None` for the base.
+    pub joint: Option<usize>,
+    /// Pose `X_JS` of the shape in that joint's frame (or the base).
+    pub x_js: DPose3,
+    /// The shape.
+    pub shape: LinkShape,
+    /// [`LinkShape::bounding_radius`].
+    pub(crate) radius: f64,
+}
+
+/// A fixed-base robot: joints in an order in which parents come first, frames, collision shapes, and the tool.
+#[derive(Debug, Clone)]
+pub struct RobotModel {
+    pub(crate) name: String,
+    pub(crate) joints: Vec<Joint>,
+    pub(crate) frames: Vec<Frame>,
+    pub(crate) collisions: Vec<LinkCollision>,
+    pub(crate) tool: FrameId,
+    pub(crate) x_wr: DPose3,
+    pub(crate) gravity_w: DVec3,
+    pub(crate) home: Vec<f64>,
+    /// Pairs of collision shapes that may come close, as indices.
+    pub(crate) pairs: Vec<(usize, usize)>,
+}
+
+impl RobotModel {
+    /// Name of the robot.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Number of joints that move.
+    pub fn dof(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// The joints that move; a vector of positions, speeds or torques has one entry for each, in this order.
+    pub fn joints(&self) -> &[Joint] {
+        &self.joints
+    }
+
+    /// All frames: one for each link.
+    pub fn frames(&self) -> &[Frame] {
+        &self.frames
+    }
+
+    /// Collision shapes of all links.
+    pub fn collisions(&self) -> &[LinkCollision] {
+        &self.collisions
+    }
+
+    /// The frame of a link.
+    pub fn frame(&self, link: &str) -> Option<FrameId> {
+        self.frames.iter().position(|f| f.name == link).map(FrameId)
+    }
+
+    /// The tool: x along the stroke of a strike, z away from the floor.
+    pub fn tool(&self) -> FrameId {
+        self.tool
+    }
+
+    /// Pose `X_WR` of the robot's base in the world.
+    pub fn x_wr(&self) -> DPose3 {
+        self.x_wr
+    }
+
+    /// The same robot standing elsewhere: all poses are in the world from then on.
+    pub fn with_base(mut self, x_wr: DPose3) -> Self {
+        self.x_wr = x_wr;
+        self
+    }
+
+    /// The same robot under another gravity, m/s² in the world.
+    pub fn with_gravity(mut self, gravity_w: DVec3) -> Self {
+        self.gravity_w = gravity_w;
+        self
+    }
+
+    /// Gravity, m/s² in the world.
+    pub fn gravity_w(&self) -> DVec3 {
+        self.gravity_w
+    }
+
+    /// A resting posture within the limits, from which approaches start: the middle of each joint's range, unless
+    /// the model states another.
+    pub fn home(&self) -> &[f64] {
+        &self.home
+    }
+
+    /// The same robot with another home; positions are clamped to the limits.
+    ///
+    /// # Panics
+    /// When `home` does not have one entry for each joint.
+    pub fn with_home(mut self, home: &[f64]) -> Self {
+        assert_eq!(home.len(), self.dof(), "one position for each joint");
+        self.home =
+            home.iter().zip(&self.joints).map(|(q, j)| q.clamp(j.limits.lower, j.limits.upper)).collect();
+        self
+    }
+
+    /// The same robot without rotors' inertia, damping and friction: for engines whose joints have none of them.
+    pub fn with_bare_joints(mut self) -> Self {
+        for joint in &mut self.joints {
+            (joint.damping, joint.friction, joint.armature) = (0.0, 0.0, 0.0);
+        }
+        self
+    }
+
+    /// Largest reach of the tool from the base, metres: an upper bound from the lengths of the chain.
+    pub fn reach_bound_m(&self) -> f64 {
+        let tool = &self.frames[self.tool.0];
+        let mut reach = tool.x_jf.translation.length();
+        let mut joint = tool.joint;
+        while let Some(j) = joint {
+            let data = &self.joints[j];
+            reach += data.x_pj.translation.length();
+            if data.kind == JointKind::Prismatic {
+                reach += data.limits.lower.abs().max(data.limits.upper.abs());
+            }
+            joint = data.parent;
+        }
+        reach
+    }
+
+    /// The joint nearest to (or farthest beyond) a position limit: index and distance, negative beyond.
+    pub fn limit_margin(&self, q: &[f64]) -> (usize, f64) {
+        (0..self.dof())
+            .map(|i| (i, (q[i] - self.joints[i].limits.lower).min(self.joints[i].limits.upper - q[i])))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((0, f64::INFINITY))
+    }
+
+    /// Whether joint `ancestor` carries joint `joint` (or is it).
+    pub(crate) fn carries(&self, ancestor: usize, joint: Option<usize>) -> bool {
+        let mut j = joint;
+        while let Some(i) = j {
+            if i == ancestor {
+                return true;
+            }
+            j = self.joints[i].parent;
+        }
+        false
+    }
+}
+
+/// The sum of two rigid bodies, given in one frame.
+pub(crate) fn merged(a: Option<MassProperties>, b: MassProperties) -> Result<MassProperties, InertiaError> {
+    let Some(a) = a else { return Ok(b) };
+    let mass = a.mass() + b.mass();
+    let com = (a.mass() * a.com() + b.mass() * b.com()) / mass;
+    let shifted = |m: &MassProperties| m.inertia() + m.mass() * point_inertia(m.com() - com);
+    MassProperties::new(mass, com, shifted(&a) + shifted(&b))
+}
+
+/// Mass properties carried into another frame by `x_ab`.
+pub(crate) fn transformed(m: &MassProperties, x_ab: &DPose3) -> Result<MassProperties, InertiaError> {
+    let r = DMat3::from_quat(x_ab.rotation);
+    MassProperties::new(m.mass(), x_ab.transform_point(m.com()), r * m.inertia() * r.transpose())
+}
+
+/// Whether a model is small enough for the fixed work space.
+pub(crate) fn fits(joints: usize) -> bool {
+    joints <= MAX_JOINTS
+}

@@ -1,0 +1,249 @@
+//! What is looked at before a strike is called executable, and what was found.
+
+use crate::arm::dynamics::workspace::Workspace;
+use crate::arm::model::RobotModel;
+use crate::arm::shape::{Clearance, Obstacle};
+use crate::arm::strike::approach::{Phase, StrikePlan};
+use crate::arm::strike::motion::{LimitKind, Use};
+use crate::arm::strike::sweep_plan::StrikeConfig;
+use crate::arm::strike::tracking::{Tracking, simulate_sweep};
+use serde::{Deserialize, Serialize};
+
+/// Largest error of the speed at the contact (a share), and of its direction (radians), that passes.
+pub const SPEED_TOLERANCE: f64 = 0.02;
+/// See [`SPEED_TOLERANCE`].
+pub const DIRECTION_TOLERANCE_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
+
+/// What was looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CheckKind {
+    /// Joints' positions.
+    JointPositions,
+    /// Joints' speeds.
+    JointSpeeds,
+    /// Joints' torques, with gravity and friction.
+    JointTorques,
+    /// How fast torques change.
+    TorqueRates,
+    /// Links against each other.
+    SelfCollision,
+    /// Links against an obstacle or the floor.
+    Obstacle,
+    /// Speed of the tool at the contact, under control in free space.
+    ContactSpeed,
+    /// Direction of that speed.
+    ContactDirection,
+}
+
+impl CheckKind {
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::JointPositions => "joints' positions",
+            Self::JointSpeeds => "joints' speeds",
+            Self::JointTorques => "joints' torques",
+            Self::TorqueRates => "changes of torques",
+            Self::SelfCollision => "links against each other",
+            Self::Obstacle => "links against obstacles",
+            Self::ContactSpeed => "speed at the contact",
+            Self::ContactDirection => "direction at the contact",
+        }
+    }
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CheckItem {
+    /// What.
+    pub kind: CheckKind,
+    /// Whether it passes.
+    pub passed: bool,
+    /// What is left until it does not, in SI units (positions and distances: rad or m; speeds; torques; the speed as a
+    /// share); negative when it does not pass. `None` when there is nothing to measure.
+    pub margin: Option<f64>,
+    /// In words: value, limit, joint or links, phase and time.
+    pub detail: String,
+}
+
+/// All that was looked at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StrikeCheck {
+    /// The items, in a fixed order.
+    pub items: Vec<CheckItem>,
+    /// The sweep under control in free space.
+    pub tracking: Tracking,
+}
+
+impl StrikeCheck {
+    /// Whether everything passes.
+    pub fn executable(&self) -> bool {
+        self.items.iter().all(|i| i.passed)
+    }
+
+    /// What does not pass.
+    pub fn failed(&self) -> impl Iterator<Item = &CheckItem> {
+        self.items.iter().filter(|i| !i.passed)
+    }
+}
+
+/// Time between the postures whose distances are worked out, seconds.
+const LOOK_S: f64 = 0.01;
+
+/// Checks a planned strike: positions, speeds, torques and their changes over all phases, links against each other and
+/// against all obstacles (the floor is one of them; the body that is to be struck as [`Obstacle::struck`]) every 10 ms, and the
+/// sweep under control in free space.
+pub fn check_strike(
+    model: &RobotModel,
+    plan: &StrikePlan,
+    obstacles: &[Obstacle],
+    config: &StrikeConfig,
+    ws: &mut Workspace,
+) -> StrikeCheck {
+    let mut items = limits(model, plan, config);
+    items.extend(distances(model, plan, obstacles, config.clearance_m, ws));
+    let tracking = simulate_sweep(model, &plan.sweep, &config.osc, model, 1.0, 0.5 * config.osc.period_s);
+    let asked = plan.sweep.sweep.speed;
+    let never = || "the tool never comes to the contact under control in free space".to_owned();
+    let left = tracking.contact.map(|c| {
+        (SPEED_TOLERANCE - (c.speed / asked - 1.0).abs(), DIRECTION_TOLERANCE_RAD - c.direction_error_rad)
+    });
+    items.push(CheckItem {
+        kind: CheckKind::ContactSpeed,
+        passed: left.is_some_and(|l| l.0 >= 0.0),
+        margin: left.map(|l| l.0),
+        detail: tracking.contact.map_or_else(never, |c| {
+            format!("{:.4} m/s at the contact under control in free space, {asked:.4} asked for", c.speed)
+        }),
+    });
+    items.push(CheckItem {
+        kind: CheckKind::ContactDirection,
+        passed: left.is_some_and(|l| l.1 >= 0.0),
+        margin: left.map(|l| l.1),
+        detail: tracking.contact.map_or_else(never, |c| {
+            let off = c.direction_error_rad.to_degrees();
+            format!("{off:.3}° off the asked direction, {:.2} mm off the line", 1e3 * c.offset_m)
+        }),
+    });
+    StrikeCheck { items, tracking }
+}
+
+fn limits(model: &RobotModel, plan: &StrikePlan, config: &StrikeConfig) -> Vec<CheckItem> {
+    let mut worst: Vec<Option<(LimitKind, Use, Phase, f64)>> = vec![None; 4];
+    let mut start_s = 0.0;
+    for (phase, motion) in &plan.phases {
+        for (slot, (kind, u)) in worst.iter_mut().zip(motion.uses(model, config.osc.torque_rate)) {
+            if slot.as_ref().is_none_or(|w| u.share.is_nan() || u.share > w.1.share) {
+                *slot = Some((kind, u, *phase, start_s + u.at_s));
+            }
+        }
+        start_s += motion.duration_s();
+    }
+    worst
+        .into_iter()
+        .flatten()
+        .map(|(kind, u, phase, at_s)| {
+            let joint = &model.joints()[u.joint];
+            let (check, unit, angular) = match kind {
+                LimitKind::Position => (CheckKind::JointPositions, "m", "rad"),
+                LimitKind::Velocity => (CheckKind::JointSpeeds, "m/s", "rad/s"),
+                LimitKind::Torque => (CheckKind::JointTorques, "N", "N·m"),
+                LimitKind::TorqueRate => (CheckKind::TorqueRates, "N/s", "N·m/s"),
+            };
+            let unit = if joint.kind.turns() { angular } else { unit };
+            let margin = match kind {
+                LimitKind::Position => (u.value - joint.limits.lower).min(joint.limits.upper - u.value),
+                _ => u.bound - u.value.abs(),
+            };
+            CheckItem {
+                kind: check,
+                passed: u.share <= 1.0,
+                margin: Some(margin),
+                detail: format!(
+                    "{} comes to {:.3} {unit} of {:.3} in the {} at {at_s:.2} s",
+                    joint.name,
+                    u.value,
+                    u.bound,
+                    phase.name()
+                ),
+            }
+        })
+        .collect()
+}
+
+fn distances(
+    model: &RobotModel,
+    plan: &StrikePlan,
+    obstacles: &[Obstacle],
+    clearance_m: f64,
+    ws: &mut Workspace,
+) -> Vec<CheckItem> {
+    // Distances are worked out up to here, so that the margin is a figure where it matters.
+    let enough = clearance_m + 0.05;
+    let mut nearest: Vec<Option<(Clearance, Phase, f64)>> = vec![None; 1 + obstacles.len()];
+    let mut poses = Vec::new();
+    let mut start_s = 0.0;
+    for (phase, motion) in &plan.phases {
+        let last = motion.samples.len() - 1;
+        let every = ((LOOK_S / motion.period_s) as usize).max(1);
+        for k in (0..last).step_by(every).chain([last]) {
+            model.forward_kinematics(&motion.samples[k].q, ws);
+            model.shape_poses(ws, &mut poses);
+            let at_s = k as f64 * motion.period_s;
+            let with_struck = matches!(phase, Phase::Approach | Phase::Descent);
+            let found =
+                std::iter::once(model.self_clearance(&poses, enough)).chain(obstacles.iter().map(|o| {
+                    if o.is_struck && !with_struck {
+                        None
+                    } else {
+                        model.obstacle_clearance(&poses, o, enough)
+                    }
+                }));
+            for (slot, c) in nearest.iter_mut().zip(found) {
+                let Some(c) = c else { continue };
+                if slot.as_ref().is_none_or(|n| c.distance_m < n.0.distance_m) {
+                    *slot = Some((c, *phase, start_s + at_s));
+                }
+            }
+        }
+        start_s += motion.duration_s();
+    }
+    let names = std::iter::once("itself").chain(obstacles.iter().map(|o| o.name.as_str()));
+    nearest
+        .into_iter()
+        .zip(names)
+        .enumerate()
+        .map(|(i, (found, name))| {
+            let kind = if i == 0 { CheckKind::SelfCollision } else { CheckKind::Obstacle };
+            let Some((c, phase, at_s)) = found else {
+                // Without shapes nothing is known of what the arm would touch. With shapes, no two links that could
+                // touch each other is an answer.
+                let known = model.collisions().iter().any(|c| c.joint.is_some());
+                let detail = if known {
+                    format!("the robot has no shapes that could touch {name}")
+                } else {
+                    format!(
+                        "it cannot be known whether the robot touches {name}: no moving link of its URDF has a \
+                         <collision> shape"
+                    )
+                };
+                return CheckItem { kind, passed: known, margin: None, detail };
+            };
+            let near = if c.distance_m > enough { "stays more than" } else { "comes within" };
+            let of = if c.distance_m > enough { "away from" } else { "of" };
+            CheckItem {
+                kind,
+                passed: c.distance_m >= clearance_m,
+                margin: Some(c.distance_m - clearance_m),
+                detail: format!(
+                    "{} {near} {:.1} mm {of} {} in the {} at {at_s:.2} s; {:.1} mm are kept",
+                    c.link,
+                    1e3 * c.distance_m.min(enough),
+                    c.other,
+                    phase.name(),
+                    1e3 * clearance_m
+                ),
+            }
+        })
+        .collect()
+}

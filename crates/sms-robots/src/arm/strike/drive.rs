@@ -1,0 +1,200 @@
+//! The arm on its way through a sweep, in a world where it may hit something.
+
+use crate::arm::control::osc::{Osc, OscConfig};
+use crate::arm::dynamics::linalg::MAX_JOINTS;
+use crate::arm::dynamics::simulation::ArmSim;
+use crate::arm::dynamics::workspace::{JointVector, Workspace};
+use crate::arm::model::RobotModel;
+use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
+use crate::arm::strike::sweep_plan::SweepPlan;
+use glamx::{DMat3, DPose3, DQuat, DVec3};
+use std::sync::Arc;
+
+/// Parts of a control period shorter than this are not made, seconds.
+const MIN_STEP_S: f64 = 1e-9;
+
+/// A sweep of the arm as it is to be carried out: what [`SweepDrive`] begins with.
+#[derive(Debug, Clone)]
+pub struct ArmStrike {
+    /// The robot, standing in the world.
+    pub model: Arc<RobotModel>,
+    /// The sweep.
+    pub sweep: Sweep,
+    /// Attitude of the tool in it.
+    pub rotation_w: DQuat,
+    /// Posture at the start, and that which the null space is drawn to.
+    pub q_start: Vec<f64>,
+    /// The controller.
+    pub osc: OscConfig,
+    /// Half extents of the part of the tool that strikes, as a box about the tool's origin, in its frame, metres.
+    pub half: DVec3,
+}
+
+impl ArmStrike {
+    /// A planned sweep.
+    pub fn of_plan(model: Arc<RobotModel>, plan: &SweepPlan, osc: OscConfig, half: DVec3) -> Self {
+        let (sweep, rotation_w, q_start) = (plan.sweep, plan.rotation_w, plan.q_start.clone());
+        Self { model, sweep, rotation_w, q_start, osc, half }
+    }
+
+    /// The tool's motion.
+    pub fn path(&self) -> SweepPath {
+        self.sweep.path(self.rotation_w)
+    }
+
+    /// The same strike carried out elsewhere, the tool held as it is: `sweep_of` gives the sweep of a tool that reaches so many
+    /// metres ahead of its origin. The posture is still that of this strike.
+    pub fn moved_to(&self, sweep_of: impl FnOnce(f64) -> Sweep) -> Self {
+        // Attitude of the tool in the frame of the sweep.
+        let held = self.sweep.rotation_w().inverse() * self.rotation_w;
+        let sweep = sweep_of((held.inverse() * DVec3::X).abs().dot(self.half));
+        Self { rotation_w: sweep.rotation_w() * held, sweep, ..self.clone() }
+    }
+
+    /// When the sweep is over, seconds from its start.
+    pub fn duration_s(&self) -> f64 {
+        self.path().duration_s()
+    }
+}
+
+/// The arm under operational-space control through a sweep, from rest at its start. It may be advanced by steps of any
+/// length: the controller has its own clock, and its torques are held in between. Impulses from outside change the joints'
+/// speeds as the mass matrix says; what the controller makes of that is its own affair, within the limits of torque and
+/// its change.
+#[derive(Debug, Clone)]
+pub struct SweepDrive {
+    strike: ArmStrike,
+    arm: ArmSim,
+    osc: Osc,
+    tau: JointVector,
+    time_s: f64,
+    /// Control steps made.
+    ticks: usize,
+    saturated: usize,
+    ws: Workspace,
+}
+
+impl SweepDrive {
+    /// The arm at the start of the sweep, at rest.
+    pub fn new(strike: ArmStrike) -> Self {
+        let mut ws = Workspace::default();
+        let n = strike.model.dof();
+        let mut hold = [0.0; MAX_JOINTS];
+        strike.model.gravity_torques(&strike.q_start, &mut ws, &mut hold);
+        let osc = Osc::new(strike.osc, &strike.q_start, &hold[..n]);
+        let arm = ArmSim::new(&strike.q_start);
+        Self { strike, arm, osc, tau: hold, time_s: 0.0, ticks: 0, saturated: 0, ws }
+    }
+
+    /// What is carried out.
+    pub fn strike(&self) -> &ArmStrike {
+        &self.strike
+    }
+
+    /// Seconds since the start.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Positions and speeds of the joints.
+    pub fn joints(&self) -> (&[f64], &[f64]) {
+        let n = self.strike.model.dof();
+        (&self.arm.q[..n], &self.arm.qd[..n])
+    }
+
+    /// Torques that act now.
+    pub fn torques(&self) -> &[f64] {
+        &self.tau[..self.strike.model.dof()]
+    }
+
+    /// Control periods so far in which an effort limit cut a torque.
+    pub fn saturated_periods(&self) -> usize {
+        self.saturated
+    }
+
+    /// Moves on to `until_s` seconds after the start.
+    pub fn advance_to(&mut self, until_s: f64) {
+        let (model, period) = (self.strike.model.clone(), self.strike.osc.period_s);
+        let n = model.dof();
+        let mut first = None;
+        while until_s - self.time_s > MIN_STEP_S {
+            let next = self.ticks as f64 * period;
+            if next - self.time_s <= MIN_STEP_S {
+                let reference = self.strike.path().held(next, period);
+                let out = self.osc.step(&model, &self.arm.q[..n], &self.arm.qd[..n], &reference);
+                self.tau = out.tau;
+                first = self.osc.acceleration(&model, &self.arm.driven(&model, &self.arm.qd, &self.tau));
+                self.saturated += usize::from(out.saturated.is_some());
+                self.ticks += 1;
+                continue;
+            }
+            let to = if next < until_s - MIN_STEP_S { next } else { until_s };
+            // The controller has worked the dynamics out where it has just decided.
+            match first.take() {
+                Some(a) => self.arm.step_from(&model, &self.tau[..n], to - self.time_s, &a),
+                None => self.arm.step(&model, &self.tau[..n], to - self.time_s),
+            }
+            self.time_s = to;
+        }
+        self.time_s = until_s.max(self.time_s);
+    }
+
+    /// Pose `X_WT`, velocity of the origin (m/s) and angular velocity (rad/s) of the tool.
+    pub fn tool(&mut self) -> (DPose3, DVec3, DVec3) {
+        let (model, n) = (&self.strike.model, self.strike.model.dof());
+        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
+        model.forward_motion(&self.arm.qd[..n], &[0.0; MAX_JOINTS][..n], &mut self.ws);
+        let (v_w, w_w) = model.frame_velocity(model.tool(), &self.ws);
+        (model.frame_pose(model.tool(), &self.ws), v_w, w_w)
+    }
+
+    /// Acceleration of the tool's origin under the torques that act now, m/s².
+    pub fn tool_acceleration(&mut self) -> DVec3 {
+        let (model, n) = (&self.strike.model, self.strike.model.dof());
+        let qdd = self.arm.acceleration(model, &self.arm.q.clone(), &self.arm.qd.clone(), &self.tau[..n]);
+        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
+        model.forward_motion(&self.arm.qd[..n], &qdd[..n], &mut self.ws);
+        model.frame_acceleration(model.tool(), &self.ws).0
+    }
+
+    /// The mass that is felt by what strikes the tool at a point along a direction, kg: 1/(nᵀ J M⁻¹ Jᵀ n).
+    pub fn effective_mass(&mut self, point_w: DVec3, direction_w: DVec3) -> f64 {
+        let n = direction_w.normalize_or_zero();
+        1.0 / n.dot(self.mobility(point_w) * n)
+    }
+
+    /// [`Self::effective_mass`] of the tool's origin along the sweep when the controller decided last, kg.
+    pub fn mass_along_sweep(&mut self) -> f64 {
+        let d = self.strike.sweep.direction_w;
+        if self.ticks == 0 {
+            return self.effective_mass(self.strike.path().at(0.0).x_wt.translation, d);
+        }
+        1.0 / d.dot(self.osc.mobility_w() * d)
+    }
+
+    /// [`RobotModel::point_mobility`] of a point of the tool.
+    pub fn mobility(&mut self, point_w: DVec3) -> DMat3 {
+        let (model, n) = (&self.strike.model, self.strike.model.dof());
+        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
+        model.point_mobility(model.tool(), point_w, &mut self.ws)
+    }
+
+    /// An impulse (N·s) on a point of the tool, as if it had acted since `since_s` seconds ago: engines that step with
+    /// the speed at the end of a step have moved the tool with it already.
+    pub fn push(&mut self, point_w: DVec3, impulse_w: DVec3, since_s: f64) {
+        let (model, n) = (&self.strike.model, self.strike.model.dof());
+        let before = self.arm.qd;
+        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
+        model.apply_impulse(model.tool(), point_w, impulse_w, &mut self.ws, &mut self.arm.qd[..n]);
+        for i in 0..n {
+            self.arm.q[i] += since_s * (self.arm.qd[i] - before[i]);
+        }
+    }
+
+    /// Kinetic energy of the arm, J.
+    pub fn kinetic_energy(&mut self) -> f64 {
+        let (model, n) = (&self.strike.model, self.strike.model.dof());
+        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
+        model.kinetic_energy(&self.arm.qd[..n], &mut self.ws)
+    }
+}

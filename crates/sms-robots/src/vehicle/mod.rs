@@ -1,0 +1,9 @@
+//! Flying vehicles.
+
+mod error;
+mod flight;
+mod quadrotor;
+
+pub use error::VehicleError;
+pub use flight::{BezierPath, Flight, FlightSettings, FlightState};
+pub use quadrotor::{Quadrotor, Rotor};
