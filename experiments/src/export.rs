@@ -21,8 +21,6 @@ use crate::BenchError;
 use crate::prepare::{BenchOptions, Prepared};
 use crate::run::Yardstick;
 use crate::scenes::BenchScene;
-use crate::surface::UNMATCHED;
-use crate::truth::{SurfacePoint, TrueSurface, TrueView};
 use glamx::{DMat4, DPose3, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
 use sms_core::ply::{self, Column};
@@ -30,6 +28,8 @@ use sms_core::{
     CoreError, DepthImage, Image, InputError, LabelMap, Mesh, atomic, read_png_gray16, write_png_color,
     write_png_gray16,
 };
+use sms_eval::UNMATCHED;
+use sms_eval::{SurfacePoint, TrueSurface, TrueView};
 use std::path::Path;
 
 /// Metres of one unit of exported depth images.

@@ -1,9 +1,10 @@
 //! `sms bench optimisers`: search methods at equal numbers of rollouts.
 
-use crate::{BenchError, PlanScene, SceneFamily, median, paired_difference};
+use crate::{BenchError, PlanScene, SceneFamily};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, Progress, Seed};
+use sms_eval::{median, paired_difference};
 use sms_plan::{Method, PlanConfig, search_nominal};
 use sms_sim::RapierFactory;
 use std::fmt::Write as _;

@@ -1,8 +1,9 @@
 //! `sms bench robust`: what plans are worth in worlds other than the one that was told.
 
 use crate::robust_table::summarise;
-use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, thread_cpu_seconds};
+use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
+use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
 use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};

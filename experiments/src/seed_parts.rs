@@ -1,7 +1,8 @@
 //! Figures of benchmarks whose seeds ran apart, put together as if they had run at once.
 
-use crate::{OptimiserBench, median, paired_difference};
+use crate::OptimiserBench;
 use sms_core::metrics::Metrics;
+use sms_eval::{median, paired_difference};
 
 /// The figures of [`crate::run_optimisers`] over all seeds, of those of one seed each in the order of `bench.seeds`.
 pub fn merge_optimisers(bench: &OptimiserBench, each: &[Metrics]) -> Metrics {

@@ -3,10 +3,10 @@
 
 use crate::BenchError;
 use crate::plan_scenes::STAND_BACK_M;
-use crate::process::thread_cpu_seconds;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
+use sms_core::process::thread_cpu_seconds;
 use sms_core::{
     Cancel, InputError, Interval, Material, Mesh, Property, PropertySource, atomic,
     polyhedron_mass_properties, sphere_mass_properties,

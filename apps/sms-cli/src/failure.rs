@@ -57,11 +57,12 @@ fn is_input_error(error: &anyhow::Error) -> bool {
 
 fn core_error(error: &anyhow::Error) -> Option<&CoreError> {
     use sms_entities::EntitiesError;
+    use sms_eval::EvaluateError;
     use sms_gaussians::ScanError;
     use sms_landing::LandingError;
     use sms_masks::MasksError;
     use sms_plan::PlanError;
-    use sms_report::{EvaluateError, ReportError};
+    use sms_report::ReportError;
     use sms_scene::SceneError;
     use sms_target::TargetError;
     use sms_task::TaskError;

@@ -3,6 +3,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 use sms_core::{InputError, atomic};
 use sms_entities::EntitiesConfig;
+use sms_eval::EvaluateSettings;
 use sms_flight::FlightFiles;
 use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::ScanConfig;
@@ -10,7 +11,6 @@ use sms_landing::LandingSettings;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
-use sms_report::EvaluateSettings;
 use sms_robots::RobotConfig;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};

@@ -3,8 +3,8 @@
 use crate::context::Context;
 use clap::Args;
 use sms_core::metrics::Metrics;
+use sms_eval::closed_form::{Statistic, probes};
 use sms_sim::WorldFactory;
-use sms_sim::suite::{Statistic, probes};
 use sms_target::engine_factories;
 
 /// The planner's engine: its figures must be within the limits. Those of the targets are shown as they are

@@ -10,11 +10,11 @@ use sms_core::{
     Aabb, Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, RunFolder, Warnings,
 };
 use sms_entities::load_entities;
-use sms_frames::Sequence;
-use sms_report::{
+use sms_eval::{
     EvaluateSettings, KnownSurface, MatchSurface, ObjectScores, SolidScores, compare_sphere, entity_solid,
     evaluate_object, known_solid, match_objects, read_known_objects,
 };
+use sms_frames::Sequence;
 use sms_scene::load_scene;
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
 use sms_synth::{TruthScene, read_truth};
@@ -127,7 +127,7 @@ fn known_models(path: &Path, x_wr: &DPose3, by_label: bool) -> anyhow::Result<Ve
         )
         .into());
     }
-    let carried = |object: sms_report::KnownObject| Known {
+    let carried = |object: sms_eval::KnownObject| Known {
         cloud: PointCloud {
             points_w: object.model_r.points_w.iter().map(|&p| x_wr.transform_point(p)).collect(),
             ..PointCloud::default()

@@ -5,12 +5,12 @@ use crate::context::Context;
 use crate::settings::{SECTIONS, Settings};
 use sms_core::toml_value;
 use sms_entities::EntitiesConfig;
+use sms_eval::EvaluateSettings;
 use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::{Preset, ScanConfig};
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
-use sms_report::EvaluateSettings;
 use sms_robots::RobotConfig;
 use std::fmt::Write;
 

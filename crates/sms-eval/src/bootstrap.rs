@@ -1,7 +1,7 @@
-//! Means and medians, and: is one method better than another on the same scenes?
+//! Means, medians and paired comparisons of two methods on the same scenes.
 
 use rand::RngExt;
-use sms_core::Seed;
+use sms_core::{QuantileRule, Seed, quantile};
 
 /// Resamples of the scenes.
 const RESAMPLES: usize = 4000;
@@ -17,6 +17,13 @@ pub struct Paired {
     pub high: f64,
 }
 
+impl Paired {
+    fn of_resamples(mean: f64, resamples: &mut [f64]) -> Self {
+        let mut at = |q: f64| quantile(resamples, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
+        Self { mean, low: at(0.025), high: at(0.975) }
+    }
+}
+
 /// The mean of `a − b` over scenes, with the percentile bootstrap (Efron 1979) over scenes: each resample takes whole
 /// pairs. Seeded, so that the same figures give the same interval. `None` without pairs.
 pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
@@ -29,9 +36,7 @@ pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
     let mut means: Vec<f64> = (0..RESAMPLES)
         .map(|_| (0..n).map(|_| differences[rng.random_range(0..n)]).sum::<f64>() / n as f64)
         .collect();
-    means.sort_by(f64::total_cmp);
-    let at = |q: f64| means[(q * (RESAMPLES - 1) as f64).round() as usize];
-    Some(Paired { mean: differences.iter().sum::<f64>() / n as f64, low: at(0.025), high: at(0.975) })
+    Some(Paired::of_resamples(mean(&differences), &mut means))
 }
 
 /// The ratio of means `mean(a) / mean(b) − 1` over scenes, with the percentile bootstrap over scenes: each resample takes
@@ -49,25 +54,17 @@ pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     let mut ratios: Vec<f64> = (0..RESAMPLES)
         .map(|_| ratio((0..n).map(|_| &pairs[rng.random_range(0..n)]).fold((0.0, 0.0), add)))
         .collect();
-    ratios.sort_by(f64::total_cmp);
-    let at = |q: f64| ratios[(q * (RESAMPLES - 1) as f64).round() as usize];
-    Some(Paired { mean: ratio(pairs.iter().fold((0.0, 0.0), add)), low: at(0.025), high: at(0.975) })
+    Some(Paired::of_resamples(ratio(pairs.iter().fold((0.0, 0.0), add)), &mut ratios))
 }
 
-/// The mean; NaN of nothing.
+/// Returns the mean; of no values, NaN.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The median, of an even number of values the mean of the middle two; NaN of nothing.
+/// Returns the median: of an even number of values, the mean of the middle two; of none, NaN.
 pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
-    }
+    quantile(&mut values.to_vec(), 0.5, QuantileRule::Linear).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]

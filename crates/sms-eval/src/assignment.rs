@@ -1,6 +1,6 @@
 //! Who is whom: assignments of least cost, and reconstructed objects against known ones.
 
-use crate::surface::{SurfaceIndex, sample_surface};
+use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, Seed};
@@ -10,7 +10,7 @@ use sms_core::{Mesh, Seed};
 ///
 /// ```
 /// // Row 1 likes column 0, too, but row 0 has no other choice that is as good.
-/// assert_eq!(sms_report::least_cost_assignment(&[vec![1.0, 9.0], vec![0.5, 2.0]]), [0, 1]);
+/// assert_eq!(sms_eval::least_cost_assignment(&[vec![1.0, 9.0], vec![0.5, 2.0]]), [0, 1]);
 /// ```
 pub fn least_cost_assignment(cost: &[Vec<f64>]) -> Vec<usize> {
     let n = cost.len();

@@ -1,8 +1,8 @@
 //! Sliding, rolling, tipping and resting.
 
 use super::scenes::{DT, G, R, ball, cuboid, fixed, floor, launch, material, run, simulate};
-use crate::{SimError, WorldFactory};
 use glamx::{DPose3, DVec3};
+use sms_sim::{SimError, WorldFactory};
 
 /// A ball that slides at first rolls at 5/7 of its speed, whatever the friction; after 2v/(7µg) it does.
 pub(super) fn slide_to_roll(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {

@@ -9,7 +9,7 @@ const LINES: usize = 256;
 
 /// The solids that stand for an entity in physics, in the world: its parts, or its sphere, box or cylinder as a fine
 /// polyhedron.
-pub(super) fn collision_solids(entity: &Entity) -> Vec<Mesh> {
+pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
     match &entity.shape {
         EntityShape::Sphere { center_w, radius } => {
             let mut ball = Mesh::icosphere(*radius, 4);

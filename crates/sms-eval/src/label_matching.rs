@@ -1,8 +1,10 @@
 //! Which mask label stands for which true object.
 
-use crate::surface::UNMATCHED;
+use crate::assignment::least_cost_assignment;
 use sms_core::LabelMap;
-use sms_report::least_cost_assignment;
+
+/// A mask label that matches no true object.
+pub const UNMATCHED: u16 = u16::MAX;
 
 /// Pixel counts of two label maps of the same views.
 #[derive(Debug, Clone, Default, PartialEq)]

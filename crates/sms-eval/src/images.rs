@@ -1,10 +1,10 @@
 //! Rendered held-out views against what was observed and against the truth.
 
-use crate::matching::Overlaps;
-use crate::surface::UNMATCHED;
+use crate::label_matching::Overlaps;
+use crate::label_matching::UNMATCHED;
 use crate::truth::TrueView;
 use serde::{Deserialize, Serialize};
-use sms_core::{ColorImage, DepthImage, Image, LabelMap};
+use sms_core::{ColorImage, DepthImage, Image, LabelMap, QuantileRule, quantile};
 use sms_gaussians::RenderedMaps;
 
 /// Accumulated opacity from which a pixel counts as covered.
@@ -109,11 +109,10 @@ impl DepthErrors {
     /// The scores over all views added.
     pub fn scores(&self) -> DepthScores {
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-        let mut sorted = self.errors.clone();
-        sorted.sort_by(f64::total_cmp);
+        let median = quantile(&mut self.errors.clone(), 0.5, QuantileRule::Nearest);
         DepthScores {
             mae_m: mean(&self.errors),
-            median_m: sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN),
+            median_m: median.unwrap_or(f64::NAN),
             inner_mae_m: mean(&self.inner),
             measured_mae_m: mean(&self.measured),
             coverage: self.errors.len() as f64 / self.countable.max(1) as f64,

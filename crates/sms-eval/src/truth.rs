@@ -2,12 +2,12 @@
 //!
 //! Everything here is in the truth's world `T`, that of the generator; results come into it by `x_tw`.
 
+use crate::surface_index::{SurfaceIndex, sample_triangles};
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 use sms_core::{Aabb, Camera, DepthImage, LabelMap, Mesh, Seed};
-use sms_report::{SurfaceIndex, sample_triangles};
 use sms_synth::{CameraModel, DepthCamera, Renderer, TruthScene};
 
 /// The true surface of one object.

@@ -2,8 +2,9 @@
 //! anything. [`probes`] lists them; tests hold each engine to [`Probe::limit`], `sms bench physics` prints the errors.
 //!
 //! ```
-//! use sms_sim::{RapierFactory, suite};
-//! let probe = suite::probes().iter().find(|p| p.name == "head_on_restitution").unwrap();
+//! use sms_eval::closed_form;
+//! use sms_sim::RapierFactory;
+//! let probe = closed_form::probes().iter().find(|p| p.name == "head_on_restitution").unwrap();
 //! let measured = probe.measure(&RapierFactory)?;
 //! assert!(measured.worst <= probe.limit);
 //! # Ok::<(), sms_sim::SimError>(())
@@ -14,7 +15,7 @@ mod impacts;
 mod motion;
 mod scenes;
 
-use crate::{SimError, WorldFactory};
+use sms_sim::{SimError, WorldFactory};
 
 /// Which figure of the errors the limit is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

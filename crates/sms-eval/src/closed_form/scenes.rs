@@ -1,11 +1,11 @@
 //! Small scenes: balls of 30 mm and 0.19 kg, boxes, a floor.
 
-use crate::{BodyId, BodyState, SimError, Simulation, WorldFactory, WorldOptions};
 use glamx::{DPose3, DVec3};
 use sms_core::{
     Interval, Material, Mesh, Property, PropertySource, box_mass_properties, sphere_mass_properties,
 };
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, example_material, floor_body};
+use sms_sim::{BodyId, BodyState, SimError, Simulation, WorldFactory, WorldOptions};
 
 /// Radius of the balls, metres.
 pub(super) const R: f64 = 0.03;

@@ -9,15 +9,15 @@
 //! Devices", CVPR 2023, and its evaluation script). Three things differ: distances are to the surface instead of to the
 //! nearest sample, which is exact; reconstructions are taken where they are instead of being fitted to the model first,
 //! since poses are part of what is judged; and Chamfer is the mean of the two mean distances, where MobileBrick has their
-//! sum. MobileBrick leaves out what lies outside of a mask of visible space; `sms bench materialize` does so by what the
+//! sum. MobileBrick leaves out what lies outside of a mask of visible space; `sms-experiments materialize` does so by what the
 //! cameras see, here everything is judged.
 
-use crate::surface::{SurfaceIndex, sample_surface};
+use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::{DMat4, DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, Mesh, PointCloud, Ranges, Seed, atomic};
+use sms_core::{CoreError, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, atomic, quantile};
 use std::path::Path;
 
 /// Errors of evaluation.
@@ -150,11 +150,12 @@ pub fn evaluate_object(
         if p + r > 0.0 { 2.0 * p * r / (p + r) } else { 0.0 }
     };
     let (f1_2p5mm, f1_5mm) = (f1(0.0025), f1(0.005));
+    let rank = |v: &mut [f64], q: f64| quantile(v, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
     let chamfer_m = 0.5 * (mean(&accuracy) + mean(&completion));
     Ok(ObjectScores {
-        accuracy_median_m: quantile(&mut accuracy, 0.5),
-        accuracy_p90_m: quantile(&mut accuracy, 0.9),
-        completion_median_m: quantile(&mut completion, 0.5),
+        accuracy_median_m: rank(&mut accuracy, 0.5),
+        accuracy_p90_m: rank(&mut accuracy, 0.9),
+        completion_median_m: rank(&mut completion, 0.5),
         chamfer_m,
         precision_2p5mm: within(&accuracy, 0.0025),
         recall_2p5mm: within(&completion, 0.0025),
@@ -169,11 +170,6 @@ pub fn compare_sphere(name: &str, found: (DVec3, f64), truth: (DVec3, f64)) -> M
     m.set(format!("evaluate.{name}.center_error_m"), (found.0 - truth.0).length());
     m.set(format!("evaluate.{name}.radius_error_m"), (found.1 - truth.1).abs());
     m
-}
-
-fn quantile(values: &mut [f64], q: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[((values.len() - 1) as f64 * q).round() as usize]
 }
 
 /// A known object of a recording.

@@ -3,9 +3,9 @@
 use super::scenes::{
     DT, G, PHASES, R, ball, cuboid, fixed, floor, launch, material, phases, run, simulate, simulate_with,
 };
-use crate::{SimError, WorldFactory};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_scene::{Body, BodyShape};
+use sms_sim::{SimError, WorldFactory};
 
 const CUTS_DEG: [f64; 4] = [15.0, 30.0, 45.0, 60.0];
 const SPEEDS: [f64; 4] = [0.2, 0.4, 0.8, 1.6];
@@ -263,7 +263,7 @@ fn follow_through_all(factory: &dyn WorldFactory) -> Result<Vec<[f64; 3]>, SimEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{RapierF64Factory, RapierFactory};
+    use sms_sim::{RapierF64Factory, RapierFactory};
 
     /// What contact timing is for: without it the same shots are off by degrees.
     #[test]

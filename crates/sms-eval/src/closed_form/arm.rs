@@ -1,11 +1,11 @@
 //! The arm strikes a ball: what the ball feels is the arm's effective mass.
 
 use super::scenes::{R, ball, material, simulate};
-use crate::{SimError, Striker, WorldFactory};
 use glamx::DVec3;
 use sms_core::sphere_mass_properties;
 use sms_robots::{ArmStrike, FIST_HALF, OscConfig, RobotModel, StrikeConfig, Sweep, Workspace, plan_sweep};
 use sms_scene::Body;
+use sms_sim::{SimError, Striker, WorldFactory};
 use std::sync::Arc;
 
 /// Places (x, y), directions and speeds of the strikes.

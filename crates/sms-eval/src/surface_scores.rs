@@ -1,12 +1,13 @@
 //! Reconstructed surfaces against true ones.
 
+use crate::label_matching::UNMATCHED;
+use crate::surface_index::SurfaceIndex;
 use crate::truth::{SurfacePoint, TrueSurface};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sms_core::GOLDEN_ANGLE_RAD;
+use sms_core::{GOLDEN_ANGLE_RAD, QuantileRule, quantile};
 use sms_gaussians::GaussianModel;
-use sms_report::SurfaceIndex;
 
 /// Distance within which a point counts as right, metres.
 pub const F1_M: f64 = 0.0025;
@@ -99,11 +100,11 @@ pub fn score_surface(
     let hit: usize = observed.par_iter().filter(|s| index.closest(s.point).distance <= F1_M).count();
     let precision = off.iter().filter(|d| **d <= F1_M).count() as f64 / off.len() as f64;
     let recall = if observed.is_empty() { f64::NAN } else { hit as f64 / observed.len() as f64 };
-    off.sort_by(f64::total_cmp);
-    let quantile = |q: f64| off[((off.len() - 1) as f64 * q).round() as usize];
+    let mut rank = |q: f64| quantile(&mut off, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
+    let (median_m, p90_m) = (rank(0.5), rank(0.9));
     let sum = precision + recall;
     let f1 = if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 };
-    SurfaceScores { median_m: quantile(0.5), p90_m: quantile(0.9), precision, recall, f1 }
+    SurfaceScores { median_m, p90_m, precision, recall, f1 }
 }
 
 /// Scores of all objects.
@@ -159,9 +160,6 @@ pub fn score_labelled(
     )
 }
 
-/// A label that stands for no true object.
-pub const UNMATCHED: u16 = u16::MAX;
-
 /// Share of the points with an object's label whose label stands for no true object.
 pub fn stray_share(points: &[LabelledPoint], truth_of: &[u16]) -> f64 {
     let (mut all, mut stray) = (0usize, 0usize);
@@ -211,7 +209,7 @@ pub fn score_cropped(
 }
 
 /// Whether a point could be nearer than [`CROP_M`] to a surface, by its box.
-pub(crate) fn is_near(surface: &TrueSurface, p: DVec3) -> bool {
+pub fn is_near(surface: &TrueSurface, p: DVec3) -> bool {
     let bounds = surface.mesh_box();
     let room = DVec3::splat(CROP_M);
     p.cmpge(bounds.min - room).all() && p.cmple(bounds.max + room).all()
