@@ -19,8 +19,7 @@
 //!
 //! # The planner
 //! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
-//! true world is one more sample of what is not known. [`run_rebound`] plans one shot twice, with a statue of brass and of
-//! cardboard beside its way.
+//! true world is one more sample of what is not known.
 //!
 //! # Masks
 //! [`run_masks`] measures label images against the true ones: objects found, labels that are none, and how well they overlap.
@@ -51,7 +50,6 @@ mod billiards;
 mod disturb;
 mod engines;
 mod export;
-mod goals;
 mod landing;
 mod masks;
 mod materialize;
@@ -61,7 +59,6 @@ mod plan_scenes;
 mod plan_speed;
 mod prepare;
 mod real;
-mod rebound;
 mod robust;
 mod robust_table;
 mod run;
@@ -76,7 +73,6 @@ mod table;
 mod told;
 mod trainer;
 mod true_worlds;
-mod vessels;
 
 pub use billiards::{
     Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot,
@@ -86,7 +82,6 @@ pub use billiards::{
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
-pub use goals::{GoalPlace, GoalsBench, run_goals};
 pub use landing::{
     EdgeLoad, LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart,
     LandingPlanned, LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics,
@@ -102,7 +97,6 @@ pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
-pub use rebound::{StatueMaterial, rebound_scene, run_rebound};
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene, run_scene_with};
@@ -122,8 +116,6 @@ pub use told::{
 };
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;
-
-pub use vessels::{VesselScene, run_full_shots, vessel_scene};
 
 use sms_core::{CoreError, InputError};
 

@@ -64,16 +64,6 @@ impl RobustBench {
         }
     }
 
-    /// Adds planners like the first that believe the errors of scan and robot to be half and twice as wide as they are in
-    /// the true worlds.
-    pub fn add_misled(&mut self) {
-        let Some((name, config)) = self.planners.first().cloned() else { return };
-        for (word, factor) in [("half", 0.5), ("double", 2.0)] {
-            let disturbances = scaled(&config.disturbances, factor);
-            self.planners.push((format!("{name}_{word}"), PlanConfig { disturbances, ..config.clone() }));
-        }
-    }
-
     /// Of everything but the seeds that the figures of a scene depend on.
     fn hash(&self) -> Hash {
         let planners: BTreeMap<&String, String> =
@@ -102,7 +92,7 @@ impl RobustBench {
         Err(InputError::new(
             what,
             path,
-            "give the same --family, --materials, --worlds, --oracle, --planners, --arm, --engine and --misled, or leave the \
+            "give the same --family, --materials, --worlds, --oracle, --planners, --arm and --engine, or leave the \
              file out of --with",
         ))
     }
@@ -134,20 +124,6 @@ impl RobustBench {
 
 /// Key of the hash of the settings.
 const SETTINGS: &str = "bench.robust.settings";
-
-/// Disturbances of another width, materials excepted.
-fn scaled(d: &Disturbances, factor: f64) -> Disturbances {
-    Disturbances {
-        position_m: factor * d.position_m,
-        radius_m: factor * d.radius_m,
-        object_m: factor * d.object_m,
-        object_rad: factor * d.object_rad,
-        contact_m: factor * d.contact_m,
-        angle_rad: factor * d.angle_rad,
-        speed_share: factor * d.speed_share,
-        ..d.clone()
-    }
-}
 
 /// One thing to do; jobs are independent but for plain planning, which waits to know what robust planning cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -422,18 +398,6 @@ impl Clock {
 mod tests {
     use super::*;
     use crate::robust_table;
-
-    #[test]
-    fn a_misled_planner_believes_other_errors_and_samples_the_same_materials() {
-        let mut bench = RobustBench::new(vec![3], SceneFamily::Fixed);
-        bench.add_misled();
-        let names: Vec<&str> = bench.names();
-        assert_eq!(names, ["plain", "robust", "robust_half", "robust_double"]);
-        let d = |k: usize| &bench.planners[k].1.disturbances;
-        assert_eq!((d(1).position_m, d(2).angle_rad), (0.5 * d(0).position_m, 2.0 * d(0).angle_rad));
-        assert_eq!((d(1).materials, d(1).worlds), (true, d(0).worlds));
-        assert_eq!(bench.errors, *d(0));
-    }
 
     #[test]
     fn fixed_scenes_go_by_their_numbers() {

@@ -388,7 +388,7 @@ pub(super) mod tests {
         assert!(why.len() == 1 && why[&1].contains("the robot cannot make this strike"), "{why:?}");
 
         let (rows, unfinished) = (realised.rows, realised.unfinished);
-        let mut result = crate::billiards::cause::tests::scene(0.01, None);
+        let mut result = crate::billiards::result::tests::scene(0.01, None);
         result.plans = plans;
         result.paper_problem = Some("no ball is blue".into());
         result.realised = BTreeMap::from([("rapier_f64".to_owned(), rows)]);

@@ -9,7 +9,7 @@ use super::bench_materialize::{self, BenchMaterialize};
 use super::bench_merge::{self, BenchMerge};
 use super::bench_optimisers::{self, BenchOptimisers, finish};
 use super::bench_physics::{self, BenchPhysics};
-use super::bench_plan::{self, BenchPlan, BenchRebound, BenchRobust, parse_shard};
+use super::bench_plan::{self, BenchPlan, BenchRobust, parse_shard};
 use super::bench_scenes::{self, BenchScenes};
 use super::settings::poses_defaults;
 use super::shown;
@@ -58,8 +58,6 @@ pub(crate) enum BenchCommand {
     Engines(BenchEngines),
     /// Measure how fast shots are simulated and planned, and where the time goes.
     Plan(BenchPlan),
-    /// Which way a shot goes, and why, when a statue beside its way is of brass and when it is of cardboard.
-    Rebound(BenchRebound),
     /// Find out by brute force whether generated challenge scenes can be solved by a straight shot, or only by rebounds.
     Scenes(BenchScenes),
     /// The paper's billiards experiment: eighteen scenes are scanned, planned in from many starts, and every plan is carried
@@ -156,7 +154,6 @@ pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
         BenchCommand::Robust(robust) => bench_plan::run_robust(context, robust),
         BenchCommand::Engines(engines) => bench_engines::run(context, engines),
         BenchCommand::Plan(plan) => bench_plan::run(context, plan),
-        BenchCommand::Rebound(rebound) => bench_plan::run_rebound(context, rebound),
         BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
         BenchCommand::Billiards(billiards) => bench_billiards::run(context, billiards),
         BenchCommand::Landing(landing) => bench_landing::run(context, landing),

@@ -1,15 +1,13 @@
 //! `sms bench plan` and `sms bench robust`: the planner's speed and what its plans are worth.
 
 use super::bench_optimisers::{Family, finish, parse_seeds};
-use super::plan::summary;
 use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Seed, atomic};
+use sms_core::{InputError, atomic};
 use sms_experiments::{
-    MaterialsTold, PlanScene, RobustBench, Shard, merge_plan_speed, part_of, robust_table, run_full_shots,
-    run_plan_speed,
+    MaterialsTold, PlanScene, RobustBench, Shard, merge_plan_speed, part_of, robust_table, run_plan_speed,
 };
 use sms_plan::PlanConfig;
 use sms_target::TargetEngine;
@@ -24,12 +22,8 @@ pub(crate) struct BenchPlan {
     /// How hard they are.
     #[arg(long, value_enum, default_value = "open")]
     pub family: Family,
-    /// Only times whole shots of four seconds in the scene of eight vessels of eight hulls, and writes that scene, the
-    /// robot and the strikes to this folder, for other simulators (`benches/peers/pybullet_rollout.py`).
-    #[arg(long, value_name = "DIR")]
-    pub export: Option<PathBuf>,
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
-    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "export")]
+    #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
     /// File for the results.
     #[arg(long, value_name = "FILE")]
@@ -57,9 +51,6 @@ pub(crate) struct BenchRobust {
     /// planner's settings). Planning for the scanned world alone costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
-    /// Add planners like the first that believe the errors of scan and robot to be half and twice as wide as they are.
-    #[arg(long)]
-    pub misled: bool,
     /// Let the arm strike, in planning and in the true worlds, in place of the finger that gives no way.
     #[arg(long)]
     pub arm: bool,
@@ -74,16 +65,6 @@ pub(crate) struct BenchRobust {
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
     /// File for the results; written after every plan.
-    #[arg(long, value_name = "FILE")]
-    pub out: Option<PathBuf>,
-}
-
-#[derive(Debug, Args, Clone)]
-pub(crate) struct BenchRebound {
-    /// Seed of the planner.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
-    /// File for the results.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -126,17 +107,10 @@ impl Told {
 
 /// Plans with the settings of `[plan]`.
 pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
-    if a.export.is_some() {
-        let full = run_full_shots(a.export.as_deref(), &context.cancel)?;
-        return finish(context, &full, a.out.as_ref(), &full_text(&full));
-    }
     let part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
     let config = context.settings.section("plan", PlanConfig::default())?;
     let mut shard =
         Shard::new("plan", part, settings([("family", json!(a.family.family())), ("plan", json!(config))]));
-    if part.0 == 1 {
-        shard.add(FULL, &run_full_shots(None, &context.cancel)?);
-    }
     for seed in part_of(parse_seeds(&a.seeds)?, part) {
         let scene = PlanScene::new(a.family.family(), seed)?;
         let figures = run_plan_speed(&[scene], &config, context.progress.as_ref(), &context.cancel)?;
@@ -148,30 +122,11 @@ pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
     show_plan(context, &shard, a.out.as_ref())
 }
 
-/// The item of shots that are not a seed's.
-const FULL: &str = "full";
-
 /// Figures and text of a run of `sms bench plan`, or of merged parts.
 pub(crate) fn show_plan(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
-    let full = whole.figures(FULL);
-    let each: Vec<Metrics> = whole.items.keys().filter(|k| *k != FULL).map(|k| whole.figures(k)).collect();
-    let mut metrics = merge_plan_speed(&each);
-    let text = speed_text(&metrics);
-    let text = if whole.items.contains_key(FULL) { format!("{}\n{text}", full_text(&full)) } else { text };
-    metrics.merge(full);
-    finish(context, &metrics, out, &text)
-}
-
-fn full_text(full: &Metrics) -> String {
-    let of = |key: &str| 1e3 * full.number(&format!("bench.plan.full_{key}")).unwrap_or(f64::NAN);
-    format!(
-        "a whole shot of 4 s among eight vessels of eight hulls: {:.1} ms with the arm, of which {:.1} ms to plan its sweep \
-         and {:.1} ms for its dynamics and control; {:.1} ms with a finger that gives no way",
-        of("evaluation_s"),
-        of("sweep_plan_s"),
-        of("arm_s"),
-        of("finger_evaluation_s")
-    )
+    let each: Vec<Metrics> = whole.items.keys().map(|k| whole.figures(k)).collect();
+    let metrics = merge_plan_speed(&each);
+    finish(context, &metrics, out, &speed_text(&metrics))
 }
 
 fn speed_text(metrics: &Metrics) -> String {
@@ -229,9 +184,6 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
             return Err(InputError::new(what, path, "write for example [mean] and [q90]").into());
         }
         bench.planners = planners.into_iter().collect();
-    }
-    if a.misled {
-        bench.add_misled();
     }
     bench.arm = a.arm;
     bench.engine = match a.engine {
@@ -308,23 +260,6 @@ pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf
     let metrics =
         sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
     finish(context, &metrics, out, robust_table(&bench, &metrics).trim_end())
-}
-
-pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result<()> {
-    let config = context.settings.section("plan", PlanConfig::default())?;
-    let mut metrics = Metrics::new();
-    let mut text = Vec::new();
-    for (statue, plan) in sms_experiments::run_rebound(&config, Seed(a.seed), &context.cancel)? {
-        let key = |name: &str| format!("bench.rebound.{}.{name}", statue.as_str());
-        metrics.set(key("objective"), plan.objective);
-        metrics.set(key("strategy"), plan.strategies.first().map_or("", |s| s.name.as_str()));
-        if let Some(p) = &plan.predicted {
-            metrics.set(key("predicted_mean"), p.mean);
-        }
-        text.push(format!("a statue of {}:", statue.as_str()));
-        text.extend(summary(&plan));
-    }
-    finish(context, &metrics, a.out.as_ref(), &text.join("\n"))
 }
 
 /// `2/4`: the second of four parts.
