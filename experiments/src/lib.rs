@@ -92,7 +92,7 @@ pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
     materialize_markdown, materialize_table, materialize_targets, run_materialize, train,
 };
-pub use optimisers::{OptimiserBench, optimiser_table, run_optimisers};
+pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
 pub use plan_speed::run_plan_speed;

@@ -62,7 +62,7 @@ mod tests {
     fn seeds_apart_make_the_figures_of_seeds_together() {
         let bench = |seeds: Vec<u64>| {
             let mut bench = OptimiserBench::new(seeds, SceneFamily::Open, vec![8]);
-            bench.entrants.retain(|(name, _)| ["screen", "halving"].contains(&name.as_str()));
+            bench.entrants.retain(|(name, _)| ["multi_start", "halving"].contains(&name.as_str()));
             bench
         };
         let run = |seeds| run_optimisers(&bench(seeds), &NoProgress, &Cancel::new()).unwrap();

@@ -43,7 +43,7 @@ pub(crate) struct BenchOptimisers {
     /// Budgets: simulated shots per search.
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "60,240,960")]
     pub evaluations: Vec<usize>,
-    /// Methods to compare (default: all): screen, multi_start (the paper's), cma_es, halving (the default of `sms plan`).
+    /// Methods to compare (default: all): multi_start (the paper's), halving (the default of `sms plan`), cma_es.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub methods: Vec<String>,
     /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.

@@ -1,16 +1,15 @@
 //! Covariance matrix adaptation (CMA-ES; Hansen and Ostermeier 2001, constants of Hansen's tutorial of 2016), begun at
 //! the best points of a scan and restarted with twice the population (IPOP; Auger and Hansen 2005).
 
-use crate::jacobi::symmetric_eigen;
-use crate::screening::{self, Screened};
-use crate::space::Space;
-use crate::{BatchOptimiser, Phase, Proposal, StartRecord};
+use super::jacobi::symmetric_eigen;
 use rand::Rng;
 use sms_core::{Seed, StageRng, standard_normal};
+use sms_plan::screening::{self, Screened};
+use sms_plan::{BatchOptimiser, Phase, Proposal, Space, StartRecord};
 
 /// A search distribution N(m, σ²C) over ℝⁿ and its adaptation.
 #[derive(Debug, Clone)]
-pub struct CmaEs {
+pub(super) struct CmaEs {
     n: usize,
     lambda: usize,
     /// Recombination weights of the best μ; they add to 1.
@@ -38,7 +37,7 @@ pub struct CmaEs {
 impl CmaEs {
     /// Begins at a mean with the standard deviation `sigma` in every coordinate; `lambda` points per generation
     /// (4 + 3 ln n where it is smaller).
-    pub fn new(mean: &[f64], sigma: f64, lambda: usize) -> Self {
+    pub(super) fn new(mean: &[f64], sigma: f64, lambda: usize) -> Self {
         let n = mean.len();
         let nf = n as f64;
         let lambda = lambda.max(4 + (3.0 * nf.ln()).floor() as usize);
@@ -73,27 +72,27 @@ impl CmaEs {
     }
 
     /// Points per generation.
-    pub fn population(&self) -> usize {
+    pub(super) fn population(&self) -> usize {
         self.lambda
     }
 
     /// Generations told.
-    pub fn generation(&self) -> usize {
+    pub(super) fn generation(&self) -> usize {
         self.generation
     }
 
     /// The mean.
-    pub fn mean(&self) -> &[f64] {
+    pub(super) fn mean(&self) -> &[f64] {
         &self.mean
     }
 
     /// The largest standard deviation along an axis of the distribution.
-    pub fn spread(&self) -> f64 {
+    pub(super) fn spread(&self) -> f64 {
         self.sigma * self.d.iter().copied().fold(0.0, f64::max)
     }
 
     /// A point of the distribution.
-    pub fn sample(&self, rng: &mut impl Rng) -> Vec<f64> {
+    pub(super) fn sample(&self, rng: &mut impl Rng) -> Vec<f64> {
         let z: Vec<f64> = (0..self.n).map(|k| self.d[k] * standard_normal(rng)).collect();
         (0..self.n)
             .map(|i| {
@@ -105,7 +104,7 @@ impl CmaEs {
 
     /// Adapts to a generation: its points, best first. Fewer than the population may be given; then nothing is
     /// learned from them.
-    pub fn adapt(&mut self, best_first: &[Vec<f64>]) {
+    pub(super) fn adapt(&mut self, best_first: &[Vec<f64>]) {
         let (n, mu) = (self.n, self.weights.len());
         if best_first.len() < self.lambda {
             return;
@@ -163,13 +162,13 @@ fn mirrored(v: f64) -> f64 {
 
 /// Settings of [`CmaSearch`].
 #[derive(Debug, Clone)]
-pub(crate) struct CmaSettings {
-    pub(crate) initial_step: f64,
-    pub(crate) starts: usize,
+pub(super) struct CmaSettings {
+    pub(super) initial_step: f64,
+    pub(super) starts: usize,
     /// Least population.
-    pub(crate) population: usize,
-    pub(crate) x_tolerance: f64,
-    pub(crate) f_tolerance: f64,
+    pub(super) population: usize,
+    pub(super) x_tolerance: f64,
+    pub(super) f_tolerance: f64,
 }
 
 struct Run {
@@ -191,7 +190,7 @@ struct Run {
 const MOST_DRAWS: usize = 8;
 
 /// A scan, then CMA-ES from its best points, one after another, each with twice the population of the one before.
-pub(crate) struct CmaSearch {
+pub(super) struct CmaSearch {
     settings: CmaSettings,
     space: Space,
     rng: StageRng,
@@ -203,7 +202,7 @@ pub(crate) struct CmaSearch {
 }
 
 impl CmaSearch {
-    pub(crate) fn new(space: &Space, settings: CmaSettings, screen: Vec<Screened>, seed: Seed) -> Self {
+    pub(super) fn new(space: &Space, settings: CmaSettings, screen: Vec<Screened>, seed: Seed) -> Self {
         Self {
             population: settings.population,
             settings,

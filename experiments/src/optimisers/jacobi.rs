@@ -2,7 +2,7 @@
 //! IEEE arithmetic, whatever the number of threads.
 
 /// Eigenvalues and eigenvectors of a symmetric n × n matrix given row by row. Eigenvector k is column k.
-pub(crate) fn symmetric_eigen(matrix: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
+pub(super) fn symmetric_eigen(matrix: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut a = matrix.to_vec();
     let mut vectors: Vec<f64> = (0..n * n).map(|i| if i % (n + 1) == 0 { 1.0 } else { 0.0 }).collect();
     for _ in 0..64 {
