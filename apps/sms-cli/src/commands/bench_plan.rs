@@ -2,9 +2,9 @@
 
 use super::bench_optimisers::{Family, finish, parse_seeds};
 use super::plan::summary;
-use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed, atomic};
 use sms_experiments::{
@@ -125,41 +125,42 @@ impl Told {
 }
 
 /// Plans with the settings of `[plan]`.
-pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchPlan) -> anyhow::Result<()> {
     if a.export.is_some() {
-        let full = run_full_shots(a.export.as_deref(), &context.cancel)?;
-        return finish(context, &full, a.out.as_ref(), &full_text(&full));
+        let full = run_full_shots(a.export.as_deref(), &console.context.cancel)?;
+        return finish(console, &full, a.out.as_ref(), &full_text(&full));
     }
     let part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
-    let config = context.settings.section("plan", PlanConfig::default())?;
+    let config = console.context.settings.section("plan", PlanConfig::default())?;
     let mut shard =
         Shard::new("plan", part, settings([("family", json!(a.family.family())), ("plan", json!(config))]));
     if part.0 == 1 {
-        shard.add(FULL, &run_full_shots(None, &context.cancel)?);
+        shard.add(FULL, &run_full_shots(None, &console.context.cancel)?);
     }
     for seed in part_of(parse_seeds(&a.seeds)?, part) {
         let scene = PlanScene::new(a.family.family(), seed)?;
-        let figures = run_plan_speed(&[scene], &config, context.progress.as_ref(), &context.cancel)?;
+        let figures =
+            run_plan_speed(&[scene], &config, console.context.progress.as_ref(), &console.context.cancel)?;
         shard.add(&seed.to_string(), &figures);
     }
     if let (Some(out), Some(_)) = (&a.out, &a.shard) {
         shard.save(&Shard::path_beside(out))?;
     }
-    show_plan(context, &shard, a.out.as_ref())
+    show_plan(console, &shard, a.out.as_ref())
 }
 
 /// The item of shots that are not a seed's.
 const FULL: &str = "full";
 
 /// Figures and text of a run of `sms bench plan`, or of merged parts.
-pub(crate) fn show_plan(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_plan(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let full = whole.figures(FULL);
     let each: Vec<Metrics> = whole.items.keys().filter(|k| *k != FULL).map(|k| whole.figures(k)).collect();
     let mut metrics = merge_plan_speed(&each);
     let text = speed_text(&metrics);
     let text = if whole.items.contains_key(FULL) { format!("{}\n{text}", full_text(&full)) } else { text };
     metrics.merge(full);
-    finish(context, &metrics, out, &text)
+    finish(console, &metrics, out, &text)
 }
 
 fn full_text(full: &Metrics) -> String {
@@ -208,7 +209,7 @@ pub(crate) fn settings<const N: usize>(all: [(&str, Value); N]) -> Map<String, V
     all.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {
+pub(crate) fn run_robust(console: &Console, a: &BenchRobust) -> anyhow::Result<()> {
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
@@ -249,8 +250,13 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         Some(out) => Ok(metrics.save(out)?),
         None => Ok(()),
     };
-    let metrics =
-        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    let metrics = sms_experiments::run_robust(
+        &bench,
+        &known,
+        &keep,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+    )?;
     if let (Some(out), Some(part)) = (&a.out, part) {
         let mut shard = Shard::new("robust", part, robust_settings(&bench));
         for &seed in &bench.seeds {
@@ -263,7 +269,7 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         }
         shard.save(&Shard::path_beside(out))?;
     }
-    finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
+    finish(console, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
 }
 
 fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
@@ -288,7 +294,7 @@ pub(crate) fn seeds_of(whole: &Shard) -> Vec<u64> {
 }
 
 /// Figures and table of merged parts of `sms bench robust`: all is known, and nothing runs.
-pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_robust(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let engine: Option<String> = whole.setting("engine")?;
     let bench = RobustBench {
         seeds: seeds_of(whole),
@@ -305,16 +311,21 @@ pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf
     let mut known = Metrics::new();
     whole.items.keys().for_each(|k| known.merge(whole.figures(k)));
     let keep = |_: &Metrics| Ok(());
-    let metrics =
-        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
-    finish(context, &metrics, out, robust_table(&bench, &metrics).trim_end())
+    let metrics = sms_experiments::run_robust(
+        &bench,
+        &known,
+        &keep,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+    )?;
+    finish(console, &metrics, out, robust_table(&bench, &metrics).trim_end())
 }
 
-pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result<()> {
-    let config = context.settings.section("plan", PlanConfig::default())?;
+pub(crate) fn run_rebound(console: &Console, a: &BenchRebound) -> anyhow::Result<()> {
+    let config = console.context.settings.section("plan", PlanConfig::default())?;
     let mut metrics = Metrics::new();
     let mut text = Vec::new();
-    for (statue, plan) in sms_experiments::run_rebound(&config, Seed(a.seed), &context.cancel)? {
+    for (statue, plan) in sms_experiments::run_rebound(&config, Seed(a.seed), &console.context.cancel)? {
         let key = |name: &str| format!("bench.rebound.{}.{name}", statue.as_str());
         metrics.set(key("objective"), plan.objective);
         metrics.set(key("strategy"), plan.strategies.first().map_or("", |s| s.name.as_str()));
@@ -324,7 +335,7 @@ pub(crate) fn run_rebound(context: &Context, a: &BenchRebound) -> anyhow::Result
         text.push(format!("a statue of {}:", statue.as_str()));
         text.extend(summary(&plan));
     }
-    finish(context, &metrics, a.out.as_ref(), &text.join("\n"))
+    finish(console, &metrics, a.out.as_ref(), &text.join("\n"))
 }
 
 /// `2/4`: the second of four parts.
