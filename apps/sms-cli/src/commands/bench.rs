@@ -11,14 +11,14 @@ use super::bench_optimisers::{self, BenchOptimisers, finish};
 use super::bench_physics::{self, BenchPhysics};
 use super::bench_plan::{self, BenchPlan, BenchRobust, parse_shard};
 use super::bench_scenes::{self, BenchScenes};
-use super::settings::poses_defaults;
 use super::shown;
-use crate::cli::{PresetName, RefinePoses};
-use crate::context::Context;
-use crate::device::Device;
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use serde_json::json;
+use sms_cli::front::Console;
+use sms_cli::front::Device;
+use sms_cli::front::{PresetName, RefinePoses};
+use sms_cli::settings::poses_defaults;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, Warnings};
 use sms_experiments::{
@@ -143,28 +143,28 @@ pub(crate) struct BenchScore {
     pub views: Option<PathBuf>,
 }
 
-pub(crate) fn run(context: &Context, a: &Bench) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Bench) -> anyhow::Result<()> {
     match &a.what {
-        BenchCommand::Scan(scan) => run_scan(context, scan),
-        BenchCommand::Materialize(materialize) => bench_materialize::run(context, materialize),
-        BenchCommand::Masks(masks) => bench_masks::run(context, masks),
-        BenchCommand::Physics(physics) => bench_physics::run(context, physics),
-        BenchCommand::Score(score) => run_score(context, score),
-        BenchCommand::Optimisers(optimisers) => bench_optimisers::run(context, optimisers),
-        BenchCommand::Robust(robust) => bench_plan::run_robust(context, robust),
-        BenchCommand::Engines(engines) => bench_engines::run(context, engines),
-        BenchCommand::Plan(plan) => bench_plan::run(context, plan),
-        BenchCommand::Scenes(scenes) => bench_scenes::run(context, scenes),
-        BenchCommand::Billiards(billiards) => bench_billiards::run(context, billiards),
-        BenchCommand::Landing(landing) => bench_landing::run(context, landing),
-        BenchCommand::Merge(merge) => bench_merge::run(context, merge),
+        BenchCommand::Scan(scan) => run_scan(console, scan),
+        BenchCommand::Materialize(materialize) => bench_materialize::run(console, materialize),
+        BenchCommand::Masks(masks) => bench_masks::run(console, masks),
+        BenchCommand::Physics(physics) => bench_physics::run(console, physics),
+        BenchCommand::Score(score) => run_score(console, score),
+        BenchCommand::Optimisers(optimisers) => bench_optimisers::run(console, optimisers),
+        BenchCommand::Robust(robust) => bench_plan::run_robust(console, robust),
+        BenchCommand::Engines(engines) => bench_engines::run(console, engines),
+        BenchCommand::Plan(plan) => bench_plan::run(console, plan),
+        BenchCommand::Scenes(scenes) => bench_scenes::run(console, scenes),
+        BenchCommand::Billiards(billiards) => bench_billiards::run(console, billiards),
+        BenchCommand::Landing(landing) => bench_landing::run(console, landing),
+        BenchCommand::Merge(merge) => bench_merge::run(console, merge),
     }
 }
 
-fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
-    let options = options(context, a)?;
+fn run_scan(console: &Console, a: &BenchScan) -> anyhow::Result<()> {
+    let options = options(console, a)?;
     if let (Some(id), Some(dir)) = (&a.child, &a.child_dir) {
-        return run_child(context, &id.parse()?, &options, a.device, dir);
+        return run_child(console, &id.parse()?, &options, a.device, dir);
     }
     let baseline = a.compare.as_deref().map(read_baseline).transpose()?;
     let scenes = if a.seed_list.is_empty() {
@@ -194,11 +194,11 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         .into());
     }
     if let Some(dir) = &a.export {
-        return export(context, &present, &options, dir);
+        return export(console, &present, &options, dir);
     }
     let aside = std::env::temp_dir().join(format!("sms-experiments-{}", std::process::id()));
     let out = a.out.as_ref().unwrap_or(&aside);
-    let measured = run_children(context, &present, &options, out);
+    let measured = run_children(console, &present, &options, out);
     if a.out.is_none() {
         // Best effort: the results are printed.
         let _ = std::fs::remove_dir_all(&aside);
@@ -208,12 +208,12 @@ fn run_scan(context: &Context, a: &BenchScan) -> anyhow::Result<()> {
         part_of_scans(part, &options, &present, &metrics).save_in(out)?;
     }
     let results = a.out.as_ref().map(|out| out.join("results.json"));
-    show_scans(context, metrics, &present, options.preset_name(), baseline.as_ref(), results.as_ref())
+    show_scans(console, metrics, &present, options.preset_name(), baseline.as_ref(), results.as_ref())
 }
 
 /// Figures and table of the scenes that were measured, with their means.
 fn show_scans(
-    context: &Context,
+    console: &Console,
     mut metrics: Metrics,
     scenes: &[BenchScene],
     preset: &str,
@@ -222,7 +222,7 @@ fn show_scans(
 ) -> anyhow::Result<()> {
     add_means(&mut metrics, scenes);
     metrics.set("bench.scan.preset", preset);
-    finish(context, &metrics, out, table(&metrics, scenes, preset, baseline).trim_end())
+    finish(console, &metrics, out, table(&metrics, scenes, preset, baseline).trim_end())
 }
 
 /// What one part found out about its scenes.
@@ -250,14 +250,14 @@ fn part_of_scans(
 
 /// Figures and table of parts of `bench scan`.
 pub(super) fn show_merged_scans(
-    context: &Context,
+    console: &Console,
     whole: &Shard,
     out: Option<&PathBuf>,
 ) -> anyhow::Result<()> {
     let scenes = whole.items.keys().map(|id| id.parse()).collect::<Result<Vec<BenchScene>, _>>()?;
     let mut metrics = Metrics::new();
     whole.items.keys().for_each(|id| metrics.merge(whole.figures(id)));
-    show_scans(context, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
+    show_scans(console, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
 }
 
 /// Whether it is a real recording that is not here.
@@ -277,7 +277,7 @@ fn is_absent(scene: &BenchScene) -> bool {
 }
 
 fn export(
-    context: &Context,
+    console: &Console,
     scenes: &[BenchScene],
     options: &BenchOptions,
     dir: &Path,
@@ -292,28 +292,29 @@ fn export(
     }
     for scene in scenes.iter().filter(|s| matches!(s, BenchScene::Billiards(_))) {
         let warnings = Warnings::new();
-        let prepared = prepare(scene, options, context.progress.as_ref(), &context.cancel, &warnings)?;
+        let prepared =
+            prepare(scene, options, console.context.progress.as_ref(), &console.context.cancel, &warnings)?;
         if let Some(prepared) = prepared {
             let to = dir.join(scene.to_string());
             export_scene(scene, &prepared, options, &to)?;
-            context.say(format!("{scene} is in {}", shown(&to)));
+            console.say(format!("{scene} is in {}", shown(&to)));
         }
     }
     Ok(())
 }
 
-fn run_score(context: &Context, a: &BenchScore) -> anyhow::Result<()> {
+fn run_score(console: &Console, a: &BenchScore) -> anyhow::Result<()> {
     let metrics = score_files(&a.truth, a.surface.as_deref(), a.views.as_deref())?;
-    if context.json {
-        return context.print_json(&metrics);
+    if console.json {
+        return console.print_json(&metrics);
     }
     for (key, value) in metrics.iter() {
-        context.say(format!("{:<32} {value}", key.trim_start_matches("bench.score.")));
+        console.say(format!("{:<32} {value}", key.trim_start_matches("bench.score.")));
     }
     Ok(())
 }
 
-fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
+fn options(console: &Console, a: &BenchScan) -> anyhow::Result<BenchOptions> {
     let base = BenchOptions::new(a.preset.preset(), &a.cache);
     let mut disturbance =
         Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
@@ -332,8 +333,8 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
     }
-    let base = with_settings(context, base)?;
-    let mut poses = context.settings.section("poses", poses_defaults(&base.load))?;
+    let base = with_settings(console, base)?;
+    let mut poses = console.context.settings.section("poses", poses_defaults(&base.load))?;
     if let Some(mode) = a.refine_poses {
         poses.mode = match mode {
             RefinePoses::Off => PosesMode::Off,
@@ -352,20 +353,20 @@ fn options(context: &Context, a: &BenchScan) -> anyhow::Result<BenchOptions> {
 }
 
 /// The user's settings of frames, masks, scan and entities over those of `base`.
-pub(super) fn with_settings(context: &Context, base: BenchOptions) -> anyhow::Result<BenchOptions> {
+pub(super) fn with_settings(console: &Console, base: BenchOptions) -> anyhow::Result<BenchOptions> {
     Ok(BenchOptions {
-        load: context.settings.section("frames", base.load)?,
-        read: context.settings.section("read", base.read)?,
-        masks: context.settings.section("masks", base.masks)?,
-        scan: context.settings.section("scan", base.scan)?,
-        entities: context.settings.section("entities", base.entities)?,
+        load: console.context.settings.section("frames", base.load)?,
+        read: console.context.settings.section("read", base.read)?,
+        masks: console.context.settings.section("masks", base.masks)?,
+        scan: console.context.settings.section("scan", base.scan)?,
+        entities: console.context.settings.section("entities", base.entities)?,
         ..base
     })
 }
 
 /// Each scene in a process of its own, so that peak memory and CPU time are the scene's.
 fn run_children(
-    context: &Context,
+    console: &Console,
     scenes: &[BenchScene],
     options: &BenchOptions,
     out: &Path,
@@ -373,12 +374,12 @@ fn run_children(
     let program = std::env::current_exe().context("cannot find this program")?;
     let mut metrics = Metrics::new();
     for (i, scene) in scenes.iter().enumerate() {
-        context.cancel.check()?;
-        if !context.json {
+        console.context.cancel.check()?;
+        if !console.json {
             eprintln!("{scene} ({} of {})", i + 1, scenes.len());
         }
         // Here, so that rendering is no part of what the scan's process uses.
-        locate(scene, options, context.progress.as_ref(), &context.cancel)?;
+        locate(scene, options, console.context.progress.as_ref(), &console.context.cancel)?;
         let dir = out.join(scene.to_string());
         let status = std::process::Command::new(&program)
             .args(std::env::args_os().skip(1))
@@ -387,7 +388,7 @@ fn run_children(
             .stdout(Stdio::null())
             .status()
             .with_context(|| format!("cannot run {}", program.display()))?;
-        context.cancel.check()?;
+        console.context.cancel.check()?;
         if !status.success() {
             anyhow::bail!("{scene} was not measured ({status})");
         }
@@ -397,7 +398,7 @@ fn run_children(
 }
 
 fn run_child(
-    context: &Context,
+    console: &Console,
     scene: &BenchScene,
     options: &BenchOptions,
     device: Device,
@@ -406,9 +407,16 @@ fn run_child(
     let warnings = Warnings::new();
     match device {
         Device::Auto | Device::Cpu => {
-            run_scene(scene, options, dir, context.progress.as_ref(), &context.cancel, &warnings)?;
+            run_scene(
+                scene,
+                options,
+                dir,
+                console.context.progress.as_ref(),
+                &console.context.cancel,
+                &warnings,
+            )?;
         }
-        Device::Gpu(index) => bench_gpu::run(context, scene, options, index, dir, &warnings)?,
+        Device::Gpu(index) => bench_gpu::run(console, scene, options, index, dir, &warnings)?,
     }
     for w in warnings.snapshot() {
         eprintln!("warning: {scene}: {}", w.message);

@@ -4,13 +4,13 @@ use super::bench::with_settings;
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::{Told, parse_shard};
-use super::{length_text, vlm};
-use crate::cli::{EngineName, PathName, PresetName};
-use crate::context::Context;
-use crate::device::Device;
+use super::length_text;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
+use sms_cli::front::Console;
+use sms_cli::front::Device;
+use sms_cli::front::{EngineName, PathName, PresetName};
 use sms_core::{InputError, Seed};
 use sms_experiments::{
     BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
@@ -160,22 +160,28 @@ pub(super) fn nothing_there(out: &Path) -> InputError {
     )
 }
 
-pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
-    let bench = bench(context, a)?;
+pub(crate) fn run(console: &Console, a: &BenchBilliards) -> anyhow::Result<()> {
+    let bench = bench(console, a)?;
     if a.scans_only {
         let line = |s: &FixedScene, matched: usize, objects: usize| {
-            context.say(format!(
+            console.say(format!(
                 "scene {:>2} ({}): {matched} of {objects} objects seen",
                 s.number,
                 s.layout.as_str()
             ));
         };
-        return Ok(scan_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?);
+        return Ok(scan_billiards(
+            &bench,
+            &line,
+            console.context.progress.as_ref(),
+            &console.context.cancel,
+        )?);
     }
     let mut unanswered = None;
     if !a.table {
-        let line = |s: &BilliardsScene| context.say(scene_line(s));
-        unanswered = run_billiards(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+        let line = |s: &BilliardsScene| console.say(scene_line(s));
+        unanswered =
+            run_billiards(&bench, &line, console.context.progress.as_ref(), &console.context.cancel)?;
     }
     let found = read_billiards(&bench)?;
     if found.is_empty() {
@@ -190,14 +196,14 @@ pub(crate) fn run(context: &Context, a: &BenchBilliards) -> anyhow::Result<()> {
         }
         shard.save_in(&bench.out)?;
     }
-    show(context, &found, &bench.settings(), &bench.out)?;
+    show(console, &found, &bench.settings(), &bench.out)?;
     // Said at the end and by the exit code, so that what drives parts runs this one again.
     unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
 /// Figures, table and pictures of all scenes of a run or of merged parts.
 fn show(
-    context: &Context,
+    console: &Console,
     found: &[BilliardsScene],
     settings: &Map<String, Value>,
     out: &Path,
@@ -209,17 +215,17 @@ fn show(
     write_shots(&out.join("shots.parquet"), found)?;
     let text = billiards_table(found);
     write_pictures(out, found, &text)?;
-    finish(context, &metrics, Some(&out.join("results.json")), text.trim_end())
+    finish(console, &metrics, Some(&out.join("results.json")), text.trim_end())
 }
 
 /// The same of merged parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: &Path) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: &Path) -> anyhow::Result<()> {
     let mut found: Vec<BilliardsScene> = whole.values()?.into_iter().map(|(_, scene)| scene).collect();
     found.sort_by_key(|s| (s.told, s.number));
-    show(context, &found, &whole.settings, out)
+    show(console, &found, &whole.settings, out)
 }
 
-fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
+fn bench(console: &Console, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
     let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut bench = BilliardsBench::new(scenes(a)?, &keep, &a.out);
@@ -227,7 +233,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     bench.scan.bench = BenchOptions {
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
         path: a.path.path(),
-        ..with_settings(context, base)?
+        ..with_settings(console, base)?
     };
     bench.scan.rescan = a.rescan;
     bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
@@ -235,7 +241,7 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     bench.geometry = a.geometry.choice();
     bench.told = a.materials.iter().map(|t| t.told()).collect();
     if a.materials.contains(&Told::Vlm) {
-        let config = context.settings.section("vlm", vlm::defaults())?;
+        let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
         let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
         bench.vlm = Some(Arc::new(Client::new(&config, key, bench.seed.derive("vlm"))?));
     }
@@ -258,7 +264,8 @@ fn bench(context: &Context, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
         }
     }
     let robust = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
-    bench.robust = context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
+    bench.robust =
+        console.context.settings.section("plan", PlanConfig { sensitivity_rollouts: 0, ..robust })?;
     Ok(bench)
 }
 

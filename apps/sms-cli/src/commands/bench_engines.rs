@@ -1,8 +1,8 @@
 //! `sms bench engines`: the same shots in every engine.
 
 use super::bench_optimisers::{Family, finish, parse_seeds};
-use crate::context::Context;
 use clap::Args;
+use sms_cli::front::Console;
 use sms_experiments::{PlanScene, engines_table, run_engines};
 use std::path::PathBuf;
 
@@ -22,11 +22,12 @@ pub(crate) struct BenchEngines {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchEngines) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchEngines) -> anyhow::Result<()> {
     let scenes: Vec<PlanScene> = parse_seeds(&a.seeds)?
         .into_iter()
         .map(|seed| PlanScene::new(a.family.family(), seed))
         .collect::<Result<_, _>>()?;
-    let metrics = run_engines(&scenes, a.shots.max(1), context.progress.as_ref(), &context.cancel)?;
-    finish(context, &metrics, a.out.as_ref(), engines_table(&metrics).trim_end())
+    let metrics =
+        run_engines(&scenes, a.shots.max(1), console.context.progress.as_ref(), &console.context.cancel)?;
+    finish(console, &metrics, a.out.as_ref(), engines_table(&metrics).trim_end())
 }

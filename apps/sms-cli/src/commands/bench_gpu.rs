@@ -1,7 +1,7 @@
 //! `sms bench scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
 
-use crate::context::Context;
-use crate::device::Device;
+use sms_cli::front::Console;
+use sms_cli::front::Device;
 #[cfg(feature = "gpu")]
 use sms_core::Seed;
 use sms_core::Warnings;
@@ -13,7 +13,7 @@ use std::path::Path;
 /// Scans a scene on a GPU and measures it; never on the CPU instead.
 #[cfg(feature = "gpu")]
 pub(crate) fn run(
-    context: &Context,
+    console: &Console,
     scene: &BenchScene,
     options: &BenchOptions,
     index: Option<usize>,
@@ -41,7 +41,16 @@ pub(crate) fn run(
         }
         metrics
     };
-    run_scene_with(scene, options, dir, make, figures, context.progress.as_ref(), &context.cancel, warnings)?;
+    run_scene_with(
+        scene,
+        options,
+        dir,
+        make,
+        figures,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+        warnings,
+    )?;
     Ok(())
 }
 
@@ -77,7 +86,7 @@ pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
 pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
     match device {
         Device::Auto | Device::Cpu => Ok(TrainerMaker::default()),
-        Device::Gpu(_) => Err(crate::device::without_gpu().into()),
+        Device::Gpu(_) => Err(sms_cli::front::without_gpu().into()),
     }
 }
 
@@ -99,12 +108,12 @@ fn step_ms(trainer: &mut sms_gaussians_gpu::GpuTrainer, frames: &[usize], batche
 /// A program without GPUs says so.
 #[cfg(not(feature = "gpu"))]
 pub(crate) fn run(
-    _: &Context,
+    _: &Console,
     _: &BenchScene,
     _: &BenchOptions,
     _: Option<usize>,
     _: &Path,
     _: &Warnings,
 ) -> anyhow::Result<()> {
-    Err(crate::device::without_gpu().into())
+    Err(sms_cli::front::without_gpu().into())
 }

@@ -8,11 +8,11 @@ use super::bench_plan::parse_shard;
 use super::landing::{action_of, observation, stuck_text};
 use super::materialize::drift_text;
 use super::vlm;
-use crate::cli::{EngineName, PresetName};
-use crate::context::Context;
-use crate::device::Device;
 use anyhow::Context as _;
 use clap::Args;
+use sms_cli::front::Console;
+use sms_cli::front::Device;
+use sms_cli::front::{EngineName, PresetName};
 use sms_core::{InputError, Seed, Warnings};
 use sms_experiments::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
@@ -91,8 +91,8 @@ pub(crate) struct BenchLanding {
     pub table: bool,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
-    let bench = bench(context, a)?;
+pub(crate) fn run(console: &Console, a: &BenchLanding) -> anyhow::Result<()> {
+    let bench = bench(console, a)?;
     if a.scans_only {
         let line = |scan: &LandingScan| {
             let freed = match scan.freed.as_slice() {
@@ -105,16 +105,16 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
             let falling = scan.falling.as_ref().map(|why| format!("; {why}")).unwrap_or_default();
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
             let stands = scan.standing.as_ref().map(standing_text).unwrap_or_default();
-            context.say(format!(
+            console.say(format!(
                 "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{falling}{stands}"
             ));
         };
-        let scans = scan_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
-        return if context.json { context.print_json(&landing_scan_metrics(&scans)) } else { Ok(()) };
+        let scans = scan_landings(&bench, &line, console.context.progress.as_ref(), &console.context.cancel)?;
+        return if console.json { console.print_json(&landing_scan_metrics(&scans)) } else { Ok(()) };
     }
     if !a.table {
-        let line = |f: &LandingFlight| context.say(flight_line(f));
-        run_landings(&bench, &line, context.progress.as_ref(), &context.cancel)?;
+        let line = |f: &LandingFlight| console.say(flight_line(f));
+        run_landings(&bench, &line, console.context.progress.as_ref(), &console.context.cancel)?;
     }
     let found = read_landings(&bench)?;
     if found.is_empty() {
@@ -123,17 +123,17 @@ pub(crate) fn run(context: &Context, a: &BenchLanding) -> anyhow::Result<()> {
     if a.shard.is_some() {
         part_with(bench.part, &bench, &found)?.save_in(&bench.out)?;
     }
-    show(context, &found, Some(&a.out.join("results.json")))
+    show(console, &found, Some(&a.out.join("results.json")))
 }
 
 /// Figures and table of all flights of a run or of merged parts.
-fn show(context: &Context, found: &[LandingFlight], out: Option<&PathBuf>) -> anyhow::Result<()> {
-    finish(context, &landing_metrics(found), out, landing_table(found).trim_end())
+fn show(console: &Console, found: &[LandingFlight], out: Option<&PathBuf>) -> anyhow::Result<()> {
+    finish(console, &landing_metrics(found), out, landing_table(found).trim_end())
 }
 
 /// The same of merged parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
-    show(context, &flights_of(whole)?, out)
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+    show(console, &flights_of(whole)?, out)
 }
 
 /// What a part holds.
@@ -157,7 +157,7 @@ fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
     Ok(found)
 }
 
-fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
+fn bench(console: &Console, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut scenes = a.scenes.clone();
     if scenes.is_empty() {
@@ -176,7 +176,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     let base = BenchOptions::new(preset.preset(), keep.join("recordings"));
     bench.scan.bench = BenchOptions {
         frames: a.frames.unwrap_or(if a.quick { 24 } else { FRAMES }),
-        ..with_settings(context, base)?
+        ..with_settings(console, base)?
     };
     bench.scan.rescan = a.rescan;
     bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
@@ -190,7 +190,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
     if let Some(engine) = a.engine {
         bench.engine = engine.engine();
     }
-    bench.settings = context.settings.section("landing", bench.settings)?;
+    bench.settings = console.context.settings.section("landing", bench.settings)?;
     bench.baselines = vec![
         baseline("geometric", "", |sight, sites, ways| {
             Ok(Ok(geometric(sites, sight.landing.start_w(), ways)))
@@ -200,7 +200,7 @@ fn bench(context: &Context, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
         }),
     ];
     if a.visual_prompting {
-        bench.baselines.push(prompting(context, &keep, bench.seed)?);
+        bench.baselines.push(prompting(console, &keep, bench.seed)?);
     }
     Ok(bench)
 }
@@ -233,11 +233,11 @@ fn baseline(
 }
 
 /// A vision-language model that is shown the candidates. Its replies are kept beside the scans.
-fn prompting(context: &Context, keep: &Path, seed: Seed) -> anyhow::Result<LandingBaseline<'static>> {
-    let config = context.settings.section("vlm", vlm::defaults())?;
+fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<LandingBaseline<'static>> {
+    let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
     let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
     let client = Client::new(&config, key, seed.derive("visual prompting"))?;
-    let (cache, cancel) = (Cache::new(&keep.join(vlm::REPLIES)), context.cancel.clone());
+    let (cache, cancel) = (Cache::new(&keep.join(vlm::REPLIES)), console.context.cancel.clone());
     let model = config.model.clone();
     let choose = move |sight: &LandingSight<'_>, sites: &Sites, ways: &ApproachSettings| {
         let Some(seen) = observation(sight.frames()?, sight.scene, sites) else {

@@ -2,9 +2,9 @@
 
 use super::bench_optimisers::finish;
 use super::bench_plan::{parse_shard, settings};
-use crate::context::Context;
 use anyhow::Context as _;
 use clap::Args;
+use sms_cli::front::Console;
 use sms_core::{InputError, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, MaskScores, REAL, Shard, masks_metrics, masks_table, part_of,
@@ -35,12 +35,12 @@ pub(crate) struct BenchMasks {
     pub cache: PathBuf,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchMasks) -> anyhow::Result<()> {
     let base = BenchOptions::new(Preset::Standard, &a.cache);
     let options = BenchOptions {
-        load: context.settings.section("frames", base.load.clone())?,
-        read: context.settings.section("read", ReadOptions::default())?,
-        masks: context.settings.section("masks", GeometryConfig::default())?,
+        load: console.context.settings.section("frames", base.load.clone())?,
+        read: console.context.settings.section("read", ReadOptions::default())?,
+        masks: console.context.settings.section("masks", GeometryConfig::default())?,
         frames: a.frames,
         ..base
     };
@@ -49,12 +49,12 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
     let mut scores = Vec::new();
     for scene in part_of(select_mask_scenes(&a.scenes)?, part.unwrap_or((1, 1))) {
         let warnings = Warnings::new();
-        let progress = context.progress.as_ref();
-        match run_masks(&scene, &options, a.out.as_deref(), progress, &context.cancel, &warnings)? {
+        let progress = console.context.progress.as_ref();
+        match run_masks(&scene, &options, a.out.as_deref(), progress, &console.context.cancel, &warnings)? {
             Some((score, seconds)) => scores.push((scene, score, seconds)),
-            None => context.say(format!("skipped: {scene} is absent (SMS_TEST_DATA names its folder)")),
+            None => console.say(format!("skipped: {scene} is absent (SMS_TEST_DATA names its folder)")),
         }
-        context.tell(&warnings);
+        console.tell(&warnings);
     }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
     let none_generated = scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all";
@@ -65,7 +65,7 @@ pub(crate) fn run(context: &Context, a: &BenchMasks) -> anyhow::Result<()> {
         return Err(InputError::new("no scene could be measured", "--scenes", "name other scenes").into());
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));
-    finish(context, &masks_metrics(&scores), results.as_ref(), masks_table(&scores).trim_end())
+    finish(console, &masks_metrics(&scores), results.as_ref(), masks_table(&scores).trim_end())
 }
 
 type Scored = (BenchScene, MaskScores, f64);
@@ -79,9 +79,9 @@ fn part_with(part: (usize, usize), options: &BenchOptions, scores: &[Scored]) ->
 }
 
 /// Figures and table of parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let scores = scores_of(whole)?;
-    finish(context, &masks_metrics(&scores), out, masks_table(&scores).trim_end())
+    finish(console, &masks_metrics(&scores), out, masks_table(&scores).trim_end())
 }
 
 /// The scores of parts, in the order of a run in one piece.

@@ -4,10 +4,10 @@ use super::bench::{read_baseline, with_settings};
 use super::bench_gpu;
 use super::bench_optimisers::finish;
 use super::bench_plan::parse_shard;
-use crate::cli::PresetName;
-use crate::context::Context;
-use crate::device::Device;
 use clap::{Args, ValueEnum};
+use sms_cli::front::Console;
+use sms_cli::front::Device;
+use sms_cli::front::PresetName;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Warnings};
 use sms_experiments::{
@@ -70,7 +70,7 @@ pub(crate) enum BenchMasks {
     Truth,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchMaterialize) -> anyhow::Result<()> {
     let mut scenes = match (&a.objects[..], &a.seeds[..]) {
         ([], [_, ..]) => Vec::new(),
         ([], []) => MODELS.iter().map(|m| BenchScene::Model((*m).to_owned())).collect(),
@@ -81,9 +81,9 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
     if let Some(path) = &a.table {
         let metrics = read_baseline(path)?;
         scenes.retain(|s| metrics.number(&format!("bench.materialize.{s}.seconds")).is_some());
-        return show(context, a, &metrics, &scenes, baseline.as_ref());
+        return show(console, a, &metrics, &scenes, baseline.as_ref());
     }
-    let options = options(context, a)?;
+    let options = options(console, a)?;
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     scenes = part_of(scenes, part.unwrap_or((1, 1)));
     let mut shard = Shard::new("materialize", part.unwrap_or((1, 1)), options.settings());
@@ -97,8 +97,10 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
             continue;
         }
         let warnings = Warnings::new();
-        let progress = context.progress.as_ref();
-        if let Some(figures) = run_materialize(&scene, &options, progress, &context.cancel, &warnings)? {
+        let progress = console.context.progress.as_ref();
+        if let Some(figures) =
+            run_materialize(&scene, &options, progress, &console.context.cancel, &warnings)?
+        {
             shard.add(&scene.to_string(), &figures);
             metrics.merge(figures);
             measured.push(scene.clone());
@@ -123,11 +125,11 @@ pub(crate) fn run(context: &Context, a: &BenchMaterialize) -> anyhow::Result<()>
             shard.save(&Shard::path_beside(path))?;
         }
     }
-    show(context, a, &metrics, &measured, baseline.as_ref())
+    show(console, a, &metrics, &measured, baseline.as_ref())
 }
 
 /// Figures and table of merged parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     // In the order of a run in one piece.
     let models = MODELS.iter().map(|m| BenchScene::Model((*m).to_owned()));
     let seeds = whole.items.keys().filter_map(|k| Some(BenchScene::Ten(k.rsplit('_').next()?.parse().ok()?)));
@@ -137,36 +139,36 @@ pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf
     whole.items.keys().for_each(|k| metrics.merge(whole.figures(k)));
     add_materialize_means(&mut metrics, &scenes);
     metrics.set("bench.materialize.preset", whole.setting::<String>("preset")?);
-    finish(context, &metrics, out, materialize_table(&metrics, &scenes, None).trim_end())
+    finish(console, &metrics, out, materialize_table(&metrics, &scenes, None).trim_end())
 }
 
 fn show(
-    context: &Context,
+    console: &Console,
     a: &BenchMaterialize,
     metrics: &Metrics,
     scenes: &[BenchScene],
     baseline: Option<&Metrics>,
 ) -> anyhow::Result<()> {
-    if context.json {
-        return context.print_json(metrics);
+    if console.json {
+        return console.print_json(metrics);
     }
     let text = if a.markdown {
         materialize_markdown(metrics, scenes)
     } else {
         materialize_table(metrics, scenes, baseline)
     };
-    context.print(text.trim_end());
+    console.print(text.trim_end());
     Ok(())
 }
 
-fn options(context: &Context, a: &BenchMaterialize) -> anyhow::Result<MaterializeOptions> {
+fn options(console: &Console, a: &BenchMaterialize) -> anyhow::Result<MaterializeOptions> {
     if a.frames < HOLDOUT {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
     }
     let base = BenchOptions::new(a.preset.preset(), a.keep.join("recordings"));
     Ok(MaterializeOptions {
-        bench: BenchOptions { frames: a.frames, ..with_settings(context, base)? },
+        bench: BenchOptions { frames: a.frames, ..with_settings(console, base)? },
         masks: match a.masks {
             BenchMasks::Auto => MaskChoice::Auto,
             BenchMasks::Geometry => MaskChoice::Geometry,

@@ -4,8 +4,8 @@ use super::{
     bench, bench_billiards, bench_landing, bench_masks, bench_materialize, bench_optimisers, bench_plan,
     bench_scenes,
 };
-use crate::context::Context;
 use clap::Args;
+use sms_cli::front::Console;
 use sms_core::InputError;
 use sms_experiments::{Merged, merge_shards};
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub(crate) struct BenchMerge {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchMerge) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchMerge) -> anyhow::Result<()> {
     let Merged { whole, missing, builds } = merge_shards(&a.parts)?;
     if !missing.is_empty() {
         eprintln!("warning: parts that are missing: {}", missing.join(", "));
@@ -34,20 +34,20 @@ pub(crate) fn run(context: &Context, a: &BenchMerge) -> anyhow::Result<()> {
     let out = results.as_ref();
     match whole.bench.as_str() {
         "billiards" => match &a.out {
-            Some(dir) => bench_billiards::show_merged(context, &whole, dir),
+            Some(dir) => bench_billiards::show_merged(console, &whole, dir),
             None => {
                 let cure = "say where its pictures and results go";
                 Err(InputError::new("`bench billiards` needs a folder", "--out", cure).into())
             }
         },
-        "landing" => bench_landing::show_merged(context, &whole, out),
-        "masks" => bench_masks::show_merged(context, &whole, out),
-        "scan" => bench::show_merged_scans(context, &whole, out),
-        "robust" => bench_plan::show_robust(context, &whole, out),
-        "plan" => bench_plan::show_plan(context, &whole, out),
-        "optimisers" => bench_optimisers::show_merged(context, &whole, out),
-        "materialize" => bench_materialize::show_merged(context, &whole, out),
-        "scenes" => bench_scenes::show_merged(context, &whole, out),
+        "landing" => bench_landing::show_merged(console, &whole, out),
+        "masks" => bench_masks::show_merged(console, &whole, out),
+        "scan" => bench::show_merged_scans(console, &whole, out),
+        "robust" => bench_plan::show_robust(console, &whole, out),
+        "plan" => bench_plan::show_plan(console, &whole, out),
+        "optimisers" => bench_optimisers::show_merged(console, &whole, out),
+        "materialize" => bench_materialize::show_merged(console, &whole, out),
+        "scenes" => bench_scenes::show_merged(console, &whole, out),
         other => Err(InputError::new(
             format!("nothing is known of merging `bench {other}`"),
             "merge",

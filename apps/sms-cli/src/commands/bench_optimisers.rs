@@ -1,9 +1,9 @@
 //! `sms bench optimisers`: search methods against each other on generated scenes.
 
 use super::bench_plan::{parse_shard, seeds_of, settings};
-use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::json;
+use sms_cli::front::Console;
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_experiments::{
@@ -57,7 +57,7 @@ pub(crate) struct BenchOptimisers {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchOptimisers) -> anyhow::Result<()> {
     if a.evaluations.contains(&0) {
         return Err(InputError::new("a search needs shots", "--evaluations", "give numbers above 0").into());
     }
@@ -72,8 +72,8 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
         bench.entrants.retain(|(name, _)| a.methods.contains(name));
     }
     let (Some(shard), Some(out)) = (&a.shard, &a.out) else {
-        let metrics = run_optimisers(&bench, context.progress.as_ref(), &context.cancel)?;
-        return finish(context, &metrics, a.out.as_ref(), optimiser_table(&bench, &metrics).trim_end());
+        let metrics = run_optimisers(&bench, console.context.progress.as_ref(), &console.context.cancel)?;
+        return finish(console, &metrics, a.out.as_ref(), optimiser_table(&bench, &metrics).trim_end());
     };
     let part = parse_shard(shard)?;
     let names: Vec<&String> = bench.entrants.iter().map(|(name, _)| name).collect();
@@ -86,15 +86,15 @@ pub(crate) fn run(context: &Context, a: &BenchOptimisers) -> anyhow::Result<()> 
     let mut shard = Shard::new("optimisers", part, settings);
     for seed in part_of(bench.seeds.clone(), part) {
         let one = OptimiserBench { seeds: vec![seed], ..bench.clone() };
-        let figures = run_optimisers(&one, context.progress.as_ref(), &context.cancel)?;
+        let figures = run_optimisers(&one, console.context.progress.as_ref(), &console.context.cancel)?;
         shard.add(&seed.to_string(), &figures);
     }
     shard.save(&Shard::path_beside(out))?;
-    show_merged(context, &shard, Some(out))
+    show_merged(console, &shard, Some(out))
 }
 
 /// Figures and table of parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let seeds = seeds_of(whole);
     let each: Vec<Metrics> = seeds.iter().map(|s| whole.figures(&s.to_string())).collect();
     let mut bench = OptimiserBench::new(seeds, whole.setting("family")?, whole.setting("evaluations")?);
@@ -102,12 +102,12 @@ pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf
     bench.entrants.retain(|(name, _)| methods.contains(name));
     bench.arm = whole.setting("arm")?;
     let metrics = merge_optimisers(&bench, &each);
-    finish(context, &metrics, out, optimiser_table(&bench, &metrics).trim_end())
+    finish(console, &metrics, out, optimiser_table(&bench, &metrics).trim_end())
 }
 
 /// Keeps the figures of a benchmark and prints them, or `text` for people.
 pub(crate) fn finish(
-    context: &Context,
+    console: &Console,
     metrics: &Metrics,
     out: Option<&PathBuf>,
     text: &str,
@@ -115,10 +115,10 @@ pub(crate) fn finish(
     if let Some(out) = out {
         metrics.save(out)?;
     }
-    if context.json {
-        return context.print_json(metrics);
+    if console.json {
+        return console.print_json(metrics);
     }
-    context.say(text);
+    console.say(text);
     Ok(())
 }
 

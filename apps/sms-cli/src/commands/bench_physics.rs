@@ -1,7 +1,7 @@
 //! `sms bench physics`: the closed-form suite in every engine that is built in.
 
-use crate::context::Context;
 use clap::Args;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_eval::closed_form::{Statistic, probes};
 use sms_sim::WorldFactory;
@@ -21,12 +21,12 @@ pub(crate) struct BenchPhysics {
     pub engine: String,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchPhysics) -> anyhow::Result<()> {
     let mut engines: Vec<(&str, Box<dyn WorldFactory>)> = Vec::new();
     for (key, factory) in engine_factories().into_iter().filter(|e| e.0.contains(&a.engine)) {
         match factory {
             Ok(factory) => engines.push((key, factory)),
-            Err(e) => context.say(format!("{key} is not run: {e}")),
+            Err(e) => console.say(format!("{key} is not run: {e}")),
         }
     }
     let mut metrics = Metrics::new();
@@ -44,12 +44,12 @@ pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
         .into());
     }
     let heads: String = engines.iter().map(|(key, _)| format!(" {key:>14}")).collect();
-    context.say(format!("{:>22}  {:>10}{heads}", "probe", "limit"));
+    console.say(format!("{:>22}  {:>10}{heads}", "probe", "limit"));
     let (mut missed, mut shown) = (0, 0);
     for probe in chosen {
         let mut row = format!("{:>22}  {:>10}", probe.name, probe.limit);
         for (key, factory) in &engines {
-            context.cancel.check()?;
+            console.context.cancel.check()?;
             let figure = probe.figure(&probe.measure(&**factory)?);
             metrics.set(format!("bench.physics.{key}.{}", probe.name), figure);
             let is_beyond = figure > probe.limit;
@@ -61,13 +61,13 @@ pub(crate) fn run(context: &Context, a: &BenchPhysics) -> anyhow::Result<()> {
             row += &format!(" {figure:>13.6}{}", if is_beyond { "!" } else { " " });
         }
         let which = if probe.statistic == Statistic::Rms { "rms" } else { "worst" };
-        context.say(format!("{row} {which}: {}", probe.what));
+        console.say(format!("{row} {which}: {}", probe.what));
     }
-    if context.json {
-        context.print_json(&metrics)?;
+    if console.json {
+        console.print_json(&metrics)?;
     }
     anyhow::ensure!(missed == 0, "{missed} figures of the planner's engine are beyond their limits");
-    context.say(match shown {
+    console.say(match shown {
         0 => "all within their limits".to_owned(),
         n => format!(
             "the planner's engine is within its limits; {n} figures of target engines are beyond them (!)"

@@ -1,9 +1,9 @@
 //! `sms bench plan` and `sms bench robust`: the planner's speed and what its plans are worth.
 
 use super::bench_optimisers::{Family, finish, parse_seeds};
-use crate::context::Context;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, atomic};
 use sms_experiments::{
@@ -106,27 +106,28 @@ impl Told {
 }
 
 /// Plans with the settings of `[plan]`.
-pub(crate) fn run(context: &Context, a: &BenchPlan) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchPlan) -> anyhow::Result<()> {
     let part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
-    let config = context.settings.section("plan", PlanConfig::default())?;
+    let config = console.context.settings.section("plan", PlanConfig::default())?;
     let mut shard =
         Shard::new("plan", part, settings([("family", json!(a.family.family())), ("plan", json!(config))]));
     for seed in part_of(parse_seeds(&a.seeds)?, part) {
         let scene = PlanScene::new(a.family.family(), seed)?;
-        let figures = run_plan_speed(&[scene], &config, context.progress.as_ref(), &context.cancel)?;
+        let figures =
+            run_plan_speed(&[scene], &config, console.context.progress.as_ref(), &console.context.cancel)?;
         shard.add(&seed.to_string(), &figures);
     }
     if let (Some(out), Some(_)) = (&a.out, &a.shard) {
         shard.save(&Shard::path_beside(out))?;
     }
-    show_plan(context, &shard, a.out.as_ref())
+    show_plan(console, &shard, a.out.as_ref())
 }
 
 /// Figures and text of a run of `sms bench plan`, or of merged parts.
-pub(crate) fn show_plan(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_plan(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let each: Vec<Metrics> = whole.items.keys().map(|k| whole.figures(k)).collect();
     let metrics = merge_plan_speed(&each);
-    finish(context, &metrics, out, &speed_text(&metrics))
+    finish(console, &metrics, out, &speed_text(&metrics))
 }
 
 fn speed_text(metrics: &Metrics) -> String {
@@ -163,7 +164,7 @@ pub(crate) fn settings<const N: usize>(all: [(&str, Value); N]) -> Map<String, V
     all.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<()> {
+pub(crate) fn run_robust(console: &Console, a: &BenchRobust) -> anyhow::Result<()> {
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
@@ -201,8 +202,13 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         Some(out) => Ok(metrics.save(out)?),
         None => Ok(()),
     };
-    let metrics =
-        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
+    let metrics = sms_experiments::run_robust(
+        &bench,
+        &known,
+        &keep,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+    )?;
     if let (Some(out), Some(part)) = (&a.out, part) {
         let mut shard = Shard::new("robust", part, robust_settings(&bench));
         for &seed in &bench.seeds {
@@ -215,7 +221,7 @@ pub(crate) fn run_robust(context: &Context, a: &BenchRobust) -> anyhow::Result<(
         }
         shard.save(&Shard::path_beside(out))?;
     }
-    finish(context, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
+    finish(console, &metrics, a.out.as_ref(), robust_table(&bench, &metrics).trim_end())
 }
 
 fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
@@ -240,7 +246,7 @@ pub(crate) fn seeds_of(whole: &Shard) -> Vec<u64> {
 }
 
 /// Figures and table of merged parts of `sms bench robust`: all is known, and nothing runs.
-pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_robust(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let engine: Option<String> = whole.setting("engine")?;
     let bench = RobustBench {
         seeds: seeds_of(whole),
@@ -257,9 +263,14 @@ pub(crate) fn show_robust(context: &Context, whole: &Shard, out: Option<&PathBuf
     let mut known = Metrics::new();
     whole.items.keys().for_each(|k| known.merge(whole.figures(k)));
     let keep = |_: &Metrics| Ok(());
-    let metrics =
-        sms_experiments::run_robust(&bench, &known, &keep, context.progress.as_ref(), &context.cancel)?;
-    finish(context, &metrics, out, robust_table(&bench, &metrics).trim_end())
+    let metrics = sms_experiments::run_robust(
+        &bench,
+        &known,
+        &keep,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+    )?;
+    finish(console, &metrics, out, robust_table(&bench, &metrics).trim_end())
 }
 
 /// `2/4`: the second of four parts.

@@ -2,11 +2,11 @@
 
 use super::bench_optimisers::{finish, parse_seeds};
 use super::bench_plan::{parse_shard, settings};
-use crate::cli::EngineName;
-use crate::context::Context;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::{Value, json};
+use sms_cli::front::Console;
+use sms_cli::front::EngineName;
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_experiments::{
@@ -46,9 +46,9 @@ pub(crate) struct BenchScenes {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BenchScenes) -> anyhow::Result<()> {
     if let Some(engine) = a.engine {
-        return run_in(context, a, engine.engine());
+        return run_in(console, a, engine.engine());
     }
     let layouts = match &a.layouts {
         None => Layout::ALL.to_vec(),
@@ -61,7 +61,7 @@ pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
         obstacles: a.obstacles,
         shots: a.shots.max(1),
     };
-    let found = run_solvability(&bench, context.progress.as_ref(), &context.cancel)?;
+    let found = run_solvability(&bench, console.context.progress.as_ref(), &console.context.cancel)?;
     if let (Some(out), Some(part)) = (&a.out, part) {
         let settings = settings([("obstacles", json!(bench.obstacles)), ("shots", json!(bench.shots))]);
         let mut shard = Shard::new("scenes", part, settings);
@@ -71,15 +71,15 @@ pub(crate) fn run(context: &Context, a: &BenchScenes) -> anyhow::Result<()> {
         }
         shard.save(&Shard::path_beside(out))?;
     }
-    finish(context, &metrics(&found), a.out.as_ref(), table(&found).trim_end())
+    finish(console, &metrics(&found), a.out.as_ref(), table(&found).trim_end())
 }
 
 /// Figures and table of merged parts.
-pub(crate) fn show_merged(context: &Context, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let mut found: Vec<Solvability> = whole.items.values().map(scene_of).collect::<Result<_, _>>()?;
     let place = |s: &Solvability| Layout::ALL.iter().position(|l| *l == s.layout);
     found.sort_by_key(|s| (place(s), s.seed));
-    finish(context, &metrics(&found), out, table(&found).trim_end())
+    finish(console, &metrics(&found), out, table(&found).trim_end())
 }
 
 /// A scene's result as a part has it: JSON knows no infinity, which is null there.
@@ -95,12 +95,13 @@ fn scene_of(value: &Value) -> anyhow::Result<Solvability> {
 }
 
 /// The fixed scenes in a target engine.
-fn run_in(context: &Context, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
+fn run_in(console: &Console, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
     let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
     let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
     let target = engine.target()?;
-    let found = run_solved(&bench, target.as_ref(), context.progress.as_ref(), &context.cancel)?;
-    finish(context, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
+    let found =
+        run_solved(&bench, target.as_ref(), console.context.progress.as_ref(), &console.context.cancel)?;
+    finish(console, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
 }
 
 fn metrics(found: &[Solvability]) -> Metrics {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 /// Shows progress as a bar on standard error.
 #[derive(Debug, Default)]
-pub(crate) struct Bars {
+pub(super) struct Bars {
     current: Mutex<Option<ProgressBar>>,
 }
 

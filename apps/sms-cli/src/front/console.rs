@@ -1,7 +1,7 @@
-//! What every command has: progress, warnings, interruption, settings.
+//! Start of a program, and its output.
 
-use crate::bars::Bars;
-use crate::cli::{Common, ProgressKind};
+use super::arguments::{Common, ProgressKind};
+use super::bars::Bars;
 use crate::settings::Settings;
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
@@ -12,8 +12,8 @@ use std::time::Duration;
 /// Least time between two updates of `--progress json`.
 const JSON_EVERY: Duration = Duration::from_millis(100);
 
-/// Shared by all commands of one invocation.
-pub(crate) struct Context {
+/// Progress, interruption and settings of one invocation.
+pub struct Context {
     /// Shows progress.
     pub progress: Box<dyn Progress>,
     /// Set by Ctrl-C.
@@ -22,15 +22,24 @@ pub(crate) struct Context {
     pub settings: Settings,
     /// Redo stages even where nothing has changed.
     pub force: bool,
+}
+
+/// One invocation of a program: its context, and how it prints.
+pub struct Console {
+    /// Progress, interruption and settings.
+    pub context: Context,
     /// Whether a command runs as a step of another (the demo), which prints the metrics itself.
     pub part_of_a_flow: bool,
     /// Print metrics as JSON and nothing else.
     pub json: bool,
 }
 
-impl Context {
-    /// A context for one invocation; sets the thread pool and listens for Ctrl-C.
-    pub(crate) fn new(common: &Common, part_of_a_flow: bool) -> anyhow::Result<Self> {
+impl Console {
+    /// Starts the thread pool, listens for Ctrl-C and reads the settings.
+    ///
+    /// # Errors
+    /// When threads or the handler cannot be started, and for wrong settings.
+    pub fn new(common: &Common, part_of_a_flow: bool) -> anyhow::Result<Self> {
         if let Some(threads) = common.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads.max(1))
@@ -59,18 +68,13 @@ impl Context {
             ProgressKind::Json => Box::new(JsonProgress::new(JSON_EVERY)),
             ProgressKind::None => Box::new(NoProgress),
         };
-        Ok(Self {
-            progress,
-            cancel,
-            settings: Settings::read(common.settings.as_deref(), &common.assignments)?,
-            force: common.force,
-            part_of_a_flow,
-            json: common.json,
-        })
+        let settings = Settings::read(common.settings.as_deref(), &common.assignments)?;
+        let context = Context { progress, cancel, settings, force: common.force };
+        Ok(Self { context, part_of_a_flow, json: common.json })
     }
 
     /// A line for people; nothing with `--json`.
-    pub(crate) fn say(&self, line: impl std::fmt::Display) {
+    pub fn say(&self, line: impl std::fmt::Display) {
         if !self.json {
             // Whoever closed the pipe has read enough.
             let _ = writeln!(std::io::stdout(), "{line}");
@@ -78,13 +82,16 @@ impl Context {
     }
 
     /// What a command was asked to print.
-    pub(crate) fn print(&self, text: impl std::fmt::Display) {
+    pub fn print(&self, text: impl std::fmt::Display) {
         let _ = writeln!(std::io::stdout(), "{text}");
     }
 
     /// Merges metrics into the run's (keys that start with one of `prefixes` are replaced as a whole), saves the
     /// warnings as those of `stage`, and shows them.
-    pub(crate) fn finish(
+    ///
+    /// # Errors
+    /// When a file cannot be read or written.
+    pub fn finish(
         &self,
         run: &RunFolder,
         stage: &str,
@@ -105,7 +112,7 @@ impl Context {
     }
 
     /// Shows warnings.
-    pub(crate) fn tell(&self, warnings: &Warnings) {
+    pub fn tell(&self, warnings: &Warnings) {
         for w in warnings.snapshot() {
             let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
             eprintln!("warning: {}{times}{}{}", w.message, if w.cure.is_empty() { "" } else { "; " }, w.cure);
@@ -113,7 +120,10 @@ impl Context {
     }
 
     /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).
-    pub(crate) fn print_metrics(&self, run: &RunFolder) -> anyhow::Result<()> {
+    ///
+    /// # Errors
+    /// When a file cannot be read or written.
+    pub fn print_metrics(&self, run: &RunFolder) -> anyhow::Result<()> {
         if self.json && !self.part_of_a_flow {
             let all = Metrics::load(&run.metrics_path())?;
             self.print_json(&all)?;
@@ -122,7 +132,10 @@ impl Context {
     }
 
     /// Prints a metrics object as JSON.
-    pub(crate) fn print_json(&self, metrics: &Metrics) -> anyhow::Result<()> {
+    ///
+    /// # Errors
+    /// When a value has no form in JSON.
+    pub fn print_json(&self, metrics: &Metrics) -> anyhow::Result<()> {
         let map: serde_json::Map<_, _> = metrics.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&map)?);
         Ok(())
@@ -130,7 +143,7 @@ impl Context {
 }
 
 /// Peak resident memory of this process in bytes, where the system tells.
-pub(crate) fn peak_bytes() -> Option<u64> {
+pub fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
