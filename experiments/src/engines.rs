@@ -1,4 +1,4 @@
-//! `sms bench engines`: the same shots in every engine, and how far apart they end.
+//! `sms-experiments engines`: the same shots in every engine, and how far apart they end.
 
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;

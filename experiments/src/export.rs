@@ -1,7 +1,7 @@
 //! A scene as files for other programs, and the yardstick beside it.
 //!
 //! # Format
-//! `sms bench scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
+//! `sms-experiments scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
 //!
 //! | file | holds |
 //! |---|---|
@@ -14,7 +14,7 @@
 //! | `truth/observed.ply` | samples of the observed surface: `x y z nx ny nz`, `object` (its label) |
 //! | `truth/depth/NNNNNN.png`, `truth/labels/NNNNNN.png` | noise-free depth (0.1 mm) and labels of the held-out views |
 //!
-//! Everything is in one world: metres, z up, floor at z = 0. `sms bench score --truth DIR/{scene} --surface FILE --views
+//! Everything is in one world: metres, z up, floor at z = 0. `sms-experiments score --truth DIR/{scene} --surface FILE --views
 //! DIR` then measures what somebody made of the frames (see [`score_files`](crate::score_files)).
 
 use crate::BenchError;
@@ -164,7 +164,7 @@ pub(crate) struct Exported {
 pub(crate) fn read_export(dir: &Path) -> Result<Exported, BenchError> {
     let path = dir.join("truth/truth.json");
     if !path.is_file() {
-        let cure = "give a scene's folder that `sms bench scan --export` wrote";
+        let cure = "give a scene's folder that `sms-experiments scan --export` wrote";
         return Err(InputError::new("this is no exported scene", dir, cure).into());
     }
     let transforms: Transforms = atomic::read_json(&dir.join("transforms.json"))?;

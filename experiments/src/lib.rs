@@ -2,7 +2,7 @@
 //!
 //! [`run_scene`] takes one of the [`SEEDS`] of the billiards family (or a real recording), makes frames and masks of it as
 //! the pipeline does, scans it, and measures the result against the truth of the generator, which the scan never sees.
-//! `sms bench scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
+//! `sms-experiments scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
 //!
 //! # What is measured
 //! - **Colour**: PSNR of held-out views against the observed colour, all pixels, mean over the views.
@@ -94,7 +94,7 @@ pub use materialize::{
 };
 pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
-pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
+pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
 pub use robust::{RobustBench, run_robust};

@@ -1,4 +1,4 @@
-//! `sms bench robust`: what plans are worth in worlds other than the one that was told.
+//! `sms-experiments robust`: what plans are worth in worlds other than the one that was told.
 
 use crate::robust_table::summarise;
 use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds};
@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::time::Instant;
 
-/// What building and settling a disturbed world costs, in rollouts (`sms bench plan`: 35 ms to 21 ms, rounded up).
+/// What building and settling a disturbed world costs, in rollouts (`sms-experiments plan`: 35 ms to 21 ms, rounded up).
 const WORLD_ROLLOUTS: usize = 2;
 /// Name of the planner that the others are compared with: planning for the world as told alone.
 pub(crate) const PLAIN: &str = "plain";

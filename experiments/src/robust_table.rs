@@ -1,4 +1,4 @@
-//! The figures of `sms bench robust` over all scenes, and as a table.
+//! The figures of `sms-experiments robust` over all scenes, and as a table.
 
 use crate::RobustBench;
 use crate::robust::{ORACLE, PLAIN};

@@ -48,8 +48,6 @@ pub(crate) enum Command {
     Synth(Synth),
     /// List what can compute a scan, with the result of each one's self-check.
     Devices,
-    /// Measure the scan on fixed scenes with exact truth.
-    Bench(crate::commands::bench::Bench),
     /// Look at a run's masks: its objects, and with --preview the annotated first frame; or at what the networks would find.
     Masks(Masks),
     /// List or fetch the weights of the networks.
@@ -412,7 +410,7 @@ pub(crate) enum FamilyName {
     Billiards,
     /// Layouts that take rebounds, in turns by seed; endless, though some seeds do not fit into the workspace.
     Challenge,
-    /// The eighteen scenes of `sms bench billiards`: seeds 1 to 18.
+    /// The eighteen scenes of `sms-experiments billiards`: seeds 1 to 18.
     Fixed,
     /// Structures that a quadrotor could topple by landing on them: seeds 1 to 4 are the four fixed ones (box on step ladder,
     /// tote on stool, board on recycling bin, board on stool), others are drawn, in turns; filmed from a helix.

@@ -48,7 +48,6 @@ fn run(console: &Console, command: Command) -> anyhow::Result<ExitCode> {
         Command::Sample(a) => commands::sample::run(console, &a),
         Command::Synth(a) => commands::synth::run(console, &a),
         Command::Devices => commands::devices::run(console),
-        Command::Bench(a) => commands::bench::run(console, &a),
         Command::Masks(a) => commands::masks::run(console, &a),
         Command::Models(a) => commands::models::run(console, &a),
         Command::Settings(a) => commands::settings::run(console, &a),

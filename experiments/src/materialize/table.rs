@@ -1,4 +1,4 @@
-//! Means, targets and tables of `sms bench materialize`.
+//! Means, targets and tables of `sms-experiments materialize`.
 
 use crate::scenes::BenchScene;
 use sms_core::metrics::Metrics;

@@ -1,17 +1,5 @@
 //! One file a command. Each opens the run, runs its stages where something has changed, and prints what was made.
 
-pub(crate) mod bench;
-mod bench_billiards;
-mod bench_engines;
-mod bench_gpu;
-mod bench_landing;
-mod bench_masks;
-mod bench_materialize;
-mod bench_merge;
-mod bench_optimisers;
-mod bench_physics;
-mod bench_plan;
-mod bench_scenes;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod devices;

@@ -49,7 +49,7 @@ pub(crate) fn write_beside(truth: &TruthScene, folder: &Path) -> anyhow::Result<
         return Ok(());
     }
     task_of(truth).write(&folder.join("task.toml"))?;
-    robot::write_place(folder, &sms_experiments::robot_of(truth))?;
+    robot::write_place(folder, &sms_target::robot_of(truth))?;
     Ok(())
 }
 

@@ -1,5 +1,5 @@
 //! Closed-form probes that every engine goes through: what a world must get right before plans made in it mean
-//! anything. [`probes`] lists them; tests hold each engine to [`Probe::limit`], `sms bench physics` prints the errors.
+//! anything. [`probes`] lists them; tests hold each engine to [`Probe::limit`], `sms-experiments physics` prints the errors.
 //!
 //! ```
 //! use sms_eval::closed_form;

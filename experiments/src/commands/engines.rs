@@ -1,13 +1,13 @@
-//! `sms bench engines`: the same shots in every engine.
+//! `sms-experiments engines`: the same shots in every engine.
 
-use super::bench_optimisers::{Family, finish, parse_seeds};
+use super::shared::{Family, finish, parse_seeds};
 use clap::Args;
 use sms_cli::front::Console;
 use sms_experiments::{PlanScene, engines_table, run_engines};
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchEngines {
+pub(crate) struct EnginesArguments {
     /// Seeds of the generated billiards scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1006")]
     pub seeds: String,
@@ -22,7 +22,7 @@ pub(crate) struct BenchEngines {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchEngines) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &EnginesArguments) -> anyhow::Result<()> {
     let scenes: Vec<PlanScene> = parse_seeds(&a.seeds)?
         .into_iter()
         .map(|seed| PlanScene::new(a.family.family(), seed))

@@ -1,9 +1,6 @@
-//! `sms bench merge`: parts of a benchmark that ran with `--shard`, as one.
+//! `sms-experiments merge`: parts of a benchmark that ran with `--shard`, as one.
 
-use super::{
-    bench, bench_billiards, bench_landing, bench_masks, bench_materialize, bench_optimisers, bench_plan,
-    bench_scenes,
-};
+use super::{billiards, landing, masks, materialize, optimisers, plan, robust, scan, scenes};
 use clap::Args;
 use sms_cli::front::Console;
 use sms_core::InputError;
@@ -11,7 +8,7 @@ use sms_experiments::{Merged, merge_shards};
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchMerge {
+pub(crate) struct MergeArguments {
     /// Files `*.shard.json` that runs with `--shard` wrote beside their results, or folders of such.
     #[arg(value_name = "PARTS", required = true)]
     pub parts: Vec<PathBuf>,
@@ -20,7 +17,7 @@ pub(crate) struct BenchMerge {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchMerge) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &MergeArguments) -> anyhow::Result<()> {
     let Merged { whole, missing, builds } = merge_shards(&a.parts)?;
     if !missing.is_empty() {
         eprintln!("warning: parts that are missing: {}", missing.join(", "));
@@ -34,22 +31,22 @@ pub(crate) fn run(console: &Console, a: &BenchMerge) -> anyhow::Result<()> {
     let out = results.as_ref();
     match whole.bench.as_str() {
         "billiards" => match &a.out {
-            Some(dir) => bench_billiards::show_merged(console, &whole, dir),
+            Some(dir) => billiards::show_merged(console, &whole, dir),
             None => {
                 let cure = "say where its pictures and results go";
-                Err(InputError::new("`bench billiards` needs a folder", "--out", cure).into())
+                Err(InputError::new("`billiards` needs a folder", "--out", cure).into())
             }
         },
-        "landing" => bench_landing::show_merged(console, &whole, out),
-        "masks" => bench_masks::show_merged(console, &whole, out),
-        "scan" => bench::show_merged_scans(console, &whole, out),
-        "robust" => bench_plan::show_robust(console, &whole, out),
-        "plan" => bench_plan::show_plan(console, &whole, out),
-        "optimisers" => bench_optimisers::show_merged(console, &whole, out),
-        "materialize" => bench_materialize::show_merged(console, &whole, out),
-        "scenes" => bench_scenes::show_merged(console, &whole, out),
+        "landing" => landing::show_merged(console, &whole, out),
+        "masks" => masks::show_merged(console, &whole, out),
+        "scan" => scan::show_merged(console, &whole, out),
+        "robust" => robust::show_merged(console, &whole, out),
+        "plan" => plan::show_merged(console, &whole, out),
+        "optimisers" => optimisers::show_merged(console, &whole, out),
+        "materialize" => materialize::show_merged(console, &whole, out),
+        "scenes" => scenes::show_merged(console, &whole, out),
         other => Err(InputError::new(
-            format!("nothing is known of merging `bench {other}`"),
+            format!("`{other}` has no parts to merge"),
             "merge",
             "use the version that wrote these parts",
         )

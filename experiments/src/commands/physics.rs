@@ -1,4 +1,4 @@
-//! `sms bench physics`: the closed-form suite in every engine that is built in.
+//! `sms-experiments physics`: the closed-form suite in every engine that is built in.
 
 use clap::Args;
 use sms_cli::front::Console;
@@ -12,7 +12,7 @@ use sms_target::engine_factories;
 const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchPhysics {
+pub(crate) struct PhysicsArguments {
     /// Only the probes whose names contain this.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub only: String,
@@ -21,7 +21,7 @@ pub(crate) struct BenchPhysics {
     pub engine: String,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchPhysics) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &PhysicsArguments) -> anyhow::Result<()> {
     let mut engines: Vec<(&str, Box<dyn WorldFactory>)> = Vec::new();
     for (key, factory) in engine_factories().into_iter().filter(|e| e.0.contains(&a.engine)) {
         match factory {

@@ -1,13 +1,9 @@
-//! `sms bench materialize`: meshes of scanned models against the models.
+//! `sms-experiments materialize`: meshes of scanned models against the models.
 
-use super::bench::{read_baseline, with_settings};
-use super::bench_gpu;
-use super::bench_optimisers::finish;
-use super::bench_plan::parse_shard;
+use super::gpu;
+use super::shared::{finish, parse_shard, read_baseline, with_settings};
 use clap::{Args, ValueEnum};
-use sms_cli::front::Console;
-use sms_cli::front::Device;
-use sms_cli::front::PresetName;
+use sms_cli::front::{Console, Device, PresetName};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Warnings};
 use sms_experiments::{
@@ -17,7 +13,7 @@ use sms_experiments::{
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchMaterialize {
+pub(crate) struct MaterializeArguments {
     /// Models whose names contain one of these words (default: all eighteen, unless --seeds are given).
     #[arg(long, value_name = "WORDS", value_delimiter = ',')]
     pub objects: Vec<String>,
@@ -42,7 +38,7 @@ pub(crate) struct BenchMaterialize {
     /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Only every n-th object, from the i-th (i/n, from 1); for `sms bench merge`.
+    /// Only every n-th object, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
     /// File for the results.
@@ -70,7 +66,7 @@ pub(crate) enum BenchMasks {
     Truth,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchMaterialize) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &MaterializeArguments) -> anyhow::Result<()> {
     let mut scenes = match (&a.objects[..], &a.seeds[..]) {
         ([], [_, ..]) => Vec::new(),
         ([], []) => MODELS.iter().map(|m| BenchScene::Model((*m).to_owned())).collect(),
@@ -144,7 +140,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
 
 fn show(
     console: &Console,
-    a: &BenchMaterialize,
+    a: &MaterializeArguments,
     metrics: &Metrics,
     scenes: &[BenchScene],
     baseline: Option<&Metrics>,
@@ -161,7 +157,7 @@ fn show(
     Ok(())
 }
 
-fn options(console: &Console, a: &BenchMaterialize) -> anyhow::Result<MaterializeOptions> {
+fn options(console: &Console, a: &MaterializeArguments) -> anyhow::Result<MaterializeOptions> {
     if a.frames < HOLDOUT {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
@@ -176,6 +172,6 @@ fn options(console: &Console, a: &BenchMaterialize) -> anyhow::Result<Materializ
         },
         keep: a.keep.clone(),
         rescan: a.rescan,
-        trainer: bench_gpu::trainer_maker(a.device)?,
+        trainer: gpu::trainer_maker(a.device)?,
     })
 }

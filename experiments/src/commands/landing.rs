@@ -1,36 +1,35 @@
-//! `sms bench landing`: the paper's landing experiment.
+//! `sms-experiments landing`: the paper's landing experiment.
 
-use super::bench::with_settings;
-use super::bench_billiards::{Geometry, Masks, nothing_there};
-use super::bench_gpu;
-use super::bench_optimisers::finish;
-use super::bench_plan::parse_shard;
-use super::landing::{action_of, observation, stuck_text};
-use super::materialize::drift_text;
-use super::vlm;
+use super::gpu;
+use super::shared::{Geometry, Masks, finish, nothing_there, parse_shard, with_settings};
 use anyhow::Context as _;
 use clap::Args;
-use sms_cli::front::Console;
-use sms_cli::front::Device;
-use sms_cli::front::{EngineName, PresetName};
-use sms_core::{InputError, Seed, Warnings};
+use sms_cli::front::{Console, Device, EngineName, PresetName};
+use sms_core::{InputError, Seed, Warnings, length_text};
 use sms_experiments::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
     LandingScan, LandingSight, Shard, Standing, landing_metrics, landing_scan_metrics, landing_table,
     part_of, read_landings, run_landings, scan_landings,
 };
+use sms_frames::Frame;
+use sms_landing::{LandingAction, Stuck};
 use sms_prompting::{
-    ApproachSettings, Choice, SiteSettings, Sites, geometric, landing_sites, random, surfaces_of,
-    visual_prompting,
+    ApproachSettings, Choice, Observation, SiteSettings, Sites, best_view, geometric, landing_sites, random,
+    surfaces_of, visual_prompting,
 };
-use sms_vlm::{ApiKey, Cache, ChooseError, Client};
+use sms_scene::Scene;
+use sms_sim::RestingDrift;
+use sms_vlm::{ApiKey, Cache, ChooseError, Client, picture};
 use std::path::{Path, PathBuf};
+
+/// Folder of a model's stored replies, as in a run of `sms`.
+const REPLIES: &str = "vlm";
 
 /// Starts for each draw of the noise.
 const NOISY_STARTS: usize = 4;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchLanding {
+pub(crate) struct LandingArguments {
     /// Numbers of structures: 1 to 4, or seeds of drawn ones from 5 on (default: the four, with --quick 1).
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
@@ -47,7 +46,7 @@ pub(crate) struct BenchLanding {
     #[arg(long)]
     pub visual_prompting: bool,
     /// Only every n-th flight, from the i-th (i/n, from 1). Shards meet in the folder of the results where they share it, else with
-    /// `sms bench merge`.
+    /// `sms-experiments merge`.
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
     /// Where the planner's geometry comes from.
@@ -91,7 +90,7 @@ pub(crate) struct BenchLanding {
     pub table: bool,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchLanding) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &LandingArguments) -> anyhow::Result<()> {
     let bench = bench(console, a)?;
     if a.scans_only {
         let line = |scan: &LandingScan| {
@@ -157,7 +156,7 @@ fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
     Ok(found)
 }
 
-fn bench(console: &Console, a: &BenchLanding) -> anyhow::Result<LandingBench<'static>> {
+fn bench(console: &Console, a: &LandingArguments) -> anyhow::Result<LandingBench<'static>> {
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut scenes = a.scenes.clone();
     if scenes.is_empty() {
@@ -179,7 +178,7 @@ fn bench(console: &Console, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
         ..with_settings(console, base)?
     };
     bench.scan.rescan = a.rescan;
-    bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
+    bench.scan.trainer = gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
     bench.scanned = a.scanned;
@@ -203,6 +202,37 @@ fn bench(console: &Console, a: &BenchLanding) -> anyhow::Result<LandingBench<'st
         bench.baselines.push(prompting(console, &keep, bench.seed)?);
     }
     Ok(bench)
+}
+
+/// The landing of a choice.
+fn action_of(choice: &Choice) -> LandingAction {
+    LandingAction {
+        landing_w: choice.site.p_w.truncate().to_array(),
+        approach_radius: choice.approach.radius,
+        approach_angle: choice.approach.angle.rem_euclid(std::f64::consts::TAU),
+    }
+}
+
+/// The frame with the best view of the sites; `None` if no frame shows them.
+fn observation(frames: &[Frame], scene: &Scene, sites: &Sites) -> Option<Observation> {
+    let frame = &frames[best_view(frames.iter().map(|f| &f.camera), &sites.sites)?];
+    let image = picture(&frame.color_path, frame.color.size()).unwrap_or_else(|| frame.color.clone());
+    let called = scene.body(&sites.platform).map(|b| b.description.clone()).filter(|d| !d.trim().is_empty());
+    let target = called.unwrap_or_else(|| sites.platform.replace('_', " "));
+    Some(Observation { image, camera: frame.camera, target })
+}
+
+fn drift_text(drift: &RestingDrift) -> String {
+    let (moved, degrees) = (length_text(drift.moved_m), drift.turned_rad.to_degrees());
+    format!("`{}` moved {moved} and turned {degrees:.1}° when left alone", drift.body)
+}
+
+fn stuck_text(stuck: &Stuck) -> String {
+    let names = stuck.bodies.iter().map(|b| format!("`{b}`")).collect::<Vec<_>>().join(", ");
+    let leaves = drift_text(&stuck.leaves);
+    format!(
+        "{names} cannot topple in this plan: fixed, because the structure does not stand otherwise ({leaves})"
+    )
 }
 
 /// A chooser among the candidates of geometry; it chooses nothing where there are none.
@@ -237,7 +267,7 @@ fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<Landi
     let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
     let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
     let client = Client::new(&config, key, seed.derive("visual prompting"))?;
-    let (cache, cancel) = (Cache::new(&keep.join(vlm::REPLIES)), console.context.cancel.clone());
+    let (cache, cancel) = (Cache::new(&keep.join(REPLIES)), console.context.cancel.clone());
     let model = config.model.clone();
     let choose = move |sight: &LandingSight<'_>, sites: &Sites, ways: &ApproachSettings| {
         let Some(seen) = observation(sight.frames()?, sight.scene, sites) else {

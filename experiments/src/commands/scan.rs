@@ -1,77 +1,24 @@
-//! `sms bench`: measures scan and materialize on fixed scenes with exact truth, or somebody else's reconstruction of them.
+//! `sms-experiments scan`: time, memory and quality of scans on fixed scenes with exact truth.
 
-use super::bench_billiards::{self, BenchBilliards};
-use super::bench_engines::{self, BenchEngines};
-use super::bench_gpu;
-use super::bench_landing::{self, BenchLanding};
-use super::bench_masks::{self, BenchMasks};
-use super::bench_materialize::{self, BenchMaterialize};
-use super::bench_merge::{self, BenchMerge};
-use super::bench_optimisers::{self, BenchOptimisers, finish};
-use super::bench_physics::{self, BenchPhysics};
-use super::bench_plan::{self, BenchPlan, BenchRobust, parse_shard};
-use super::bench_scenes::{self, BenchScenes};
-use super::shown;
+use super::gpu;
+use super::shared::{finish, parse_shard, read_baseline, settings, with_settings};
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::Args;
 use serde_json::json;
-use sms_cli::front::Console;
-use sms_cli::front::Device;
-use sms_cli::front::{PresetName, RefinePoses};
+use sms_cli::front::{Console, Device, PresetName, RefinePoses};
 use sms_cli::settings::poses_defaults;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, Warnings};
+use sms_core::{InputError, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, Shard, add_means, export_scene, locate,
-    parse_length_m, parse_pose_noise, part_of, prepare, run_scene, score_files, select_scenes, table,
+    parse_length_m, parse_pose_noise, part_of, prepare, run_scene, select_scenes, table,
 };
 use sms_poses::PosesMode;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Bench {
-    #[command(subcommand)]
-    pub what: BenchCommand,
-}
-
-#[derive(Debug, Subcommand, Clone)]
-pub(crate) enum BenchCommand {
-    /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
-    Scan(Box<BenchScan>),
-    /// Scan models whose shape is known (../shared/data/meshes) once, and measure the meshes made of the scans.
-    Materialize(Box<BenchMaterialize>),
-    /// Masks from geometry against the true ones, on billiards scenes, stacked structures and a real shelf.
-    Masks(BenchMasks),
-    /// Closed-form probes of the physics engines: impacts, throw, rolling, sliding, tipping, a stack.
-    Physics(BenchPhysics),
-    /// Measure another program's reconstruction of a scene that `sms bench scan --export` wrote.
-    Score(BenchScore),
-    /// Compare search methods of the planner at equal numbers of simulated shots. The planner is given the true geometry
-    /// and materials of generated scenes: this measures search, not reconstruction.
-    Optimisers(BenchOptimisers),
-    /// Measure what plans are worth in true worlds whose materials the planner was told wrongly (`--materials noisy`) and
-    /// whose bodies stand a little elsewhere: planning for the world as told against robust planning at equal cost. True
-    /// geometry of generated scenes, by default a finger that gives no way and the planner's engine.
-    Robust(BenchRobust),
-    /// The same shots in every engine that is built in: how far apart they end.
-    Engines(BenchEngines),
-    /// Measure how fast shots are simulated and planned, and where the time goes.
-    Plan(BenchPlan),
-    /// Find out by brute force whether generated challenge scenes can be solved by a straight shot, or only by rebounds.
-    Scenes(BenchScenes),
-    /// The paper's billiards experiment: eighteen scenes are scanned, planned in from many starts, and every plan is carried
-    /// out in the target engines. Run again on the same folder, it goes on where it was, and shards meet there.
-    Billiards(Box<BenchBilliards>),
-    /// The paper's landing experiment: four structures are scanned, landings planned from ten starts, and every one flown in the
-    /// target world, beside baselines that know nothing of wash. Run again on the same folder, it goes on where it was.
-    Landing(Box<BenchLanding>),
-    /// Put parts of a benchmark that ran with --shard on several machines together: the same tables and keys as one run.
-    Merge(BenchMerge),
-}
-
-#[derive(Debug, Args, Clone)]
-pub(crate) struct BenchScan {
+pub(crate) struct ScanArguments {
     /// How much work to spend.
     #[arg(long, value_enum, default_value = "standard")]
     pub preset: PresetName,
@@ -81,7 +28,7 @@ pub(crate) struct BenchScan {
     /// Other seeds of the billiards family, in place of the fixed ones.
     #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
     pub seed_list: Vec<u64>,
-    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
     /// Frames that are recorded of each generated scene.
@@ -130,38 +77,7 @@ pub(crate) struct BenchScan {
     pub child_dir: Option<PathBuf>,
 }
 
-#[derive(Debug, Args, Clone)]
-pub(crate) struct BenchScore {
-    /// Folder of the exported scene.
-    #[arg(long, value_name = "DIR")]
-    pub truth: PathBuf,
-    /// The reconstructed surface: points with labels (PLY with a column `label`), points alone, or a mesh (OBJ).
-    #[arg(long, value_name = "FILE", required_unless_present = "views")]
-    pub surface: Option<PathBuf>,
-    /// Rendered held-out views: color/NNNNNN.png, depth/NNNNNN.png (0.1 mm), label/NNNNNN.png.
-    #[arg(long, value_name = "DIR")]
-    pub views: Option<PathBuf>,
-}
-
-pub(crate) fn run(console: &Console, a: &Bench) -> anyhow::Result<()> {
-    match &a.what {
-        BenchCommand::Scan(scan) => run_scan(console, scan),
-        BenchCommand::Materialize(materialize) => bench_materialize::run(console, materialize),
-        BenchCommand::Masks(masks) => bench_masks::run(console, masks),
-        BenchCommand::Physics(physics) => bench_physics::run(console, physics),
-        BenchCommand::Score(score) => run_score(console, score),
-        BenchCommand::Optimisers(optimisers) => bench_optimisers::run(console, optimisers),
-        BenchCommand::Robust(robust) => bench_plan::run_robust(console, robust),
-        BenchCommand::Engines(engines) => bench_engines::run(console, engines),
-        BenchCommand::Plan(plan) => bench_plan::run(console, plan),
-        BenchCommand::Scenes(scenes) => bench_scenes::run(console, scenes),
-        BenchCommand::Billiards(billiards) => bench_billiards::run(console, billiards),
-        BenchCommand::Landing(landing) => bench_landing::run(console, landing),
-        BenchCommand::Merge(merge) => bench_merge::run(console, merge),
-    }
-}
-
-fn run_scan(console: &Console, a: &BenchScan) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
     let options = options(console, a)?;
     if let (Some(id), Some(dir)) = (&a.child, &a.child_dir) {
         return run_child(console, &id.parse()?, &options, a.device, dir);
@@ -232,7 +148,7 @@ fn part_of_scans(
     scenes: &[BenchScene],
     metrics: &Metrics,
 ) -> Shard {
-    let mut settings = bench_plan::settings(options.settings());
+    let mut settings = settings(options.settings());
     settings.insert("poses".to_owned(), json!(options.poses));
     settings.insert("disturbance".to_owned(), json!(options.disturbance));
     settings.insert("measured".to_owned(), json!([options.meshes, options.quality]));
@@ -249,11 +165,7 @@ fn part_of_scans(
 }
 
 /// Figures and table of parts of `bench scan`.
-pub(super) fn show_merged_scans(
-    console: &Console,
-    whole: &Shard,
-    out: Option<&PathBuf>,
-) -> anyhow::Result<()> {
+pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let scenes = whole.items.keys().map(|id| id.parse()).collect::<Result<Vec<BenchScene>, _>>()?;
     let mut metrics = Metrics::new();
     whole.items.keys().for_each(|id| metrics.merge(whole.figures(id)));
@@ -297,24 +209,13 @@ fn export(
         if let Some(prepared) = prepared {
             let to = dir.join(scene.to_string());
             export_scene(scene, &prepared, options, &to)?;
-            console.say(format!("{scene} is in {}", shown(&to)));
+            console.say(format!("{scene} is in {}", to.display()));
         }
     }
     Ok(())
 }
 
-fn run_score(console: &Console, a: &BenchScore) -> anyhow::Result<()> {
-    let metrics = score_files(&a.truth, a.surface.as_deref(), a.views.as_deref())?;
-    if console.json {
-        return console.print_json(&metrics);
-    }
-    for (key, value) in metrics.iter() {
-        console.say(format!("{:<32} {value}", key.trim_start_matches("bench.score.")));
-    }
-    Ok(())
-}
-
-fn options(console: &Console, a: &BenchScan) -> anyhow::Result<BenchOptions> {
+fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions> {
     let base = BenchOptions::new(a.preset.preset(), &a.cache);
     let mut disturbance =
         Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
@@ -348,18 +249,6 @@ fn options(console: &Console, a: &BenchScan) -> anyhow::Result<BenchOptions> {
         disturbance,
         meshes: !a.no_meshes,
         quality: !a.no_quality,
-        ..base
-    })
-}
-
-/// The user's settings of frames, masks, scan and entities over those of `base`.
-pub(super) fn with_settings(console: &Console, base: BenchOptions) -> anyhow::Result<BenchOptions> {
-    Ok(BenchOptions {
-        load: console.context.settings.section("frames", base.load)?,
-        read: console.context.settings.section("read", base.read)?,
-        masks: console.context.settings.section("masks", base.masks)?,
-        scan: console.context.settings.section("scan", base.scan)?,
-        entities: console.context.settings.section("entities", base.entities)?,
         ..base
     })
 }
@@ -416,18 +305,10 @@ fn run_child(
                 &warnings,
             )?;
         }
-        Device::Gpu(index) => bench_gpu::run(console, scene, options, index, dir, &warnings)?,
+        Device::Gpu(index) => gpu::run(console, scene, options, index, dir, &warnings)?,
     }
     for w in warnings.snapshot() {
         eprintln!("warning: {scene}: {}", w.message);
     }
     Ok(())
-}
-
-pub(crate) fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
-    if !path.is_file() {
-        let cure = "give the results of an earlier run, as --out writes them";
-        return Err(CoreError::from(InputError::new("there is no such file", shown(path), cure)).into());
-    }
-    Ok(Metrics::load(path)?)
 }

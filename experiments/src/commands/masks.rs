@@ -1,14 +1,14 @@
-//! `sms bench masks`: masks from geometry against the truth.
+//! `sms-experiments masks`: masks from geometry against the truth.
 
-use super::bench_optimisers::finish;
-use super::bench_plan::{parse_shard, settings};
+use super::shared::{finish, parse_shard, settings};
 use anyhow::Context as _;
 use clap::Args;
 use sms_cli::front::Console;
 use sms_core::{InputError, Warnings};
+use sms_eval::MaskScores;
 use sms_experiments::{
-    BenchOptions, BenchScene, FRAMES, MaskScores, REAL, Shard, masks_metrics, masks_table, part_of,
-    run_masks, select_mask_scenes,
+    BenchOptions, BenchScene, FRAMES, REAL, Shard, masks_metrics, masks_table, part_of, run_masks,
+    select_mask_scenes,
 };
 use sms_frames::ReadOptions;
 use sms_gaussians::Preset;
@@ -16,7 +16,7 @@ use sms_masks::GeometryConfig;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchMasks {
+pub(crate) struct MasksArguments {
     /// `all` (the eighteen fixed billiards scenes, four stacked structures, the real shelf), `fixed`, `stacked`, `real`, or
     /// ids such as fixed_08,stacked_box_on_stool,seq_shelf_tissue.
     #[arg(long, value_name = "IDS", default_value = "all")]
@@ -24,7 +24,7 @@ pub(crate) struct BenchMasks {
     /// Frames that are recorded of each generated scene.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
-    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms bench merge`.
+    /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
     /// Folder for results.json and a picture of each scene: colour, true labels, found labels.
@@ -35,7 +35,7 @@ pub(crate) struct BenchMasks {
     pub cache: PathBuf,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchMasks) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &MasksArguments) -> anyhow::Result<()> {
     let base = BenchOptions::new(Preset::Standard, &a.cache);
     let options = BenchOptions {
         load: console.context.settings.section("frames", base.load.clone())?,
@@ -95,7 +95,8 @@ fn scores_of(whole: &Shard) -> anyhow::Result<Vec<Scored>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sms_experiments::{MaskedObject, merge_shards};
+    use sms_eval::MaskedObject;
+    use sms_experiments::merge_shards;
 
     #[test]
     fn parts_of_a_run_make_the_run() {

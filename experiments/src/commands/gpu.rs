@@ -1,7 +1,6 @@
-//! `sms bench scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
+//! `sms-experiments scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
 
-use sms_cli::front::Console;
-use sms_cli::front::Device;
+use sms_cli::front::{Console, Device};
 #[cfg(feature = "gpu")]
 use sms_core::Seed;
 use sms_core::Warnings;

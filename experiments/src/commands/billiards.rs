@@ -1,21 +1,15 @@
-//! `sms bench billiards`: the paper's billiards experiment.
+//! `sms-experiments billiards`: the paper's billiards experiment.
 
-use super::bench::with_settings;
-use super::bench_gpu;
-use super::bench_optimisers::finish;
-use super::bench_plan::{Told, parse_shard};
-use super::length_text;
+use super::gpu;
+use super::shared::{Geometry, Masks, Told, finish, nothing_there, parse_shard, with_settings};
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
-use sms_cli::front::Console;
-use sms_cli::front::Device;
-use sms_cli::front::{EngineName, PathName, PresetName};
-use sms_core::{InputError, Seed};
+use sms_cli::front::{Console, Device, EngineName, PathName, PresetName};
+use sms_core::{InputError, Seed, length_text};
 use sms_experiments::{
-    BenchOptions, BilliardsBench, BilliardsGeometry, BilliardsScene, FRAMES, MaskChoice, Row, Shard,
-    billiards_metrics, billiards_table, part_of, read_billiards, run_billiards, scan_billiards,
-    write_pictures, write_shots,
+    BenchOptions, BilliardsBench, BilliardsScene, FRAMES, Row, Shard, billiards_metrics, billiards_table,
+    part_of, read_billiards, run_billiards, scan_billiards, write_pictures, write_shots,
 };
 use sms_plan::PlanConfig;
 use sms_synth::{FIXED_SCENES, FixedScene, billiards_scene};
@@ -27,7 +21,7 @@ use std::sync::Arc;
 const QUICK: [usize; 3] = [1, 8, 18];
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchBilliards {
+pub(crate) struct BilliardsArguments {
     /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that nobody has chosen or looked at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
@@ -91,15 +85,6 @@ pub(crate) struct BenchBilliards {
     pub table: bool,
 }
 
-/// Where geometry comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Geometry {
-    /// A scan of a generated recording.
-    Scan,
-    /// The truth, for ablations and quick tests.
-    Truth,
-}
-
 /// Planners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum RowName {
@@ -124,43 +109,7 @@ impl RowName {
     }
 }
 
-/// Masks of scans.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Masks {
-    /// By geometry, as `sms scan` makes them.
-    Geometry,
-    /// The true ones.
-    Truth,
-}
-
-impl Geometry {
-    pub(super) fn choice(self) -> BilliardsGeometry {
-        match self {
-            Self::Scan => BilliardsGeometry::Scan,
-            Self::Truth => BilliardsGeometry::Truth,
-        }
-    }
-}
-
-impl Masks {
-    pub(super) fn choice(self) -> MaskChoice {
-        match self {
-            Self::Geometry => MaskChoice::Geometry,
-            Self::Truth => MaskChoice::Truth,
-        }
-    }
-}
-
-/// Why there is no table.
-pub(super) fn nothing_there(out: &Path) -> InputError {
-    InputError::new(
-        "nothing in this folder was made with these settings",
-        out,
-        "run it without --table, or with the settings that it was made with",
-    )
-}
-
-pub(crate) fn run(console: &Console, a: &BenchBilliards) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<()> {
     let bench = bench(console, a)?;
     if a.scans_only {
         let line = |s: &FixedScene, matched: usize, objects: usize| {
@@ -225,7 +174,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: &Path) -> anyho
     show(console, &found, &whole.settings, out)
 }
 
-fn bench(console: &Console, a: &BenchBilliards) -> anyhow::Result<BilliardsBench> {
+fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsBench> {
     let preset = a.preset.unwrap_or(if a.quick { PresetName::Draft } else { PresetName::Standard });
     let keep = a.keep.clone().unwrap_or_else(|| a.out.clone());
     let mut bench = BilliardsBench::new(scenes(a)?, &keep, &a.out);
@@ -236,7 +185,7 @@ fn bench(console: &Console, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
         ..with_settings(console, base)?
     };
     bench.scan.rescan = a.rescan;
-    bench.scan.trainer = bench_gpu::trainer_maker(a.device)?;
+    bench.scan.trainer = gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
     bench.told = a.materials.iter().map(|t| t.told()).collect();
@@ -269,7 +218,7 @@ fn bench(console: &Console, a: &BenchBilliards) -> anyhow::Result<BilliardsBench
     Ok(bench)
 }
 
-fn scenes(a: &BenchBilliards) -> anyhow::Result<Vec<FixedScene>> {
+fn scenes(a: &BilliardsArguments) -> anyhow::Result<Vec<FixedScene>> {
     let numbers = match (&a.scenes[..], a.quick) {
         ([], true) => QUICK.to_vec(),
         ([], false) => FIXED_SCENES.iter().map(|s| s.number).collect(),

@@ -1,7 +1,6 @@
-//! `sms bench scenes`: which generated scenes can be solved, and how.
+//! `sms-experiments scenes`: which generated scenes can be solved, and how.
 
-use super::bench_optimisers::{finish, parse_seeds};
-use super::bench_plan::{parse_shard, settings};
+use super::shared::{finish, parse_seeds, parse_shard, settings};
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::{Value, json};
@@ -19,7 +18,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct BenchScenes {
+pub(crate) struct ScenesArguments {
     /// Layouts, with commas: empty, direct, backstop, screened, cue_bank, chain, two_ways (default: all).
     #[arg(long, value_name = "LAYOUTS")]
     pub layouts: Option<String>,
@@ -32,7 +31,7 @@ pub(crate) struct BenchScenes {
     /// Shots per scene.
     #[arg(long, value_name = "N", default_value_t = 1500)]
     pub shots: u64,
-    /// Only every n-th seed, from the i-th (i/n, from 1); for `sms bench merge`.
+    /// Only every n-th seed, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "engine")]
     pub shard: Option<String>,
     /// Carry the best shots on the fixed scenes out in this engine instead.
@@ -46,7 +45,7 @@ pub(crate) struct BenchScenes {
     pub out: Option<PathBuf>,
 }
 
-pub(crate) fn run(console: &Console, a: &BenchScenes) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &ScenesArguments) -> anyhow::Result<()> {
     if let Some(engine) = a.engine {
         return run_in(console, a, engine.engine());
     }
@@ -95,7 +94,7 @@ fn scene_of(value: &Value) -> anyhow::Result<Solvability> {
 }
 
 /// The fixed scenes in a target engine.
-fn run_in(console: &Console, a: &BenchScenes, engine: TargetEngine) -> anyhow::Result<()> {
+fn run_in(console: &Console, a: &ScenesArguments, engine: TargetEngine) -> anyhow::Result<()> {
     let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
     let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
     let target = engine.target()?;
