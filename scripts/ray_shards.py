@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Runs the parts of a benchmark as Ray tasks and merges them. See docs/large-runs.md.
+"""Runs the parts of an experiment as Ray tasks and merges them. See docs/large-runs.md.
 
     pip install ray
     python scripts/ray_shards.py --parts 8 --results RESULTS robust --seeds 1001..1032
     python scripts/ray_shards.py --parts 18 --results RESULTS --address auto billiards
 
 Without --address a Ray of this machine's cores is started. RESULTS is a folder that all nodes see; the program (--sms) lies
-in the same place on all of them. A part that fails is started again up to --retries times; billiards and landing go on where they were.
+in the same place on all of them. A part that fails is started again up to --retries times; billiards and landing resume.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import ray
 
 
 def command(options: argparse.Namespace, part: int) -> list[str]:
-    """What runs one part, counted from 1."""
+    """The command of one part, counted from 1."""
     results = pathlib.Path(options.results).resolve()
     parts = results / "parts"
     # Their results are folders, which parts may share: no two have the same scene or flight.
@@ -27,12 +27,12 @@ def command(options: argparse.Namespace, part: int) -> list[str]:
     out = [str(parts)] if folder else [str(parts / f"{options.bench}-{part}.json")]
     keep = ["--keep", str(results / "scans")] if options.bench in ("billiards", "landing", "materialize") else []
     shard = ["--shard", f"{part}/{options.parts}"]
-    return [options.sms, "bench", options.bench, *shard, "--out", *out, *keep, *options.rest]
+    return [options.sms, options.bench, *shard, "--out", *out, *keep, *options.rest]
 
 
 @ray.remote
 def run(arguments: list[str], threads: int) -> tuple[int, str]:
-    """Exit code and the end of what it said."""
+    """Exit code and the end of the output."""
     environment = {**os.environ, "RAYON_NUM_THREADS": str(threads)}
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
     return done.returncode, (done.stdout + done.stderr)[-2000:]
@@ -42,11 +42,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", type=int, required=True, help="number of parts")
     parser.add_argument("--results", required=True, help="folder that all nodes see")
-    parser.add_argument("--sms", default="sms", help="the program")
+    parser.add_argument("--sms", default="sms-experiments", help="the program")
     parser.add_argument("--threads", type=int, default=2, help="cores of each part")
     parser.add_argument("--retries", type=int, default=1)
     parser.add_argument("--address", help="a Ray cluster, such as auto")
-    parser.add_argument("bench", help="benchmark: billiards, landing, robust, optimisers, plan, scan, masks, materialize, scenes")
+    parser.add_argument("bench", help="experiment: billiards, landing, robust, optimisers, plan, scan, masks, materialize, scenes")
     parser.add_argument("rest", nargs=argparse.REMAINDER, help="its options")
     options = parser.parse_args()
 
@@ -74,7 +74,7 @@ def main() -> int:
     ray.shutdown()
     if failed:
         return 1
-    merge = [options.sms, "bench", "merge", str(parts), "--out", str(parts.parent / "merged")]
+    merge = [options.sms, "merge", str(parts), "--out", str(parts.parent / "merged")]
     return subprocess.run(merge, check=False).returncode
 
 

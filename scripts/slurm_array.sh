@@ -1,13 +1,13 @@
 #!/bin/bash
-# One part of a benchmark per task of a Slurm job array. See docs/large-runs.md.
+# One part of an experiment per task of a Slurm job array. See docs/large-runs.md.
 #
 #   sbatch --array=1-18 scripts/slurm_array.sh RESULTS billiards
 #   sbatch --array=1-8  scripts/slurm_array.sh RESULTS robust --seeds 1..200 --family crowded
 #
 # To run parts 7 and 9 of 18 again: PARTS=18 sbatch --array=7,9 scripts/slurm_array.sh RESULTS billiards
 #
-# RESULTS is a folder that all nodes see. SMS names the program (default: sms). What follows the benchmark's name goes to it
-# as it is. Afterwards: sms bench merge RESULTS/parts --out RESULTS/merged
+# RESULTS is a folder that all nodes see. SMS names the program (default: sms-experiments). Everything after the experiment's
+# name is passed on to it. Afterwards: sms-experiments merge RESULTS/parts --out RESULTS/merged
 #SBATCH --job-name=sms-experiments
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=6G
@@ -16,7 +16,7 @@
 set -euo pipefail
 
 if [ $# -lt 2 ]; then
-    echo "usage: sbatch --array=1-N $0 RESULTS BENCHMARK [OPTIONS...]" >&2
+    echo "usage: sbatch --array=1-N $0 RESULTS EXPERIMENT [OPTIONS...]" >&2
     exit 2
 fi
 results=$1 bench=$2
@@ -33,4 +33,4 @@ masks | scan) out=(--out "$parts") ;;
 materialize) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json" --keep "$results/scans") ;;
 *) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json") ;;
 esac
-exec "${SMS:-sms}" bench "$bench" --shard "$part" "${out[@]}" "$@"
+exec "${SMS:-sms-experiments}" "$bench" --shard "$part" "${out[@]}" "$@"

@@ -1,4 +1,4 @@
-"""Reads what `sms bench scan --export DIR` writes, and writes what `sms bench score` reads. NumPy and Pillow."""
+"""Reads what `sms-experiments scan --export DIR` writes, and writes what `sms-experiments score` reads. NumPy and Pillow."""
 
 import json
 from dataclasses import dataclass

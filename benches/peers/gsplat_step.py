@@ -2,7 +2,7 @@
 
     python gsplat_step.py EXPORT SCENE.ply [--channels 3] [--ours RESULTS.json] [--limit N] [--as-shipped]
 
-EXPORT is what `sms bench scan --export` wrote of the scene, SCENE.ply what `--out DIR` left in DIR/SCENE/scan, and
+EXPORT is what `sms-experiments scan --export` wrote of the scene, SCENE.ply what `--out DIR` left in DIR/SCENE/scan, and
 RESULTS.json the results.json there, whose step is printed beside (`--device gpu`: the step on the first frame).
 
 A step is forward and backward of L1 + SSIM on colour and L1 on depth for one training view of the export, and Adam. With

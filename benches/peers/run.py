@@ -71,8 +71,8 @@ def run_json(command: list, timeout_s: float, env: dict | None = None):
 
 
 def scored(args, export: Path, surface: Path | None, views: Path | None) -> tuple[dict, str]:
-    """What `sms bench score` says, by our columns."""
-    command = [args.sms, "bench", "score", "--json", "--truth", export]
+    """The figures of `sms-experiments score`, by our columns."""
+    command = [args.sms, "score", "--json", "--truth", export]
     command += ["--surface", surface] if surface else []
     command += ["--views", views] if views else []
     found, _, why = run_json(command, 600)
@@ -92,7 +92,7 @@ def ours(args, scenes: list[str]) -> list[Row]:
     """Our rows: the Gaussians, and the meshes made of them."""
     folder = args.ours or args.out / "sms"
     if not args.ours:
-        command = [args.sms, "bench", "scan", "--json", "--scenes", ",".join(scenes), "--preset", args.preset]
+        command = [args.sms, "scan", "--json", "--scenes", ",".join(scenes), "--preset", args.preset]
         metrics, _, why = run_json([*command, "--out", folder, "--cache", args.cache], 3600 * len(scenes))
     else:
         # Each scene's own file is there before that of all.
@@ -215,14 +215,14 @@ def steps_text(steps: dict, rows: list[Row]) -> str:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     path = lambda text: Path(text).absolute()
-    parser.add_argument("--scenes", default="3", help="as `sms bench scan --scenes`; generated scenes only")
+    parser.add_argument("--scenes", default="3", help="as `sms-experiments scan --scenes`; generated scenes only")
     parser.add_argument("--preset", default="standard", choices=["draft", "standard", "fine"])
-    parser.add_argument("--sms", type=path, default=ROOT / "target/release/sms")
+    parser.add_argument("--sms", type=path, default=ROOT / "target/release/sms-experiments")
     parser.add_argument("--python", type=path, default=ROOT / ".venv-peers/bin/python", help="has the requirements")
     parser.add_argument("--out", type=path, default=ROOT / "runs/peers")
     parser.add_argument("--cache", type=path, default=ROOT / "runs/bench-recordings")
-    parser.add_argument("--ours", type=path, help="OUT of an earlier `sms bench scan --out OUT` of these scenes")
-    parser.add_argument("--export", type=path, help="what an earlier `sms bench scan --export` of these scenes wrote")
+    parser.add_argument("--ours", type=path, help="OUT of an earlier `sms-experiments scan --out OUT` of these scenes")
+    parser.add_argument("--export", type=path, help="what an earlier `sms-experiments scan --export` of these scenes wrote")
     parser.add_argument("--gsplat-cpu-seconds", type=float, default=100.0, help="limit of its training, CPU time")
     parser.add_argument("--gsplat-steps", type=int, default=7000)
     parser.add_argument("--gsplat-gaussians", type=int, default=30_000)
@@ -234,11 +234,11 @@ def parse() -> argparse.Namespace:
 def main() -> int:
     args = parse()
     if not args.sms.is_file():
-        print(f"{args.sms} is missing; cargo build --release, or name it with --sms", file=sys.stderr)
+        print(f"{args.sms} is missing; cargo build --release -p sms-experiments, or name it with --sms", file=sys.stderr)
         return 2
     if args.export is None:
         args.export = args.out / "export"
-        command = [args.sms, "bench", "scan", "--scenes", args.scenes, "--preset", args.preset, "--quiet"]
+        command = [args.sms, "scan", "--scenes", args.scenes, "--preset", args.preset, "--quiet"]
         command += ["--export", args.export, "--cache", args.cache]
         done = measure.run([str(c) for c in command], 3600, None, ROOT)
         if done.code != 0:

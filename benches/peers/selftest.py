@@ -7,7 +7,6 @@ import unittest
 from pathlib import Path
 
 import measure
-import pybullet_rollout
 import run
 
 HERE = Path(__file__).resolve().parent
@@ -51,29 +50,6 @@ class Selftest(unittest.TestCase):
         self.assertIn("did not run: no module", text)
         self.assertEqual(run.average(rows[2:]).figures, {"seconds": 4.0})
         self.assertIn("1 of 2 scenes", run.average(rows[2:]).notes)
-
-    def test_the_arms_sweep_passes_the_contact_at_its_speed(self):
-        for speed in (0.3, 0.8):
-            duration, h = 0.4 / speed, 1e-6
-            distance, at_contact, gain = pybullet_rollout.travel(speed, 0.5 * duration)
-            self.assertTrue(math.isclose(distance, 0.1) and math.isclose(at_contact, speed) and abs(gain) < 1e-9)
-            for share in (0.05, 0.17, 0.33, 0.45, 0.55, 0.8, 0.97):
-                t = share * duration
-                before, now, after = (pybullet_rollout.travel(speed, t + dt) for dt in (-h, 0.0, h))
-                self.assertAlmostEqual((after[0] - before[0]) / (2 * h), now[1], delta=1e-6)
-                self.assertAlmostEqual((after[1] - before[1]) / (2 * h), now[2], delta=1e-3)
-
-    def test_the_robot_of_the_rollout_has_no_shape_but_the_fist(self):
-        text = (HERE.parent.parent / "crates/sms-robots/assets/fr3.urdf").read_text()
-        made = pybullet_rollout.robot_urdf(text, [0.01, 0.02, 0.03])
-        self.assertEqual((made.count("<collision"), made.count('size="0.02 0.04 0.06"')), (1, 1))
-        self.assertEqual(made.count('type="revolute"'), pybullet_rollout.ARM_JOINTS)
-        links = made.count("<link name=") - made.count("<link name=\"base")
-        self.assertGreaterEqual(made.count("<inertial>"), links - 1)
-
-    def test_the_table_of_rollouts_divides_by_all_of_ours(self):
-        text = pybullet_rollout.table([0.01, 0.03], [("peer", 0.2, 0.2)])
-        self.assertIn("| 400.0 | 10.0 (engine alone 5.0) |", text)
 
     def test_metrics_are_picked_by_key(self):
         found = run.pick({"p.holdout_psnr_db": 30.5, "p.f1_2p5mm": None, "q.surface_p90_m": 1.0}, "p.")

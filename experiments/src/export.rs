@@ -1,7 +1,7 @@
 //! A scene as files for other programs, and the yardstick beside it.
 //!
 //! # Format
-//! `sms bench scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
+//! `sms-experiments scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
 //!
 //! | file | holds |
 //! |---|---|
@@ -14,15 +14,13 @@
 //! | `truth/observed.ply` | samples of the observed surface: `x y z nx ny nz`, `object` (its label) |
 //! | `truth/depth/NNNNNN.png`, `truth/labels/NNNNNN.png` | noise-free depth (0.1 mm) and labels of the held-out views |
 //!
-//! Everything is in one world: metres, z up, floor at z = 0. `sms bench score --truth DIR/{scene} --surface FILE --views
+//! Everything is in one world: metres, z up, floor at z = 0. `sms-experiments score --truth DIR/{scene} --surface FILE --views
 //! DIR` then measures what somebody made of the frames (see [`score_files`](crate::score_files)).
 
 use crate::BenchError;
 use crate::prepare::{BenchOptions, Prepared};
 use crate::run::Yardstick;
 use crate::scenes::BenchScene;
-use crate::surface::UNMATCHED;
-use crate::truth::{SurfacePoint, TrueSurface, TrueView};
 use glamx::{DMat4, DPose3, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
 use sms_core::ply::{self, Column};
@@ -30,6 +28,8 @@ use sms_core::{
     CoreError, DepthImage, Image, InputError, LabelMap, Mesh, atomic, read_png_gray16, write_png_color,
     write_png_gray16,
 };
+use sms_eval::UNMATCHED;
+use sms_eval::{SurfacePoint, TrueSurface, TrueView};
 use std::path::Path;
 
 /// Metres of one unit of exported depth images.
@@ -164,7 +164,7 @@ pub(crate) struct Exported {
 pub(crate) fn read_export(dir: &Path) -> Result<Exported, BenchError> {
     let path = dir.join("truth/truth.json");
     if !path.is_file() {
-        let cure = "give a scene's folder that `sms bench scan --export` wrote";
+        let cure = "give a scene's folder that `sms-experiments scan --export` wrote";
         return Err(InputError::new("this is no exported scene", dir, cure).into());
     }
     let transforms: Transforms = atomic::read_json(&dir.join("transforms.json"))?;

@@ -2,7 +2,7 @@
 //!
 //! [`run_scene`] takes one of the [`SEEDS`] of the billiards family (or a real recording), makes frames and masks of it as
 //! the pipeline does, scans it, and measures the result against the truth of the generator, which the scan never sees.
-//! `sms bench scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
+//! `sms-experiments scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
 //!
 //! # What is measured
 //! - **Colour**: PSNR of held-out views against the observed colour, all pixels, mean over the views.
@@ -19,8 +19,7 @@
 //!
 //! # The planner
 //! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
-//! true world is one more sample of what is not known. [`run_rebound`] plans one shot twice, with a statue of brass and of
-//! cardboard beside its way.
+//! true world is one more sample of what is not known.
 //!
 //! # Masks
 //! [`run_masks`] measures label images against the true ones: objects found, labels that are none, and how well they overlap.
@@ -47,26 +46,19 @@
 //! assert!((scores.median_m - 0.002).abs() < 1e-12 && scores.f1 == 1.0 && F1_M == 0.0025);
 //! ```
 
-mod align;
 mod billiards;
-mod bootstrap;
 mod disturb;
 mod engines;
 mod export;
-mod goals;
-mod images;
 mod landing;
 mod masks;
-mod matching;
 mod materialize;
 mod optimisers;
 mod panels;
 mod plan_scenes;
 mod plan_speed;
 mod prepare;
-mod process;
 mod real;
-mod rebound;
 mod robust;
 mod robust_table;
 mod run;
@@ -77,44 +69,34 @@ mod shards;
 mod solvability;
 mod solved;
 mod steps;
-mod surface;
 mod table;
 mod told;
 mod trainer;
 mod true_worlds;
-mod truth;
-mod vessels;
 
-pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
 pub use billiards::{
     Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot,
     Unfinished, Way, billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards,
     scan_billiards, write_pictures, write_shots,
 };
-pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
 pub use export::{DEPTH_UNIT_M, export_scene};
-pub use goals::{GoalPlace, GoalsBench, run_goals};
-pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use landing::{
     EdgeLoad, LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart,
     LandingPlanned, LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics,
     landing_table, read_landings, run_landing, run_landings, scan_landings,
 };
-pub use masks::{FOUND_IOU, MaskScores, MaskedObject, masks_metrics, masks_table, run_masks, score_masks};
-pub use matching::{Overlaps, match_labels};
+pub use masks::{masks_metrics, masks_table, run_masks};
 pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
-    materialize_markdown, materialize_table, materialize_targets, parts_overlap, run_materialize, train,
+    materialize_markdown, materialize_table, materialize_targets, run_materialize, train,
 };
-pub use optimisers::{OptimiserBench, optimiser_table, run_optimisers};
+pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
 pub use panels::write_panel;
-pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS, robot_of};
+pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{BenchOptions, Prepared, locate, prepare};
-pub use process::{cpu_seconds, peak_bytes, thread_cpu_seconds};
-pub use rebound::{StatueMaterial, rebound_scene, run_rebound};
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene, run_scene_with};
@@ -128,22 +110,12 @@ pub use shards::{Merged, Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
-pub use surface::{
-    CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, UNMATCHED, disc_points,
-    score_cropped, score_labelled, score_surface, stray_share,
-};
 pub use table::{Target, add_means, table, targets};
 pub use told::{
     DENSITY_LOG_SD, FRICTION_ERROR, MaterialsTold, RESTITUTION_ERROR, ROLLING_LOG_SD, tell_materials,
 };
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;
-pub use truth::{
-    OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
-    observed_surface_at_most, sample_true_surface, true_surfaces, true_views,
-};
-
-pub use vessels::{VesselScene, run_full_shots, vessel_scene};
 
 use sms_core::{CoreError, InputError};
 
@@ -185,5 +157,5 @@ pub enum BenchError {
     Target(#[from] sms_target::TargetError),
     /// A comparison with a scanned model failed.
     #[error(transparent)]
-    Evaluate(#[from] sms_report::EvaluateError),
+    Evaluate(#[from] sms_eval::EvaluateError),
 }

@@ -2,13 +2,12 @@
 
 use crate::{BenchError, MaterialsTold, tell_materials};
 use serde::{Deserialize, Serialize};
-use sms_core::glamx::DVec3;
 use sms_core::{InputError, Seed};
 use sms_plan::PlanError;
 use sms_robots::RobotConfig;
 use sms_scene::Scene;
 use sms_synth::{BilliardsSettings, FIXED_SCENES, FixedScene, TruthScene, generate_billiards};
-use sms_target::scene_from_truth;
+use sms_target::{robot_of, scene_from_truth};
 use sms_task::{Billiards, ResolvedTask, Selector, Task};
 
 /// Seeds for tuning the planner; seeds below 1000 are held back for the final tables.
@@ -68,19 +67,6 @@ pub struct PlanScene {
     pub task: ResolvedTask,
     /// The robot that stands before it.
     pub robot: RobotConfig,
-}
-
-/// How far the arm stands behind the generator's place for it, metres: nearer, its own links 5 and 7 meet in one strike of
-/// six.
-pub(crate) const STAND_BACK_M: f64 = 0.1;
-
-/// The built-in arm before a generated scene. Its place is known beforehand, as from a hand-eye calibration, and nothing
-/// that a scan has to find out.
-pub fn robot_of(truth: &TruthScene) -> RobotConfig {
-    let [x, y, z] = (truth.robot_base_w - DVec3::X * STAND_BACK_M).to_array();
-    let x_recording_robot =
-        [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
-    RobotConfig { x_recording_robot: Some(x_recording_robot), ..RobotConfig::default() }
 }
 
 impl PlanScene {

@@ -1,4 +1,4 @@
-//! `sms bench plan`: how fast shots are simulated and planned, and where the time goes.
+//! `sms-experiments plan`: how fast shots are simulated and planned, and where the time goes.
 
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;

@@ -1,10 +1,11 @@
 //! From a scene to the frames and masks that a reconstruction is given.
 
+use crate::BenchError;
 use crate::disturb::Disturbance;
 use crate::scenes::{BenchScene, HOLDOUT, generated, real_data_dir, recording};
-use crate::{BenchError, process};
 use glamx::DPose3;
 use serde_json::{Value, json};
+use sms_core::process;
 use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, Warnings};
 use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};

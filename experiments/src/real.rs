@@ -1,17 +1,17 @@
 //! Real recordings: what can be measured without a whole truth.
 
 use crate::BenchError;
-use crate::images::{DepthErrors, ShownView, psnr_db};
 use crate::panels::write_panel;
 use crate::prepare::{BenchOptions, Prepared};
-use crate::surface::{DiscSampling, disc_points, score_surface};
-use crate::truth::TrueView;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, Seed, Warnings};
 use sms_entities::build_entities;
+use sms_eval::TrueView;
+use sms_eval::{DepthErrors, ShownView, psnr_db};
+use sms_eval::{DiscSampling, disc_points, score_surface};
+use sms_eval::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
 use sms_gaussians::{GaussianModel, Trainer};
-use sms_report::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
 use std::path::Path;
 
 /// Held-out colour, depth against what was measured, and each object that has a scanned model against it: points on its

@@ -1,8 +1,9 @@
-//! `sms bench robust`: what plans are worth in worlds other than the one that was told.
+//! `sms-experiments robust`: what plans are worth in worlds other than the one that was told.
 
 use crate::robust_table::summarise;
-use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds, thread_cpu_seconds};
+use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
+use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
 use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};
@@ -13,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::time::Instant;
 
-/// What building and settling a disturbed world costs, in rollouts (`sms bench plan`: 35 ms to 21 ms, rounded up).
+/// What building and settling a disturbed world costs, in rollouts (`sms-experiments plan`: 35 ms to 21 ms, rounded up).
 const WORLD_ROLLOUTS: usize = 2;
 /// Name of the planner that the others are compared with: planning for the world as told alone.
 pub(crate) const PLAIN: &str = "plain";
@@ -63,16 +64,6 @@ impl RobustBench {
         }
     }
 
-    /// Adds planners like the first that believe the errors of scan and robot to be half and twice as wide as they are in
-    /// the true worlds.
-    pub fn add_misled(&mut self) {
-        let Some((name, config)) = self.planners.first().cloned() else { return };
-        for (word, factor) in [("half", 0.5), ("double", 2.0)] {
-            let disturbances = scaled(&config.disturbances, factor);
-            self.planners.push((format!("{name}_{word}"), PlanConfig { disturbances, ..config.clone() }));
-        }
-    }
-
     /// Of everything but the seeds that the figures of a scene depend on.
     fn hash(&self) -> Hash {
         let planners: BTreeMap<&String, String> =
@@ -101,7 +92,7 @@ impl RobustBench {
         Err(InputError::new(
             what,
             path,
-            "give the same --family, --materials, --worlds, --oracle, --planners, --arm, --engine and --misled, or leave the \
+            "give the same --family, --materials, --worlds, --oracle, --planners, --arm and --engine, or leave the \
              file out of --with",
         ))
     }
@@ -133,20 +124,6 @@ impl RobustBench {
 
 /// Key of the hash of the settings.
 const SETTINGS: &str = "bench.robust.settings";
-
-/// Disturbances of another width, materials excepted.
-fn scaled(d: &Disturbances, factor: f64) -> Disturbances {
-    Disturbances {
-        position_m: factor * d.position_m,
-        radius_m: factor * d.radius_m,
-        object_m: factor * d.object_m,
-        object_rad: factor * d.object_rad,
-        contact_m: factor * d.contact_m,
-        angle_rad: factor * d.angle_rad,
-        speed_share: factor * d.speed_share,
-        ..d.clone()
-    }
-}
 
 /// One thing to do; jobs are independent but for plain planning, which waits to know what robust planning cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -421,18 +398,6 @@ impl Clock {
 mod tests {
     use super::*;
     use crate::robust_table;
-
-    #[test]
-    fn a_misled_planner_believes_other_errors_and_samples_the_same_materials() {
-        let mut bench = RobustBench::new(vec![3], SceneFamily::Fixed);
-        bench.add_misled();
-        let names: Vec<&str> = bench.names();
-        assert_eq!(names, ["plain", "robust", "robust_half", "robust_double"]);
-        let d = |k: usize| &bench.planners[k].1.disturbances;
-        assert_eq!((d(1).position_m, d(2).angle_rad), (0.5 * d(0).position_m, 2.0 * d(0).angle_rad));
-        assert_eq!((d(1).materials, d(1).worlds), (true, d(0).worlds));
-        assert_eq!(bench.errors, *d(0));
-    }
 
     #[test]
     fn fixed_scenes_go_by_their_numbers() {

@@ -1,8 +1,9 @@
-//! The figures of `sms bench robust` over all scenes, and as a table.
+//! The figures of `sms-experiments robust` over all scenes, and as a table.
 
+use crate::RobustBench;
 use crate::robust::{ORACLE, PLAIN};
-use crate::{RobustBench, paired_ratio};
 use sms_core::metrics::Metrics;
+use sms_eval::paired_ratio;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 

@@ -1,27 +1,28 @@
 //! One scene: prepared, scanned, measured.
 
-use crate::align::{align_cameras, pose_difference, refine_on_surfaces};
-use crate::images::{DepthErrors, ShownView, mean_iou, psnr_db};
-use crate::matching::{Overlaps, match_labels};
+use crate::BenchError;
 use crate::panels::write_panel;
 use crate::prepare::{BenchOptions, Prepared, Timer, prepare};
 use crate::real::real_metrics;
 use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
-use crate::surface::{
-    DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
-    stray_share,
-};
-use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
-use crate::{BenchError, process};
 use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
+use sms_core::process;
 use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, Warnings, atomic};
 use sms_entities::build_entities;
+use sms_eval::sample_surface;
+use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
+use sms_eval::{
+    DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
+    stray_share,
+};
+use sms_eval::{Overlaps, match_labels};
+use sms_eval::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
+use sms_eval::{align_cameras, pose_difference, refine_on_surfaces};
 use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer, scan};
-use sms_report::sample_surface;
 use std::path::Path;
 
 /// The scan's seed; `sms scan` has the same default.
@@ -145,7 +146,7 @@ pub struct Yardstick {
     /// What the cameras trained on see of them.
     pub observed: Vec<Vec<SurfacePoint>>,
     /// Indices of the held-out frames, and their true views.
-    pub held_out: Vec<(usize, crate::truth::TrueView)>,
+    pub held_out: Vec<(usize, sms_eval::TrueView)>,
     /// Which true label each mask label stands for, by best overlap of the masks with the true labels in the held-out
     /// views.
     pub truth_of: Vec<u16>,
@@ -176,8 +177,8 @@ struct ObjectRecord<'a> {
     name: &'a str,
     mask_label: Option<usize>,
     observed_samples: usize,
-    gaussians: crate::surface::SurfaceScores,
-    mesh: Option<crate::surface::SurfaceScores>,
+    gaussians: sms_eval::SurfaceScores,
+    mesh: Option<sms_eval::SurfaceScores>,
 }
 
 fn measure(

@@ -25,7 +25,7 @@ pub const HOLDOUT: usize = 8;
 /// The real recordings, by folder name.
 pub const REAL: [&str; 2] = ["seq_tabletop_bin", "seq_shelf_tissue"];
 
-/// The scanned models of `sms bench materialize`, by folder name.
+/// The scanned models of `sms-experiments materialize`, by folder name.
 pub const MODELS: [&str; 18] = [
     "ycb_025_mug",
     "ycb_024_bowl",
@@ -122,7 +122,7 @@ pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     list.split(',').map(|id| id.trim().parse()).collect()
 }
 
-/// The scenes of `sms bench masks` that a list names: `all` (the fixed billiards scenes, the stacked structures, the real
+/// The scenes of `sms-experiments masks` that a list names: `all` (the fixed billiards scenes, the stacked structures, the real
 /// shelf), `fixed`, `stacked`, `landing` (the four fixed structures), `real`, or ids separated by commas.
 ///
 /// # Errors

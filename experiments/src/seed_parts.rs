@@ -1,7 +1,8 @@
 //! Figures of benchmarks whose seeds ran apart, put together as if they had run at once.
 
-use crate::{OptimiserBench, median, paired_difference};
+use crate::OptimiserBench;
 use sms_core::metrics::Metrics;
+use sms_eval::{median, paired_difference};
 
 /// The figures of [`crate::run_optimisers`] over all seeds, of those of one seed each in the order of `bench.seeds`.
 pub fn merge_optimisers(bench: &OptimiserBench, each: &[Metrics]) -> Metrics {
@@ -61,7 +62,7 @@ mod tests {
     fn seeds_apart_make_the_figures_of_seeds_together() {
         let bench = |seeds: Vec<u64>| {
             let mut bench = OptimiserBench::new(seeds, SceneFamily::Open, vec![8]);
-            bench.entrants.retain(|(name, _)| ["screen", "halving"].contains(&name.as_str()));
+            bench.entrants.retain(|(name, _)| ["multi_start", "halving"].contains(&name.as_str()));
             bench
         };
         let run = |seeds| run_optimisers(&bench(seeds), &NoProgress, &Cancel::new()).unwrap();

@@ -191,7 +191,7 @@ pub fn merge_shards(paths: &[PathBuf]) -> Result<Merged, CoreError> {
             inside.retain(|p| p.to_string_lossy().ends_with(ENDING));
             inside.sort();
             if inside.is_empty() {
-                let cure = "give folders that `sms bench … --shard` wrote to";
+                let cure = "give folders that `sms-experiments … --shard` wrote to";
                 return Err(
                     InputError::new(format!("no file `*{ENDING}` is in this folder"), path, cure).into()
                 );

@@ -1,6 +1,6 @@
 //! How a scene can be solved, found out by brute force in a target world: by a straight shot, or only by rebounds.
 
-use crate::{BenchError, robot_of};
+use crate::BenchError;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::{Cancel, Progress, Seed};
@@ -8,6 +8,7 @@ use sms_plan::{Halton, PlanError};
 use sms_scene::{BodyShape, Scene};
 use sms_sim::{ContactEvent, RapierFactory, SimError, Simulation, WorldFactory, WorldOptions};
 use sms_synth::{Layout, TruthScene, generate_challenge};
+use sms_target::robot_of;
 use sms_target::scene_from_truth;
 use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task, WorldBodies};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,10 +1,7 @@
 //! The command line's shape.
 
-use crate::device::Device;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sms_gaussians::Preset;
-use sms_synth::CameraPath;
-use sms_target::TargetEngine;
+use sms_cli::front::{Common, Device, EngineName, PathName, PresetName, RefinePoses};
 use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
@@ -15,43 +12,6 @@ pub(crate) struct Arguments {
     pub command: Command,
     #[command(flatten)]
     pub common: Common,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Common {
-    /// Print the flat metrics object alone, as JSON.
-    #[arg(long, global = true)]
-    pub json: bool,
-    /// Worker threads (default: all cores). Results do not depend on it.
-    #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Redo stages even where nothing has changed.
-    #[arg(long, global = true)]
-    pub force: bool,
-    /// A TOML file with settings of any stage; `run.toml` of a run shows all of them.
-    #[arg(long, global = true, value_name = "FILE")]
-    pub settings: Option<PathBuf>,
-    /// One setting of any stage, over the file's: --set scan.final_steps=500 (repeatable; `sms settings` lists them).
-    #[arg(long = "set", global = true, value_name = "SECTION.KEY=VALUE")]
-    pub assignments: Vec<String>,
-    /// Show no progress (the same as --progress none).
-    #[arg(long, short, global = true)]
-    pub quiet: bool,
-    /// How progress is shown, on standard error. By default a bar on a terminal, else plain lines; none with --json.
-    #[arg(long, global = true, value_enum, value_name = "HOW", conflicts_with = "quiet")]
-    pub progress: Option<ProgressKind>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ProgressKind {
-    /// A bar with step, losses and time left.
-    Bar,
-    /// A line every few seconds.
-    Plain,
-    /// JSON objects, one a line: event, part, done, units, seconds, seconds_left, and the part's figures.
-    Json,
-    /// Nothing.
-    None,
 }
 
 #[derive(Debug, Subcommand)]
@@ -88,8 +48,6 @@ pub(crate) enum Command {
     Synth(Synth),
     /// List what can compute a scan, with the result of each one's self-check.
     Devices,
-    /// Measure the scan on fixed scenes with exact truth.
-    Bench(crate::commands::bench::Bench),
     /// Look at a run's masks: its objects, and with --preview the annotated first frame; or at what the networks would find.
     Masks(Masks),
     /// List or fetch the weights of the networks.
@@ -126,36 +84,6 @@ pub(crate) enum Models {
 pub(crate) struct Check {
     /// Folder of the recording (nerfstudio transforms.json with depth, or TUM RGB-D).
     pub recording: PathBuf,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PresetName {
-    /// 200 px, at most 100 + 10 a frame + 150 steps: whether a recording is any good.
-    Draft,
-    /// 320 px, at most 200 + 30 a frame + 300 steps: objects and planning. The default.
-    Standard,
-    /// 640 px, at most 400 + 30 a frame + 1000 steps: thin parts, views to look at; six times standard's steps × pixels.
-    Fine,
-}
-
-impl PresetName {
-    /// The library's preset.
-    pub(crate) fn preset(self) -> Preset {
-        match self {
-            Self::Draft => Preset::Draft,
-            Self::Standard => Preset::Standard,
-            Self::Fine => Preset::Fine,
-        }
-    }
-
-    /// As it is written on the command line.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Draft => "draft",
-            Self::Standard => "standard",
-            Self::Fine => "fine",
-        }
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -211,16 +139,6 @@ impl NetsArguments {
         let Self { objects, boxes, threshold, max_overlap, .. } = self;
         objects.is_some() || !boxes.is_empty() || threshold.is_some() || max_overlap.is_some()
     }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum RefinePoses {
-    /// Use the poses as they are.
-    Off,
-    /// Use refined poses.
-    On,
-    /// Use refined poses where held-out frames agree significantly better with them.
-    Auto,
 }
 
 #[derive(Debug, Args)]
@@ -379,30 +297,6 @@ pub(crate) enum ArmName {
     Articulation,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum EngineName {
-    /// The planner's engine in double precision at a quarter of the step: "same engine" in every table.
-    Rapier,
-    /// PhysX, precise: small offsets, split steps (feature physx).
-    Physx,
-    /// PhysX with the engine's defaults (feature physx).
-    PhysxStock,
-    /// MuJoCo (feature mujoco; SMS_MUJOCO names its library).
-    Mujoco,
-}
-
-impl EngineName {
-    /// The library's engine.
-    pub(crate) fn engine(self) -> TargetEngine {
-        match self {
-            Self::Rapier => TargetEngine::Rapier,
-            Self::Physx => TargetEngine::Physx,
-            Self::PhysxStock => TargetEngine::PhysxStock,
-            Self::Mujoco => TargetEngine::Mujoco,
-        }
-    }
-}
-
 #[derive(Debug, Args, Clone)]
 pub(crate) struct Evaluate {
     /// Folder of the run.
@@ -516,29 +410,11 @@ pub(crate) enum FamilyName {
     Billiards,
     /// Layouts that take rebounds, in turns by seed; endless, though some seeds do not fit into the workspace.
     Challenge,
-    /// The eighteen scenes of `sms bench billiards`: seeds 1 to 18.
+    /// The eighteen scenes of `sms-experiments billiards`: seeds 1 to 18.
     Fixed,
     /// Structures that a quadrotor could topple by landing on them: seeds 1 to 4 are the four fixed ones (box on step ladder,
     /// tote on stool, board on recycling bin, board on stool), others are drawn, in turns; filmed from a helix.
     Landing,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PathName {
-    /// Heights from 0.25 to 0.6 m, from which hollows and the floor between objects are seen.
-    High,
-    /// The paper's heights, 0.1 to 0.25 m.
-    Paper,
-}
-
-impl PathName {
-    /// The path of a billiards recording.
-    pub(crate) fn path(self) -> CameraPath {
-        match self {
-            Self::High => CameraPath::default(),
-            Self::Paper => CameraPath::paper(),
-        }
-    }
 }
 
 #[derive(Debug, Args, Clone)]

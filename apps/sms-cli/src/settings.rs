@@ -1,22 +1,23 @@
 //! Settings of all stages: defaults or a preset's, then `--settings FILE`, then every `--set section.key=value`.
 
 use serde::{Serialize, de::DeserializeOwned};
-use sms_core::{InputError, atomic};
+use sms_core::{InputError, atomic, toml_value};
 use sms_entities::EntitiesConfig;
+use sms_eval::EvaluateSettings;
 use sms_frames::{LoadSettings, ReadOptions};
-use sms_gaussians::ScanConfig;
+use sms_gaussians::{Preset, ScanConfig};
 use sms_landing::LandingSettings;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
-use sms_report::EvaluateSettings;
 use sms_robots::RobotConfig;
 use sms_robots::autopilot::FlightFiles;
 use sms_vlm::VlmConfig;
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Settings of one stage: what a section of the file may hold.
-pub(crate) trait Section: Default + Serialize + DeserializeOwned {
+pub trait Section: Default + Serialize + DeserializeOwned {
     /// The first value out of its range.
     fn validate(&self) -> Result<(), InputError>;
 }
@@ -26,7 +27,7 @@ pub(crate) trait Section: Default + Serialize + DeserializeOwned {
 macro_rules! sections {
     ($($name:literal: $kind:ty, $about:literal;)*) => {
         /// Names of the sections with what each is about.
-        pub(crate) const SECTIONS: &[(&str, &str)] = &[$(($name, $about)),*];
+        pub const SECTIONS: &[(&str, &str)] = &[$(($name, $about)),*];
 
         impl Settings {
             /// Whether a section's keys exist and hold values of their kind and range.
@@ -103,7 +104,7 @@ struct Assignment {
 
 /// Overrides; empty without any.
 #[derive(Debug, Default)]
-pub(crate) struct Settings {
+pub struct Settings {
     table: toml::Table,
     path: PathBuf,
     assignments: Vec<Assignment>,
@@ -112,7 +113,7 @@ pub(crate) struct Settings {
 impl Settings {
     /// Reads the file and the assignments and checks every key of every section, so that a mistake is found before
     /// any work.
-    pub(crate) fn read(path: Option<&Path>, assignments: &[String]) -> anyhow::Result<Self> {
+    pub fn read(path: Option<&Path>, assignments: &[String]) -> anyhow::Result<Self> {
         let mut settings = Self::default();
         if let Some(path) = path {
             settings.table = atomic::read_toml(path)?;
@@ -131,7 +132,7 @@ impl Settings {
     }
 
     /// `base` with the file's and the assignments' values of a section in place of its own.
-    pub(crate) fn section<T: Section>(&self, name: &str, base: T) -> anyhow::Result<T> {
+    pub fn section<T: Section>(&self, name: &str, base: T) -> anyhow::Result<T> {
         let assigned: Vec<&Assignment> = self.assignments.iter().filter(|a| a.section == name).collect();
         let overrides = self.table.get(name);
         if overrides.is_none() && assigned.is_empty() {
@@ -278,6 +279,46 @@ fn merge(base: &mut toml::Value, overrides: &toml::Value) {
     }
 }
 
+/// Pose refinement weighs depth by the noise that the frames are loaded with.
+pub fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
+    PosesConfig { noise: frames.noise, ..PosesConfig::default() }
+}
+
+/// All sections as TOML, with the overrides applied to the preset's values.
+pub fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String> {
+    let frames = LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() };
+    let mut out = String::from(
+        "# Settings of all stages. Keep what you change and give the file with --settings FILE, or single values with\n\
+         # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says else.\n",
+    );
+    let frames = settings.section("frames", frames)?;
+    for (name, about) in SECTIONS {
+        let value = match *name {
+            "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
+            "frames" => serde_json::to_value(&frames)?,
+            "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,
+            "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
+            "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
+            "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
+            "vlm" => serde_json::to_value(settings.section(name, vlm_defaults())?)?,
+            "plan" => serde_json::to_value(settings.section(name, PlanConfig::default())?)?,
+            "robot" => serde_json::to_value(settings.section(name, RobotConfig::default())?)?,
+            "evaluate" => serde_json::to_value(settings.section(name, EvaluateSettings::default())?)?,
+            _ => continue,
+        };
+        let mut table = toml::Table::new();
+        table.extend(toml_value(&value).map(|v| ((*name).to_owned(), v)));
+        write!(out, "\n# {about}\n{table}")?;
+    }
+    Ok(out)
+}
+
+/// The settings before `--settings` and `--set`: server and model of the environment.
+pub fn vlm_defaults() -> VlmConfig {
+    let named = |key: &str| std::env::var(key).map(|v| v.trim().to_owned()).unwrap_or_default();
+    VlmConfig { url: named("SMS_VLM_URL"), model: named("SMS_VLM_MODEL"), ..VlmConfig::default() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -375,10 +416,8 @@ mod tests {
                 _ => {}
             }
         }
-        let defaults: toml::Table = toml::from_str(
-            &crate::commands::settings::text(&Settings::default(), sms_gaussians::Preset::Standard).unwrap(),
-        )
-        .unwrap();
+        let defaults: toml::Table =
+            toml::from_str(&text(&Settings::default(), sms_gaussians::Preset::Standard).unwrap()).unwrap();
         let mut found = Vec::new();
         defaults.iter().for_each(|(name, section)| numbers(section, name, &mut found));
         assert!(found.len() > 100, "{}", found.len());

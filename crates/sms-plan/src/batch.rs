@@ -39,7 +39,7 @@ pub struct StartRecord {
 /// however many threads evaluate a population. Values may be infinite (a rollout that is no rollout), never NaN. Points that
 /// cannot be tried at all have none; they cost nothing, and it asks for others in their place.
 pub trait BatchOptimiser {
-    /// Name for tables ("cma_es").
+    /// Name for tables ("halving").
     fn name(&self) -> &'static str;
 
     /// The next points, at most `room` of them (the budget that is left, at least 1). None when it has nothing more

@@ -16,13 +16,8 @@ pub const SOLVED: f64 = 0.2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Half of the budget on Halton points, then a local search from each of the best ones.
-    Screen,
     /// The paper: a local search from each of a number of random simplexes.
     MultiStart,
-    /// A part of the budget on Halton points, then covariance matrix adaptation from the best of them, restarted with
-    /// twice the population.
-    CmaEs,
     /// A part of the budget on Halton points, then local searches from the best ones: few evaluations for all, more for
     /// the better half of them, and so on.
     Halving,
@@ -30,14 +25,12 @@ pub enum Method {
 
 impl Method {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Screen, Self::MultiStart, Self::CmaEs, Self::Halving];
+    pub const ALL: [Self; 2] = [Self::MultiStart, Self::Halving];
 
     /// The word in settings files and tables.
     pub fn as_str(self) -> &'static str {
         match self {
-            Self::Screen => "screen",
             Self::MultiStart => "multi_start",
-            Self::CmaEs => "cma_es",
             Self::Halving => "halving",
         }
     }
@@ -64,8 +57,6 @@ pub struct PlanConfig {
     pub initial_step: f64,
     /// Searches that [`Method::Halving`] does not halve any more.
     pub survivors: usize,
-    /// Least population of [`Method::CmaEs`]; 0 leaves it to the number of parameters.
-    pub population: usize,
     /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
     pub robust_evaluations: usize,
     /// How many times the nominal search begins anew, from other points and with as many rollouts, as long as its best comes to
@@ -112,7 +103,6 @@ impl Default for PlanConfig {
             nelder_mead: NelderMead::default(),
             initial_step: 0.08,
             survivors: 4,
-            population: 0,
             robust_evaluations: 400,
             anew: 2,
             scan: 800,
@@ -144,7 +134,6 @@ impl PlanConfig {
             ("starts", self.starts, 1, 1_000_000),
             ("evaluations", self.evaluations, 1, 1_000_000),
             ("survivors", self.survivors, 1, 1_000_000),
-            ("population", self.population, 0, 1_000_000),
             ("robust_evaluations", self.robust_evaluations, 1, 1_000_000),
             ("anew", self.anew, 0, 1000),
             ("scan", self.scan, 0, 1_000_000),

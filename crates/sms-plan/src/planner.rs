@@ -3,13 +3,15 @@
 use crate::config::SOLVED;
 use crate::reason::Explaining;
 use crate::robust::{Candidate, Choice, key};
-use crate::search::{Found, search};
+use crate::screening::Feasible;
+use crate::search::{Found, search, search_by};
 use crate::sensitivity::Sensing;
 use crate::space::Space;
 use crate::strategy::{strategy_of, touched};
 use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
 use crate::{
-    Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial, Unknown,
+    BatchOptimiser, Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial,
+    Unknown,
 };
 use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
@@ -309,6 +311,32 @@ pub fn search_nominal(
     let counter = Counter::new(&NoProgress, cancel);
     let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
     let found = search(&space, config, seed.derive("search"), budget, &feasible, &|x| {
+        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
+    })?;
+    Ok(NominalSearch { trials: found.trials, starts: found.starts })
+}
+
+/// Constructs an optimiser of the box of actions. The points that it may try first are those that are feasible.
+pub type MakeOptimiser<'a> = &'a dyn Fn(&Space, Feasible<'_>) -> Result<Box<dyn BatchOptimiser>, PlanError>;
+
+/// [`search_nominal`] by another optimiser than the planner's.
+///
+/// # Errors
+/// As [`search_nominal`].
+pub fn search_nominal_by(
+    task: &ResolvedTask,
+    scene: &Scene,
+    factory: &dyn WorldFactory,
+    make: MakeOptimiser<'_>,
+    budget: usize,
+    cancel: &Cancel,
+) -> Result<NominalSearch, PlanError> {
+    let space = Space::new(task);
+    let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
+    let counter = Counter::new(&NoProgress, cancel);
+    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
+    let mut optimiser = make(&space, &feasible)?;
+    let found = search_by(optimiser.as_mut(), &space, budget, &feasible, &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     Ok(NominalSearch { trials: found.trials, starts: found.starts })

@@ -1,7 +1,7 @@
 //! The coarse scan that methods begin with.
 
-use crate::space::{Space, is_near};
-use crate::{Halton, PlanError};
+use crate::space::is_near;
+use crate::{Halton, PlanError, Space};
 use rayon::prelude::*;
 use sms_core::Seed;
 
@@ -9,21 +9,26 @@ use sms_core::Seed;
 const MOST_DRAWS: usize = 8;
 
 /// Whether the robot can make the strike of a unit point; called from many threads.
-pub(crate) type Feasible<'a> = &'a (dyn Fn(&[f64]) -> Result<bool, PlanError> + Sync);
+pub type Feasible<'a> = &'a (dyn Fn(&[f64]) -> Result<bool, PlanError> + Sync);
 
 /// A point of the scan and, later, its value.
 #[derive(Debug, Clone)]
-pub(crate) struct Screened {
-    pub(crate) x: Vec<f64>,
+pub struct Screened {
+    /// The unit point.
+    pub x: Vec<f64>,
     /// Whether a search from here should take the smaller steps of the promising ranges.
-    pub(crate) promising: bool,
-    pub(crate) objective: f64,
+    pub promising: bool,
+    /// Its objective; infinite until it is known.
+    pub objective: f64,
 }
 
 /// What the task suggests, then Halton points: every other one in the promising ranges, where there are any. Only points
 /// that are `feasible`, `budget` of them; fewer where eight times as many draws do not have so many. The same for any
 /// number of threads.
-pub(crate) fn points(
+///
+/// # Errors
+/// The first error of `feasible`.
+pub fn points(
     space: &Space,
     suggestions: bool,
     seed: Seed,
@@ -63,7 +68,7 @@ pub(crate) fn points(
 
 /// Up to `count` points, best first, that differ from each other by more than half of their first steps in some
 /// coordinate; each with these steps.
-pub(crate) fn distinct(
+pub fn distinct(
     space: &Space,
     screened: &[Screened],
     initial_step: f64,

@@ -1,7 +1,6 @@
 //! Finding good actions in the nominal world.
 
 use crate::batch::drive;
-use crate::cma_es::{CmaSearch, CmaSettings};
 use crate::descents::{DescentSettings, Descents, Sharing};
 use crate::screening::{Feasible, points};
 use crate::space::Space;
@@ -66,20 +65,9 @@ fn optimiser(
     let screen = || points(space, config.suggestions, seed, screening.max(1), feasible);
     let screened = |settings| Ok::<_, PlanError>(Descents::screened(space, settings, screen()?));
     Ok(match config.method {
-        Method::Screen => Box::new(screened(descents("screen", Sharing::Even))?),
         Method::Halving => Box::new(screened(descents("halving", Sharing::Halving(config.survivors)))?),
         Method::MultiStart => {
             Box::new(Descents::random(space, descents("multi_start", Sharing::Even), seed, feasible)?)
-        }
-        Method::CmaEs => {
-            let settings = CmaSettings {
-                initial_step: config.initial_step,
-                starts: config.starts,
-                population: config.population,
-                x_tolerance: config.nelder_mead.x_tolerance,
-                f_tolerance: config.nelder_mead.f_tolerance,
-            };
-            Box::new(CmaSearch::new(space, settings, screen()?, seed))
         }
     })
 }
@@ -94,9 +82,18 @@ pub(crate) fn search(
     feasible: Feasible<'_>,
     objective: Objective<'_>,
 ) -> Result<Found, PlanError> {
-    let mut optimiser = optimiser(space, config, seed, feasible)?;
-    let mut log =
-        drive(optimiser.as_mut(), budget, &|x| Ok(if feasible(x)? { Some(objective(x)?) } else { None }))?;
+    search_by(optimiser(space, config, seed, feasible)?.as_mut(), space, budget, feasible, objective)
+}
+
+/// The same with a given optimiser.
+pub(crate) fn search_by(
+    optimiser: &mut dyn BatchOptimiser,
+    space: &Space,
+    budget: usize,
+    feasible: Feasible<'_>,
+    objective: Objective<'_>,
+) -> Result<Found, PlanError> {
+    let mut log = drive(optimiser, budget, &|x| Ok(if feasible(x)? { Some(objective(x)?) } else { None }))?;
     // Stable: within a search, points stay in the order of asking.
     log.sort_by_key(|(p, _)| (p.phase != Phase::Screen, p.start));
     let mut found = Found::default();
@@ -153,12 +150,7 @@ mod tests {
 
     #[test]
     fn screening_finds_a_narrow_valley_within_its_budget() {
-        for (method, limit) in [
-            (Method::Screen, 400),
-            (Method::MultiStart, 30 * 5 * 30),
-            (Method::CmaEs, 400),
-            (Method::Halving, 400),
-        ] {
+        for (method, limit) in [(Method::MultiStart, 30 * 5 * 30), (Method::Halving, 400)] {
             let config = PlanConfig { method, evaluations: 400, ..PlanConfig::draft() };
             let count = AtomicUsize::new(0);
             let found = search(&space(), &config, Seed(3), limit, &|_| Ok(true), &|x| {
@@ -172,7 +164,7 @@ mod tests {
             let count = count.into_inner();
             assert!(count <= limit && count > limit / 4, "{method:?} used {count}");
             assert_eq!(found.trials.len(), count);
-            assert!(found.starts.len() == config.starts || method == Method::CmaEs);
+            assert_eq!(found.starts.len(), config.starts);
             for start in &found.starts {
                 assert!(start.objective <= start.initial_objective, "{start:?}");
             }
@@ -205,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn descents_and_populations_meet_refusals_and_go_on() {
+    fn descents_meet_refusals_and_go_on() {
         // The best is on the border of what can be tried: searches run into it all the time.
         let can = |x: &[f64]| Ok(x[0] + x[1] > 1.1);
         let value = |x: &[f64]| Ok((x[0] - 0.2).hypot(x[1] - 0.8) + 0.1 * (x[2] - 0.3).hypot(x[3] - 0.6));
@@ -235,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_order_of_trials_does_not_depend_on_threads() {
-        for method in [Method::Screen, Method::MultiStart, Method::CmaEs, Method::Halving] {
+        for method in Method::ALL {
             let config = PlanConfig { method, ..PlanConfig::draft() };
             for feasible in [&|_: &[f64]| Ok(true), &|x: &[f64]| Ok(strip(x))] as [Feasible<'_>; 2] {
                 let run = |threads: usize| {

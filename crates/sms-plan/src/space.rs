@@ -4,7 +4,7 @@ use sms_task::{Action, Parameter, ResolvedTask};
 
 /// The parameters' box and where in it to look first. "Unit" points are in [0, 1]ⁿ.
 #[derive(Debug, Clone)]
-pub(crate) struct Space {
+pub struct Space {
     parameters: Vec<Parameter>,
     /// Ranges that deserve as many screening points as the whole box, in unit coordinates; the whole box where the
     /// task names none.
@@ -33,7 +33,8 @@ impl Space {
         Self { parameters, promising, suggestions: Vec::new() }
     }
 
-    pub(crate) fn dimensions(&self) -> usize {
+    /// Number of parameters.
+    pub fn dimensions(&self) -> usize {
         self.parameters.len()
     }
 
@@ -42,7 +43,7 @@ impl Space {
     }
 
     /// Step per coordinate for a search in the promising ranges, or in the whole box.
-    pub(crate) fn steps(&self, share: f64, promising: bool) -> Vec<f64> {
+    pub fn steps(&self, share: f64, promising: bool) -> Vec<f64> {
         self.promising.iter().map(|[l, h]| if promising { share * (h - l) } else { share }).collect()
     }
 
@@ -56,12 +57,14 @@ impl Space {
         x.iter().zip(&self.promising).map(|(v, [l, h])| l + v * (h - l)).collect()
     }
 
-    pub(crate) fn unit(&self, action: &Action) -> Vec<f64> {
+    /// The unit point of an action, clamped to the box.
+    pub fn unit(&self, action: &Action) -> Vec<f64> {
         let scale = |v: f64, p: &Parameter| if p.high > p.low { (v - p.low) / (p.high - p.low) } else { 0.5 };
         action.0.iter().zip(&self.parameters).map(|(&v, p)| scale(v, p).clamp(0.0, 1.0)).collect()
     }
 
-    pub(crate) fn action(&self, x: &[f64]) -> Action {
+    /// The action at a unit point, clamped to the box.
+    pub fn action(&self, x: &[f64]) -> Action {
         let scale = |v: f64, p: &Parameter| (p.low + v * (p.high - p.low)).clamp(p.low, p.high);
         Action(x.iter().zip(&self.parameters).map(|(&v, p)| scale(v, p)).collect())
     }

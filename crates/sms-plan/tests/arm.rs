@@ -140,7 +140,7 @@ fn where_the_arm_can_make_a_third_of_the_strikes_as_many_are_simulated() {
     println!("{share:.2} of the strikes can be made");
     assert!(share > 0.15, "{share}");
     let config = PlanConfig {
-        method: Method::Screen,
+        method: Method::Halving,
         evaluations: 40,
         screening_share: 1.0,
         suggestions: false,

@@ -48,7 +48,6 @@ mod rapier;
 mod rest;
 mod simulation;
 mod striker;
-pub mod suite;
 mod support;
 mod timing;
 mod tipping;

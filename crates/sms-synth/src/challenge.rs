@@ -1,6 +1,6 @@
 //! Billiards scenes that cannot all be solved by a straight shot: what the paper's eighteen were adjusted to by hand
 //! (appendix "Scene Generation") is drawn here from layouts. A layout proposes; whether a scene really needs a rebound
-//! is found out by brute force in a target world (`sms bench scenes`).
+//! is found out by brute force in a target world (`sms-experiments scenes`).
 
 use crate::assets::{AssetKind, make_asset, make_pool_ball};
 use crate::billiards::{

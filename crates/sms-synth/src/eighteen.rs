@@ -30,7 +30,7 @@ const fn moved(number: usize, layout: Layout, seed: u64, obstacles: usize, goal_
 
 /// The fixed scenes: the first without obstacles, then from what a straight shot does to what takes two rebounds.
 ///
-/// Chosen by brute force (`sms bench scenes`): first from 230 drawn scenes (seeds 1 to 45 of every layout) with 700 shots
+/// Chosen by brute force (`sms-experiments scenes`): first from 230 drawn scenes (seeds 1 to 45 of every layout) with 700 shots
 /// each of a finger that gives no way, then with 500 shots each of the arm, in the planner's engine. As drawn, goals were 13 to
 /// 38 cm from their balls, so that the paper's baseline lost 15 cm on average where it lost 28 in the paper's scenes: whoever misses
 /// leaves the ball where it was. In nine scenes the goal is therefore farther away, 24 to 51 cm, where brute force (the example `goals`

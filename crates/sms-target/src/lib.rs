@@ -44,5 +44,5 @@ pub use matching::match_bodies;
 pub use mujoco::{MUJOCO_VARIABLE, MujocoFactory};
 #[cfg(feature = "physx")]
 pub use physx::{PhysxFactory, physx_live_objects};
-pub use scene::scene_from_truth;
+pub use scene::{robot_of, scene_from_truth};
 pub use target::{SAME_ENGINE, SameEngineTarget, Target};

@@ -3,10 +3,23 @@
 use glamx::{DPose3, DVec3};
 use sms_core::{Hash, InertiaError, MassProperties, Mesh, hash_serializable};
 use sms_mesh::{ConvexConfig, convex_parts};
+use sms_robots::RobotConfig;
 use sms_scene::{Body, BodyKind, BodyShape, GRAVITY, SCENE_VERSION, Scene, floor_body};
 use sms_synth::{TruthObject, TruthScene};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// Distance of the arm behind the generator's place for it, metres. Nearer, its links 5 and 7 collide in one strike of six.
+const STAND_BACK_M: f64 = 0.1;
+
+/// Returns the built-in arm before a generated scene. Its pose is known beforehand, as from a hand-eye calibration; a scan
+/// does not estimate it.
+pub fn robot_of(truth: &TruthScene) -> RobotConfig {
+    let [x, y, z] = (truth.robot_base_w - DVec3::X * STAND_BACK_M).to_array();
+    let x_recording_robot =
+        [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
+    RobotConfig { x_recording_robot: Some(x_recording_robot), ..RobotConfig::default() }
+}
 
 /// The truth as a scene in the world of the recording: exact spheres, the exact convex parts of objects that are made of
 /// such, a finer decomposition than the planner's of every other mesh (a scanned model), true masses and materials, and

@@ -1,7 +1,7 @@
 //! The target engines through the closed-form suite. Run with `--nocapture` for the figures.
 #![cfg(any(feature = "physx", feature = "mujoco"))]
 
-use sms_sim::suite::probes;
+use sms_eval::closed_form::probes;
 use sms_target::TargetEngine;
 
 /// Probes that an engine misses, with a little more than it misses them by: the reasons are in `docs/target-study.md`. Every

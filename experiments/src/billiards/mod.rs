@@ -8,7 +8,6 @@
 
 mod ablation;
 mod asked;
-mod cause;
 mod drawing;
 mod figures;
 mod options;

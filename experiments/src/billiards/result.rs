@@ -71,6 +71,11 @@ impl Shot {
             by_arm: true,
         }
     }
+
+    /// Predicted objective, metres: the mean over perturbed worlds where there is one, else the nominal one.
+    pub(super) fn expected_m(&self) -> f64 {
+        self.predicted_mean_m.unwrap_or(self.predicted_m)
+    }
 }
 
 /// A scene's plans and what became of them.
@@ -229,4 +234,37 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
         ("angle_rad", Column::F64(angle)),
     ];
     write_table(path, &columns)
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use sms_task::Action;
+
+    /// Scene 3 with one robust plan and its outcome in the engine `judge`.
+    pub(in crate::billiards) fn scene(predicted_m: f64, realised_m: Option<f64>) -> BilliardsScene {
+        let shot = Shot { action: Some(Action(vec![0.5, 0.1])), predicted_m, ..Shot::nothing(0.4) };
+        let of = |v| BTreeMap::from([(Row::Robust, vec![v])]);
+        BilliardsScene {
+            key: Hash("k".into()),
+            number: 3,
+            layout: Layout::ALL[1],
+            told: MaterialsTold::Class,
+            geometry: BilliardsGeometry::Truth,
+            idle_m: 0.4,
+            objects: 4,
+            matched: 4,
+            strays: 0,
+            problem: None,
+            paper_problem: None,
+            plans: BTreeMap::from([(Row::Robust, vec![shot])]),
+            seconds: BTreeMap::new(),
+            realised: BTreeMap::from([("judge".to_owned(), of(realised_m))]),
+            unfinished: BTreeMap::new(),
+            not_run: BTreeMap::new(),
+            cpu_s: BTreeMap::new(),
+            drawing: Drawing::default(),
+            ablation: None,
+        }
+    }
 }

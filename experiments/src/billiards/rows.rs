@@ -1,7 +1,8 @@
 //! Plans, made of what the planner sees.
 
 use super::{BilliardsBench, Row, Shot};
-use crate::{BenchError, cpu_seconds};
+use crate::BenchError;
+use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
 use sms_plan::{Plan, PlanConfig, PlanError, plan, search_nominal};
 use sms_robots::RobotConfig;

@@ -7,12 +7,14 @@ use super::result::kept;
 use super::rows::{View, make};
 use super::seen::{Seen, see};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
-use crate::{BenchError, MaterialsTold, cpu_seconds, robot_of};
+use crate::{BenchError, MaterialsTold};
 use glamx::DVec2;
+use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, InputError, Progress, Seed, atomic};
 use sms_plan::PlanError;
 use sms_robots::RobotConfig;
 use sms_synth::{FixedScene, TruthScene};
+use sms_target::robot_of;
 use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::TaskError;
 use std::collections::BTreeMap;
@@ -387,7 +389,7 @@ pub(super) mod tests {
         assert!(why.len() == 1 && why[&1].contains("the robot cannot make this strike"), "{why:?}");
 
         let (rows, unfinished) = (realised.rows, realised.unfinished);
-        let mut result = crate::billiards::cause::tests::scene(0.01, None);
+        let mut result = crate::billiards::result::tests::scene(0.01, None);
         result.plans = plans;
         result.paper_problem = Some("no ball is blue".into());
         result.realised = BTreeMap::from([("rapier_f64".to_owned(), rows)]);

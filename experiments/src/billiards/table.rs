@@ -1,8 +1,7 @@
 //! The paper's Table 1 with ours beside it.
 
-use super::cause::{cause, promised_m};
 use super::options::ENGINES;
-use super::{BilliardsScene, Replaced, Row, billiards_metrics};
+use super::{BilliardsScene, Replaced, Row, Shot, billiards_metrics};
 use crate::MaterialsTold;
 use sms_core::metrics::Metrics;
 use sms_synth::{FIRST_DRAWN, FIXED_SCENES};
@@ -145,24 +144,20 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
             format!("{:>10} {:>5} {:>5}", cm(mean), cm(best), cm(worst))
         };
         let shot = s.plans.get(&Row::Robust).and_then(|v| v.first());
-        let promised = shot.map_or(f64::NAN, promised_m);
+        let predicted = shot.map_or(f64::NAN, Shot::expected_m);
         let _ = writeln!(
             text,
             "  {:>2} {:<10} {:>8} {:>7}    {}    {}  {:>6}   {}/{}",
             s.number,
             s.layout.as_str(),
             cm(single(s)),
-            format!("({})", cm(promised)),
+            format!("({})", cm(predicted)),
             spread(Row::Ours),
             spread(Row::Paper),
             cm(of(s, Row::Grid).first().copied().unwrap_or(f64::NAN)),
             s.matched,
             s.objects
         );
-        let why = cause(s, engine);
-        if !why.is_empty() {
-            let _ = writeln!(text, "       {why}");
-        }
     }
 }
 

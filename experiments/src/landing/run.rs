@@ -5,8 +5,9 @@ use super::sight::Recorded;
 use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
 use crate::billiards::seen::{forget_material, scanned, tell_matched};
-use crate::{BenchError, BilliardsGeometry, MaterialsTold, cpu_seconds, part_of};
+use crate::{BenchError, BilliardsGeometry, MaterialsTold, part_of};
 use rayon::prelude::*;
+use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
 use sms_landing::{
     LandingAction, LandingError, LandingWorld, ResolvedLanding, RolloutOptions, Stuck, plan_landing,

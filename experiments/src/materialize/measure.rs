@@ -1,19 +1,17 @@
 //! The entities of a scanned scene against its truth.
 
 use super::MaterializeOptions;
-use super::overlap::{collision_solids, parts_overlap};
-use super::placed::placed_figures;
-use super::trained::{SAMPLES, Trained, train};
+use super::trained::{Trained, train};
 use crate::BenchError;
 use crate::prepare::Timer;
 use crate::scenes::BenchScene;
-use crate::surface::{F1_M, UNMATCHED};
-use crate::truth::{SurfacePoint, TrueSurface, observed_surface_at_most};
-use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, Entity, EntityKind, EntityShape, Mesh, Progress, Seed, Warnings};
+use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, Warnings};
 use sms_entities::{EntitySet, build_entities};
-use sms_report::sample_surface;
+use sms_eval::{
+    SURFACE_SAMPLES, TrueSurface, UNMATCHED, collision_solids, observed_surface_at_most, placed_figures,
+    solid_figures, surface_figures,
+};
 use std::path::Path;
 
 /// The entities stage's seed; `sms materialize` has the same default.
@@ -163,7 +161,7 @@ fn measure(trained: &Trained, set: &EntitySet) -> Vec<Measured> {
         }
     }
     let (indices, found): (Vec<usize>, Vec<TrueSurface>) = found.into_iter().unzip();
-    let seen = observed_surface_at_most(&found, &trained.cameras_t, SAMPLES);
+    let seen = observed_surface_at_most(&found, &trained.cameras_t, SURFACE_SAMPLES);
     let label_of = |k: usize| usize::from(set.entities[indices[k]].label);
     trained
         .surfaces
@@ -187,118 +185,4 @@ fn measure(trained: &Trained, set: &EntitySet) -> Vec<Measured> {
             Measured { name: truth.name.clone(), entity: Some(indices[k]), figures }
         })
         .collect()
-}
-
-/// How far the surface that the cameras would see of the reconstruction is from the truth, and the surface that they saw of
-/// the truth from the reconstruction. What no camera sees is not judged, in neither direction.
-fn surface_figures(
-    found: &TrueSurface,
-    seen: &[SurfacePoint],
-    truth: &TrueSurface,
-    observed: &[SurfacePoint],
-) -> Vec<(&'static str, f64)> {
-    let distances = |points: &[SurfacePoint], to: &TrueSurface| -> Vec<f64> {
-        let mut d: Vec<f64> = points.par_iter().map(|s| to.distance(s.point)).collect();
-        d.sort_by(f64::total_cmp);
-        d
-    };
-    let (off, missing) = (distances(seen, truth), distances(observed, found));
-    let all = sample_surface(&found.mesh, ((found.mesh.area() * 1e6) as usize).clamp(1000, SAMPLES), SEED);
-    let mut off_all: Vec<f64> = all.par_iter().map(|&p| truth.distance(p)).collect();
-    off_all.sort_by(f64::total_cmp);
-    let quantile = |d: &[f64], q: f64| match d.len() {
-        0 => f64::NAN,
-        n => d[((n - 1) as f64 * q).round() as usize],
-    };
-    let mean = |d: &[f64]| d.iter().sum::<f64>() / d.len().max(1) as f64;
-    let within = |d: &[f64], at: f64| d.partition_point(|v| *v <= at) as f64 / d.len().max(1) as f64;
-    let f1 = |off: &[f64], at: f64| {
-        let (p, r) = (within(off, at), within(&missing, at));
-        if p + r > 0.0 { 2.0 * p * r / (p + r) } else { 0.0 }
-    };
-    vec![
-        ("f1_2p5mm", f1(&off, F1_M)),
-        ("f1_5mm", f1(&off, 0.005)),
-        ("precision_2p5mm", within(&off, F1_M)),
-        ("recall_2p5mm", within(&missing, F1_M)),
-        ("surface_median_m", quantile(&off, 0.5)),
-        ("surface_p90_m", quantile(&off, 0.9)),
-        ("completion_m", quantile(&missing, 0.5)),
-        ("chamfer_m", 0.5 * (mean(&off) + mean(&missing))),
-        ("f1_2p5mm_all", f1(&off_all, F1_M)),
-        ("observed_truth_share", observed.len() as f64 / sample_count(truth)),
-    ]
-}
-
-/// Samples of a surface before the unseen ones were left out.
-fn sample_count(truth: &TrueSurface) -> f64 {
-    let spacing = crate::truth::OBSERVED_SPACING_M.max((truth.mesh.area() / SAMPLES as f64).sqrt());
-    (truth.mesh.area() / (spacing * spacing)).round().max(1.0)
-}
-
-fn solid_figures(entity: &Entity, truth: &TrueSurface) -> Vec<(&'static str, f64)> {
-    let parts = collision_solids(entity);
-    let mut figures = vec![
-        ("parts", parts.len() as f64),
-        ("faces", entity.mesh.triangles.len() as f64),
-        ("closed", f64::from(u8::from(entity.mesh.is_closed_oriented()))),
-        ("residual_m", entity.residual_m),
-        ("observed_share", entity.observed_share),
-    ];
-    if let Some(iou) = parts_overlap(&entity.mesh, &parts) {
-        figures.push(("parts_iou", iou));
-    }
-    if truth.sphere.is_some() || truth.mesh.is_closed_oriented() {
-        let true_volume = match truth.sphere {
-            Some((_, r)) => 4.0 / 3.0 * std::f64::consts::PI * r.powi(3),
-            None => truth.mesh.volume(),
-        };
-        let ratio = entity.mesh.volume() / true_volume;
-        figures.push(("volume_ratio", ratio));
-        figures.push(("volume_error", (ratio - 1.0).abs()));
-    }
-    figures
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use glamx::{DPose3, DVec3};
-    use sms_core::{Camera, Intrinsics};
-
-    #[test]
-    fn what_no_camera_sees_is_not_judged_and_what_they_see_is() {
-        let cameras: Vec<Camera> = (0..12)
-            .map(|i| {
-                let angle = std::f64::consts::TAU * f64::from(i) / 12.0;
-                let eye = DVec3::new(0.5 * angle.cos(), 0.5 * angle.sin(), 0.5);
-                Camera::look_at(Intrinsics::from_fov(64, 48, 0.8), eye, DVec3::ZERO, DVec3::Z)
-            })
-            .collect();
-        let cuboid = |half: DVec3, lift: f64| {
-            let mesh = Mesh::cuboid(half).transformed(&DPose3::from_translation(DVec3::Z * lift));
-            TrueSurface::new("box", mesh, None).unwrap()
-        };
-        let figures = |found: TrueSurface, truth: TrueSurface| {
-            let see = |s: &TrueSurface| {
-                observed_surface_at_most(std::slice::from_ref(s), &cameras, SAMPLES).remove(0)
-            };
-            let figures = surface_figures(&found, &see(&found), &truth, &see(&truth));
-            move |key: &str| figures.iter().find(|f| f.0 == key).unwrap().1
-        };
-        let half = DVec3::splat(0.03);
-        // 1 cm deeper below, where no camera looks: of what is seen, only the foot of the walls is wrong.
-        let deeper = || cuboid(DVec3::new(0.03, 0.03, 0.035), -0.005);
-        let f = figures(deeper(), cuboid(half, 0.0));
-        assert!(f("recall_2p5mm") == 1.0 && f("surface_median_m") < 1e-12);
-        // Walls of 7 cm instead of 6, of which the lowest 7.5 mm are wrong, beside the top.
-        let expected = 1.0 - 4.0 * 0.06 * 0.0075 / (4.0 * 0.06 * 0.07 + 0.0036);
-        assert!((f("precision_2p5mm") - expected).abs() < 2e-3, "{}", f("precision_2p5mm"));
-        assert!(f("f1_2p5mm_all") < f("f1_2p5mm") - 0.05);
-        assert!(f("f1_5mm") > f("f1_2p5mm"));
-        // 4 mm too high, where they look.
-        let f = figures(cuboid(DVec3::new(0.03, 0.03, 0.032), 0.002), cuboid(half, 0.0));
-        assert!(f("precision_2p5mm") < 0.85 && f("recall_2p5mm") < 0.85 && f("f1_5mm") == 1.0);
-        assert!(f("observed_truth_share") > 0.8 && f("observed_truth_share") < 0.85);
-    }
 }

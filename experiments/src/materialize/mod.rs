@@ -4,13 +4,10 @@
 //! then makes the entities anew and measures them, so that work on the entities stage is judged in seconds.
 
 mod measure;
-mod overlap;
-mod placed;
 mod table;
 mod trained;
 
 pub use measure::run_materialize;
-pub use overlap::parts_overlap;
 pub use table::{
     MaterializeTarget, add_materialize_means, materialize_markdown, materialize_table, materialize_targets,
 };

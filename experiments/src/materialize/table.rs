@@ -1,6 +1,5 @@
-//! Means, targets and tables of `sms bench materialize`.
+//! Means, targets and tables of `sms-experiments materialize`.
 
-use super::placed::largest_ratios;
 use crate::scenes::BenchScene;
 use sms_core::metrics::Metrics;
 use std::fmt::Write;
@@ -160,6 +159,36 @@ pub fn materialize_markdown(metrics: &Metrics, scenes: &[BenchScene]) -> String 
     text
 }
 
+/// The largest ratios of all objects, in a line each; empty where there are none.
+fn largest_ratios(metrics: &Metrics, prefix: &str) -> String {
+    // Keys are `{scene}.{object}.{figure}`, of models `{model}.{figure}`; means are `{scene}.{figure}` and `mean.{figure}`.
+    let of_object = |key: &str, figure: &str| {
+        let object = key.strip_prefix(prefix)?.strip_suffix(figure)?;
+        let is_mean = !object.contains('.') && (object.starts_with("scene_") || object == "mean");
+        (!is_mean).then(|| key.strip_suffix(figure)).flatten().map(str::to_owned)
+    };
+    let mut largest = [("places of balls", 0.0f64, 0usize), ("radii", 0.0, 0), ("places of others", 0.0, 0)];
+    for (key, value) in metrics.iter() {
+        let Some(ratio) = value.as_f64() else { continue };
+        let row = if of_object(key, ".radius_ratio").is_some() {
+            1
+        } else if let Some(object) = of_object(key, ".place_ratio") {
+            if metrics.number(&format!("{object}.radius_ratio")).is_some() { 0 } else { 2 }
+        } else {
+            continue;
+        };
+        largest[row] = (largest[row].0, largest[row].1.max(ratio), largest[row].2 + 1);
+    }
+    let mut text = String::new();
+    for (name, ratio, count) in largest.into_iter().filter(|l| l.2 > 0) {
+        let _ = writeln!(
+            text,
+            "largest error over its standard error by the residuals: {name} ({count}) {ratio:.1}"
+        );
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,5 +222,29 @@ mod tests {
         let markdown = materialize_markdown(&m, &scenes);
         assert_eq!(markdown.lines().count(), 2 + 4);
         assert!(markdown.lines().all(|l| l.matches('|').count() == COLUMNS.len() + 3), "{markdown}");
+    }
+
+    #[test]
+    fn the_largest_are_of_objects_and_not_of_means() {
+        let mut m = Metrics::new();
+        for (key, value) in [
+            ("scene_1.cue.place_ratio", 1.5),
+            ("scene_1.cue.radius_ratio", 4.0),
+            ("scene_1.mug.place_ratio", 11.0),
+            ("mug_model.place_ratio", 12.0),
+            ("scene_1.place_ratio", 90.0),
+            ("scene_1.radius_ratio", 90.0),
+            ("mean.place_ratio", 90.0),
+        ] {
+            m.set(format!("p.{key}"), value);
+        }
+        let text = largest_ratios(&m, "p.");
+        assert_eq!(text.lines().count(), 3);
+        assert!(
+            text.contains("balls (1) 1.5")
+                && text.contains("radii (1) 4.0")
+                && text.contains("others (2) 12.0")
+        );
+        assert_eq!(largest_ratios(&Metrics::new(), "p."), "");
     }
 }

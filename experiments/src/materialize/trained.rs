@@ -1,17 +1,18 @@
 //! Scans kept on disk, so that the entities stage can be measured again and again.
 
 use super::{MaskChoice, MaterializeOptions};
-use crate::matching::{Overlaps, match_labels};
 use crate::prepare::{BenchOptions, prepare};
 use crate::scenes::{BenchScene, generated, model_path};
-use crate::surface::{DiscSampling, disc_points, score_labelled};
-use crate::truth::{SurfacePoint, TrueSurface, carried, observed_surface_at_most, true_surfaces, true_views};
 use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 use sms_core::{
     Camera, Cancel, CoreError, Hasher, InputError, Labels, Progress, Seed, Warnings, atomic,
     hash_serializable,
+};
+use sms_eval::{
+    DiscSampling, Overlaps, SURFACE_SAMPLES, SurfacePoint, TrueSurface, carried, disc_points, match_labels,
+    observed_surface_at_most, score_labelled, true_surfaces, true_views,
 };
 use sms_frames::Sequence;
 use sms_gaussians::{GaussianModel, read_ply, scan, write_ply};
@@ -21,8 +22,6 @@ use std::path::{Path, PathBuf};
 
 /// The scan's seed; `sms scan` has the same default.
 const SCAN_SEED: Seed = Seed(0);
-/// Samples of a true surface, before those are left out that no camera sees.
-pub(super) const SAMPLES: usize = 100_000;
 /// Counts up when the layout of what is kept changes.
 const LAYOUT: u32 = 2;
 
@@ -183,7 +182,7 @@ fn make(
     let x_tw = prepared.x_tw();
     let cameras: Vec<Camera> = sequence.frames.iter().map(|f| carried(&f.camera, &x_tw)).collect();
     let surfaces = true_surfaces(truth);
-    let observed = observed_surface_at_most(&surfaces, &cameras, SAMPLES);
+    let observed = observed_surface_at_most(&surfaces, &cameras, SURFACE_SAMPLES);
     // Some frames are enough to tell which mask is which object.
     let every = 6;
     let views = true_views(truth, &cameras.iter().step_by(every).copied().collect::<Vec<_>>());

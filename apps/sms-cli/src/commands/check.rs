@@ -1,21 +1,21 @@
 //! `sms check`: is this recording what it says?
 
 use crate::cli::Check;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_frames::{ReadOptions, Recording, check};
 use std::process::ExitCode;
 
-pub(crate) fn run(context: &Context, a: &Check) -> anyhow::Result<ExitCode> {
-    let options = context.settings.section("read", ReadOptions::default())?;
+pub(crate) fn run(console: &Console, a: &Check) -> anyhow::Result<ExitCode> {
+    let options = console.context.settings.section("read", ReadOptions::default())?;
     let recording = Recording::open(&a.recording, &options)?;
-    let report = check(&recording, context.progress.as_ref(), &context.cancel)?;
-    if context.json {
+    let report = check(&recording, console.context.progress.as_ref(), &console.context.cancel)?;
+    if console.json {
         let mut metrics = report.metrics();
         metrics.set("check.approved", report.approved());
         metrics.set("check.findings", serde_json::to_value(&report.findings)?);
-        context.print_json(&metrics)?;
+        console.print_json(&metrics)?;
     } else {
-        context.say(report.to_text());
+        console.say(report.to_text());
     }
     // 2 is a recording that cannot be read; one that was read and is wrong is neither that nor done.
     Ok(if report.approved() { ExitCode::SUCCESS } else { ExitCode::from(1) })

@@ -3,8 +3,9 @@
 use super::{
     evaluate, execute, landing, length_text, materialize, plan, report, sample, scan, shown, simulate,
 };
-use crate::cli::{self, Demo, DemoName, PresetName};
-use crate::context::Context;
+use crate::cli::{self, Demo, DemoName};
+use sms_cli::front::Console;
+use sms_cli::front::PresetName;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Seed};
 use sms_landing::LandingSettings;
@@ -18,34 +19,34 @@ use std::time::Instant;
 /// The design keeps every eighth frame out of training in demos, so that quality is measured on unseen views.
 const HOLDOUT: usize = 8;
 
-pub(crate) fn run(context: &Context, a: &Demo) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Demo) -> anyhow::Result<()> {
     if a.name == DemoName::Landing {
-        return run_landing(context, a);
+        return run_landing(console, a);
     }
     let began = Instant::now();
     let (root, recording) = folders(a, "billiards")?;
-    context.say(format!("billiards, seed {}: recording a generated scene …", a.seed));
+    console.say(format!("billiards, seed {}: recording a generated scene …", a.seed));
     let truth = generate_billiards(Seed(a.seed), &BilliardsSettings::default());
     let settings = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
-    sample::write(context, &truth, &RecordingSettings { seed: Seed(a.seed), ..settings }, &recording)?;
+    sample::write(console, &truth, &RecordingSettings { seed: Seed(a.seed), ..settings }, &recording)?;
 
-    scan_and_materialize(context, a, &root, &recording, 1.0)?;
+    scan_and_materialize(console, a, &root, &recording, 1.0)?;
     let task = sample::task_of(&truth);
     let plan_arguments = plan_arguments(&root, &recording);
     let base = if a.quick { PlanConfig::draft() } else { PlanConfig::default() };
-    plan::run_with(context, &plan_arguments, &task, &context.settings.section("plan", base)?)?;
-    execute::run(context, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
-    evaluate::run(context, &cli::Evaluate { run: root.clone(), objects: None })?;
-    let page = report::run(context, &cli::Report { run: root.clone() })?;
+    plan::run_with(console, &plan_arguments, &task, &console.context.settings.section("plan", base)?)?;
+    execute::run(console, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
+    evaluate::run(console, &cli::Evaluate { run: root.clone(), objects: None })?;
+    let page = report::run(console, &cli::Report { run: root.clone() })?;
 
     let m = Metrics::load(&root.join("metrics.json"))?;
     let length = |key: &str| m.number(key).map_or_else(|| "?".to_owned(), length_text);
-    context.say("");
-    context.say(format!("predicted: {} from the goal", length("plan.objective")));
-    context.say(format!("realised:  {} from the goal", length("execute.objective")));
-    say_end(context, &root, &page, began);
-    if context.json {
-        context.print_json(&m)?;
+    console.say("");
+    console.say(format!("predicted: {} from the goal", length("plan.objective")));
+    console.say(format!("realised:  {} from the goal", length("execute.objective")));
+    say_end(console, &root, &page, began);
+    if console.json {
+        console.print_json(&m)?;
     }
     Ok(())
 }
@@ -65,7 +66,7 @@ fn folders(a: &Demo, name: &str) -> anyhow::Result<(PathBuf, PathBuf)> {
 }
 
 fn scan_and_materialize(
-    context: &Context,
+    console: &Console,
     a: &Demo,
     root: &Path,
     recording: &Path,
@@ -83,13 +84,13 @@ fn scan_and_materialize(
         up: None,
         refine_poses: None,
         no_check: false,
-        device: crate::device::Device::Auto,
+        device: sms_cli::front::Device::Auto,
         live: a.live.clone(),
     };
-    drop(scan::run(context, &scan_arguments)?);
+    drop(scan::run(console, &scan_arguments)?);
     let run = root.to_owned();
-    materialize::run(context, &cli::Materialize { run, materials: None, vlm: cli::VlmMode::default() })?;
-    simulate::run(context, &cli::Simulate { run: root.to_owned(), seconds: rest_s })
+    materialize::run(console, &cli::Materialize { run, materials: None, vlm: cli::VlmMode::default() })?;
+    simulate::run(console, &cli::Simulate { run: root.to_owned(), seconds: rest_s })
 }
 
 fn plan_arguments(root: &Path, recording: &Path) -> cli::Plan {
@@ -97,9 +98,9 @@ fn plan_arguments(root: &Path, recording: &Path) -> cli::Plan {
     cli::Plan { run: root.to_owned(), task, seed: None, robust: None, chooser: cli::ChooserName::Ours }
 }
 
-fn say_end(context: &Context, root: &Path, page: &Path, began: Instant) {
-    context.say(format!("report:    {}", shown(page)));
-    context.say(format!(
+fn say_end(console: &Console, root: &Path, page: &Path, began: Instant) {
+    console.say(format!("report:    {}", shown(page)));
+    console.say(format!(
         "           ({:.0} s in all; `sms view {}` opens it)",
         began.elapsed().as_secs_f64(),
         shown(root)
@@ -107,27 +108,27 @@ fn say_end(context: &Context, root: &Path, page: &Path, began: Instant) {
 }
 
 /// The landing: a structure filmed from a helix, and a flight whose straight way would lead over its overhang.
-fn run_landing(context: &Context, a: &Demo) -> anyhow::Result<()> {
+fn run_landing(console: &Console, a: &Demo) -> anyhow::Result<()> {
     let began = Instant::now();
     let (root, recording) = folders(a, "landing")?;
     let truth = landing_scene(a.seed);
-    context.say(format!("{}: recording a generated scene …", truth.name));
+    console.say(format!("{}: recording a generated scene …", truth.name));
     let base = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
     let settings = RecordingSettings { seed: Seed(a.seed), ..base };
     let poses = HelicalPath::default().poses(&truth, settings.frames);
-    let (progress, cancel) = (context.progress.as_ref(), &context.cancel);
+    let (progress, cancel) = (console.context.progress.as_ref(), &console.context.cancel);
     record_views(&truth, &[], &poses, "0", &settings, &recording, progress, cancel)?;
     sample::write_beside(&truth, &recording)?;
-    scan_and_materialize(context, a, &root, &recording, 2.0)?;
+    scan_and_materialize(console, a, &root, &recording, 2.0)?;
     let config = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };
-    landing::plan(context, &plan_arguments(&root, &recording), config)?;
-    execute::run(context, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
-    evaluate::run(context, &cli::Evaluate { run: root.clone(), objects: None })?;
-    let page = report::run(context, &cli::Report { run: root.clone() })?;
-    context.say("");
-    say_end(context, &root, &page, began);
-    if context.json {
-        context.print_json(&Metrics::load(&root.join("metrics.json"))?)?;
+    landing::plan(console, &plan_arguments(&root, &recording), config)?;
+    execute::run(console, &cli::Execute { run: root.clone(), engine: None, arm: cli::ArmName::Shared })?;
+    evaluate::run(console, &cli::Evaluate { run: root.clone(), objects: None })?;
+    let page = report::run(console, &cli::Report { run: root.clone() })?;
+    console.say("");
+    say_end(console, &root, &page, began);
+    if console.json {
+        console.print_json(&Metrics::load(&root.join("metrics.json"))?)?;
     }
     Ok(())
 }

@@ -1,23 +1,23 @@
 //! `sms devices`: what can compute a scan.
 
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_gaussians::SimdForm;
 
-pub(crate) fn run(context: &Context) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console) -> anyhow::Result<()> {
     let mut metrics = Metrics::new();
     let form = SimdForm::available().last().map(|form| format!("{form:?}")).unwrap_or_default();
     metrics.set("devices.cpu.kernels", form.clone());
-    context.say(format!("cpu      {form} kernels, {} threads", rayon::current_num_threads()));
-    gpus(context, &mut metrics);
-    if context.json {
-        context.print_json(&metrics)?;
+    console.say(format!("cpu      {form} kernels, {} threads", rayon::current_num_threads()));
+    gpus(console, &mut metrics);
+    if console.json {
+        console.print_json(&metrics)?;
     }
     Ok(())
 }
 
 #[cfg(feature = "gpu")]
-fn gpus(context: &Context, metrics: &mut Metrics) {
+fn gpus(console: &Console, metrics: &mut Metrics) {
     use sms_gaussians_gpu::{Choice, adapters, self_check};
     let adapters = adapters();
     metrics.set("devices.gpu.count", adapters.len());
@@ -30,11 +30,11 @@ fn gpus(context: &Context, metrics: &mut Metrics) {
             },
         };
         let kind = if adapter.software { ", software on the CPU: only when named" } else { "" };
-        context.say(format!(
+        console.say(format!(
             "gpu:{:<4} {} ({}, {}{kind})",
             adapter.index, adapter.name, adapter.backend, adapter.driver
         ));
-        context.say(format!("         {text}"));
+        console.say(format!("         {text}"));
         let prefix = format!("devices.gpu.{}.", adapter.index);
         metrics.set(format!("{prefix}name"), adapter.name.clone());
         metrics.set(format!("{prefix}software"), adapter.software);
@@ -42,12 +42,12 @@ fn gpus(context: &Context, metrics: &mut Metrics) {
         metrics.set(format!("{prefix}self_check"), text);
     }
     if adapters.is_empty() {
-        context.say("no GPU was found");
+        console.say("no GPU was found");
     }
 }
 
 #[cfg(not(feature = "gpu"))]
-fn gpus(context: &Context, metrics: &mut Metrics) {
+fn gpus(console: &Console, metrics: &mut Metrics) {
     metrics.set("devices.gpu.count", 0);
-    context.say("this program was built without GPUs (`--features gpu`)");
+    console.say("this program was built without GPUs (`--features gpu`)");
 }

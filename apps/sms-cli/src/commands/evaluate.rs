@@ -3,18 +3,18 @@
 use super::length_text;
 use super::materialize::run_settings;
 use crate::cli::Evaluate;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{
     Aabb, Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, RunFolder, Warnings,
 };
 use sms_entities::load_entities;
-use sms_frames::Sequence;
-use sms_report::{
+use sms_eval::{
     EvaluateSettings, KnownSurface, MatchSurface, ObjectScores, SolidScores, compare_sphere, entity_solid,
     evaluate_object, known_solid, match_objects, read_known_objects,
 };
+use sms_frames::Sequence;
 use sms_scene::load_scene;
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
 use sms_synth::{TruthScene, read_truth};
@@ -52,11 +52,11 @@ impl Known {
     }
 }
 
-pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Evaluate) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let set = load_entities(&run.stage_dir("entities", "materialize")?)?;
     let dynamic: Vec<&Entity> = set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic).collect();
-    let settings = context.settings.section("evaluate", EvaluateSettings::default())?;
+    let settings = console.context.settings.section("evaluate", EvaluateSettings::default())?;
     let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
     let recorded = run_settings(&run)?;
     let warnings = Warnings::new();
@@ -65,7 +65,7 @@ pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
         Some(path) => {
             let known = known_models(path, &x_wr, recorded.masks == "files")?;
             let pairs = pairs(&known, &dynamic);
-            against_models(context, &known, &pairs, &drifts, &settings, &warnings)?
+            against_models(console, &known, &pairs, &drifts, &settings, &warnings)?
         }
         None => {
             let recording = Path::new(&recorded.recording);
@@ -80,21 +80,21 @@ pub(crate) fn run(context: &Context, a: &Evaluate) -> anyhow::Result<()> {
             let truth = read_truth(recording)?;
             let known = known_truth(&truth, &x_wr);
             let pairs = pairs(&known, &dynamic);
-            against_truth(context, &truth, &known, &pairs, &drifts, &settings, &warnings)?
+            against_truth(console, &truth, &known, &pairs, &drifts, &settings, &warnings)?
         }
     };
     if !drifts.is_empty() {
         let worst = |f: fn(&RestingDrift) -> f64| drifts.iter().map(f).fold(0.0, f64::max);
         let (moved, turned) = (worst(|d| d.moved_m), worst(|d| d.turned_rad));
         metrics.set("evaluate.drift_m", moved).set("evaluate.turn_rad", turned);
-        context.say(format!(
+        console.say(format!(
             "left alone for {REST_S} s, nothing moves more than {} or turns more than {:.2}°",
             length_text(moved),
             turned.to_degrees()
         ));
     }
-    context.finish(&run, "evaluate", &["evaluate."], metrics, &warnings)?;
-    context.print_metrics(&run)
+    console.finish(&run, "evaluate", &["evaluate."], metrics, &warnings)?;
+    console.print_metrics(&run)
 }
 
 /// How far each body comes in our own simulator when nothing is done to the scene. A scene that cannot be simulated is
@@ -127,7 +127,7 @@ fn known_models(path: &Path, x_wr: &DPose3, by_label: bool) -> anyhow::Result<Ve
         )
         .into());
     }
-    let carried = |object: sms_report::KnownObject| Known {
+    let carried = |object: sms_eval::KnownObject| Known {
         cloud: PointCloud {
             points_w: object.model_r.points_w.iter().map(|&p| x_wr.transform_point(p)).collect(),
             ..PointCloud::default()
@@ -233,7 +233,7 @@ fn words(scores: &ObjectScores, solid: Option<&SolidScores>) -> String {
 
 /// Scanned models with their poses. Metrics carry the models' names.
 fn against_models(
-    context: &Context,
+    console: &Console,
     known: &[Known],
     pairs: &[Option<&Entity>],
     drifts: &[RestingDrift],
@@ -247,7 +247,7 @@ fn against_models(
             continue;
         };
         let (scores, solid) = compare(&object.name, entity, object, drifts, settings, &mut metrics)?;
-        context.say(format!("{} ({}): {}", object.name, entity.name, words(&scores, solid.as_ref())));
+        console.say(format!("{} ({}): {}", object.name, entity.name, words(&scores, solid.as_ref())));
     }
     Ok(metrics)
 }
@@ -263,7 +263,7 @@ fn not_found(what: &str, warnings: &Warnings) {
 
 /// The truth of a generated recording. Metrics carry the reconstruction's names.
 fn against_truth(
-    context: &Context,
+    console: &Console,
     truth: &TruthScene,
     known: &[Known],
     pairs: &[Option<&Entity>],
@@ -291,7 +291,7 @@ fn against_truth(
             }
             _ => words(&scores, solid.as_ref()),
         };
-        context.say(format!("{:>12} is {}: {line}", entity.name, object.description));
+        console.say(format!("{:>12} is {}: {line}", entity.name, object.description));
     }
     let found = pairs.iter().flatten().count();
     metrics.set("evaluate.balls_found", balls_found);

@@ -3,8 +3,9 @@
 use super::landing;
 use super::materialize::run_settings;
 use super::{inputs_hash, length_text, of_what, run_stage, shown};
-use crate::cli::{ArmName, EngineName, Execute};
-use crate::context::Context;
+use crate::cli::{ArmName, Execute};
+use sms_cli::front::Console;
+use sms_cli::front::EngineName;
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder};
 use sms_landing::{LANDING_PLAN_FILE, LandingPlan};
@@ -16,7 +17,7 @@ use sms_target::{LandingTargetOptions, TargetEngine, TargetOptions, execute_on};
 use sms_task::{Execution, Task};
 use std::path::Path;
 
-pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Execute) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let plan_dir = run.stage_dir("plan", "plan --task TASK.toml")?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
@@ -33,7 +34,7 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
         .into());
     }
     if landing::is_planned(&plan_dir) {
-        return run_landing(context, a, &run, &plan_dir, &scene_dir, Path::new(&recording));
+        return run_landing(console, a, &run, &plan_dir, &scene_dir, Path::new(&recording));
     }
     let plan = load_plan(&plan_dir)?;
     let task = Task::read(&plan_dir.join("task.toml"))?;
@@ -56,7 +57,7 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
     read.file(&plan_dir.join("plan.json"))?.file(&scene_dir.join("scene.json"))?.file(&truth_file)?;
     read.text(target.label());
     let hash = inputs_hash(&[&read.finish()], &options)?;
-    let dir = run_stage(context, &run, "target", &["execute."], &hash, |stage, warnings| {
+    let dir = run_stage(console, &run, "target", &["execute."], &hash, |stage, warnings| {
         let truth = read_truth(Path::new(&recording))?;
         let mut execution = execute_on(&*target, &task, &plan.action, &scene, &truth, &options)?;
         execution.predicted = plan.against(execution.objective);
@@ -88,14 +89,14 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
         Ok(m)
     })?;
     let e = Execution::load(&dir)?;
-    context.say(format!("execute: {}", e.engine));
-    context.say(format!(
+    console.say(format!("execute: {}", e.engine));
+    console.say(format!(
         "  realised {} {}; {}",
         length_text(e.objective),
         of_what(&plan.task),
         if e.success { "success" } else { "missed" }
     ));
-    context.say(match &e.predicted {
+    console.say(match &e.predicted {
         Some(p) => format!(
             "  predicted {} on average, {} in 9 of 10 worlds, {} in the scanned one; {}",
             length_text(p.mean),
@@ -105,13 +106,13 @@ pub(crate) fn run(context: &Context, a: &Execute) -> anyhow::Result<()> {
         ),
         None => format!("  predicted {} in the scanned world", length_text(plan.objective)),
     });
-    context.say(format!("  in {}", shown(&dir.join("execution.json"))));
-    context.print_metrics(&run)
+    console.say(format!("  in {}", shown(&dir.join("execution.json"))));
+    console.print_metrics(&run)
 }
 
 /// The same of a landing.
 fn run_landing(
-    context: &Context,
+    console: &Console,
     a: &Execute,
     run: &RunFolder,
     plan_dir: &Path,
@@ -126,12 +127,12 @@ fn run_landing(
     read.file(&plan_dir.join(LANDING_PLAN_FILE))?.file(&scene_dir.join("scene.json"))?;
     read.file(&recording.join("truth").join("truth.json"))?.text(target.label());
     let hash = inputs_hash(&[&read.finish()], &options)?;
-    let dir = run_stage(context, run, "target", &["execute."], &hash, |stage, _| {
+    let dir = run_stage(console, run, "target", &["execute."], &hash, |stage, _| {
         let (scene, truth) = (load_scene(scene_dir)?, read_truth(recording)?);
         landing::execute(&*target, &plan, &scene, &truth, stage.dir(), &options)
     })?;
     for line in landing::execution_summary(&dir)? {
-        context.say(line);
+        console.say(line);
     }
-    context.print_metrics(run)
+    console.print_metrics(run)
 }

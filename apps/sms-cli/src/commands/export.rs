@@ -2,12 +2,12 @@
 
 use super::shown;
 use crate::cli::{Export, FormatName};
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::RunFolder;
 use sms_export::{Format, Sources, export};
 use sms_scene::load_scene;
 
-pub(crate) fn run(context: &Context, a: &Export) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Export) -> anyhow::Result<()> {
     let run = RunFolder::open_to_read(&a.run)?;
     let dir = run.stage_dir("scene", "materialize")?;
     let scene = load_scene(&dir)?;
@@ -21,9 +21,9 @@ pub(crate) fn run(context: &Context, a: &Export) -> anyhow::Result<()> {
             None => run.root().join("export").join(format.name()),
         };
         let main_file = export(&scene, format, &sources, &dir)?;
-        context.say(format!("{}: {} bodies", shown(&main_file), scene.bodies.len()));
+        console.say(format!("{}: {} bodies", shown(&main_file), scene.bodies.len()));
     }
-    context.print_metrics(&run)
+    console.print_metrics(&run)
 }
 
 /// The formats that were asked for, each once, in the order of [`Format::ALL`].

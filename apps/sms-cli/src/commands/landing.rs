@@ -4,8 +4,8 @@ use super::materialize::{drift_text, run_settings};
 use super::vlm;
 use super::{inputs_hash, length_text, run_stage, shown, timed};
 use crate::cli::{ChooserName, Plan};
-use crate::context::Context;
 use serde::{Deserialize, Serialize};
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
     ColorImage, Hasher, InputError, RunFolder, Seed, Warnings, atomic, read_png_color, write_png_color,
@@ -60,9 +60,9 @@ pub(crate) fn is_planned(plan_dir: &Path) -> bool {
 
 /// `sms plan` of a landing. What refuses the task is also kept as a warning, so that the report says it, and no earlier plan stays, which
 /// would be flown in its place.
-pub(crate) fn plan(context: &Context, a: &Plan, base: LandingSettings) -> anyhow::Result<()> {
+pub(crate) fn plan(console: &Console, a: &Plan, base: LandingSettings) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
-    let error = match planned(context, a, base, &run) {
+    let error = match planned(console, a, base, &run) {
         Ok(()) => return Ok(()),
         Err(error) => error,
     };
@@ -78,20 +78,20 @@ pub(crate) fn plan(context: &Context, a: &Plan, base: LandingSettings) -> anyhow
     let warnings = Warnings::new();
     let what = format!("no landing was planned: {}", refused.what);
     warnings.add("plan", "landing_refused", what, refused.cure.clone());
-    context.finish(&run, "plan", &["plan."], Metrics::new(), &warnings)?;
+    console.finish(&run, "plan", &["plan."], Metrics::new(), &warnings)?;
     Err(refused.into())
 }
 
-fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) -> anyhow::Result<()> {
+fn planned(console: &Console, a: &Plan, base: LandingSettings, run: &RunFolder) -> anyhow::Result<()> {
     let task = LandingTask::read(&a.task)?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
     let mut scene = load_scene(&scene_dir)?;
     let seed = Seed(a.seed.map_or_else(|| run_settings(run).map(|s| s.seed), Ok)?);
-    let mut config = context.settings.section("landing", base)?;
+    let mut config = console.context.settings.section("landing", base)?;
     if let Some(worlds) = a.robust {
         config.worlds = worlds;
     }
-    let files = context.settings.section("flight", FlightFiles::default())?;
+    let files = console.context.settings.section("flight", FlightFiles::default())?;
     let freed = task.freed(&RapierFactory, &scene, &config.disturbances, seed)?;
     if let Some(freed) = &freed {
         scene = freed.scene.clone();
@@ -104,17 +104,17 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
     manifest.file(&scene_dir.join("scene.json"))?;
     let inputs = (&task, landing.vehicle(), config, files, seed, a.chooser.name());
     let hash = inputs_hash(&[&manifest.finish()], &inputs)?;
-    let dir = run_stage(context, run, "plan", &["plan."], &hash, |stage, warnings| {
+    let dir = run_stage(console, run, "plan", &["plan."], &hash, |stage, warnings| {
         timed("plan.seconds", || {
-            let progress = context.progress.as_ref();
+            let progress = console.context.progress.as_ref();
             freed.iter().for_each(|freed| tell_freed(freed, warnings));
             let outcome = match a.chooser {
                 ChooserName::Ours => {
-                    let cancel = &context.cancel;
+                    let cancel = &console.context.cancel;
                     plan_landing(&landing, &scene, &RapierFactory, &config, seed, progress, cancel, warnings)?
                 }
                 _ => {
-                    baseline(context, a.chooser, run, &landing, &scene, &config, seed, stage.dir(), warnings)?
+                    baseline(console, a.chooser, run, &landing, &scene, &config, seed, stage.dir(), warnings)?
                 }
             };
             let plan = &outcome.plan;
@@ -128,15 +128,15 @@ fn planned(context: &Context, a: &Plan, base: LandingSettings, run: &RunFolder) 
     })?;
     let plan = LandingPlan::load(&dir)?;
     for line in summary(&plan) {
-        context.say(line);
+        console.say(line);
     }
     let has_mission = dir.join("mission.plan").is_file();
     let mission = if has_mission { ", mission.plan" } else { "" };
-    context.say(format!(
+    console.say(format!(
         "  in {}; to fly: flight.json, setpoints.csv{mission}",
         shown(&dir.join(LANDING_PLAN_FILE))
     ));
-    context.print_metrics(run)
+    console.print_metrics(run)
 }
 
 /// What stays fixed, and why.
@@ -229,7 +229,7 @@ fn verdict(outcome: &LandingOutcome) -> String {
 
 /// A choice among geometric candidates, flown once with particles in the scanned world.
 fn baseline(
-    context: &Context,
+    console: &Console,
     chooser: ChooserName,
     run: &RunFolder,
     landing: &ResolvedLanding,
@@ -252,7 +252,7 @@ fn baseline(
     let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
     let seen = observation(&sequence.frames, scene, &sites);
     let (choice, pictures) = match chooser {
-        ChooserName::Visual => prompted(context, run, seen, &sites, landing, &ways, seed, warnings)?,
+        ChooserName::Visual => prompted(console, run, seen, &sites, landing, &ways, seed, warnings)?,
         ChooserName::Random => drawn(seen, &sites, random(&sites, start_w, &ways, seed), landing, &ways),
         ChooserName::Ours | ChooserName::Geometric => {
             drawn(seen, &sites, geometric(&sites, start_w, &ways), landing, &ways)
@@ -268,7 +268,7 @@ fn baseline(
         reasons: choice.reasons.clone(),
     };
     atomic::write_json(&dir.join(CHOICE_FILE), &record)?;
-    context.say(format!(
+    console.say(format!(
         "{}: site {} of {}, approach {} of {}",
         record.chooser,
         record.site,
@@ -333,7 +333,8 @@ fn drawn(
     ways: &ApproachSettings,
 ) -> (Choice, Vec<ColorImage>) {
     let Some(seen) = seen else { return (choice, Vec::new()) };
-    let (image, camera) = resized(&seen.image, &seen.camera, vlm::defaults().max_image_side);
+    let (image, camera) =
+        resized(&seen.image, &seen.camera, sms_cli::settings::vlm_defaults().max_image_side);
     let all = approaches(landing.start_w(), choice.site.p_w, ways);
     let pictures = vec![
         sites_picture(&image, &camera, sites, Some(choice.site.id)).image,
@@ -344,7 +345,7 @@ fn drawn(
 
 /// The choice of a vision-language model.
 fn prompted(
-    context: &Context,
+    console: &Console,
     run: &RunFolder,
     seen: Option<Observation>,
     sites: &Sites,
@@ -353,7 +354,7 @@ fn prompted(
     seed: Seed,
     warnings: &Warnings,
 ) -> anyhow::Result<(Choice, Vec<ColorImage>)> {
-    let config = context.settings.section("vlm", vlm::defaults())?;
+    let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
     let seen = seen.ok_or_else(|| {
         InputError::new(
             "no frame of the recording shows the landing sites from above",
@@ -366,7 +367,8 @@ fn prompted(
     let client = Client::new(&config, key, seed.derive("visual prompting"))?;
     let cache = Cache::new(&run.root().join(vlm::REPLIES));
     let start_w = landing.start_w();
-    let done = visual_prompting(&seen, sites, start_w, ways, &client, &cache, &context.cancel, warnings);
+    let done =
+        visual_prompting(&seen, sites, start_w, ways, &client, &cache, &console.context.cancel, warnings);
     let prompted = done.map_err(|e| match e.input(&config.url) {
         Ok(refused) => anyhow::Error::from(refused),
         Err(e) => e.into(),

@@ -2,9 +2,9 @@
 
 use super::{models, shown};
 use crate::cli::Masks;
-use crate::context::Context;
 use crate::picture::{draw_box, draw_text, enlarged};
 use serde::{Deserialize, Serialize};
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, ColorImage, InputError, LabelMap, Labels, atomic, write_png_color};
 use sms_frames::{Frame, Sequence};
@@ -28,10 +28,10 @@ pub(crate) struct FoundBox {
     pub(crate) box_px: [f64; 4],
 }
 
-pub(crate) fn run(context: &Context, a: &Masks) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Masks) -> anyhow::Result<()> {
     let (frames, masks) = (a.run.join("frames"), a.run.join("masks"));
     if a.nets.ask() {
-        return models::preview(context, &a.nets, &Sequence::load(&frames)?, &a.run);
+        return models::preview(console, &a.nets, &Sequence::load(&frames)?, &a.run);
     }
     if !masks.join("labels.json").is_file() {
         let cure = "give the folder of a run: `sms scan RECORDING --out RUN` makes one";
@@ -43,7 +43,7 @@ pub(crate) fn run(context: &Context, a: &Masks) -> anyhow::Result<()> {
     for object in &labels.objects {
         let frames = labels.maps.iter().filter(|m| m.data.contains(&object.id)).count();
         let pixels = labels.maps.first().map_or(0, |m| m.data.iter().filter(|l| **l == object.id).count());
-        context.say(format!(
+        console.say(format!(
             "{:3} {:24} in {frames} of {} frames, {pixels} pixels in the first{}",
             object.id,
             object.name,
@@ -56,10 +56,10 @@ pub(crate) fn run(context: &Context, a: &Masks) -> anyhow::Result<()> {
         let path = masks.join(FOUND);
         let found = if path.is_file() { atomic::read_json(&path)? } else { Vec::new() };
         let path = write_preview(&a.run, first(&sequence)?, Some(&labels), &found)?;
-        context.say(format!("the first frame with its masks: {path}"));
+        console.say(format!("the first frame with its masks: {path}"));
     }
-    if context.json {
-        context.print_json(&metrics)?;
+    if console.json {
+        console.print_json(&metrics)?;
     }
     Ok(())
 }
@@ -67,20 +67,20 @@ pub(crate) fn run(context: &Context, a: &Masks) -> anyhow::Result<()> {
 /// Tells and draws what the networks found in the first frame, in the form in which `--box` takes it back.
 #[cfg(feature = "nets")]
 pub(crate) fn tell_found(
-    context: &Context,
+    console: &Console,
     run: &Path,
     sequence: &Sequence,
     found: &[FoundBox],
 ) -> anyhow::Result<()> {
     for f in found {
         let [x0, y0, x1, y1] = f.box_px;
-        context.say(format!(
+        console.say(format!(
             "{:.2} {:24} --box \"{}={x0:.0},{y0:.0},{x1:.0},{y1:.0}\"",
             f.score, f.name, f.name
         ));
     }
     let path = write_preview(run, first(sequence)?, None, found)?;
-    context.say(format!("{} found in the first frame: {path}", found.len()));
+    console.say(format!("{} found in the first frame: {path}", found.len()));
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use super::scan::{RunSettings, SETTINGS, regions_hash};
 use super::{inputs_hash, length_text, materials, run_stage, shown, timed, vlm};
 use crate::cli::Materialize;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
     BACKGROUND, CoreError, EntityKind, EntityShape, Hash, InputError, Labels, MaskSource, RunFolder, Seed,
@@ -24,20 +24,20 @@ use sms_sim::{RapierFactory, RestLimits, RestingDrift, fix_restless};
 /// An entity's own Gaussians, in its folder.
 const GAUSSIANS: &str = "gaussians.ply";
 
-pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Materialize) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
     let frames_dir = run.stage_dir("frames", "scan DIR --out")?;
     let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
     let settings = run_settings(&run)?;
-    let mut config = context.settings.section("entities", EntitiesConfig::default())?;
+    let mut config = console.context.settings.section("entities", EntitiesConfig::default())?;
     let seed = Seed(settings.seed);
     run.record_settings("entities", &config)?;
 
     // Unfinished stages are redone from the start: what they decomposed is not.
     config.parts_cache = Some(run.root().join("cache").join("parts"));
     let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
-    let read = context.settings.section("read", ReadOptions::default())?;
+    let read = console.context.settings.section("read", ReadOptions::default())?;
     let labels = load_labels(&masks_dir)?;
     if settings.regions.as_ref().is_some_and(|trained| *trained != regions_hash(&labels).0) {
         let cure =
@@ -49,7 +49,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     let hash = inputs_hash(&[&before], &(&config, seed, &read, names_of(&labels)))?;
     let (sequence, mut labels) = trained_on(Sequence::load(&frames_dir)?, labels, settings.holdout);
     let entities_dir = run_stage(
-        context,
+        console,
         &run,
         "entities",
         &["entities.", "materialize."],
@@ -63,14 +63,15 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
                     &labels,
                     &config,
                     seed,
-                    context.progress.as_ref(),
-                    &context.cancel,
+                    console.context.progress.as_ref(),
+                    &console.context.cancel,
                     warnings,
                 )?;
                 set.relabel_model(&mut model);
                 let mut labels = labels.clone();
                 set.relabel(&mut labels);
-                let colors = recorded_colors(&sequence, &read, config.texture.image_side, &context.cancel)?;
+                let colors =
+                    recorded_colors(&sequence, &read, config.texture.image_side, &console.context.cancel)?;
                 let missing = colors.iter().filter(|c| c.is_none()).count();
                 if config.texture.enabled && missing > 0 {
                     warnings.add(
@@ -95,7 +96,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
     set.relabel(&mut labels);
     let x_world_recording = sequence.x_world_recording;
     let mut queries = material_queries(&set);
-    let estimates = vlm::estimates(context, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;
+    let estimates = vlm::estimates(console, &run, a.vlm, &set, &queries, &sequence, &labels, seed)?;
     for (query, estimate) in queries.iter_mut().zip(estimates) {
         query.estimate = estimate;
     }
@@ -110,7 +111,7 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         None => edits,
     };
     let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, &table))?;
-    let scene_dir = run_stage(context, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
+    let scene_dir = run_stage(console, &run, "scene", &["scene."], &scene_hash, |stage, warnings| {
         save_queries(&stage.dir().join(materials::QUERIES), &queries)?;
         let mut materials = assign(&queries, &table, Some(&overrides), warnings)?;
         let floor = materials.pop();
@@ -132,9 +133,9 @@ pub(crate) fn run(context: &Context, a: &Materialize) -> anyhow::Result<()> {
         atomic::write_bytes(&stage.dir().join("scene.xml"), mjcf_text(&scene).as_bytes())?;
         Ok(Metrics::new())
     })?;
-    summary(context, &set);
-    context.say(format!("  in {}", shown(&scene_dir.join("scene.json"))));
-    context.print_metrics(&run)
+    summary(console, &set);
+    console.say(format!("  in {}", shown(&scene_dir.join("scene.json"))));
+    console.print_metrics(&run)
 }
 
 /// Masks from geometry cut things into pieces that no longer stand by themselves; those are kept where they were seen.
@@ -198,7 +199,7 @@ fn entity_metrics(set: &EntitySet) -> Metrics {
     m
 }
 
-fn summary(context: &Context, set: &EntitySet) {
+fn summary(console: &Console, set: &EntitySet) {
     for e in &set.entities {
         let what = match (&e.kind, &e.shape) {
             (EntityKind::Static, _) => format!("static, {} triangles", e.mesh.triangles.len()),
@@ -212,7 +213,7 @@ fn summary(context: &Context, set: &EntitySet) {
             }
             _ => format!("{} convex parts, {:.0} cm³", e.parts.len(), e.mesh.volume() * 1e6),
         };
-        context.say(format!("{:>16}: {what}, {:.0} % observed", e.name, 100.0 * e.observed_share));
+        console.say(format!("{:>16}: {what}, {:.0} % observed", e.name, 100.0 * e.observed_share));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::shown;
 use crate::cli::Materials;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Material, Property, PropertySource, RunFolder, Warnings};
 use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign, load_queries};
@@ -14,7 +14,7 @@ pub(crate) const EDITS: &str = "materials.toml";
 /// What was known of the objects, in the scene's folder.
 pub(crate) const QUERIES: &str = "materials.json";
 
-pub(crate) fn run(context: &Context, a: &Materials) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Materials) -> anyhow::Result<()> {
     let is_edit = !a.set.is_empty() || !a.unset.is_empty();
     let run = if is_edit { RunFolder::open(&a.run)? } else { RunFolder::open_to_read(&a.run)? };
     let scene_dir = run.stage_dir("scene", "materialize")?;
@@ -33,16 +33,16 @@ pub(crate) fn run(context: &Context, a: &Materials) -> anyhow::Result<()> {
         overrides.save(&path)?;
     }
     let materials = assign(&objects, &table, Some(&overrides), &Warnings::new())?;
-    if context.json {
-        return context.print_json(&metrics(&objects, &materials));
+    if console.json {
+        return console.print_json(&metrics(&objects, &materials));
     }
-    context.say(listing(&objects, &materials));
+    console.say(listing(&objects, &materials));
     if is_edit {
-        context.say(format!("  in {}", shown(&path)));
+        console.say(format!("  in {}", shown(&path)));
     }
     let changed = changed(&scene_dir, &objects, &materials)?;
     if !changed.is_empty() {
-        context.say(format!(
+        console.say(format!(
             "the scene as it stands has other values for {}: run `sms materialize {}` to make it with these",
             changed.join(", "),
             a.run.display()

@@ -1,17 +1,5 @@
 //! One file a command. Each opens the run, runs its stages where something has changed, and prints what was made.
 
-pub(crate) mod bench;
-mod bench_billiards;
-mod bench_engines;
-mod bench_gpu;
-mod bench_landing;
-mod bench_masks;
-mod bench_materialize;
-mod bench_merge;
-mod bench_optimisers;
-mod bench_physics;
-mod bench_plan;
-mod bench_scenes;
 pub(crate) mod check;
 pub(crate) mod demo;
 pub(crate) mod devices;
@@ -34,7 +22,7 @@ pub(crate) mod synth;
 pub(crate) mod view;
 pub(crate) mod vlm;
 
-use crate::context::Context;
+use sms_cli::front::Console;
 pub(crate) use sms_core::length_text;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, Hash, Hasher, RunFolder, Stage, StageState, Warnings};
@@ -54,21 +42,21 @@ pub(crate) fn inputs_hash<T: serde::Serialize>(before: &[&Hash], settings: &T) -
 /// Runs a stage unless it is up to date. `work` fills the stage's folder and returns metrics, which are saved with
 /// the warnings of the stage. Returns the stage's folder.
 pub(crate) fn run_stage(
-    context: &Context,
+    console: &Console,
     run: &RunFolder,
     name: &str,
     prefixes: &[&str],
     hash: &Hash,
     work: impl FnOnce(&Stage, &Warnings) -> anyhow::Result<Metrics>,
 ) -> anyhow::Result<PathBuf> {
-    match run.begin(name, hash, context.force)? {
+    match run.begin(name, hash, console.context.force)? {
         StageState::Done(dir) => Ok(dir),
         StageState::Todo(stage) => {
             let warnings = Warnings::new();
             let metrics = work(&stage, &warnings)?;
             drop_dependents(run, name)?;
             // Metrics before the rename: a kill in between redoes the stage and writes them again.
-            context.finish(run, name, prefixes, metrics, &warnings)?;
+            console.finish(run, name, prefixes, metrics, &warnings)?;
             Ok(stage.commit()?)
         }
     }

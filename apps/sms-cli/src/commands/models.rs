@@ -9,8 +9,8 @@ pub(crate) use without_nets::{Chosen, labels, preview, run};
 mod with_nets {
     use super::super::masks::{self, FoundBox};
     use crate::cli::{Models, NetsArguments, TrackName};
-    use crate::context::Context;
-    use crate::device::Device as Asked;
+    use sms_cli::front::Console;
+    use sms_cli::front::Device as Asked;
     use sms_core::metrics::Metrics;
     use sms_core::{Stage, Warnings, atomic};
     use sms_frames::{ReadOptions, Sequence};
@@ -37,8 +37,8 @@ mod with_nets {
 
     impl Chosen {
         /// Checks the arguments; nothing is fetched yet.
-        pub(crate) fn new(context: &Context, a: &NetsArguments, asked: Asked) -> anyhow::Result<Self> {
-            let read = context.settings.section("read", ReadOptions::default())?;
+        pub(crate) fn new(console: &Console, a: &NetsArguments, asked: Asked) -> anyhow::Result<Self> {
+            let read = console.context.settings.section("read", ReadOptions::default())?;
             let mut config = NetsConfig::default();
             config.threshold = a.threshold.unwrap_or(config.threshold);
             config.max_overlap = a.max_overlap.unwrap_or(config.max_overlap);
@@ -162,7 +162,7 @@ mod with_nets {
     /// The labels of a sequence, models fetched where they are not there. What was found in the first frame is told and drawn
     /// (`preview.png` of the run) before it is followed through the rest, which takes minutes; it is kept with the labels.
     pub(crate) fn labels(
-        context: &Context,
+        console: &Console,
         chosen: Option<&Chosen>,
         sequence: &Sequence,
         run: &Path,
@@ -176,38 +176,49 @@ mod with_nets {
             chosen.tracker,
             chosen.weights.as_deref(),
             &HubConfig::from_environment(),
-            context.progress.as_ref(),
-            &context.cancel,
+            console.context.progress.as_ref(),
+            &console.context.cancel,
         )
         .map_err(MasksError::from)?;
         let networks = chosen.masks(models);
-        let found = networks.find_first(sequence, &context.cancel, warnings)?;
+        let found = networks.find_first(sequence, &console.context.cancel, warnings)?;
         let boxes = boxes_of(&found);
         atomic::write_json(&stage.dir().join(masks::FOUND), &boxes)?;
-        masks::tell_found(context, run, sequence, &boxes)?;
-        Ok(networks.follow(sequence, &found, context.progress.as_ref(), &context.cancel, warnings)?)
+        masks::tell_found(console, run, sequence, &boxes)?;
+        Ok(networks.follow(
+            sequence,
+            &found,
+            console.context.progress.as_ref(),
+            &console.context.cancel,
+            warnings,
+        )?)
     }
 
     /// What is found in the first frame of a run, told and drawn; nothing is followed and no mask is changed.
     pub(crate) fn preview(
-        context: &Context,
+        console: &Console,
         a: &NetsArguments,
         sequence: &Sequence,
         run: &Path,
     ) -> anyhow::Result<()> {
-        let chosen = Chosen::new(context, a, Asked::Auto)?;
+        let chosen = Chosen::new(console, a, Asked::Auto)?;
         let hub = HubConfig::from_environment();
         let folder = |model: Model| {
-            model.folder(chosen.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
+            model.folder(
+                chosen.weights.as_deref(),
+                &hub,
+                console.context.progress.as_ref(),
+                &console.context.cancel,
+            )
         };
         let owlv2 = chosen.detector()?.map(folder).transpose().map_err(MasksError::from)?;
         // The tracker is not looked at.
         let networks = chosen.masks(ModelFolders { owlv2, sam2: PathBuf::new() });
         let warnings = Warnings::new();
         chosen.warn(&warnings);
-        let found = networks.find_first(sequence, &context.cancel, &warnings)?;
-        context.tell(&warnings);
-        masks::tell_found(context, run, sequence, &boxes_of(&found))
+        let found = networks.find_first(sequence, &console.context.cancel, &warnings)?;
+        console.tell(&warnings);
+        masks::tell_found(console, run, sequence, &boxes_of(&found))
     }
 
     /// Boxes with the ids that their labels get.
@@ -226,7 +237,7 @@ mod with_nets {
         Ok(model(name)?)
     }
 
-    pub(crate) fn run(context: &Context, a: &Models) -> anyhow::Result<()> {
+    pub(crate) fn run(console: &Console, a: &Models) -> anyhow::Result<()> {
         let hub = HubConfig::from_environment();
         match a {
             Models::List => {
@@ -235,7 +246,7 @@ mod with_nets {
                         Some(cached) => format!("{} (commit {})", cached.folder.display(), cached.commit),
                         None => "not fetched".into(),
                     };
-                    context.say(format!("{:15} {:40} {}\n{:15} {at}", m.name, m.repository, m.about, ""));
+                    console.say(format!("{:15} {:40} {}\n{:15} {at}", m.name, m.repository, m.about, ""));
                 }
             }
             Models::Fetch { models } => {
@@ -246,9 +257,9 @@ mod with_nets {
                 };
                 for name in names {
                     let folder = hub
-                        .fetch(&known(name)?, context.progress.as_ref(), &context.cancel)
+                        .fetch(&known(name)?, console.context.progress.as_ref(), &console.context.cancel)
                         .map_err(MasksError::from)?;
-                    context.say(format!("{name}: {}", folder.display()));
+                    console.say(format!("{name}: {}", folder.display()));
                 }
             }
         }
@@ -259,8 +270,8 @@ mod with_nets {
 #[cfg(not(feature = "nets"))]
 mod without_nets {
     use crate::cli::{Models, NetsArguments};
-    use crate::context::Context;
-    use crate::device::Device;
+    use sms_cli::front::Console;
+    use sms_cli::front::Device;
     use sms_core::metrics::Metrics;
     use sms_core::{InputError, Stage, Warnings};
     use sms_frames::Sequence;
@@ -272,7 +283,7 @@ mod without_nets {
     pub(crate) struct Chosen(Infallible);
 
     impl Chosen {
-        pub(crate) fn new(_: &Context, _: &NetsArguments, _: Device) -> anyhow::Result<Self> {
+        pub(crate) fn new(_: &Console, _: &NetsArguments, _: Device) -> anyhow::Result<Self> {
             Err(none().into())
         }
 
@@ -286,7 +297,7 @@ mod without_nets {
     }
 
     pub(crate) fn labels(
-        _: &Context,
+        _: &Console,
         _: Option<&Chosen>,
         _: &Sequence,
         _: &Path,
@@ -296,11 +307,11 @@ mod without_nets {
         Err(none().into())
     }
 
-    pub(crate) fn preview(_: &Context, _: &NetsArguments, _: &Sequence, _: &Path) -> anyhow::Result<()> {
+    pub(crate) fn preview(_: &Console, _: &NetsArguments, _: &Sequence, _: &Path) -> anyhow::Result<()> {
         Err(none().into())
     }
 
-    pub(crate) fn run(_: &Context, _: &Models) -> anyhow::Result<()> {
+    pub(crate) fn run(_: &Console, _: &Models) -> anyhow::Result<()> {
         Err(none().into())
     }
 

@@ -4,7 +4,7 @@ use super::materialize::run_settings;
 use super::{inputs_hash, length_text, of_what, run_stage, shown, timed};
 use super::{landing, robot};
 use crate::cli::{ChooserName, Plan};
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::{Hasher, InputError, RunFolder, Seed};
 use sms_frames::{FloorAt, floor_at, load_depths};
 use sms_landing::{LandingSettings, LandingTask};
@@ -14,18 +14,18 @@ use sms_sim::RapierFactory;
 use sms_task::{ResolvedTask, Task};
 use std::path::Path;
 
-pub(crate) fn run(context: &Context, a: &Plan) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Plan) -> anyhow::Result<()> {
     if LandingTask::is_landing(&a.task) {
-        return landing::plan(context, a, LandingSettings::default());
+        return landing::plan(console, a, LandingSettings::default());
     }
     if a.chooser != ChooserName::Ours {
         let what = "only landings have other choosers";
         return Err(InputError::new(what, "--chooser", "leave `--chooser` out").into());
     }
     let task = Task::read(&a.task)?;
-    let config = context.settings.section("plan", PlanConfig::default())?;
+    let config = console.context.settings.section("plan", PlanConfig::default())?;
     let is_evaluations_set = config.evaluations != PlanConfig::default().evaluations;
-    carry_out(context, a, &task, &config, is_evaluations_set)
+    carry_out(console, a, &task, &config, is_evaluations_set)
 }
 
 /// Frames in which the floor is looked for at the task's places.
@@ -63,12 +63,12 @@ fn refuse_places_off_the_floor(
 }
 
 /// The same with the planner's settings given (the demo's presets).
-pub(crate) fn run_with(context: &Context, a: &Plan, task: &Task, config: &PlanConfig) -> anyhow::Result<()> {
-    carry_out(context, a, task, config, false)
+pub(crate) fn run_with(console: &Console, a: &Plan, task: &Task, config: &PlanConfig) -> anyhow::Result<()> {
+    carry_out(console, a, task, config, false)
 }
 
 fn carry_out(
-    context: &Context,
+    console: &Console,
     a: &Plan,
     task: &Task,
     config: &PlanConfig,
@@ -85,7 +85,7 @@ fn carry_out(
     let seed = Seed(a.seed.map_or_else(|| run_settings(&run).map(|s| s.seed), Ok)?);
     let resolved = task.resolve(&scene)?;
     let out_of_view = refuse_places_off_the_floor(&run, &resolved, &a.task)?;
-    let robot = robot::place(context, &run)?;
+    let robot = robot::place(console, &run)?;
     let with_arm = resolved.clone().with_robot(&robot.config, &scene)?;
     run.record_settings("plan", config)?;
     // What the manifest says now: a user may have edited a mass or a friction.
@@ -95,7 +95,7 @@ fn carry_out(
         manifest.file(urdf)?;
     }
     let hash = inputs_hash(&[&manifest.finish()], &(task, config, seed, &robot.config))?;
-    let dir = run_stage(context, &run, "plan", &["plan."], &hash, |stage, warnings| {
+    let dir = run_stage(console, &run, "plan", &["plan."], &hash, |stage, warnings| {
         for what in &out_of_view {
             warnings.add(
                 "plan",
@@ -114,8 +114,8 @@ fn carry_out(
         }
         timed("plan.seconds", || {
             let search = |task| {
-                let progress = context.progress.as_ref();
-                plan(task, &scene, &RapierFactory, config, seed, progress, &context.cancel, warnings)
+                let progress = console.context.progress.as_ref();
+                plan(task, &scene, &RapierFactory, config, seed, progress, &console.context.cancel, warnings)
             };
             let outcome = match search(&with_arm) {
                 // Nobody asked for the generator's robot.
@@ -142,13 +142,13 @@ fn carry_out(
         .zip(&plan.action.0)
         .map(|(p, v)| format!("{} {v:.4} {}", p.name, p.unit))
         .collect();
-    context.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
-    context.say(format!("  {}, by {}", values.join(", "), plan.striker));
+    console.say(format!("plan: {} → {}", resolved.cue().name, resolved.target().name));
+    console.say(format!("  {}, by {}", values.join(", "), plan.striker));
     for line in summary(&plan) {
-        context.say(line);
+        console.say(line);
     }
-    context.say(format!("  in {}", shown(&dir.join("plan.json"))));
-    context.print_metrics(&run)
+    console.say(format!("  in {}", shown(&dir.join("plan.json"))));
+    console.print_metrics(&run)
 }
 
 /// What the plan is predicted to do, which other ways there are, and what matters most.

@@ -4,7 +4,7 @@ use super::landing;
 use super::materialize::{read_optional, run_settings};
 use super::shown;
 use crate::cli::Report;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, RunFolder, Warning};
 use sms_frames::Sequence;
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 const VIEWS: usize = 3;
 
 /// Writes the report; returns the page's path.
-pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
+pub(crate) fn run(console: &Console, a: &Report) -> anyhow::Result<PathBuf> {
     let run = RunFolder::open_to_read(&a.run)?;
     let settings = run_settings(&run)?;
     let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
@@ -86,14 +86,14 @@ pub(crate) fn run(context: &Context, a: &Report) -> anyhow::Result<PathBuf> {
         settings_toml: std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default(),
     };
     let page = write_report(&run.root().join("report"), &input)?;
-    context.say(format!("report: {}", shown(&page)));
+    console.say(format!("report: {}", shown(&page)));
     #[cfg(feature = "rerun")]
     {
         let path = run.root().join("report").join("run.rrd");
         sms_report::write_rrd(&path, &input)?;
-        context.say(format!("  for Rerun: {}", shown(&path)));
+        console.say(format!("  for Rerun: {}", shown(&path)));
     }
-    context.print_metrics(&run)?;
+    console.print_metrics(&run)?;
     Ok(page)
 }
 

@@ -3,8 +3,8 @@
 use super::materialize::run_settings;
 use super::{inputs_hash, run_stage, shown};
 use crate::cli::Robot;
-use crate::context::Context;
 use serde::{Deserialize, Serialize};
+use sms_cli::front::Console;
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{Hasher, InputError, RunFolder, atomic};
@@ -16,12 +16,12 @@ use sms_scene::load_scene;
 use sms_task::Task;
 use std::path::Path;
 
-pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Robot) -> anyhow::Result<()> {
     let run = RunFolder::open(&a.run)?;
     let scene_dir = run.stage_dir("scene", "materialize")?;
     let plan_dir = run.stage_dir("plan", "plan")?;
     let scene = load_scene(&scene_dir)?;
-    let stated = place(context, &run)?;
+    let stated = place(console, &run)?;
     let plan = load_plan(&plan_dir)?;
     // What was planned is what is checked.
     let config = match &plan.robot {
@@ -53,7 +53,7 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
     // All that was read of the robot counts: its URDF, and the meshes and packages that this names.
     let read_robot = format!("{robot:?}");
     let hash = inputs_hash(&[&read.finish()], &(&config, read_robot, a.keep_failed))?;
-    let dir = run_stage(context, &run, "robot", &["robot."], &hash, |stage, _| {
+    let dir = run_stage(console, &run, "robot", &["robot."], &hash, |stage, _| {
         let settings = config.strike_config();
         let mut ws = Workspace::default();
         let around = obstacles(&scene, task.cue().index);
@@ -84,24 +84,24 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
         Ok(m)
     })?;
     let check: StrikeCheck = atomic::read_json(&dir.join("check.json"))?;
-    context.say(format!("{} strikes `{}`; what was checked:", robot.name(), task.cue().name));
+    console.say(format!("{} strikes `{}`; what was checked:", robot.name(), task.cue().name));
     let planned_at = plan.robot.as_ref().and_then(|r| r.x_wr(&scene.x_world_recording));
     if planned_at.is_none_or(|p| p.translation.distance(x_wr.translation) > 1e-6) {
-        context.say(format!("  note: what is predicted of this plan is for {}", planned_with(&plan)));
+        console.say(format!("  note: what is predicted of this plan is for {}", planned_with(&plan)));
     }
     if plan.robot.is_some() && a.at.is_none() && !stated.is_the_recordings {
         let stated_at = stated.config.x_wr(&scene.x_world_recording);
         if stated_at.is_some_and(|p| p.translation.distance(x_wr.translation) > 1e-6) {
-            context.say(
+            console.say(
                 "  note: the settings place the robot elsewhere than it was planned for; what was planned is checked. Plan \
                  again, or give --at",
             );
         }
     }
     for item in &check.items {
-        context.say(format!("  {} {}", if item.passed { "ok  " } else { "FAIL" }, item.detail));
+        console.say(format!("  {} {}", if item.passed { "ok  " } else { "FAIL" }, item.detail));
     }
-    context.say(match (program_name(&check, a.keep_failed), check.executable()) {
+    console.say(match (program_name(&check, a.keep_failed), check.executable()) {
         (Some(name), true) => {
             format!("executable: the motion is in {}", shown(&dir.join(format!("{name}.json"))))
         }
@@ -113,7 +113,7 @@ pub(crate) fn run(context: &Context, a: &Robot) -> anyhow::Result<()> {
             "not executable: no motion is written (--keep-failed writes it for looking at)".to_owned()
         }
     });
-    context.print_metrics(&run)?;
+    console.print_metrics(&run)?;
     if !check.executable() {
         anyhow::bail!(
             "the strike did not pass every check; place the robot 0.1 to 0.2 m further away from what its links come near \
@@ -153,8 +153,8 @@ pub(crate) struct Place {
 
 /// The user's settings of the robot; where they do not say where it stands, with the recording's own place, if it has
 /// one.
-pub(crate) fn place(context: &Context, run: &RunFolder) -> anyhow::Result<Place> {
-    let own = context.settings.section("robot", RobotConfig::default())?;
+pub(crate) fn place(console: &Console, run: &RunFolder) -> anyhow::Result<Place> {
+    let own = console.context.settings.section("robot", RobotConfig::default())?;
     let is_known = own.x_world_robot.is_some() || own.x_recording_robot.is_some();
     let file =
         run_settings(run).ok().map(|s| Path::new(&s.recording).join(ROBOT_FILE)).filter(|p| p.is_file());
@@ -163,7 +163,7 @@ pub(crate) fn place(context: &Context, run: &RunFolder) -> anyhow::Result<Place>
     };
     let Sections { robot } = atomic::read_toml(&file)?;
     robot.validate()?;
-    let config = context.settings.section("robot", robot)?;
+    let config = console.context.settings.section("robot", robot)?;
     Ok(Place { config, is_the_recordings: true })
 }
 

@@ -2,7 +2,7 @@
 
 use super::{robot, shown};
 use crate::cli::Sample;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::glamx::DVec3;
 use sms_core::{InputError, Seed};
 use sms_landing::LandingTask;
@@ -10,35 +10,35 @@ use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billi
 use sms_task::{Billiards, Selector, Task};
 use std::path::Path;
 
-pub(crate) fn run(context: &Context, a: &Sample) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Sample) -> anyhow::Result<()> {
     let occupied = a.folder.read_dir().is_ok_and(|mut entries| entries.next().is_some());
     if occupied && !a.folder.join("transforms.json").is_file() {
         return Err(InputError::new("this folder is not empty", &a.folder, "name a new folder").into());
     }
     let truth = generate_billiards(Seed(a.seed), &BilliardsSettings::default());
     let settings = RecordingSettings { seed: Seed(a.seed), ..RecordingSettings::small() };
-    write(context, &truth, &settings, &a.folder)?;
+    write(console, &truth, &settings, &a.folder)?;
     let folder = shown(&a.folder);
-    context.say(format!("a recording of {} objects in {folder}; now try", truth.objects.len()));
-    context.say(format!("  sms check {folder}"));
-    context.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
-    context.say("  sms materialize my-run");
-    context.say("  sms simulate my-run");
-    context.say(format!("  sms plan my-run --task {folder}/task.toml"));
-    context.say("  sms execute my-run");
-    context.say("  sms evaluate my-run");
-    context.say("  sms view my-run");
+    console.say(format!("a recording of {} objects in {folder}; now try", truth.objects.len()));
+    console.say(format!("  sms check {folder}"));
+    console.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
+    console.say("  sms materialize my-run");
+    console.say("  sms simulate my-run");
+    console.say(format!("  sms plan my-run --task {folder}/task.toml"));
+    console.say("  sms execute my-run");
+    console.say("  sms evaluate my-run");
+    console.say("  sms view my-run");
     Ok(())
 }
 
 /// Writes a recording, its task and the place of the robot.
 pub(crate) fn write(
-    context: &Context,
+    console: &Console,
     truth: &TruthScene,
     settings: &RecordingSettings,
     folder: &Path,
 ) -> anyhow::Result<()> {
-    write_recording(truth, settings, folder, context.progress.as_ref(), &context.cancel)?;
+    write_recording(truth, settings, folder, console.context.progress.as_ref(), &console.context.cancel)?;
     write_beside(truth, folder)
 }
 
@@ -49,7 +49,7 @@ pub(crate) fn write_beside(truth: &TruthScene, folder: &Path) -> anyhow::Result<
         return Ok(());
     }
     task_of(truth).write(&folder.join("task.toml"))?;
-    robot::write_place(folder, &sms_experiments::robot_of(truth))?;
+    robot::write_place(folder, &sms_target::robot_of(truth))?;
     Ok(())
 }
 

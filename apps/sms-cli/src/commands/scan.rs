@@ -1,13 +1,14 @@
 //! `sms scan`: recording → frames → masks → Gaussians.
 
 use super::models;
-use super::settings::poses_defaults;
 use super::{inputs_hash, length_text, run_stage, shown};
-use crate::cli::{MasksName, PresetName, RefinePoses, Scan};
-use crate::context::{Context, peak_bytes};
+use crate::cli::{MasksName, Scan};
 use crate::device;
 use crate::live::Watch;
 use serde::{Deserialize, Serialize};
+use sms_cli::front::{Console, peak_bytes};
+use sms_cli::front::{PresetName, RefinePoses};
+use sms_cli::settings::poses_defaults;
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
@@ -44,17 +45,17 @@ pub(crate) struct RunSettings {
 pub(crate) const SETTINGS: &str = "settings.json";
 
 /// Runs the scan's stages; returns the open run.
-pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
+pub(crate) fn run(console: &Console, a: &Scan) -> anyhow::Result<RunFolder> {
     let preset = a.preset.unwrap_or(PresetName::Standard);
-    let read = context.settings.section("read", ReadOptions::default())?;
+    let read = console.context.settings.section("read", ReadOptions::default())?;
     let recording = Recording::open(&a.recording, &read)?;
     let kind = preset.preset();
     let long_side = LoadSettings { long_side: kind.long_side(), ..LoadSettings::default() };
-    let mut frames_settings = context.settings.section("frames", long_side)?;
+    let mut frames_settings = console.context.settings.section("frames", long_side)?;
     if let Some(up) = &a.up {
         frames_settings.align = Align::Up(up_direction(up)?);
     }
-    let mut poses_config = context.settings.section("poses", poses_defaults(&frames_settings))?;
+    let mut poses_config = console.context.settings.section("poses", poses_defaults(&frames_settings))?;
     if let Some(mode) = a.refine_poses {
         poses_config.mode = match mode {
             RefinePoses::Off => PosesMode::Off,
@@ -62,14 +63,14 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
             RefinePoses::Auto => PosesMode::Auto,
         };
     }
-    let mut scan_config = context.settings.section("scan", ScanConfig::preset(kind))?;
+    let mut scan_config = console.context.settings.section("scan", ScanConfig::preset(kind))?;
     if let Some(holdout) = a.holdout {
         scan_config.holdout = holdout;
     }
     // Before anything is written: a refused setting must leave an earlier run as it was.
     frames_settings.validate()?;
     scan_config.validate()?;
-    let geometry = context.settings.section("masks", GeometryConfig::default())?;
+    let geometry = console.context.settings.section("masks", GeometryConfig::default())?;
     let seed = Seed(a.seed.unwrap_or(0));
     let mut observer = Watch::start(a.live.as_deref(), &a.recording)?;
 
@@ -85,13 +86,18 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     let fingerprint = recording_fingerprint(&recording)?;
     let frames_hash = inputs_hash(&[&fingerprint], &(&read, &frames_settings, refinement(&poses_config)))?;
     let frames_dir =
-        run_stage(context, &run, "frames", &["check.", "poses."], &frames_hash, |stage, warnings| {
-            let mut metrics = checked(context, &recording, a.no_check, warnings)?;
-            let sequence =
-                load(&recording, &frames_settings, context.progress.as_ref(), &context.cancel, warnings)?;
+        run_stage(console, &run, "frames", &["check.", "poses."], &frames_hash, |stage, warnings| {
+            let mut metrics = checked(console, &recording, a.no_check, warnings)?;
+            let sequence = load(
+                &recording,
+                &frames_settings,
+                console.context.progress.as_ref(),
+                &console.context.cancel,
+                warnings,
+            )?;
             let sequence = match refinement(&poses_config) {
                 None => sequence,
-                Some(config) => refined(context, &sequence, config, stage.dir(), &mut metrics, warnings)?,
+                Some(config) => refined(console, &sequence, config, stage.dir(), &mut metrics, warnings)?,
             };
             sequence.save_with_settings(stage.dir(), &frames_settings)?;
             Ok(metrics)
@@ -105,7 +111,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     run.record_settings("scan", &scan_config)?;
 
     let nets =
-        (a.masks == MasksName::Sam2).then(|| models::Chosen::new(context, &a.nets, a.device)).transpose()?;
+        (a.masks == MasksName::Sam2).then(|| models::Chosen::new(console, &a.nets, a.device)).transpose()?;
     let kind = nets.as_ref().map_or_else(|| settings.masks.clone(), models::Chosen::settings);
     // Geometry finds objects, or those that the other sources missed; the truth it leaves alone.
     let masks_settings = (kind, (a.masks != MasksName::Truth).then_some(&geometry));
@@ -114,21 +120,26 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if a.masks != MasksName::Truth {
         run.record_settings("masks", &geometry)?;
     }
-    let masks_dir = run_stage(context, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
+    let masks_dir = run_stage(console, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
         let by = |segmenter: &dyn Segmenter| {
-            segmenter.segment(&sequence, context.progress.as_ref(), &context.cancel, warnings)
+            segmenter.segment(&sequence, console.context.progress.as_ref(), &console.context.cancel, warnings)
         };
         let labels = match a.masks {
             MasksName::Geometry => by(&GeometryMasks { config: geometry.clone() })?,
             MasksName::Files => by(&FileMasks::default())?,
             MasksName::Truth => by(&TruthMasks)?,
             MasksName::Sam2 => {
-                models::labels(context, nets.as_ref(), &sequence, run.root(), stage, warnings)?
+                models::labels(console, nets.as_ref(), &sequence, run.root(), stage, warnings)?
             }
         };
         let pixels: usize = labels.maps.iter().map(|m| m.data.len()).sum();
-        let (labels, done) =
-            complete(labels, &sequence, &geometry, context.progress.as_ref(), &context.cancel)?;
+        let (labels, done) = complete(
+            labels,
+            &sequence,
+            &geometry,
+            console.context.progress.as_ref(),
+            &console.context.cancel,
+        )?;
         save_labels(stage.dir(), &labels)?;
         let mut metrics = Metrics::new();
         metrics.set("masks.objects", labels.objects.len()).set("masks.source", settings.masks.clone());
@@ -141,7 +152,7 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
         if let Some(unknown) = done.unknown {
             metrics.set("masks.unknown", unknown);
         }
-        context.say(masks_line(&settings.masks, labels.objects.len(), pixels, &done));
+        console.say(masks_line(&settings.masks, labels.objects.len(), pixels, &done));
         Ok(metrics)
     })?;
     let labels = load_labels(&masks_dir)?;
@@ -152,9 +163,9 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     // How often checkpoints are written changes nothing.
     let hashed = ScanConfig { checkpoint_seconds: 0.0, ..scan_config.clone() };
     let scan_hash = inputs_hash(&[&frames_hash, &regions], &(&hashed, seed))?;
-    run_stage(context, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
+    run_stage(console, &run, "gaussians", &["scan."], &scan_hash, |stage, warnings| {
         let (mut trainer, device) =
-            device::trainer(context, a.device, &scan_config.train, labels.class_count(), seed, warnings)?;
+            device::trainer(console, a.device, &scan_config.train, labels.class_count(), seed, warnings)?;
         let result = sms_gaussians::scan_observed(
             &sequence,
             &labels,
@@ -163,8 +174,8 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
             stage.dir(),
             trainer.as_mut(),
             &mut observer,
-            context.progress.as_ref(),
-            &context.cancel,
+            console.context.progress.as_ref(),
+            &console.context.cancel,
             warnings,
         )?;
         let mut metrics = result.metrics;
@@ -178,8 +189,8 @@ pub(crate) fn run(context: &Context, a: &Scan) -> anyhow::Result<RunFolder> {
     if let Some(problem) = observer.finish() {
         eprintln!("warning: {problem}");
     }
-    summary(context, &run, labels.objects.len())?;
-    context.print_metrics(&run)?;
+    summary(console, &run, labels.objects.len())?;
+    console.print_metrics(&run)?;
     Ok(run)
 }
 
@@ -190,7 +201,7 @@ fn refinement(config: &PosesConfig) -> Option<&PosesConfig> {
 
 /// The sequence with the poses to use; what was done to them goes to `poses.json`, the metrics and the user.
 fn refined(
-    context: &Context,
+    console: &Console,
     sequence: &Sequence,
     config: &PosesConfig,
     dir: &Path,
@@ -198,11 +209,12 @@ fn refined(
     warnings: &Warnings,
 ) -> anyhow::Result<Sequence> {
     let began = Instant::now();
-    let result = refine_poses(sequence, config, context.progress.as_ref(), &context.cancel, warnings)?;
+    let result =
+        refine_poses(sequence, config, console.context.progress.as_ref(), &console.context.cancel, warnings)?;
     metrics.merge(result.report.metrics());
     metrics.set("poses.seconds", began.elapsed().as_secs_f64());
     atomic::write_json(&dir.join("poses.json"), &result.report)?;
-    context.say(result.report.summary());
+    console.say(result.report.summary());
     Ok(result.sequence)
 }
 
@@ -221,12 +233,12 @@ fn up_direction(values: &[f64]) -> Result<[f64; 3], InputError> {
 
 /// Checks the recording; a fault stops the scan unless `--no-check`.
 fn checked(
-    context: &Context,
+    console: &Console,
     recording: &Recording,
     no_check: bool,
     warnings: &Warnings,
 ) -> anyhow::Result<Metrics> {
-    let report = check(recording, context.progress.as_ref(), &context.cancel)?;
+    let report = check(recording, console.context.progress.as_ref(), &console.context.cancel)?;
     for finding in &report.findings {
         if finding.severity == Severity::Fault && !no_check {
             return Err(InputError::new(
@@ -317,7 +329,7 @@ fn masks_line(source: &str, objects: usize, pixels: usize, done: &Completed) -> 
     line
 }
 
-fn summary(context: &Context, run: &RunFolder, objects: usize) -> anyhow::Result<()> {
+fn summary(console: &Console, run: &RunFolder, objects: usize) -> anyhow::Result<()> {
     let m = Metrics::load(&run.metrics_path())?;
     let n = |key: &str| m.number(key);
     let mut line = format!(
@@ -333,7 +345,7 @@ fn summary(context: &Context, run: &RunFolder, objects: usize) -> anyhow::Result
     if let Some(depth) = n("scan.holdout_depth_mae_m") {
         line += &format!(", depth error {}", length_text(depth));
     }
-    context.say(line);
-    context.say(format!("  in {}", shown(&run.root().join("gaussians").join("scene.ply"))));
+    console.say(line);
+    console.say(format!("  in {}", shown(&run.root().join("gaussians").join("scene.ply"))));
     Ok(())
 }

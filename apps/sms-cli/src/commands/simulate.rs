@@ -3,13 +3,13 @@
 use super::length_text;
 use super::materialize::drift_text;
 use crate::cli::Simulate;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, RunFolder, Warnings, atomic};
 use sms_scene::load_scene;
 use sms_sim::{RapierFactory, resting_drift};
 
-pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &Simulate) -> anyhow::Result<()> {
     if !(a.seconds > 0.0 && a.seconds <= 600.0) {
         return Err(InputError::new(
             format!("{} seconds cannot be simulated", a.seconds),
@@ -28,7 +28,7 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
     metrics.set("simulate.turn_rad", worst(|d| d.turned_rad));
     let warnings = Warnings::new();
     for d in &drifts {
-        context.say(format!(
+        console.say(format!(
             "{:>16}: moved {}, turned {:.2}° in {} s",
             d.body,
             length_text(d.moved_m),
@@ -45,6 +45,6 @@ pub(crate) fn run(context: &Context, a: &Simulate) -> anyhow::Result<()> {
         }
     }
     atomic::write_json(&run.root().join("simulate.json"), &drifts)?;
-    context.finish(&run, "simulate", &["simulate."], metrics, &warnings)?;
-    context.print_metrics(&run)
+    console.finish(&run, "simulate", &["simulate."], metrics, &warnings)?;
+    console.print_metrics(&run)
 }

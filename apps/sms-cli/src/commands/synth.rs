@@ -2,15 +2,15 @@
 
 use super::{sample, shown};
 use crate::cli::{FamilyName, Synth};
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::{InputError, Seed};
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, generate_billiards,
     generate_billiards_among, generate_challenge, landing_scene_among, read_models, record_views,
 };
 
-pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
-    let made = scene(context, a)?;
+pub(crate) fn run(console: &Console, a: &Synth) -> anyhow::Result<()> {
+    let made = scene(console, a)?;
     let truth = &made.scene;
     let settings = RecordingSettings {
         frames: a.frames,
@@ -34,15 +34,15 @@ pub(crate) fn run(context: &Context, a: &Synth) -> anyhow::Result<()> {
         &source,
         &settings,
         &a.folder,
-        context.progress.as_ref(),
-        &context.cancel,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
     )?;
     sample::write_beside(truth, &a.folder)?;
-    context.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), shown(&a.folder)));
+    console.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), shown(&a.folder)));
     Ok(())
 }
 
-fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
+fn scene(console: &Console, a: &Synth) -> anyhow::Result<ModelScene> {
     let plain = |scene| ModelScene { scene, skins: Vec::new() };
     if a.meshes.is_some() && !matches!(a.family, FamilyName::Billiards | FamilyName::Landing) {
         let what = "scanned models stand in scenes of the families billiards and landing only";
@@ -52,7 +52,7 @@ fn scene(context: &Context, a: &Synth) -> anyhow::Result<ModelScene> {
     let models = match &a.meshes {
         Some(dir) if dir.is_dir() => read_models(dir)?,
         Some(dir) => {
-            context.say(format!(
+            console.say(format!(
                 "there is no folder {}: without scanned models, everything is made in code",
                 shown(dir)
             ));

@@ -2,15 +2,15 @@
 
 use super::{report, shown};
 use crate::cli::{Report, View};
-use crate::context::Context;
+use sms_cli::front::Console;
 use std::process::{Command, Stdio};
 
-pub(crate) fn run(context: &Context, a: &View) -> anyhow::Result<()> {
-    let page = report::run(context, &Report { run: a.run.clone() })?;
+pub(crate) fn run(console: &Console, a: &View) -> anyhow::Result<()> {
+    let page = report::run(console, &Report { run: a.run.clone() })?;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let opened = Command::new(opener).arg(&page).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
     if opened.is_err() {
-        context.say(format!("no browser could be started; open {} yourself", shown(&page)));
+        console.say(format!("no browser could be started; open {} yourself", shown(&page)));
     }
     Ok(())
 }

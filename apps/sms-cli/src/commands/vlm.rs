@@ -1,7 +1,7 @@
 //! Asks a vision-language model about the objects of a scene, as `sms materialize` does.
 
 use crate::cli::VlmMode;
-use crate::context::Context;
+use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Labels, RunFolder, Seed, Warnings};
 use sms_entities::EntitySet;
@@ -13,16 +13,10 @@ use std::time::Instant;
 /// Folder of the stored replies in a run. It is no stage: replies stay when the scene is made again.
 pub(crate) const REPLIES: &str = "vlm";
 
-/// The settings before `--settings` and `--set`: server and model of the environment.
-pub(crate) fn defaults() -> VlmConfig {
-    let named = |key: &str| std::env::var(key).map(|v| v.trim().to_owned()).unwrap_or_default();
-    VlmConfig { url: named("SMS_VLM_URL"), model: named("SMS_VLM_MODEL"), ..VlmConfig::default() }
-}
-
 /// What the model says of each of `queries` (the entities of `set`, then the floor); `None` for those that it was not asked
 /// about or did not answer.
 pub(crate) fn estimates(
-    context: &Context,
+    console: &Console,
     run: &RunFolder,
     mode: VlmMode,
     set: &EntitySet,
@@ -32,7 +26,7 @@ pub(crate) fn estimates(
     seed: Seed,
 ) -> anyhow::Result<Vec<Option<Estimate>>> {
     let mut estimates = vec![None; queries.len()];
-    let mut config = context.settings.section("vlm", defaults())?;
+    let mut config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
     let is_wanted = match mode {
         VlmMode::Off => false,
         VlmMode::Auto => !config.url.trim().is_empty(),
@@ -41,7 +35,7 @@ pub(crate) fn estimates(
     let warnings = Warnings::new();
     if !is_wanted {
         // What an earlier run of the command said of the model is no longer so.
-        context.finish(run, "vlm", &["vlm."], Metrics::new(), &warnings)?;
+        console.finish(run, "vlm", &["vlm."], Metrics::new(), &warnings)?;
         return Ok(estimates);
     }
     config.cache_only |= mode == VlmMode::CacheOnly;
@@ -72,12 +66,19 @@ pub(crate) fn estimates(
         }
     }
     let cache = Cache::new(&run.root().join(REPLIES));
-    let asked = ask(&questions, &client, &cache, context.progress.as_ref(), &context.cancel, &warnings)?;
+    let asked = ask(
+        &questions,
+        &client,
+        &cache,
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+        &warnings,
+    )?;
     let mut metrics = Metrics::new();
     count(&asked, queries.len(), &config, &mut metrics);
     metrics.set("vlm.seconds", began.elapsed().as_secs_f64());
-    context.finish(run, "vlm", &["vlm."], metrics, &warnings)?;
-    context.say(summary(&asked, queries.len(), &config));
+    console.finish(run, "vlm", &["vlm."], metrics, &warnings)?;
+    console.say(summary(&asked, queries.len(), &config));
     if let (VlmMode::On, Some(given_up)) = (mode, &asked.given_up) {
         return Err(InputError::new(given_up.what.clone(), config.url, given_up.cure.clone()).into());
     }

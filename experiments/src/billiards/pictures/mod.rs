@@ -74,7 +74,7 @@ pub fn write_pictures(dir: &Path, scenes: &[BilliardsScene], text: &str) -> Resu
         }
     }
     let html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>sms bench billiards</title>\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>sms-experiments billiards</title>\
          <style>body{{font:15px/1.4 system-ui,sans-serif;margin:2em;max-width:1900px}}pre{{overflow-x:auto;\
          background:#f6f6f6;padding:1em;font-size:12px}}figure{{margin:0}}svg{{max-width:100%}}</style>\
          <h1>The billiards experiment</h1><pre>{}</pre>{page}</html>\n",

@@ -1,7 +1,7 @@
 //! The robust plan of a scene from above: as planned, and below it as realised.
 
 use super::{Picture, escaped};
-use crate::billiards::{BilliardsScene, Row, Way, cause};
+use crate::billiards::{BilliardsScene, Row, Way};
 use glamx::DVec2;
 use sms_report::{TopOutline, TopPath, TopShape, TopView};
 
@@ -17,7 +17,7 @@ pub(super) fn motion_svg(s: &BilliardsScene, engine: &str, width: f64) -> Option
     let planned_title = match (&s.problem, &shot.action) {
         (Some(_), _) => format!("{head}: nothing planned"),
         (None, None) => format!("{head}: no strike found"),
-        _ => format!("{head}: planned {:.1} ({})", 1e2 * shot.predicted_m, cm(cause::promised_m(shot))),
+        _ => format!("{head}: planned {:.1} ({})", 1e2 * shot.predicted_m, cm(shot.expected_m())),
     };
     let realised_title = match s.realised.get(engine)?.get(&Row::Robust)?.first()? {
         Some(v) => format!("realised {}", cm(*v)),

@@ -1,0 +1,35 @@
+//! The front end that programs on top of the pipeline share: common arguments, start, printing and exit codes.
+//!
+//! ```no_run
+//! use clap::Parser;
+//! use sms_cli::front::{Common, Console, failure};
+//! use std::process::ExitCode;
+//!
+//! #[derive(Parser)]
+//! struct Arguments {
+//!     #[command(flatten)]
+//!     common: Common,
+//! }
+//!
+//! fn main() -> ExitCode {
+//!     match Console::new(&Arguments::parse().common, false) {
+//!         Ok(console) => {
+//!             console.say("ready");
+//!             ExitCode::SUCCESS
+//!         }
+//!         Err(error) => failure::report(&error),
+//!     }
+//! }
+//! ```
+
+mod arguments;
+mod bars;
+mod console;
+mod device;
+pub mod failure;
+mod values;
+
+pub use arguments::{Common, ProgressKind};
+pub use console::{Console, Context, peak_bytes};
+pub use device::{Device, without_gpu};
+pub use values::{EngineName, PathName, PresetName, RefinePoses};

@@ -1,0 +1,198 @@
+//! Who is whom: assignments of least cost, and reconstructed objects against known ones.
+
+use crate::surface_index::{SurfaceIndex, sample_surface};
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{Mesh, Seed};
+
+/// The column of each row of a square cost matrix in an assignment of least cost (Kuhn's "Hungarian method", with
+/// shortest augmenting paths).
+///
+/// ```
+/// // Row 1 likes column 0, too, but row 0 has no other choice that is as good.
+/// assert_eq!(sms_eval::least_cost_assignment(&[vec![1.0, 9.0], vec![0.5, 2.0]]), [0, 1]);
+/// ```
+pub fn least_cost_assignment(cost: &[Vec<f64>]) -> Vec<usize> {
+    let n = cost.len();
+    let (mut u, mut v) = (vec![0.0; n + 1], vec![0.0; n + 1]);
+    // Row of each column, counted from 1; column 0 is the start of the path.
+    let mut row_of = vec![0; n + 1];
+    for i in 1..=n {
+        row_of[0] = i;
+        let mut at = 0;
+        let (mut least, mut from, mut done) =
+            (vec![f64::INFINITY; n + 1], vec![0; n + 1], vec![false; n + 1]);
+        loop {
+            done[at] = true;
+            let row = row_of[at];
+            let (mut step, mut next) = (f64::INFINITY, 0);
+            for j in 1..=n {
+                if done[j] {
+                    continue;
+                }
+                let reduced = cost[row - 1][j - 1] - u[row] - v[j];
+                if reduced < least[j] {
+                    (least[j], from[j]) = (reduced, at);
+                }
+                if least[j] < step {
+                    (step, next) = (least[j], j);
+                }
+            }
+            for j in 0..=n {
+                if done[j] {
+                    u[row_of[j]] += step;
+                    v[j] -= step;
+                } else {
+                    least[j] -= step;
+                }
+            }
+            at = next;
+            if row_of[at] == 0 {
+                break;
+            }
+        }
+        while at != 0 {
+            row_of[at] = row_of[from[at]];
+            at = from[at];
+        }
+    }
+    let mut column_of = vec![0; n];
+    (1..=n).for_each(|j| column_of[row_of[j] - 1] = j - 1);
+    column_of
+}
+
+/// The surface of something to be matched, in the world.
+#[derive(Debug, Clone, Copy)]
+pub enum MatchSurface<'a> {
+    /// Triangles.
+    Mesh(&'a Mesh),
+    /// Points.
+    Points(&'a [DVec3]),
+}
+
+struct Prepared {
+    samples: Vec<DVec3>,
+    index: Option<SurfaceIndex>,
+}
+
+impl Prepared {
+    /// Enough to tell objects apart.
+    const SAMPLES: usize = 400;
+
+    fn new(surface: MatchSurface<'_>) -> Self {
+        match surface {
+            MatchSurface::Mesh(mesh) => Self {
+                samples: sample_surface(mesh, Self::SAMPLES, Seed(0).derive("match")),
+                index: SurfaceIndex::new(mesh),
+            },
+            MatchSurface::Points(points) => {
+                let step = points.len().div_ceil(Self::SAMPLES).max(1);
+                Self {
+                    samples: points.iter().step_by(step).copied().collect(),
+                    index: SurfaceIndex::of_points(points),
+                }
+            }
+        }
+    }
+
+    /// Mean of the distances between two surfaces, each from the other's samples; infinite where one has none.
+    fn distance(&self, other: &Self) -> f64 {
+        let to = |from: &Self, to: &Self| {
+            let Some(index) = to.index.as_ref().filter(|_| !from.samples.is_empty()) else {
+                return f64::INFINITY;
+            };
+            from.samples.iter().map(|&p| index.closest(p).distance).sum::<f64>() / from.samples.len() as f64
+        };
+        0.5 * (to(self, other) + to(other, self))
+    }
+}
+
+/// For each known object the index of the reconstruction that stands for it, each reconstruction at most once. `given`
+/// pairs of (known, found) stay; the rest is assigned so that the sum of the distances between the surfaces (mean of both
+/// directions) is least. Pairs farther than `reach_m[known]` apart are none.
+pub fn match_objects(
+    known: &[MatchSurface<'_>],
+    found: &[MatchSurface<'_>],
+    given: &[(usize, usize)],
+    reach_m: &[f64],
+) -> Vec<Option<usize>> {
+    let mut match_of: Vec<Option<usize>> = vec![None; known.len()];
+    for &(k, f) in given {
+        if match_of[k].is_none() && !match_of.contains(&Some(f)) {
+            match_of[k] = Some(f);
+        }
+    }
+    let free_known: Vec<usize> = (0..known.len()).filter(|&k| match_of[k].is_none()).collect();
+    let free_found: Vec<usize> = (0..found.len()).filter(|&f| !match_of.contains(&Some(f))).collect();
+    let prepare = |all: &[MatchSurface<'_>], of: &[usize]| -> Vec<Prepared> {
+        of.iter().map(|&i| Prepared::new(all[i])).collect()
+    };
+    let (k, f) = (prepare(known, &free_known), prepare(found, &free_found));
+    let size = k.len().max(f.len());
+    let cost: Vec<Vec<f64>> = (0..size)
+        .into_par_iter()
+        .map(|row| {
+            let at = |column: usize| match (k.get(row), f.get(column)) {
+                // In units of the reach: what is out of reach is as good as nothing.
+                (Some(a), Some(b)) => (a.distance(b) / reach_m[free_known[row]]).min(1.0),
+                _ => 1.0,
+            };
+            (0..size).map(at).collect()
+        })
+        .collect();
+    for (row, column) in least_cost_assignment(&cost).into_iter().enumerate() {
+        if row < k.len() && column < f.len() && cost[row][column] < 1.0 {
+            match_of[free_known[row]] = Some(free_found[column]);
+        }
+    }
+    match_of
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DPose3;
+
+    #[test]
+    fn the_assignment_is_the_best_of_all() {
+        let value =
+            |seed: usize, i: usize, j: usize| ((i * 7 + j * 13 + seed * 29) * 7919 % 101) as f64 / 101.0;
+        for seed in 0..20 {
+            let cost: Vec<Vec<f64>> = (0..4).map(|i| (0..4).map(|j| value(seed, i, j)).collect()).collect();
+            let found = least_cost_assignment(&cost);
+            let total: f64 = found.iter().enumerate().map(|(i, &j)| cost[i][j]).sum();
+            let mut best = f64::INFINITY;
+            for code in 0..256usize {
+                let p = [code & 3, code >> 2 & 3, code >> 4 & 3, code >> 6 & 3];
+                if (0..4).all(|k| p.contains(&k)) {
+                    best = best.min((0..4).map(|i| cost[i][p[i]]).sum());
+                }
+            }
+            assert!((total - best).abs() < 1e-12);
+        }
+    }
+
+    fn ball(x: f64) -> Mesh {
+        Mesh::icosphere(0.03, 2).transformed(&DPose3::from_translation(DVec3::X * x))
+    }
+
+    #[test]
+    fn no_reconstruction_stands_for_two_objects() {
+        // Both known balls are nearest to the same reconstruction; the farther one takes the other.
+        let (known, found) = ([ball(0.0), ball(0.07)], [ball(0.03), ball(-0.02)]);
+        let meshes = |m: &[Mesh; 2]| m.clone();
+        let (k, f) = (meshes(&known), meshes(&found));
+        let k: Vec<MatchSurface> = k.iter().map(MatchSurface::Mesh).collect();
+        let f: Vec<MatchSurface> = f.iter().map(MatchSurface::Mesh).collect();
+        assert_eq!(match_objects(&k, &f, &[], &[0.1; 2]), [Some(1), Some(0)]);
+        // With one reconstruction only, one object stays without.
+        assert_eq!(match_objects(&k, &f[..1], &[], &[0.1; 2]), [Some(0), None]);
+        // What is given stays, and what is too far is nothing.
+        assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1; 2]), [Some(0), Some(1)]);
+        assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1, 0.02]), [Some(0), None]);
+        // Points do as well as triangles.
+        let points = known[1].vertices.clone();
+        assert_eq!(match_objects(&[MatchSurface::Points(&points)], &f, &[], &[0.1]), [Some(0)]);
+        assert_eq!(match_objects(&[MatchSurface::Points(&[])], &f, &[], &[0.1]), [None]);
+    }
+}

@@ -1,0 +1,62 @@
+//! Arguments of the program.
+
+use crate::commands::billiards::BilliardsArguments;
+use crate::commands::engines::EnginesArguments;
+use crate::commands::landing::LandingArguments;
+use crate::commands::masks::MasksArguments;
+use crate::commands::materialize::MaterializeArguments;
+use crate::commands::merge::MergeArguments;
+use crate::commands::optimisers::OptimisersArguments;
+use crate::commands::physics::PhysicsArguments;
+use crate::commands::plan::PlanArguments;
+use crate::commands::robust::RobustArguments;
+use crate::commands::scan::ScanArguments;
+use crate::commands::scenes::ScenesArguments;
+use crate::commands::score::ScoreArguments;
+use clap::{Parser, Subcommand};
+use sms_cli::front::Common;
+
+/// Experiments on `sms`: the paper's two, and studies of its stages on scenes with exact truth.
+#[derive(Debug, Parser)]
+#[command(name = "sms-experiments", version, about, propagate_version = true)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+    #[command(flatten)]
+    pub common: Common,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
+    Scan(Box<ScanArguments>),
+    /// Scan models of known shape (../shared/data/meshes) once, and measure the meshes made of the scans.
+    Materialize(Box<MaterializeArguments>),
+    /// Compare masks from geometry with the true ones, on billiards scenes, stacked structures and a real shelf.
+    Masks(MasksArguments),
+    /// Run closed-form experiments in the physics engines: impacts, throw, rolling, sliding, tipping, a stack.
+    Physics(PhysicsArguments),
+    /// Measure another program's reconstruction of a scene that `sms-experiments scan --export` wrote.
+    Score(ScoreArguments),
+    /// Compare search methods at equal numbers of simulated shots. The planner is given the true geometry and materials of
+    /// generated scenes: this measures search, not reconstruction.
+    Optimisers(OptimisersArguments),
+    /// Compare nominal with robust planning at equal cost, in true worlds with other materials than the planner was given
+    /// (`--materials noisy`) and slightly displaced bodies. True geometry of generated scenes; by default the striker is a
+    /// kinematic finger, and the engine the planner's.
+    Robust(RobustArguments),
+    /// Simulate the same shots in every engine that is built in, and compare their ends.
+    Engines(EnginesArguments),
+    /// Measure the speed of simulated shots and of plans, and the share of each part.
+    Plan(PlanArguments),
+    /// Determine by brute force whether generated challenge scenes have a straight solution, or only rebounds.
+    Scenes(ScenesArguments),
+    /// Run the paper's billiards experiment: eighteen scenes are scanned and planned in from many starts, and every plan is
+    /// executed in the target engines. A second run on the same folder resumes the first; shards share a folder.
+    Billiards(Box<BilliardsArguments>),
+    /// Run the paper's landing experiment: four structures are scanned, landings are planned from ten starts, and each is flown
+    /// in the target world, beside baselines without a wash model. A second run on the same folder resumes the first.
+    Landing(Box<LandingArguments>),
+    /// Merge the parts of a run with --shard on several machines: the same tables and keys as one run.
+    Merge(MergeArguments),
+}

@@ -1,0 +1,77 @@
+//! `sms-experiments physics`: the closed-form suite in every engine that is built in.
+
+use clap::Args;
+use sms_cli::front::Console;
+use sms_core::metrics::Metrics;
+use sms_eval::closed_form::{Statistic, probes};
+use sms_sim::WorldFactory;
+use sms_target::engine_factories;
+
+/// The planner's engine: its figures must be within the limits. Those of the targets are shown as they are
+/// (docs/target-study.md says why which is missed).
+const PLANNER: &str = "rapier";
+
+#[derive(Debug, Args, Clone)]
+pub(crate) struct PhysicsArguments {
+    /// Only the probes whose names contain this.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub only: String,
+    /// Only the engines whose names contain this.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub engine: String,
+}
+
+pub(crate) fn run(console: &Console, a: &PhysicsArguments) -> anyhow::Result<()> {
+    let mut engines: Vec<(&str, Box<dyn WorldFactory>)> = Vec::new();
+    for (key, factory) in engine_factories().into_iter().filter(|e| e.0.contains(&a.engine)) {
+        match factory {
+            Ok(factory) => engines.push((key, factory)),
+            Err(e) => console.say(format!("{key} is not run: {e}")),
+        }
+    }
+    let mut metrics = Metrics::new();
+    let chosen: Vec<_> = probes().iter().filter(|p| p.name.contains(&a.only)).collect();
+    if chosen.is_empty() || engines.is_empty() {
+        let names: Vec<&str> = probes().iter().map(|p| p.name).collect();
+        let (what, option) = if chosen.is_empty() { (&a.only, "--only") } else { (&a.engine, "--engine") };
+        let keys: Vec<&str> = engine_factories().into_iter().map(|e| e.0).collect();
+        let there = if chosen.is_empty() { names } else { keys };
+        return Err(sms_core::InputError::new(
+            format!("nothing has `{what}` in its name"),
+            option,
+            format!("there are {}", there.join(", ")),
+        )
+        .into());
+    }
+    let heads: String = engines.iter().map(|(key, _)| format!(" {key:>14}")).collect();
+    console.say(format!("{:>22}  {:>10}{heads}", "probe", "limit"));
+    let (mut missed, mut shown) = (0, 0);
+    for probe in chosen {
+        let mut row = format!("{:>22}  {:>10}", probe.name, probe.limit);
+        for (key, factory) in &engines {
+            console.context.cancel.check()?;
+            let figure = probe.figure(&probe.measure(&**factory)?);
+            metrics.set(format!("bench.physics.{key}.{}", probe.name), figure);
+            let is_beyond = figure > probe.limit;
+            if key.starts_with(PLANNER) {
+                missed += usize::from(is_beyond)
+            } else {
+                shown += usize::from(is_beyond)
+            }
+            row += &format!(" {figure:>13.6}{}", if is_beyond { "!" } else { " " });
+        }
+        let which = if probe.statistic == Statistic::Rms { "rms" } else { "worst" };
+        console.say(format!("{row} {which}: {}", probe.what));
+    }
+    if console.json {
+        console.print_json(&metrics)?;
+    }
+    anyhow::ensure!(missed == 0, "{missed} figures of the planner's engine are beyond their limits");
+    console.say(match shown {
+        0 => "all within their limits".to_owned(),
+        n => format!(
+            "the planner's engine is within its limits; {n} figures of target engines are beyond them (!)"
+        ),
+    });
+    Ok(())
+}
