@@ -276,7 +276,7 @@ mod tests {
     #[derive(Parser)]
     struct Command {
         #[command(flatten)]
-        billiards: BenchBilliards,
+        billiards: BilliardsArguments,
     }
 
     fn numbers(arguments: &[&str]) -> anyhow::Result<Vec<usize>> {
