@@ -18,7 +18,8 @@
 //! DIR` then measures what somebody made of the frames (see [`score_files`](crate::score_files)).
 
 use crate::BenchError;
-use crate::prepare::{BenchOptions, Prepared};
+use crate::options::BenchOptions;
+use crate::prepare::Prepared;
 use crate::run::Yardstick;
 use crate::scenes::BenchScene;
 use glamx::{DMat4, DPose3, DVec3, DVec4};

@@ -49,16 +49,19 @@
 mod billiards;
 mod disturb;
 mod engines;
+mod error;
 mod export;
 mod landing;
 mod masks;
 mod materialize;
 mod optimisers;
+mod options;
 mod panels;
 mod plan_scenes;
 mod plan_speed;
 mod prepare;
 mod real;
+mod recordings;
 mod robust;
 mod robust_table;
 mod run;
@@ -70,6 +73,7 @@ mod solvability;
 mod solved;
 mod steps;
 mod table;
+mod timer;
 mod told;
 mod trainer;
 mod true_worlds;
@@ -81,11 +85,12 @@ pub use billiards::{
 };
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};
+pub use error::BenchError;
 pub use export::{DEPTH_UNIT_M, export_scene};
 pub use landing::{
-    EdgeLoad, LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart,
-    LandingPlanned, LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics,
-    landing_table, read_landings, run_landing, run_landings, scan_landings,
+    EdgeLoad, LandingBaseline, LandingBench, LandingChoice, LandingFlight, LandingPart, LandingPlanned,
+    LandingScan, LandingSight, Standing, landing_metrics, landing_scan_metrics, landing_table, read_landings,
+    run_landing, run_landings, scan_landings,
 };
 pub use masks::{masks_metrics, masks_table, run_masks};
 pub use materialize::{
@@ -93,16 +98,18 @@ pub use materialize::{
     materialize_markdown, materialize_table, materialize_targets, run_materialize, train,
 };
 pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
+pub use options::BenchOptions;
 pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
 pub use plan_speed::run_plan_speed;
-pub use prepare::{BenchOptions, Prepared, locate, prepare};
+pub use prepare::{Prepared, prepare};
+pub use recordings::{locate, recording};
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
 pub use run::{Yardstick, run_scene, run_scene_with};
 pub use scenes::{
-    BenchScene, FRAMES, HOLDOUT, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path, models_dir,
-    real_data_dir, recording, select_mask_scenes, select_models, select_scenes, truth_scene,
+    BenchScene, FRAMES, HOLDOUT, LANDING_SCENES, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path,
+    models_dir, real_data_dir, select_mask_scenes, select_models, select_scenes, truth_scene,
 };
 pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};
@@ -116,46 +123,3 @@ pub use told::{
 };
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;
-
-use sms_core::{CoreError, InputError};
-
-/// Errors of a measurement.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchError {
-    /// Bad input by the user.
-    #[error(transparent)]
-    Input(#[from] InputError),
-    /// A vision-language model's server that stops answering: what is asked of it cannot be run now, all else can.
-    #[error(transparent)]
-    Unanswered(InputError),
-    /// Files or interruption.
-    #[error(transparent)]
-    Core(#[from] CoreError),
-    /// The masks failed.
-    #[error(transparent)]
-    Masks(#[from] sms_masks::MasksError),
-    /// The scan failed.
-    #[error(transparent)]
-    Scan(#[from] sms_gaussians::ScanError),
-    /// The meshes failed.
-    #[error(transparent)]
-    Entities(#[from] sms_entities::EntitiesError),
-    /// The planner failed.
-    #[error(transparent)]
-    Plan(#[from] sms_plan::PlanError),
-    /// The entities make no scene.
-    #[error(transparent)]
-    Build(#[from] sms_scene::BuildError),
-    /// A scene could not be kept.
-    #[error(transparent)]
-    Scene(#[from] sms_scene::SceneError),
-    /// A landing could not be planned.
-    #[error(transparent)]
-    Landing(#[from] sms_landing::LandingError),
-    /// A target world could not be built.
-    #[error(transparent)]
-    Target(#[from] sms_target::TargetError),
-    /// A comparison with a scanned model failed.
-    #[error(transparent)]
-    Evaluate(#[from] sms_eval::EvaluateError),
-}

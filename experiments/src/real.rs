@@ -1,8 +1,9 @@
 //! Real recordings: what can be measured without a whole truth.
 
 use crate::BenchError;
+use crate::options::BenchOptions;
 use crate::panels::write_panel;
-use crate::prepare::{BenchOptions, Prepared};
+use crate::prepare::Prepared;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, Seed, Warnings};

@@ -1,12 +1,14 @@
 //! One scene: prepared, scanned, measured.
 
 use crate::BenchError;
+use crate::options::BenchOptions;
 use crate::panels::write_panel;
-use crate::prepare::{BenchOptions, Prepared, Timer, prepare};
+use crate::prepare::{Prepared, prepare};
 use crate::real::real_metrics;
 use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
+use crate::timer::Timer;
 use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;

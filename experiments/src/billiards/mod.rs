@@ -6,6 +6,7 @@
 //! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
 //! in one folder.
 
+mod ablated;
 mod ablation;
 mod asked;
 mod drawing;
@@ -14,16 +15,18 @@ mod options;
 mod pictures;
 mod realise;
 mod result;
+mod row;
 mod rows;
 mod run;
 pub(crate) mod seen;
 mod table;
 
-pub use ablation::{Ablated, Ablation, Replaced};
+pub use ablated::{Ablated, Ablation, Replaced};
 pub use drawing::{Drawing, Way};
 pub use figures::billiards_metrics;
 pub use options::{BilliardsBench, BilliardsGeometry, paper_entities};
 pub use pictures::write_pictures;
-pub use result::{BilliardsScene, Row, Shot, Unfinished, read_billiards, write_shots};
+pub use result::{BilliardsScene, Shot, read_billiards, write_shots};
+pub use row::{Row, Unfinished};
 pub use run::{run_billiards, scan_billiards};
 pub use table::billiards_table;

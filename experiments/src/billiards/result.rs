@@ -1,6 +1,6 @@
 //! What is kept of a scene.
 
-use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing};
+use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing, Row, Unfinished};
 use crate::{BenchError, MaterialsTold};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
@@ -9,38 +9,6 @@ use sms_synth::{FIXED_SCENES, FixedScene, Layout};
 use sms_task::Action;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// A planner.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Row {
-    /// The paper's: plain Nelder-Mead from random starts, each its own plan, in bodies made of the scan the paper's way.
-    Paper,
-    /// Ours: a small plan from each of as many seeds.
-    Ours,
-    /// Ours: one plan with the planner's default settings, which a user would carry out.
-    Robust,
-    /// The grid baseline.
-    Grid,
-}
-
-impl Row {
-    /// All of them, in the order of the table.
-    pub const ALL: [Self; 4] = [Self::Paper, Self::Ours, Self::Robust, Self::Grid];
-
-    /// The word in tables and keys.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Paper => "paper",
-            Self::Ours => "ours",
-            Self::Robust => "robust",
-            Self::Grid => "grid",
-        }
-    }
-}
-
-/// Why shots of a row were not finished, by their place in it.
-pub type Unfinished = BTreeMap<usize, String>;
 
 /// One plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

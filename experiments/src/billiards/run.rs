@@ -1,6 +1,7 @@
 //! Scene by scene.
 
-use super::ablation::{Ablation, ablate};
+use super::ablated::Ablation;
+use super::ablation::ablate;
 use super::drawing::{outlines, ways};
 use super::realise::Table;
 use super::result::kept;

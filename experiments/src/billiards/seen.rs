@@ -3,6 +3,7 @@
 use super::asked::{keep_questions, tell_asked};
 use super::{BilliardsBench, BilliardsGeometry, Row};
 use crate::materialize::scan_key;
+use crate::scenes::no_scene;
 use crate::told::set_material;
 use crate::{
     BenchError, BenchOptions, BenchScene, MaskChoice, MaterializeOptions, MaterialsTold, generated, train,
@@ -167,15 +168,6 @@ pub(crate) fn scanned(
     keep_questions(&dir, &set, &trained.sequence, &trained.labels)?;
     save_scene(&dir, &scene)?;
     Ok(scene)
-}
-
-/// There is no such scene, or the scanned models that it is built of are not there.
-pub(crate) fn no_scene(which: &BenchScene) -> sms_core::InputError {
-    sms_core::InputError::new(
-        format!("there is no generated scene {which}"),
-        "--scenes",
-        "give numbers of scenes that there are; scanned models are looked for in meshes/ of SMS_TEST_DATA",
-    )
 }
 
 /// Where a scanned scene is kept, named by what it is made from.

@@ -12,7 +12,7 @@ mod sight;
 mod stand;
 mod table;
 
-pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingPart};
+pub use options::{LandingBaseline, LandingBench, LandingChoice, LandingPart};
 pub use result::{LandingFlight, LandingPlanned, read_landings};
 pub use run::{LandingScan, run_landing, run_landings, scan_landings};
 pub use sight::LandingSight;

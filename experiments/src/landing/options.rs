@@ -1,16 +1,15 @@
 //! What the experiment depends on.
 
 use super::LandingSight;
-use crate::billiards::seen::no_scene;
+use crate::scenes::{LANDING_SCENES, no_scene};
 use crate::{BenchError, BenchScene, BilliardsGeometry, MaterializeOptions, MaterialsTold, generated};
 use glamx::DVec3;
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_landing::{LandingAction, LandingSettings, LandingTask};
 use sms_scene::Scene;
-use sms_synth::{LandingStructure, TruthScene, landing_structure};
+use sms_synth::{TruthScene, landing_structure};
 use sms_target::TargetEngine;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Counts up when what is kept of a flight, or how it is made, changes.
@@ -22,9 +21,6 @@ const SCANNED_HEIGHT_M: f64 = 0.3;
 
 /// Distance of the planner's particles in the quick run, metres.
 const QUICK_SPACING_M: f64 = 0.03;
-
-/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
-pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
 
 /// A planner to compare with, by its name in tables and keys. It is given what ours is given, and the recording.
 pub struct LandingBaseline<'a> {

@@ -55,8 +55,9 @@ pub fn run_landings(
     for part in part_of(bench.flights(), bench.part) {
         cancel.check()?;
         let kept = recorded.take().filter(|of: &Recorded<'_>| of.number() == part.scene);
-        let recorded =
-            recorded.insert(kept.unwrap_or_else(|| Recorded::new(bench, part.scene, progress, cancel)));
+        let recorded = recorded.insert(kept.unwrap_or_else(|| {
+            Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel)
+        }));
         let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, recorded, progress, cancel)?;
         if is_new {
             line(&flight);
@@ -139,7 +140,7 @@ pub fn run_landing(
     cancel: &Cancel,
 ) -> Result<LandingFlight, BenchError> {
     let target = bench.engine.target()?;
-    let recorded = Recorded::new(bench, part.scene, progress, cancel);
+    let recorded = Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel);
     Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), &recorded, progress, cancel)?.0)
 }
 

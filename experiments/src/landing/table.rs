@@ -2,8 +2,9 @@
 
 use super::options::word;
 use super::result::OURS;
-use super::{LANDING_SCENES, LandingFlight, LandingPlanned, LandingScan};
+use super::{LandingFlight, LandingPlanned, LandingScan};
 use crate::MaterialsTold;
+use crate::scenes::LANDING_SCENES;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
 use std::fmt::Write;

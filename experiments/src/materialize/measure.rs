@@ -3,8 +3,8 @@
 use super::MaterializeOptions;
 use super::trained::{Trained, train};
 use crate::BenchError;
-use crate::prepare::Timer;
 use crate::scenes::BenchScene;
+use crate::timer::Timer;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, Warnings};
 use sms_entities::{EntitySet, build_entities};

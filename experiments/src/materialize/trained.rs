@@ -1,7 +1,8 @@
 //! Scans kept on disk, so that the entities stage can be measured again and again.
 
 use super::{MaskChoice, MaterializeOptions};
-use crate::prepare::{BenchOptions, prepare};
+use crate::options::BenchOptions;
+use crate::prepare::prepare;
 use crate::scenes::{BenchScene, generated, model_path};
 use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
