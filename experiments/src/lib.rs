@@ -53,6 +53,7 @@ mod error;
 mod export;
 mod landing;
 mod masks;
+mod material_prior;
 mod materialize;
 mod optimisers;
 mod options;
@@ -60,6 +61,7 @@ mod panels;
 mod plan_scenes;
 mod plan_speed;
 mod prepare;
+mod reachability;
 mod real;
 mod recordings;
 mod robust;
@@ -70,11 +72,9 @@ mod score;
 mod seed_parts;
 mod shards;
 mod solvability;
-mod solved;
 mod steps;
 mod table;
 mod timer;
-mod told;
 mod trainer;
 mod true_worlds;
 
@@ -93,6 +93,9 @@ pub use landing::{
     run_landing, run_landings, scan_landings,
 };
 pub use masks::{masks_metrics, masks_table, run_masks};
+pub use material_prior::{
+    DENSITY_LOG_SD, FRICTION_ERROR, MaterialPrior, RESTITUTION_ERROR, ROLLING_LOG_SD, apply_material_prior,
+};
 pub use materialize::{
     Inputs, MaskChoice, MaterializeOptions, MaterializeTarget, Trained, add_materialize_means,
     materialize_markdown, materialize_table, materialize_targets, run_materialize, train,
@@ -103,6 +106,9 @@ pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
 pub use plan_speed::run_plan_speed;
 pub use prepare::{Prepared, prepare};
+pub use reachability::{
+    Reachability, ReachabilityBench, reachability_metrics, reachability_table, run_reachability,
+};
 pub use recordings::{locate, recording};
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
@@ -115,11 +121,7 @@ pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};
 pub use shards::{Merged, Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
-pub use solved::{Solved, SolvedBench, run_solved, solved_metrics, solved_table};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use table::{Target, add_means, table, targets};
-pub use told::{
-    DENSITY_LOG_SD, FRICTION_ERROR, MaterialsTold, RESTITUTION_ERROR, ROLLING_LOG_SD, tell_materials,
-};
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;

@@ -1,6 +1,6 @@
 //! The scenes on which the planner is measured.
 
-use crate::{BenchError, MaterialsTold, tell_materials};
+use crate::{BenchError, MaterialPrior, apply_material_prior};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Seed};
 use sms_plan::PlanError;
@@ -75,17 +75,21 @@ impl PlanScene {
     /// # Errors
     /// [`BenchError`] when the generator's masses or task are impossible.
     pub fn new(family: SceneFamily, seed: u64) -> Result<Self, BenchError> {
-        Self::told(family, seed, MaterialsTold::Truth)
+        Self::with_prior(family, seed, MaterialPrior::Truth)
     }
 
     /// Generates the scene of a seed, with something told of the materials.
     ///
     /// # Errors
     /// As [`PlanScene::new`].
-    pub fn told(family: SceneFamily, seed: u64, told: MaterialsTold) -> Result<Self, BenchError> {
+    pub fn with_prior(
+        family: SceneFamily,
+        seed: u64,
+        material_prior: MaterialPrior,
+    ) -> Result<Self, BenchError> {
         let truth = family.generate(seed)?;
         let mut scene = true_scene(&truth, seed)?;
-        tell_materials(&mut scene, &truth, told, Seed(seed));
+        apply_material_prior(&mut scene, &truth, material_prior, Seed(seed));
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
         let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
         let task = task.resolve(&scene).map_err(PlanError::from)?;

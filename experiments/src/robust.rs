@@ -1,7 +1,7 @@
 //! `sms-experiments robust`: what plans are worth in worlds other than the one that was told.
 
 use crate::robust_table::summarise;
-use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds};
+use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
 use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
@@ -29,7 +29,7 @@ pub struct RobustBench {
     /// How hard they are.
     pub family: SceneFamily,
     /// What the planner is told of materials.
-    pub told: MaterialsTold,
+    pub material_prior: MaterialPrior,
     /// True worlds per scene.
     pub worlds: usize,
     /// Robust planners: name and settings. Plain planning costs as much as the first.
@@ -53,7 +53,7 @@ impl RobustBench {
         Self {
             seeds,
             family,
-            told: MaterialsTold::Noisy,
+            material_prior: MaterialPrior::Noisy,
             worlds: 48,
             errors: robust.disturbances.clone(),
             planners: vec![("robust".to_owned(), robust)],
@@ -70,7 +70,7 @@ impl RobustBench {
             self.planners.iter().map(|(name, config)| (name, hash_serializable(config).0)).collect();
         let first = self.planners.first().map(|p| p.0.as_str());
         hash_serializable(&(
-            (self.family, self.told, self.worlds, self.oracle_evaluations, self.chaos_runs),
+            (self.family, self.material_prior, self.worlds, self.oracle_evaluations, self.chaos_runs),
             (&self.errors, self.arm, self.engine.map(TargetEngine::name)),
             (planners, first),
         ))
@@ -154,7 +154,7 @@ pub fn run_robust(
         .seeds
         .iter()
         .map(|&s| {
-            let scene = PlanScene::told(bench.family, s, bench.told)?;
+            let scene = PlanScene::with_prior(bench.family, s, bench.material_prior)?;
             Ok(if bench.arm { PlanScene { task: scene.arm_task()?, ..scene } } else { scene })
         })
         .collect::<Result<_, BenchError>>()?;
@@ -409,7 +409,7 @@ mod tests {
 
     #[test]
     fn what_the_arm_cannot_make_is_no_rollout_of_a_true_world() {
-        let scene = PlanScene::told(SceneFamily::Crowded, 1005, MaterialsTold::Truth).unwrap();
+        let scene = PlanScene::with_prior(SceneFamily::Crowded, 1005, MaterialPrior::Truth).unwrap();
         let mut scene = PlanScene { task: scene.arm_task().unwrap(), ..scene };
         let action = scene.task.suggestions().swap_remove(0);
         let errors = Disturbances::default();
@@ -478,8 +478,11 @@ mod tests {
         let table = robust_table(&bench, &whole);
         assert!(table.contains("1002") && table.contains("robust"), "{table}");
         for key in ["bench.robust.engine", "bench.robust.striker"] {
-            let told = whole.get(key).and_then(|v| v.as_str()).unwrap();
-            assert!(!told.is_empty() && table.contains(told), "{key}: {told}; {table}");
+            let material_prior = whole.get(key).and_then(|v| v.as_str()).unwrap();
+            assert!(
+                !material_prior.is_empty() && table.contains(material_prior),
+                "{key}: {material_prior}; {table}"
+            );
         }
     }
 }

@@ -46,7 +46,7 @@ fn pairs(a: &BTreeMap<u64, f64>, b: &BTreeMap<u64, f64>) -> Vec<(f64, f64)> {
 /// of a bootstrap that resamples scenes as pairs. Each compares the same scenes; `…_scenes` is their number.
 pub(crate) fn summarise(bench: &RobustBench, metrics: &mut Metrics) {
     metrics.set("bench.robust.scenes", bench.seeds.len());
-    metrics.set("bench.robust.materials", bench.told.as_str());
+    metrics.set("bench.robust.materials", bench.material_prior.as_str());
     let mean = |v: &BTreeMap<u64, f64>| v.values().sum::<f64>() / v.len() as f64;
     let best = column(bench, metrics, ORACLE, "best_m");
     if !best.is_empty() {
@@ -101,7 +101,7 @@ pub fn robust_table(bench: &RobustBench, metrics: &Metrics) -> String {
         bench.worlds,
         text_of("engine"),
         text_of("striker"),
-        bench.told.as_str(),
+        bench.material_prior.as_str(),
         "planner",
         "realised",
         "median",

@@ -339,18 +339,18 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let a = write(dir.path(), (1, 2), settings(4, 0.5), &[("1001", 0.1)]);
         let b = write(dir.path(), (2, 2), settings(4, 0.6), &[("1002", 0.2)]);
-        let told = |paths: &[PathBuf]| merge_shards(paths).unwrap_err().to_string();
-        let message = told(&[a.clone(), b.clone()]);
+        let material_prior = |paths: &[PathBuf]| merge_shards(paths).unwrap_err().to_string();
+        let message = material_prior(&[a.clone(), b.clone()]);
         assert!(message.contains("`plan.robust` is 0.5 and 0.6") && !message.contains("worlds"), "{message}");
         let other = dir.path().join("other");
         let c = write(&other, (1, 2), settings(4, 0.5), &[("1001", 0.7)]);
-        assert!(told(&[a.clone(), c]).contains("`1001`"));
+        assert!(material_prior(&[a.clone(), c]).contains("`1001`"));
         let empty = dir.path().join("empty");
         std::fs::create_dir(&empty).unwrap();
-        assert!(told(&[empty]).contains("no file"));
+        assert!(material_prior(&[empty]).contains("no file"));
         let mut text = std::fs::read_to_string(&b).unwrap();
         text = text.replace("0.6", "0.7");
         std::fs::write(&b, text).unwrap();
-        assert!(told(&[b]).contains("not those that it was written with"));
+        assert!(material_prior(&[b]).contains("not those that it was written with"));
     }
 }

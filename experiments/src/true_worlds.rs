@@ -125,11 +125,11 @@ impl<'a> TrueWorlds<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MaterialsTold, SceneFamily};
+    use crate::{MaterialPrior, SceneFamily};
 
     #[test]
     fn true_worlds_differ_by_what_is_not_known_and_repeat() {
-        let scene = PlanScene::told(SceneFamily::Open, 1001, MaterialsTold::Noisy).unwrap();
+        let scene = PlanScene::with_prior(SceneFamily::Open, 1001, MaterialPrior::Noisy).unwrap();
         let errors = Disturbances::default();
         let worlds = TrueWorlds::new(&scene, &errors, 3).unwrap();
         let again = TrueWorlds::new(&scene, &errors, 2).unwrap();

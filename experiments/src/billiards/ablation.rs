@@ -2,12 +2,12 @@
 //! a time, and it plans again. The truth is looked at here.
 
 use super::ablated::{Ablated, Ablation, Replaced};
+use super::planner_view::{PlannerView, apply_to_matched, forget_material};
 use super::realise::Table;
 use super::rows::{View, make};
-use super::seen::{Seen, forget_material, tell_matched};
 use super::{BilliardsBench, BilliardsScene, Row, Shot, Unfinished};
-use crate::told::set_material;
-use crate::{BenchError, MaterialsTold};
+use crate::material_prior::set_material;
+use crate::{BenchError, MaterialPrior};
 use glamx::DVec3;
 use sms_core::{Aabb, Cancel, Progress, Seed};
 use sms_plan::PlanError;
@@ -41,7 +41,7 @@ impl Target for PlannersOwn {
 pub(super) fn ablate(
     bench: &BilliardsBench,
     result: &BilliardsScene,
-    seen: &Seen,
+    known: &PlannerView,
     truth: &TruthScene,
     robot: &RobotConfig,
     seed: Seed,
@@ -54,7 +54,7 @@ pub(super) fn ablate(
     let table = |target| Table { target, truth, robot, idle_m: result.idle_m };
     let mut ablation =
         Ablation { judge: engine.key().to_owned(), starts, sensitivity_m: None, rows: BTreeMap::new() };
-    let own = View { task: &seen.task, scene: &seen.scene };
+    let own = View { task: &known.task, scene: &known.scene };
     let first: BTreeMap<Row, Vec<Shot>> = ROWS
         .into_iter()
         .filter_map(|row| Some((row, result.plans.get(&row)?.iter().take(starts).cloned().collect())))
@@ -65,7 +65,7 @@ pub(super) fn ablate(
     }
     for what in Replaced::ALL {
         cancel.check()?;
-        let replaced = replaced(seen, truth, result.told, what)?;
+        let replaced = replaced(known, truth, result.material_prior, what)?;
         let (scene, task) = replaced.as_ref().map_or((own.scene, own.task), |r| (&r.0, &r.1));
         let view = View { task, scene };
         let plans = match what {
@@ -103,33 +103,33 @@ pub(super) fn ablate(
 
 /// The planner's scene with something replaced, and the task in it; `None` where its own is to be taken.
 fn replaced(
-    seen: &Seen,
+    known: &PlannerView,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     what: Replaced,
 ) -> Result<Option<(Scene, Task)>, BenchError> {
     let mut real = scene_from_truth(truth).map_err(TargetError::from)?;
     for body in &mut real.bodies {
-        body.x_wb = seen.scene.x_world_recording * body.x_wb;
+        body.x_wb = known.scene.x_world_recording * body.x_wb;
     }
-    real.x_world_recording = seen.scene.x_world_recording;
+    real.x_world_recording = known.scene.x_world_recording;
     // What did not rest by itself was fixed, and is still in some object's place.
-    let pairs = match_bodies(&seen.scene.loosened(), &real);
-    let seed = seen.told_seed;
+    let pairs = match_bodies(&known.scene.loosened(), &real);
+    let seed = known.prior_seed;
     Ok(match what {
         Replaced::None | Replaced::Engine => None,
         Replaced::Materials => {
-            let mut scene = seen.scene.clone();
-            tell_matched(&mut scene, truth, MaterialsTold::Truth, seed)?;
-            Some((scene, seen.task.clone()))
+            let mut scene = known.scene.clone();
+            apply_to_matched(&mut scene, truth, MaterialPrior::Truth, seed)?;
+            Some((scene, known.task.clone()))
         }
-        Replaced::Poses => Some((at_true_places(&seen.scene, &real, &pairs), seen.task.clone())),
+        Replaced::Poses => Some((at_true_places(&known.scene, &real, &pairs), known.task.clone())),
         Replaced::Geometry => {
-            let scene = with_true_shapes(seen, &real, truth, told, seed, &pairs);
+            let scene = with_true_shapes(known, &real, truth, material_prior, seed, &pairs);
             let name = |called: &str| own_name(&pairs, called);
-            Some((scene, billiards(&seen.task, &name(&truth.cue), &name(&truth.target))))
+            Some((scene, billiards(&known.task, &name(&truth.cue), &name(&truth.target))))
         }
-        Replaced::All => Some((real, billiards(&seen.task, &truth.cue, &truth.target))),
+        Replaced::All => Some((real, billiards(&known.task, &truth.cue, &truth.target))),
     })
 }
 
@@ -180,24 +180,24 @@ fn at_true_places(own: &Scene, real: &Scene, pairs: &[(String, String)]) -> Scen
 /// The true bodies, each standing where its reconstruction stands, with the materials told; what was not reconstructed at its
 /// own place, and nothing that is not there.
 fn with_true_shapes(
-    seen: &Seen,
+    known: &PlannerView,
     real: &Scene,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     seed: Seed,
     pairs: &[(String, String)],
 ) -> Scene {
     let is_floor = |b: &&Body| matches!(b.shape, BodyShape::HalfSpace);
-    let own_floor = seen.scene.bodies.iter().find(is_floor);
+    let own_floor = known.scene.bodies.iter().find(is_floor);
     let floor = own_floor.or_else(|| real.bodies.iter().find(is_floor)).cloned();
     let objects = truth.objects.iter().filter_map(|object| {
         let mut body = real.body(&object.name)?.clone();
         forget_material(&mut body);
         let name = own_name(pairs, &object.name);
-        if let Some(own) = seen.scene.body(&name) {
-            let material = match told {
-                MaterialsTold::Vlm => own.material.clone(),
-                _ => told.of_object(object, &body, seed),
+        if let Some(own) = known.scene.body(&name) {
+            let material = match material_prior {
+                MaterialPrior::Vlm => own.material.clone(),
+                _ => material_prior.of_object(object, &body, seed),
             };
             set_material(&mut body, material);
             body.x_wb.translation += foot_w(own) - foot_w(&body);
@@ -206,26 +206,26 @@ fn with_true_shapes(
         body.name = name;
         Some(body)
     });
-    Scene { bodies: floor.into_iter().chain(objects).collect(), ..seen.scene.clone() }
+    Scene { bodies: floor.into_iter().chain(objects).collect(), ..known.scene.clone() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::BilliardsGeometry;
-    use crate::billiards::seen::{is_object, see};
+    use crate::billiards::planner_view::{is_object, planner_view};
     use sms_core::NoProgress;
     use sms_synth::FIXED_SCENES;
 
     /// What the planner would see of scene 8, were every body a little elsewhere, its boxes a little larger, and one missing.
-    fn shifted() -> (Seen, TruthScene) {
+    fn shifted() -> (PlannerView, TruthScene) {
         let fixed = FIXED_SCENES[7];
         let truth = fixed.generate();
         let mut bench = BilliardsBench::new(vec![fixed], std::path::Path::new("keep"), "out");
         bench.geometry = BilliardsGeometry::Truth;
-        let mut seen =
-            see(&bench, &fixed, &truth, MaterialsTold::Class, &NoProgress, &Cancel::new()).unwrap();
-        for body in seen.scene.bodies.iter_mut().filter(|b| is_object(b)) {
+        let mut known =
+            planner_view(&bench, &fixed, &truth, MaterialPrior::Class, &NoProgress, &Cancel::new()).unwrap();
+        for body in known.scene.bodies.iter_mut().filter(|b| is_object(b)) {
             body.x_wb.translation += DVec3::new(0.003, -0.002, 0.0);
             if let BodyShape::Hulls { hulls } = &mut body.shape {
                 for hull in hulls {
@@ -233,7 +233,7 @@ mod tests {
                 }
             }
         }
-        (seen, truth)
+        (known, truth)
     }
 
     fn farthest(a: &Scene, b: &Scene) -> f64 {
@@ -243,45 +243,45 @@ mod tests {
 
     #[test]
     fn each_replacement_replaces_its_own_thing_and_nothing_else() {
-        let (seen, truth) = shifted();
-        let get = |what| replaced(&seen, &truth, MaterialsTold::Class, what).unwrap().unwrap();
+        let (known, truth) = shifted();
+        let get = |what| replaced(&known, &truth, MaterialPrior::Class, what).unwrap().unwrap();
         let real = scene_from_truth(&truth).unwrap();
         let (all, _) = get(Replaced::All);
         assert_eq!(all.bodies, real.bodies);
 
         let (poses, _) = get(Replaced::Poses);
         assert!(farthest(&poses, &real) < 1e-9);
-        for (a, b) in poses.bodies.iter().zip(&seen.scene.bodies) {
+        for (a, b) in poses.bodies.iter().zip(&known.scene.bodies) {
             assert_eq!((&a.shape, &a.material, &a.mass), (&b.shape, &b.material, &b.mass));
         }
 
         let (geometry, _) = get(Replaced::Geometry);
-        assert!(farthest(&geometry, &seen.scene) < 1e-9);
+        assert!(farthest(&geometry, &known.scene) < 1e-9);
         for object in &truth.objects {
             let (a, b) = (geometry.body(&object.name).unwrap(), real.body(&object.name).unwrap());
             assert_eq!(a.shape, b.shape);
-            assert_eq!(a.material, seen.scene.body(&object.name).unwrap().material);
-            let told = a.material.effective_density() / object.material.effective_density();
-            assert!((a.mass.unwrap().mass() / b.mass.unwrap().mass() / told - 1.0).abs() < 1e-5);
+            assert_eq!(a.material, known.scene.body(&object.name).unwrap().material);
+            let material_prior = a.material.effective_density() / object.material.effective_density();
+            assert!((a.mass.unwrap().mass() / b.mass.unwrap().mass() / material_prior - 1.0).abs() < 1e-5);
         }
 
         let (materials, _) = get(Replaced::Materials);
-        for (a, b) in materials.bodies.iter().zip(&seen.scene.bodies) {
+        for (a, b) in materials.bodies.iter().zip(&known.scene.bodies) {
             assert_eq!((&a.shape, a.x_wb), (&b.shape, b.x_wb));
             if let Some(object) = truth.object(&a.name) {
                 assert_eq!(a.material, object.material);
             }
         }
-        assert!(replaced(&seen, &truth, MaterialsTold::Class, Replaced::Engine).unwrap().is_none());
+        assert!(replaced(&known, &truth, MaterialPrior::Class, Replaced::Engine).unwrap().is_none());
     }
 
     #[test]
     fn what_was_not_reconstructed_is_there_with_true_geometry_and_strays_are_not() {
-        let (mut seen, truth) = shifted();
-        let lost = seen.scene.bodies.len() - 1;
-        seen.scene.bodies[lost].x_wb.translation.x += 2.0;
-        let (stray, name) = (seen.scene.bodies[lost].name.clone(), truth.objects[lost - 1].name.clone());
-        let (scene, _) = replaced(&seen, &truth, MaterialsTold::Class, Replaced::Geometry).unwrap().unwrap();
+        let (mut known, truth) = shifted();
+        let lost = known.scene.bodies.len() - 1;
+        known.scene.bodies[lost].x_wb.translation.x += 2.0;
+        let (stray, name) = (known.scene.bodies[lost].name.clone(), truth.objects[lost - 1].name.clone());
+        let (scene, _) = replaced(&known, &truth, MaterialPrior::Class, Replaced::Geometry).unwrap().unwrap();
         assert_eq!(scene.bodies.len(), truth.objects.len() + 1);
         assert!(scene.body(&stray).is_none() && scene.body(&format!("unseen {name}")).is_some());
     }

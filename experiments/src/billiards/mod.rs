@@ -1,25 +1,25 @@
 //! The paper's billiards experiment (section "Experiments", Table 1) on the eighteen fixed scenes: scan, materialize, plan
 //! from many starts, and carry every plan out in the target worlds.
 //!
-//! What the planner sees is made in `seen.rs` from the recording and the materials it is told; plans in `rows.rs` are made
+//! What the planner sees is made in `planner_view.rs` from the recording and the materials it is told; plans in `rows.rs` are made
 //! of that alone. `realise.rs` and `ablation.rs` are the only places where the truth decides anything. Every scene is a file that is written
 //! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
 //! in one folder.
 
 mod ablated;
 mod ablation;
-mod asked;
 mod drawing;
 mod figures;
 mod options;
 mod pictures;
+pub(crate) mod planner_view;
 mod realise;
 mod result;
 mod row;
 mod rows;
 mod run;
-pub(crate) mod seen;
 mod table;
+mod vlm_materials;
 
 pub use ablated::{Ablated, Ablation, Replaced};
 pub use drawing::{Drawing, Way};

@@ -1,7 +1,7 @@
 //! What the experiment depends on.
 
 use super::Row;
-use crate::{MaterializeOptions, MaterialsTold};
+use crate::{MaterialPrior, MaterializeOptions};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
@@ -71,7 +71,7 @@ pub struct BilliardsBench {
     /// Scenes to run now.
     pub scenes: Vec<FixedScene>,
     /// What the planner is told of materials, one after another.
-    pub told: Vec<MaterialsTold>,
+    pub material_prior: Vec<MaterialPrior>,
     /// Where its geometry comes from.
     pub geometry: BilliardsGeometry,
     /// How scenes are scanned, and where scans are kept.
@@ -108,7 +108,7 @@ impl BilliardsBench {
     pub fn new(scenes: Vec<FixedScene>, keep: &Path, out: impl Into<PathBuf>) -> Self {
         Self {
             scenes,
-            told: vec![MaterialsTold::Class],
+            material_prior: vec![MaterialPrior::Class],
             geometry: BilliardsGeometry::Scan,
             scan: MaterializeOptions::standard(keep),
             engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
@@ -149,8 +149,8 @@ impl BilliardsBench {
     }
 
     /// Names the plans of a scene by everything they are made from but the code.
-    pub(super) fn key(&self, scene: &FixedScene, told: MaterialsTold) -> Hash {
-        let seen = match self.geometry {
+    pub(super) fn key(&self, scene: &FixedScene, material_prior: MaterialPrior) -> Hash {
+        let known = match self.geometry {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => {
                 Some((self.scan.made_from(), (&self.scan.bench.entities, &self.paper_entities)))
@@ -159,11 +159,13 @@ impl BilliardsBench {
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
         // All of them are the experiment, whose key has never named them.
         let rows = (!Row::ALL.iter().all(|r| self.rows.contains(r))).then_some(&self.rows);
-        let asked = self.vlm.as_ref().filter(|_| told == MaterialsTold::Vlm).map(|c| c.config());
-        let made = (VERSION, scene.generate(), told, seen, plans);
+        let asked = self.vlm.as_ref().filter(|_| material_prior == MaterialPrior::Vlm).map(|c| c.config());
+        let made = (VERSION, scene.generate(), material_prior, known, plans);
         match (asked, rows) {
             (None, None) => hash_serializable(&made),
-            (Some(c), None) => hash_serializable(&(VERSION, made.1, told, made.3, plans, &c.url, &c.model)),
+            (Some(c), None) => {
+                hash_serializable(&(VERSION, made.1, material_prior, made.3, plans, &c.url, &c.model))
+            }
             (asked, Some(rows)) => hash_serializable(&(made, asked.map(|c| (&c.url, &c.model)), rows)),
         }
     }
@@ -173,7 +175,7 @@ impl BilliardsBench {
         let mut map = self.scan.settings();
         let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
         for (name, value) in [
-            ("materials", json!(self.told)),
+            ("materials", json!(self.material_prior)),
             ("geometry", json!(self.geometry)),
             ("paper_entities", json!(self.paper_entities)),
             ("engines", json!(engines)),
@@ -193,8 +195,8 @@ impl BilliardsBench {
     }
 
     /// File of a scene.
-    pub(super) fn file(&self, scene: &FixedScene, told: MaterialsTold) -> PathBuf {
-        let folder = format!("{}-{}", self.geometry.as_str(), told.as_str());
+    pub(super) fn file(&self, scene: &FixedScene, material_prior: MaterialPrior) -> PathBuf {
+        let folder = format!("{}-{}", self.geometry.as_str(), material_prior.as_str());
         self.out.join(folder).join(format!("scene_{:02}.json", scene.number))
     }
 }

@@ -1,7 +1,7 @@
 //! What is kept of a scene.
 
 use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing, Row, Unfinished};
-use crate::{BenchError, MaterialsTold};
+use crate::{BenchError, MaterialPrior};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, Hash, atomic};
@@ -56,7 +56,8 @@ pub struct BilliardsScene {
     /// What the scene asks for.
     pub layout: Layout,
     /// What the planner was told of materials.
-    pub told: MaterialsTold,
+    #[serde(rename = "told")]
+    pub material_prior: MaterialPrior,
     /// Where its geometry came from.
     pub geometry: BilliardsGeometry,
     /// Distance of the target ball from the goal when nothing is done, metres (truth).
@@ -118,15 +119,15 @@ impl BilliardsScene {
 pub(super) fn kept(
     bench: &BilliardsBench,
     scene: &FixedScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
 ) -> Result<Option<BilliardsScene>, CoreError> {
-    let path = bench.file(scene, told);
+    let path = bench.file(scene, material_prior);
     if !path.is_file() {
         return Ok(None);
     }
     // A file of an earlier version is made again.
     let Ok(found) = atomic::read_json::<BilliardsScene>(&path) else { return Ok(None) };
-    Ok(Some(found).filter(|f| f.key == bench.key(scene, told)))
+    Ok(Some(found).filter(|f| f.key == bench.key(scene, material_prior)))
 }
 
 /// All results in the folder that were made with the settings of `bench`, of this run and of others, in the order of
@@ -138,9 +139,9 @@ pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, Ben
     let mut all = Vec::new();
     let is_fixed = bench.scenes.iter().all(FixedScene::is_fixed);
     let scenes = if is_fixed { &FIXED_SCENES[..] } else { &bench.scenes[..] };
-    for told in MaterialsTold::ALL {
+    for material_prior in MaterialPrior::ALL {
         for scene in scenes {
-            all.extend(kept(bench, scene, told)?);
+            all.extend(kept(bench, scene, material_prior)?);
         }
     }
     Ok(all)
@@ -154,7 +155,7 @@ pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, Ben
 pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreError> {
     let (mut scene, mut start, mut evaluations, mut iterations) = (vec![], vec![], vec![], vec![]);
     let (mut finished, mut why, mut by_arm) = (vec![], vec![], vec![]);
-    let (mut layout, mut geometry, mut told, mut engines, mut rows) =
+    let (mut layout, mut geometry, mut material_prior, mut engines, mut rows) =
         (vec![], vec![], vec![], vec![], vec![]);
     let (mut predicted, mut realised, mut speed, mut angle) = (vec![], vec![], vec![], vec![]);
     for s in scenes {
@@ -166,7 +167,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
                     scene.push(s.number as i32);
                     layout.push(s.layout.as_str().to_owned());
                     geometry.push(s.geometry.as_str().to_owned());
-                    told.push(s.told.as_str().to_owned());
+                    material_prior.push(s.material_prior.as_str().to_owned());
                     engines.push(engine.clone());
                     rows.push(row.as_str().to_owned());
                     start.push(i as i32);
@@ -187,7 +188,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
         ("scene", Column::I32(scene)),
         ("layout", Column::Text(layout)),
         ("geometry", Column::Text(geometry)),
-        ("materials", Column::Text(told)),
+        ("materials", Column::Text(material_prior)),
         ("engine", Column::Text(engines)),
         ("row", Column::Text(rows)),
         ("start", Column::I32(start)),
@@ -217,7 +218,7 @@ pub(super) mod tests {
             key: Hash("k".into()),
             number: 3,
             layout: Layout::ALL[1],
-            told: MaterialsTold::Class,
+            material_prior: MaterialPrior::Class,
             geometry: BilliardsGeometry::Truth,
             idle_m: 0.4,
             objects: 4,

@@ -3,12 +3,12 @@
 use super::ablated::Ablation;
 use super::ablation::ablate;
 use super::drawing::{outlines, ways};
+use super::planner_view::{PlannerView, planner_view};
 use super::realise::Table;
 use super::result::kept;
 use super::rows::{View, make};
-use super::seen::{Seen, see};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
-use crate::{BenchError, MaterialsTold};
+use crate::{BenchError, MaterialPrior};
 use glamx::DVec2;
 use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, InputError, Progress, Seed, atomic};
@@ -34,10 +34,10 @@ pub fn run_billiards(
     cancel: &Cancel,
 ) -> Result<Option<InputError>, BenchError> {
     let mut unanswered = None;
-    for &told in &bench.told {
+    for &material_prior in &bench.material_prior {
         for scene in &bench.scenes {
             cancel.check()?;
-            match run_scene(bench, scene, told, progress, cancel) {
+            match run_scene(bench, scene, material_prior, progress, cancel) {
                 Ok(scene) => done(&scene),
                 Err(BenchError::Unanswered(why)) => {
                     unanswered = Some(why);
@@ -62,12 +62,12 @@ pub fn scan_billiards(
     cancel: &Cancel,
 ) -> Result<(), BenchError> {
     // What bodies are made of is told later.
-    let told = MaterialsTold::Prior;
+    let material_prior = MaterialPrior::Prior;
     for scene in &bench.scenes {
         cancel.check()?;
         let truth = scene.generate();
-        let seen = see(bench, scene, &truth, told, progress, cancel)?;
-        done(scene, seen.matched, truth.objects.len());
+        let known = see(bench, scene, &truth, material_prior, progress, cancel)?;
+        done(scene, known.matched, truth.objects.len());
     }
     Ok(())
 }
@@ -75,12 +75,12 @@ pub fn scan_billiards(
 fn run_scene(
     bench: &BilliardsBench,
     fixed: &FixedScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
-    let path = bench.file(fixed, told);
-    let before = if bench.scan.rescan { None } else { kept(bench, fixed, told)? };
+    let path = bench.file(fixed, material_prior);
+    let before = if bench.scan.rescan { None } else { kept(bench, fixed, material_prior)? };
     let missing = |r: &BilliardsScene| {
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
@@ -96,19 +96,20 @@ fn run_scene(
     let truth = fixed.generate();
     let robot = robot_of(&truth);
     let clock = Clock::start();
-    let seen = see(bench, fixed, &truth, told, progress, cancel)?;
+    let known = see(bench, fixed, &truth, material_prior, progress, cancel)?;
     let see_s = clock.cpu_s();
     let seed = bench.seed.derive_index("billiards", fixed.number as u64);
     let mut result = match before {
         Some(result) => result,
         None => {
-            let mut result = plan_all(bench, fixed, told, &seen, &truth, &robot, seed, progress, cancel)?;
+            let mut result =
+                plan_all(bench, fixed, material_prior, &known, &truth, &robot, seed, progress, cancel)?;
             result.cpu_s.extend(see_s.map(|s| ("see".to_owned(), s)));
             atomic::write_json(&path, &result)?;
             result
         }
     };
-    let view_of = |row: Row| View { task: &seen.task, scene: seen.scene_of(row) };
+    let view_of = |row: Row| View { task: &known.task, scene: known.scene_of(row) };
     for engine in missing(&result) {
         let target = match engine.target() {
             Ok(target) => target,
@@ -132,7 +133,7 @@ fn run_scene(
     }
     if !ablated(&result) {
         let clock = Clock::start();
-        let ablation = ablate(bench, &result, &seen, &truth, &robot, seed, progress, cancel)?;
+        let ablation = ablate(bench, &result, &known, &truth, &robot, seed, progress, cancel)?;
         result.ablation = Some(ablation);
         result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
         atomic::write_json(&path, &result)?;
@@ -144,8 +145,8 @@ fn run_scene(
 fn plan_all(
     bench: &BilliardsBench,
     fixed: &FixedScene,
-    told: MaterialsTold,
-    seen: &Seen,
+    material_prior: MaterialPrior,
+    known: &PlannerView,
     truth: &TruthScene,
     robot: &RobotConfig,
     seed: Seed,
@@ -153,15 +154,15 @@ fn plan_all(
     cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
     let mut result = BilliardsScene {
-        key: bench.key(fixed, told),
+        key: bench.key(fixed, material_prior),
         number: fixed.number,
         layout: fixed.layout,
-        told,
+        material_prior,
         geometry: bench.geometry,
         idle_m: idle_m(truth),
         objects: truth.objects.len(),
-        matched: seen.matched,
-        strays: seen.strays,
+        matched: known.matched,
+        strays: known.strays,
         problem: None,
         paper_problem: None,
         plans: BTreeMap::new(),
@@ -170,11 +171,11 @@ fn plan_all(
         unfinished: BTreeMap::new(),
         not_run: BTreeMap::new(),
         cpu_s: BTreeMap::new(),
-        drawing: drawing(seen, truth)?,
+        drawing: drawing(known, truth)?,
         ablation: None,
     };
     for row in Row::ALL.into_iter().rev().filter(|row| bench.rows.contains(row)) {
-        let view = View { task: &seen.task, scene: seen.scene_of(row) };
+        let view = View { task: &known.task, scene: known.scene_of(row) };
         match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
             Ok(planned) => {
                 result.plans.insert(row, planned.shots);
@@ -198,19 +199,19 @@ fn plan_all(
 }
 
 /// What stands there, as planned and in truth.
-fn drawing(seen: &Seen, truth: &TruthScene) -> Result<Drawing, BenchError> {
+fn drawing(known: &PlannerView, truth: &TruthScene) -> Result<Drawing, BenchError> {
     let mut real = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
-    let x_wt = seen.scene.x_world_recording;
+    let x_wt = known.scene.x_world_recording;
     for body in &mut real.bodies {
         body.x_wb = x_wt * body.x_wb;
     }
-    let resolved = seen.task.resolve(&seen.scene).ok();
+    let resolved = known.task.resolve(&known.scene).ok();
     let goal = DVec2::from_array(truth.goal_w).extend(0.0);
     Ok(Drawing {
         goal_w: Some(x_wt.transform_point(goal).truncate().to_array()),
         balls: resolved.map(|t| [t.cue().name.clone(), t.target().name.clone()]),
         true_balls: [truth.cue.clone(), truth.target.clone()],
-        planned: outlines(&seen.scene),
+        planned: outlines(&known.scene),
         truth: outlines(&real),
         ..Drawing::default()
     })
@@ -267,11 +268,11 @@ pub(super) mod tests {
     #[test]
     fn runs_go_on_where_they_were_and_shards_meet() {
         let dir = tempfile::tempdir().unwrap();
-        let told = Mutex::new(Vec::new());
+        let material_prior = Mutex::new(Vec::new());
         let run = |bench: &BilliardsBench| {
-            let note = |s: &BilliardsScene| told.lock().unwrap().push(s.clone());
+            let note = |s: &BilliardsScene| material_prior.lock().unwrap().push(s.clone());
             run_billiards(bench, &note, &NoProgress, &Cancel::new()).unwrap();
-            told.lock().unwrap().drain(..).collect::<Vec<_>>()
+            material_prior.lock().unwrap().drain(..).collect::<Vec<_>>()
         };
         let (one, two) = (tiny(dir.path(), &[1]), tiny(dir.path(), &[3]));
         let first = run(&one);
@@ -279,7 +280,7 @@ pub(super) mod tests {
         assert_eq!(read_billiards(&one).unwrap().iter().map(|s| s.number).collect::<Vec<_>>(), [1, 3]);
 
         // A finished scene is not run again: what the file says is what comes back.
-        let path = one.file(&one.scenes[0], MaterialsTold::Class);
+        let path = one.file(&one.scenes[0], MaterialPrior::Class);
         let mut marked = first[0].clone();
         marked.seconds.insert(Row::Grid, 77.0);
         atomic::write_json(&path, &marked).unwrap();
@@ -354,9 +355,9 @@ pub(super) mod tests {
             }
         }
         // A finished ablation is not made again.
-        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialPrior::Class)).unwrap();
         run();
-        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialPrior::Class)).unwrap();
         assert_eq!(before.modified().unwrap(), after.modified().unwrap());
 
         write_pictures(dir.path(), &all, "a < b").unwrap();
@@ -374,11 +375,12 @@ pub(super) mod tests {
     fn a_shot_that_is_not_finished_says_why() {
         let dir = tempfile::tempdir().unwrap();
         let bench = tiny(dir.path(), &[1]);
-        let (fixed, told) = (bench.scenes[0], MaterialsTold::Class);
+        let (fixed, material_prior) = (bench.scenes[0], MaterialPrior::Class);
         let truth = fixed.generate();
         let robot = robot_of(&truth);
-        let seen = see(&bench, &fixed, &truth, told, &NoProgress, &Cancel::new()).unwrap();
-        let view = View { task: &seen.task, scene: &seen.scene };
+        let known =
+            planner_view(&bench, &fixed, &truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
+        let view = View { task: &known.task, scene: &known.scene };
         let table = Table { target: &SameEngineTarget, truth: &truth, robot: &robot, idle_m: 0.2 };
         // Faster than any arm.
         let fast = Shot { action: Some(Action(vec![60.0, 0.0, 0.0, 0.0])), ..Shot::nothing(0.01) };
@@ -409,18 +411,19 @@ pub(super) mod tests {
         let dir = tempfile::tempdir().unwrap();
         let bench = tiny(dir.path(), &[8]);
         let fixed = bench.scenes[0];
-        let plans = |truth: &TruthScene, told| {
-            let seen = see(&bench, &fixed, truth, told, &NoProgress, &Cancel::new()).unwrap();
+        let plans = |truth: &TruthScene, material_prior| {
+            let known =
+                planner_view(&bench, &fixed, truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
             let robot = robot_of(truth);
             let make = |row| {
-                let view = View { task: &seen.task, scene: seen.scene_of(row) };
+                let view = View { task: &known.task, scene: known.scene_of(row) };
                 make(&bench, view, row, 2, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap().shots
             };
             Row::ALL.map(make)
         };
         let truth = fixed.generate();
         let other = redraw_materials(&truth, Seed(9));
-        assert_eq!(plans(&truth, MaterialsTold::Class), plans(&other, MaterialsTold::Class));
-        assert_ne!(plans(&truth, MaterialsTold::Truth), plans(&other, MaterialsTold::Truth));
+        assert_eq!(plans(&truth, MaterialPrior::Class), plans(&other, MaterialPrior::Class));
+        assert_ne!(plans(&truth, MaterialPrior::Truth), plans(&other, MaterialPrior::Truth));
     }
 }

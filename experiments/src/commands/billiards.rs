@@ -1,7 +1,7 @@
 //! `sms-experiments billiards`: the paper's billiards experiment.
 
 use super::gpu;
-use super::shared::{Geometry, Masks, Told, finish, nothing_there, parse_shard, with_settings};
+use super::shared::{Geometry, Masks, PriorName, finish, nothing_there, parse_shard, with_settings};
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
@@ -30,7 +30,7 @@ pub(crate) struct BilliardsArguments {
     pub shard: Option<String>,
     /// What the planner is told of the true materials, one after another.
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', default_value = "class")]
-    pub materials: Vec<Told>,
+    pub materials: Vec<PriorName>,
     /// Where the planner's geometry comes from.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
@@ -140,7 +140,7 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
         let mut shard = Shard::new("billiards", part, bench.settings());
         let own = |s: &&BilliardsScene| bench.scenes.iter().any(|fixed| fixed.number == s.number);
         for s in found.iter().filter(own) {
-            let item = format!("{} {:02}", s.told.as_str(), s.number);
+            let item = format!("{} {:02}", s.material_prior.as_str(), s.number);
             shard.put(&item, s).context("a scene's result cannot be written")?;
         }
         shard.save_in(&bench.out)?;
@@ -170,7 +170,7 @@ fn show(
 /// The same of merged parts.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: &Path) -> anyhow::Result<()> {
     let mut found: Vec<BilliardsScene> = whole.values()?.into_iter().map(|(_, scene)| scene).collect();
-    found.sort_by_key(|s| (s.told, s.number));
+    found.sort_by_key(|s| (s.material_prior, s.number));
     show(console, &found, &whole.settings, out)
 }
 
@@ -188,8 +188,8 @@ fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsB
     bench.scan.trainer = gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
-    bench.told = a.materials.iter().map(|t| t.told()).collect();
-    if a.materials.contains(&Told::Vlm) {
+    bench.material_prior = a.materials.iter().map(|t| t.prior()).collect();
+    if a.materials.contains(&PriorName::Vlm) {
         let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
         let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
         bench.vlm = Some(Arc::new(Client::new(&config, key, bench.seed.derive("vlm"))?));
@@ -248,7 +248,7 @@ fn scene_line(s: &BilliardsScene) -> String {
         "scene {:>2} ({}, {}): {} of {} objects seen",
         s.number,
         s.layout.as_str(),
-        s.told.as_str(),
+        s.material_prior.as_str(),
         s.matched,
         s.objects,
     );
@@ -257,12 +257,12 @@ fn scene_line(s: &BilliardsScene) -> String {
     }
     for engine in s.realised.keys() {
         let of = |row| s.realised_m(engine, row).map(mean);
-        let told: Vec<String> = [("ours", Row::Ours), ("one plan", Row::Robust)]
+        let material_prior: Vec<String> = [("ours", Row::Ours), ("one plan", Row::Robust)]
             .into_iter()
             .filter_map(|(name, row)| Some(format!("{name} {}", of(row)?)))
             .collect();
-        if !told.is_empty() {
-            line.push_str(&format!("; {engine} {}", told.join(", ")));
+        if !material_prior.is_empty() {
+            line.push_str(&format!("; {engine} {}", material_prior.join(", ")));
         }
     }
     line

@@ -152,7 +152,7 @@ fn part_with(
 /// The flights of parts, in the order of a run in one piece.
 fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
     let mut found: Vec<LandingFlight> = whole.values()?.into_iter().map(|(_, flight)| flight).collect();
-    found.sort_by_key(|f| (f.told, f.scene, f.draw, f.start));
+    found.sort_by_key(|f| (f.material_prior, f.scene, f.draw, f.start));
     Ok(found)
 }
 
@@ -300,7 +300,7 @@ fn standing_text(standing: &Standing) -> String {
     format!(
         "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, at most {:+.0} % \
          on its edge{unmatched})",
-        load.told_n,
+        load.planner_n,
         1e2 * end,
         load.truth_n,
         1e2 * own,
@@ -317,7 +317,7 @@ fn flight_line(f: &LandingFlight) -> String {
             format!("{name}: {}{why}", if p.success { "landed" } else { "failed" })
         })
         .collect();
-    format!("scene {}, start {}, {}: {}", f.scene, f.start, f.told.as_str(), each.join("; "))
+    format!("scene {}, start {}, {}: {}", f.scene, f.start, f.material_prior.as_str(), each.join("; "))
 }
 
 #[cfg(test)]
@@ -333,7 +333,7 @@ mod tests {
             scanned: false,
             engine: String::new(),
             start: part.start,
-            told: part.told,
+            material_prior: part.material_prior,
             draw: part.draw,
             objects: 2,
             matched: 2,

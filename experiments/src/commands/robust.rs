@@ -1,6 +1,6 @@
 //! `sms-experiments robust`: realised objectives of plans in true worlds that differ from the planner's.
 
-use super::shared::{Family, Told, finish, parse_seeds, parse_shard, seeds_of, settings};
+use super::shared::{Family, PriorName, finish, parse_seeds, parse_shard, seeds_of, settings};
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 use sms_cli::front::Console;
@@ -22,7 +22,7 @@ pub(crate) struct RobustArguments {
     pub family: Family,
     /// What the planner is told of the true materials.
     #[arg(long, value_enum, default_value = "noisy")]
-    pub materials: Told,
+    pub materials: PriorName,
     /// True worlds per scene in which each plan is carried out.
     #[arg(long, value_name = "N", default_value_t = 48)]
     pub worlds: usize,
@@ -64,11 +64,11 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
-    if a.materials == Told::Vlm {
+    if a.materials == PriorName::Vlm {
         let what = "a vision-language model needs pictures, and these scenes are not scanned";
         return Err(InputError::new(what, "--materials", "ask one in `sms-experiments billiards`").into());
     }
-    bench.told = a.materials.told();
+    bench.material_prior = a.materials.prior();
     bench.worlds = a.worlds.max(1);
     bench.oracle_evaluations = a.oracle;
     if let Some(path) = &a.planners {
@@ -123,7 +123,7 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
 fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
     settings([
         ("family", json!(bench.family)),
-        ("materials", json!(bench.told)),
+        ("materials", json!(bench.material_prior)),
         ("worlds", json!(bench.worlds)),
         ("oracle", json!(bench.oracle_evaluations)),
         ("planners", json!(bench.planners)),
@@ -140,7 +140,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     let bench = RobustBench {
         seeds: seeds_of(whole),
         family: whole.setting("family")?,
-        told: whole.setting("materials")?,
+        material_prior: whole.setting("materials")?,
         worlds: whole.setting("worlds")?,
         planners: whole.setting("planners")?,
         oracle_evaluations: whole.setting("oracle")?,

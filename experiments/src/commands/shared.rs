@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError};
-use sms_experiments::{BenchOptions, BilliardsGeometry, MaskChoice, MaterialsTold, SceneFamily, Shard};
+use sms_experiments::{BenchOptions, BilliardsGeometry, MaskChoice, MaterialPrior, SceneFamily, Shard};
 use std::path::{Path, PathBuf};
 
 /// How hard the scenes of a planner's benchmark are.
@@ -31,7 +31,7 @@ impl Family {
 
 /// What the planner is told of materials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Told {
+pub(crate) enum PriorName {
     /// The true class with the handbook's values.
     Class,
     /// The true values with the errors that vision-language models make.
@@ -44,14 +44,14 @@ pub(crate) enum Told {
     Vlm,
 }
 
-impl Told {
-    pub(crate) fn told(self) -> MaterialsTold {
+impl PriorName {
+    pub(crate) fn prior(self) -> MaterialPrior {
         match self {
-            Self::Class => MaterialsTold::Class,
-            Self::Noisy => MaterialsTold::Noisy,
-            Self::Prior => MaterialsTold::Prior,
-            Self::Truth => MaterialsTold::Truth,
-            Self::Vlm => MaterialsTold::Vlm,
+            Self::Class => MaterialPrior::Class,
+            Self::Noisy => MaterialPrior::Noisy,
+            Self::Prior => MaterialPrior::Prior,
+            Self::Truth => MaterialPrior::Truth,
+            Self::Vlm => MaterialPrior::Vlm,
         }
     }
 }

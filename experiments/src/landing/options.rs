@@ -2,7 +2,7 @@
 
 use super::LandingSight;
 use crate::scenes::{LANDING_SCENES, no_scene};
-use crate::{BenchError, BenchScene, BilliardsGeometry, MaterializeOptions, MaterialsTold, generated};
+use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialPrior, MaterializeOptions, generated};
 use glamx::DVec3;
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
@@ -43,7 +43,7 @@ pub struct LandingPart {
     /// Number of the start, from 0.
     pub start: usize,
     /// What the planner is told of materials.
-    pub told: MaterialsTold,
+    pub material_prior: MaterialPrior,
     /// Which draw of the noise; 0 where there is none.
     pub draw: usize,
 }
@@ -116,14 +116,14 @@ impl LandingBench<'_> {
             for start in 0..self.starts {
                 // Spread over the ten starts of the scene.
                 let start = start * 10 / self.starts.max(1);
-                all.push(LandingPart { scene, start, told: MaterialsTold::Class, draw: 0 });
+                all.push(LandingPart { scene, start, material_prior: MaterialPrior::Class, draw: 0 });
             }
         }
         for &scene in &self.scenes {
             for draw in 0..self.noisy_draws {
                 for start in 0..self.noisy_starts {
                     let start = start * 10 / self.noisy_starts.max(1);
-                    all.push(LandingPart { scene, start, told: MaterialsTold::Noisy, draw });
+                    all.push(LandingPart { scene, start, material_prior: MaterialPrior::Noisy, draw });
                 }
             }
         }
@@ -178,7 +178,7 @@ impl LandingBench<'_> {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => Some((self.scan.made_from(), &self.scan.bench.entities)),
         };
-        let which = (part.scene, part.start, part.told, part.draw);
+        let which = (part.scene, part.start, part.material_prior, part.draw);
         let truth = self.truth(part.scene)?;
         Ok(hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed)))
     }
@@ -186,7 +186,7 @@ impl LandingBench<'_> {
     /// File of a flight.
     pub(super) fn file(&self, part: LandingPart) -> PathBuf {
         let scanned = if self.scanned { "scanned-" } else { "" };
-        let folder = format!("{scanned}{}-{}", self.geometry.as_str(), part.told.as_str());
+        let folder = format!("{scanned}{}-{}", self.geometry.as_str(), part.material_prior.as_str());
         let name = format!("landing_{}_draw_{}_start_{}.json", part.scene, part.draw, part.start);
         self.out.join(folder).join(name)
     }

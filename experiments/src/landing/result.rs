@@ -1,7 +1,7 @@
 //! What is kept of a flight.
 
 use super::{LandingBench, LandingPart};
-use crate::{BenchError, MaterialsTold};
+use crate::{BenchError, MaterialPrior};
 use serde::{Deserialize, Serialize};
 use sms_core::{Hash, atomic};
 use sms_landing::LandingAction;
@@ -53,7 +53,8 @@ pub struct LandingFlight {
     /// Number of the start.
     pub start: usize,
     /// What the planner was told of materials.
-    pub told: MaterialsTold,
+    #[serde(rename = "told")]
+    pub material_prior: MaterialPrior,
     /// Which draw of the noise.
     pub draw: usize,
     /// True objects of the structure, and those among them in whose place the planner's scene has a body.
@@ -69,12 +70,17 @@ pub struct LandingFlight {
 impl LandingFlight {
     /// Which flight of the experiment it is.
     pub fn part(&self) -> LandingPart {
-        LandingPart { scene: self.scene, start: self.start, told: self.told, draw: self.draw }
+        LandingPart {
+            scene: self.scene,
+            start: self.start,
+            material_prior: self.material_prior,
+            draw: self.draw,
+        }
     }
 
     /// What it is called in parts of a run: no two flights of a run have the same.
     pub fn item(&self) -> String {
-        format!("{} {} draw {} start {}", self.told.as_str(), self.scene, self.draw, self.start)
+        format!("{} {} draw {} start {}", self.material_prior.as_str(), self.scene, self.draw, self.start)
     }
 }
 

@@ -4,8 +4,8 @@ use super::result::{OURS, kept};
 use super::sight::Recorded;
 use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
-use crate::billiards::seen::{forget_material, scanned, tell_matched};
-use crate::{BenchError, BilliardsGeometry, MaterialsTold, part_of};
+use crate::billiards::planner_view::{apply_to_matched, forget_material, scanned};
+use crate::{BenchError, BilliardsGeometry, MaterialPrior, part_of};
 use rayon::prelude::*;
 use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
@@ -23,7 +23,7 @@ use std::time::Instant;
 const ENOUGH: f64 = 1.0;
 
 /// The scene that the planner sees.
-struct Seen {
+struct LandingView {
     scene: Scene,
     matched: usize,
     /// Why nothing can be planned in it.
@@ -36,7 +36,7 @@ struct Shared {
     /// The geometry of a scene, with its number.
     geometry: Option<(usize, Scene)>,
     /// What a flight was planned in: the same from every start, and what can move in it takes simulations to find out.
-    seen: Option<(LandingPart, Seen)>,
+    seen: Option<(LandingPart, LandingView)>,
 }
 
 /// Runs the flights that are not in the folder yet, each of ours and of every baseline, and calls `line` after each.
@@ -105,8 +105,8 @@ pub fn scan_landings(
         cancel.check()?;
         let truth = bench.truth(number)?;
         let scene = geometry_of(bench, number, &truth, progress, cancel)?;
-        let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Class, draw: 0 };
-        let seen = see(scene, &truth, part)?;
+        let part = LandingPart { scene: number, start: 0, material_prior: MaterialPrior::Class, draw: 0 };
+        let seen = landing_view(scene, &truth, part)?;
         let task = bench.task(&seen.scene, &truth, part);
         let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed);
         let (freed, falling) = match or_why(freed)? {
@@ -163,7 +163,7 @@ fn flown(
             scanned: bench.scanned,
             engine: target.label().to_owned(),
             start: part.start,
-            told: part.told,
+            material_prior: part.material_prior,
             draw: part.draw,
             objects: 0,
             matched: 0,
@@ -230,7 +230,7 @@ impl Shared {
         truth: &TruthScene,
         progress: &dyn Progress,
         cancel: &Cancel,
-    ) -> Result<&Seen, BenchError> {
+    ) -> Result<&LandingView, BenchError> {
         let any_start = LandingPart { start: 0, ..part };
         let kept = self.seen.take().filter(|(of, _)| *of == any_start);
         let seen = match kept {
@@ -241,14 +241,16 @@ impl Shared {
                     Some((_, scene)) => scene,
                     None => geometry_of(bench, part.scene, truth, progress, cancel)?,
                 };
-                let Seen { scene, matched, .. } = see(geometry.clone(), truth, part)?;
+                let LandingView { scene, matched, .. } = landing_view(geometry.clone(), truth, part)?;
                 self.geometry = Some((part.scene, geometry));
                 cancel.check()?;
                 let task = bench.task(&scene, truth, any_start);
                 let freed = task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed);
                 match or_why(freed)? {
-                    Ok(freed) => Seen { scene: freed.map_or(scene, |f| f.scene), matched, refused: None },
-                    Err(why) => Seen { scene, matched, refused: Some(why) },
+                    Ok(freed) => {
+                        LandingView { scene: freed.map_or(scene, |f| f.scene), matched, refused: None }
+                    }
+                    Err(why) => LandingView { scene, matched, refused: Some(why) },
                 }
             }
         };
@@ -266,7 +268,7 @@ fn or_why<T>(found: Result<T, LandingError>) -> Result<Result<T, String>, BenchE
 
 /// The planners of a flight.
 fn names(bench: &LandingBench<'_>, part: LandingPart) -> Vec<String> {
-    let others = bench.baselines.iter().filter(|_| part.told == MaterialsTold::Class);
+    let others = bench.baselines.iter().filter(|_| part.material_prior == MaterialPrior::Class);
     std::iter::once(OURS.to_owned()).chain(others.map(|b| b.name.clone())).collect()
 }
 
@@ -305,10 +307,10 @@ fn geometry_of(
 }
 
 /// The same with what is told.
-fn see(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<Seen, BenchError> {
+fn landing_view(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<LandingView, BenchError> {
     let seed = truth.seed.derive_index("landing materials", part.draw as u64);
-    let matched = tell_matched(&mut scene, truth, part.told, seed)?;
-    Ok(Seen { scene, matched, refused: None })
+    let matched = apply_to_matched(&mut scene, truth, part.material_prior, seed)?;
+    Ok(LandingView { scene, matched, refused: None })
 }
 
 impl LandingPlanned {

@@ -22,7 +22,7 @@ pub struct EdgeLoad {
     /// By statics of the true contacts.
     pub truth_n: f64,
     /// In the planner's world, with the masses that it was told.
-    pub told_n: f64,
+    pub planner_n: f64,
     /// In the planner's world with the true masses: what is left is geometry.
     pub true_masses_n: f64,
 }
@@ -71,11 +71,13 @@ impl Standing {
         // JSON has no infinity: where nothing tips the scanned structure its error is null, and counted here.
         set("tipping_points", self.loads().count() as f64);
         let held = |of: fn(&EdgeLoad) -> f64| self.loads().filter(|l| of(l).is_infinite()).count() as f64;
-        set("tipping_points_held", held(|l| l.told_n));
+        set("tipping_points_held", held(|l| l.planner_n));
         set("tipping_points_held_true_masses", held(|l| l.true_masses_n));
         set("unmatched_bodies", self.unmatched.len() as f64);
-        let told = [("end", self.end_errors()), ("worst", self.worst_errors())];
-        for (which, [error, geometry]) in told.into_iter().filter_map(|(which, e)| Some((which, e?))) {
+        let material_prior = [("end", self.end_errors()), ("worst", self.worst_errors())];
+        for (which, [error, geometry]) in
+            material_prior.into_iter().filter_map(|(which, e)| Some((which, e?)))
+        {
             set(&format!("tipping_load_{which}_error"), error);
             set(&format!("tipping_load_{which}_error_true_masses"), geometry);
         }
@@ -84,7 +86,7 @@ impl Standing {
 
 impl EdgeLoad {
     fn errors(&self) -> [f64; 2] {
-        [self.told_n, self.true_masses_n].map(|n| n / self.truth_n - 1.0)
+        [self.planner_n, self.true_masses_n].map(|n| n / self.truth_n - 1.0)
     }
 }
 
@@ -115,7 +117,7 @@ pub(super) fn standing(
             let load = tipping_load_n(&RapierFactory, scene, platform, at_w, &test);
             load.map(|n| n.unwrap_or(f64::INFINITY)).map_err(LandingError::from)
         };
-        Ok(Some(EdgeLoad { p_w, truth_n, told_n: load(&scene)?, true_masses_n: load(&weighed)? }))
+        Ok(Some(EdgeLoad { p_w, truth_n, planner_n: load(&scene)?, true_masses_n: load(&weighed)? }))
     };
     found.end = load_at(landing.end_w.into())?;
     for p_w in edge_points(landing) {
@@ -176,11 +178,16 @@ mod tests {
             for l in found.loads() {
                 println!(
                     "{} {:.2}: {:.2} {:.2} {:.2}",
-                    truth.name, l.p_w, l.truth_n, l.told_n, l.true_masses_n
+                    truth.name, l.p_w, l.truth_n, l.planner_n, l.true_masses_n
                 );
             }
-            let ([told, own], [_, worst]) = (found.end_errors().unwrap(), found.worst_errors().unwrap());
-            assert!((told - 0.2).abs() < 0.06 && own.abs() < 0.05, "{}: {told}, {own}", truth.name);
+            let ([material_prior, own], [_, worst]) =
+                (found.end_errors().unwrap(), found.worst_errors().unwrap());
+            assert!(
+                (material_prior - 0.2).abs() < 0.06 && own.abs() < 0.05,
+                "{}: {material_prior}, {own}",
+                truth.name
+            );
             assert!(worst.abs() < 0.08, "{}: {worst}", truth.name);
         }
     }
