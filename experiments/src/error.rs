@@ -8,7 +8,7 @@ pub enum BenchError {
     /// Bad input by the user.
     #[error(transparent)]
     Input(#[from] InputError),
-    /// A vision-language model's server that stops answering: what is asked of it cannot be run now, all else can.
+    /// A vision-language model's server stopped answering: its rows cannot be run now, all others can.
     #[error(transparent)]
     Unanswered(InputError),
     /// Files or interruption.

@@ -15,7 +15,7 @@
 //! | `truth/depth/NNNNNN.png`, `truth/labels/NNNNNN.png` | noise-free depth (0.1 mm) and labels of the held-out views |
 //!
 //! Everything is in one world: metres, z up, floor at z = 0. `sms-experiments score --truth DIR/{scene} --surface FILE --views
-//! DIR` then measures what somebody made of the frames (see [`score_files`](crate::score_files)).
+//! DIR` then measures another program's reconstruction (see [`score_files`](crate::score_files)).
 
 use crate::BenchError;
 use crate::options::BenchOptions;
@@ -154,14 +154,14 @@ pub fn export_scene(
     Ok(())
 }
 
-/// An exported scene, read back: what a reconstruction is scored by.
+/// An exported scene, read back to score a reconstruction.
 pub(crate) struct Exported {
     pub(crate) transforms: Transforms,
     pub(crate) truth: TruthFile,
     pub(crate) yardstick: Yardstick,
 }
 
-/// Reads what [`export_scene`] wrote; the yardstick is in the exported world.
+/// Reads an export of [`export_scene`]; the yardstick is in the exported world.
 pub(crate) fn read_export(dir: &Path) -> Result<Exported, BenchError> {
     let path = dir.join("truth/truth.json");
     if !path.is_file() {

@@ -1,4 +1,4 @@
-//! What the planner is told of the true materials of a generated scene.
+//! The planner's knowledge of the true materials of a generated scene.
 
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use sms_mesh::convex_hull;
 use sms_scene::{Body, BodyShape, Scene};
 use sms_synth::{TruthObject, TruthScene};
 
-/// Standard deviation of the natural logarithm of what a vision-language model says of a mass (here: of the density, the
+/// Standard deviation of the natural logarithm of a vision-language model's estimate of a mass (here: of the density, the
 /// volume being measured): a factor of two, as published tests of such models find.
 pub const DENSITY_LOG_SD: f64 = std::f64::consts::LN_2;
 /// The same of the rolling lever arm, of which nothing is published: no better known than a mass.
@@ -19,17 +19,17 @@ pub const FRICTION_ERROR: f64 = 0.2;
 pub const RESTITUTION_ERROR: f64 = 0.15;
 /// Standard deviations in that half width, for normal errors.
 const Z90: f64 = 1.645;
-/// Vertices of the hulls whose volumes are compared with bodies'.
+/// Vertices of the hulls that bodies' volumes are compared with.
 const HULL_VERTICES: usize = 256;
 /// Shares of hulls that differ by less than this are the same: the convex parts of a statue stand out of it by 6 % of its hull,
 /// and hulls of so few corners leave as much open. A hollow that a scan closed, or gaps between legs, are far more.
 const HULL_TOLERANCE: f64 = 0.15;
 
-/// What the planner is told of materials (every table names it).
+/// The planner's knowledge of materials (every table names it).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaterialPrior {
-    /// The true class with the handbook's values: what a good vision-language model gives.
+    /// The true class with the handbook's values, as from a good vision-language model.
     Class,
     /// The true values with the errors that such models make: density log-normal by [`DENSITY_LOG_SD`], rolling
     /// resistance by [`ROLLING_LOG_SD`], friction and restitution with normal errors of which 90 % are within
@@ -39,7 +39,7 @@ pub enum MaterialPrior {
     Prior,
     /// The truth, for ablations.
     Truth,
-    /// What a vision-language model says of the views of a scan. Where none can be asked, as here, the prior.
+    /// Estimates of a vision-language model from the views of a scan. Without a scan, as here, the handbook's prior.
     Vlm,
 }
 
@@ -58,10 +58,10 @@ impl MaterialPrior {
         }
     }
 
-    /// What is told of an object in whose place `body` is. The errors of `noisy` depend on the seed and the object's name alone.
+    /// Returns the material of `body`, which stands for `object`. The errors of `noisy` depend on the seed and the object's name alone.
     ///
-    /// How full a hollow thing is, is told of its convex hull: of a bin whose inside was not seen the body has all of it, of one
-    /// whose inside was seen its walls.
+    /// The fill factor of a hollow object is relative to its convex hull. The body of a bin encloses all of the hull if its inside
+    /// was not seen, and its walls alone if it was.
     pub fn of_object(self, object: &TruthObject, body: &Body, seed: Seed) -> Material {
         let form = Form::of(body);
         let query = ObjectQuery {
@@ -83,7 +83,7 @@ impl MaterialPrior {
             && object.sphere_radius.is_none()
             && let (Some(true_hull), Some(seen)) = (hull_of(&object.mesh.vertices), form)
         {
-            // The true density is over what the true mesh encloses.
+            // The true density refers to the volume of the true mesh.
             let factor = object.mesh.volume() / true_hull.volume() / seen.hull_fill();
             if (factor - 1.0).abs() > HULL_TOLERANCE {
                 let v = material.density.value;
@@ -93,7 +93,7 @@ impl MaterialPrior {
         material
     }
 
-    /// What is told of the floor.
+    /// Returns the material of the floor.
     pub fn of_floor(self, material: &Material, seed: Seed) -> Material {
         let query = ObjectQuery {
             name: "(floor)".into(),
@@ -136,7 +136,7 @@ pub fn apply_material_prior(
 /// How much of its convex hull a body encloses.
 #[derive(Debug, Clone, Copy)]
 struct Form {
-    /// What its mass is reckoned from, m³.
+    /// Volume that the mass is computed from, m³.
     volume_m3: f64,
     hull_m3: f64,
     hull_area_m2: f64,
@@ -230,7 +230,7 @@ mod tests {
         }
         let mean = logs.iter().sum::<f64>() / n as f64;
         let sd = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / n as f64).sqrt();
-        // Five standard errors of a mean and of a standard deviation of so many.
+        // Five standard errors of the mean and of the standard deviation.
         assert!(mean.abs() < 5.0 * DENSITY_LOG_SD / (n as f64).sqrt(), "{mean}");
         assert!((sd / DENSITY_LOG_SD - 1.0).abs() < 5.0 / (2.0 * n as f64).sqrt(), "{sd}");
         for held in held {

@@ -34,7 +34,7 @@ pub struct BenchOptions {
     pub frames: usize,
     /// Where the camera goes in generated billiards scenes.
     pub path: CameraPath,
-    /// What is done to the frames.
+    /// Disturbance of the frames.
     pub disturbance: Disturbance,
     /// Where recordings are kept.
     pub cache: PathBuf,
@@ -77,12 +77,12 @@ impl BenchOptions {
         }
     }
 
-    /// What names a recording of a generated scene in keys: the frames, with the path where it is not the usual one.
+    /// The part of cache keys that names a recording: the frames, and the path unless it is the default.
     pub(crate) fn recorded(&self) -> Value {
         if self.path == CameraPath::default() { json!(self.frames) } else { json!([self.frames, self.path]) }
     }
 
-    /// What a scan and the bodies made of it depend on, by name, besides scene and masks; for comparing parts of a run.
+    /// Settings that a scan and its bodies depend on, by name, besides scene and masks; for comparing parts of a run.
     pub fn settings(&self) -> [(&'static str, Value); 7] {
         [
             ("preset", json!(self.preset_name())),

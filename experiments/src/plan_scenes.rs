@@ -54,14 +54,14 @@ impl SceneFamily {
     }
 }
 
-/// A task in the true geometry of a generated scene: what a perfect scan would give.
+/// A task in the true geometry of a generated scene, as from a perfect scan.
 #[derive(Debug, Clone)]
 pub struct PlanScene {
     /// Seed of the scene.
     pub seed: u64,
-    /// The scene as the planner is told it.
+    /// The planner's scene.
     pub scene: Scene,
-    /// What is true; never shown to the planner.
+    /// The truth; the planner never reads it.
     pub truth: TruthScene,
     /// The task in it, carried out by a finger that gives no way.
     pub task: ResolvedTask,
@@ -70,7 +70,7 @@ pub struct PlanScene {
 }
 
 impl PlanScene {
-    /// Generates the scene of a seed, with the true materials told.
+    /// Generates the scene of a seed, with the true materials.
     ///
     /// # Errors
     /// [`BenchError`] when the generator's masses or task are impossible.
@@ -78,7 +78,7 @@ impl PlanScene {
         Self::with_prior(family, seed, MaterialPrior::Truth)
     }
 
-    /// Generates the scene of a seed, with something told of the materials.
+    /// Generates the scene of a seed, with a material prior.
     ///
     /// # Errors
     /// As [`PlanScene::new`].

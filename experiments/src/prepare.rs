@@ -45,7 +45,7 @@ impl Prepared {
         (1..self.sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect()
     }
 
-    /// The frames trained on with their label maps: objects must not see what was kept out either.
+    /// The frames trained on with their label maps: entities must not use held-out frames either.
     pub fn trained_only(&self, holdout: usize) -> (Sequence, Labels) {
         let trained = self.trained(holdout);
         let sequence = Sequence {

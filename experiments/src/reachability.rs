@@ -25,7 +25,7 @@ const POOR_M: f64 = 0.015;
 /// Candidates around which is searched at most.
 const SEARCHES: usize = 3;
 
-/// What to carry out.
+/// Settings of the study.
 #[derive(Debug, Clone)]
 pub struct ReachabilityBench {
     /// Numbers of the fixed scenes, 1 to 18.
@@ -46,7 +46,7 @@ impl Default for ReachabilityBench {
     }
 }
 
-/// What was found out about one scene. Distances to the goal in metres, infinite where there is no shot.
+/// Result of one scene. Distances to the goal in metres, infinite where there is no shot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reachability {
     /// 1 to 18.
@@ -111,7 +111,7 @@ fn look(
 
     let mut simulation = table.world(target.factory(), &target.world_options(&table.task.world_options()))?;
     let mut court = Court { table: &table, simulation: &mut simulation, tried: Vec::new(), shots: 0, cancel };
-    // Candidates by what they come to in the target.
+    // Candidates by their objective in the target.
     let mut starts: Vec<(f64, usize)> = Vec::new();
     for (place, &i) in chosen.iter().enumerate() {
         let objective = court.shoot(&units[i])?;
@@ -227,7 +227,7 @@ impl Court<'_> {
     }
 }
 
-/// Keys `bench.scenes.fixed_NN.{planner,candidate,best,planner_direct,direct}_m` and `….target_shots`; what does not exist
+/// Keys `bench.scenes.fixed_NN.{planner,candidate,best,planner_direct,direct}_m` and `….target_shots`; missing values
 /// has no key.
 pub fn reachability_metrics(found: &[Reachability]) -> Metrics {
     let mut metrics = Metrics::new();
@@ -288,7 +288,7 @@ mod tests {
         let found = run_reachability(&bench, &SameEngineTarget, &NoProgress, &Cancel::new()).unwrap();
         let s = &found[0];
         assert!((s.scene, s.rebounds) == (1, Some(0)) && s.best_action.len() == 2, "{s:?}");
-        // The search improves on what the planner's engine proposed, and what has no rebound is what is best.
+        // The search improves on the planner's proposals, and the best shot has no rebound.
         assert!(s.best_m < 0.01 && s.best_m < s.candidate_m && s.direct_m == s.best_m, "{s:?}");
         assert!((4..=3 + 2 + 3 * 20).contains(&s.target_shots), "{s:?}");
         assert_eq!(reachability_metrics(&found).number("bench.scenes.fixed_01.best_m"), Some(s.best_m));

@@ -10,7 +10,7 @@ use sms_synth::{
 use std::path::PathBuf;
 
 /// Records a generated scene as `sms demo` does (1280×800, depth noise, the camera path of `options`; models from an orbit
-/// scaled to their size) into the cache, or finds the recording that is there. Folders are named by what they were made
+/// scaled to their size) into the cache, or finds the recording that is there. Folders are named by a hash of their inputs,
 /// from, so that a changed renderer version or setting is another recording; several processes may ask for the same one.
 ///
 /// # Errors

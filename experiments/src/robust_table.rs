@@ -7,7 +7,7 @@ use sms_eval::paired_ratio;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Figures of each planner whose means over the scenes are kept.
+/// Figures of each planner that are averaged over the scenes.
 const MEANS: [&str; 11] = [
     "realised_m",
     "realised_median_m",
@@ -36,7 +36,7 @@ fn pairs(a: &BTreeMap<u64, f64>, b: &BTreeMap<u64, f64>) -> Vec<(f64, f64)> {
     a.iter().filter_map(|(seed, &a)| Some((a, *b.get(seed)?))).collect()
 }
 
-/// Adds what follows from the scenes' figures `bench.robust.{name}.scene_{seed}.{key}`: `bench.robust.scenes`, the mean
+/// Adds the summary of the scenes' figures `bench.robust.{name}.scene_{seed}.{key}`: `bench.robust.scenes`, the mean
 /// over the scenes of each figure (`bench.robust.{name}.{key}`; `invalid` is the number of true worlds in all),
 /// `bench.robust.oracle.best_m`, `bench.robust.{name}.{regret_m, regret_scenes}` (the objective in the first true world
 /// less that of the best shot that was found in that world itself, over the scenes where that was searched),

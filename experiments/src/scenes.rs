@@ -19,7 +19,7 @@ pub const SEEDS: [u64; 10] = [1001, 1002, 1003, 1004, 1005, 1006, 1007, 1008, 10
 /// Frames of a recording (paper: 60).
 pub const FRAMES: usize = 60;
 
-/// Every so many frames one is held out.
+/// One of this number of frames is held out.
 pub const HOLDOUT: usize = 8;
 
 /// The real recordings, by folder name.
@@ -110,7 +110,7 @@ impl FromStr for BenchScene {
 /// so many seeds), or ids separated by commas.
 ///
 /// # Errors
-/// [`InputError`] naming the part that is no scene.
+/// [`InputError`] naming the part that does not name a scene.
 pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     let real = || REAL.iter().map(|r| BenchScene::Real((*r).to_owned()));
     let seeds = || SEEDS.into_iter().map(BenchScene::Billiards);
@@ -129,7 +129,7 @@ pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
 /// shelf), `fixed`, `stacked`, `landing` (the four fixed structures), `real`, or ids separated by commas.
 ///
 /// # Errors
-/// [`InputError`] naming the part that is no scene.
+/// [`InputError`] naming the part that does not name a scene.
 pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     let fixed = || FIXED_SCENES.iter().map(|s| BenchScene::Fixed(s.number));
     let stacked = || Structure::ALL.into_iter().map(BenchScene::Stacked);
@@ -162,7 +162,7 @@ pub fn truth_scene(seed: u64) -> TruthScene {
     generate_billiards(Seed(seed), &BilliardsSettings::default())
 }
 
-/// What a scene is generated from: its truth and the pictures of its objects. `None` for what is not generated, and for a
+/// The truth of a generated scene, and the textures of its objects. `None` for real recordings, and for a
 /// model that is not there.
 ///
 /// # Errors
@@ -199,7 +199,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
     }
 }
 
-/// There is no such scene, or the scanned models that it is built of are not there.
+/// The error for a missing scene, or one built from scanned models that are missing.
 pub(crate) fn no_scene(which: &BenchScene) -> InputError {
     InputError::new(
         format!("there is no generated scene {which}"),

@@ -10,7 +10,7 @@ use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions
 use sms_synth::redraw_materials;
 use sms_task::{Action, ResolvedTask};
 
-/// Half width of the disturbances that show what chaos alone does, metres.
+/// Half width of the perturbations that measure chaos alone, metres.
 const CHAOS_M: f64 = 1e-6;
 
 /// True worlds of a scene: the materials of every object drawn from the ranges of its class, bodies and strike off by what

@@ -4,18 +4,18 @@ use super::row::{Row, Unfinished};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What is replaced by the truth.
+/// The input that is replaced by the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Replaced {
     /// Nothing: the same starts as the others, for comparison.
     None,
     /// Which bodies there are and their shapes, orientation included (a reconstruction has none of its own), at the
-    /// reconstructed places; masses by what is told.
+    /// reconstructed places; masses by the material prior.
     Geometry,
-    /// Places, of what was reconstructed, and the floor's height and slope.
+    /// Places of reconstructed objects, and the floor's height and slope.
     Poses,
-    /// Materials of what was reconstructed; masses follow with the reconstructed volumes.
+    /// Materials of reconstructed objects; masses follow with the reconstructed volumes.
     Materials,
     /// Nothing that the planner knows: its plans are carried out in its own engine at its own step.
     Engine,
@@ -41,7 +41,7 @@ impl Replaced {
     }
 }
 
-/// What plans of one row are worth with something replaced.
+/// Objectives of one row's plans with one input replaced.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ablated {
     /// Objectives in the world that the planner was given, metres.
@@ -70,12 +70,12 @@ pub struct Ablation {
     /// Largest change of the robust plan's objective in the judge when everything stands up to a millimetre elsewhere,
     /// metres.
     pub sensitivity_m: Option<f64>,
-    /// By what was replaced and by row.
+    /// By replaced input and by row.
     pub rows: BTreeMap<Replaced, BTreeMap<Row, Ablated>>,
 }
 
 impl Ablation {
-    /// Mean realised objective of a row, metres; what could not be finished counts with `idle_m`.
+    /// Mean realised objective of a row, metres; an unfinished shot counts as `idle_m`.
     pub fn realised_m(&self, what: Replaced, row: Row, idle_m: f64) -> Option<f64> {
         let values = &self.rows.get(&what)?.get(&row)?.realised_m;
         let sum: f64 = values.iter().map(|v| v.unwrap_or(idle_m)).sum();

@@ -1,5 +1,5 @@
-//! Where the loss between predicted and realised comes from: what the planner knows is replaced by the truth, one thing at
-//! a time, and it plans again. The truth is looked at here.
+//! Sources of the loss between predicted and realised: the planner's inputs are replaced by the truth, one at
+//! a time, and it plans again. This module reads the truth.
 
 use super::ablated::{Ablated, Ablation, Replaced};
 use super::planner_view::{PlannerView, apply_to_matched, forget_material};
@@ -37,7 +37,7 @@ impl Target for PlannersOwn {
     }
 }
 
-/// Makes the ablation of a scene whose plans are made: against the judge, the first of the bench's engines.
+/// Runs the ablation of a planned scene against the judge, the first of the engines.
 pub(super) fn ablate(
     bench: &BilliardsBench,
     result: &BilliardsScene,
@@ -113,7 +113,7 @@ fn replaced(
         body.x_wb = known.scene.x_world_recording * body.x_wb;
     }
     real.x_world_recording = known.scene.x_world_recording;
-    // What did not rest by itself was fixed, and is still in some object's place.
+    // Bodies that did not rest were fixed; they still stand for objects.
     let pairs = match_bodies(&known.scene.loosened(), &real);
     let seed = known.prior_seed;
     Ok(match what {
@@ -145,7 +145,7 @@ fn billiards(task: &Task, cue: &str, target: &str) -> Task {
     }
 }
 
-/// What the planner calls a true object; what it does not have gets a name that is not in its scene.
+/// The planner's name of a true object; a missing object gets a name that is not in its scene.
 fn own_name(pairs: &[(String, String)], truth: &str) -> String {
     pairs.iter().find(|p| p.1 == truth).map_or_else(|| format!("unseen {truth}"), |p| p.0.clone())
 }
@@ -177,7 +177,7 @@ fn at_true_places(own: &Scene, real: &Scene, pairs: &[(String, String)]) -> Scen
     scene
 }
 
-/// The true bodies, each standing where its reconstruction stands, with the materials told; what was not reconstructed at its
+/// The true bodies, each at the place of its reconstruction, with the material prior; missing ones at their
 /// own place, and nothing that is not there.
 fn with_true_shapes(
     known: &PlannerView,
@@ -217,7 +217,7 @@ mod tests {
     use sms_core::NoProgress;
     use sms_synth::FIXED_SCENES;
 
-    /// What the planner would see of scene 8, were every body a little elsewhere, its boxes a little larger, and one missing.
+    /// The planner's view of scene 8 with every body displaced, its boxes enlarged, and one missing.
     fn shifted() -> (PlannerView, TruthScene) {
         let fixed = FIXED_SCENES[7];
         let truth = fixed.generate();

@@ -21,7 +21,7 @@ fn worst(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The figures of results, with the keys of docs/metrics.md: for every engine, row and what was told, over the scenes that
+/// The figures of results, with the keys of docs/metrics.md: for every engine, row and material prior, over the scenes that
 /// are there. Overall means and deviations pool all starts of all scenes; `best` and `worst` are those of each scene's
 /// starts, as means and deviations over the scenes.
 pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
@@ -109,7 +109,7 @@ fn add_row(metrics: &mut Metrics, prefix: &str, engine: &str, row: Row, scenes: 
     }
 }
 
-/// What plans are worth with something replaced by the truth. Of what was told first there is no word in the keys.
+/// Realised objectives with one input replaced by the truth. The keys do not name the material prior: it is the first one.
 fn add_ablation(metrics: &mut Metrics, material_prior: MaterialPrior, scenes: &[&BilliardsScene]) {
     let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
     let Some(ablation) = there.first().and_then(|s| s.ablation.as_ref()) else { return };

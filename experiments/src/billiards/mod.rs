@@ -1,7 +1,7 @@
 //! The paper's billiards experiment (section "Experiments", Table 1) on the eighteen fixed scenes: scan, materialize, plan
 //! from many starts, and carry every plan out in the target worlds.
 //!
-//! What the planner sees is made in `planner_view.rs` from the recording and the materials it is told; plans in `rows.rs` are made
+//! `planner_view.rs` builds the planner's view from the recording and the material prior; plans in `rows.rs` are made
 //! of that alone. `realise.rs` and `ablation.rs` are the only places where the truth decides anything. Every scene is a file that is written
 //! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
 //! in one folder.

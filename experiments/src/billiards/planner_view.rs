@@ -1,4 +1,4 @@
-//! The scene that the planner sees.
+//! The planner's view of a scene.
 
 use super::vlm_materials::{apply_vlm_materials, keep_questions};
 use super::{BilliardsBench, BilliardsGeometry, Row};
@@ -25,29 +25,29 @@ use std::path::PathBuf;
 /// Seed of the entities stage; `sms materialize` has the same default.
 const SEED: Seed = Seed(0);
 
-/// A scene as the planner sees it, with the task in it.
+/// A scene as the planner knows it, with its task.
 #[derive(Debug, Clone)]
 pub(super) struct PlannerView {
     pub(super) scene: Scene,
     /// The same scan made into bodies the paper's way, where row `paper` is planned.
     pub(super) paper: Option<Scene>,
     pub(super) task: Task,
-    /// Seed of what is told of materials.
+    /// Seed of the material prior.
     pub(super) prior_seed: Seed,
-    /// True objects in whose place a body is.
+    /// Number of true objects that have a body in their place.
     pub(super) matched: usize,
-    /// Bodies in whose place no object is.
+    /// Number of bodies that match no object.
     pub(super) strays: usize,
 }
 
 impl PlannerView {
-    /// What a row plans in.
+    /// The scene that a row plans in.
     pub(super) fn scene_of(&self, row: Row) -> &Scene {
         self.paper.as_ref().filter(|_| row == Row::Paper).unwrap_or(&self.scene)
     }
 }
 
-/// Makes it, or finds it where it was kept: the geometry with the prior's materials, then what is told.
+/// Builds the view, or reads the kept geometry; then applies the material prior.
 pub(super) fn planner_view(
     bench: &BilliardsBench,
     fixed: &FixedScene,
@@ -106,7 +106,7 @@ pub(super) fn planner_view(
         BilliardsGeometry::Truth => {
             Billiards::new(Selector::by_name(&truth.cue), Selector::by_name(&truth.target), goal_w)
         }
-        // What a user would say.
+        // As a user would describe it.
         BilliardsGeometry::Scan => {
             Billiards::new(Selector::sphere_of_color("white"), Selector::sphere_of_color("blue"), goal_w)
         }
@@ -124,8 +124,8 @@ fn no_model() -> sms_core::InputError {
     )
 }
 
-/// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
-/// is rounded, because the last bits of a quotient tell of the divisor.
+/// Replaces a true material by the prior, and scales the mass to it for the same distribution of mass. The result
+/// is rounded, because the last bits of a quotient depend on the divisor.
 pub(crate) fn forget_material(body: &mut Body) {
     let is_sphere = matches!(body.shape, BodyShape::Sphere { .. });
     let prior = MaterialTable::builtin().prior(is_sphere);
@@ -177,7 +177,7 @@ pub(crate) fn scanned(
     Ok(scene)
 }
 
-/// Where a scanned scene is kept, named by what it is made from.
+/// Folder of a kept scanned scene, named by a hash of its inputs.
 pub(super) fn scan_dir(
     scan: &MaterializeOptions,
     which: &BenchScene,
@@ -190,13 +190,13 @@ pub(super) fn scan_dir(
     Ok(scan.keep.join("scenes").join(format!("{which}-{}", &key[..12])))
 }
 
-/// Whether it is a thing of some size, fixed or not, and not the floor or the background.
+/// Whether the body is a finite object, fixed or not: neither the floor nor the background.
 pub(super) fn is_object(body: &Body) -> bool {
     !matches!(body.shape, BodyShape::HalfSpace) && (body.mass.is_some() || loose_mass(body).is_some())
 }
 
-/// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
-/// are. Names of the two scenes have nothing to do with each other.
+/// Applies the material prior to the bodies that lie where true objects lie; the others keep the handbook's prior. Returns the number
+/// of matched bodies. Names of the two scenes are unrelated.
 pub(crate) fn apply_to_matched(
     scene: &mut Scene,
     truth: &TruthScene,
@@ -207,11 +207,11 @@ pub(crate) fn apply_to_matched(
     for body in &mut true_scene.bodies {
         body.x_wb = scene.x_world_recording * body.x_wb;
     }
-    // What did not rest by itself was fixed, and is still made of something.
+    // Bodies that did not rest were fixed; they still have a material.
     let own = scene.loosened();
     let pairs = match_bodies(&own, &true_scene);
     if material_prior == MaterialPrior::Vlm {
-        // It was asked, not told.
+        // The model's estimates are already applied.
         return Ok(pairs.len());
     }
     for (body, own) in scene.bodies.iter_mut().zip(&own.bodies) {

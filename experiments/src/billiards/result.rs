@@ -1,4 +1,4 @@
-//! What is kept of a scene.
+//! Kept results of a scene.
 
 use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing, Row, Unfinished};
 use crate::{BenchError, MaterialPrior};
@@ -13,7 +13,7 @@ use std::path::Path;
 /// One plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
-    /// What is done; `None` where the planner found no strike that the robot can make: nothing is done then.
+    /// The strike; `None` if the planner found none that the robot can make. Nothing is done then.
     pub action: Option<Action>,
     /// Objective in the scanned world, metres; the distance of target ball and goal in it where nothing is done.
     pub predicted_m: f64,
@@ -46,31 +46,31 @@ impl Shot {
     }
 }
 
-/// A scene's plans and what became of them.
+/// A scene's plans and their outcomes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BilliardsScene {
-    /// What the plans were made from, as a hash.
+    /// Hash of the plans' inputs.
     pub key: Hash,
     /// 1 to 18.
     pub number: usize,
-    /// What the scene asks for.
+    /// The scene's layout.
     pub layout: Layout,
-    /// What the planner was told of materials.
+    /// The planner's knowledge of materials.
     #[serde(rename = "told")]
     pub material_prior: MaterialPrior,
-    /// Where its geometry came from.
+    /// Source of its geometry.
     pub geometry: BilliardsGeometry,
     /// Distance of the target ball from the goal when nothing is done, metres (truth).
     pub idle_m: f64,
     /// Objects of the true scene.
     pub objects: usize,
-    /// Those among them in whose place the planner's scene has a body.
+    /// Objects that have a body of the planner's scene in their place.
     pub matched: usize,
-    /// Bodies of the planner's scene, fixed ones included, in whose place nothing is.
+    /// Bodies of the planner's scene, fixed ones included, that match no object.
     pub strays: usize,
     /// Why nothing could be planned.
     pub problem: Option<String>,
-    /// Why nothing could be planned in row `paper`, whose bodies are made otherwise.
+    /// Why nothing could be planned in row `paper`, which builds its bodies differently.
     #[serde(default)]
     pub paper_problem: Option<String>,
     /// Plans of every row.
@@ -89,10 +89,10 @@ pub struct BilliardsScene {
     /// CPU seconds of this process in each part: `see` (reading or making scan and bodies), `plan_{row}`, `{engine}`.
     #[serde(default)]
     pub cpu_s: BTreeMap<String, f64>,
-    /// What pictures need.
+    /// Data of the pictures.
     #[serde(default)]
     pub drawing: Drawing,
-    /// What is lost where.
+    /// The ablation.
     #[serde(default)]
     pub ablation: Option<Ablation>,
 }
@@ -115,7 +115,7 @@ impl BilliardsScene {
     }
 }
 
-/// What is kept of a scene; `None` where nothing is, or where it was made from something else.
+/// Reads the kept results of a scene; `None` if there are none, or of other inputs.
 pub(super) fn kept(
     bench: &BilliardsBench,
     scene: &FixedScene,

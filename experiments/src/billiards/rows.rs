@@ -1,4 +1,4 @@
-//! Plans, made of what the planner sees.
+//! Plans, made from the planner's view alone.
 
 use super::{BilliardsBench, Row, Shot};
 use crate::BenchError;
@@ -29,7 +29,7 @@ pub(super) struct Planned {
     pub(super) motion: Option<Trajectory>,
 }
 
-/// Plans with a row, with so many starts where it has any. Looks at nothing but its arguments.
+/// Plans with a row, with `starts` starts if it has any. Depends on its arguments alone.
 pub(super) fn make(
     bench: &BilliardsBench,
     view: View<'_>,

@@ -21,12 +21,12 @@ use sms_task::TaskError;
 use std::collections::BTreeMap;
 
 /// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they have not been carried out in.
-/// `done` is told of every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
+/// `done` is called for every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
 ///
-/// Where a vision-language model stops answering, what is left of its row is not run, and the other rows are: why is the result.
+/// If a vision-language model stops answering, the rest of its row is not run, but the other rows are; the result is the reason.
 ///
 /// # Errors
-/// [`BenchError`]. A scene in which the planner finds no cue or target ball is no error: nothing is done in it then.
+/// [`BenchError`]. A scene in which the planner finds no cue or target ball is not an error: its shots do nothing.
 pub fn run_billiards(
     bench: &BilliardsBench,
     done: &dyn Fn(&BilliardsScene),
@@ -51,7 +51,7 @@ pub fn run_billiards(
 }
 
 /// Only scans the scenes of `bench` and makes their bodies; [`run_billiards`] finds them in the folder where scans are
-/// kept, on another machine too. `done` is told, of every scene, in the place of how many of its true objects a body is.
+/// kept, on another machine too. `done` is called with the number of true objects of each scene that have a body.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -61,7 +61,7 @@ pub fn scan_billiards(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<(), BenchError> {
-    // What bodies are made of is told later.
+    // The material prior is applied later.
     let material_prior = MaterialPrior::Prior;
     for scene in &bench.scenes {
         cancel.check()?;
@@ -185,7 +185,7 @@ fn plan_all(
                     result.drawing.predicted = ways(&motion);
                 }
             }
-            // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
+            // A ball that was not reconstructed, or not as a sphere: there is nothing to strike.
             Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
                 let problem = if row == Row::Paper { &mut result.paper_problem } else { &mut result.problem };
                 *problem = Some(e.to_string());
@@ -198,7 +198,7 @@ fn plan_all(
     Ok(result)
 }
 
-/// What stands there, as planned and in truth.
+/// Outlines of the scene, as planned and in truth.
 fn drawing(known: &PlannerView, truth: &TruthScene) -> Result<Drawing, BenchError> {
     let mut real = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
     let x_wt = known.scene.x_world_recording;
@@ -279,7 +279,7 @@ pub(super) mod tests {
         run(&two);
         assert_eq!(read_billiards(&one).unwrap().iter().map(|s| s.number).collect::<Vec<_>>(), [1, 3]);
 
-        // A finished scene is not run again: what the file says is what comes back.
+        // A finished scene is not run again: the result is the file's.
         let path = one.file(&one.scenes[0], MaterialPrior::Class);
         let mut marked = first[0].clone();
         marked.seconds.insert(Row::Grid, 77.0);
@@ -339,11 +339,11 @@ pub(super) mod tests {
         let ablation = all[0].ablation.as_ref().unwrap();
         assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier_f64", Replaced::ALL.len()));
         for row in [Row::Ours, Row::Robust] {
-            // Nothing differs: neither what is known nor the engine nor its step.
+            // Nothing differs: neither the planner's knowledge, the engine, nor its step.
             let of = &ablation.rows[&Replaced::All][&row];
             let realised = of.realised_m[0].unwrap();
             assert!((realised - of.predicted_m[0]).abs() < 1e-5, "{realised} {:?}", of.predicted_m);
-            // Nothing replaced is what was run anyway.
+            // `None` repeats the plain run.
             let none = &ablation.rows[&Replaced::None][&row];
             assert_eq!(none.realised_m[0], all[0].realised["rapier_f64"][&row][0]);
         }
@@ -363,7 +363,7 @@ pub(super) mod tests {
         write_pictures(dir.path(), &all, "a < b").unwrap();
         let page = std::fs::read_to_string(dir.path().join("index.html")).unwrap();
         assert!(page.contains("a &lt; b") && page.contains("row ours") && page.contains("row paper"));
-        // Each body of the true scene is drawn in the picture of what was realised, and the balls leave ghosts.
+        // The picture of the realised shot draws each body of the true scene, and ghosts of the balls.
         let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
         let picture = std::fs::read_to_string(picture).unwrap();
         assert_eq!(picture.matches("aria-label=\"the scene from above\"").count(), 2);

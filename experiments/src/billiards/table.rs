@@ -19,7 +19,7 @@ const PAPER: [(&str, &str, &str, &str); 6] = [
     ("realised, worst per scene", "realised_worst_", "41.2 (22.1)", ""),
 ];
 
-/// The table of results, one block for each engine and what was told, with one line for each scene below it: those where
+/// The table of results, one block for each engine and material prior, with one line for each scene below it: those where
 /// the robust plan fares worst come first.
 pub fn billiards_table(scenes: &[BilliardsScene]) -> String {
     let metrics = billiards_metrics(scenes);
@@ -105,7 +105,7 @@ fn block(
     per_scene(text, &there, key);
 }
 
-/// What could not be planned in row `paper`, and shots that the engine could not finish, with the reasons: they count as shots that do
+/// Scenes without a plan in row `paper`, and shots that the engine could not finish, with the reasons: they count as shots that do
 /// nothing.
 fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     for s in scenes {
@@ -164,7 +164,7 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     }
 }
 
-/// What row `ours` and the robust plan are worth with one thing after another replaced by the truth.
+/// Realised objectives of row `ours` and of the robust plan with one input after another replaced by the truth.
 fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
     let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
     let Some(first) = there.first().and_then(|s| s.ablation.as_ref()) else { return };

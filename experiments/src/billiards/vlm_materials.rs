@@ -1,7 +1,7 @@
-//! Materials `vlm`: what a vision-language model says of the objects of a scan.
+//! Materials `vlm`: estimates of a vision-language model for the objects of a scan.
 //!
 //! The views that a model is shown are kept beside the scanned scene, so that it can be asked later, and on another machine than the
-//! one that scanned. Nothing of the truth is in them but what the camera saw.
+//! one that scanned. They hold nothing of the truth except the camera's view.
 
 use crate::BenchError;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use std::path::Path;
 /// File of the questions in a kept scene's folder.
 const QUESTIONS: &str = "questions.json";
 
-/// What is known of a scan's objects, and what can be asked about them.
+/// Queries about a scan's objects, and the questions with pictures.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
     /// The entities in their order, then the floor.
@@ -99,7 +99,7 @@ pub(super) fn apply_vlm_materials(
         .collect::<Result<_, BenchError>>()?;
     let warnings = Warnings::new();
     let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
-    // What a model cannot tell is part of what it is worth, and keeps the prior. What it was not asked in the end says nothing of it.
+    // An object that the model cannot answer keeps the prior: that is part of the model's quality. A model that was not asked has no figure.
     if let Some(why) = &asked.given_up {
         let at = client.config().url.clone();
         return Err(BenchError::Unanswered(InputError::new(why.what.clone(), at, why.cure.clone())));
@@ -135,7 +135,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-    /// Says the same of everything, so many times, and then that the key is wrong.
+    /// Gives the same answer a number of times, then refuses the key.
     struct Says(AtomicUsize);
 
     impl Transport for Says {
@@ -212,7 +212,7 @@ mod tests {
         bench.geometry = BilliardsGeometry::Scan;
         bench.material_prior = vec![MaterialPrior::Vlm, MaterialPrior::Class];
         bench.vlm = Some(Arc::new(client(0)));
-        // The truth for a scan, which is what its geometry would be at best.
+        // The truth in place of a scan: its geometry at best.
         let mut scene = scene_from_truth(&bench.scenes[0].generate()).unwrap();
         scene.bodies.iter_mut().for_each(super::super::planner_view::forget_material);
         let ball = ObjectQuery { name: scene.bodies[1].name.clone(), ..ObjectQuery::default() };

@@ -28,7 +28,7 @@ pub(crate) struct BilliardsArguments {
     /// Only every n-th of them, from the i-th (i/n, from 1).
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
-    /// What the planner is told of the true materials, one after another.
+    /// The planner's knowledge of the true materials, one value after another.
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', default_value = "class")]
     pub materials: Vec<PriorName>,
     /// Where the planner's geometry comes from.
@@ -74,13 +74,13 @@ pub(crate) struct BilliardsArguments {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
-    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
-    /// Run nothing: print what the folder holds.
+    /// Run nothing: print the results in the folder.
     #[arg(long)]
     pub table: bool,
 }
@@ -146,7 +146,7 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
         shard.save_in(&bench.out)?;
     }
     show(console, &found, &bench.settings(), &bench.out)?;
-    // Said at the end and by the exit code, so that what drives parts runs this one again.
+    // Reported at the end and by the exit code, so that a driver of parts runs this one again.
     unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
@@ -241,7 +241,7 @@ fn scenes(a: &BilliardsArguments) -> anyhow::Result<Vec<FixedScene>> {
     Ok(scenes)
 }
 
-/// What became of one scene.
+/// Summary of one scene.
 fn scene_line(s: &BilliardsScene) -> String {
     let mean = |values: Vec<f64>| length_text(values.iter().sum::<f64>() / values.len().max(1) as f64);
     let mut line = format!(
@@ -276,7 +276,7 @@ mod tests {
     #[derive(Parser)]
     struct Command {
         #[command(flatten)]
-        billiards: BenchBilliards,
+        billiards: BilliardsArguments,
     }
 
     fn numbers(arguments: &[&str]) -> anyhow::Result<Vec<usize>> {

@@ -69,7 +69,7 @@ fn checked(
     })
 }
 
-/// What computes scans that a benchmark keeps: `auto` is the CPU, so that figures stay comparable.
+/// Back end of kept scans: `auto` is the CPU, so that figures stay comparable.
 #[cfg(feature = "gpu")]
 pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
     Ok(match device {

@@ -13,10 +13,10 @@ const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct PhysicsArguments {
-    /// Only the probes whose names contain this.
+    /// Only experiments with this in their names.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub only: String,
-    /// Only the engines whose names contain this.
+    /// Only engines with this in their names.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub engine: String,
 }

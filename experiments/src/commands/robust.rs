@@ -20,7 +20,7 @@ pub(crate) struct RobustArguments {
     /// How hard they are.
     #[arg(long, value_enum, default_value = "crowded")]
     pub family: Family,
-    /// What the planner is told of the true materials.
+    /// The planner's knowledge of the true materials.
     #[arg(long, value_enum, default_value = "noisy")]
     pub materials: PriorName,
     /// True worlds per scene in which each plan is carried out.
@@ -42,8 +42,8 @@ pub(crate) struct RobustArguments {
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: what is in them is not
-    /// run again.
+    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: their results are not
+    /// computed again.
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
     /// File for the results; written after every plan.
@@ -93,7 +93,7 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
         bench.check_same(&earlier, path)?;
         known.merge(earlier);
     }
-    // What is done is kept at once: an interrupted run goes on with `--with` this file.
+    // Results are kept at once: an interrupted run resumes with `--with` this file.
     let keep = |metrics: &Metrics| match &a.out {
         Some(out) => Ok(metrics.save(out)?),
         None => Ok(()),

@@ -43,13 +43,13 @@ pub(crate) struct ScanArguments {
     /// Share of the depth pixels that are lost at random.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub missing: f64,
-    /// Shift colour against depth by so many pixels of the loaded frames.
+    /// Shift of colour against depth, pixels of the loaded frames.
     #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
     pub color_shift_px: i64,
     /// Refine poses before masks and scan.
     #[arg(long, value_enum, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
-    /// What computes the scan; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scan; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Neither make nor measure meshes.
@@ -67,7 +67,7 @@ pub(crate) struct ScanArguments {
     /// Where rendered recordings are kept.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
     pub cache: PathBuf,
-    /// Scan nothing; write for each scene what other programs need (frames, masks, poses, and the truth apart) to DIR.
+    /// Scan nothing; write for each scene the input of other programs (frames, masks, poses, and the truth apart) to DIR.
     #[arg(long, value_name = "DIR")]
     pub export: Option<PathBuf>,
     /// One scene in this process, results to the folder given with --out.
@@ -141,7 +141,7 @@ fn show_scans(
     finish(console, &metrics, out, table(&metrics, scenes, preset, baseline).trim_end())
 }
 
-/// What one part found out about its scenes.
+/// The shard of a part's figures.
 fn part_of_scans(
     part: (usize, usize),
     options: &BenchOptions,
@@ -267,7 +267,7 @@ fn run_children(
         if !console.json {
             eprintln!("{scene} ({} of {})", i + 1, scenes.len());
         }
-        // Here, so that rendering is no part of what the scan's process uses.
+        // Here, so that the scan's process does not account for rendering.
         locate(scene, options, console.context.progress.as_ref(), &console.context.cancel)?;
         let dir = out.join(scene.to_string());
         let status = std::process::Command::new(&program)

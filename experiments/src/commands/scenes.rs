@@ -25,7 +25,7 @@ pub(crate) struct ScenesArguments {
     /// Seeds of the scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1004")]
     pub seeds: String,
-    /// Obstacles besides what a layout needs.
+    /// Obstacles besides those of the layout.
     #[arg(long, value_name = "N", default_value_t = 4)]
     pub obstacles: usize,
     /// Shots per scene.

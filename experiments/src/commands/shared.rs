@@ -29,7 +29,7 @@ impl Family {
     }
 }
 
-/// What the planner is told of materials.
+/// The planner's knowledge of materials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PriorName {
     /// The true class with the handbook's values.
@@ -40,7 +40,7 @@ pub(crate) enum PriorName {
     Prior,
     /// The truth.
     Truth,
-    /// What a vision-language model says of the scan's views (SMS_VLM_URL, SMS_VLM_MODEL).
+    /// Estimates of a vision-language model from the scan's views (SMS_VLM_URL, SMS_VLM_MODEL).
     Vlm,
 }
 
@@ -92,7 +92,7 @@ impl Masks {
     }
 }
 
-/// Why there is no table.
+/// The error for a folder without results of these settings.
 pub(crate) fn nothing_there(out: &Path) -> InputError {
     InputError::new(
         "nothing in this folder was made with these settings",

@@ -1,7 +1,7 @@
 //! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures, or on drawn ones: scan,
 //! materialize, plan from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
 //!
-//! Plans are made of what the scan and the told materials give; only `run.rs` looks at the truth: for the starts, for what is told of
+//! Plans use the scan and the material prior; only `run.rs` reads the truth: for the starts, for the prior of
 //! materials, and to fly plans. Every flight is a file,
 //! so that a run goes on where it was interrupted, and shards of a run meet in one folder.
 

@@ -1,4 +1,4 @@
-//! What the experiment depends on.
+//! Settings of the experiment.
 
 use super::LandingSight;
 use crate::scenes::{LANDING_SCENES, no_scene};
@@ -12,7 +12,7 @@ use sms_synth::{TruthScene, landing_structure};
 use sms_target::TargetEngine;
 use std::path::{Path, PathBuf};
 
-/// Counts up when what is kept of a flight, or how it is made, changes.
+/// Version of the kept files; incremented when their content or its computation changes.
 const VERSION: u32 = 9;
 
 /// Platforms of scanned models are at least this high, metres: bin and table are 0.34 and 0.40 m high, lower than what is landed on
@@ -22,7 +22,7 @@ const SCANNED_HEIGHT_M: f64 = 0.3;
 /// Distance of the planner's particles in the quick run, metres.
 const QUICK_SPACING_M: f64 = 0.03;
 
-/// A planner to compare with, by its name in tables and keys. It is given what ours is given, and the recording.
+/// A baseline planner, by its name in tables and keys. It gets the inputs of ours, and the recording.
 pub struct LandingBaseline<'a> {
     /// The name ("geometric", "random", "visual_prompting").
     pub name: String,
@@ -32,7 +32,7 @@ pub struct LandingBaseline<'a> {
     pub choose: Box<dyn Fn(&LandingSight<'_>) -> Result<LandingChoice, BenchError> + 'a>,
 }
 
-/// What a planner to compare with chose, or why it can choose nothing there, which is a failed landing.
+/// A baseline's choice, or why it has none, which is a failed landing.
 pub type LandingChoice = Result<LandingAction, String>;
 
 /// One flight of the experiment.
@@ -42,17 +42,17 @@ pub struct LandingPart {
     pub scene: usize,
     /// Number of the start, from 0.
     pub start: usize,
-    /// What the planner is told of materials.
+    /// The planner's knowledge of materials.
     pub material_prior: MaterialPrior,
     /// Which draw of the noise; 0 where there is none.
     pub draw: usize,
 }
 
-/// What to run.
+/// Flights, planners and engine of a run.
 pub struct LandingBench<'a> {
     /// Numbers of scenes: those of [`LANDING_SCENES`], and seeds of drawn ones beyond them.
     pub scenes: Vec<usize>,
-    /// Whether scanned models stand in for what is made in code, where there are such ([`crate::models_dir`]).
+    /// Whether scanned models replace shapes made in code, if they are present ([`crate::models_dir`]).
     pub scanned: bool,
     /// Starts on the circle (paper: 10), evenly spread.
     pub starts: usize,
@@ -62,7 +62,7 @@ pub struct LandingBench<'a> {
     pub noisy_starts: usize,
     /// Only every n-th flight, from the i-th (from 1).
     pub part: (usize, usize),
-    /// Where the planner's geometry comes from.
+    /// Source of the planner's geometry.
     pub geometry: BilliardsGeometry,
     /// How scenes are scanned, and where scans are kept.
     pub scan: MaterializeOptions,
@@ -99,7 +99,7 @@ impl LandingBench<'_> {
     }
 
     /// One scene with four starts, few frames, a smaller search, and particles of 30 mm (15 mm in the target), which cost half of those of
-    /// the whole run. The scan is of full size: 200 pixels do not tell what stands on a ladder from the ladder.
+    /// the whole run. The scan is of full size: 200 pixels do not separate a ladder from the object on it.
     pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
         let mut bench = Self::new(vec![1], keep, out);
         bench.starts = 4;
@@ -130,7 +130,7 @@ impl LandingBench<'_> {
         all
     }
 
-    /// What the flights depend on, besides scenes and code, for comparing parts of a run.
+    /// Settings that the flights depend on, besides scenes and code, for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
         let mut map = self.scan.settings();
         let baselines: Vec<[&str; 2]> = self.baselines.iter().map(|b| [&*b.name, &*b.variant]).collect();
@@ -155,7 +155,7 @@ impl LandingBench<'_> {
         if self.scanned { BenchScene::ScannedLanding(number) } else { BenchScene::Landing(number) }
     }
 
-    /// What is true of it.
+    /// Its truth.
     pub(super) fn truth(&self, number: usize) -> Result<TruthScene, BenchError> {
         let which = self.scene(number);
         Ok(generated(&which)?.ok_or_else(|| no_scene(&which))?.scene)
@@ -192,7 +192,7 @@ impl LandingBench<'_> {
     }
 }
 
-/// What a scene is called in keys: its structure's word, of drawn ones with their number, `scanned_` before it where scanned models
+/// Name of a scene in keys: its structure's word, of drawn ones with their number, prefixed by `scanned_` where scanned models
 /// stand in it.
 pub(super) fn word(number: usize, scanned: bool) -> String {
     let structure = landing_structure(number as u64).as_str();

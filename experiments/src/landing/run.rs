@@ -30,12 +30,12 @@ struct LandingView {
     refused: Option<String>,
 }
 
-/// What flights that follow each other have in common.
+/// Data shared by consecutive flights.
 #[derive(Default)]
 struct Shared {
     /// The geometry of a scene, with its number.
     geometry: Option<(usize, Scene)>,
-    /// What a flight was planned in: the same from every start, and what can move in it takes simulations to find out.
+    /// The scene of a flight's plan. It is the same from every start; its movable bodies are found by simulation.
     seen: Option<(LandingPart, LandingView)>,
 }
 
@@ -66,14 +66,14 @@ pub fn run_landings(
     Ok(())
 }
 
-/// What a scan gives a planner of landings.
+/// Quality of a scan for the planner of landings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandingScan {
     /// Number of the scene.
     pub scene: usize,
     /// Whether scanned models stand in it, as far as there are such.
     pub scanned: bool,
-    /// True objects in whose place a body is.
+    /// Number of true objects that have a body in their place.
     pub matched: usize,
     /// True objects.
     pub objects: usize,
@@ -83,7 +83,7 @@ pub struct LandingScan {
     pub held: Vec<RestingDrift>,
     /// Bodies that have to stay fixed for another one's sake.
     pub stuck: Option<Stuck>,
-    /// Why it is no structure to land on: it falls by itself.
+    /// Why it cannot be landed on: it falls by itself.
     pub falling: Option<String>,
     /// How the structure stands and when it tips; `None` where there is no surface to land on.
     pub standing: Option<Standing>,
@@ -129,7 +129,7 @@ pub fn scan_landings(
     Ok(scans)
 }
 
-/// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads what is kept of it.
+/// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads its kept result.
 ///
 /// # Errors
 /// As [`run_landings`].
@@ -191,7 +191,7 @@ fn flown(
                 }
                 let planned = match choose(bench, &name, &sight, cancel) {
                     Ok(planned) => planned,
-                    // What was chosen before is flown and kept all the same, but for who wants to stop.
+                    // Earlier choices are still flown and kept, unless the user interrupts.
                     Err(e) if cancel.check().is_ok() => {
                         failed = Some(e);
                         break;
@@ -222,7 +222,7 @@ fn flown(
 }
 
 impl Shared {
-    /// The scene that a flight is planned in, with what can move freed.
+    /// The scene that a flight is planned in, with its movable bodies freed.
     fn seen(
         &mut self,
         bench: &LandingBench<'_>,
@@ -258,7 +258,7 @@ impl Shared {
     }
 }
 
-/// What was found, or why the scene is none to land in, which is a result.
+/// The plan, or why the scene cannot be landed in, which is a result.
 fn or_why<T>(found: Result<T, LandingError>) -> Result<Result<T, String>, BenchError> {
     match found {
         Err(e) if e.input().is_some() => Ok(Err(e.to_string())),
@@ -306,7 +306,7 @@ fn geometry_of(
     }
 }
 
-/// The same with what is told.
+/// The same with the material prior.
 fn landing_view(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<LandingView, BenchError> {
     let seed = truth.seed.derive_index("landing materials", part.draw as u64);
     let matched = apply_to_matched(&mut scene, truth, part.material_prior, seed)?;
@@ -374,7 +374,7 @@ fn choose(
     Ok(LandingPlanned { plan_cpu_s: cpu_since(began), variant: variant(bench, name).to_owned(), ..planned })
 }
 
-/// Flies what several planners chose, side by side: a flight alone leaves cores idle, since air and bodies take turns.
+/// Flies the choices of several planners side by side: a flight alone leaves cores idle, since air and bodies take turns.
 fn fly(
     bench: &LandingBench<'_>,
     chosen: &mut [(String, LandingPlanned)],
@@ -403,7 +403,7 @@ fn fly(
         planned.jet_success = done.second_opinion.map(|o| o.is_success());
         Ok::<(), TargetError>(())
     })?;
-    // What each of them took cannot be told apart.
+    // The time of each cannot be separated.
     let each = cpu_since(began) / flights.max(1) as f64;
     chosen.iter_mut().filter(|(_, p)| p.action.is_some()).for_each(|(_, p)| p.target_cpu_s = each);
     Ok(())

@@ -1,4 +1,4 @@
-//! What a planner to compare with may look at: what ours looks at, and the recording.
+//! Inputs of a baseline planner: those of ours, and the recording.
 
 use crate::BenchError;
 use crate::options::BenchOptions;

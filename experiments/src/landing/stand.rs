@@ -1,4 +1,4 @@
-//! Whether what was scanned stands as it does in truth, and tips under the same load.
+//! Comparison of a scanned structure's stability and tipping loads with the truth's.
 
 use crate::BenchError;
 use glamx::DVec2;
@@ -21,9 +21,9 @@ pub struct EdgeLoad {
     pub p_w: DVec2,
     /// By statics of the true contacts.
     pub truth_n: f64,
-    /// In the planner's world, with the masses that it was told.
+    /// In the planner's world, with the masses of its prior.
     pub planner_n: f64,
-    /// In the planner's world with the true masses: what is left is geometry.
+    /// In the planner's world with the true masses: the rest of the error is geometry.
     pub true_masses_n: f64,
 }
 
@@ -38,12 +38,12 @@ pub struct Standing {
     pub end: Option<EdgeLoad>,
     /// Loads at corners of the platform and in the middles of its edges, as far as less than that tips it there in truth.
     pub edges: Vec<EdgeLoad>,
-    /// Bodies of the structure that are no true object's: their masses are as they were told in [`EdgeLoad::true_masses_n`] too.
+    /// Bodies of the structure that match no true object: they keep the prior's masses in [`EdgeLoad::true_masses_n`], too.
     pub unmatched: Vec<String>,
 }
 
 impl Standing {
-    /// Share by which the load at the overhang's end differs from the truth, with the masses told and with the true ones; infinite where
+    /// Relative error of the load at the overhang's end, with the prior's masses and with the true ones; infinite where
     /// no load tips it.
     pub fn end_errors(&self) -> Option<[f64; 2]> {
         self.end.as_ref().map(EdgeLoad::errors)
@@ -109,7 +109,7 @@ pub(super) fn standing(
     found.unmatched = structure.iter().filter(|body| !matched.contains(body)).cloned().collect();
     let test = LoadTest { most_n: 4.0 * MOST_N, ..LoadTest::default() };
     let load_at = |p_w: DVec2| -> Result<Option<EdgeLoad>, BenchError> {
-        // What would topple without a load has no share of it.
+        // A structure that topples without a load has no relative error.
         let tips = |n: &f64| *n > 0.0 && *n < MOST_N;
         let Some(truth_n) = truth.tipping_load_n(p_w).filter(tips) else { return Ok(None) };
         let at_w = scene.x_world_recording.transform_point(p_w.extend(landing.top_m));
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
     use sms_synth::LandingStructure;
 
-    /// With true geometry and masses the planner's engine agrees with statics; what is heavier by a fifth bears a fifth more.
+    /// With true geometry and masses the planner's engine agrees with statics; a structure heavier by a fifth bears a fifth more.
     #[test]
     fn true_structures_tip_under_the_loads_of_statics() {
         for structure in LandingStructure::ALL {

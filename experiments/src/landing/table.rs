@@ -118,7 +118,7 @@ fn scenes(flights: &[LandingFlight]) -> BTreeSet<usize> {
     flights.iter().map(|f| f.scene).collect()
 }
 
-/// Success by scene, beside the paper's (whose four scenes are its own: its rows are for the mean).
+/// Success by scene, beside the paper's (its four scenes differ: compare the means only).
 pub fn landing_table(flights: &[LandingFlight]) -> String {
     let mut text = String::new();
     let percent = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.0} %", 100.0 * v));

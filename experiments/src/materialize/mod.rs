@@ -1,7 +1,7 @@
-//! Meshes of scanned models against the models: how good is what materialize makes, and how long does it take?
+//! Quality and time of materialize: meshes of scanned models against the models.
 //!
 //! A model is rendered from an orbit and scanned once ([`train`]; the result is kept on disk); each [`run_materialize`]
-//! then makes the entities anew and measures them, so that work on the entities stage is judged in seconds.
+//! then builds the entities again and measures them, so that work on the entities stage is judged in seconds.
 
 mod measure;
 mod options;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskChoice {
-    /// By geometry; the true ones for models longer than what the masks by geometry take for an object at all
+    /// By geometry; the true ones for models longer than the largest object of masks by geometry
     /// (`max_object_m`), as a user would label them.
     #[default]
     Auto,
@@ -21,7 +21,7 @@ pub enum MaskChoice {
     Truth,
 }
 
-/// What a measurement of materialize depends on, besides the scene.
+/// Settings that a measurement of materialize depends on, besides the scene.
 #[derive(Debug, Clone)]
 pub struct MaterializeOptions {
     /// Preset, frames, masks, scan and entities. Disturbances and pose refinement are not used.
@@ -32,7 +32,7 @@ pub struct MaterializeOptions {
     pub keep: PathBuf,
     /// Whether scans are made again even if they are there.
     pub rescan: bool,
-    /// What computes scans. A kept scan is used whatever computed it; its `scan.json` says what did.
+    /// Back end of scans. A kept scan is used whatever its device, which its `scan.json` names.
     pub trainer: TrainerMaker,
 }
 
@@ -48,13 +48,13 @@ impl MaterializeOptions {
         }
     }
 
-    /// What scans and bodies depend on, besides scenes and code, by name; for comparing parts of a run.
+    /// Settings that scans and bodies depend on, besides scenes and code, by name; for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
         let scan = self.bench.settings().into_iter();
         scan.chain([("choice_of_masks", json!(self.masks))]).map(|(k, v)| (k.to_owned(), v)).collect()
     }
 
-    /// What a scan depends on, besides scene, seed and code, for naming what was made of it.
+    /// Inputs of a scan, besides scene, seed and code, for naming its products.
     pub(crate) fn made_from(&self) -> impl Serialize {
         let (bench, true_masks) = (&self.bench, self.masks == MaskChoice::Truth);
         (&bench.read, &bench.load, &bench.masks, true_masks, &bench.scan, bench.recorded())

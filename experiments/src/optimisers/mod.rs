@@ -74,7 +74,7 @@ impl Entrant {
     }
 }
 
-/// What to compare.
+/// Settings of the comparison.
 #[derive(Debug, Clone)]
 pub struct OptimiserBench {
     /// Seeds of the scenes.
@@ -116,7 +116,7 @@ impl OptimiserBench {
     }
 }
 
-/// What one search found.
+/// Result of one search.
 struct Best {
     objective: f64,
     success: bool,

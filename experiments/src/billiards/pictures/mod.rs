@@ -24,7 +24,7 @@ struct Picture {
 }
 
 /// Writes `index.html` (one page that needs no other file) and its pictures as SVG in `figures/` into a folder: for every
-/// engine and what was told the distributions of rows `paper` and `ours`, and for the judge (the first engine that the scenes
+/// engine and material prior the distributions of rows `paper` and `ours`, and for the judge (the first engine that the scenes
 /// were carried out in) the robust plan of every scene from above, planned above realised, alone and in a gallery. `text` is
 /// shown above them.
 ///
