@@ -1,4 +1,4 @@
-//! A scene as files for other programs, and the yardstick beside it.
+//! Export of a scene as files for other programs, with the yardstick beside it.
 //!
 //! # Format
 //! `sms-experiments scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
@@ -166,7 +166,7 @@ pub(crate) fn read_export(dir: &Path) -> Result<Exported, BenchError> {
     let path = dir.join("truth/truth.json");
     if !path.is_file() {
         let cure = "give a scene's folder that `sms-experiments scan --export` wrote";
-        return Err(InputError::new("this is no exported scene", dir, cure).into());
+        return Err(InputError::new("this is not an exported scene", dir, cure).into());
     }
     let transforms: Transforms = atomic::read_json(&dir.join("transforms.json"))?;
     let truth: TruthFile = atomic::read_json(&path)?;

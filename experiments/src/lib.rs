@@ -1,49 +1,21 @@
-//! The yardstick of the scan: fixed scenes with exact truth, disturbances, and what is measured on them.
+//! The paper's experiments, and studies of the stages of `sms` on scenes with exact truth.
 //!
-//! [`run_scene`] takes one of the [`SEEDS`] of the billiards family (or a real recording), makes frames and masks of it as
-//! the pipeline does, scans it, and measures the result against the truth of the generator, which the scan never sees.
-//! `sms-experiments scan` runs it for every scene in a process of its own, so that peak memory is the scene's.
-//!
-//! # What is measured
-//! - **Colour**: PSNR of held-out views against the observed colour, all pixels, mean over the views.
-//! - **Depth**: see [`DepthErrors`]: against noise-free depth where the camera can measure and something is shown.
-//! - **Labels**: [`mean_iou`] of rendered labels with the true ones. Which mask label stands for which true object is
-//!   decided before, by [`match_labels`], from the masks themselves.
-//! - **Surfaces**: points on the discs of the Gaussians of each object ([`disc_points`]), against the true surface of that
-//!   object ([`score_labelled`]); recall over the [`observed_surface`], what at least three of the cameras trained on see
-//!   of the true surface. The figure of a scene is the mean over its objects.
-//! - **Others**: [`export_scene`] writes what the scan is given and the truth beside it, and [`score_files`] measures what
-//!   another program made of it by the same functions; the format is in `export.rs`.
-//! - **Disturbed poses**: the result is aligned rigidly first ([`align_cameras`], [`refine_on_surfaces`]).
-//!
-//!
-//! # The planner
-//! [`run_optimisers`] compares search methods on generated scenes, [`run_robust`] compares what plans are worth when the
-//! true world is one more sample of what is not known.
-//!
-//! # Masks
-//! [`run_masks`] measures label images against the true ones: objects found, labels that are none, and how well they overlap.
-//!
-//! # The whole experiment
-//! [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, and carry out in the target
-//! worlds.
-//!
-//! [`run_landings`] is its landing experiment on four structures, beside planners that know nothing of wash.
-//!
-//! # In parts
-//! What is too long for one machine runs as `--shard i/n` on several: [`Shard`] is what each writes, [`merge_shards`] puts
-//! them together.
+//! - [`run_scene`] scans one of the [`SEEDS`] of the billiards family, or a real recording, and measures the result by
+//!   [`sms_eval`] against the generator's truth. `sms-experiments scan` runs it for every scene in a process of its own, so
+//!   that peak memory is the scene's.
+//! - [`export_scene`] writes the input of a scan and its truth for other programs; [`score_files`] measures their results
+//!   by the same functions.
+//! - [`run_masks`] scores masks, [`run_materialize`] the entities of scanned models.
+//! - [`run_optimisers`] compares search methods on generated scenes; [`run_robust`] compares plans in true worlds that are
+//!   samples of the planner's uncertainty.
+//! - [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, execute in the target
+//!   worlds.
+//! - [`run_landings`] is its landing experiment on four structures, beside planners without a wash model.
+//! - [`Shard`] holds the results of a part (`--shard i/n`) of a run on several machines; [`merge_shards`] merges them.
 //!
 //! ```
-//! use sms_experiments::{F1_M, SurfacePoint, score_surface};
-//! use sms_core::glamx::DVec3;
-//! // A floor 2 mm too high is precise to 2.5 mm, and 2 mm off.
-//! let observed: Vec<SurfacePoint> = (0..100)
-//!     .map(|i| SurfacePoint { point: DVec3::new(0.001 * f64::from(i), 0.0, 0.0), normal: DVec3::Z })
-//!     .collect();
-//! let found: Vec<DVec3> = observed.iter().map(|s| s.point + DVec3::Z * 0.002).collect();
-//! let scores = score_surface(&found, |p| p.z.abs(), &observed);
-//! assert!((scores.median_m - 0.002).abs() < 1e-12 && scores.f1 == 1.0 && F1_M == 0.0025);
+//! use sms_experiments::part_of;
+//! assert_eq!(part_of(vec![1001, 1002, 1003, 1004], (2, 2)), [1002, 1004]);
 //! ```
 
 mod billiards;

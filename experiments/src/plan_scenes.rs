@@ -63,7 +63,7 @@ pub struct PlanScene {
     pub scene: Scene,
     /// The truth; the planner never reads it.
     pub truth: TruthScene,
-    /// The task in it, carried out by a finger that gives no way.
+    /// Its task, executed by a kinematic finger.
     pub task: ResolvedTask,
     /// The robot that stands before it.
     pub robot: RobotConfig,
@@ -96,7 +96,7 @@ impl PlanScene {
         Ok(Self { seed, robot: robot_of(&truth), scene, truth, task })
     }
 
-    /// The task, carried out by the arm.
+    /// The task, executed by the arm.
     ///
     /// # Errors
     /// [`BenchError`] of the robot's description.

@@ -1,5 +1,5 @@
 //! Whether the fixed scenes can be solved in a target engine: the shots that brute force in the planner's engine likes best,
-//! carried out there, and a search around the best of them.
+//! executed there, and a search around the best of them.
 
 use crate::BenchError;
 use crate::solvability::{Table, Tried};
@@ -32,9 +32,9 @@ pub struct ReachabilityBench {
     pub scenes: Vec<usize>,
     /// Shots of the brute force in the planner's engine.
     pub shots: u64,
-    /// Best distinct ones of them that are carried out in the target.
+    /// Number of their best distinct ones that are executed in the target.
     pub candidates: usize,
-    /// Best distinct ones without a rebound that are carried out in the target, besides.
+    /// Number of the best distinct ones without a rebound that are also executed in the target.
     pub direct: usize,
     /// Shots of one search around the best.
     pub local: usize,
@@ -63,7 +63,7 @@ pub struct Reachability {
     pub best_action: Vec<f64>,
     /// Best shot without a rebound in the planner's engine.
     pub planner_direct_m: f64,
-    /// Best shot without a rebound in the target, of all that were carried out there.
+    /// Best shot without a rebound in the target, of all that were executed there.
     pub direct_m: f64,
     /// Shots in the target.
     pub target_shots: usize,

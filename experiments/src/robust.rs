@@ -40,7 +40,7 @@ pub struct RobustBench {
     pub chaos_runs: usize,
     /// How far poses, radii and strikes are off in the true worlds.
     pub errors: Disturbances,
-    /// Whether the arm strikes, in planning and in the true worlds; else the finger that gives no way.
+    /// Whether the arm strikes, in planning and in the true worlds; else a kinematic finger.
     pub arm: bool,
     /// Engine of the true worlds; the planner's own where there is none.
     pub engine: Option<TargetEngine>,
@@ -133,7 +133,7 @@ enum Job {
     Oracle { scene: usize },
 }
 
-/// Plans with every planner on every scene, carries each plan out in the same [`TrueWorlds`], and searches the first
+/// Plans with every planner on every scene, executes each plan in the same [`TrueWorlds`], and searches the first
 /// of them for the best shot that there is. Every job runs on one thread, so that its CPU seconds can be measured; rayon's
 /// current number of threads works side by side. The figures but the CPU seconds depend on seeds alone.
 ///
@@ -313,7 +313,7 @@ impl Running<'_> {
         }
     }
 
-    /// Plans, and carries the plan out; the figures of the scene and the rollouts of the plan.
+    /// Plans and executes the plan; returns the figures of the scene and the rollouts of the plan.
     fn plan(
         &self,
         scene: usize,

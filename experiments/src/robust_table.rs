@@ -94,7 +94,7 @@ pub fn robust_table(bench: &RobustBench, metrics: &Metrics) -> String {
         metrics.get(&format!("bench.robust.{key}")).and_then(|v| v.as_str()).unwrap_or("not known").to_owned()
     };
     let mut text = format!(
-        "distance to the goal, mm: mean over {} scenes with {} true worlds each ({}, struck by {}), materials told: {}; \
+        "distance to the goal, mm: mean over {} scenes with {} true worlds each ({}, struck by {}), material prior: {}; \
          invalid worlds count as shots that do nothing; in brackets the scenes that a figure compares, where not all\n\
          {:<12} {:>9} {:>8} {:>6} {:>8} {:>10} {:>8} {:>8} {:>12} {:>6} {:>7} {:>9} {:>7}  {}\n",
         bench.seeds.len(),
@@ -182,7 +182,7 @@ mod tests {
     use crate::SceneFamily;
 
     #[test]
-    fn only_figures_of_the_same_scenes_are_compared_and_their_number_is_told() {
+    fn only_figures_of_the_same_scenes_are_compared_and_counted() {
         let bench = RobustBench::new(vec![1, 2, 3, 4], SceneFamily::Crowded);
         let mut metrics = Metrics::new();
         let mut set = |name: &str, seed: u64, key: &str, value: f64| {

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 /// The ten fixed seeds of the billiards family. The demo's are 1 to 5. The scan was tuned on 1001, 1003 and
-/// 1005, and 1002, 1009 and 1010 were looked at; 1004, 1006, 1007 and 1008 were only measured.
+/// 1005, and 1002, 1009 and 1010 were inspected; 1004, 1006, 1007 and 1008 were only measured.
 pub const SEEDS: [u64; 10] = [1001, 1002, 1003, 1004, 1005, 1006, 1007, 1008, 1009, 1010];
 
 /// Frames of a recording (paper: 60).

@@ -100,7 +100,7 @@ impl<'a> TrueWorlds<'a> {
         Ok((!off.is_empty()).then(|| off.iter().sum::<f64>() / off.len() as f64))
     }
 
-    /// The objective of a strike that was asked for and is carried out a little otherwise; `None` where it cannot be believed,
+    /// The objective of a strike that is executed with an error; `None` if the rollout is invalid,
     /// or the arm cannot make it.
     fn rollout(
         &self,

@@ -189,7 +189,7 @@ pub fn true_views(scene: &TruthScene, cameras: &[Camera]) -> Vec<TrueView> {
     cameras.iter().map(view).collect()
 }
 
-/// The camera carried into another world: `x_aw` carries `W` to `A`.
+/// Transforms a camera into another world: `x_aw` maps `W` to `A`.
 pub fn carried(camera: &Camera, x_aw: &DPose3) -> Camera {
     Camera::new(camera.intrinsics, *x_aw * camera.x_wc)
 }

@@ -17,7 +17,7 @@ pub enum Replaced {
     Poses,
     /// Materials of reconstructed objects; masses follow with the reconstructed volumes.
     Materials,
-    /// Nothing that the planner knows: its plans are carried out in its own engine at its own step.
+    /// No input of the planner: its plans are executed in its own engine at its own step.
     Engine,
     /// All of them.
     All,

@@ -19,7 +19,7 @@ use sms_target::{Target, TargetEngine, TargetError, match_bodies, scene_from_tru
 use sms_task::{Billiards, Selector, Task, TaskError};
 use std::collections::BTreeMap;
 
-/// Rows that are looked at.
+/// Rows of the ablation.
 pub(super) const ROWS: [Row; 2] = [Row::Ours, Row::Robust];
 /// How far everything is moved to see whether a shot holds, metres: as well as a scan knows where things are.
 const NUDGE_M: f64 = 1e-3;

@@ -3,7 +3,7 @@
 //!
 //! `planner_view.rs` builds the planner's view from the recording and the material prior; plans in `rows.rs` are made
 //! of that alone. `realise.rs` and `ablation.rs` are the only places where the truth decides anything. Every scene is a file that is written
-//! when its plans are made and after every engine, so that a run goes on where it was interrupted, and shards of a run meet
+//! when its plans are made and after every engine, so that an interrupted run resumes, and shards of a run meet
 //! in one folder.
 
 mod ablated;

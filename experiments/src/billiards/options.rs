@@ -127,7 +127,7 @@ impl BilliardsBench {
     }
 
     /// The planner with about as many rollouts for each start as five of the paper's starts take: a short search of the
-    /// scanned world, and the choice among its best by how they fare in a few disturbed ones, for as many of which the scanned
+    /// scanned world, and the choice among its best by how they fare in a few perturbed ones, for as many of which the scanned
     /// world counts. Thirty of them for each of eighteen scenes take ninety minutes on two cores.
     fn small() -> PlanConfig {
         PlanConfig {

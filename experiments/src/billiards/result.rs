@@ -23,7 +23,7 @@ pub struct Shot {
     pub evaluations: usize,
     /// Iterations of the local searches (`paper`: of the one search, which ends when it has converged or after 30).
     pub iterations: usize,
-    /// Whether the arm can make the strike; else a finger that gives no way makes it (the baseline knows no arm).
+    /// Whether the arm can make the strike; else a kinematic finger makes it (the baseline has no arm).
     pub by_arm: bool,
 }
 

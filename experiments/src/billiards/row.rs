@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 pub enum Row {
     /// The paper's: plain Nelder-Mead from random starts, each its own plan, in bodies made of the scan the paper's way.
     Paper,
-    /// Ours: a small plan from each of as many seeds.
+    /// Ours: a small plan from each start's seed.
     Ours,
     /// Ours: one plan with the planner's default settings, which a user would carry out.
     Robust,

@@ -92,7 +92,7 @@ impl Planner<'_> {
         Shot { evaluations, ..Shot::nothing(self.idle_m()) }
     }
 
-    /// The baseline knows no arm; a strike that the arm cannot make is made by a finger that gives no way.
+    /// The baseline has no arm; a strike that the arm cannot make is made by a kinematic finger.
     fn grid(&self, free: &ResolvedTask) -> Result<Shot, BenchError> {
         let found = self.bench.grid.plan(free, self.scene)?;
         let by_arm = self.task.striker(&self.task.strike(&found.action)).is_ok();

@@ -20,7 +20,7 @@ use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::TaskError;
 use std::collections::BTreeMap;
 
-/// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they have not been carried out in.
+/// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they were not executed in.
 /// `done` is called for every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
 ///
 /// If a vision-language model stops answering, the rest of its row is not run, but the other rows are; the result is the reason.
@@ -285,7 +285,7 @@ pub(super) mod tests {
         marked.seconds.insert(Row::Grid, 77.0);
         atomic::write_json(&path, &marked).unwrap();
         assert_eq!(run(&one)[0].seconds[&Row::Grid], 77.0);
-        // Without its engine, it is carried out again and not planned again.
+        // Without its engine, it is executed again and not planned again.
         marked.realised.clear();
         atomic::write_json(&path, &marked).unwrap();
         let again = run(&one);

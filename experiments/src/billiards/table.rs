@@ -57,7 +57,7 @@ fn block(
             text,
             "{key}, materials {}: not run ({})",
             material_prior.as_str(),
-            why.unwrap_or("not asked for")
+            why.unwrap_or("not requested")
         );
         return;
     }
@@ -136,7 +136,7 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     order.sort_by(|a, b| single(b).total_cmp(&single(a)).then(a.number.cmp(&b.number)));
     let _ = writeln!(
         text,
-        "  scene            robust (told)    ours mean  best worst    paper mean  best worst    grid   seen"
+        "  scene            robust (pred.)   ours mean  best worst    paper mean  best worst    grid   matched"
     );
     for s in order {
         let spread = |row: Row| {
@@ -170,7 +170,7 @@ fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
     let Some(first) = there.first().and_then(|s| s.ablation.as_ref()) else { return };
     let _ = writeln!(
         text,
-        "what is lost where: {} scenes, {} starts, judge {}; cm realised, means\n  {:<22}{:>12}{:>12}",
+        "ablation: {} scenes, {} starts, judge {}; cm realised, means\n  {:<22}{:>12}{:>12}",
         there.len(),
         first.starts,
         first.judge,

@@ -22,7 +22,7 @@ const QUICK: [usize; 3] = [1, 8, 18];
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BilliardsArguments {
-    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that nobody has chosen or looked at.
+    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that were not selected.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
     /// Only every n-th of them, from the i-th (i/n, from 1).
@@ -77,7 +77,7 @@ pub(crate) struct BilliardsArguments {
     /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
     /// Run nothing: print the results in the folder.
@@ -114,7 +114,7 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
     if a.scans_only {
         let line = |s: &FixedScene, matched: usize, objects: usize| {
             console.say(format!(
-                "scene {:>2} ({}): {matched} of {objects} objects seen",
+                "scene {:>2} ({}): {matched} of {objects} objects matched",
                 s.number,
                 s.layout.as_str()
             ));
@@ -208,7 +208,7 @@ fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsB
         bench.rows = Row::ALL.into_iter().filter(|row| a.rows.iter().any(|r| r.row() == *row)).collect();
         let is_there = |row: &Row| bench.rows.contains(row);
         if bench.ablation_starts > 0 && ![Row::Ours, Row::Robust].iter().all(is_there) {
-            let what = "the ablation looks at the rows `ours` and `robust`";
+            let what = "the ablation needs the rows `ours` and `robust`";
             return Err(InputError::new(what, "--rows", "add them, or leave --ablation out").into());
         }
     }
@@ -245,7 +245,7 @@ fn scenes(a: &BilliardsArguments) -> anyhow::Result<Vec<FixedScene>> {
 fn scene_line(s: &BilliardsScene) -> String {
     let mean = |values: Vec<f64>| length_text(values.iter().sum::<f64>() / values.len().max(1) as f64);
     let mut line = format!(
-        "scene {:>2} ({}, {}): {} of {} objects seen",
+        "scene {:>2} ({}, {}): {} of {} objects matched",
         s.number,
         s.layout.as_str(),
         s.material_prior.as_str(),

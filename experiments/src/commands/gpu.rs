@@ -64,7 +64,7 @@ fn checked(
     use sms_gaussians_gpu::{Choice, checked_trainer};
     let choice = index.map_or(Choice::Best, Choice::Index);
     checked_trainer(train, classes, seed, choice).map_err(|error| {
-        let cure = "`sms devices` lists what there is";
+        let cure = "`sms devices` lists the devices";
         sms_core::InputError::new(error.to_string(), "--device", cure).into()
     })
 }

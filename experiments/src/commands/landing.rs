@@ -82,7 +82,7 @@ pub(crate) struct LandingArguments {
     /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
     /// Run nothing: print the results in the folder.
@@ -105,7 +105,7 @@ pub(crate) fn run(console: &Console, a: &LandingArguments) -> anyhow::Result<()>
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
             let stands = scan.standing.as_ref().map(standing_text).unwrap_or_default();
             console.say(format!(
-                "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{falling}{stands}"
+                "scene {scene}: {matched} of {objects} objects matched{freed}{held}{stuck}{falling}{stands}"
             ));
         };
         let scans = scan_landings(&bench, &line, console.context.progress.as_ref(), &console.context.cancel)?;
@@ -295,7 +295,7 @@ fn standing_text(standing: &Standing) -> String {
     };
     let unmatched = match &standing.unmatched[..] {
         [] => String::new(),
-        bodies => format!("; {} of no true object, with the mass told", bodies.join(", ")),
+        bodies => format!("; {} match no true object and keep the prior's mass", bodies.join(", ")),
     };
     format!(
         "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, at most {:+.0} % \

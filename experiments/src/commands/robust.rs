@@ -23,7 +23,7 @@ pub(crate) struct RobustArguments {
     /// The planner's knowledge of the true materials.
     #[arg(long, value_enum, default_value = "noisy")]
     pub materials: PriorName,
-    /// True worlds per scene in which each plan is carried out.
+    /// True worlds per scene that each plan is executed in.
     #[arg(long, value_name = "N", default_value_t = 48)]
     pub worlds: usize,
     /// Shots of the search in the true world itself, for the regret; 0 leaves it out.
@@ -33,7 +33,7 @@ pub(crate) struct RobustArguments {
     /// planner's settings). Planning for the scanned world alone costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
-    /// Let the arm strike, in planning and in the true worlds, in place of the finger that gives no way.
+    /// Let the arm strike, in planning and in the true worlds, in place of a kinematic finger.
     #[arg(long)]
     pub arm: bool,
     /// Engine of the true worlds; the planner's own is rapier.

@@ -95,15 +95,15 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
             eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
         } else if is_absent(&scene) {
             let dir = sms_experiments::real_data_dir();
-            eprintln!("skipped {scene}: there is no such recording in {} (SMS_TEST_DATA)", dir.display());
+            eprintln!("skipped {scene}: no recording of this name in {} (SMS_TEST_DATA)", dir.display());
         } else {
             present.push(scene);
         }
     }
-    // A part may be of scenes that are not here; the others are not the worse for it.
+    // A part may consist of missing scenes; the other parts are still valid.
     if present.is_empty() && part.is_none() {
         return Err(InputError::new(
-            "none of these scenes is here",
+            "none of these scenes is present",
             "--scenes",
             "give seeds, or set SMS_TEST_DATA to the folder of the real recordings",
         )
@@ -172,7 +172,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     show_scans(console, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
 }
 
-/// Whether it is a real recording that is not here.
+/// Whether the scene's data is missing.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
         BenchScene::Billiards(_)
@@ -221,7 +221,7 @@ fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions>
         Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
     if !(0.0..1.0).contains(&a.missing) {
         return Err(
-            InputError::new("this is no share of the pixels", "--missing", "give 0 to below 1").into()
+            InputError::new("the share of pixels is out of range", "--missing", "give 0 to below 1").into()
         );
     }
     if let Some(text) = &a.pose_noise {

@@ -95,7 +95,7 @@ impl Masks {
 /// The error for a folder without results of these settings.
 pub(crate) fn nothing_there(out: &Path) -> InputError {
     InputError::new(
-        "nothing in this folder was made with these settings",
+        "the folder holds no results of these settings",
         out,
         "run it without --table, or with the settings that it was made with",
     )
@@ -140,7 +140,7 @@ pub(crate) fn parse_seeds(text: &str) -> anyhow::Result<Vec<u64>> {
 
 fn no_seeds(text: &str) -> InputError {
     InputError::new(
-        format!("`{text}` names no seeds"),
+        format!("`{text}` is not a list of seeds"),
         "--seeds",
         "give a range such as 1001..1012, or a list such as 1,2,7",
     )
@@ -175,7 +175,7 @@ pub(crate) fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
     if !path.is_file() {
         let cure = "give the results of an earlier run, as --out writes them";
         return Err(CoreError::from(InputError::new(
-            "there is no such file",
+            "the file does not exist",
             path.display().to_string(),
             cure,
         ))
@@ -190,7 +190,10 @@ pub(crate) fn parse_shard(text: &str) -> anyhow::Result<(usize, usize)> {
         text.split_once('/').and_then(|(i, n)| Some((i.trim().parse().ok()?, n.trim().parse().ok()?)));
     match parts {
         Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
-        _ => Err(InputError::new(format!("`{text}` is no shard"), "--shard", "write for example 2/4").into()),
+        _ => {
+            Err(InputError::new(format!("`{text}` is not a shard"), "--shard", "write for example 2/4")
+                .into())
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 //!
 //! Plans use the scan and the material prior; only `run.rs` reads the truth: for the starts, for the prior of
 //! materials, and to fly plans. Every flight is a file,
-//! so that a run goes on where it was interrupted, and shards of a run meet in one folder.
+//! so that an interrupted run resumes, and shards of a run meet in one folder.
 
 mod options;
 mod result;

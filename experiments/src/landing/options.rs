@@ -58,7 +58,7 @@ pub struct LandingBench<'a> {
     pub starts: usize,
     /// Draws of noisy materials for each scene; 0 leaves the noisy rows out.
     pub noisy_draws: usize,
-    /// Starts for each of them.
+    /// Starts for each draw.
     pub noisy_starts: usize,
     /// Only every n-th flight, from the i-th (from 1).
     pub part: (usize, usize),

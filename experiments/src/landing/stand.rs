@@ -30,9 +30,9 @@ pub struct EdgeLoad {
 /// How a scanned structure stands.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Standing {
-    /// How far the body that comes farthest comes by itself in 2 s, metres.
+    /// Largest drift of a body in 2 s without a load, metres.
     pub drift_m: f64,
-    /// The most that one turns by itself in 2 s, radians.
+    /// Largest turn of a body in 2 s without a load, radians.
     pub drift_rad: f64,
     /// The load at the overhang's end, where less than three quadrotors tip the platform there in truth.
     pub end: Option<EdgeLoad>,

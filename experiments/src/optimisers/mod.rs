@@ -87,7 +87,7 @@ pub struct OptimiserBench {
     pub entrants: Vec<(String, Entrant)>,
     /// Name of the method that the others are compared with.
     pub baseline: String,
-    /// Whether the arm strikes, which cannot make every strike; else the finger that gives no way.
+    /// Whether the arm strikes, which cannot make every strike; else a kinematic finger.
     pub arm: bool,
 }
 

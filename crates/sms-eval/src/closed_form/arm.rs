@@ -71,7 +71,7 @@ fn blow(
     let (mut simulation, cue) = (simulate(factory, 0.0, vec![heavy(point_w + R * d, mass, e)?])?, 0);
     let striker = simulation.strike(Striker::Arm(strike.clone()), 0.0, e);
     simulation.advance(sweep.contact_s() - 1e-3)?;
-    let missing = || SimError::Body { body: "striker".into(), why: "it is no arm".into() };
+    let missing = || SimError::Body { body: "striker".into(), why: "it is not an arm".into() };
     let mut before = simulation.arm(striker).ok_or_else(missing)?.clone();
     before.advance_to(sweep.contact_s());
     let (x_wt, v_w, w_w) = before.tool();

@@ -26,7 +26,7 @@ pub enum Statistic {
     Rms,
 }
 
-/// One experiment with a closed-form answer, carried out with several values.
+/// One experiment with a closed-form answer, run with several values.
 #[derive(Debug, Clone, Copy)]
 pub struct Probe {
     /// Name, as in `bench.physics.{engine}.{name}`; ends with the unit unless it is a pure number.
@@ -52,7 +52,7 @@ pub struct Measured {
 }
 
 impl Probe {
-    /// Carries the experiment out.
+    /// Runs the experiment.
     ///
     /// # Errors
     /// [`SimError`] when a world cannot be built or blows up.
@@ -161,7 +161,7 @@ pub fn probes() -> &'static [Probe] {
         ),
         probe(
             "follow_through_cue_deg",
-            "direction of the cue ball, whose spin carries it forward, degrees",
+            "direction of the cue ball, which its spin carries forward, degrees",
             1.0,
             Worst,
             impacts::follow_through_cue,
@@ -175,7 +175,7 @@ pub fn probes() -> &'static [Probe] {
         ),
         probe(
             "arm_strike_momentum",
-            "momentum of that ball and what the arm received, relative",
+            "momentum of that ball and of the arm, relative",
             1e-4,
             Worst,
             arm::momentum,
