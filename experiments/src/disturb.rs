@@ -1,4 +1,4 @@
-//! Disturbances of a loaded sequence: what worse sensors and trackers do to a scan.
+//! Disturbances of a loaded sequence, as by worse sensors and trackers.
 
 use glamx::{DPose3, DQuat, DVec3};
 use rand::RngExt;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Image, InputError, Seed, StageRng};
 use sms_frames::{LoadSettings, Sequence, normals_from_depth};
 
-/// What is done to the frames after loading and before masks; nothing by default. Each frame is disturbed independently.
+/// Disturbance of the frames after loading and before masks; none by default. Each frame is disturbed independently.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Disturbance {
@@ -19,7 +19,7 @@ pub struct Disturbance {
     pub depth_noise_m: f64,
     /// Share of the pixels with depth that lose it, at random.
     pub missing: f64,
-    /// Colour is shifted to the right against depth by so many pixels of the loaded frames.
+    /// Shift of colour to the right against depth, pixels of the loaded frames.
     pub color_shift_px: i64,
 }
 

@@ -123,7 +123,7 @@ fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Opti
 }
 
 fn add_row(metrics: &mut Metrics, key: &str, row: &[Option<Shot>], reference: &[Option<Shot>]) {
-    // What an engine could not finish has no means.
+    // A shot that an engine could not finish has no mean.
     let mut set = |name: &str, value: f64| {
         if value.is_finite() {
             metrics.set(format!("bench.engines.{key}.{name}"), value);

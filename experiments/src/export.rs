@@ -1,4 +1,4 @@
-//! A scene as files for other programs, and the yardstick beside it.
+//! Export of a scene as files for other programs, with the yardstick beside it.
 //!
 //! # Format
 //! `sms-experiments scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
@@ -15,10 +15,11 @@
 //! | `truth/depth/NNNNNN.png`, `truth/labels/NNNNNN.png` | noise-free depth (0.1 mm) and labels of the held-out views |
 //!
 //! Everything is in one world: metres, z up, floor at z = 0. `sms-experiments score --truth DIR/{scene} --surface FILE --views
-//! DIR` then measures what somebody made of the frames (see [`score_files`](crate::score_files)).
+//! DIR` then measures another program's reconstruction (see [`score_files`](crate::score_files)).
 
 use crate::BenchError;
-use crate::prepare::{BenchOptions, Prepared};
+use crate::options::BenchOptions;
+use crate::prepare::Prepared;
 use crate::run::Yardstick;
 use crate::scenes::BenchScene;
 use glamx::{DMat4, DPose3, DVec3, DVec4};
@@ -153,19 +154,19 @@ pub fn export_scene(
     Ok(())
 }
 
-/// An exported scene, read back: what a reconstruction is scored by.
+/// An exported scene, read back to score a reconstruction.
 pub(crate) struct Exported {
     pub(crate) transforms: Transforms,
     pub(crate) truth: TruthFile,
     pub(crate) yardstick: Yardstick,
 }
 
-/// Reads what [`export_scene`] wrote; the yardstick is in the exported world.
+/// Reads an export of [`export_scene`]; the yardstick is in the exported world.
 pub(crate) fn read_export(dir: &Path) -> Result<Exported, BenchError> {
     let path = dir.join("truth/truth.json");
     if !path.is_file() {
         let cure = "give a scene's folder that `sms-experiments scan --export` wrote";
-        return Err(InputError::new("this is no exported scene", dir, cure).into());
+        return Err(InputError::new("this is not an exported scene", dir, cure).into());
     }
     let transforms: Transforms = atomic::read_json(&dir.join("transforms.json"))?;
     let truth: TruthFile = atomic::read_json(&path)?;

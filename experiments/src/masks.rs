@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-/// Masks from geometry of one scene, as `sms scan` makes them, and what they are worth. Real recordings are
+/// Scores masks from geometry of one scene, as `sms scan` makes them. Real recordings are
 /// measured against the masks that came with them. `None` for a recording that is not there. With `dir`, a picture of four
 /// frames is written there: colour, true labels, found labels.
 ///

@@ -1,6 +1,6 @@
 //! The scenes on which the planner is measured.
 
-use crate::{BenchError, MaterialsTold, tell_materials};
+use crate::{BenchError, MaterialPrior, apply_material_prior};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Seed};
 use sms_plan::PlanError;
@@ -54,45 +54,49 @@ impl SceneFamily {
     }
 }
 
-/// A task in the true geometry of a generated scene: what a perfect scan would give.
+/// A task in the true geometry of a generated scene, as from a perfect scan.
 #[derive(Debug, Clone)]
 pub struct PlanScene {
     /// Seed of the scene.
     pub seed: u64,
-    /// The scene as the planner is told it.
+    /// The planner's scene.
     pub scene: Scene,
-    /// What is true; never shown to the planner.
+    /// The truth; the planner never reads it.
     pub truth: TruthScene,
-    /// The task in it, carried out by a finger that gives no way.
+    /// Its task, executed by a kinematic finger.
     pub task: ResolvedTask,
     /// The robot that stands before it.
     pub robot: RobotConfig,
 }
 
 impl PlanScene {
-    /// Generates the scene of a seed, with the true materials told.
+    /// Generates the scene of a seed, with the true materials.
     ///
     /// # Errors
     /// [`BenchError`] when the generator's masses or task are impossible.
     pub fn new(family: SceneFamily, seed: u64) -> Result<Self, BenchError> {
-        Self::told(family, seed, MaterialsTold::Truth)
+        Self::with_prior(family, seed, MaterialPrior::Truth)
     }
 
-    /// Generates the scene of a seed, with something told of the materials.
+    /// Generates the scene of a seed, with a material prior.
     ///
     /// # Errors
     /// As [`PlanScene::new`].
-    pub fn told(family: SceneFamily, seed: u64, told: MaterialsTold) -> Result<Self, BenchError> {
+    pub fn with_prior(
+        family: SceneFamily,
+        seed: u64,
+        material_prior: MaterialPrior,
+    ) -> Result<Self, BenchError> {
         let truth = family.generate(seed)?;
         let mut scene = true_scene(&truth, seed)?;
-        tell_materials(&mut scene, &truth, told, Seed(seed));
+        apply_material_prior(&mut scene, &truth, material_prior, Seed(seed));
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
         let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
         let task = task.resolve(&scene).map_err(PlanError::from)?;
         Ok(Self { seed, robot: robot_of(&truth), scene, truth, task })
     }
 
-    /// The task, carried out by the arm.
+    /// The task, executed by the arm.
     ///
     /// # Errors
     /// [`BenchError`] of the robot's description.

@@ -8,7 +8,7 @@ use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
 use sms_task::Action;
 use std::time::Instant;
 
-/// Shots of each scene that are timed one by one, and how many are looked at to find as many that the arm can make.
+/// Shots of each scene that are timed, and the most that are tried to find them among those that the arm can make.
 const SHOTS: usize = 64;
 const MOST_SHOTS: usize = 512;
 
@@ -17,10 +17,10 @@ const MOST_SHOTS: usize = 512;
 /// `bench.plan.{evaluation_s, evaluations_per_s, finger_evaluation_s, sweep_plan_s, refusal_s, refused, shots, steps, splits,
 /// engine_share, impacts_share, arm_share, sweep_plan_share, restore_share, other_share, prepare_s, paper_scene_s, scene_s,
 /// robust_scene_s, threads}`. An evaluation is of a strike that the arm can make: its sweep is planned (`sweep_plan_s`), and
-/// the world simulated with the arm under torque control; `finger_evaluation_s` is the same strike with a finger that
-/// gives no way. `refused` is the share of strikes that the arm cannot make, `refusal_s` what it takes to say so. Plans are
+/// the world simulated with the arm under torque control; `finger_evaluation_s` is the same strike with a kinematic
+/// finger. `refused` is the share of strikes that the arm cannot make, `refusal_s` the time to refuse one. Plans are
 /// with the arm, too. `scene_s` is planning for the scanned world alone with
-/// the default method, `robust_scene_s` with `config`'s disturbed worlds, `paper_scene_s` the paper's 30 searches of 30
+/// the default method, `robust_scene_s` with `config`'s perturbed worlds, `paper_scene_s` the paper's 30 searches of 30
 /// iterations.
 ///
 /// # Errors
@@ -75,7 +75,7 @@ fn time_shots(scene: &PlanScene, cancel: &Cancel) -> Result<Vec<(&'static str, f
     let prepare_s = began.elapsed().as_secs_f64();
     let parameters = task.parameters();
     let points = Halton::new(parameters.len(), Seed(scene.seed));
-    // What the arm cannot do is refused before anything is simulated, and counts for itself.
+    // Strikes that the arm cannot make are refused before any simulation, and are counted separately.
     let (mut planning_s, mut refusing_s, mut refused) = (0.0, 0.0, 0);
     let mut made: Vec<(StrikerMotion, Striker)> = Vec::new();
     for i in 0..MOST_SHOTS {

@@ -1,8 +1,9 @@
-//! Real recordings: what can be measured without a whole truth.
+//! Metrics of real recordings, which have no complete truth.
 
 use crate::BenchError;
+use crate::options::BenchOptions;
 use crate::panels::write_panel;
-use crate::prepare::{BenchOptions, Prepared};
+use crate::prepare::Prepared;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, Seed, Warnings};
@@ -14,7 +15,7 @@ use sms_eval::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, re
 use sms_gaussians::{GaussianModel, Trainer};
 use std::path::Path;
 
-/// Held-out colour, depth against what was measured, and each object that has a scanned model against it: points on its
+/// Held-out colour and depth against the frames, and each object that has a scanned model against it: points on its
 /// Gaussians' discs, and the default mesh.
 pub(crate) fn real_metrics(
     prefix: &str,
@@ -99,7 +100,7 @@ fn entities(
     cancel: &Cancel,
 ) -> Result<sms_entities::EntitySet, BenchError> {
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
-    // What is wrong with the rest of a real scene is not measured here.
+    // Problems in the rest of a real scene are not measured here.
     let warnings = Warnings::new();
     Ok(build_entities(model, &sequence, &labels, &options.entities, Seed(0), progress, cancel, &warnings)?)
 }

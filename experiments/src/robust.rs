@@ -1,7 +1,7 @@
-//! `sms-experiments robust`: what plans are worth in worlds other than the one that was told.
+//! `sms-experiments robust`: objectives of plans in worlds that differ from the planner's.
 
 use crate::robust_table::summarise;
-use crate::{BenchError, MaterialsTold, PlanScene, SceneFamily, TrueWorlds};
+use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
 use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
@@ -14,22 +14,22 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::time::Instant;
 
-/// What building and settling a disturbed world costs, in rollouts (`sms-experiments plan`: 35 ms to 21 ms, rounded up).
+/// Cost of building and settling a perturbed world, in rollouts (`sms-experiments plan`: 35 ms to 21 ms, rounded up).
 const WORLD_ROLLOUTS: usize = 2;
-/// Name of the planner that the others are compared with: planning for the world as told alone.
+/// Name of the planner that the others are compared with: planning for the given world alone.
 pub(crate) const PLAIN: &str = "plain";
 /// Name of the best shot in the true world.
 pub(crate) const ORACLE: &str = "oracle";
 
-/// What to compare.
+/// Settings of the comparison.
 #[derive(Debug, Clone)]
 pub struct RobustBench {
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
     /// How hard they are.
     pub family: SceneFamily,
-    /// What the planner is told of materials.
-    pub told: MaterialsTold,
+    /// The planner's knowledge of materials.
+    pub material_prior: MaterialPrior,
     /// True worlds per scene.
     pub worlds: usize,
     /// Robust planners: name and settings. Plain planning costs as much as the first.
@@ -40,20 +40,20 @@ pub struct RobustBench {
     pub chaos_runs: usize,
     /// How far poses, radii and strikes are off in the true worlds.
     pub errors: Disturbances,
-    /// Whether the arm strikes, in planning and in the true worlds; else the finger that gives no way.
+    /// Whether the arm strikes, in planning and in the true worlds; else a kinematic finger.
     pub arm: bool,
     /// Engine of the true worlds; the planner's own where there is none.
     pub engine: Option<TargetEngine>,
 }
 
 impl RobustBench {
-    /// The planner's default settings against plain planning, told `noisy` materials.
+    /// The planner's default settings against plain planning, with the prior `noisy`.
     pub fn new(seeds: Vec<u64>, family: SceneFamily) -> Self {
         let robust = PlanConfig { sensitivity_rollouts: 0, ..PlanConfig::default() };
         Self {
             seeds,
             family,
-            told: MaterialsTold::Noisy,
+            material_prior: MaterialPrior::Noisy,
             worlds: 48,
             errors: robust.disturbances.clone(),
             planners: vec![("robust".to_owned(), robust)],
@@ -70,7 +70,7 @@ impl RobustBench {
             self.planners.iter().map(|(name, config)| (name, hash_serializable(config).0)).collect();
         let first = self.planners.first().map(|p| p.0.as_str());
         hash_serializable(&(
-            (self.family, self.told, self.worlds, self.oracle_evaluations, self.chaos_runs),
+            (self.family, self.material_prior, self.worlds, self.oracle_evaluations, self.chaos_runs),
             (&self.errors, self.arm, self.engine.map(TargetEngine::name)),
             (planners, first),
         ))
@@ -97,7 +97,7 @@ impl RobustBench {
         ))
     }
 
-    /// What the keys of a job's figures begin with.
+    /// Prefix of the keys of a job's figures.
     fn prefix(&self, job: Job, scenes: &[PlanScene]) -> String {
         let (name, scene) = match job {
             Job::Robust { scene, planner } => (self.planners[planner].0.as_str(), scene),
@@ -107,7 +107,7 @@ impl RobustBench {
         format!("bench.robust.{name}.scene_{}.", scenes[scene].seed)
     }
 
-    /// Rollouts of a plan for the world as told alone that costs as much as a robust one of so many.
+    /// Rollouts of a nominal plan that costs as much as a robust one with `rollouts`.
     fn cost(&self, rollouts: usize) -> usize {
         let built = self.planners.first().map_or(0, |(_, config)| match config.disturbances.worlds {
             0 => 0,
@@ -125,7 +125,7 @@ impl RobustBench {
 /// Key of the hash of the settings.
 const SETTINGS: &str = "bench.robust.settings";
 
-/// One thing to do; jobs are independent but for plain planning, which waits to know what robust planning cost.
+/// One piece of work. Jobs are independent, except that plain planning waits for the cost of robust planning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Job {
     Robust { scene: usize, planner: usize },
@@ -133,13 +133,13 @@ enum Job {
     Oracle { scene: usize },
 }
 
-/// Plans with every planner on every scene, carries each plan out in the same [`TrueWorlds`], and searches the first
-/// of them for the best shot that there is. Every job runs on one thread, so that its CPU seconds can be told; rayon's
+/// Plans with every planner on every scene, executes each plan in the same [`TrueWorlds`], and searches the first
+/// of them for the best shot that there is. Every job runs on one thread, so that its CPU seconds can be measured; rayon's
 /// current number of threads works side by side. The figures but the CPU seconds depend on seeds alone.
 ///
 /// Plain planning gets as many rollouts as the first robust planner spends in all: search, choice and forecast, and two
-/// for each disturbed world that it builds. Keys are those of docs/metrics.md. What `known` holds (of an earlier run, or
-/// of another shard) is not run again; `keep` is given all figures of scenes so far whenever a job is done.
+/// for each perturbed world that it builds. Keys are those of docs/metrics.md. The figures in `known` (of an earlier run, or
+/// of another shard) are not computed again; `keep` is given all figures of scenes so far whenever a job is done.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -154,7 +154,7 @@ pub fn run_robust(
         .seeds
         .iter()
         .map(|&s| {
-            let scene = PlanScene::told(bench.family, s, bench.told)?;
+            let scene = PlanScene::with_prior(bench.family, s, bench.material_prior)?;
             Ok(if bench.arm { PlanScene { task: scene.arm_task()?, ..scene } } else { scene })
         })
         .collect::<Result<_, BenchError>>()?;
@@ -227,7 +227,7 @@ pub fn run_robust(
     Ok(metrics)
 }
 
-/// What is still to do, in order, and the rollouts that plain planning may spend on each scene once that is known.
+/// Remaining jobs in order, and the rollouts that plain planning may spend on each scene once they are known.
 struct Queue {
     waiting: Mutex<(Vec<Job>, Vec<Option<usize>>)>,
     changed: Condvar,
@@ -313,7 +313,7 @@ impl Running<'_> {
         }
     }
 
-    /// Plans, and carries the plan out; the figures of the scene and the rollouts of the plan.
+    /// Plans and executes the plan; returns the figures of the scene and the rollouts of the plan.
     fn plan(
         &self,
         scene: usize,
@@ -409,7 +409,7 @@ mod tests {
 
     #[test]
     fn what_the_arm_cannot_make_is_no_rollout_of_a_true_world() {
-        let scene = PlanScene::told(SceneFamily::Crowded, 1005, MaterialsTold::Truth).unwrap();
+        let scene = PlanScene::with_prior(SceneFamily::Crowded, 1005, MaterialPrior::Truth).unwrap();
         let mut scene = PlanScene { task: scene.arm_task().unwrap(), ..scene };
         let action = scene.task.suggestions().swap_remove(0);
         let errors = Disturbances::default();
@@ -478,8 +478,11 @@ mod tests {
         let table = robust_table(&bench, &whole);
         assert!(table.contains("1002") && table.contains("robust"), "{table}");
         for key in ["bench.robust.engine", "bench.robust.striker"] {
-            let told = whole.get(key).and_then(|v| v.as_str()).unwrap();
-            assert!(!told.is_empty() && table.contains(told), "{key}: {told}; {table}");
+            let material_prior = whole.get(key).and_then(|v| v.as_str()).unwrap();
+            assert!(
+                !material_prior.is_empty() && table.contains(material_prior),
+                "{key}: {material_prior}; {table}"
+            );
         }
     }
 }

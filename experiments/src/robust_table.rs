@@ -7,7 +7,7 @@ use sms_eval::paired_ratio;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// Figures of each planner whose means over the scenes are kept.
+/// Figures of each planner that are averaged over the scenes.
 const MEANS: [&str; 11] = [
     "realised_m",
     "realised_median_m",
@@ -36,7 +36,7 @@ fn pairs(a: &BTreeMap<u64, f64>, b: &BTreeMap<u64, f64>) -> Vec<(f64, f64)> {
     a.iter().filter_map(|(seed, &a)| Some((a, *b.get(seed)?))).collect()
 }
 
-/// Adds what follows from the scenes' figures `bench.robust.{name}.scene_{seed}.{key}`: `bench.robust.scenes`, the mean
+/// Adds the summary of the scenes' figures `bench.robust.{name}.scene_{seed}.{key}`: `bench.robust.scenes`, the mean
 /// over the scenes of each figure (`bench.robust.{name}.{key}`; `invalid` is the number of true worlds in all),
 /// `bench.robust.oracle.best_m`, `bench.robust.{name}.{regret_m, regret_scenes}` (the objective in the first true world
 /// less that of the best shot that was found in that world itself, over the scenes where that was searched),
@@ -46,7 +46,7 @@ fn pairs(a: &BTreeMap<u64, f64>, b: &BTreeMap<u64, f64>) -> Vec<(f64, f64)> {
 /// of a bootstrap that resamples scenes as pairs. Each compares the same scenes; `…_scenes` is their number.
 pub(crate) fn summarise(bench: &RobustBench, metrics: &mut Metrics) {
     metrics.set("bench.robust.scenes", bench.seeds.len());
-    metrics.set("bench.robust.materials", bench.told.as_str());
+    metrics.set("bench.robust.materials", bench.material_prior.as_str());
     let mean = |v: &BTreeMap<u64, f64>| v.values().sum::<f64>() / v.len() as f64;
     let best = column(bench, metrics, ORACLE, "best_m");
     if !best.is_empty() {
@@ -94,14 +94,14 @@ pub fn robust_table(bench: &RobustBench, metrics: &Metrics) -> String {
         metrics.get(&format!("bench.robust.{key}")).and_then(|v| v.as_str()).unwrap_or("not known").to_owned()
     };
     let mut text = format!(
-        "distance to the goal, mm: mean over {} scenes with {} true worlds each ({}, struck by {}), materials told: {}; \
+        "distance to the goal, mm: mean over {} scenes with {} true worlds each ({}, struck by {}), material prior: {}; \
          invalid worlds count as shots that do nothing; in brackets the scenes that a figure compares, where not all\n\
          {:<12} {:>9} {:>8} {:>6} {:>8} {:>10} {:>8} {:>8} {:>12} {:>6} {:>7} {:>9} {:>7}  {}\n",
         bench.seeds.len(),
         bench.worlds,
         text_of("engine"),
         text_of("striker"),
-        bench.told.as_str(),
+        bench.material_prior.as_str(),
         "planner",
         "realised",
         "median",
@@ -182,7 +182,7 @@ mod tests {
     use crate::SceneFamily;
 
     #[test]
-    fn only_figures_of_the_same_scenes_are_compared_and_their_number_is_told() {
+    fn only_figures_of_the_same_scenes_are_compared_and_counted() {
         let bench = RobustBench::new(vec![1, 2, 3, 4], SceneFamily::Crowded);
         let mut metrics = Metrics::new();
         let mut set = |name: &str, seed: u64, key: &str, value: f64| {

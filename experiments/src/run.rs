@@ -1,12 +1,14 @@
 //! One scene: prepared, scanned, measured.
 
 use crate::BenchError;
+use crate::options::BenchOptions;
 use crate::panels::write_panel;
-use crate::prepare::{BenchOptions, Prepared, Timer, prepare};
+use crate::prepare::{Prepared, prepare};
 use crate::real::real_metrics;
 use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
+use crate::timer::Timer;
 use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
@@ -58,8 +60,8 @@ pub fn run_scene(
     run_scene_with(scene, options, dir, cpu, figures, progress, cancel, warnings)
 }
 
-/// [`run_scene`] on another back end: `make` makes its trainer, and `figures` measures at the end, when all else is
-/// measured, what is the back end's own under the given prefix.
+/// [`run_scene`] on another back end: `make` constructs its trainer, and `figures` measures, after all other
+/// measurements, the back end's own figures under the given prefix.
 ///
 /// # Errors
 /// [`BenchError`] of the stage that failed.
@@ -139,11 +141,11 @@ pub fn run_scene_with<T: Trainer>(
     Ok(Some(metrics))
 }
 
-/// What is known of a generated scene before a reconstruction is looked at.
+/// Truth of a generated scene that any reconstruction is measured against.
 pub struct Yardstick {
     /// True surfaces in the truth's world.
     pub surfaces: Vec<TrueSurface>,
-    /// What the cameras trained on see of them.
+    /// Their parts that the training cameras see.
     pub observed: Vec<Vec<SurfacePoint>>,
     /// Indices of the held-out frames, and their true views.
     pub held_out: Vec<(usize, sms_eval::TrueView)>,
@@ -283,11 +285,11 @@ fn measure(
         })
         .collect();
     atomic::write_json(&dir.join("objects.json"), &records)?;
-    // What `score_files` reads, so that anybody can check that it agrees.
+    // The input of `score_files`, so that its agreement can be checked.
     for ((i, _), shown) in truth.held_out.iter().zip(&shown) {
         write_view(&dir.join("views"), *i, shown)?;
     }
-    // Of the background only what could be taken for an object: the rest would be most of the file.
+    // Of the background, only points near objects: the rest would be most of the file.
     let x_wt = x_tw.inverse();
     let kept: Vec<LabelledPoint> = points
         .iter()

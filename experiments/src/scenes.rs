@@ -1,25 +1,25 @@
-//! The scenes that are measured, and the recordings made of them.
+//! The scenes that are measured.
 
-use crate::{BenchOptions, LANDING_SCENES};
 use serde::{Deserialize, Serialize};
-use sms_core::{Cancel, CoreError, InputError, Progress, Seed, hash_serializable};
+use sms_core::{CoreError, InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, HelicalPath, ModelScene, RecordingSettings, Skin, Structure, TruthScene,
-    billiards_scene, bounds_w, generate_billiards, generate_stacked, landing_scene, landing_scene_among,
-    model_scene, orbit_poses, read_model, read_models, record_views, write_recording,
+    BilliardsSettings, FIXED_SCENES, LandingStructure, ModelScene, Structure, TruthScene, billiards_scene,
+    generate_billiards, generate_stacked, landing_scene, landing_scene_among, model_scene, read_model,
+    read_models,
 };
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 /// The ten fixed seeds of the billiards family. The demo's are 1 to 5. The scan was tuned on 1001, 1003 and
-/// 1005, and 1002, 1009 and 1010 were looked at; 1004, 1006, 1007 and 1008 were only measured.
+/// 1005, and 1002, 1009 and 1010 were inspected; 1004, 1006, 1007 and 1008 were only measured.
 pub const SEEDS: [u64; 10] = [1001, 1002, 1003, 1004, 1005, 1006, 1007, 1008, 1009, 1010];
 
 /// Frames of a recording (paper: 60).
 pub const FRAMES: usize = 60;
 
-/// Every so many frames one is held out.
+/// One of this number of frames is held out.
 pub const HOLDOUT: usize = 8;
 
 /// The real recordings, by folder name.
@@ -46,6 +46,9 @@ pub const MODELS: [&str; 18] = [
     "aws_waste_bin",
     "aws_low_table",
 ];
+
+/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
+pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
 
 /// One scene of the benchmark; its text is the `{scene}` of the metrics' keys.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -107,7 +110,7 @@ impl FromStr for BenchScene {
 /// so many seeds), or ids separated by commas.
 ///
 /// # Errors
-/// [`InputError`] naming the part that is no scene.
+/// [`InputError`] naming the part that does not name a scene.
 pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     let real = || REAL.iter().map(|r| BenchScene::Real((*r).to_owned()));
     let seeds = || SEEDS.into_iter().map(BenchScene::Billiards);
@@ -126,7 +129,7 @@ pub fn select_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
 /// shelf), `fixed`, `stacked`, `landing` (the four fixed structures), `real`, or ids separated by commas.
 ///
 /// # Errors
-/// [`InputError`] naming the part that is no scene.
+/// [`InputError`] naming the part that does not name a scene.
 pub fn select_mask_scenes(list: &str) -> Result<Vec<BenchScene>, InputError> {
     let fixed = || FIXED_SCENES.iter().map(|s| BenchScene::Fixed(s.number));
     let stacked = || Structure::ALL.into_iter().map(BenchScene::Stacked);
@@ -159,7 +162,7 @@ pub fn truth_scene(seed: u64) -> TruthScene {
     generate_billiards(Seed(seed), &BilliardsSettings::default())
 }
 
-/// What a scene is generated from: its truth and the pictures of its objects. `None` for what is not generated, and for a
+/// The truth of a generated scene, and the textures of its objects. `None` for real recordings, and for a
 /// model that is not there.
 ///
 /// # Errors
@@ -196,70 +199,13 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
     }
 }
 
-/// Records a generated scene as `sms demo` does (1280×800, depth noise, the camera path of `options`; models from an orbit
-/// scaled to their size) into the cache, or finds the recording that is there. Folders are named by what they were made
-/// from, so that a changed renderer version or setting is another recording; several processes may ask for the same one.
-///
-/// # Errors
-/// [`CoreError::Write`], [`CoreError::Interrupted`].
-pub fn recording(
-    scene: &BenchScene,
-    made: &ModelScene,
-    options: &BenchOptions,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-) -> Result<PathBuf, CoreError> {
-    let (truth, frames) = (&made.scene, options.frames);
-    let noise = match scene {
-        BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
-        _ => truth.seed,
-    };
-    let path = options.path.clone();
-    let settings = RecordingSettings { frames, seed: noise, path, ..RecordingSettings::default() };
-    let orbit = match (scene, truth.objects.first()) {
-        (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
-        (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
-        (BenchScene::Landing(_) | BenchScene::ScannedLanding(_), _) => {
-            Some(HelicalPath::default().poses(truth, frames))
-        }
-        _ => None,
-    };
-    let (hash, version) = (hash_serializable(truth).0, env!("CARGO_PKG_VERSION"));
-    let pictures = skins_hash(&made.skins);
-    let key = match &orbit {
-        None => hash_serializable(&(hash, &settings, version)).0,
-        Some(poses) => hash_serializable(&(hash, &settings, version, poses, &pictures)).0,
-    };
-    let dir = options.cache.join(format!("{scene}-{frames}-{}", &key[..12]));
-    if dir.join("transforms.json").is_file() {
-        return Ok(dir);
-    }
-    // Rendered aside and renamed: whoever looks finds a whole recording or none.
-    let aside = dir.with_extension(format!("partial-{}", std::process::id()));
-    match &orbit {
-        None => write_recording(truth, &settings, &aside, progress, cancel)?,
-        Some(poses) => {
-            record_views(truth, &made.skins, poses, &pictures, &settings, &aside, progress, cancel)?
-        }
-    };
-    match std::fs::rename(&aside, &dir) {
-        Ok(()) => Ok(dir),
-        Err(_) if dir.join("transforms.json").is_file() => {
-            // Another process was faster; its recording has the same bytes.
-            let _ = std::fs::remove_dir_all(&aside);
-            Ok(dir)
-        }
-        Err(error) => Err(CoreError::write(&dir)(error)),
-    }
-}
-
-/// Names the pictures of a scene.
-fn skins_hash(skins: &[Option<Skin>]) -> String {
-    let mut hasher = sms_core::Hasher::new();
-    for image in skins.iter().flatten().map(Skin::image) {
-        hasher.bytes(image.data.as_flattened());
-    }
-    hasher.finish().0
+/// The error for a missing scene, or one built from scanned models that are missing.
+pub(crate) fn no_scene(which: &BenchScene) -> InputError {
+    InputError::new(
+        format!("there is no generated scene {which}"),
+        "--scenes",
+        "give numbers of scenes that there are; scanned models are looked for in meshes/ of SMS_TEST_DATA",
+    )
 }
 
 /// The folder of the scanned models.

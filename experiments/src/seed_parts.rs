@@ -1,4 +1,4 @@
-//! Figures of benchmarks whose seeds ran apart, put together as if they had run at once.
+//! Merges figures of seeds that ran separately into those of one run.
 
 use crate::OptimiserBench;
 use sms_core::metrics::Metrics;

@@ -1,6 +1,6 @@
 //! Parts of a benchmark that ran apart, put together again.
 //!
-//! A run with `--shard i/n` writes one file: the benchmark's name, the settings that its figures depend on, and what it
+//! A run with `--shard i/n` writes one file: the benchmark's name, the settings that its figures depend on, and the figures that it
 //! found out about each item (a scene, a seed). [`merge_shards`] puts such files together, where their settings are the same;
 //! means and tables are made of the items afterwards, by the code that makes them of a run in one piece.
 
@@ -30,11 +30,11 @@ pub struct Shard {
     pub bench: String,
     /// Which part of how many, from 1; after merging 1 of 1 where nothing is missing.
     pub part: (usize, usize),
-    /// What the figures depend on, besides the items.
+    /// Settings that the figures depend on, besides the items.
     pub settings: Map<String, Value>,
     /// Hash of the settings.
     pub settings_hash: Hash,
-    /// What was found out about each item, by its name.
+    /// Results of each item, by its name.
     pub items: BTreeMap<String, Value>,
 }
 
@@ -53,13 +53,13 @@ impl Shard {
         }
     }
 
-    /// Adds what was found out about an item, as figures.
+    /// Adds the results of an item as figures.
     pub fn add(&mut self, item: &str, figures: &Metrics) {
         let map = figures.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
         self.items.insert(item.to_owned(), Value::Object(map));
     }
 
-    /// Adds what was found out about an item, as what [`Shard::values`] reads.
+    /// Adds the result of an item as a value, which [`Shard::values`] reads.
     ///
     /// # Errors
     /// Values that JSON has no text for.
@@ -68,7 +68,7 @@ impl Shard {
         Ok(())
     }
 
-    /// What [`Shard::put`] added, with the items' names, in their order.
+    /// Values added by [`Shard::put`], with the items' names, in their order.
     ///
     /// # Errors
     /// [`InputError`] where an item is something else.
@@ -99,7 +99,7 @@ impl Shard {
         metrics
     }
 
-    /// A setting, read as what it was written from.
+    /// A setting, read as the type it was written from.
     ///
     /// # Errors
     /// [`InputError`] where there is none of that name and kind.
@@ -114,12 +114,12 @@ impl Shard {
         })
     }
 
-    /// Where a part goes whose results go to `out`: beside it (`part2.json`: `part2.shard.json`).
+    /// Path of a part's file beside its results `out` (`part2.json`: `part2.shard.json`).
     pub fn path_beside(out: &Path) -> PathBuf {
         out.with_extension("shard.json")
     }
 
-    /// Writes the file of a part whose results go to a folder, which parts may share.
+    /// Writes the file of a part into its folder of results, which parts may share.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -173,7 +173,7 @@ pub struct Merged {
     /// The parts that are missing, as `2/4`.
     pub missing: Vec<String>,
     /// How many builds of the program wrote them. Programs built on two machines are two builds of the same code, so more than
-    /// one is no error.
+    /// one is not an error.
     pub builds: usize,
 }
 
@@ -339,18 +339,18 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let a = write(dir.path(), (1, 2), settings(4, 0.5), &[("1001", 0.1)]);
         let b = write(dir.path(), (2, 2), settings(4, 0.6), &[("1002", 0.2)]);
-        let told = |paths: &[PathBuf]| merge_shards(paths).unwrap_err().to_string();
-        let message = told(&[a.clone(), b.clone()]);
+        let material_prior = |paths: &[PathBuf]| merge_shards(paths).unwrap_err().to_string();
+        let message = material_prior(&[a.clone(), b.clone()]);
         assert!(message.contains("`plan.robust` is 0.5 and 0.6") && !message.contains("worlds"), "{message}");
         let other = dir.path().join("other");
         let c = write(&other, (1, 2), settings(4, 0.5), &[("1001", 0.7)]);
-        assert!(told(&[a.clone(), c]).contains("`1001`"));
+        assert!(material_prior(&[a.clone(), c]).contains("`1001`"));
         let empty = dir.path().join("empty");
         std::fs::create_dir(&empty).unwrap();
-        assert!(told(&[empty]).contains("no file"));
+        assert!(material_prior(&[empty]).contains("no file"));
         let mut text = std::fs::read_to_string(&b).unwrap();
         text = text.replace("0.6", "0.7");
         std::fs::write(&b, text).unwrap();
-        assert!(told(&[b]).contains("not those that it was written with"));
+        assert!(material_prior(&[b]).contains("not those that it was written with"));
     }
 }

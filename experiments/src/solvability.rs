@@ -16,20 +16,20 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Scenes to look at: layouts times seeds.
 #[derive(Debug, Clone)]
 pub struct SolvabilityBench {
-    /// What the scenes ask for.
+    /// Layouts of the scenes.
     pub layouts: Vec<Layout>,
     /// Their seeds.
     pub seeds: Vec<u64>,
-    /// Obstacles scattered around, besides what the layout needs.
+    /// Obstacles scattered around, besides those of the layout.
     pub obstacles: usize,
     /// Shots per scene, spread evenly over speed and angle.
     pub shots: u64,
 }
 
-/// What brute force found out about one scene.
+/// Result of brute force for one scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Solvability {
-    /// What the scene asks for.
+    /// The scene's layout.
     pub layout: Layout,
     /// Its seed.
     pub seed: u64,
@@ -84,7 +84,7 @@ pub(crate) struct Table {
     pub(crate) bodies: WorldBodies,
 }
 
-/// To bring the balls of a truth, whose scene this is, to a goal with the arm.
+/// The task of a true scene: bring the target ball to a goal with the arm.
 pub(crate) fn task_in(
     scene: &Scene,
     truth: &TruthScene,

@@ -37,7 +37,7 @@ impl Target {
     }
 }
 
-/// What a preset is to reach on 2 cores, as means over the generated scenes (of peak memory, over each).
+/// Targets of a preset on 2 cores, as means over the generated scenes (of peak memory, over each).
 pub fn targets(preset: &str) -> Vec<Target> {
     let target = |key, at_most, limit| Target { key, at_most, limit };
     let gib = f64::from(1u32 << 30);
@@ -76,7 +76,7 @@ pub fn add_means(metrics: &mut Metrics, scenes: &[BenchScene]) {
     }
 }
 
-/// The table for people: a row a scene, the means, and the targets with what was met and what was missed.
+/// The table as text: a row for each scene, the means, and the targets, met or missed.
 pub fn table(metrics: &Metrics, scenes: &[BenchScene], preset: &str, baseline: Option<&Metrics>) -> String {
     let mut text = String::new();
     let _ = write!(text, "{:<18}", "scene");

@@ -1,4 +1,4 @@
-//! What computes the scans of a benchmark.
+//! Back ends of an experiment's scans.
 
 use crate::BenchError;
 use sms_core::Seed;
@@ -16,7 +16,7 @@ pub struct TrainerMaker {
 }
 
 impl TrainerMaker {
-    /// Trainers of another back end: `device` says in results what it is, and `make` is given settings, number of classes
+    /// Trainers of another back end: `device` is its name in results, and `make` is given settings, number of classes
     /// and seed.
     pub fn new(
         device: impl Into<String>,
@@ -25,7 +25,7 @@ impl TrainerMaker {
         Self { device: device.into(), make: Arc::new(make) }
     }
 
-    /// What computes.
+    /// Name of the back end.
     pub fn device(&self) -> &str {
         &self.device
     }

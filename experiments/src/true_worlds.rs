@@ -10,7 +10,7 @@ use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions
 use sms_synth::redraw_materials;
 use sms_task::{Action, ResolvedTask};
 
-/// Half width of the disturbances that show what chaos alone does, metres.
+/// Half width of the perturbations that measure chaos alone, metres.
 const CHAOS_M: f64 = 1e-6;
 
 /// True worlds of a scene: the materials of every object drawn from the ranges of its class, bodies and strike off by what
@@ -100,7 +100,7 @@ impl<'a> TrueWorlds<'a> {
         Ok((!off.is_empty()).then(|| off.iter().sum::<f64>() / off.len() as f64))
     }
 
-    /// The objective of a strike that was asked for and is carried out a little otherwise; `None` where it cannot be believed,
+    /// The objective of a strike that is executed with an error; `None` if the rollout is invalid,
     /// or the arm cannot make it.
     fn rollout(
         &self,
@@ -125,11 +125,11 @@ impl<'a> TrueWorlds<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MaterialsTold, SceneFamily};
+    use crate::{MaterialPrior, SceneFamily};
 
     #[test]
     fn true_worlds_differ_by_what_is_not_known_and_repeat() {
-        let scene = PlanScene::told(SceneFamily::Open, 1001, MaterialsTold::Noisy).unwrap();
+        let scene = PlanScene::with_prior(SceneFamily::Open, 1001, MaterialPrior::Noisy).unwrap();
         let errors = Disturbances::default();
         let worlds = TrueWorlds::new(&scene, &errors, 3).unwrap();
         let again = TrueWorlds::new(&scene, &errors, 2).unwrap();

@@ -1,4 +1,4 @@
-//! Rigid alignment of a result to the truth, for recordings whose poses were disturbed.
+//! Rigid alignment of a result to the truth, for recordings with disturbed poses.
 
 use crate::truth::TrueSurface;
 use glamx::{DPose3, DQuat, DVec3};

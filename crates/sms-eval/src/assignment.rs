@@ -1,4 +1,4 @@
-//! Who is whom: assignments of least cost, and reconstructed objects against known ones.
+//! Minimum-cost assignment of reconstructed to reference objects.
 
 use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::DVec3;
@@ -9,7 +9,7 @@ use sms_core::{Mesh, Seed};
 /// shortest augmenting paths).
 ///
 /// ```
-/// // Row 1 likes column 0, too, but row 0 has no other choice that is as good.
+/// // Column 0 is the cheapest of both rows, but row 0 has no comparable alternative.
 /// assert_eq!(sms_eval::least_cost_assignment(&[vec![1.0, 9.0], vec![0.5, 2.0]]), [0, 1]);
 /// ```
 pub fn least_cost_assignment(cost: &[Vec<f64>]) -> Vec<usize> {
@@ -133,7 +133,7 @@ pub fn match_objects(
         .into_par_iter()
         .map(|row| {
             let at = |column: usize| match (k.get(row), f.get(column)) {
-                // In units of the reach: what is out of reach is as good as nothing.
+                // In units of the reach: beyond it, the cost is that of no match.
                 (Some(a), Some(b)) => (a.distance(b) / reach_m[free_known[row]]).min(1.0),
                 _ => 1.0,
             };
@@ -187,7 +187,7 @@ mod tests {
         assert_eq!(match_objects(&k, &f, &[], &[0.1; 2]), [Some(1), Some(0)]);
         // With one reconstruction only, one object stays without.
         assert_eq!(match_objects(&k, &f[..1], &[], &[0.1; 2]), [Some(0), None]);
-        // What is given stays, and what is too far is nothing.
+        // Given pairs stay, and distant ones are not matched.
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1; 2]), [Some(0), Some(1)]);
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1, 0.02]), [Some(0), None]);
         // Points do as well as triangles.

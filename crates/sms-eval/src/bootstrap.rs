@@ -40,7 +40,7 @@ pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
 }
 
 /// The ratio of means `mean(a) / mean(b) − 1` over scenes, with the percentile bootstrap over scenes: each resample takes
-/// whole pairs and forms the ratio of its own means, so that the interval holds what is not known of the base, too. In
+/// whole pairs and forms the ratio of its own means, so that the interval includes the uncertainty of the base. In
 /// [`Paired`], `mean` is the ratio over all scenes. Seeded. `None` without pairs, or where values that should be positive
 /// are not.
 pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {

@@ -114,7 +114,7 @@ mod tests {
             move |key: &str| figures.iter().find(|f| f.0 == key).unwrap().1
         };
         let half = DVec3::splat(0.03);
-        // 1 cm deeper below, where no camera looks: of what is seen, only the foot of the walls is wrong.
+        // 1 cm deeper below, where no camera looks: of the visible part, only the foot of the walls is wrong.
         let deeper = || cuboid(DVec3::new(0.03, 0.03, 0.035), -0.005);
         let f = figures(deeper(), cuboid(half, 0.0));
         assert!(f("recall_2p5mm") == 1.0 && f("surface_median_m") < 1e-12);

@@ -8,9 +8,9 @@
 //! of MobileBrick (Li, Bian, Castle, Torr, Prisacariu: "MobileBrick: Building LEGO for 3D Reconstruction on Mobile
 //! Devices", CVPR 2023, and its evaluation script). Three things differ: distances are to the surface instead of to the
 //! nearest sample, which is exact; reconstructions are taken where they are instead of being fitted to the model first,
-//! since poses are part of what is judged; and Chamfer is the mean of the two mean distances, where MobileBrick has their
-//! sum. MobileBrick leaves out what lies outside of a mask of visible space; `sms-experiments materialize` does so by what the
-//! cameras see, here everything is judged.
+//! since poses are evaluated, too; and Chamfer is the mean of the two mean distances, where MobileBrick has their
+//! sum. MobileBrick leaves out points outside of a mask of visible space; `sms-experiments materialize` does so by the view of the
+//! cameras, here every point counts.
 
 use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::{DMat4, DPose3, DVec3};
@@ -51,7 +51,7 @@ impl EvaluateSettings {
     /// The first value that cannot be used.
     ///
     /// # Errors
-    /// [`InputError`] that names the key and what is allowed.
+    /// [`InputError`] that names the key and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
         Ranges::of("evaluate").count("samples", self.samples, 100, 100_000_000)
     }
@@ -98,7 +98,7 @@ impl ObjectScores {
     }
 }
 
-/// What a reconstruction is compared with, in the world.
+/// The known surface that a reconstruction is compared with, in the world.
 #[derive(Debug, Clone, Copy)]
 pub enum KnownSurface<'a> {
     /// A scanner's points, dense enough that the distance to the nearest is the distance to the surface.

@@ -1,4 +1,4 @@
-//! Rendered held-out views against what was observed and against the truth.
+//! Rendered held-out views against the observed frames and against the truth.
 
 use crate::label_matching::Overlaps;
 use crate::label_matching::UNMATCHED;
@@ -64,7 +64,7 @@ pub struct DepthErrors {
     countable: usize,
 }
 
-/// What [`DepthErrors`] come to; metres.
+/// Summary of [`DepthErrors`]; metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DepthScores {
     /// Mean absolute error.
@@ -150,7 +150,7 @@ fn silhouettes(view: &TrueView) -> Vec<bool> {
 /// included. `pairs` are shown labels (of the masks) with true views; `truth_of` says which true label a mask label stands
 /// for. A label that stands for nothing is wrong wherever it is shown; an object that no label stands for has 0.
 pub fn mean_iou(pairs: &[(&LabelMap, &TrueView)], truth_of: &[u16], classes: usize) -> f64 {
-    // One more row for what stands for nothing.
+    // One more row for labels that match nothing.
     let mut overlaps = Overlaps::new(classes + 1, classes);
     let mut occurs = vec![false; classes];
     for (shown, truth) in pairs {
@@ -189,7 +189,7 @@ mod tests {
         let mut errors = DepthErrors::default();
         errors.add(&shown, &truth, &measured);
         let s = errors.scores();
-        // The last pixel is beyond what was measured, the fifth shows nothing.
+        // The last pixel is beyond the measured range, the fifth shows nothing.
         assert!((s.coverage - 6.0 / 7.0).abs() < 1e-12);
         assert!((s.mae_m - (5.0 * 0.001 + 0.1) / 6.0).abs() < 1e-6 && (s.median_m - 0.001).abs() < 1e-6);
         assert!((s.inner_mae_m - 0.001).abs() < 1e-6, "the object's border is left out");

@@ -10,7 +10,7 @@ use sms_core::Labels;
 /// Intersection over union from which an object counts as found.
 pub const FOUND_IOU: f64 = 0.5;
 
-/// What became of one true object.
+/// Scores of one true object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MaskedObject {
     /// The object's name.
@@ -30,7 +30,7 @@ pub struct MaskScores {
     pub labels: usize,
     /// Labels that match no object.
     pub false_labels: usize,
-    /// Whether every object is marked: labels of what the truth leaves unmarked are not false.
+    /// Whether the truth marks every object: otherwise labels outside of its marks are not false.
     pub whole_truth: bool,
 }
 

@@ -18,9 +18,9 @@ pub const F1_M: f64 = 0.0025;
 pub struct DiscSampling {
     /// Gaussians less opaque than this are left out (the entities stage's value).
     pub min_opacity: f32,
-    /// Gaussians whose label is less certain than this are left out (the entities stage's value).
+    /// Gaussians with a less certain label are left out (the entities stage's value).
     pub min_confidence: f32,
-    /// Discs reach out to so many standard deviations.
+    /// Radius of the discs, standard deviations.
     pub sigmas: f64,
     /// Points per square metre of disc.
     pub density_per_m2: f64,
@@ -160,7 +160,7 @@ pub fn score_labelled(
     )
 }
 
-/// Share of the points with an object's label whose label stands for no true object.
+/// Of the points with an object's label, the share with a label that matches no true object.
 pub fn stray_share(points: &[LabelledPoint], truth_of: &[u16]) -> f64 {
     let (mut all, mut stray) = (0usize, 0usize);
     for p in points.iter().filter(|p| p.label != 0) {
@@ -276,7 +276,7 @@ mod tests {
         // An object without points is missing: it counts in F1 and not in the median.
         let s = score_labelled(&label(&points_a, 1), &[0, 1], &surfaces, &observed);
         assert!((s.mean.f1 - 0.5).abs() < 1e-12 && (s.mean.median_m - 0.001).abs() < 1e-12 && s.found == 1);
-        // Without labels, the floor and what is far from everything are left out.
+        // Without labels, the floor and points far from every object are left out.
         let mut bare: Vec<DVec3> = points_a.iter().chain(&points_b).copied().collect();
         bare.extend([DVec3::new(0.0, 0.0, 0.001), DVec3::new(5.0, 0.0, 1.0), DVec3::new(0.15, 0.0, 0.2)]);
         let s = score_cropped(&bare, &surfaces, &observed);

@@ -1,4 +1,4 @@
-//! The truth that results are measured against: surfaces of the objects, what cameras see of them, noise-free views.
+//! The truth that results are measured against: surfaces of the objects, their parts seen by cameras, noise-free views.
 //!
 //! Everything here is in the truth's world `T`, that of the generator; results come into it by `x_tw`.
 
@@ -105,7 +105,7 @@ pub fn observed_surface(surfaces: &[TrueSurface], cameras: &[Camera]) -> Vec<Vec
     observed_surface_at_most(surfaces, cameras, usize::MAX)
 }
 
-/// The same with at most about so many samples before the unseen ones are left out: on large surfaces they are farther
+/// The same with at most about `samples` samples before the unseen ones are left out: on large surfaces they are farther
 /// apart.
 pub fn observed_surface_at_most(
     surfaces: &[TrueSurface],
@@ -130,7 +130,7 @@ pub fn observed_surface_at_most(
         .collect()
 }
 
-/// What hides things: meshes of all objects, and exact spheres.
+/// Occluders: meshes of all objects, and exact spheres.
 struct Blockers {
     meshes: Vec<TriMesh>,
     spheres: Vec<(DVec3, f64)>,
@@ -189,7 +189,7 @@ pub fn true_views(scene: &TruthScene, cameras: &[Camera]) -> Vec<TrueView> {
     cameras.iter().map(view).collect()
 }
 
-/// The camera carried into another world: `x_aw` carries `W` to `A`.
+/// Transforms a camera into another world: `x_aw` maps `W` to `A`.
 pub fn carried(camera: &Camera, x_aw: &DPose3) -> Camera {
     Camera::new(camera.intrinsics, *x_aw * camera.x_wc)
 }

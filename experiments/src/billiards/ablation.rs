@@ -1,14 +1,14 @@
-//! Where the loss between predicted and realised comes from: what the planner knows is replaced by the truth, one thing at
-//! a time, and it plans again. The truth is looked at here.
+//! Sources of the loss between predicted and realised: the planner's inputs are replaced by the truth, one at
+//! a time, and it plans again. This module reads the truth.
 
+use super::ablated::{Ablated, Ablation, Replaced};
+use super::planner_view::{PlannerView, apply_to_matched, forget_material};
 use super::realise::Table;
 use super::rows::{View, make};
-use super::seen::{Seen, forget_material, tell_matched};
 use super::{BilliardsBench, BilliardsScene, Row, Shot, Unfinished};
-use crate::told::set_material;
-use crate::{BenchError, MaterialsTold};
+use crate::material_prior::set_material;
+use crate::{BenchError, MaterialPrior};
 use glamx::DVec3;
-use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Cancel, Progress, Seed};
 use sms_plan::PlanError;
 use sms_robots::RobotConfig;
@@ -19,89 +19,10 @@ use sms_target::{Target, TargetEngine, TargetError, match_bodies, scene_from_tru
 use sms_task::{Billiards, Selector, Task, TaskError};
 use std::collections::BTreeMap;
 
-/// Rows that are looked at.
+/// Rows of the ablation.
 pub(super) const ROWS: [Row; 2] = [Row::Ours, Row::Robust];
 /// How far everything is moved to see whether a shot holds, metres: as well as a scan knows where things are.
 const NUDGE_M: f64 = 1e-3;
-
-/// What is replaced by the truth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Replaced {
-    /// Nothing: the same starts as the others, for comparison.
-    None,
-    /// Which bodies there are and their shapes, orientation included (a reconstruction has none of its own), at the
-    /// reconstructed places; masses by what is told.
-    Geometry,
-    /// Places, of what was reconstructed, and the floor's height and slope.
-    Poses,
-    /// Materials of what was reconstructed; masses follow with the reconstructed volumes.
-    Materials,
-    /// Nothing that the planner knows: its plans are carried out in its own engine at its own step.
-    Engine,
-    /// All of them.
-    All,
-}
-
-impl Replaced {
-    /// All of them, in the order of the table.
-    pub const ALL: [Self; 6] =
-        [Self::None, Self::Geometry, Self::Poses, Self::Materials, Self::Engine, Self::All];
-
-    /// The word in tables and keys.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Geometry => "geometry",
-            Self::Poses => "poses",
-            Self::Materials => "materials",
-            Self::Engine => "engine",
-            Self::All => "all",
-        }
-    }
-}
-
-/// What plans of one row are worth with something replaced.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Ablated {
-    /// Objectives in the world that the planner was given, metres.
-    pub predicted_m: Vec<f64>,
-    /// Objectives realised, metres; `None` where the engine could not finish the shot.
-    pub realised_m: Vec<Option<f64>>,
-    /// Why not.
-    #[serde(default)]
-    pub unfinished: Unfinished,
-}
-
-impl Ablated {
-    /// Number of shots that the engine could not finish.
-    pub fn unfinished(&self) -> usize {
-        self.realised_m.iter().filter(|v| v.is_none()).count()
-    }
-}
-
-/// A scene's ablation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Ablation {
-    /// The judge's name in metrics.
-    pub judge: String,
-    /// Starts of row `ours`: the first ones.
-    pub starts: usize,
-    /// Largest change of the robust plan's objective in the judge when everything stands up to a millimetre elsewhere,
-    /// metres.
-    pub sensitivity_m: Option<f64>,
-    /// By what was replaced and by row.
-    pub rows: BTreeMap<Replaced, BTreeMap<Row, Ablated>>,
-}
-
-impl Ablation {
-    /// Mean realised objective of a row, metres; what could not be finished counts with `idle_m`.
-    pub fn realised_m(&self, what: Replaced, row: Row, idle_m: f64) -> Option<f64> {
-        let values = &self.rows.get(&what)?.get(&row)?.realised_m;
-        let sum: f64 = values.iter().map(|v| v.unwrap_or(idle_m)).sum();
-        (!values.is_empty()).then(|| sum / values.len() as f64)
-    }
-}
 
 /// The planner's engine at its own step.
 struct PlannersOwn;
@@ -116,11 +37,11 @@ impl Target for PlannersOwn {
     }
 }
 
-/// Makes the ablation of a scene whose plans are made: against the judge, the first of the bench's engines.
+/// Runs the ablation of a planned scene against the judge, the first of the engines.
 pub(super) fn ablate(
     bench: &BilliardsBench,
     result: &BilliardsScene,
-    seen: &Seen,
+    known: &PlannerView,
     truth: &TruthScene,
     robot: &RobotConfig,
     seed: Seed,
@@ -133,7 +54,7 @@ pub(super) fn ablate(
     let table = |target| Table { target, truth, robot, idle_m: result.idle_m };
     let mut ablation =
         Ablation { judge: engine.key().to_owned(), starts, sensitivity_m: None, rows: BTreeMap::new() };
-    let own = View { task: &seen.task, scene: &seen.scene };
+    let own = View { task: &known.task, scene: &known.scene };
     let first: BTreeMap<Row, Vec<Shot>> = ROWS
         .into_iter()
         .filter_map(|row| Some((row, result.plans.get(&row)?.iter().take(starts).cloned().collect())))
@@ -144,7 +65,7 @@ pub(super) fn ablate(
     }
     for what in Replaced::ALL {
         cancel.check()?;
-        let replaced = replaced(seen, truth, result.told, what)?;
+        let replaced = replaced(known, truth, result.material_prior, what)?;
         let (scene, task) = replaced.as_ref().map_or((own.scene, own.task), |r| (&r.0, &r.1));
         let view = View { task, scene };
         let plans = match what {
@@ -182,33 +103,33 @@ pub(super) fn ablate(
 
 /// The planner's scene with something replaced, and the task in it; `None` where its own is to be taken.
 fn replaced(
-    seen: &Seen,
+    known: &PlannerView,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     what: Replaced,
 ) -> Result<Option<(Scene, Task)>, BenchError> {
     let mut real = scene_from_truth(truth).map_err(TargetError::from)?;
     for body in &mut real.bodies {
-        body.x_wb = seen.scene.x_world_recording * body.x_wb;
+        body.x_wb = known.scene.x_world_recording * body.x_wb;
     }
-    real.x_world_recording = seen.scene.x_world_recording;
-    // What did not rest by itself was fixed, and is still in some object's place.
-    let pairs = match_bodies(&seen.scene.loosened(), &real);
-    let seed = seen.told_seed;
+    real.x_world_recording = known.scene.x_world_recording;
+    // Bodies that did not rest were fixed; they still stand for objects.
+    let pairs = match_bodies(&known.scene.loosened(), &real);
+    let seed = known.prior_seed;
     Ok(match what {
         Replaced::None | Replaced::Engine => None,
         Replaced::Materials => {
-            let mut scene = seen.scene.clone();
-            tell_matched(&mut scene, truth, MaterialsTold::Truth, seed)?;
-            Some((scene, seen.task.clone()))
+            let mut scene = known.scene.clone();
+            apply_to_matched(&mut scene, truth, MaterialPrior::Truth, seed)?;
+            Some((scene, known.task.clone()))
         }
-        Replaced::Poses => Some((at_true_places(&seen.scene, &real, &pairs), seen.task.clone())),
+        Replaced::Poses => Some((at_true_places(&known.scene, &real, &pairs), known.task.clone())),
         Replaced::Geometry => {
-            let scene = with_true_shapes(seen, &real, truth, told, seed, &pairs);
+            let scene = with_true_shapes(known, &real, truth, material_prior, seed, &pairs);
             let name = |called: &str| own_name(&pairs, called);
-            Some((scene, billiards(&seen.task, &name(&truth.cue), &name(&truth.target))))
+            Some((scene, billiards(&known.task, &name(&truth.cue), &name(&truth.target))))
         }
-        Replaced::All => Some((real, billiards(&seen.task, &truth.cue, &truth.target))),
+        Replaced::All => Some((real, billiards(&known.task, &truth.cue, &truth.target))),
     })
 }
 
@@ -224,7 +145,7 @@ fn billiards(task: &Task, cue: &str, target: &str) -> Task {
     }
 }
 
-/// What the planner calls a true object; what it does not have gets a name that is not in its scene.
+/// The planner's name of a true object; a missing object gets a name that is not in its scene.
 fn own_name(pairs: &[(String, String)], truth: &str) -> String {
     pairs.iter().find(|p| p.1 == truth).map_or_else(|| format!("unseen {truth}"), |p| p.0.clone())
 }
@@ -256,27 +177,27 @@ fn at_true_places(own: &Scene, real: &Scene, pairs: &[(String, String)]) -> Scen
     scene
 }
 
-/// The true bodies, each standing where its reconstruction stands, with the materials told; what was not reconstructed at its
+/// The true bodies, each at the place of its reconstruction, with the material prior; missing ones at their
 /// own place, and nothing that is not there.
 fn with_true_shapes(
-    seen: &Seen,
+    known: &PlannerView,
     real: &Scene,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     seed: Seed,
     pairs: &[(String, String)],
 ) -> Scene {
     let is_floor = |b: &&Body| matches!(b.shape, BodyShape::HalfSpace);
-    let own_floor = seen.scene.bodies.iter().find(is_floor);
+    let own_floor = known.scene.bodies.iter().find(is_floor);
     let floor = own_floor.or_else(|| real.bodies.iter().find(is_floor)).cloned();
     let objects = truth.objects.iter().filter_map(|object| {
         let mut body = real.body(&object.name)?.clone();
         forget_material(&mut body);
         let name = own_name(pairs, &object.name);
-        if let Some(own) = seen.scene.body(&name) {
-            let material = match told {
-                MaterialsTold::Vlm => own.material.clone(),
-                _ => told.of_object(object, &body, seed),
+        if let Some(own) = known.scene.body(&name) {
+            let material = match material_prior {
+                MaterialPrior::Vlm => own.material.clone(),
+                _ => material_prior.of_object(object, &body, seed),
             };
             set_material(&mut body, material);
             body.x_wb.translation += foot_w(own) - foot_w(&body);
@@ -285,26 +206,26 @@ fn with_true_shapes(
         body.name = name;
         Some(body)
     });
-    Scene { bodies: floor.into_iter().chain(objects).collect(), ..seen.scene.clone() }
+    Scene { bodies: floor.into_iter().chain(objects).collect(), ..known.scene.clone() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::BilliardsGeometry;
-    use crate::billiards::seen::{is_object, see};
+    use crate::billiards::planner_view::{is_object, planner_view};
     use sms_core::NoProgress;
     use sms_synth::FIXED_SCENES;
 
-    /// What the planner would see of scene 8, were every body a little elsewhere, its boxes a little larger, and one missing.
-    fn shifted() -> (Seen, TruthScene) {
+    /// The planner's view of scene 8 with every body displaced, its boxes enlarged, and one missing.
+    fn shifted() -> (PlannerView, TruthScene) {
         let fixed = FIXED_SCENES[7];
         let truth = fixed.generate();
         let mut bench = BilliardsBench::new(vec![fixed], std::path::Path::new("keep"), "out");
         bench.geometry = BilliardsGeometry::Truth;
-        let mut seen =
-            see(&bench, &fixed, &truth, MaterialsTold::Class, &NoProgress, &Cancel::new()).unwrap();
-        for body in seen.scene.bodies.iter_mut().filter(|b| is_object(b)) {
+        let mut known =
+            planner_view(&bench, &fixed, &truth, MaterialPrior::Class, &NoProgress, &Cancel::new()).unwrap();
+        for body in known.scene.bodies.iter_mut().filter(|b| is_object(b)) {
             body.x_wb.translation += DVec3::new(0.003, -0.002, 0.0);
             if let BodyShape::Hulls { hulls } = &mut body.shape {
                 for hull in hulls {
@@ -312,7 +233,7 @@ mod tests {
                 }
             }
         }
-        (seen, truth)
+        (known, truth)
     }
 
     fn farthest(a: &Scene, b: &Scene) -> f64 {
@@ -322,45 +243,45 @@ mod tests {
 
     #[test]
     fn each_replacement_replaces_its_own_thing_and_nothing_else() {
-        let (seen, truth) = shifted();
-        let get = |what| replaced(&seen, &truth, MaterialsTold::Class, what).unwrap().unwrap();
+        let (known, truth) = shifted();
+        let get = |what| replaced(&known, &truth, MaterialPrior::Class, what).unwrap().unwrap();
         let real = scene_from_truth(&truth).unwrap();
         let (all, _) = get(Replaced::All);
         assert_eq!(all.bodies, real.bodies);
 
         let (poses, _) = get(Replaced::Poses);
         assert!(farthest(&poses, &real) < 1e-9);
-        for (a, b) in poses.bodies.iter().zip(&seen.scene.bodies) {
+        for (a, b) in poses.bodies.iter().zip(&known.scene.bodies) {
             assert_eq!((&a.shape, &a.material, &a.mass), (&b.shape, &b.material, &b.mass));
         }
 
         let (geometry, _) = get(Replaced::Geometry);
-        assert!(farthest(&geometry, &seen.scene) < 1e-9);
+        assert!(farthest(&geometry, &known.scene) < 1e-9);
         for object in &truth.objects {
             let (a, b) = (geometry.body(&object.name).unwrap(), real.body(&object.name).unwrap());
             assert_eq!(a.shape, b.shape);
-            assert_eq!(a.material, seen.scene.body(&object.name).unwrap().material);
-            let told = a.material.effective_density() / object.material.effective_density();
-            assert!((a.mass.unwrap().mass() / b.mass.unwrap().mass() / told - 1.0).abs() < 1e-5);
+            assert_eq!(a.material, known.scene.body(&object.name).unwrap().material);
+            let material_prior = a.material.effective_density() / object.material.effective_density();
+            assert!((a.mass.unwrap().mass() / b.mass.unwrap().mass() / material_prior - 1.0).abs() < 1e-5);
         }
 
         let (materials, _) = get(Replaced::Materials);
-        for (a, b) in materials.bodies.iter().zip(&seen.scene.bodies) {
+        for (a, b) in materials.bodies.iter().zip(&known.scene.bodies) {
             assert_eq!((&a.shape, a.x_wb), (&b.shape, b.x_wb));
             if let Some(object) = truth.object(&a.name) {
                 assert_eq!(a.material, object.material);
             }
         }
-        assert!(replaced(&seen, &truth, MaterialsTold::Class, Replaced::Engine).unwrap().is_none());
+        assert!(replaced(&known, &truth, MaterialPrior::Class, Replaced::Engine).unwrap().is_none());
     }
 
     #[test]
     fn what_was_not_reconstructed_is_there_with_true_geometry_and_strays_are_not() {
-        let (mut seen, truth) = shifted();
-        let lost = seen.scene.bodies.len() - 1;
-        seen.scene.bodies[lost].x_wb.translation.x += 2.0;
-        let (stray, name) = (seen.scene.bodies[lost].name.clone(), truth.objects[lost - 1].name.clone());
-        let (scene, _) = replaced(&seen, &truth, MaterialsTold::Class, Replaced::Geometry).unwrap().unwrap();
+        let (mut known, truth) = shifted();
+        let lost = known.scene.bodies.len() - 1;
+        known.scene.bodies[lost].x_wb.translation.x += 2.0;
+        let (stray, name) = (known.scene.bodies[lost].name.clone(), truth.objects[lost - 1].name.clone());
+        let (scene, _) = replaced(&known, &truth, MaterialPrior::Class, Replaced::Geometry).unwrap().unwrap();
         assert_eq!(scene.bodies.len(), truth.objects.len() + 1);
         assert!(scene.body(&stray).is_none() && scene.body(&format!("unseen {name}")).is_some());
     }

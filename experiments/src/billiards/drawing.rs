@@ -1,4 +1,4 @@
-//! What the pictures of a scene are drawn from, kept with its results.
+//! Data of a scene's pictures, kept with its results.
 
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 const EVERY_S: f64 = 1.0 / 30.0;
 /// Places are kept to this, metres.
 const RESOLUTION_M: f64 = 1e-4;
-/// What moves less is at rest in a picture, metres.
+/// Motion below this is rest in a picture, metres.
 const STILL_M: f64 = 3e-3;
 
 /// The way of one body, seen from above.
@@ -32,9 +32,9 @@ pub struct Drawing {
     pub balls: Option<[String; 2]>,
     /// Names of the true ones.
     pub true_balls: [String; 2],
-    /// What the planner sees.
+    /// Outlines in the planner's scene.
     pub planned: Vec<TopOutline>,
-    /// What there is.
+    /// Outlines in the true scene.
     pub truth: Vec<TopOutline>,
     /// Motion as predicted.
     pub predicted: Vec<Way>,
@@ -46,7 +46,7 @@ fn rounded(p: DVec2) -> [f64; 2] {
     [p.x, p.y].map(|v| (v / RESOLUTION_M).round() * RESOLUTION_M)
 }
 
-/// What stands in a scene; floors and what is wider than a table are left out.
+/// Outlines of the bodies of a scene, except floors and bodies wider than a table.
 pub(super) fn outlines(scene: &Scene) -> Vec<TopOutline> {
     const WIDEST_M: f64 = 1.0;
     let outline = |body: &Body| {

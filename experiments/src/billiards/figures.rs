@@ -1,7 +1,7 @@
 //! The figures of the table.
 
 use super::{BilliardsScene, Replaced, Row};
-use crate::MaterialsTold;
+use crate::MaterialPrior;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
 
@@ -21,34 +21,35 @@ fn worst(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The figures of results, with the keys of docs/metrics.md: for every engine, row and what was told, over the scenes that
+/// The figures of results, with the keys of docs/metrics.md: for every engine, row and material prior, over the scenes that
 /// are there. Overall means and deviations pool all starts of all scenes; `best` and `worst` are those of each scene's
 /// starts, as means and deviations over the scenes.
 pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
     let mut metrics = Metrics::new();
     let engines: BTreeSet<&String> = scenes.iter().flat_map(|s| s.realised.keys()).collect();
-    for told in MaterialsTold::ALL {
-        let of_told: Vec<&BilliardsScene> = scenes.iter().filter(|s| s.told == told).collect();
+    for material_prior in MaterialPrior::ALL {
+        let of_prior: Vec<&BilliardsScene> =
+            scenes.iter().filter(|s| s.material_prior == material_prior).collect();
         for engine in &engines {
             let there: Vec<&BilliardsScene> =
-                of_told.iter().copied().filter(|s| s.realised.contains_key(*engine)).collect();
+                of_prior.iter().copied().filter(|s| s.realised.contains_key(*engine)).collect();
             if there.is_empty() {
                 continue;
             }
             let engine_prefix = format!("bench.billiards.{engine}");
             let is_planned = |row: &Row| there.iter().any(|s| s.plans.contains_key(row));
             for row in [Row::Paper, Row::Ours, Row::Grid].into_iter().filter(is_planned) {
-                let prefix = format!("{engine_prefix}.{}.{}", row.as_str(), told.as_str());
+                let prefix = format!("{engine_prefix}.{}.{}", row.as_str(), material_prior.as_str());
                 metrics.set(format!("{prefix}.scenes"), there.len());
                 add_row(&mut metrics, &prefix, engine, row, &there);
             }
-            let prefix = format!("{engine_prefix}.ours.{}", told.as_str());
+            let prefix = format!("{engine_prefix}.ours.{}", material_prior.as_str());
             if is_planned(&Row::Robust) {
                 add_single(&mut metrics, &prefix, engine, &there);
             }
         }
-        for s in &of_told {
-            let prefix = format!("bench.billiards.scene_{:02}.{}", s.number, told.as_str());
+        for s in &of_prior {
+            let prefix = format!("bench.billiards.scene_{:02}.{}", s.number, material_prior.as_str());
             metrics.set(format!("{prefix}.objects"), s.objects);
             metrics.set(format!("{prefix}.matched"), s.matched);
             metrics.set(format!("{prefix}.strays"), s.strays);
@@ -60,7 +61,7 @@ pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {
                 metrics.set(format!("{prefix}.cpu_{part}_s"), *seconds);
             }
         }
-        add_ablation(&mut metrics, told, &of_told);
+        add_ablation(&mut metrics, material_prior, &of_prior);
     }
     for (engine, why) in scenes.iter().flat_map(|s| &s.not_run) {
         metrics.set(format!("bench.billiards.{engine}.not_run"), why.clone());
@@ -108,14 +109,14 @@ fn add_row(metrics: &mut Metrics, prefix: &str, engine: &str, row: Row, scenes: 
     }
 }
 
-/// What plans are worth with something replaced by the truth. Of what was told first there is no word in the keys.
-fn add_ablation(metrics: &mut Metrics, told: MaterialsTold, scenes: &[&BilliardsScene]) {
+/// Realised objectives with one input replaced by the truth. The keys do not name the material prior: it is the first one.
+fn add_ablation(metrics: &mut Metrics, material_prior: MaterialPrior, scenes: &[&BilliardsScene]) {
     let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
     let Some(ablation) = there.first().and_then(|s| s.ablation.as_ref()) else { return };
     let plain = "bench.billiards.ablation";
     let is_first = metrics.get(&format!("{plain}.materials_told")).is_none();
-    let prefix = if is_first { plain.to_owned() } else { format!("{plain}.{}", told.as_str()) };
-    metrics.set(format!("{prefix}.materials_told"), told.as_str());
+    let prefix = if is_first { plain.to_owned() } else { format!("{plain}.{}", material_prior.as_str()) };
+    metrics.set(format!("{prefix}.materials_told"), material_prior.as_str());
     metrics.set(format!("{prefix}.judge"), ablation.judge.clone());
     metrics.set(format!("{prefix}.starts"), ablation.starts);
     metrics.set(format!("{prefix}.scenes"), there.len());

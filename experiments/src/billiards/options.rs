@@ -1,7 +1,7 @@
-//! What the experiment depends on.
+//! Settings of the experiment.
 
 use super::Row;
-use crate::{MaterializeOptions, MaterialsTold};
+use crate::{MaterialPrior, MaterializeOptions};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
@@ -14,10 +14,10 @@ use sms_vlm::Client;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Target engines: the judge first, and what takes longest last.
+/// Target engines: the judge first, the slowest last.
 pub(super) const ENGINES: [TargetEngine; 4] =
     [TargetEngine::Physx, TargetEngine::PhysxStock, TargetEngine::Rapier, TargetEngine::Mujoco];
-/// Counts up when what is kept of a scene, or how it is made, changes.
+/// Version of the kept files; incremented when their content or its computation changes.
 const VERSION: u32 = 7;
 
 /// The paper's way from Gaussians to bodies (section "Physics-ready scene"; where it is silent, its released code): discs
@@ -45,7 +45,7 @@ pub fn paper_entities() -> EntitiesConfig {
     }
 }
 
-/// Where the planner's geometry comes from.
+/// Source of the planner's geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BilliardsGeometry {
@@ -65,14 +65,14 @@ impl BilliardsGeometry {
     }
 }
 
-/// What to run.
+/// Scenes, planners and engines of a run.
 #[derive(Debug, Clone)]
 pub struct BilliardsBench {
     /// Scenes to run now.
     pub scenes: Vec<FixedScene>,
-    /// What the planner is told of materials, one after another.
-    pub told: Vec<MaterialsTold>,
-    /// Where its geometry comes from.
+    /// Material priors, one after another.
+    pub material_prior: Vec<MaterialPrior>,
+    /// Source of its geometry.
     pub geometry: BilliardsGeometry,
     /// How scenes are scanned, and where scans are kept.
     pub scan: MaterializeOptions,
@@ -94,7 +94,7 @@ pub struct BilliardsBench {
     pub grid: GridBaseline,
     /// Starts of row `ours` with each thing replaced by the truth (see [`crate::Replaced`]); 0 leaves the ablation out.
     pub ablation_starts: usize,
-    /// Who is asked about materials, where that is among what is told.
+    /// The vision-language model, for the prior `vlm`.
     pub vlm: Option<Arc<Client>>,
     /// Seed of all plans.
     pub seed: Seed,
@@ -108,7 +108,7 @@ impl BilliardsBench {
     pub fn new(scenes: Vec<FixedScene>, keep: &Path, out: impl Into<PathBuf>) -> Self {
         Self {
             scenes,
-            told: vec![MaterialsTold::Class],
+            material_prior: vec![MaterialPrior::Class],
             geometry: BilliardsGeometry::Scan,
             scan: MaterializeOptions::standard(keep),
             engines: ENGINES.into_iter().filter(|e| e.is_built_in()).collect(),
@@ -127,8 +127,8 @@ impl BilliardsBench {
     }
 
     /// The planner with about as many rollouts for each start as five of the paper's starts take: a short search of the
-    /// scanned world, and the choice among its best by how they fare in a few disturbed ones, for as many of which the scanned
-    /// world counts. Thirty of them are what eighteen scenes can have in ninety minutes on two cores.
+    /// scanned world, and the choice among its best by how they fare in a few perturbed ones, for as many of which the scanned
+    /// world counts. Thirty of them for each of eighteen scenes take ninety minutes on two cores.
     fn small() -> PlanConfig {
         PlanConfig {
             starts: 12,
@@ -148,32 +148,34 @@ impl BilliardsBench {
         }
     }
 
-    /// Names the plans of a scene by everything they are made from but the code.
-    pub(super) fn key(&self, scene: &FixedScene, told: MaterialsTold) -> Hash {
-        let seen = match self.geometry {
+    /// Hash of the inputs of a scene's plans, except the code.
+    pub(super) fn key(&self, scene: &FixedScene, material_prior: MaterialPrior) -> Hash {
+        let known = match self.geometry {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => {
                 Some((self.scan.made_from(), (&self.scan.bench.entities, &self.paper_entities)))
             }
         };
         let plans = (self.starts, &self.paper, &self.ours, &self.robust, &self.grid, self.seed);
-        // All of them are the experiment, whose key has never named them.
+        // The key of the full experiment does not name the rows.
         let rows = (!Row::ALL.iter().all(|r| self.rows.contains(r))).then_some(&self.rows);
-        let asked = self.vlm.as_ref().filter(|_| told == MaterialsTold::Vlm).map(|c| c.config());
-        let made = (VERSION, scene.generate(), told, seen, plans);
+        let asked = self.vlm.as_ref().filter(|_| material_prior == MaterialPrior::Vlm).map(|c| c.config());
+        let made = (VERSION, scene.generate(), material_prior, known, plans);
         match (asked, rows) {
             (None, None) => hash_serializable(&made),
-            (Some(c), None) => hash_serializable(&(VERSION, made.1, told, made.3, plans, &c.url, &c.model)),
+            (Some(c), None) => {
+                hash_serializable(&(VERSION, made.1, material_prior, made.3, plans, &c.url, &c.model))
+            }
             (asked, Some(rows)) => hash_serializable(&(made, asked.map(|c| (&c.url, &c.model)), rows)),
         }
     }
 
-    /// What the figures depend on, besides scenes and code, for comparing parts of a run.
+    /// Settings that the figures depend on, besides scenes and code, for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
         let mut map = self.scan.settings();
         let engines: Vec<&str> = self.engines.iter().map(|e| e.key()).collect();
         for (name, value) in [
-            ("materials", json!(self.told)),
+            ("materials", json!(self.material_prior)),
             ("geometry", json!(self.geometry)),
             ("paper_entities", json!(self.paper_entities)),
             ("engines", json!(engines)),
@@ -193,8 +195,8 @@ impl BilliardsBench {
     }
 
     /// File of a scene.
-    pub(super) fn file(&self, scene: &FixedScene, told: MaterialsTold) -> PathBuf {
-        let folder = format!("{}-{}", self.geometry.as_str(), told.as_str());
+    pub(super) fn file(&self, scene: &FixedScene, material_prior: MaterialPrior) -> PathBuf {
+        let folder = format!("{}-{}", self.geometry.as_str(), material_prior.as_str());
         self.out.join(folder).join(format!("scene_{:02}.json", scene.number))
     }
 }

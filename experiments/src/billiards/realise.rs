@@ -1,4 +1,4 @@
-//! What becomes of plans in the target worlds. The truth is looked at here.
+//! Execution of plans in the target worlds. This module reads the truth.
 
 use super::rows::View;
 use super::{Row, Shot, Unfinished};
@@ -13,7 +13,7 @@ use sms_task::{Action, TaskError, Trajectory};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A shot by what decides its outcome: the values' bits, whether the arm makes it, and whether it was planned in the paper's
+/// A shot by the inputs of its outcome: the values' bits, whether the arm makes it, and whether it was planned in the paper's
 /// scene.
 type Key = (Vec<u64>, bool, bool);
 
@@ -22,7 +22,7 @@ fn key(row: Row, shot: &Shot) -> Option<Key> {
     shot.action.as_ref().map(|a| (bits(a), shot.by_arm, row == Row::Paper))
 }
 
-/// What became of plans in one target.
+/// Outcomes of plans in one target.
 pub(super) struct Realised {
     /// Objectives, metres; `None` where the engine could not finish the shot.
     pub(super) rows: BTreeMap<Row, Vec<Option<f64>>>,
@@ -37,7 +37,7 @@ pub(super) struct Table<'a> {
     pub(super) target: &'a dyn Target,
     pub(super) truth: &'a TruthScene,
     pub(super) robot: &'a RobotConfig,
-    /// What nothing is worth, metres.
+    /// Objective of doing nothing, metres.
     pub(super) idle_m: f64,
 }
 
@@ -83,7 +83,7 @@ impl Table<'_> {
         }
     }
 
-    /// Carries every distinct shot out once. What does nothing leaves the ball where it is.
+    /// Executes every distinct shot once. A shot that does nothing leaves the ball in place.
     pub(super) fn realise<'v>(
         &self,
         view_of: &(dyn Fn(Row) -> View<'v> + Sync),

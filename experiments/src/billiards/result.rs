@@ -1,7 +1,7 @@
-//! What is kept of a scene.
+//! Kept results of a scene.
 
-use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing};
-use crate::{BenchError, MaterialsTold};
+use super::{Ablation, BilliardsBench, BilliardsGeometry, Drawing, Row, Unfinished};
+use crate::{BenchError, MaterialPrior};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, Hash, atomic};
@@ -10,42 +10,10 @@ use sms_task::Action;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A planner.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Row {
-    /// The paper's: plain Nelder-Mead from random starts, each its own plan, in bodies made of the scan the paper's way.
-    Paper,
-    /// Ours: a small plan from each of as many seeds.
-    Ours,
-    /// Ours: one plan with the planner's default settings, which a user would carry out.
-    Robust,
-    /// The grid baseline.
-    Grid,
-}
-
-impl Row {
-    /// All of them, in the order of the table.
-    pub const ALL: [Self; 4] = [Self::Paper, Self::Ours, Self::Robust, Self::Grid];
-
-    /// The word in tables and keys.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Paper => "paper",
-            Self::Ours => "ours",
-            Self::Robust => "robust",
-            Self::Grid => "grid",
-        }
-    }
-}
-
-/// Why shots of a row were not finished, by their place in it.
-pub type Unfinished = BTreeMap<usize, String>;
-
 /// One plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
-    /// What is done; `None` where the planner found no strike that the robot can make: nothing is done then.
+    /// The strike; `None` if the planner found none that the robot can make. Nothing is done then.
     pub action: Option<Action>,
     /// Objective in the scanned world, metres; the distance of target ball and goal in it where nothing is done.
     pub predicted_m: f64,
@@ -55,7 +23,7 @@ pub struct Shot {
     pub evaluations: usize,
     /// Iterations of the local searches (`paper`: of the one search, which ends when it has converged or after 30).
     pub iterations: usize,
-    /// Whether the arm can make the strike; else a finger that gives no way makes it (the baseline knows no arm).
+    /// Whether the arm can make the strike; else a kinematic finger makes it (the baseline has no arm).
     pub by_arm: bool,
 }
 
@@ -78,30 +46,31 @@ impl Shot {
     }
 }
 
-/// A scene's plans and what became of them.
+/// A scene's plans and their outcomes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BilliardsScene {
-    /// What the plans were made from, as a hash.
+    /// Hash of the plans' inputs.
     pub key: Hash,
     /// 1 to 18.
     pub number: usize,
-    /// What the scene asks for.
+    /// The scene's layout.
     pub layout: Layout,
-    /// What the planner was told of materials.
-    pub told: MaterialsTold,
-    /// Where its geometry came from.
+    /// The planner's knowledge of materials.
+    #[serde(rename = "told")]
+    pub material_prior: MaterialPrior,
+    /// Source of its geometry.
     pub geometry: BilliardsGeometry,
     /// Distance of the target ball from the goal when nothing is done, metres (truth).
     pub idle_m: f64,
     /// Objects of the true scene.
     pub objects: usize,
-    /// Those among them in whose place the planner's scene has a body.
+    /// Objects that have a body of the planner's scene in their place.
     pub matched: usize,
-    /// Bodies of the planner's scene, fixed ones included, in whose place nothing is.
+    /// Bodies of the planner's scene, fixed ones included, that match no object.
     pub strays: usize,
     /// Why nothing could be planned.
     pub problem: Option<String>,
-    /// Why nothing could be planned in row `paper`, whose bodies are made otherwise.
+    /// Why nothing could be planned in row `paper`, which builds its bodies differently.
     #[serde(default)]
     pub paper_problem: Option<String>,
     /// Plans of every row.
@@ -120,10 +89,10 @@ pub struct BilliardsScene {
     /// CPU seconds of this process in each part: `see` (reading or making scan and bodies), `plan_{row}`, `{engine}`.
     #[serde(default)]
     pub cpu_s: BTreeMap<String, f64>,
-    /// What pictures need.
+    /// Data of the pictures.
     #[serde(default)]
     pub drawing: Drawing,
-    /// What is lost where.
+    /// The ablation.
     #[serde(default)]
     pub ablation: Option<Ablation>,
 }
@@ -146,19 +115,19 @@ impl BilliardsScene {
     }
 }
 
-/// What is kept of a scene; `None` where nothing is, or where it was made from something else.
+/// Reads the kept results of a scene; `None` if there are none, or of other inputs.
 pub(super) fn kept(
     bench: &BilliardsBench,
     scene: &FixedScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
 ) -> Result<Option<BilliardsScene>, CoreError> {
-    let path = bench.file(scene, told);
+    let path = bench.file(scene, material_prior);
     if !path.is_file() {
         return Ok(None);
     }
     // A file of an earlier version is made again.
     let Ok(found) = atomic::read_json::<BilliardsScene>(&path) else { return Ok(None) };
-    Ok(Some(found).filter(|f| f.key == bench.key(scene, told)))
+    Ok(Some(found).filter(|f| f.key == bench.key(scene, material_prior)))
 }
 
 /// All results in the folder that were made with the settings of `bench`, of this run and of others, in the order of
@@ -170,9 +139,9 @@ pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, Ben
     let mut all = Vec::new();
     let is_fixed = bench.scenes.iter().all(FixedScene::is_fixed);
     let scenes = if is_fixed { &FIXED_SCENES[..] } else { &bench.scenes[..] };
-    for told in MaterialsTold::ALL {
+    for material_prior in MaterialPrior::ALL {
         for scene in scenes {
-            all.extend(kept(bench, scene, told)?);
+            all.extend(kept(bench, scene, material_prior)?);
         }
     }
     Ok(all)
@@ -186,7 +155,7 @@ pub fn read_billiards(bench: &BilliardsBench) -> Result<Vec<BilliardsScene>, Ben
 pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreError> {
     let (mut scene, mut start, mut evaluations, mut iterations) = (vec![], vec![], vec![], vec![]);
     let (mut finished, mut why, mut by_arm) = (vec![], vec![], vec![]);
-    let (mut layout, mut geometry, mut told, mut engines, mut rows) =
+    let (mut layout, mut geometry, mut material_prior, mut engines, mut rows) =
         (vec![], vec![], vec![], vec![], vec![]);
     let (mut predicted, mut realised, mut speed, mut angle) = (vec![], vec![], vec![], vec![]);
     for s in scenes {
@@ -198,7 +167,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
                     scene.push(s.number as i32);
                     layout.push(s.layout.as_str().to_owned());
                     geometry.push(s.geometry.as_str().to_owned());
-                    told.push(s.told.as_str().to_owned());
+                    material_prior.push(s.material_prior.as_str().to_owned());
                     engines.push(engine.clone());
                     rows.push(row.as_str().to_owned());
                     start.push(i as i32);
@@ -219,7 +188,7 @@ pub fn write_shots(path: &Path, scenes: &[BilliardsScene]) -> Result<(), CoreErr
         ("scene", Column::I32(scene)),
         ("layout", Column::Text(layout)),
         ("geometry", Column::Text(geometry)),
-        ("materials", Column::Text(told)),
+        ("materials", Column::Text(material_prior)),
         ("engine", Column::Text(engines)),
         ("row", Column::Text(rows)),
         ("start", Column::I32(start)),
@@ -249,7 +218,7 @@ pub(super) mod tests {
             key: Hash("k".into()),
             number: 3,
             layout: Layout::ALL[1],
-            told: MaterialsTold::Class,
+            material_prior: MaterialPrior::Class,
             geometry: BilliardsGeometry::Truth,
             idle_m: 0.4,
             objects: 4,

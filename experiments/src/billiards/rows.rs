@@ -1,4 +1,4 @@
-//! Plans, made of what the planner sees.
+//! Plans, made from the planner's view alone.
 
 use super::{BilliardsBench, Row, Shot};
 use crate::BenchError;
@@ -29,7 +29,7 @@ pub(super) struct Planned {
     pub(super) motion: Option<Trajectory>,
 }
 
-/// Plans with a row, with so many starts where it has any. Looks at nothing but its arguments.
+/// Plans with a row, with `starts` starts if it has any. Depends on its arguments alone.
 pub(super) fn make(
     bench: &BilliardsBench,
     view: View<'_>,
@@ -92,7 +92,7 @@ impl Planner<'_> {
         Shot { evaluations, ..Shot::nothing(self.idle_m()) }
     }
 
-    /// The baseline knows no arm; a strike that the arm cannot make is made by a finger that gives no way.
+    /// The baseline has no arm; a strike that the arm cannot make is made by a kinematic finger.
     fn grid(&self, free: &ResolvedTask) -> Result<Shot, BenchError> {
         let found = self.bench.grid.plan(free, self.scene)?;
         let by_arm = self.task.striker(&self.task.strike(&found.action)).is_ok();

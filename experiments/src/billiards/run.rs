@@ -1,13 +1,14 @@
 //! Scene by scene.
 
-use super::ablation::{Ablation, ablate};
+use super::ablated::Ablation;
+use super::ablation::ablate;
 use super::drawing::{outlines, ways};
+use super::planner_view::{PlannerView, planner_view};
 use super::realise::Table;
 use super::result::kept;
 use super::rows::{View, make};
-use super::seen::{Seen, see};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
-use crate::{BenchError, MaterialsTold};
+use crate::{BenchError, MaterialPrior};
 use glamx::DVec2;
 use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, InputError, Progress, Seed, atomic};
@@ -19,13 +20,13 @@ use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::TaskError;
 use std::collections::BTreeMap;
 
-/// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they have not been carried out in.
-/// `done` is told of every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
+/// Runs the scenes of `bench` that its folder does not hold yet, and the engines that they were not executed in.
+/// `done` is called for every scene. Afterwards [`super::read_billiards`] reads them, those of other shards too.
 ///
-/// Where a vision-language model stops answering, what is left of its row is not run, and the other rows are: why is the result.
+/// If a vision-language model stops answering, the rest of its row is not run, but the other rows are; the result is the reason.
 ///
 /// # Errors
-/// [`BenchError`]. A scene in which the planner finds no cue or target ball is no error: nothing is done in it then.
+/// [`BenchError`]. A scene in which the planner finds no cue or target ball is not an error: its shots do nothing.
 pub fn run_billiards(
     bench: &BilliardsBench,
     done: &dyn Fn(&BilliardsScene),
@@ -33,10 +34,10 @@ pub fn run_billiards(
     cancel: &Cancel,
 ) -> Result<Option<InputError>, BenchError> {
     let mut unanswered = None;
-    for &told in &bench.told {
+    for &material_prior in &bench.material_prior {
         for scene in &bench.scenes {
             cancel.check()?;
-            match run_scene(bench, scene, told, progress, cancel) {
+            match run_scene(bench, scene, material_prior, progress, cancel) {
                 Ok(scene) => done(&scene),
                 Err(BenchError::Unanswered(why)) => {
                     unanswered = Some(why);
@@ -50,7 +51,7 @@ pub fn run_billiards(
 }
 
 /// Only scans the scenes of `bench` and makes their bodies; [`run_billiards`] finds them in the folder where scans are
-/// kept, on another machine too. `done` is told, of every scene, in the place of how many of its true objects a body is.
+/// kept, on another machine too. `done` is called with the number of true objects of each scene that have a body.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -60,13 +61,13 @@ pub fn scan_billiards(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<(), BenchError> {
-    // What bodies are made of is told later.
-    let told = MaterialsTold::Prior;
+    // The material prior is applied later.
+    let material_prior = MaterialPrior::Prior;
     for scene in &bench.scenes {
         cancel.check()?;
         let truth = scene.generate();
-        let seen = see(bench, scene, &truth, told, progress, cancel)?;
-        done(scene, seen.matched, truth.objects.len());
+        let known = see(bench, scene, &truth, material_prior, progress, cancel)?;
+        done(scene, known.matched, truth.objects.len());
     }
     Ok(())
 }
@@ -74,12 +75,12 @@ pub fn scan_billiards(
 fn run_scene(
     bench: &BilliardsBench,
     fixed: &FixedScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
-    let path = bench.file(fixed, told);
-    let before = if bench.scan.rescan { None } else { kept(bench, fixed, told)? };
+    let path = bench.file(fixed, material_prior);
+    let before = if bench.scan.rescan { None } else { kept(bench, fixed, material_prior)? };
     let missing = |r: &BilliardsScene| {
         let missing = |e: &&TargetEngine| !r.realised.contains_key(e.key());
         bench.engines.iter().filter(missing).copied().collect::<Vec<_>>()
@@ -95,19 +96,20 @@ fn run_scene(
     let truth = fixed.generate();
     let robot = robot_of(&truth);
     let clock = Clock::start();
-    let seen = see(bench, fixed, &truth, told, progress, cancel)?;
+    let known = see(bench, fixed, &truth, material_prior, progress, cancel)?;
     let see_s = clock.cpu_s();
     let seed = bench.seed.derive_index("billiards", fixed.number as u64);
     let mut result = match before {
         Some(result) => result,
         None => {
-            let mut result = plan_all(bench, fixed, told, &seen, &truth, &robot, seed, progress, cancel)?;
+            let mut result =
+                plan_all(bench, fixed, material_prior, &known, &truth, &robot, seed, progress, cancel)?;
             result.cpu_s.extend(see_s.map(|s| ("see".to_owned(), s)));
             atomic::write_json(&path, &result)?;
             result
         }
     };
-    let view_of = |row: Row| View { task: &seen.task, scene: seen.scene_of(row) };
+    let view_of = |row: Row| View { task: &known.task, scene: known.scene_of(row) };
     for engine in missing(&result) {
         let target = match engine.target() {
             Ok(target) => target,
@@ -131,7 +133,7 @@ fn run_scene(
     }
     if !ablated(&result) {
         let clock = Clock::start();
-        let ablation = ablate(bench, &result, &seen, &truth, &robot, seed, progress, cancel)?;
+        let ablation = ablate(bench, &result, &known, &truth, &robot, seed, progress, cancel)?;
         result.ablation = Some(ablation);
         result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
         atomic::write_json(&path, &result)?;
@@ -143,8 +145,8 @@ fn run_scene(
 fn plan_all(
     bench: &BilliardsBench,
     fixed: &FixedScene,
-    told: MaterialsTold,
-    seen: &Seen,
+    material_prior: MaterialPrior,
+    known: &PlannerView,
     truth: &TruthScene,
     robot: &RobotConfig,
     seed: Seed,
@@ -152,15 +154,15 @@ fn plan_all(
     cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
     let mut result = BilliardsScene {
-        key: bench.key(fixed, told),
+        key: bench.key(fixed, material_prior),
         number: fixed.number,
         layout: fixed.layout,
-        told,
+        material_prior,
         geometry: bench.geometry,
         idle_m: idle_m(truth),
         objects: truth.objects.len(),
-        matched: seen.matched,
-        strays: seen.strays,
+        matched: known.matched,
+        strays: known.strays,
         problem: None,
         paper_problem: None,
         plans: BTreeMap::new(),
@@ -169,11 +171,11 @@ fn plan_all(
         unfinished: BTreeMap::new(),
         not_run: BTreeMap::new(),
         cpu_s: BTreeMap::new(),
-        drawing: drawing(seen, truth)?,
+        drawing: drawing(known, truth)?,
         ablation: None,
     };
     for row in Row::ALL.into_iter().rev().filter(|row| bench.rows.contains(row)) {
-        let view = View { task: &seen.task, scene: seen.scene_of(row) };
+        let view = View { task: &known.task, scene: known.scene_of(row) };
         match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
             Ok(planned) => {
                 result.plans.insert(row, planned.shots);
@@ -183,7 +185,7 @@ fn plan_all(
                     result.drawing.predicted = ways(&motion);
                 }
             }
-            // A ball that was not reconstructed, or that is no sphere: there is nothing to strike.
+            // A ball that was not reconstructed, or not as a sphere: there is nothing to strike.
             Err(BenchError::Plan(PlanError::Task(TaskError::Input(e)))) => {
                 let problem = if row == Row::Paper { &mut result.paper_problem } else { &mut result.problem };
                 *problem = Some(e.to_string());
@@ -196,20 +198,20 @@ fn plan_all(
     Ok(result)
 }
 
-/// What stands there, as planned and in truth.
-fn drawing(seen: &Seen, truth: &TruthScene) -> Result<Drawing, BenchError> {
+/// Outlines of the scene, as planned and in truth.
+fn drawing(known: &PlannerView, truth: &TruthScene) -> Result<Drawing, BenchError> {
     let mut real = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
-    let x_wt = seen.scene.x_world_recording;
+    let x_wt = known.scene.x_world_recording;
     for body in &mut real.bodies {
         body.x_wb = x_wt * body.x_wb;
     }
-    let resolved = seen.task.resolve(&seen.scene).ok();
+    let resolved = known.task.resolve(&known.scene).ok();
     let goal = DVec2::from_array(truth.goal_w).extend(0.0);
     Ok(Drawing {
         goal_w: Some(x_wt.transform_point(goal).truncate().to_array()),
         balls: resolved.map(|t| [t.cue().name.clone(), t.target().name.clone()]),
         true_balls: [truth.cue.clone(), truth.target.clone()],
-        planned: outlines(&seen.scene),
+        planned: outlines(&known.scene),
         truth: outlines(&real),
         ..Drawing::default()
     })
@@ -266,24 +268,24 @@ pub(super) mod tests {
     #[test]
     fn runs_go_on_where_they_were_and_shards_meet() {
         let dir = tempfile::tempdir().unwrap();
-        let told = Mutex::new(Vec::new());
+        let material_prior = Mutex::new(Vec::new());
         let run = |bench: &BilliardsBench| {
-            let note = |s: &BilliardsScene| told.lock().unwrap().push(s.clone());
+            let note = |s: &BilliardsScene| material_prior.lock().unwrap().push(s.clone());
             run_billiards(bench, &note, &NoProgress, &Cancel::new()).unwrap();
-            told.lock().unwrap().drain(..).collect::<Vec<_>>()
+            material_prior.lock().unwrap().drain(..).collect::<Vec<_>>()
         };
         let (one, two) = (tiny(dir.path(), &[1]), tiny(dir.path(), &[3]));
         let first = run(&one);
         run(&two);
         assert_eq!(read_billiards(&one).unwrap().iter().map(|s| s.number).collect::<Vec<_>>(), [1, 3]);
 
-        // A finished scene is not run again: what the file says is what comes back.
-        let path = one.file(&one.scenes[0], MaterialsTold::Class);
+        // A finished scene is not run again: the result is the file's.
+        let path = one.file(&one.scenes[0], MaterialPrior::Class);
         let mut marked = first[0].clone();
         marked.seconds.insert(Row::Grid, 77.0);
         atomic::write_json(&path, &marked).unwrap();
         assert_eq!(run(&one)[0].seconds[&Row::Grid], 77.0);
-        // Without its engine, it is carried out again and not planned again.
+        // Without its engine, it is executed again and not planned again.
         marked.realised.clear();
         atomic::write_json(&path, &marked).unwrap();
         let again = run(&one);
@@ -337,11 +339,11 @@ pub(super) mod tests {
         let ablation = all[0].ablation.as_ref().unwrap();
         assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier_f64", Replaced::ALL.len()));
         for row in [Row::Ours, Row::Robust] {
-            // Nothing differs: neither what is known nor the engine nor its step.
+            // Nothing differs: neither the planner's knowledge, the engine, nor its step.
             let of = &ablation.rows[&Replaced::All][&row];
             let realised = of.realised_m[0].unwrap();
             assert!((realised - of.predicted_m[0]).abs() < 1e-5, "{realised} {:?}", of.predicted_m);
-            // Nothing replaced is what was run anyway.
+            // `None` repeats the plain run.
             let none = &ablation.rows[&Replaced::None][&row];
             assert_eq!(none.realised_m[0], all[0].realised["rapier_f64"][&row][0]);
         }
@@ -353,15 +355,15 @@ pub(super) mod tests {
             }
         }
         // A finished ablation is not made again.
-        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        let before = std::fs::metadata(bench.file(&bench.scenes[0], MaterialPrior::Class)).unwrap();
         run();
-        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialsTold::Class)).unwrap();
+        let after = std::fs::metadata(bench.file(&bench.scenes[0], MaterialPrior::Class)).unwrap();
         assert_eq!(before.modified().unwrap(), after.modified().unwrap());
 
         write_pictures(dir.path(), &all, "a < b").unwrap();
         let page = std::fs::read_to_string(dir.path().join("index.html")).unwrap();
         assert!(page.contains("a &lt; b") && page.contains("row ours") && page.contains("row paper"));
-        // Each body of the true scene is drawn in the picture of what was realised, and the balls leave ghosts.
+        // The picture of the realised shot draws each body of the true scene, and ghosts of the balls.
         let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
         let picture = std::fs::read_to_string(picture).unwrap();
         assert_eq!(picture.matches("aria-label=\"the scene from above\"").count(), 2);
@@ -373,11 +375,12 @@ pub(super) mod tests {
     fn a_shot_that_is_not_finished_says_why() {
         let dir = tempfile::tempdir().unwrap();
         let bench = tiny(dir.path(), &[1]);
-        let (fixed, told) = (bench.scenes[0], MaterialsTold::Class);
+        let (fixed, material_prior) = (bench.scenes[0], MaterialPrior::Class);
         let truth = fixed.generate();
         let robot = robot_of(&truth);
-        let seen = see(&bench, &fixed, &truth, told, &NoProgress, &Cancel::new()).unwrap();
-        let view = View { task: &seen.task, scene: &seen.scene };
+        let known =
+            planner_view(&bench, &fixed, &truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
+        let view = View { task: &known.task, scene: &known.scene };
         let table = Table { target: &SameEngineTarget, truth: &truth, robot: &robot, idle_m: 0.2 };
         // Faster than any arm.
         let fast = Shot { action: Some(Action(vec![60.0, 0.0, 0.0, 0.0])), ..Shot::nothing(0.01) };
@@ -408,18 +411,19 @@ pub(super) mod tests {
         let dir = tempfile::tempdir().unwrap();
         let bench = tiny(dir.path(), &[8]);
         let fixed = bench.scenes[0];
-        let plans = |truth: &TruthScene, told| {
-            let seen = see(&bench, &fixed, truth, told, &NoProgress, &Cancel::new()).unwrap();
+        let plans = |truth: &TruthScene, material_prior| {
+            let known =
+                planner_view(&bench, &fixed, truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
             let robot = robot_of(truth);
             let make = |row| {
-                let view = View { task: &seen.task, scene: seen.scene_of(row) };
+                let view = View { task: &known.task, scene: known.scene_of(row) };
                 make(&bench, view, row, 2, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap().shots
             };
             Row::ALL.map(make)
         };
         let truth = fixed.generate();
         let other = redraw_materials(&truth, Seed(9));
-        assert_eq!(plans(&truth, MaterialsTold::Class), plans(&other, MaterialsTold::Class));
-        assert_ne!(plans(&truth, MaterialsTold::Truth), plans(&other, MaterialsTold::Truth));
+        assert_eq!(plans(&truth, MaterialPrior::Class), plans(&other, MaterialPrior::Class));
+        assert_ne!(plans(&truth, MaterialPrior::Truth), plans(&other, MaterialPrior::Truth));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::options::ENGINES;
 use super::{BilliardsScene, Replaced, Row, Shot, billiards_metrics};
-use crate::MaterialsTold;
+use crate::MaterialPrior;
 use sms_core::metrics::Metrics;
 use sms_synth::{FIRST_DRAWN, FIXED_SCENES};
 use sms_target::TargetEngine;
@@ -19,23 +19,24 @@ const PAPER: [(&str, &str, &str, &str); 6] = [
     ("realised, worst per scene", "realised_worst_", "41.2 (22.1)", ""),
 ];
 
-/// The table of results, one block for each engine and what was told, with one line for each scene below it: those where
+/// The table of results, one block for each engine and material prior, with one line for each scene below it: those where
 /// the robust plan fares worst come first.
 pub fn billiards_table(scenes: &[BilliardsScene]) -> String {
     let metrics = billiards_metrics(scenes);
     let mut text = String::new();
-    for told in MaterialsTold::ALL {
-        let of_told: Vec<&BilliardsScene> = scenes.iter().filter(|s| s.told == told).collect();
-        if of_told.is_empty() {
-            let _ = writeln!(text, "materials {}: not run", told.as_str());
+    for material_prior in MaterialPrior::ALL {
+        let of_prior: Vec<&BilliardsScene> =
+            scenes.iter().filter(|s| s.material_prior == material_prior).collect();
+        if of_prior.is_empty() {
+            let _ = writeln!(text, "materials {}: not run", material_prior.as_str());
             continue;
         }
         // The judge first.
         for engine in ENGINES {
-            block(&mut text, &metrics, &of_told, told, engine);
+            block(&mut text, &metrics, &of_prior, material_prior, engine);
         }
-        ablation(&mut text, &of_told);
-        time(&mut text, &of_told);
+        ablation(&mut text, &of_prior);
+        time(&mut text, &of_prior);
     }
     text
 }
@@ -44,7 +45,7 @@ fn block(
     text: &mut String,
     metrics: &Metrics,
     scenes: &[&BilliardsScene],
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     engine: TargetEngine,
 ) {
     let key = engine.key();
@@ -55,8 +56,8 @@ fn block(
         let _ = writeln!(
             text,
             "{key}, materials {}: not run ({})",
-            told.as_str(),
-            why.unwrap_or("not asked for")
+            material_prior.as_str(),
+            why.unwrap_or("not requested")
         );
         return;
     }
@@ -66,7 +67,7 @@ fn block(
     let _ = writeln!(
         text,
         "{key}{same}, materials {}, geometry {geometry}: {} of {} scenes, {starts} starts; cm, mean (sd)\n  {:<28}{:>14}{:>14}{:>14}{:>14}{:>14}",
-        told.as_str(),
+        material_prior.as_str(),
         there.len(),
         if there.iter().all(|s| s.number < FIRST_DRAWN) { FIXED_SCENES.len() } else { there.len() },
         "",
@@ -78,7 +79,9 @@ fn block(
     );
     let prefix = format!("bench.billiards.{key}");
     let cell = |row: &str, name: &str| {
-        let at = |what: &str| metrics.number(&format!("{prefix}.{row}.{}.{name}{what}_m", told.as_str()));
+        let at = |what: &str| {
+            metrics.number(&format!("{prefix}.{row}.{}.{name}{what}_m", material_prior.as_str()))
+        };
         match (at("mean"), at("sd")) {
             (Some(mean), Some(sd)) => format!("{:.1} ({:.1})", 1e2 * mean, 1e2 * sd),
             _ => "-".to_owned(),
@@ -93,7 +96,7 @@ fn block(
     let _ = writeln!(text, "  {:<28}{:>14}{:>14}{single:>14}", "one robust plan, realised", "", "");
     for (label, key) in [("rollouts a start", "evaluations"), ("iterations a start", "iterations")] {
         let of = |row: &str| {
-            let value = metrics.number(&format!("{prefix}.{row}.{}.{key}", told.as_str()));
+            let value = metrics.number(&format!("{prefix}.{row}.{}.{key}", material_prior.as_str()));
             value.map_or_else(|| "-".to_owned(), |v| format!("{v:.0}"))
         };
         let _ = writeln!(text, "  {label:<28}{:>14}{:>14}{:>14}", "", of("paper"), of("ours"));
@@ -102,7 +105,7 @@ fn block(
     per_scene(text, &there, key);
 }
 
-/// What could not be planned in row `paper`, and shots that the engine could not finish, with the reasons: they count as shots that do
+/// Scenes without a plan in row `paper`, and shots that the engine could not finish, with the reasons: they count as shots that do
 /// nothing.
 fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     for s in scenes {
@@ -133,7 +136,7 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     order.sort_by(|a, b| single(b).total_cmp(&single(a)).then(a.number.cmp(&b.number)));
     let _ = writeln!(
         text,
-        "  scene            robust (told)    ours mean  best worst    paper mean  best worst    grid   seen"
+        "  scene            robust (pred.)   ours mean  best worst    paper mean  best worst    grid   matched"
     );
     for s in order {
         let spread = |row: Row| {
@@ -161,13 +164,13 @@ fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     }
 }
 
-/// What row `ours` and the robust plan are worth with one thing after another replaced by the truth.
+/// Realised objectives of row `ours` and of the robust plan with one input after another replaced by the truth.
 fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
     let there: Vec<&BilliardsScene> = scenes.iter().copied().filter(|s| s.ablation.is_some()).collect();
     let Some(first) = there.first().and_then(|s| s.ablation.as_ref()) else { return };
     let _ = writeln!(
         text,
-        "what is lost where: {} scenes, {} starts, judge {}; cm realised, means\n  {:<22}{:>12}{:>12}",
+        "ablation: {} scenes, {} starts, judge {}; cm realised, means\n  {:<22}{:>12}{:>12}",
         there.len(),
         first.starts,
         first.judge,

@@ -1,7 +1,7 @@
 //! `sms-experiments billiards`: the paper's billiards experiment.
 
 use super::gpu;
-use super::shared::{Geometry, Masks, Told, finish, nothing_there, parse_shard, with_settings};
+use super::shared::{Geometry, Masks, PriorName, finish, nothing_there, parse_shard, with_settings};
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
@@ -22,15 +22,15 @@ const QUICK: [usize; 3] = [1, 8, 18];
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct BilliardsArguments {
-    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that nobody has chosen or looked at.
+    /// Numbers of scenes, 1 to 18 (default: all, with --quick 1,8,18); from 1001 on, drawn ones that were not selected.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',')]
     pub scenes: Vec<usize>,
     /// Only every n-th of them, from the i-th (i/n, from 1).
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
-    /// What the planner is told of the true materials, one after another.
+    /// The planner's knowledge of the true materials, one value after another.
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', default_value = "class")]
-    pub materials: Vec<Told>,
+    pub materials: Vec<PriorName>,
     /// Where the planner's geometry comes from.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
@@ -74,13 +74,13 @@ pub(crate) struct BilliardsArguments {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
-    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
-    /// Run nothing: print what the folder holds.
+    /// Run nothing: print the results in the folder.
     #[arg(long)]
     pub table: bool,
 }
@@ -114,7 +114,7 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
     if a.scans_only {
         let line = |s: &FixedScene, matched: usize, objects: usize| {
             console.say(format!(
-                "scene {:>2} ({}): {matched} of {objects} objects seen",
+                "scene {:>2} ({}): {matched} of {objects} objects matched",
                 s.number,
                 s.layout.as_str()
             ));
@@ -140,13 +140,13 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
         let mut shard = Shard::new("billiards", part, bench.settings());
         let own = |s: &&BilliardsScene| bench.scenes.iter().any(|fixed| fixed.number == s.number);
         for s in found.iter().filter(own) {
-            let item = format!("{} {:02}", s.told.as_str(), s.number);
+            let item = format!("{} {:02}", s.material_prior.as_str(), s.number);
             shard.put(&item, s).context("a scene's result cannot be written")?;
         }
         shard.save_in(&bench.out)?;
     }
     show(console, &found, &bench.settings(), &bench.out)?;
-    // Said at the end and by the exit code, so that what drives parts runs this one again.
+    // Reported at the end and by the exit code, so that a driver of parts runs this one again.
     unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
@@ -170,7 +170,7 @@ fn show(
 /// The same of merged parts.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: &Path) -> anyhow::Result<()> {
     let mut found: Vec<BilliardsScene> = whole.values()?.into_iter().map(|(_, scene)| scene).collect();
-    found.sort_by_key(|s| (s.told, s.number));
+    found.sort_by_key(|s| (s.material_prior, s.number));
     show(console, &found, &whole.settings, out)
 }
 
@@ -188,8 +188,8 @@ fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsB
     bench.scan.trainer = gpu::trainer_maker(a.device)?;
     bench.scan.masks = a.masks.choice();
     bench.geometry = a.geometry.choice();
-    bench.told = a.materials.iter().map(|t| t.told()).collect();
-    if a.materials.contains(&Told::Vlm) {
+    bench.material_prior = a.materials.iter().map(|t| t.prior()).collect();
+    if a.materials.contains(&PriorName::Vlm) {
         let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
         let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
         bench.vlm = Some(Arc::new(Client::new(&config, key, bench.seed.derive("vlm"))?));
@@ -208,7 +208,7 @@ fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsB
         bench.rows = Row::ALL.into_iter().filter(|row| a.rows.iter().any(|r| r.row() == *row)).collect();
         let is_there = |row: &Row| bench.rows.contains(row);
         if bench.ablation_starts > 0 && ![Row::Ours, Row::Robust].iter().all(is_there) {
-            let what = "the ablation looks at the rows `ours` and `robust`";
+            let what = "the ablation needs the rows `ours` and `robust`";
             return Err(InputError::new(what, "--rows", "add them, or leave --ablation out").into());
         }
     }
@@ -241,14 +241,14 @@ fn scenes(a: &BilliardsArguments) -> anyhow::Result<Vec<FixedScene>> {
     Ok(scenes)
 }
 
-/// What became of one scene.
+/// Summary of one scene.
 fn scene_line(s: &BilliardsScene) -> String {
     let mean = |values: Vec<f64>| length_text(values.iter().sum::<f64>() / values.len().max(1) as f64);
     let mut line = format!(
-        "scene {:>2} ({}, {}): {} of {} objects seen",
+        "scene {:>2} ({}, {}): {} of {} objects matched",
         s.number,
         s.layout.as_str(),
-        s.told.as_str(),
+        s.material_prior.as_str(),
         s.matched,
         s.objects,
     );
@@ -257,12 +257,12 @@ fn scene_line(s: &BilliardsScene) -> String {
     }
     for engine in s.realised.keys() {
         let of = |row| s.realised_m(engine, row).map(mean);
-        let told: Vec<String> = [("ours", Row::Ours), ("one plan", Row::Robust)]
+        let material_prior: Vec<String> = [("ours", Row::Ours), ("one plan", Row::Robust)]
             .into_iter()
             .filter_map(|(name, row)| Some(format!("{name} {}", of(row)?)))
             .collect();
-        if !told.is_empty() {
-            line.push_str(&format!("; {engine} {}", told.join(", ")));
+        if !material_prior.is_empty() {
+            line.push_str(&format!("; {engine} {}", material_prior.join(", ")));
         }
     }
     line

@@ -64,12 +64,12 @@ fn checked(
     use sms_gaussians_gpu::{Choice, checked_trainer};
     let choice = index.map_or(Choice::Best, Choice::Index);
     checked_trainer(train, classes, seed, choice).map_err(|error| {
-        let cure = "`sms devices` lists what there is";
+        let cure = "`sms devices` lists the devices";
         sms_core::InputError::new(error.to_string(), "--device", cure).into()
     })
 }
 
-/// What computes scans that a benchmark keeps: `auto` is the CPU, so that figures stay comparable.
+/// Back end of kept scans: `auto` is the CPU, so that figures stay comparable.
 #[cfg(feature = "gpu")]
 pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
     Ok(match device {

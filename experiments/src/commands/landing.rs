@@ -39,7 +39,7 @@ pub(crate) struct LandingArguments {
     /// Starts on the circle (default: 10, with --quick 4).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
-    /// Also plan with noisy materials: so many draws of the noise for each structure (default: 5), four starts each.
+    /// Also plan with noisy materials: draws of the noise for each structure (default: 5), four starts each.
     #[arg(long, value_name = "DRAWS", num_args = 0..=1, default_missing_value = "5")]
     pub noisy: Option<usize>,
     /// Also let a vision-language model choose (the paper's visual prompting); server and model by SMS_VLM_URL and SMS_VLM_MODEL.
@@ -79,13 +79,13 @@ pub(crate) struct LandingArguments {
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
-    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Only scan and make the bodies. Another run, on another machine too, goes on from the folder of --keep.
+    /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
-    /// Run nothing: print what the folder holds.
+    /// Run nothing: print the results in the folder.
     #[arg(long)]
     pub table: bool,
 }
@@ -105,7 +105,7 @@ pub(crate) fn run(console: &Console, a: &LandingArguments) -> anyhow::Result<()>
             let (scene, matched, objects) = (scan.scene, scan.matched, scan.objects);
             let stands = scan.standing.as_ref().map(standing_text).unwrap_or_default();
             console.say(format!(
-                "scene {scene}: {matched} of {objects} objects seen{freed}{held}{stuck}{falling}{stands}"
+                "scene {scene}: {matched} of {objects} objects matched{freed}{held}{stuck}{falling}{stands}"
             ));
         };
         let scans = scan_landings(&bench, &line, console.context.progress.as_ref(), &console.context.cancel)?;
@@ -135,7 +135,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     show(console, &flights_of(whole)?, out)
 }
 
-/// What a part holds.
+/// The shard of a part.
 fn part_with(
     part: (usize, usize),
     bench: &LandingBench<'_>,
@@ -152,7 +152,7 @@ fn part_with(
 /// The flights of parts, in the order of a run in one piece.
 fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
     let mut found: Vec<LandingFlight> = whole.values()?.into_iter().map(|(_, flight)| flight).collect();
-    found.sort_by_key(|f| (f.told, f.scene, f.draw, f.start));
+    found.sort_by_key(|f| (f.material_prior, f.scene, f.draw, f.start));
     Ok(found)
 }
 
@@ -284,7 +284,7 @@ fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<Landi
     Ok(baseline("visual_prompting", &model, choose))
 }
 
-/// How it stands by itself and what tips it, beside the truth.
+/// Drift and tipping loads of a structure, beside the truth's.
 fn standing_text(standing: &Standing) -> String {
     let drift =
         format!("; drifts {:.2} mm, {:.2}° in 2 s", 1e3 * standing.drift_m, standing.drift_rad.to_degrees());
@@ -295,12 +295,12 @@ fn standing_text(standing: &Standing) -> String {
     };
     let unmatched = match &standing.unmatched[..] {
         [] => String::new(),
-        bodies => format!("; {} of no true object, with the mass told", bodies.join(", ")),
+        bodies => format!("; {} match no true object and keep the prior's mass", bodies.join(", ")),
     };
     format!(
         "{drift}; tips under {:.2} N at the overhang's end ({:+.0} % of the truth's {:.2} N; with true masses {:+.0} %, at most {:+.0} % \
          on its edge{unmatched})",
-        load.told_n,
+        load.planner_n,
         1e2 * end,
         load.truth_n,
         1e2 * own,
@@ -317,7 +317,7 @@ fn flight_line(f: &LandingFlight) -> String {
             format!("{name}: {}{why}", if p.success { "landed" } else { "failed" })
         })
         .collect();
-    format!("scene {}, start {}, {}: {}", f.scene, f.start, f.told.as_str(), each.join("; "))
+    format!("scene {}, start {}, {}: {}", f.scene, f.start, f.material_prior.as_str(), each.join("; "))
 }
 
 #[cfg(test)]
@@ -333,7 +333,7 @@ mod tests {
             scanned: false,
             engine: String::new(),
             start: part.start,
-            told: part.told,
+            material_prior: part.material_prior,
             draw: part.draw,
             objects: 2,
             matched: 2,
@@ -350,7 +350,7 @@ mod tests {
         let all: Vec<LandingFlight> = bench.flights().into_iter().map(flight).collect();
         assert_eq!(all.len(), 2 * 3 + 2 * 2 * 2);
         for i in 1..=3 {
-            // All parts see what is in a folder that they share, and write down their own.
+            // All parts read the folder that they share, and write their own results.
             let shard = part_with((i, 3), &bench, &all).unwrap();
             assert!(shard.items.len() < all.len());
             shard.save_in(dir.path()).unwrap();

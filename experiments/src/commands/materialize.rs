@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct MaterializeArguments {
-    /// Models whose names contain one of these words (default: all eighteen, unless --seeds are given).
+    /// Models with one of these words in their names (default: all eighteen, unless --seeds are given).
     #[arg(long, value_name = "WORDS", value_delimiter = ',')]
     pub objects: Vec<String>,
     /// Generated scenes of ten objects with these seeds.
@@ -25,17 +25,17 @@ pub(crate) struct MaterializeArguments {
     pub preset: PresetName,
     /// Masks that the scans are given.
     #[arg(long, value_enum, default_value = "auto")]
-    pub masks: BenchMasks,
+    pub masks: MaskChoiceName,
     /// Frames that are recorded of each object.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
-    /// Where scans (and in recordings/, what they are made from) are kept and meshes are written.
+    /// Folder of kept scans, of their recordings (recordings/) and of the meshes.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-meshes")]
     pub keep: PathBuf,
     /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
     #[arg(long)]
     pub rescan: bool,
-    /// What computes the scans; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Only every n-th object, from the i-th (i/n, from 1); for `sms-experiments merge`.
@@ -57,7 +57,7 @@ pub(crate) struct MaterializeArguments {
 
 /// Masks of generated scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum BenchMasks {
+pub(crate) enum MaskChoiceName {
     /// By geometry; the true ones for objects longer than its settings allow (`masks.max_object_m`).
     Auto,
     /// By geometry, as `sms scan` makes them.
@@ -166,9 +166,9 @@ fn options(console: &Console, a: &MaterializeArguments) -> anyhow::Result<Materi
     Ok(MaterializeOptions {
         bench: BenchOptions { frames: a.frames, ..with_settings(console, base)? },
         masks: match a.masks {
-            BenchMasks::Auto => MaskChoice::Auto,
-            BenchMasks::Geometry => MaskChoice::Geometry,
-            BenchMasks::Truth => MaskChoice::Truth,
+            MaskChoiceName::Auto => MaskChoice::Auto,
+            MaskChoiceName::Geometry => MaskChoice::Geometry,
+            MaskChoiceName::Truth => MaskChoice::Truth,
         },
         keep: a.keep.clone(),
         rescan: a.rescan,

@@ -20,11 +20,11 @@ pub(crate) struct MergeArguments {
 pub(crate) fn run(console: &Console, a: &MergeArguments) -> anyhow::Result<()> {
     let Merged { whole, missing, builds } = merge_shards(&a.parts)?;
     if !missing.is_empty() {
-        eprintln!("warning: parts that are missing: {}", missing.join(", "));
+        eprintln!("warning: missing parts: {}", missing.join(", "));
     }
     if builds > 1 {
         eprintln!(
-            "warning: {builds} builds of the program wrote these parts; where its code changed between them, so may what it finds"
+            "warning: {builds} builds of the program wrote these parts; results may differ where its code changed between them"
         );
     }
     let results = a.out.as_ref().map(|dir| dir.join("results.json"));

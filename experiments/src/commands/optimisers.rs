@@ -26,7 +26,7 @@ pub(crate) struct OptimisersArguments {
     /// Only every n-th seed, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Let the arm strike, which cannot make every strike, in place of the finger that gives no way.
+    /// Let the arm strike, which cannot make every strike, in place of a kinematic finger.
     #[arg(long)]
     pub arm: bool,
     /// File for the results.

@@ -13,10 +13,10 @@ const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct PhysicsArguments {
-    /// Only the probes whose names contain this.
+    /// Only experiments with this in their names.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub only: String,
-    /// Only the engines whose names contain this.
+    /// Only engines with this in their names.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub engine: String,
 }
@@ -37,7 +37,7 @@ pub(crate) fn run(console: &Console, a: &PhysicsArguments) -> anyhow::Result<()>
         let keys: Vec<&str> = engine_factories().into_iter().map(|e| e.0).collect();
         let there = if chosen.is_empty() { names } else { keys };
         return Err(sms_core::InputError::new(
-            format!("nothing has `{what}` in its name"),
+            format!("no name contains `{what}`"),
             option,
             format!("there are {}", there.join(", ")),
         )

@@ -1,6 +1,6 @@
 //! `sms-experiments robust`: realised objectives of plans in true worlds that differ from the planner's.
 
-use super::shared::{Family, Told, finish, parse_seeds, parse_shard, seeds_of, settings};
+use super::shared::{Family, PriorName, finish, parse_seeds, parse_shard, seeds_of, settings};
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 use sms_cli::front::Console;
@@ -20,10 +20,10 @@ pub(crate) struct RobustArguments {
     /// How hard they are.
     #[arg(long, value_enum, default_value = "crowded")]
     pub family: Family,
-    /// What the planner is told of the true materials.
+    /// The planner's knowledge of the true materials.
     #[arg(long, value_enum, default_value = "noisy")]
-    pub materials: Told,
-    /// True worlds per scene in which each plan is carried out.
+    pub materials: PriorName,
+    /// True worlds per scene that each plan is executed in.
     #[arg(long, value_name = "N", default_value_t = 48)]
     pub worlds: usize,
     /// Shots of the search in the true world itself, for the regret; 0 leaves it out.
@@ -33,7 +33,7 @@ pub(crate) struct RobustArguments {
     /// planner's settings). Planning for the scanned world alone costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
-    /// Let the arm strike, in planning and in the true worlds, in place of the finger that gives no way.
+    /// Let the arm strike, in planning and in the true worlds, in place of a kinematic finger.
     #[arg(long)]
     pub arm: bool,
     /// Engine of the true worlds; the planner's own is rapier.
@@ -42,8 +42,8 @@ pub(crate) struct RobustArguments {
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: what is in them is not
-    /// run again.
+    /// Results of earlier runs, interrupted ones too, or of other shards, with the same settings: their results are not
+    /// computed again.
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     pub with: Vec<PathBuf>,
     /// File for the results; written after every plan.
@@ -64,11 +64,11 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
     let part = a.shard.as_deref().map(parse_shard).transpose()?;
     let seeds = part_of(parse_seeds(&a.seeds)?, part.unwrap_or((1, 1)));
     let mut bench = RobustBench::new(seeds, a.family.family());
-    if a.materials == Told::Vlm {
+    if a.materials == PriorName::Vlm {
         let what = "a vision-language model needs pictures, and these scenes are not scanned";
         return Err(InputError::new(what, "--materials", "ask one in `sms-experiments billiards`").into());
     }
-    bench.told = a.materials.told();
+    bench.material_prior = a.materials.prior();
     bench.worlds = a.worlds.max(1);
     bench.oracle_evaluations = a.oracle;
     if let Some(path) = &a.planners {
@@ -93,7 +93,7 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
         bench.check_same(&earlier, path)?;
         known.merge(earlier);
     }
-    // What is done is kept at once: an interrupted run goes on with `--with` this file.
+    // Results are kept at once: an interrupted run resumes with `--with` this file.
     let keep = |metrics: &Metrics| match &a.out {
         Some(out) => Ok(metrics.save(out)?),
         None => Ok(()),
@@ -123,7 +123,7 @@ pub(crate) fn run(console: &Console, a: &RobustArguments) -> anyhow::Result<()> 
 fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
     settings([
         ("family", json!(bench.family)),
-        ("materials", json!(bench.told)),
+        ("materials", json!(bench.material_prior)),
         ("worlds", json!(bench.worlds)),
         ("oracle", json!(bench.oracle_evaluations)),
         ("planners", json!(bench.planners)),
@@ -140,7 +140,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     let bench = RobustBench {
         seeds: seeds_of(whole),
         family: whole.setting("family")?,
-        told: whole.setting("materials")?,
+        material_prior: whole.setting("materials")?,
         worlds: whole.setting("worlds")?,
         planners: whole.setting("planners")?,
         oracle_evaluations: whole.setting("oracle")?,

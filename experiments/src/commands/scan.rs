@@ -43,13 +43,13 @@ pub(crate) struct ScanArguments {
     /// Share of the depth pixels that are lost at random.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub missing: f64,
-    /// Shift colour against depth by so many pixels of the loaded frames.
+    /// Shift of colour against depth, pixels of the loaded frames.
     #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
     pub color_shift_px: i64,
     /// Refine poses before masks and scan.
     #[arg(long, value_enum, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
-    /// What computes the scan; `auto` here means the CPU, so that figures stay comparable.
+    /// Device of the scan; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
     /// Neither make nor measure meshes.
@@ -67,7 +67,7 @@ pub(crate) struct ScanArguments {
     /// Where rendered recordings are kept.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
     pub cache: PathBuf,
-    /// Scan nothing; write for each scene what other programs need (frames, masks, poses, and the truth apart) to DIR.
+    /// Scan nothing; write for each scene the input of other programs (frames, masks, poses, and the truth apart) to DIR.
     #[arg(long, value_name = "DIR")]
     pub export: Option<PathBuf>,
     /// One scene in this process, results to the folder given with --out.
@@ -95,15 +95,15 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
             eprintln!("skipped {scene}: a real recording has no true poses to align a result to");
         } else if is_absent(&scene) {
             let dir = sms_experiments::real_data_dir();
-            eprintln!("skipped {scene}: there is no such recording in {} (SMS_TEST_DATA)", dir.display());
+            eprintln!("skipped {scene}: no recording of this name in {} (SMS_TEST_DATA)", dir.display());
         } else {
             present.push(scene);
         }
     }
-    // A part may be of scenes that are not here; the others are not the worse for it.
+    // A part may consist of missing scenes; the other parts are still valid.
     if present.is_empty() && part.is_none() {
         return Err(InputError::new(
-            "none of these scenes is here",
+            "none of these scenes is present",
             "--scenes",
             "give seeds, or set SMS_TEST_DATA to the folder of the real recordings",
         )
@@ -141,7 +141,7 @@ fn show_scans(
     finish(console, &metrics, out, table(&metrics, scenes, preset, baseline).trim_end())
 }
 
-/// What one part found out about its scenes.
+/// The shard of a part's figures.
 fn part_of_scans(
     part: (usize, usize),
     options: &BenchOptions,
@@ -172,7 +172,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     show_scans(console, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
 }
 
-/// Whether it is a real recording that is not here.
+/// Whether the scene's data is missing.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
         BenchScene::Billiards(_)
@@ -221,7 +221,7 @@ fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions>
         Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
     if !(0.0..1.0).contains(&a.missing) {
         return Err(
-            InputError::new("this is no share of the pixels", "--missing", "give 0 to below 1").into()
+            InputError::new("the share of pixels is out of range", "--missing", "give 0 to below 1").into()
         );
     }
     if let Some(text) = &a.pose_noise {
@@ -267,7 +267,7 @@ fn run_children(
         if !console.json {
             eprintln!("{scene} ({} of {})", i + 1, scenes.len());
         }
-        // Here, so that rendering is no part of what the scan's process uses.
+        // Here, so that the scan's process does not account for rendering.
         locate(scene, options, console.context.progress.as_ref(), &console.context.cancel)?;
         let dir = out.join(scene.to_string());
         let status = std::process::Command::new(&program)

@@ -9,8 +9,8 @@ use sms_cli::front::EngineName;
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_experiments::{
-    Shard, Solvability, SolvabilityBench, SolvedBench, part_of, run_solvability, run_solved, solved_metrics,
-    solved_table,
+    ReachabilityBench, Shard, Solvability, SolvabilityBench, part_of, reachability_metrics,
+    reachability_table, run_reachability, run_solvability,
 };
 use sms_synth::Layout;
 use sms_target::TargetEngine;
@@ -25,7 +25,7 @@ pub(crate) struct ScenesArguments {
     /// Seeds of the scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1004")]
     pub seeds: String,
-    /// Obstacles besides what a layout needs.
+    /// Obstacles besides those of the layout.
     #[arg(long, value_name = "N", default_value_t = 4)]
     pub obstacles: usize,
     /// Shots per scene.
@@ -96,11 +96,20 @@ fn scene_of(value: &Value) -> anyhow::Result<Solvability> {
 /// The fixed scenes in a target engine.
 fn run_in(console: &Console, a: &ScenesArguments, engine: TargetEngine) -> anyhow::Result<()> {
     let scenes = parse_seeds(&a.scenes)?.into_iter().map(|n| n as usize).collect();
-    let bench = SolvedBench { scenes, shots: a.shots.max(1), ..SolvedBench::default() };
+    let bench = ReachabilityBench { scenes, shots: a.shots.max(1), ..ReachabilityBench::default() };
     let target = engine.target()?;
-    let found =
-        run_solved(&bench, target.as_ref(), console.context.progress.as_ref(), &console.context.cancel)?;
-    finish(console, &solved_metrics(&found), a.out.as_ref(), solved_table(&found, target.label()).trim_end())
+    let found = run_reachability(
+        &bench,
+        target.as_ref(),
+        console.context.progress.as_ref(),
+        &console.context.cancel,
+    )?;
+    finish(
+        console,
+        &reachability_metrics(&found),
+        a.out.as_ref(),
+        reachability_table(&found, target.label()).trim_end(),
+    )
 }
 
 fn metrics(found: &[Solvability]) -> Metrics {

@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError};
-use sms_experiments::{BenchOptions, BilliardsGeometry, MaskChoice, MaterialsTold, SceneFamily, Shard};
+use sms_experiments::{BenchOptions, BilliardsGeometry, MaskChoice, MaterialPrior, SceneFamily, Shard};
 use std::path::{Path, PathBuf};
 
 /// How hard the scenes of a planner's benchmark are.
@@ -29,9 +29,9 @@ impl Family {
     }
 }
 
-/// What the planner is told of materials.
+/// The planner's knowledge of materials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Told {
+pub(crate) enum PriorName {
     /// The true class with the handbook's values.
     Class,
     /// The true values with the errors that vision-language models make.
@@ -40,18 +40,18 @@ pub(crate) enum Told {
     Prior,
     /// The truth.
     Truth,
-    /// What a vision-language model says of the scan's views (SMS_VLM_URL, SMS_VLM_MODEL).
+    /// Estimates of a vision-language model from the scan's views (SMS_VLM_URL, SMS_VLM_MODEL).
     Vlm,
 }
 
-impl Told {
-    pub(crate) fn told(self) -> MaterialsTold {
+impl PriorName {
+    pub(crate) fn prior(self) -> MaterialPrior {
         match self {
-            Self::Class => MaterialsTold::Class,
-            Self::Noisy => MaterialsTold::Noisy,
-            Self::Prior => MaterialsTold::Prior,
-            Self::Truth => MaterialsTold::Truth,
-            Self::Vlm => MaterialsTold::Vlm,
+            Self::Class => MaterialPrior::Class,
+            Self::Noisy => MaterialPrior::Noisy,
+            Self::Prior => MaterialPrior::Prior,
+            Self::Truth => MaterialPrior::Truth,
+            Self::Vlm => MaterialPrior::Vlm,
         }
     }
 }
@@ -92,10 +92,10 @@ impl Masks {
     }
 }
 
-/// Why there is no table.
+/// The error for a folder without results of these settings.
 pub(crate) fn nothing_there(out: &Path) -> InputError {
     InputError::new(
-        "nothing in this folder was made with these settings",
+        "the folder holds no results of these settings",
         out,
         "run it without --table, or with the settings that it was made with",
     )
@@ -140,7 +140,7 @@ pub(crate) fn parse_seeds(text: &str) -> anyhow::Result<Vec<u64>> {
 
 fn no_seeds(text: &str) -> InputError {
     InputError::new(
-        format!("`{text}` names no seeds"),
+        format!("`{text}` is not a list of seeds"),
         "--seeds",
         "give a range such as 1001..1012, or a list such as 1,2,7",
     )
@@ -175,7 +175,7 @@ pub(crate) fn read_baseline(path: &Path) -> anyhow::Result<Metrics> {
     if !path.is_file() {
         let cure = "give the results of an earlier run, as --out writes them";
         return Err(CoreError::from(InputError::new(
-            "there is no such file",
+            "the file does not exist",
             path.display().to_string(),
             cure,
         ))
@@ -190,7 +190,10 @@ pub(crate) fn parse_shard(text: &str) -> anyhow::Result<(usize, usize)> {
         text.split_once('/').and_then(|(i, n)| Some((i.trim().parse().ok()?, n.trim().parse().ok()?)));
     match parts {
         Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
-        _ => Err(InputError::new(format!("`{text}` is no shard"), "--shard", "write for example 2/4").into()),
+        _ => {
+            Err(InputError::new(format!("`{text}` is not a shard"), "--shard", "write for example 2/4")
+                .into())
+        }
     }
 }
 

@@ -1,9 +1,9 @@
 //! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures, or on drawn ones: scan,
 //! materialize, plan from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
 //!
-//! Plans are made of what the scan and the told materials give; only `run.rs` looks at the truth: for the starts, for what is told of
+//! Plans use the scan and the material prior; only `run.rs` reads the truth: for the starts, for the prior of
 //! materials, and to fly plans. Every flight is a file,
-//! so that a run goes on where it was interrupted, and shards of a run meet in one folder.
+//! so that an interrupted run resumes, and shards of a run meet in one folder.
 
 mod options;
 mod result;
@@ -12,7 +12,7 @@ mod sight;
 mod stand;
 mod table;
 
-pub use options::{LANDING_SCENES, LandingBaseline, LandingBench, LandingChoice, LandingPart};
+pub use options::{LandingBaseline, LandingBench, LandingChoice, LandingPart};
 pub use result::{LandingFlight, LandingPlanned, read_landings};
 pub use run::{LandingScan, run_landing, run_landings, scan_landings};
 pub use sight::LandingSight;

@@ -1,19 +1,18 @@
-//! What the experiment depends on.
+//! Settings of the experiment.
 
 use super::LandingSight;
-use crate::billiards::seen::no_scene;
-use crate::{BenchError, BenchScene, BilliardsGeometry, MaterializeOptions, MaterialsTold, generated};
+use crate::scenes::{LANDING_SCENES, no_scene};
+use crate::{BenchError, BenchScene, BilliardsGeometry, MaterialPrior, MaterializeOptions, generated};
 use glamx::DVec3;
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_landing::{LandingAction, LandingSettings, LandingTask};
 use sms_scene::Scene;
-use sms_synth::{LandingStructure, TruthScene, landing_structure};
+use sms_synth::{TruthScene, landing_structure};
 use sms_target::TargetEngine;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// Counts up when what is kept of a flight, or how it is made, changes.
+/// Version of the kept files; incremented when their content or its computation changes.
 const VERSION: u32 = 9;
 
 /// Platforms of scanned models are at least this high, metres: bin and table are 0.34 and 0.40 m high, lower than what is landed on
@@ -23,10 +22,7 @@ const SCANNED_HEIGHT_M: f64 = 0.3;
 /// Distance of the planner's particles in the quick run, metres.
 const QUICK_SPACING_M: f64 = 0.03;
 
-/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
-pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
-
-/// A planner to compare with, by its name in tables and keys. It is given what ours is given, and the recording.
+/// A baseline planner, by its name in tables and keys. It gets the inputs of ours, and the recording.
 pub struct LandingBaseline<'a> {
     /// The name ("geometric", "random", "visual_prompting").
     pub name: String,
@@ -36,7 +32,7 @@ pub struct LandingBaseline<'a> {
     pub choose: Box<dyn Fn(&LandingSight<'_>) -> Result<LandingChoice, BenchError> + 'a>,
 }
 
-/// What a planner to compare with chose, or why it can choose nothing there, which is a failed landing.
+/// A baseline's choice, or why it has none, which is a failed landing.
 pub type LandingChoice = Result<LandingAction, String>;
 
 /// One flight of the experiment.
@@ -46,27 +42,27 @@ pub struct LandingPart {
     pub scene: usize,
     /// Number of the start, from 0.
     pub start: usize,
-    /// What the planner is told of materials.
-    pub told: MaterialsTold,
+    /// The planner's knowledge of materials.
+    pub material_prior: MaterialPrior,
     /// Which draw of the noise; 0 where there is none.
     pub draw: usize,
 }
 
-/// What to run.
+/// Flights, planners and engine of a run.
 pub struct LandingBench<'a> {
     /// Numbers of scenes: those of [`LANDING_SCENES`], and seeds of drawn ones beyond them.
     pub scenes: Vec<usize>,
-    /// Whether scanned models stand in for what is made in code, where there are such ([`crate::models_dir`]).
+    /// Whether scanned models replace shapes made in code, if they are present ([`crate::models_dir`]).
     pub scanned: bool,
     /// Starts on the circle (paper: 10), evenly spread.
     pub starts: usize,
     /// Draws of noisy materials for each scene; 0 leaves the noisy rows out.
     pub noisy_draws: usize,
-    /// Starts for each of them.
+    /// Starts for each draw.
     pub noisy_starts: usize,
     /// Only every n-th flight, from the i-th (from 1).
     pub part: (usize, usize),
-    /// Where the planner's geometry comes from.
+    /// Source of the planner's geometry.
     pub geometry: BilliardsGeometry,
     /// How scenes are scanned, and where scans are kept.
     pub scan: MaterializeOptions,
@@ -103,7 +99,7 @@ impl LandingBench<'_> {
     }
 
     /// One scene with four starts, few frames, a smaller search, and particles of 30 mm (15 mm in the target), which cost half of those of
-    /// the whole run. The scan is of full size: 200 pixels do not tell what stands on a ladder from the ladder.
+    /// the whole run. The scan is of full size: 200 pixels do not separate a ladder from the object on it.
     pub fn quick(keep: &Path, out: impl Into<PathBuf>) -> Self {
         let mut bench = Self::new(vec![1], keep, out);
         bench.starts = 4;
@@ -120,21 +116,21 @@ impl LandingBench<'_> {
             for start in 0..self.starts {
                 // Spread over the ten starts of the scene.
                 let start = start * 10 / self.starts.max(1);
-                all.push(LandingPart { scene, start, told: MaterialsTold::Class, draw: 0 });
+                all.push(LandingPart { scene, start, material_prior: MaterialPrior::Class, draw: 0 });
             }
         }
         for &scene in &self.scenes {
             for draw in 0..self.noisy_draws {
                 for start in 0..self.noisy_starts {
                     let start = start * 10 / self.noisy_starts.max(1);
-                    all.push(LandingPart { scene, start, told: MaterialsTold::Noisy, draw });
+                    all.push(LandingPart { scene, start, material_prior: MaterialPrior::Noisy, draw });
                 }
             }
         }
         all
     }
 
-    /// What the flights depend on, besides scenes and code, for comparing parts of a run.
+    /// Settings that the flights depend on, besides scenes and code, for comparing parts of a run.
     pub fn settings(&self) -> Map<String, Value> {
         let mut map = self.scan.settings();
         let baselines: Vec<[&str; 2]> = self.baselines.iter().map(|b| [&*b.name, &*b.variant]).collect();
@@ -159,7 +155,7 @@ impl LandingBench<'_> {
         if self.scanned { BenchScene::ScannedLanding(number) } else { BenchScene::Landing(number) }
     }
 
-    /// What is true of it.
+    /// Its truth.
     pub(super) fn truth(&self, number: usize) -> Result<TruthScene, BenchError> {
         let which = self.scene(number);
         Ok(generated(&which)?.ok_or_else(|| no_scene(&which))?.scene)
@@ -182,7 +178,7 @@ impl LandingBench<'_> {
             BilliardsGeometry::Truth => None,
             BilliardsGeometry::Scan => Some((self.scan.made_from(), &self.scan.bench.entities)),
         };
-        let which = (part.scene, part.start, part.told, part.draw);
+        let which = (part.scene, part.start, part.material_prior, part.draw);
         let truth = self.truth(part.scene)?;
         Ok(hash_serializable(&(VERSION, which, truth, seen, &self.settings, self.engine.key(), self.seed)))
     }
@@ -190,13 +186,13 @@ impl LandingBench<'_> {
     /// File of a flight.
     pub(super) fn file(&self, part: LandingPart) -> PathBuf {
         let scanned = if self.scanned { "scanned-" } else { "" };
-        let folder = format!("{scanned}{}-{}", self.geometry.as_str(), part.told.as_str());
+        let folder = format!("{scanned}{}-{}", self.geometry.as_str(), part.material_prior.as_str());
         let name = format!("landing_{}_draw_{}_start_{}.json", part.scene, part.draw, part.start);
         self.out.join(folder).join(name)
     }
 }
 
-/// What a scene is called in keys: its structure's word, of drawn ones with their number, `scanned_` before it where scanned models
+/// Name of a scene in keys: its structure's word, of drawn ones with their number, prefixed by `scanned_` where scanned models
 /// stand in it.
 pub(super) fn word(number: usize, scanned: bool) -> String {
     let structure = landing_structure(number as u64).as_str();

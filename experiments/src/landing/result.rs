@@ -1,16 +1,16 @@
-//! What is kept of a flight.
+//! Kept results of a flight.
 
 use super::{LandingBench, LandingPart};
-use crate::{BenchError, MaterialsTold};
+use crate::{BenchError, MaterialPrior};
 use serde::{Deserialize, Serialize};
 use sms_core::{Hash, atomic};
 use sms_landing::LandingAction;
 use std::collections::BTreeMap;
 
-/// One planner's landing, and what became of it in the target.
+/// One planner's landing and its outcome in the target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingPlanned {
-    /// What is flown; `None` where the planner found nothing to fly, which is a failure.
+    /// The landing flown; `None` if the planner found none, which is a failure.
     pub action: Option<LandingAction>,
     /// Why nothing was planned.
     pub problem: Option<String>,
@@ -42,7 +42,7 @@ pub struct LandingPlanned {
 /// All planners' landings from one start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingFlight {
-    /// What it was made from, as a hash.
+    /// Hash of its inputs.
     pub key: Hash,
     /// Number of the scene.
     pub scene: usize,
@@ -52,11 +52,12 @@ pub struct LandingFlight {
     pub engine: String,
     /// Number of the start.
     pub start: usize,
-    /// What the planner was told of materials.
-    pub told: MaterialsTold,
+    /// The planner's knowledge of materials.
+    #[serde(rename = "told")]
+    pub material_prior: MaterialPrior,
     /// Which draw of the noise.
     pub draw: usize,
-    /// True objects of the structure, and those among them in whose place the planner's scene has a body.
+    /// True objects of the structure, and those of them that have a body in the planner's scene.
     pub objects: usize,
     /// The latter.
     pub matched: usize,
@@ -69,19 +70,24 @@ pub struct LandingFlight {
 impl LandingFlight {
     /// Which flight of the experiment it is.
     pub fn part(&self) -> LandingPart {
-        LandingPart { scene: self.scene, start: self.start, told: self.told, draw: self.draw }
+        LandingPart {
+            scene: self.scene,
+            start: self.start,
+            material_prior: self.material_prior,
+            draw: self.draw,
+        }
     }
 
-    /// What it is called in parts of a run: no two flights of a run have the same.
+    /// Unique name of the flight in parts of a run.
     pub fn item(&self) -> String {
-        format!("{} {} draw {} start {}", self.told.as_str(), self.scene, self.draw, self.start)
+        format!("{} {} draw {} start {}", self.material_prior.as_str(), self.scene, self.draw, self.start)
     }
 }
 
 /// Name of our planner's row.
 pub(super) const OURS: &str = "sms";
 
-/// What is kept of a flight; `None` where nothing is, or where it was made from something else.
+/// Reads the kept result of a flight; `None` if there is none, or of other inputs.
 pub(super) fn kept(bench: &LandingBench<'_>, part: LandingPart) -> Result<Option<LandingFlight>, BenchError> {
     let path = bench.file(part);
     if !path.is_file() {

@@ -4,8 +4,8 @@ use super::result::{OURS, kept};
 use super::sight::Recorded;
 use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
-use crate::billiards::seen::{forget_material, scanned, tell_matched};
-use crate::{BenchError, BilliardsGeometry, MaterialsTold, part_of};
+use crate::billiards::planner_view::{apply_to_matched, forget_material, scanned};
+use crate::{BenchError, BilliardsGeometry, MaterialPrior, part_of};
 use rayon::prelude::*;
 use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
@@ -23,20 +23,20 @@ use std::time::Instant;
 const ENOUGH: f64 = 1.0;
 
 /// The scene that the planner sees.
-struct Seen {
+struct LandingView {
     scene: Scene,
     matched: usize,
     /// Why nothing can be planned in it.
     refused: Option<String>,
 }
 
-/// What flights that follow each other have in common.
+/// Data shared by consecutive flights.
 #[derive(Default)]
 struct Shared {
     /// The geometry of a scene, with its number.
     geometry: Option<(usize, Scene)>,
-    /// What a flight was planned in: the same from every start, and what can move in it takes simulations to find out.
-    seen: Option<(LandingPart, Seen)>,
+    /// The scene of a flight's plan. It is the same from every start; its movable bodies are found by simulation.
+    seen: Option<(LandingPart, LandingView)>,
 }
 
 /// Runs the flights that are not in the folder yet, each of ours and of every baseline, and calls `line` after each.
@@ -55,8 +55,9 @@ pub fn run_landings(
     for part in part_of(bench.flights(), bench.part) {
         cancel.check()?;
         let kept = recorded.take().filter(|of: &Recorded<'_>| of.number() == part.scene);
-        let recorded =
-            recorded.insert(kept.unwrap_or_else(|| Recorded::new(bench, part.scene, progress, cancel)));
+        let recorded = recorded.insert(kept.unwrap_or_else(|| {
+            Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel)
+        }));
         let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, recorded, progress, cancel)?;
         if is_new {
             line(&flight);
@@ -65,14 +66,14 @@ pub fn run_landings(
     Ok(())
 }
 
-/// What a scan gives a planner of landings.
+/// Quality of a scan for the planner of landings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandingScan {
     /// Number of the scene.
     pub scene: usize,
     /// Whether scanned models stand in it, as far as there are such.
     pub scanned: bool,
-    /// True objects in whose place a body is.
+    /// Number of true objects that have a body in their place.
     pub matched: usize,
     /// True objects.
     pub objects: usize,
@@ -82,7 +83,7 @@ pub struct LandingScan {
     pub held: Vec<RestingDrift>,
     /// Bodies that have to stay fixed for another one's sake.
     pub stuck: Option<Stuck>,
-    /// Why it is no structure to land on: it falls by itself.
+    /// Why it cannot be landed on: it falls by itself.
     pub falling: Option<String>,
     /// How the structure stands and when it tips; `None` where there is no surface to land on.
     pub standing: Option<Standing>,
@@ -104,8 +105,8 @@ pub fn scan_landings(
         cancel.check()?;
         let truth = bench.truth(number)?;
         let scene = geometry_of(bench, number, &truth, progress, cancel)?;
-        let part = LandingPart { scene: number, start: 0, told: MaterialsTold::Class, draw: 0 };
-        let seen = see(scene, &truth, part)?;
+        let part = LandingPart { scene: number, start: 0, material_prior: MaterialPrior::Class, draw: 0 };
+        let seen = landing_view(scene, &truth, part)?;
         let task = bench.task(&seen.scene, &truth, part);
         let freed = task.freed(&RapierFactory, &seen.scene, &bench.settings.disturbances, bench.seed);
         let (freed, falling) = match or_why(freed)? {
@@ -128,7 +129,7 @@ pub fn scan_landings(
     Ok(scans)
 }
 
-/// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads what is kept of it.
+/// Runs one flight, whether or not it is among [`LandingBench::flights`], or reads its kept result.
 ///
 /// # Errors
 /// As [`run_landings`].
@@ -139,7 +140,7 @@ pub fn run_landing(
     cancel: &Cancel,
 ) -> Result<LandingFlight, BenchError> {
     let target = bench.engine.target()?;
-    let recorded = Recorded::new(bench, part.scene, progress, cancel);
+    let recorded = Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel);
     Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), &recorded, progress, cancel)?.0)
 }
 
@@ -162,7 +163,7 @@ fn flown(
             scanned: bench.scanned,
             engine: target.label().to_owned(),
             start: part.start,
-            told: part.told,
+            material_prior: part.material_prior,
             draw: part.draw,
             objects: 0,
             matched: 0,
@@ -190,7 +191,7 @@ fn flown(
                 }
                 let planned = match choose(bench, &name, &sight, cancel) {
                     Ok(planned) => planned,
-                    // What was chosen before is flown and kept all the same, but for who wants to stop.
+                    // Earlier choices are still flown and kept, unless the user interrupts.
                     Err(e) if cancel.check().is_ok() => {
                         failed = Some(e);
                         break;
@@ -221,7 +222,7 @@ fn flown(
 }
 
 impl Shared {
-    /// The scene that a flight is planned in, with what can move freed.
+    /// The scene that a flight is planned in, with its movable bodies freed.
     fn seen(
         &mut self,
         bench: &LandingBench<'_>,
@@ -229,7 +230,7 @@ impl Shared {
         truth: &TruthScene,
         progress: &dyn Progress,
         cancel: &Cancel,
-    ) -> Result<&Seen, BenchError> {
+    ) -> Result<&LandingView, BenchError> {
         let any_start = LandingPart { start: 0, ..part };
         let kept = self.seen.take().filter(|(of, _)| *of == any_start);
         let seen = match kept {
@@ -240,14 +241,16 @@ impl Shared {
                     Some((_, scene)) => scene,
                     None => geometry_of(bench, part.scene, truth, progress, cancel)?,
                 };
-                let Seen { scene, matched, .. } = see(geometry.clone(), truth, part)?;
+                let LandingView { scene, matched, .. } = landing_view(geometry.clone(), truth, part)?;
                 self.geometry = Some((part.scene, geometry));
                 cancel.check()?;
                 let task = bench.task(&scene, truth, any_start);
                 let freed = task.freed(&RapierFactory, &scene, &bench.settings.disturbances, bench.seed);
                 match or_why(freed)? {
-                    Ok(freed) => Seen { scene: freed.map_or(scene, |f| f.scene), matched, refused: None },
-                    Err(why) => Seen { scene, matched, refused: Some(why) },
+                    Ok(freed) => {
+                        LandingView { scene: freed.map_or(scene, |f| f.scene), matched, refused: None }
+                    }
+                    Err(why) => LandingView { scene, matched, refused: Some(why) },
                 }
             }
         };
@@ -255,7 +258,7 @@ impl Shared {
     }
 }
 
-/// What was found, or why the scene is none to land in, which is a result.
+/// The plan, or why the scene cannot be landed in, which is a result.
 fn or_why<T>(found: Result<T, LandingError>) -> Result<Result<T, String>, BenchError> {
     match found {
         Err(e) if e.input().is_some() => Ok(Err(e.to_string())),
@@ -265,7 +268,7 @@ fn or_why<T>(found: Result<T, LandingError>) -> Result<Result<T, String>, BenchE
 
 /// The planners of a flight.
 fn names(bench: &LandingBench<'_>, part: LandingPart) -> Vec<String> {
-    let others = bench.baselines.iter().filter(|_| part.told == MaterialsTold::Class);
+    let others = bench.baselines.iter().filter(|_| part.material_prior == MaterialPrior::Class);
     std::iter::once(OURS.to_owned()).chain(others.map(|b| b.name.clone())).collect()
 }
 
@@ -303,11 +306,11 @@ fn geometry_of(
     }
 }
 
-/// The same with what is told.
-fn see(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<Seen, BenchError> {
+/// The same with the material prior.
+fn landing_view(mut scene: Scene, truth: &TruthScene, part: LandingPart) -> Result<LandingView, BenchError> {
     let seed = truth.seed.derive_index("landing materials", part.draw as u64);
-    let matched = tell_matched(&mut scene, truth, part.told, seed)?;
-    Ok(Seen { scene, matched, refused: None })
+    let matched = apply_to_matched(&mut scene, truth, part.material_prior, seed)?;
+    Ok(LandingView { scene, matched, refused: None })
 }
 
 impl LandingPlanned {
@@ -371,7 +374,7 @@ fn choose(
     Ok(LandingPlanned { plan_cpu_s: cpu_since(began), variant: variant(bench, name).to_owned(), ..planned })
 }
 
-/// Flies what several planners chose, side by side: a flight alone leaves cores idle, since air and bodies take turns.
+/// Flies the choices of several planners side by side: a flight alone leaves cores idle, since air and bodies take turns.
 fn fly(
     bench: &LandingBench<'_>,
     chosen: &mut [(String, LandingPlanned)],
@@ -400,7 +403,7 @@ fn fly(
         planned.jet_success = done.second_opinion.map(|o| o.is_success());
         Ok::<(), TargetError>(())
     })?;
-    // What each of them took cannot be told apart.
+    // The time of each cannot be separated.
     let each = cpu_since(began) / flights.max(1) as f64;
     chosen.iter_mut().filter(|(_, p)| p.action.is_some()).for_each(|(_, p)| p.target_cpu_s = each);
     Ok(())

@@ -1,9 +1,9 @@
-//! What a planner to compare with may look at: what ours looks at, and the recording.
+//! Inputs of a baseline planner: those of ours, and the recording.
 
-use super::LandingBench;
 use crate::BenchError;
-use crate::billiards::seen::no_scene;
-use crate::prepare::locate;
+use crate::options::BenchOptions;
+use crate::recordings::locate;
+use crate::scenes::{BenchScene, no_scene};
 use sms_core::{Cancel, Progress, Seed, Warnings};
 use sms_eval::carried;
 use sms_frames::{Frame, Recording, load};
@@ -34,7 +34,8 @@ impl LandingSight<'_> {
 
 /// A scene's recording, read when it is first asked for.
 pub(super) struct Recorded<'a> {
-    bench: &'a LandingBench<'a>,
+    options: &'a BenchOptions,
+    scene: BenchScene,
     number: usize,
     progress: &'a dyn Progress,
     cancel: &'a Cancel,
@@ -43,12 +44,13 @@ pub(super) struct Recorded<'a> {
 
 impl<'a> Recorded<'a> {
     pub(super) fn new(
-        bench: &'a LandingBench<'a>,
+        options: &'a BenchOptions,
+        scene: BenchScene,
         number: usize,
         progress: &'a dyn Progress,
         cancel: &'a Cancel,
     ) -> Self {
-        Self { bench, number, progress, cancel, frames: OnceCell::new() }
+        Self { options, scene, number, progress, cancel, frames: OnceCell::new() }
     }
 
     /// Number of the scene.
@@ -60,9 +62,9 @@ impl<'a> Recorded<'a> {
         if let Some(frames) = self.frames.get() {
             return Ok(frames);
         }
-        let options = &self.bench.scan.bench;
-        let which = self.bench.scene(self.number);
-        let dir = locate(&which, options, self.progress, self.cancel)?.ok_or_else(|| no_scene(&which))?;
+        let options = self.options;
+        let dir =
+            locate(&self.scene, options, self.progress, self.cancel)?.ok_or_else(|| no_scene(&self.scene))?;
         let recording = Recording::open(&dir, &options.read)?;
         let mut sequence = load(&recording, &options.load, self.progress, self.cancel, &Warnings::new())?;
         // The planner's scene may be the truth itself, which lies as the recording has it.

@@ -1,4 +1,4 @@
-//! Whether what was scanned stands as it does in truth, and tips under the same load.
+//! Comparison of a scanned structure's stability and tipping loads with the truth's.
 
 use crate::BenchError;
 use glamx::DVec2;
@@ -21,29 +21,29 @@ pub struct EdgeLoad {
     pub p_w: DVec2,
     /// By statics of the true contacts.
     pub truth_n: f64,
-    /// In the planner's world, with the masses that it was told.
-    pub told_n: f64,
-    /// In the planner's world with the true masses: what is left is geometry.
+    /// In the planner's world, with the masses of its prior.
+    pub planner_n: f64,
+    /// In the planner's world with the true masses: the rest of the error is geometry.
     pub true_masses_n: f64,
 }
 
 /// How a scanned structure stands.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Standing {
-    /// How far the body that comes farthest comes by itself in 2 s, metres.
+    /// Largest drift of a body in 2 s without a load, metres.
     pub drift_m: f64,
-    /// The most that one turns by itself in 2 s, radians.
+    /// Largest turn of a body in 2 s without a load, radians.
     pub drift_rad: f64,
     /// The load at the overhang's end, where less than three quadrotors tip the platform there in truth.
     pub end: Option<EdgeLoad>,
     /// Loads at corners of the platform and in the middles of its edges, as far as less than that tips it there in truth.
     pub edges: Vec<EdgeLoad>,
-    /// Bodies of the structure that are no true object's: their masses are as they were told in [`EdgeLoad::true_masses_n`] too.
+    /// Bodies of the structure that match no true object: they keep the prior's masses in [`EdgeLoad::true_masses_n`], too.
     pub unmatched: Vec<String>,
 }
 
 impl Standing {
-    /// Share by which the load at the overhang's end differs from the truth, with the masses told and with the true ones; infinite where
+    /// Relative error of the load at the overhang's end, with the prior's masses and with the true ones; infinite where
     /// no load tips it.
     pub fn end_errors(&self) -> Option<[f64; 2]> {
         self.end.as_ref().map(EdgeLoad::errors)
@@ -71,11 +71,13 @@ impl Standing {
         // JSON has no infinity: where nothing tips the scanned structure its error is null, and counted here.
         set("tipping_points", self.loads().count() as f64);
         let held = |of: fn(&EdgeLoad) -> f64| self.loads().filter(|l| of(l).is_infinite()).count() as f64;
-        set("tipping_points_held", held(|l| l.told_n));
+        set("tipping_points_held", held(|l| l.planner_n));
         set("tipping_points_held_true_masses", held(|l| l.true_masses_n));
         set("unmatched_bodies", self.unmatched.len() as f64);
-        let told = [("end", self.end_errors()), ("worst", self.worst_errors())];
-        for (which, [error, geometry]) in told.into_iter().filter_map(|(which, e)| Some((which, e?))) {
+        let material_prior = [("end", self.end_errors()), ("worst", self.worst_errors())];
+        for (which, [error, geometry]) in
+            material_prior.into_iter().filter_map(|(which, e)| Some((which, e?)))
+        {
             set(&format!("tipping_load_{which}_error"), error);
             set(&format!("tipping_load_{which}_error_true_masses"), geometry);
         }
@@ -84,7 +86,7 @@ impl Standing {
 
 impl EdgeLoad {
     fn errors(&self) -> [f64; 2] {
-        [self.told_n, self.true_masses_n].map(|n| n / self.truth_n - 1.0)
+        [self.planner_n, self.true_masses_n].map(|n| n / self.truth_n - 1.0)
     }
 }
 
@@ -107,7 +109,7 @@ pub(super) fn standing(
     found.unmatched = structure.iter().filter(|body| !matched.contains(body)).cloned().collect();
     let test = LoadTest { most_n: 4.0 * MOST_N, ..LoadTest::default() };
     let load_at = |p_w: DVec2| -> Result<Option<EdgeLoad>, BenchError> {
-        // What would topple without a load has no share of it.
+        // A structure that topples without a load has no relative error.
         let tips = |n: &f64| *n > 0.0 && *n < MOST_N;
         let Some(truth_n) = truth.tipping_load_n(p_w).filter(tips) else { return Ok(None) };
         let at_w = scene.x_world_recording.transform_point(p_w.extend(landing.top_m));
@@ -115,7 +117,7 @@ pub(super) fn standing(
             let load = tipping_load_n(&RapierFactory, scene, platform, at_w, &test);
             load.map(|n| n.unwrap_or(f64::INFINITY)).map_err(LandingError::from)
         };
-        Ok(Some(EdgeLoad { p_w, truth_n, told_n: load(&scene)?, true_masses_n: load(&weighed)? }))
+        Ok(Some(EdgeLoad { p_w, truth_n, planner_n: load(&scene)?, true_masses_n: load(&weighed)? }))
     };
     found.end = load_at(landing.end_w.into())?;
     for p_w in edge_points(landing) {
@@ -156,7 +158,7 @@ mod tests {
     use super::*;
     use sms_synth::LandingStructure;
 
-    /// With true geometry and masses the planner's engine agrees with statics; what is heavier by a fifth bears a fifth more.
+    /// With true geometry and masses the planner's engine agrees with statics; a structure heavier by a fifth bears a fifth more.
     #[test]
     fn true_structures_tip_under_the_loads_of_statics() {
         for structure in LandingStructure::ALL {
@@ -176,11 +178,16 @@ mod tests {
             for l in found.loads() {
                 println!(
                     "{} {:.2}: {:.2} {:.2} {:.2}",
-                    truth.name, l.p_w, l.truth_n, l.told_n, l.true_masses_n
+                    truth.name, l.p_w, l.truth_n, l.planner_n, l.true_masses_n
                 );
             }
-            let ([told, own], [_, worst]) = (found.end_errors().unwrap(), found.worst_errors().unwrap());
-            assert!((told - 0.2).abs() < 0.06 && own.abs() < 0.05, "{}: {told}, {own}", truth.name);
+            let ([material_prior, own], [_, worst]) =
+                (found.end_errors().unwrap(), found.worst_errors().unwrap());
+            assert!(
+                (material_prior - 0.2).abs() < 0.06 && own.abs() < 0.05,
+                "{}: {material_prior}, {own}",
+                truth.name
+            );
             assert!(worst.abs() < 0.08, "{}: {worst}", truth.name);
         }
     }

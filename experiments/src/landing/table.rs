@@ -2,8 +2,9 @@
 
 use super::options::word;
 use super::result::OURS;
-use super::{LANDING_SCENES, LandingFlight, LandingPlanned, LandingScan};
-use crate::MaterialsTold;
+use super::{LandingFlight, LandingPlanned, LandingScan};
+use crate::MaterialPrior;
+use crate::scenes::LANDING_SCENES;
 use sms_core::metrics::Metrics;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -20,12 +21,12 @@ const PROMPTING: &str = "visual_prompting";
 fn of<'a>(
     flights: &'a [LandingFlight],
     scene: Option<usize>,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     name: &str,
 ) -> Vec<&'a LandingPlanned> {
     flights
         .iter()
-        .filter(|f| f.told == told && scene.is_none_or(|s| s == f.scene))
+        .filter(|f| f.material_prior == material_prior && scene.is_none_or(|s| s == f.scene))
         .filter_map(|f| f.planned.get(name))
         .collect()
 }
@@ -50,7 +51,7 @@ fn baselines(flights: &[LandingFlight]) -> BTreeSet<&str> {
 /// `bench.landing.mean.…`.
 pub fn landing_metrics(flights: &[LandingFlight]) -> Metrics {
     let mut metrics = Metrics::new();
-    let (class, noisy) = (MaterialsTold::Class, MaterialsTold::Noisy);
+    let (class, noisy) = (MaterialPrior::Class, MaterialPrior::Noisy);
     let mut figures: Vec<(String, Vec<f64>)> = Vec::new();
     let scanned = flights.iter().any(|f| f.scanned);
     let mean_word = if scanned { "scanned_mean" } else { "mean" };
@@ -117,7 +118,7 @@ fn scenes(flights: &[LandingFlight]) -> BTreeSet<usize> {
     flights.iter().map(|f| f.scene).collect()
 }
 
-/// Success by scene, beside the paper's (whose four scenes are its own: its rows are for the mean).
+/// Success by scene, beside the paper's (its four scenes differ: compare the means only).
 pub fn landing_table(flights: &[LandingFlight]) -> String {
     let mut text = String::new();
     let percent = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.0} %", 100.0 * v));
@@ -132,18 +133,18 @@ pub fn landing_table(flights: &[LandingFlight]) -> String {
             let _ = writeln!(text, "  {label:<35}{cells}{:>12}", percent(Some(all)));
         }
     };
-    let each = |told, name: &str| -> Vec<Option<f64>> {
-        scenes.iter().map(|n| rate(&of(flights, Some(*n), told, name))).collect()
+    let each = |material_prior, name: &str| -> Vec<Option<f64>> {
+        scenes.iter().map(|n| rate(&of(flights, Some(*n), material_prior, name))).collect()
     };
-    row("ours, materials class", &each(MaterialsTold::Class, OURS));
-    row("ours, materials noisy", &each(MaterialsTold::Noisy, OURS));
+    row("ours, materials class", &each(MaterialPrior::Class, OURS));
+    row("ours, materials noisy", &each(MaterialPrior::Noisy, OURS));
     let jet = |scene: &usize| {
-        let own = of(flights, Some(*scene), MaterialsTold::Class, OURS);
+        let own = of(flights, Some(*scene), MaterialPrior::Class, OURS);
         mean(own.iter().filter_map(|l| Some(f64::from(u8::from(l.jet_success?)))))
     };
     row("ours, target's wash a jet", &scenes.iter().map(jet).collect::<Vec<_>>());
     for name in baselines(flights) {
-        row(&format!("{} (baseline)", name.replace('_', " ")), &each(MaterialsTold::Class, name));
+        row(&format!("{} (baseline)", name.replace('_', " ")), &each(MaterialPrior::Class, name));
     }
     if !baselines(flights).contains(PROMPTING) {
         let _ = writeln!(text, "  visual prompting: not run");
@@ -162,8 +163,12 @@ pub fn landing_table(flights: &[LandingFlight]) -> String {
             "  scene {}, start {}, {}{}: {why}{air}{}",
             flight.scene,
             flight.start,
-            flight.told.as_str(),
-            if flight.told == MaterialsTold::Noisy { format!(" {}", flight.draw) } else { String::new() },
+            flight.material_prior.as_str(),
+            if flight.material_prior == MaterialPrior::Noisy {
+                format!(" {}", flight.draw)
+            } else {
+                String::new()
+            },
             own.problem.as_ref().map_or(String::new(), |p| format!(" ({p})"))
         );
     }
@@ -207,7 +212,13 @@ mod tests {
         }
     }
 
-    fn flight(scene: usize, start: usize, told: MaterialsTold, ours: bool, random: bool) -> LandingFlight {
+    fn flight(
+        scene: usize,
+        start: usize,
+        material_prior: MaterialPrior,
+        ours: bool,
+        random: bool,
+    ) -> LandingFlight {
         let planned = [(OURS, ours), ("random", random)].map(|(n, s)| (n.to_owned(), landing(s)));
         LandingFlight {
             key: Hash(String::new()),
@@ -215,7 +226,7 @@ mod tests {
             scanned: false,
             engine: "an engine".to_owned(),
             start,
-            told,
+            material_prior,
             draw: 0,
             objects: 2,
             matched: 2,
@@ -226,12 +237,12 @@ mod tests {
 
     #[test]
     fn rates_are_by_scene_and_means_are_over_scenes() {
-        let class = MaterialsTold::Class;
+        let class = MaterialPrior::Class;
         let flights = [
             flight(1, 0, class, true, false),
             flight(1, 5, class, true, true),
             flight(2, 0, class, false, false),
-            flight(2, 0, MaterialsTold::Noisy, true, true),
+            flight(2, 0, MaterialPrior::Noisy, true, true),
             flight(1001, 0, class, true, true),
         ];
         let m = landing_metrics(&flights);

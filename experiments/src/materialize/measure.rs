@@ -3,8 +3,8 @@
 use super::MaterializeOptions;
 use super::trained::{Trained, train};
 use crate::BenchError;
-use crate::prepare::Timer;
 use crate::scenes::BenchScene;
+use crate::timer::Timer;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, Warnings};
 use sms_entities::{EntitySet, build_entities};
@@ -95,7 +95,7 @@ pub fn run_materialize(
     Ok(Some(metrics))
 }
 
-/// A true object and what became of it.
+/// A true object and its reconstruction.
 struct Measured {
     name: String,
     /// Index of the entity that stands for it.
@@ -152,7 +152,7 @@ fn shape_name(shape: &EntityShape) -> &'static str {
 
 fn measure(trained: &Trained, set: &EntitySet) -> Vec<Measured> {
     let x_tw = trained.sequence.x_world_recording.inverse();
-    // Everything that was made hides: also what stands for no object.
+    // Every entity occludes, also one that matches no object.
     let mut found: Vec<(usize, TrueSurface)> = Vec::new();
     for (i, entity) in set.entities.iter().enumerate() {
         if entity.kind == EntityKind::Dynamic {

@@ -1,76 +1,17 @@
-//! Meshes of scanned models against the models: how good is what materialize makes, and how long does it take?
+//! Quality and time of materialize: meshes of scanned models against the models.
 //!
 //! A model is rendered from an orbit and scanned once ([`train`]; the result is kept on disk); each [`run_materialize`]
-//! then makes the entities anew and measures them, so that work on the entities stage is judged in seconds.
+//! then builds the entities again and measures them, so that work on the entities stage is judged in seconds.
 
 mod measure;
+mod options;
 mod table;
 mod trained;
 
 pub use measure::run_materialize;
+pub use options::{MaskChoice, MaterializeOptions};
 pub use table::{
     MaterializeTarget, add_materialize_means, materialize_markdown, materialize_table, materialize_targets,
 };
 pub(crate) use trained::scan_key;
 pub use trained::{Inputs, Trained, train};
-
-use crate::TrainerMaker;
-use crate::prepare::BenchOptions;
-use serde::Serialize;
-use serde_json::{Map, Value, json};
-use sms_gaussians::Preset;
-use std::path::{Path, PathBuf};
-
-/// Which masks a scan is given.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MaskChoice {
-    /// By geometry; the true ones for models longer than what the masks by geometry take for an object at all
-    /// (`max_object_m`), as a user would label them.
-    #[default]
-    Auto,
-    /// By geometry.
-    Geometry,
-    /// The true ones.
-    Truth,
-}
-
-/// What a measurement of materialize depends on, besides the scene.
-#[derive(Debug, Clone)]
-pub struct MaterializeOptions {
-    /// Preset, frames, masks, scan and entities. Disturbances and pose refinement are not used.
-    pub bench: BenchOptions,
-    /// Masks; decides instead of `bench.true_masks`.
-    pub masks: MaskChoice,
-    /// Where scans and resulting meshes are kept.
-    pub keep: PathBuf,
-    /// Whether scans are made again even if they are there.
-    pub rescan: bool,
-    /// What computes scans. A kept scan is used whatever computed it; its `scan.json` says what did.
-    pub trainer: TrainerMaker,
-}
-
-impl MaterializeOptions {
-    /// Scans of preset `standard` with masks by geometry, on the CPU, kept in `keep`.
-    pub fn standard(keep: &Path) -> Self {
-        Self {
-            bench: BenchOptions::new(Preset::Standard, keep.join("recordings")),
-            masks: MaskChoice::Geometry,
-            keep: keep.to_owned(),
-            rescan: false,
-            trainer: TrainerMaker::default(),
-        }
-    }
-
-    /// What scans and bodies depend on, besides scenes and code, by name; for comparing parts of a run.
-    pub fn settings(&self) -> Map<String, Value> {
-        let scan = self.bench.settings().into_iter();
-        scan.chain([("choice_of_masks", json!(self.masks))]).map(|(k, v)| (k.to_owned(), v)).collect()
-    }
-
-    /// What a scan depends on, besides scene, seed and code, for naming what was made of it.
-    pub(crate) fn made_from(&self) -> impl Serialize {
-        let (bench, true_masks) = (&self.bench, self.masks == MaskChoice::Truth);
-        (&bench.read, &bench.load, &bench.masks, true_masks, &bench.scan, bench.recorded())
-    }
-}

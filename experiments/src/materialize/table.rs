@@ -35,7 +35,7 @@ pub struct MaterializeTarget {
     pub limit: f64,
 }
 
-/// What the means over the models shall reach.
+/// Targets of the means over the models.
 pub fn materialize_targets() -> [MaterializeTarget; 3] {
     let target = |key, at_most, limit| MaterializeTarget { key, at_most, limit };
     [

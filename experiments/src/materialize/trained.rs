@@ -1,7 +1,8 @@
 //! Scans kept on disk, so that the entities stage can be measured again and again.
 
 use super::{MaskChoice, MaterializeOptions};
-use crate::prepare::{BenchOptions, prepare};
+use crate::options::BenchOptions;
+use crate::prepare::prepare;
 use crate::scenes::{BenchScene, generated, model_path};
 use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
@@ -22,10 +23,10 @@ use std::path::{Path, PathBuf};
 
 /// The scan's seed; `sms scan` has the same default.
 const SCAN_SEED: Seed = Seed(0);
-/// Counts up when the layout of what is kept changes.
+/// Version of the kept files' layout.
 const LAYOUT: u32 = 2;
 
-/// A scene that was scanned, and what is true of it.
+/// A scanned scene and its truth.
 #[derive(Debug)]
 pub struct Trained {
     /// The frames trained on.
@@ -36,7 +37,7 @@ pub struct Trained {
     pub model: GaussianModel,
     /// True surfaces in the truth's world `T`; that of the sequence is carried to it by `x_world_recording.inverse()`.
     pub surfaces: Vec<TrueSurface>,
-    /// What the cameras see of them.
+    /// Their parts that the cameras see.
     pub observed: Vec<Vec<SurfacePoint>>,
     /// The true label that each mask label stands for (as in [`match_labels`]).
     pub truth_of: Vec<u16>,
@@ -44,12 +45,12 @@ pub struct Trained {
     pub cameras_t: Vec<Camera>,
     /// Whether the masks are the true ones.
     pub true_masks: bool,
-    /// What entities are made from, measured: masks and Gaussians.
+    /// Quality of the entities' inputs: masks and Gaussians.
     pub inputs: Inputs,
 }
 
-/// How good masks and Gaussians are that entities are made from, as means over the objects: what the entities stage cannot
-/// be blamed for.
+/// Quality of the masks and Gaussians that entities are made from, as means over the objects: errors that the entities stage
+/// inherits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Inputs {
     /// Seconds of the scan.
@@ -65,7 +66,7 @@ pub struct Inputs {
 
 #[derive(Serialize, Deserialize)]
 struct Record {
-    /// What computed the scan.
+    /// Device of the scan.
     #[serde(default)]
     device: String,
     truth_of: Vec<u16>,
@@ -73,8 +74,8 @@ struct Record {
     inputs: Inputs,
 }
 
-/// Scans a generated scene, or finds the scan that is there. `None` for a model that is not there, whose scan was not kept
-/// either, and for real recordings, which have no truth.
+/// Scans a generated scene, or finds the scan that is there. `None` for a missing model without a kept scan,
+/// and for real recordings, which have no truth.
 ///
 /// # Errors
 /// [`BenchError`] of the stage that failed.

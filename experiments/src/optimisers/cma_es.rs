@@ -76,14 +76,9 @@ impl CmaEs {
         self.lambda
     }
 
-    /// Generations told.
+    /// Generations so far.
     pub(super) fn generation(&self) -> usize {
         self.generation
-    }
-
-    /// The mean.
-    pub(super) fn mean(&self) -> &[f64] {
-        &self.mean
     }
 
     /// The largest standard deviation along an axis of the distribution.
@@ -180,7 +175,7 @@ struct Run {
     history: Vec<f64>,
     /// Unmirrored points that were asked for, in the distribution's coordinates.
     asked: Vec<Vec<f64>>,
-    /// Those of this generation whose values are known, and how many of it could not be tried.
+    /// Evaluated points of this generation, and the number of points that could not be tried.
     known: Vec<(Vec<f64>, f64)>,
     refused: usize,
 }
@@ -217,7 +212,7 @@ impl CmaSearch {
 
     fn begin_next(&mut self) -> bool {
         let Some((from, steps)) = self.begins.get(self.runs.len()) else { return false };
-        // A parameter whose range is one value has no step.
+        // A parameter with a range of one value has no step.
         let steps: Vec<f64> = steps.iter().map(|s| s.max(1e-9)).collect();
         let scaled: Vec<f64> = from.x.iter().zip(&steps).map(|(x, s)| x / s).collect();
         let cma = CmaEs::new(&scaled, 1.0, self.population);
@@ -317,7 +312,7 @@ impl BatchOptimiser for CmaSearch {
         }
         run.refused = 0;
         let mut generation = std::mem::take(&mut run.known);
-        // Stable: what was drawn first comes first among equals.
+        // Stable: among equals, the first draw comes first.
         generation.sort_by(|a, b| a.1.total_cmp(&b.1));
         let (best, value) = &generation[0];
         if *value < run.record.objective {
@@ -371,7 +366,7 @@ mod tests {
         };
         let (cma, best) = minimise(ellipsoid, &[3.0, -2.0, 0.0], 150);
         assert!(best < 1e-9, "{best}");
-        assert!((cma.mean()[2] - 1.0).abs() < 1e-3);
+        assert!((cma.mean[2] - 1.0).abs() < 1e-3);
         let rosenbrock = |x: &[f64]| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2);
         let (_, best) = minimise(rosenbrock, &[-1.2, 1.0], 250);
         assert!(best < 1e-9, "{best}");

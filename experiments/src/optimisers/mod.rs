@@ -74,7 +74,7 @@ impl Entrant {
     }
 }
 
-/// What to compare.
+/// Settings of the comparison.
 #[derive(Debug, Clone)]
 pub struct OptimiserBench {
     /// Seeds of the scenes.
@@ -87,7 +87,7 @@ pub struct OptimiserBench {
     pub entrants: Vec<(String, Entrant)>,
     /// Name of the method that the others are compared with.
     pub baseline: String,
-    /// Whether the arm strikes, which cannot make every strike; else the finger that gives no way.
+    /// Whether the arm strikes, which cannot make every strike; else a kinematic finger.
     pub arm: bool,
 }
 
@@ -116,7 +116,7 @@ impl OptimiserBench {
     }
 }
 
-/// What one search found.
+/// Result of one search.
 struct Best {
     objective: f64,
     success: bool,

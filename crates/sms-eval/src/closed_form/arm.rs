@@ -1,4 +1,4 @@
-//! The arm strikes a ball: what the ball feels is the arm's effective mass.
+//! The arm strikes a ball with its effective mass.
 
 use super::scenes::{R, ball, material, simulate};
 use glamx::DVec3;
@@ -20,7 +20,7 @@ const OFFSETS: [f64; 3] = [0.0, 0.008, -0.012];
 struct Blow {
     /// Ball's speed along the sweep over (1 + e)·v/(1 + m/M) − 1, with speed v and effective mass M of the touched point.
     speed: f64,
-    /// Sum of what ball and arm received, relative.
+    /// Sum of the momenta of ball and arm, relative.
     momentum: f64,
     /// Energy of ball and arm after over before − 1.
     energy: f64,
@@ -71,7 +71,7 @@ fn blow(
     let (mut simulation, cue) = (simulate(factory, 0.0, vec![heavy(point_w + R * d, mass, e)?])?, 0);
     let striker = simulation.strike(Striker::Arm(strike.clone()), 0.0, e);
     simulation.advance(sweep.contact_s() - 1e-3)?;
-    let missing = || SimError::Body { body: "striker".into(), why: "it is no arm".into() };
+    let missing = || SimError::Body { body: "striker".into(), why: "it is not an arm".into() };
     let mut before = simulation.arm(striker).ok_or_else(missing)?.clone();
     before.advance_to(sweep.contact_s());
     let (x_wt, v_w, w_w) = before.tool();
@@ -84,7 +84,7 @@ fn blow(
     let received = simulation.received_impulse_w(striker).ok_or_else(missing)?;
     let mut after = simulation.arm(striker).ok_or_else(missing)?.clone();
     let energy_after = after.kinetic_energy() + 0.5 * mass * v.length_squared();
-    // What the motors would have given without the ball.
+    // The motors' momentum without the ball.
     before.advance_to(simulation.time_s());
     let by_motors = before.kinetic_energy() - energy;
     Ok(Blow {

@@ -265,7 +265,7 @@ mod tests {
     use super::*;
     use sms_sim::{RapierF64Factory, RapierFactory};
 
-    /// What contact timing is for: without it the same shots are off by degrees.
+    /// The reason for contact timing: without it the same shots are off by degrees.
     #[test]
     fn without_contact_timing_oblique_shots_are_bent() {
         let factories: [&dyn WorldFactory; 2] = [&RapierFactory, &RapierF64Factory];

@@ -1,4 +1,4 @@
-//! Closed-form probes that every engine goes through: what a world must get right before plans made in it mean
+//! Closed-form experiments for every engine: physics that a world must reproduce before its plans mean
 //! anything. [`probes`] lists them; tests hold each engine to [`Probe::limit`], `sms-experiments physics` prints the errors.
 //!
 //! ```
@@ -26,16 +26,16 @@ pub enum Statistic {
     Rms,
 }
 
-/// One experiment with a closed-form answer, carried out with several values.
+/// One experiment with a closed-form answer, run with several values.
 #[derive(Debug, Clone, Copy)]
 pub struct Probe {
-    /// Name, as in `bench.physics.{engine}.{name}`; ends with the unit where that is no pure number.
+    /// Name, as in `bench.physics.{engine}.{name}`; ends with the unit unless it is a pure number.
     pub name: &'static str,
-    /// What is measured, in words.
+    /// Description of the measured quantity.
     pub what: &'static str,
     /// The largest error that is good enough, in the probe's unit.
     pub limit: f64,
-    /// What `limit` is for.
+    /// The statistic that `limit` bounds.
     pub statistic: Statistic,
     run: fn(&dyn WorldFactory) -> Result<Vec<f64>, SimError>,
 }
@@ -52,7 +52,7 @@ pub struct Measured {
 }
 
 impl Probe {
-    /// Carries the experiment out.
+    /// Runs the experiment.
     ///
     /// # Errors
     /// [`SimError`] when a world cannot be built or blows up.
@@ -161,7 +161,7 @@ pub fn probes() -> &'static [Probe] {
         ),
         probe(
             "follow_through_cue_deg",
-            "direction of the cue ball, whose spin carries it forward, degrees",
+            "direction of the cue ball, which its spin carries forward, degrees",
             1.0,
             Worst,
             impacts::follow_through_cue,
@@ -175,7 +175,7 @@ pub fn probes() -> &'static [Probe] {
         ),
         probe(
             "arm_strike_momentum",
-            "momentum of that ball and what the arm received, relative",
+            "momentum of that ball and of the arm, relative",
             1e-4,
             Worst,
             arm::momentum,
@@ -222,7 +222,7 @@ pub fn probes() -> &'static [Probe] {
             Worst,
             motion::tipping_force,
         ),
-        // A quarter of what a body of an exported scene may drift in a second.
+        // A quarter of the drift that a body of an exported scene may have in a second.
         probe(
             "stack_drift_mm",
             "how far boxes of a stack of four come in 4 s, mm",

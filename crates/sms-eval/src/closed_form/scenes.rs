@@ -67,7 +67,7 @@ pub(super) fn fixed(body: Body) -> Body {
     Body { kind: BodyKind::Static, mass: None, ..body }
 }
 
-/// A world of the bodies whose bodies may not sleep.
+/// A world of bodies that may not sleep.
 pub(super) fn simulate(
     factory: &dyn WorldFactory,
     gravity: f64,

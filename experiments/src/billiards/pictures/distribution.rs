@@ -11,10 +11,10 @@ const TOP: f64 = 66.0;
 const BOTTOM: f64 = 60.0;
 /// Width of a scene's column, pixels.
 const COLUMN: f64 = 58.0;
-/// The axis ends here at most, metres; what is beyond stands at its end.
+/// Upper limit of the axis, metres; values beyond it are drawn at its end.
 const MOST_M: f64 = 0.8;
 
-/// Colour of what was predicted and of what was realised.
+/// Colours of predicted and realised values.
 const COLORS: [&str; 2] = ["#2a6fbb", "#d2691e"];
 /// The paper's means over all starts (Table 1), metres: predicted and realised, and the baseline's realised.
 const PAPER_M: [f64; 3] = [0.055, 0.205, 0.282];
@@ -166,7 +166,7 @@ fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// What the marks mean, in a line above the columns.
+/// Writes the legend in a line above the columns.
 fn legend(svg: &mut String, row: Row, engine: &str) {
     let _ = write!(
         svg,

@@ -6,7 +6,7 @@ mod motion;
 
 use super::options::ENGINES;
 use super::{BilliardsScene, Row};
-use crate::MaterialsTold;
+use crate::MaterialPrior;
 use distribution::distribution_svg;
 use motion::motion_svg;
 use sms_core::{CoreError, atomic};
@@ -24,7 +24,7 @@ struct Picture {
 }
 
 /// Writes `index.html` (one page that needs no other file) and its pictures as SVG in `figures/` into a folder: for every
-/// engine and what was told the distributions of rows `paper` and `ours`, and for the judge (the first engine that the scenes
+/// engine and material prior the distributions of rows `paper` and `ours`, and for the judge (the first engine that the scenes
 /// were carried out in) the robust plan of every scene from above, planned above realised, alone and in a gallery. `text` is
 /// shown above them.
 ///
@@ -33,43 +33,44 @@ struct Picture {
 pub fn write_pictures(dir: &Path, scenes: &[BilliardsScene], text: &str) -> Result<(), CoreError> {
     let figures = dir.join("figures");
     let mut page = String::new();
-    for told in MaterialsTold::ALL {
-        let of_told: Vec<&BilliardsScene> = scenes.iter().filter(|s| s.told == told).collect();
+    for material_prior in MaterialPrior::ALL {
+        let of_prior: Vec<&BilliardsScene> =
+            scenes.iter().filter(|s| s.material_prior == material_prior).collect();
         let engines: Vec<&str> = ENGINES
             .iter()
             .map(|e| e.key())
-            .filter(|key| of_told.iter().any(|s| s.realised.contains_key(*key)))
+            .filter(|key| of_prior.iter().any(|s| s.realised.contains_key(*key)))
             .collect();
         for engine in &engines {
             for row in [Row::Ours, Row::Paper] {
-                let Some(picture) = distribution_svg(&of_told, row, engine) else { continue };
-                let name = format!("distribution_{}_{engine}_{}.svg", row.as_str(), told.as_str());
+                let Some(picture) = distribution_svg(&of_prior, row, engine) else { continue };
+                let name = format!("distribution_{}_{engine}_{}.svg", row.as_str(), material_prior.as_str());
                 atomic::write_bytes(&figures.join(&name), picture.svg.as_bytes())?;
                 let _ = write!(
                     page,
                     "<h2>Row {}, {engine}, materials {}</h2><figure>{}</figure>",
                     row.as_str(),
-                    told.as_str(),
+                    material_prior.as_str(),
                     picture.svg
                 );
             }
         }
         let Some(judge) = engines.first() else { continue };
         let mut shown = Vec::new();
-        for s in &of_told {
+        for s in &of_prior {
             let Some(picture) = motion_svg(s, judge, WIDTH_PX) else { continue };
-            let name = format!("scene_{:02}_{judge}_{}.svg", s.number, told.as_str());
+            let name = format!("scene_{:02}_{judge}_{}.svg", s.number, material_prior.as_str());
             atomic::write_bytes(&figures.join(&name), picture.svg.as_bytes())?;
             shown.push(picture);
         }
         if let Some(gallery) = gallery(&shown) {
-            let name = format!("gallery_{judge}_{}.svg", told.as_str());
+            let name = format!("gallery_{judge}_{}.svg", material_prior.as_str());
             atomic::write_bytes(&figures.join(&name), gallery.as_bytes())?;
             let _ = write!(
                 page,
                 "<h2>The robust plan of every scene, materials {}: planned above, realised in {judge} below</h2>\
                  <figure>{gallery}</figure>",
-                told.as_str()
+                material_prior.as_str()
             );
         }
     }

@@ -1,7 +1,7 @@
-//! Materials `vlm`: what a vision-language model says of the objects of a scan.
+//! Materials `vlm`: estimates of a vision-language model for the objects of a scan.
 //!
 //! The views that a model is shown are kept beside the scanned scene, so that it can be asked later, and on another machine than the
-//! one that scanned. Nothing of the truth is in them but what the camera saw.
+//! one that scanned. They hold nothing of the truth except the camera's view.
 
 use crate::BenchError;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use std::path::Path;
 /// File of the questions in a kept scene's folder.
 const QUESTIONS: &str = "questions.json";
 
-/// What is known of a scan's objects, and what can be asked about them.
+/// Queries about a scan's objects, and the questions with pictures.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
     /// The entities in their order, then the floor.
@@ -68,7 +68,7 @@ pub(crate) fn keep_questions(
 /// # Errors
 /// [`BenchError::Input`] where the scene was kept without views; [`BenchError::Unanswered`] where the server stops answering;
 /// [`BenchError::Core`] for files and interruption.
-pub(super) fn tell_asked(
+pub(super) fn apply_vlm_materials(
     scene: &mut Scene,
     dir: &Path,
     client: &Client,
@@ -99,7 +99,7 @@ pub(super) fn tell_asked(
         .collect::<Result<_, BenchError>>()?;
     let warnings = Warnings::new();
     let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
-    // What a model cannot tell is part of what it is worth, and keeps the prior. What it was not asked in the end says nothing of it.
+    // An object that the model cannot answer keeps the prior: that is part of the model's quality. A model that was not asked has no figure.
     if let Some(why) = &asked.given_up {
         let at = client.config().url.clone();
         return Err(BenchError::Unanswered(InputError::new(why.what.clone(), at, why.cure.clone())));
@@ -116,7 +116,7 @@ pub(super) fn tell_asked(
             _ => queries[..floor].iter().position(|q| q.name == body.name),
         };
         if let Some(i) = query.filter(|i| queries[*i].estimate.is_some()) {
-            crate::told::set_material(body, materials[i].clone());
+            crate::material_prior::set_material(body, materials[i].clone());
         }
     }
     Ok(())
@@ -125,8 +125,8 @@ pub(super) fn tell_asked(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::billiards::seen::scan_dir;
-    use crate::{BenchScene, BilliardsGeometry, MaterialsTold, read_billiards, run_billiards};
+    use crate::billiards::planner_view::scan_dir;
+    use crate::{BenchScene, BilliardsGeometry, MaterialPrior, read_billiards, run_billiards};
     use sms_core::{NoProgress, PropertySource, Seed};
     use sms_scene::save_scene;
     use sms_synth::FIXED_SCENES;
@@ -135,7 +135,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-    /// Says the same of everything, so many times, and then that the key is wrong.
+    /// Gives the same answer a number of times, then refuses the key.
     struct Says(AtomicUsize);
 
     impl Transport for Says {
@@ -166,11 +166,11 @@ mod tests {
     fn what_a_model_says_is_told_and_of_what_it_was_not_asked_the_prior_stays() {
         let folder = tempfile::tempdir().unwrap();
         let mut scene = scene_from_truth(&FIXED_SCENES[1].generate()).unwrap();
-        scene.bodies.iter_mut().for_each(super::super::seen::forget_material);
+        scene.bodies.iter_mut().for_each(super::super::planner_view::forget_material);
         let before = scene.clone();
         let tell = |scene: &mut Scene, answers| {
             let cache = folder.path().join("vlm");
-            tell_asked(scene, folder.path(), &client(answers), &cache, &NoProgress, &Cancel::new())
+            apply_vlm_materials(scene, folder.path(), &client(answers), &cache, &NoProgress, &Cancel::new())
         };
         assert!(tell(&mut scene, 9).unwrap_err().to_string().contains("without views"));
 
@@ -210,11 +210,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut bench = super::super::run::tests::tiny(dir.path(), &[1]);
         bench.geometry = BilliardsGeometry::Scan;
-        bench.told = vec![MaterialsTold::Vlm, MaterialsTold::Class];
+        bench.material_prior = vec![MaterialPrior::Vlm, MaterialPrior::Class];
         bench.vlm = Some(Arc::new(client(0)));
-        // The truth for a scan, which is what its geometry would be at best.
+        // The truth in place of a scan: its geometry at best.
         let mut scene = scene_from_truth(&bench.scenes[0].generate()).unwrap();
-        scene.bodies.iter_mut().for_each(super::super::seen::forget_material);
+        scene.bodies.iter_mut().for_each(super::super::planner_view::forget_material);
         let ball = ObjectQuery { name: scene.bodies[1].name.clone(), ..ObjectQuery::default() };
         let question = KeptQuestion { query: 0, is_surface: false, jpeg: "0.jpg".into() };
         let kept = Kept { queries: vec![ball, ObjectQuery::default()], questions: vec![question] };
@@ -226,7 +226,8 @@ mod tests {
         }
         let run = || run_billiards(&bench, &|_| {}, &NoProgress, &Cancel::new()).unwrap();
         assert!(run().unwrap().to_string().contains("http://server"));
-        let ran: Vec<MaterialsTold> = read_billiards(&bench).unwrap().iter().map(|s| s.told).collect();
-        assert_eq!(ran, [MaterialsTold::Class]);
+        let ran: Vec<MaterialPrior> =
+            read_billiards(&bench).unwrap().iter().map(|s| s.material_prior).collect();
+        assert_eq!(ran, [MaterialPrior::Class]);
     }
 }

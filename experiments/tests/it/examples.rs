@@ -8,9 +8,9 @@ use sms_sim::RapierFactory;
 use sms_task::{ResolvedTask, Task};
 use std::path::Path;
 
-/// Plans an example with so many shots in the search; with its task, resolved, and its scene.
+/// Plans an example with `evaluations` shots in the search; returns the plan, the resolved task and the scene.
 fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
-    // The demo's scene, whose places and colours the examples name.
+    // The demo's scene: the examples name its places and colours.
     let scene = PlanScene::new(SceneFamily::Open, 1).unwrap().scene;
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/tasks").join(file);
     let task = Task::read(&path).unwrap().resolve(&scene).unwrap();

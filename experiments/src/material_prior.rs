@@ -1,4 +1,4 @@
-//! What the planner is told of the true materials of a generated scene.
+//! The planner's knowledge of the true materials of a generated scene.
 
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use sms_mesh::convex_hull;
 use sms_scene::{Body, BodyShape, Scene};
 use sms_synth::{TruthObject, TruthScene};
 
-/// Standard deviation of the natural logarithm of what a vision-language model says of a mass (here: of the density, the
+/// Standard deviation of the natural logarithm of a vision-language model's estimate of a mass (here: of the density, the
 /// volume being measured): a factor of two, as published tests of such models find.
 pub const DENSITY_LOG_SD: f64 = std::f64::consts::LN_2;
 /// The same of the rolling lever arm, of which nothing is published: no better known than a mass.
@@ -19,17 +19,17 @@ pub const FRICTION_ERROR: f64 = 0.2;
 pub const RESTITUTION_ERROR: f64 = 0.15;
 /// Standard deviations in that half width, for normal errors.
 const Z90: f64 = 1.645;
-/// Vertices of the hulls whose volumes are compared with bodies'.
+/// Vertices of the hulls that bodies' volumes are compared with.
 const HULL_VERTICES: usize = 256;
 /// Shares of hulls that differ by less than this are the same: the convex parts of a statue stand out of it by 6 % of its hull,
 /// and hulls of so few corners leave as much open. A hollow that a scan closed, or gaps between legs, are far more.
 const HULL_TOLERANCE: f64 = 0.15;
 
-/// What the planner is told of materials (every table names it).
+/// The planner's knowledge of materials (every table names it).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum MaterialsTold {
-    /// The true class with the handbook's values: what a good vision-language model gives.
+pub enum MaterialPrior {
+    /// The true class with the handbook's values, as from a good vision-language model.
     Class,
     /// The true values with the errors that such models make: density log-normal by [`DENSITY_LOG_SD`], rolling
     /// resistance by [`ROLLING_LOG_SD`], friction and restitution with normal errors of which 90 % are within
@@ -39,11 +39,11 @@ pub enum MaterialsTold {
     Prior,
     /// The truth, for ablations.
     Truth,
-    /// What a vision-language model says of the views of a scan. Where none can be asked, as here, the prior.
+    /// Estimates of a vision-language model from the views of a scan. Without a scan, as here, the handbook's prior.
     Vlm,
 }
 
-impl MaterialsTold {
+impl MaterialPrior {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::Class, Self::Noisy, Self::Prior, Self::Truth, Self::Vlm];
 
@@ -58,10 +58,10 @@ impl MaterialsTold {
         }
     }
 
-    /// What is told of an object in whose place `body` is. The errors of `noisy` depend on the seed and the object's name alone.
+    /// Returns the material of `body`, which stands for `object`. The errors of `noisy` depend on the seed and the object's name alone.
     ///
-    /// How full a hollow thing is, is told of its convex hull: of a bin whose inside was not seen the body has all of it, of one
-    /// whose inside was seen its walls.
+    /// The fill factor of a hollow object is relative to its convex hull. The body of a bin encloses all of the hull if its inside
+    /// was not seen, and its walls alone if it was.
     pub fn of_object(self, object: &TruthObject, body: &Body, seed: Seed) -> Material {
         let form = Form::of(body);
         let query = ObjectQuery {
@@ -83,7 +83,7 @@ impl MaterialsTold {
             && object.sphere_radius.is_none()
             && let (Some(true_hull), Some(seen)) = (hull_of(&object.mesh.vertices), form)
         {
-            // The true density is over what the true mesh encloses.
+            // The true density refers to the volume of the true mesh.
             let factor = object.mesh.volume() / true_hull.volume() / seen.hull_fill();
             if (factor - 1.0).abs() > HULL_TOLERANCE {
                 let v = material.density.value;
@@ -93,7 +93,7 @@ impl MaterialsTold {
         material
     }
 
-    /// What is told of the floor.
+    /// Returns the material of the floor.
     pub fn of_floor(self, material: &Material, seed: Seed) -> Material {
         let query = ObjectQuery {
             name: "(floor)".into(),
@@ -115,11 +115,18 @@ impl MaterialsTold {
 
 /// Tells the planner's `scene`, whose bodies have the names and volumes of the truth's, the materials; masses follow the
 /// effective densities.
-pub fn tell_materials(scene: &mut Scene, truth: &TruthScene, told: MaterialsTold, seed: Seed) {
+pub fn apply_material_prior(
+    scene: &mut Scene,
+    truth: &TruthScene,
+    material_prior: MaterialPrior,
+    seed: Seed,
+) {
     for body in &mut scene.bodies {
         let material = match truth.object(&body.name) {
-            Some(object) => told.of_object(object, body, seed),
-            None if matches!(body.shape, BodyShape::HalfSpace) => told.of_floor(&truth.floor.material, seed),
+            Some(object) => material_prior.of_object(object, body, seed),
+            None if matches!(body.shape, BodyShape::HalfSpace) => {
+                material_prior.of_floor(&truth.floor.material, seed)
+            }
             None => continue,
         };
         set_material(body, material);
@@ -129,7 +136,7 @@ pub fn tell_materials(scene: &mut Scene, truth: &TruthScene, told: MaterialsTold
 /// How much of its convex hull a body encloses.
 #[derive(Debug, Clone, Copy)]
 struct Form {
-    /// What its mass is reckoned from, m³.
+    /// Volume that the mass is computed from, m³.
     volume_m3: f64,
     hull_m3: f64,
     hull_area_m2: f64,
@@ -171,23 +178,23 @@ pub(crate) fn set_material(body: &mut Body, material: Material) {
 
 /// The values with the errors of a vision-language model, and the intervals of these errors.
 fn noisy(truth: &Material, seed: Seed) -> Material {
-    let mut told = truth.clone();
+    let mut material_prior = truth.clone();
     let rng = |what: &str| seed.derive(what).rng();
     let factor = |p: &mut Property, log_sd: f64, mut rng: sms_core::StageRng| {
         let best = p.value.best * (log_sd * standard_normal(&mut rng)).exp();
         let width = (Z90 * log_sd).exp();
         *p = Property::new(Interval::new(best, best / width, best * width), PropertySource::Vlm);
     };
-    factor(&mut told.density, DENSITY_LOG_SD, rng("density"));
-    factor(&mut told.rolling_m, ROLLING_LOG_SD, rng("rolling"));
+    factor(&mut material_prior.density, DENSITY_LOG_SD, rng("density"));
+    factor(&mut material_prior.rolling_m, ROLLING_LOG_SD, rng("rolling"));
     let shift = |p: &mut Property, error: f64, high: f64, mut rng: sms_core::StageRng| {
         let best = (p.value.best + error / Z90 * standard_normal(&mut rng)).clamp(0.0, high);
         let interval = Interval::new(best, (best - error).max(0.0), (best + error).min(high));
         *p = Property::new(interval, PropertySource::Vlm);
     };
-    shift(&mut told.friction, FRICTION_ERROR, 2.0, rng("friction"));
-    shift(&mut told.restitution, RESTITUTION_ERROR, 1.0, rng("restitution"));
-    told
+    shift(&mut material_prior.friction, FRICTION_ERROR, 2.0, rng("friction"));
+    shift(&mut material_prior.restitution, RESTITUTION_ERROR, 1.0, rng("restitution"));
+    material_prior
 }
 
 #[cfg(test)]
@@ -208,22 +215,22 @@ mod tests {
         let mut held = [0usize; 3];
         let n = 4000;
         for i in 0..n {
-            let told = noisy(material, Seed(i));
-            logs.push((told.density.value.best / material.density.value.best).ln());
+            let material_prior = noisy(material, Seed(i));
+            logs.push((material_prior.density.value.best / material.density.value.best).ln());
             let pairs = [
-                (told.density, material.density),
-                (told.friction, material.friction),
-                (told.restitution, material.restitution),
+                (material_prior.density, material.density),
+                (material_prior.friction, material.friction),
+                (material_prior.restitution, material.restitution),
             ];
-            for (k, (told, truth)) in pairs.into_iter().enumerate() {
-                let v = told.value;
+            for (k, (material_prior, truth)) in pairs.into_iter().enumerate() {
+                let v = material_prior.value;
                 held[k] += usize::from(v.low <= truth.value.best && truth.value.best <= v.high);
                 assert!(v.low <= v.best && v.best <= v.high && v.low >= 0.0);
             }
         }
         let mean = logs.iter().sum::<f64>() / n as f64;
         let sd = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / n as f64).sqrt();
-        // Five standard errors of a mean and of a standard deviation of so many.
+        // Five standard errors of the mean and of the standard deviation.
         assert!(mean.abs() < 5.0 * DENSITY_LOG_SD / (n as f64).sqrt(), "{mean}");
         assert!((sd / DENSITY_LOG_SD - 1.0).abs() < 5.0 / (2.0 * n as f64).sqrt(), "{sd}");
         for held in held {
@@ -236,14 +243,14 @@ mod tests {
     fn each_object_has_its_own_error_which_the_seed_repeats() {
         let truth = truth();
         let scene = scene_from_truth(&truth).unwrap();
-        let tell = |told, seed| {
+        let tell = |material_prior, seed| {
             let mut scene = scene.clone();
-            tell_materials(&mut scene, &truth, told, seed);
+            apply_material_prior(&mut scene, &truth, material_prior, seed);
             scene
         };
-        assert_eq!(tell(MaterialsTold::Truth, Seed(1)), scene);
-        let noisy = tell(MaterialsTold::Noisy, Seed(1));
-        assert_eq!(noisy, tell(MaterialsTold::Noisy, Seed(1)));
+        assert_eq!(tell(MaterialPrior::Truth, Seed(1)), scene);
+        let noisy = tell(MaterialPrior::Noisy, Seed(1));
+        assert_eq!(noisy, tell(MaterialPrior::Noisy, Seed(1)));
         let ratios: Vec<f64> = scene
             .bodies
             .iter()
@@ -271,12 +278,12 @@ mod tests {
             for object in &truth.objects {
                 let true_kg = object.mass.mass();
                 let body = scene.bodies.iter().find(|b| b.name == object.name).unwrap();
-                let masses = |told: MaterialsTold, volumes: f64| {
+                let masses = |material_prior: MaterialPrior, volumes: f64| {
                     let mut seen = body.clone();
                     let was = seen.mass.unwrap();
                     seen.mass =
                         MassProperties::new(was.mass() * volumes, was.com(), was.inertia() * volumes).ok();
-                    let material = told.of_object(object, &seen, Seed(3));
+                    let material = material_prior.of_object(object, &seen, Seed(3));
                     set_material(&mut seen, material);
                     let m = &seen.material;
                     let (best, kg) = (m.effective_density(), seen.mass.unwrap().mass());
@@ -285,7 +292,7 @@ mod tests {
                 };
                 let closed = hull_of(&object.mesh.vertices).unwrap().volume() / object.mesh.volume();
                 for volumes in [1.0, closed] {
-                    let [best, low, high] = masses(MaterialsTold::Class, volumes);
+                    let [best, low, high] = masses(MaterialPrior::Class, volumes);
                     // Of solid things the handbook's interval of the density is all that there is.
                     let is_in =
                         (low..high).contains(&true_kg) || object.hollow == Hollow::Solid && closed < 1.1;
@@ -294,7 +301,7 @@ mod tests {
                         "{}, {volumes:.1} of its volume: {best:.2} ({low:.2} to {high:.2}) kg, in truth {true_kg:.2}",
                         object.name
                     );
-                    let [exact, ..] = masses(MaterialsTold::Truth, volumes);
+                    let [exact, ..] = masses(MaterialPrior::Truth, volumes);
                     assert!((exact / true_kg - 1.0).abs() < 0.05, "{}: {exact} {true_kg}", object.name);
                 }
             }
@@ -305,10 +312,10 @@ mod tests {
     fn the_class_gives_the_handbook_s_values_near_the_truth() {
         let truth = truth();
         let scene = scene_from_truth(&truth).unwrap();
-        let mut told = scene.clone();
-        tell_materials(&mut told, &truth, MaterialsTold::Class, Seed(1));
+        let mut material_prior = scene.clone();
+        apply_material_prior(&mut material_prior, &truth, MaterialPrior::Class, Seed(1));
         let mut solids = 0;
-        for (a, b) in scene.bodies.iter().zip(&told.bodies) {
+        for (a, b) in scene.bodies.iter().zip(&material_prior.bodies) {
             assert_ne!(b.material.density.source, PropertySource::Prior, "{}", a.name);
             let off = b.material.friction.value.best - a.material.friction.value.best;
             assert!(off.abs() < 0.3, "{}: friction off by {off}", a.name);

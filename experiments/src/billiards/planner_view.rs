@@ -1,11 +1,12 @@
-//! The scene that the planner sees.
+//! The planner's view of a scene.
 
-use super::asked::{keep_questions, tell_asked};
+use super::vlm_materials::{apply_vlm_materials, keep_questions};
 use super::{BilliardsBench, BilliardsGeometry, Row};
+use crate::material_prior::set_material;
 use crate::materialize::scan_key;
-use crate::told::set_material;
+use crate::scenes::no_scene;
 use crate::{
-    BenchError, BenchOptions, BenchScene, MaskChoice, MaterializeOptions, MaterialsTold, generated, train,
+    BenchError, BenchOptions, BenchScene, MaskChoice, MaterialPrior, MaterializeOptions, generated, train,
 };
 use glamx::DMat3;
 use sms_core::{
@@ -24,38 +25,38 @@ use std::path::PathBuf;
 /// Seed of the entities stage; `sms materialize` has the same default.
 const SEED: Seed = Seed(0);
 
-/// A scene as the planner sees it, with the task in it.
+/// A scene as the planner knows it, with its task.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
+pub(super) struct PlannerView {
     pub(super) scene: Scene,
     /// The same scan made into bodies the paper's way, where row `paper` is planned.
     pub(super) paper: Option<Scene>,
     pub(super) task: Task,
-    /// Seed of what is told of materials.
-    pub(super) told_seed: Seed,
-    /// True objects in whose place a body is.
+    /// Seed of the material prior.
+    pub(super) prior_seed: Seed,
+    /// Number of true objects that have a body in their place.
     pub(super) matched: usize,
-    /// Bodies in whose place no object is.
+    /// Number of bodies that match no object.
     pub(super) strays: usize,
 }
 
-impl Seen {
-    /// What a row plans in.
+impl PlannerView {
+    /// The scene that a row plans in.
     pub(super) fn scene_of(&self, row: Row) -> &Scene {
         self.paper.as_ref().filter(|_| row == Row::Paper).unwrap_or(&self.scene)
     }
 }
 
-/// Makes it, or finds it where it was kept: the geometry with the prior's materials, then what is told.
-pub(super) fn see(
+/// Builds the view, or reads the kept geometry; then applies the material prior.
+pub(super) fn planner_view(
     bench: &BilliardsBench,
     fixed: &FixedScene,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     progress: &dyn Progress,
     cancel: &Cancel,
-) -> Result<Seen, BenchError> {
-    let is_asked = told == MaterialsTold::Vlm;
+) -> Result<PlannerView, BenchError> {
+    let is_asked = material_prior == MaterialPrior::Vlm;
     let has_paper = bench.rows.contains(&Row::Paper);
     let (mut scene, mut paper) = match bench.geometry {
         BilliardsGeometry::Truth if is_asked => {
@@ -70,23 +71,30 @@ pub(super) fn see(
         }
         BilliardsGeometry::Scan => {
             let which = BenchScene::Fixed(fixed.number);
-            let seen = |entities: &EntitiesConfig| {
+            let known = |entities: &EntitiesConfig| {
                 let mut scene = scanned(&bench.scan, &which, entities, progress, cancel)?;
                 if is_asked {
                     let client = bench.vlm.as_deref().ok_or_else(no_model)?;
                     let dir = scan_dir(&bench.scan, &which, entities)?;
-                    tell_asked(&mut scene, &dir, client, &bench.scan.keep.join("vlm"), progress, cancel)?;
+                    apply_vlm_materials(
+                        &mut scene,
+                        &dir,
+                        client,
+                        &bench.scan.keep.join("vlm"),
+                        progress,
+                        cancel,
+                    )?;
                 }
                 Ok::<_, BenchError>(scene)
             };
             let papers = has_paper.then_some(&bench.paper_entities);
-            (seen(&bench.scan.bench.entities)?, papers.map(seen).transpose()?)
+            (known(&bench.scan.bench.entities)?, papers.map(known).transpose()?)
         }
     };
-    let told_seed = Seed(fixed.seed);
-    let pairs = tell_matched(&mut scene, truth, told, told_seed)?;
+    let prior_seed = Seed(fixed.seed);
+    let pairs = apply_to_matched(&mut scene, truth, material_prior, prior_seed)?;
     if let Some(paper) = &mut paper {
-        tell_matched(paper, truth, told, told_seed)?;
+        apply_to_matched(paper, truth, material_prior, prior_seed)?;
     }
     let goal = truth.goal_w;
     let goal_w = scene
@@ -98,14 +106,14 @@ pub(super) fn see(
         BilliardsGeometry::Truth => {
             Billiards::new(Selector::by_name(&truth.cue), Selector::by_name(&truth.target), goal_w)
         }
-        // What a user would say.
+        // As a user would describe it.
         BilliardsGeometry::Scan => {
             Billiards::new(Selector::sphere_of_color("white"), Selector::sphere_of_color("blue"), goal_w)
         }
     };
     let bodies = scene.bodies.iter().filter(|b| is_object(b)).count();
     let task = Task::Billiards(task);
-    Ok(Seen { task, told_seed, matched: pairs, strays: bodies - pairs, scene, paper })
+    Ok(PlannerView { task, prior_seed, matched: pairs, strays: bodies - pairs, scene, paper })
 }
 
 fn no_model() -> sms_core::InputError {
@@ -116,8 +124,8 @@ fn no_model() -> sms_core::InputError {
     )
 }
 
-/// Leaves nothing of a true material: the prior takes its place, and the mass is the prior's for the same distribution. That
-/// is rounded, because the last bits of a quotient tell of the divisor.
+/// Replaces a true material by the prior, and scales the mass to it for the same distribution of mass. The result
+/// is rounded, because the last bits of a quotient depend on the divisor.
 pub(crate) fn forget_material(body: &mut Body) {
     let is_sphere = matches!(body.shape, BodyShape::Sphere { .. });
     let prior = MaterialTable::builtin().prior(is_sphere);
@@ -169,16 +177,7 @@ pub(crate) fn scanned(
     Ok(scene)
 }
 
-/// There is no such scene, or the scanned models that it is built of are not there.
-pub(crate) fn no_scene(which: &BenchScene) -> sms_core::InputError {
-    sms_core::InputError::new(
-        format!("there is no generated scene {which}"),
-        "--scenes",
-        "give numbers of scenes that there are; scanned models are looked for in meshes/ of SMS_TEST_DATA",
-    )
-}
-
-/// Where a scanned scene is kept, named by what it is made from.
+/// Folder of a kept scanned scene, named by a hash of its inputs.
 pub(super) fn scan_dir(
     scan: &MaterializeOptions,
     which: &BenchScene,
@@ -191,36 +190,36 @@ pub(super) fn scan_dir(
     Ok(scan.keep.join("scenes").join(format!("{which}-{}", &key[..12])))
 }
 
-/// Whether it is a thing of some size, fixed or not, and not the floor or the background.
+/// Whether the body is a finite object, fixed or not: neither the floor nor the background.
 pub(super) fn is_object(body: &Body) -> bool {
     !matches!(body.shape, BodyShape::HalfSpace) && (body.mass.is_some() || loose_mass(body).is_some())
 }
 
-/// Tells the materials of the bodies that lie where true objects lie; the others keep the prior. Returns how many there
-/// are. Names of the two scenes have nothing to do with each other.
-pub(crate) fn tell_matched(
+/// Applies the material prior to the bodies that lie where true objects lie; the others keep the handbook's prior. Returns the number
+/// of matched bodies. Names of the two scenes are unrelated.
+pub(crate) fn apply_to_matched(
     scene: &mut Scene,
     truth: &TruthScene,
-    told: MaterialsTold,
+    material_prior: MaterialPrior,
     seed: Seed,
 ) -> Result<usize, BenchError> {
     let mut true_scene = scene_from_truth(truth).map_err(sms_target::TargetError::from)?;
     for body in &mut true_scene.bodies {
         body.x_wb = scene.x_world_recording * body.x_wb;
     }
-    // What did not rest by itself was fixed, and is still made of something.
+    // Bodies that did not rest were fixed; they still have a material.
     let own = scene.loosened();
     let pairs = match_bodies(&own, &true_scene);
-    if told == MaterialsTold::Vlm {
-        // It was asked, not told.
+    if material_prior == MaterialPrior::Vlm {
+        // The model's estimates are already applied.
         return Ok(pairs.len());
     }
     for (body, own) in scene.bodies.iter_mut().zip(&own.bodies) {
         if matches!(body.shape, BodyShape::HalfSpace) {
-            set_material(body, told.of_floor(&truth.floor.material, seed));
+            set_material(body, material_prior.of_floor(&truth.floor.material, seed));
         } else if let Some(object) = pairs.iter().find(|p| p.0 == body.name).and_then(|p| truth.object(&p.1))
         {
-            let material = told.of_object(object, own, seed);
+            let material = material_prior.of_object(object, own, seed);
             set_material(body, material);
         }
     }
@@ -234,10 +233,10 @@ mod tests {
     use sms_scene::BodyKind;
     use sms_synth::{FIXED_SCENES, redraw_materials};
 
-    fn seen(truth: &TruthScene, told: MaterialsTold) -> Seen {
+    fn known(truth: &TruthScene, material_prior: MaterialPrior) -> PlannerView {
         let mut bench = BilliardsBench::new(vec![], std::path::Path::new("keep"), "out");
         bench.geometry = BilliardsGeometry::Truth;
-        see(&bench, &FIXED_SCENES[7], truth, told, &NoProgress, &Cancel::new()).unwrap()
+        planner_view(&bench, &FIXED_SCENES[7], truth, material_prior, &NoProgress, &Cancel::new()).unwrap()
     }
 
     #[test]
@@ -245,22 +244,25 @@ mod tests {
         let truth = FIXED_SCENES[7].generate();
         let other = redraw_materials(&truth, Seed(5));
         assert!(truth.objects.iter().zip(&other.objects).all(|(a, b)| a.mass.mass() != b.mass.mass()));
-        for told in [MaterialsTold::Class, MaterialsTold::Prior] {
-            let (a, b) = (seen(&truth, told), seen(&other, told));
+        for material_prior in [MaterialPrior::Class, MaterialPrior::Prior] {
+            let (a, b) = (known(&truth, material_prior), known(&other, material_prior));
             assert_eq!((a.scene.bodies, a.task), (b.scene.bodies, b.task));
         }
-        for told in [MaterialsTold::Noisy, MaterialsTold::Truth] {
-            assert_ne!(seen(&truth, told).scene.bodies, seen(&other, told).scene.bodies);
+        for material_prior in [MaterialPrior::Noisy, MaterialPrior::Truth] {
+            assert_ne!(
+                known(&truth, material_prior).scene.bodies,
+                known(&other, material_prior).scene.bodies
+            );
         }
     }
 
     #[test]
     fn the_truth_told_is_the_truth() {
         let truth = FIXED_SCENES[7].generate();
-        let told = seen(&truth, MaterialsTold::Truth);
-        assert_eq!((told.matched, told.strays), (truth.objects.len(), 0));
+        let material_prior = known(&truth, MaterialPrior::Truth);
+        assert_eq!((material_prior.matched, material_prior.strays), (truth.objects.len(), 0));
         for object in &truth.objects {
-            let body = told.scene.bodies.iter().find(|b| b.name == object.name).unwrap();
+            let body = material_prior.scene.bodies.iter().find(|b| b.name == object.name).unwrap();
             assert_eq!(body.material, object.material);
             assert!((body.mass.unwrap().mass() / object.mass.mass() - 1.0).abs() < 1e-6);
         }
@@ -274,7 +276,7 @@ mod tests {
         let loose = scene.bodies.iter().position(|b| b.mass.is_some() && loose_mass(b).is_some()).unwrap();
         let fixed = &mut scene.bodies[loose];
         (fixed.kind, fixed.mass) = (BodyKind::Static, None);
-        let pairs = tell_matched(&mut scene, &truth, MaterialsTold::Truth, Seed(0)).unwrap();
+        let pairs = apply_to_matched(&mut scene, &truth, MaterialPrior::Truth, Seed(0)).unwrap();
         assert_eq!(pairs, truth.objects.len());
         let fixed = &scene.bodies[loose];
         assert_eq!((fixed.kind, fixed.mass), (BodyKind::Static, None));
@@ -294,7 +296,7 @@ mod tests {
         let last = scene.bodies.len() - 1;
         scene.bodies[last].x_wb.translation.x += 3.0;
         let prior = scene.bodies[last].material.clone();
-        let pairs = tell_matched(&mut scene, &truth, MaterialsTold::Truth, Seed(0)).unwrap();
+        let pairs = apply_to_matched(&mut scene, &truth, MaterialPrior::Truth, Seed(0)).unwrap();
         assert_eq!(pairs, truth.objects.len() - 1);
         assert_eq!(scene.bodies[last].material, prior);
         for (body, name) in scene.bodies[1..last].iter().zip(&names[1..]) {

@@ -1,5 +1,5 @@
 //! Whether the fixed scenes can be solved in a target engine: the shots that brute force in the planner's engine likes best,
-//! carried out there, and a search around the best of them.
+//! executed there, and a search around the best of them.
 
 use crate::BenchError;
 use crate::solvability::{Table, Tried};
@@ -25,30 +25,30 @@ const POOR_M: f64 = 0.015;
 /// Candidates around which is searched at most.
 const SEARCHES: usize = 3;
 
-/// What to carry out.
+/// Settings of the study.
 #[derive(Debug, Clone)]
-pub struct SolvedBench {
+pub struct ReachabilityBench {
     /// Numbers of the fixed scenes, 1 to 18.
     pub scenes: Vec<usize>,
     /// Shots of the brute force in the planner's engine.
     pub shots: u64,
-    /// Best distinct ones of them that are carried out in the target.
+    /// Number of their best distinct ones that are executed in the target.
     pub candidates: usize,
-    /// Best distinct ones without a rebound that are carried out in the target, besides.
+    /// Number of the best distinct ones without a rebound that are also executed in the target.
     pub direct: usize,
     /// Shots of one search around the best.
     pub local: usize,
 }
 
-impl Default for SolvedBench {
+impl Default for ReachabilityBench {
     fn default() -> Self {
         Self { scenes: (1..=FIXED_SCENES.len()).collect(), shots: 600, candidates: 12, direct: 4, local: 40 }
     }
 }
 
-/// What was found out about one scene. Distances to the goal in metres, infinite where there is no shot.
+/// Result of one scene. Distances to the goal in metres, infinite where there is no shot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Solved {
+pub struct Reachability {
     /// 1 to 18.
     pub scene: usize,
     /// Best shot of the brute force, in the planner's engine.
@@ -63,7 +63,7 @@ pub struct Solved {
     pub best_action: Vec<f64>,
     /// Best shot without a rebound in the planner's engine.
     pub planner_direct_m: f64,
-    /// Best shot without a rebound in the target, of all that were carried out there.
+    /// Best shot without a rebound in the target, of all that were executed there.
     pub direct_m: f64,
     /// Shots in the target.
     pub target_shots: usize,
@@ -73,16 +73,16 @@ pub struct Solved {
 ///
 /// # Errors
 /// [`BenchError`]: a scene that an engine refuses, or interruption.
-pub fn run_solved(
-    bench: &SolvedBench,
+pub fn run_reachability(
+    bench: &ReachabilityBench,
     target: &dyn Target,
     progress: &dyn Progress,
     cancel: &Cancel,
-) -> Result<Vec<Solved>, BenchError> {
+) -> Result<Vec<Reachability>, BenchError> {
     let scenes: Vec<&FixedScene> = FIXED_SCENES.iter().filter(|s| bench.scenes.contains(&s.number)).collect();
     progress.begin(&format!("bench scenes: {}", target.label()), scenes.len() as u64);
     let done = AtomicU64::new(0);
-    let found: Vec<Option<Solved>> = scenes
+    let found: Vec<Option<Reachability>> = scenes
         .par_iter()
         .map(|fixed| {
             let found = look(bench, fixed, target, cancel);
@@ -95,11 +95,11 @@ pub fn run_solved(
 }
 
 fn look(
-    bench: &SolvedBench,
+    bench: &ReachabilityBench,
     fixed: &FixedScene,
     target: &dyn Target,
     cancel: &Cancel,
-) -> Result<Option<Solved>, BenchError> {
+) -> Result<Option<Reachability>, BenchError> {
     let Some(table) = Table::new(&fixed.generate())? else { return Ok(None) };
     let (planned, units) = brute_force(bench, fixed, &table, cancel)?;
     let planner_direct = distinct(&planned, &units, bench.direct, |t| t.rebounds == Some(0));
@@ -111,7 +111,7 @@ fn look(
 
     let mut simulation = table.world(target.factory(), &target.world_options(&table.task.world_options()))?;
     let mut court = Court { table: &table, simulation: &mut simulation, tried: Vec::new(), shots: 0, cancel };
-    // Candidates by what they come to in the target.
+    // Candidates by their objective in the target.
     let mut starts: Vec<(f64, usize)> = Vec::new();
     for (place, &i) in chosen.iter().enumerate() {
         let objective = court.shoot(&units[i])?;
@@ -132,7 +132,7 @@ fn look(
         of.map(|t| t.objective).fold(f64::INFINITY, f64::min)
     };
     let best = court.tried.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
-    Ok(Some(Solved {
+    Ok(Some(Reachability {
         scene: fixed.number,
         planner_m: least(&planned, false),
         candidate_m,
@@ -147,7 +147,7 @@ fn look(
 
 /// Shots of the planner's engine that reach the target ball, with their places in the unit box.
 fn brute_force(
-    bench: &SolvedBench,
+    bench: &ReachabilityBench,
     fixed: &FixedScene,
     table: &Table,
     cancel: &Cancel,
@@ -227,9 +227,9 @@ impl Court<'_> {
     }
 }
 
-/// Keys `bench.scenes.fixed_NN.{planner,candidate,best,planner_direct,direct}_m` and `….target_shots`; what does not exist
+/// Keys `bench.scenes.fixed_NN.{planner,candidate,best,planner_direct,direct}_m` and `….target_shots`; missing values
 /// has no key.
-pub fn solved_metrics(found: &[Solved]) -> Metrics {
+pub fn reachability_metrics(found: &[Reachability]) -> Metrics {
     let mut metrics = Metrics::new();
     metrics.set("bench.scenes.scenes", found.len());
     metrics.set("bench.scenes.solved", found.iter().filter(|s| s.best_m <= POOR_M).count());
@@ -251,7 +251,7 @@ pub fn solved_metrics(found: &[Solved]) -> Metrics {
 }
 
 /// The results as a table, distances in millimetres.
-pub fn solved_table(found: &[Solved], engine: &str) -> String {
+pub fn reachability_table(found: &[Reachability], engine: &str) -> String {
     let mm = |m: f64| if m.is_finite() { format!("{:.1}", 1e3 * m) } else { "-".to_owned() };
     let mut text = format!(
         "distance to the goal, mm: best shot of the planner's engine; of its best ones and of all in {engine}\n\n\
@@ -284,15 +284,15 @@ mod tests {
 
     #[test]
     fn the_scene_without_obstacles_is_solved_directly() {
-        let bench = SolvedBench { scenes: vec![1], shots: 150, candidates: 3, direct: 2, local: 20 };
-        let found = run_solved(&bench, &SameEngineTarget, &NoProgress, &Cancel::new()).unwrap();
+        let bench = ReachabilityBench { scenes: vec![1], shots: 150, candidates: 3, direct: 2, local: 20 };
+        let found = run_reachability(&bench, &SameEngineTarget, &NoProgress, &Cancel::new()).unwrap();
         let s = &found[0];
         assert!((s.scene, s.rebounds) == (1, Some(0)) && s.best_action.len() == 2, "{s:?}");
-        // The search improves on what the planner's engine proposed, and what has no rebound is what is best.
+        // The search improves on the planner's proposals, and the best shot has no rebound.
         assert!(s.best_m < 0.01 && s.best_m < s.candidate_m && s.direct_m == s.best_m, "{s:?}");
         assert!((4..=3 + 2 + 3 * 20).contains(&s.target_shots), "{s:?}");
-        assert_eq!(solved_metrics(&found).number("bench.scenes.fixed_01.best_m"), Some(s.best_m));
-        assert!(solved_table(&found, "rapier").contains("| 1 |"));
+        assert_eq!(reachability_metrics(&found).number("bench.scenes.fixed_01.best_m"), Some(s.best_m));
+        assert!(reachability_table(&found, "rapier").contains("| 1 |"));
     }
 
     #[test]

@@ -1,0 +1,44 @@
+//! Errors of the experiments.
+
+use sms_core::{CoreError, InputError};
+
+/// Errors of a measurement.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// Bad input by the user.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// A vision-language model's server stopped answering: its rows cannot be run now, all others can.
+    #[error(transparent)]
+    Unanswered(InputError),
+    /// Files or interruption.
+    #[error(transparent)]
+    Core(#[from] CoreError),
+    /// The masks failed.
+    #[error(transparent)]
+    Masks(#[from] sms_masks::MasksError),
+    /// The scan failed.
+    #[error(transparent)]
+    Scan(#[from] sms_gaussians::ScanError),
+    /// The meshes failed.
+    #[error(transparent)]
+    Entities(#[from] sms_entities::EntitiesError),
+    /// The planner failed.
+    #[error(transparent)]
+    Plan(#[from] sms_plan::PlanError),
+    /// The entities make no scene.
+    #[error(transparent)]
+    Build(#[from] sms_scene::BuildError),
+    /// A scene could not be kept.
+    #[error(transparent)]
+    Scene(#[from] sms_scene::SceneError),
+    /// A landing could not be planned.
+    #[error(transparent)]
+    Landing(#[from] sms_landing::LandingError),
+    /// A target world could not be built.
+    #[error(transparent)]
+    Target(#[from] sms_target::TargetError),
+    /// A comparison with a scanned model failed.
+    #[error(transparent)]
+    Evaluate(#[from] sms_eval::EvaluateError),
+}

@@ -1,0 +1,19 @@
+//! Wall and CPU time of a part of the work.
+
+use sms_core::process;
+use std::time::Instant;
+
+/// Time on the wall and on the processors since it was started.
+pub(crate) struct Timer(Instant, Option<f64>);
+
+impl Timer {
+    pub(crate) fn start() -> Self {
+        Self(Instant::now(), process::cpu_seconds())
+    }
+
+    /// Seconds and CPU seconds (not a number where the system does not tell).
+    pub(crate) fn seconds(&self) -> (f64, f64) {
+        let cpu = self.1.zip(process::cpu_seconds()).map_or(f64::NAN, |(from, to)| to - from);
+        (self.0.elapsed().as_secs_f64(), cpu)
+    }
+}

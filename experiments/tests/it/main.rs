@@ -1,0 +1,4 @@
+//! Integration tests.
+
+mod examples;
+mod round_trip;
