@@ -3,7 +3,7 @@
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
-use sms_plan::{Disturbances, Halton, Method, PlanConfig, PlanError, plan};
+use sms_plan::{Halton, Method, Perturbation, PlanConfig, PlanError, plan};
 use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
 use sms_task::Action;
 use std::time::Instant;
@@ -35,10 +35,10 @@ pub fn run_plan_speed(
     progress.begin("bench plan", scenes.len() as u64);
     for (i, scene) in scenes.iter().enumerate() {
         let mut row = time_shots(scene, cancel)?;
-        let nominal = Disturbances { worlds: 0, ..config.disturbances.clone() };
+        let nominal = Perturbation { worlds: 0, ..config.perturbation.clone() };
         let kinds = [
             ("paper_scene_s", PlanConfig { method: Method::MultiStart, ..PlanConfig::paper() }),
-            ("scene_s", PlanConfig { disturbances: nominal, ..config.clone() }),
+            ("scene_s", PlanConfig { perturbation: nominal, ..config.clone() }),
             ("robust_scene_s", config.clone()),
         ];
         let arm_task = scene.arm_task()?;

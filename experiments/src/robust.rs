@@ -5,7 +5,7 @@ use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
 use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
-use sms_plan::{Disturbances, PlanConfig, plan, search_nominal};
+use sms_plan::{Perturbation, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};
 use sms_target::TargetEngine;
 use std::collections::BTreeMap;
@@ -39,7 +39,7 @@ pub struct RobustBench {
     /// Runs with everything a micrometre elsewhere, for the chaos floor.
     pub chaos_runs: usize,
     /// How far poses, radii and strikes are off in the true worlds.
-    pub errors: Disturbances,
+    pub errors: Perturbation,
     /// Whether the arm strikes, in planning and in the true worlds; else a kinematic finger.
     pub arm: bool,
     /// Engine of the true worlds; the planner's own where there is none.
@@ -55,7 +55,7 @@ impl RobustBench {
             family,
             material_prior: MaterialPrior::Noisy,
             worlds: 48,
-            errors: robust.disturbances.clone(),
+            errors: robust.perturbation.clone(),
             planners: vec![("robust".to_owned(), robust)],
             oracle_evaluations: 4000,
             chaos_runs: 8,
@@ -109,7 +109,7 @@ impl RobustBench {
 
     /// Rollouts of a nominal plan that costs as much as a robust one with `rollouts`.
     fn cost(&self, rollouts: usize) -> usize {
-        let built = self.planners.first().map_or(0, |(_, config)| match config.disturbances.worlds {
+        let built = self.planners.first().map_or(0, |(_, config)| match config.perturbation.worlds {
             0 => 0,
             worlds => 2 * worlds + config.forecast_worlds,
         });
@@ -305,8 +305,8 @@ impl Running<'_> {
             }
             Job::Plain { scene } => {
                 let base = self.bench.planners.first().map(|p| p.1.clone()).unwrap_or_default();
-                let disturbances = Disturbances { worlds: 0, ..base.disturbances.clone() };
-                let config = PlanConfig { evaluations: budget.max(1), disturbances, ..base };
+                let perturbation = Perturbation { worlds: 0, ..base.perturbation.clone() };
+                let config = PlanConfig { evaluations: budget.max(1), perturbation, ..base };
                 Ok(self.plan(scene, &prefix, &config, cancel)?.0)
             }
             Job::Oracle { scene } => self.oracle(scene, &prefix, cancel),
@@ -412,7 +412,7 @@ mod tests {
         let scene = PlanScene::with_prior(SceneFamily::Crowded, 1005, MaterialPrior::Truth).unwrap();
         let mut scene = PlanScene { task: scene.arm_task().unwrap(), ..scene };
         let action = scene.task.suggestions().swap_remove(0);
-        let errors = Disturbances::default();
+        let errors = Perturbation::default();
         let realise = |scene: &PlanScene| {
             TrueWorlds::new(scene, &errors, 2).unwrap().realise(&action, &Cancel::new()).unwrap()
         };
@@ -435,7 +435,7 @@ mod tests {
             polish_starts: 0,
             forecast_worlds: 2,
             sensitivity_rollouts: 0,
-            disturbances: Disturbances { worlds: 2, ..Disturbances::default() },
+            perturbation: Perturbation { worlds: 2, ..Perturbation::default() },
             ..PlanConfig::draft()
         };
         let mut bench = RobustBench::new(vec![1001, 1002], SceneFamily::Open);

@@ -4,7 +4,7 @@ use crate::plan_scenes::true_scene;
 use crate::{BenchError, PlanScene};
 use rayon::prelude::*;
 use sms_core::{Cancel, Seed};
-use sms_plan::{Disturbances, PlanError};
+use sms_plan::{Perturbation, PlanError};
 use sms_scene::Scene;
 use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions};
 use sms_synth::redraw_materials;
@@ -19,7 +19,7 @@ pub struct TrueWorlds<'a> {
     task: &'a ResolvedTask,
     factory: &'a dyn WorldFactory,
     options: WorldOptions,
-    errors: Disturbances,
+    errors: Perturbation,
     seed: Seed,
     scenes: Vec<Scene>,
 }
@@ -30,9 +30,9 @@ impl<'a> TrueWorlds<'a> {
     ///
     /// # Errors
     /// [`BenchError`] when the drawn masses are impossible.
-    pub fn new(scene: &'a PlanScene, errors: &Disturbances, count: usize) -> Result<Self, BenchError> {
+    pub fn new(scene: &'a PlanScene, errors: &Perturbation, count: usize) -> Result<Self, BenchError> {
         let seed = Seed(scene.seed).derive("true worlds");
-        let errors = Disturbances { materials: false, ..errors.clone() };
+        let errors = Perturbation { materials: false, ..errors.clone() };
         let scenes = (0..count)
             .map(|index| {
                 let truth = redraw_materials(&scene.truth, seed.derive_index("materials", index as u64));
@@ -78,7 +78,7 @@ impl<'a> TrueWorlds<'a> {
     pub fn chaos(&self, action: &Action, runs: usize, cancel: &Cancel) -> Result<Option<f64>, BenchError> {
         let asked = self.task.strike(action);
         let motion = self.errors.strike(&asked, self.seed, 0);
-        let jitter = Disturbances {
+        let jitter = Perturbation {
             materials: false,
             position_m: CHAOS_M,
             radius_m: 0.0,
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn true_worlds_differ_by_what_is_not_known_and_repeat() {
         let scene = PlanScene::with_prior(SceneFamily::Open, 1001, MaterialPrior::Noisy).unwrap();
-        let errors = Disturbances::default();
+        let errors = Perturbation::default();
         let worlds = TrueWorlds::new(&scene, &errors, 3).unwrap();
         let again = TrueWorlds::new(&scene, &errors, 2).unwrap();
         assert_eq!(worlds.scene(1), again.scene(1));

@@ -4,7 +4,7 @@ use crate::{CarriedOut, LandingDisturbances, LandingError, ResolvedLanding};
 use glamx::DVec2;
 use rand::{Rng, RngExt};
 use sms_core::{Aabb, Seed};
-use sms_plan::Disturbances;
+use sms_plan::Perturbation;
 use sms_scene::{Body, Scene};
 use sms_sim::WorldFactory;
 
@@ -17,13 +17,13 @@ const ON_TOP_M: f64 = 0.01;
 impl LandingDisturbances {
     /// The `index`-th disturbed scene: masses and frictions within their intervals, and what stands on something else a little aside.
     pub fn scene(&self, landing: &ResolvedLanding, scene: &Scene, seed: Seed, index: usize) -> Scene {
-        let materials = Disturbances {
+        let materials = Perturbation {
             materials: self.materials,
             position_m: 0.0,
             radius_m: 0.0,
             object_m: 0.0,
             object_rad: 0.0,
-            ..Disturbances::default()
+            ..Perturbation::default()
         };
         let mut disturbed = materials.scene(scene, seed, index);
         if self.object_m > 0.0 {

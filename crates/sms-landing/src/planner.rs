@@ -8,7 +8,7 @@ use crate::{
     LandingSettings, PlannedBody, ResolvedLanding, RolloutOptions,
 };
 use sms_core::{Cancel, Progress, Seed, Warnings};
-use sms_plan::{Halton, LocalSearch, NelderMead, Phase, Trial};
+use sms_plan::{Halton, LocalSearch, NelderMead, Trial, TrialPhase};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::WorldFactory;
 use sms_wash::{WashModel, WashSettings};
@@ -126,7 +126,7 @@ pub fn plan_landing(
         let hardest = hard.iter().take(settings.jet_worlds).cloned().collect();
         let worlds = family(WashModel::Jet, hardest);
         progress.begin("landing: hardest worlds, jet", (found.len() * worlds.len()) as u64);
-        planning.in_worlds(&mut found, &worlds, Phase::Disturbed)?;
+        planning.in_worlds(&mut found, &worlds, TrialPhase::Perturbed)?;
         for candidate in &mut found {
             candidate.rank.hard_failures = candidate.rank.failures;
         }
@@ -145,7 +145,7 @@ pub fn plan_landing(
     if robust {
         let worlds = family(WashModel::Sph, spread(&hard, settings.worlds));
         progress.begin("landing: hard worlds, sph", (found.len() * worlds.len()) as u64);
-        planning.in_worlds(&mut found, &worlds, Phase::Disturbed)?;
+        planning.in_worlds(&mut found, &worlds, TrialPhase::Perturbed)?;
         progress.end("");
     }
     let Some(winner) = found.first().filter(|w| w.rank.mean.is_finite()).cloned() else {
@@ -162,7 +162,7 @@ pub fn plan_landing(
         let drawn = hardness.draw(scene, seed.derive("forecast"), settings.forecast_worlds)?;
         let worlds = family(WashModel::Sph, drawn);
         let mut only = vec![winner.clone()];
-        planning.in_worlds(&mut only, &worlds, Phase::Forecast)?;
+        planning.in_worlds(&mut only, &worlds, TrialPhase::Forecast)?;
         predicted = only.swap_remove(0).prediction;
         progress.end("");
     }
@@ -230,7 +230,7 @@ impl Planning<'_> {
         let flown = self.count(jet.fly_all(&jobs)?, WashModel::Jet);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
             candidate.set_nominal(flown);
-            self.trials.push(trial(Phase::Screen, -1, i, candidate.action, flown.score));
+            self.trials.push(trial(TrialPhase::Screen, -1, i, candidate.action, flown.score));
         }
         sort(&mut found);
         Ok(found)
@@ -253,7 +253,7 @@ impl Planning<'_> {
                 let jobs: Vec<_> = some.iter().map(|i| (found[*i].action, level)).collect();
                 let flown = self.count(worlds.fly_all(&jobs)?, WashModel::Jet);
                 for (&i, flown) in some.iter().zip(&flown) {
-                    self.trials.push(trial(Phase::Disturbed, -1, level, found[i].action, flown.score));
+                    self.trials.push(trial(TrialPhase::Perturbed, -1, level, found[i].action, flown.score));
                     match flown.failure {
                         None => found[i].rank.margin = level + 1,
                         Some(_) => failed.push(i),
@@ -272,7 +272,7 @@ impl Planning<'_> {
         let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
             candidate.set_nominal(flown);
-            self.trials.push(trial(Phase::Search, i as i32, 0, candidate.action, flown.score));
+            self.trials.push(trial(TrialPhase::Search, i as i32, 0, candidate.action, flown.score));
         }
         sort(found);
         Ok(())
@@ -311,7 +311,7 @@ impl Planning<'_> {
             let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
             for ((i, action), flown) in asked.into_iter().zip(&flown) {
                 searches[i].tell(flown.score);
-                self.trials.push(trial(Phase::Search, i as i32, round + 1, action, flown.score));
+                self.trials.push(trial(TrialPhase::Search, i as i32, round + 1, action, flown.score));
             }
         }
         for (i, (candidate, search)) in found.iter_mut().zip(&searches).enumerate() {
@@ -337,7 +337,7 @@ impl Planning<'_> {
         &mut self,
         found: &mut [Candidate],
         worlds: &Family<'_>,
-        phase: Phase,
+        phase: TrialPhase,
     ) -> Result<(), LandingError> {
         let n = worlds.len();
         let jobs: Vec<_> = found.iter().flat_map(|c| (0..n).map(move |w| (c.action, w))).collect();
@@ -399,7 +399,7 @@ fn distinct(found: Vec<Candidate>, count: usize) -> Vec<Candidate> {
     kept
 }
 
-fn trial(phase: Phase, start: i32, iteration: usize, action: LandingAction, score: f64) -> Trial {
+fn trial(phase: TrialPhase, start: i32, iteration: usize, action: LandingAction, score: f64) -> Trial {
     Trial::new(phase, start, iteration as i32, action.values(), score)
 }
 

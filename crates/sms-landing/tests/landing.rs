@@ -378,7 +378,7 @@ fn a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
         let planned =
             plan_landing(&landing, &told, &RapierFactory, &settings, Seed(seed), &quiet, &cancel, &warnings)
                 .unwrap();
-        let screened = planned.trials.iter().filter(|t| t.phase == sms_plan::Phase::Screen);
+        let screened = planned.trials.iter().filter(|t| t.phase == sms_plan::TrialPhase::Screen);
         let good: Vec<LandingAction> = screened
             .filter(|t| t.objective < 1.0)
             .map(|t| LandingAction::from_values(&t.action).unwrap())

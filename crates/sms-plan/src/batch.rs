@@ -1,23 +1,23 @@
-//! The seam to optimisers that spend a whole budget and have their points evaluated side by side.
+//! Interface of optimisers that spend a whole budget and evaluate their points in parallel.
 
-use crate::{Phase, PlanError};
+use crate::{PlanError, TrialPhase};
 use rayon::prelude::*;
 
-/// A point of the unit box whose objective is wanted.
+/// A point of the unit box to evaluate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
     /// The point.
     pub x: Vec<f64>,
-    /// What it is for.
-    pub phase: Phase,
-    /// Index of the start it belongs to; −1 in the screening.
+    /// Purpose of the evaluation.
+    pub phase: TrialPhase,
+    /// Index of the start that it belongs to; −1 during screening.
     pub start: i32,
 }
 
 /// One local search of a method.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StartRecord {
-    /// Where it began.
+    /// The initial point.
     pub initial: Vec<f64>,
     /// Objective there.
     pub initial_objective: f64,
@@ -29,39 +29,40 @@ pub struct StartRecord {
     pub evaluations: usize,
     /// Iterations (generations) used.
     pub iterations: usize,
-    /// Points that it asked for and that cannot be tried at all.
+    /// Infeasible points that it proposed.
     pub refused: usize,
 }
 
-/// A search of the unit box by populations: it says which points it wants evaluated next, and is told their values.
+/// A population search of the unit box in ask-and-tell form.
 ///
-/// What it asks for depends on its settings, its seed and the values it was told alone, so that the result is the same
-/// however many threads evaluate a population. Values may be infinite (a rollout that is no rollout), never NaN. Points that
-/// cannot be tried at all have none; they cost nothing, and it asks for others in their place.
+/// The proposals depend only on the settings, the seed and the values of earlier proposals, so that the result does
+/// not depend on the number of threads. Values may be infinite (an invalid rollout), never NaN. Infeasible points
+/// have no value and cost no budget; the search proposes others instead.
 pub trait BatchOptimiser {
     /// Name for tables ("halving").
     fn name(&self) -> &'static str;
 
-    /// The next points, at most `room` of them (the budget that is left, at least 1). None when it has nothing more
-    /// to ask.
+    /// The next points, at most `room` (the remaining budget, at least 1). Empty when the search has ended.
     fn ask(&mut self, room: usize) -> Vec<Proposal>;
 
-    /// The values of the points last asked for, in their order; `None` for those that cannot be tried.
+    /// Receives the values of the last proposals, in their order; `None` for infeasible points.
     fn tell(&mut self, values: &[Option<f64>]);
 
-    /// The local searches so far, in order of their index.
+    /// The local searches so far, in order of their indices.
     fn starts(&self) -> Vec<StartRecord>;
 }
 
-/// Points that cannot be tried, for each evaluation of the budget, after which [`drive`] stops.
+/// [`drive`] stops after this many infeasible points per evaluation of the budget.
 const MOST_REFUSED: usize = 8;
 
-/// Runs an optimiser until it asks no more or has used `budget` evaluations. Everything that was evaluated, in the
-/// order of asking. Uses rayon's current pool. Points for which the objective is `None` cannot be tried: they are no
-/// evaluations, up to eight times as many as the budget has.
+/// Runs an optimiser until it ends or has used `budget` evaluations. Returns all evaluated points in the order in
+/// which they were proposed.
+///
+/// Points for which the objective is `None` are infeasible. They do not count as evaluations, but the run stops after
+/// eight times as many as the budget. Uses rayon's current pool.
 ///
 /// # Errors
-/// The objective's first error.
+/// The first error of the objective.
 pub fn drive(
     optimiser: &mut dyn BatchOptimiser,
     budget: usize,

@@ -1,18 +1,21 @@
 //! Settings of the planner.
 
-use crate::robust::FIRST_WORLDS;
-use crate::{Disturbances, NelderMead, RobustObjective};
+use crate::{NelderMead, Perturbation, RobustObjective};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use std::path::Path;
 
-/// Most disturbed worlds: each is a simulation of the whole scene that is kept, twice as many as are set.
+/// Largest number of perturbed worlds. Each is a simulation of the whole scene that is kept, and there are twice as
+/// many as this setting.
 const MOST_WORLDS: usize = 1024;
 
-/// A nominal search whose best is within this share of what counts as success does not begin anew: 1 cm of 5.
+/// Number of worlds in which all candidates are tried.
+pub(crate) const FIRST_WORLDS: usize = 4;
+
+/// A nominal search is not repeated when its best objective is within this share of the success limit: 1 cm of 5 cm.
 pub const SOLVED: f64 = 0.2;
 
-/// How starts are found.
+/// Methods of the nominal search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
@@ -24,10 +27,10 @@ pub enum Method {
 }
 
 impl Method {
-    /// All of them.
+    /// All methods.
     pub const ALL: [Self; 2] = [Self::MultiStart, Self::Halving];
 
-    /// The word in settings files and tables.
+    /// The value in settings files and tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::MultiStart => "multi_start",
@@ -40,56 +43,61 @@ impl Method {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PlanConfig {
-    /// How starts are found.
+    /// Method of the nominal search.
     pub method: Method,
     /// Number of starts (paper: 30).
     pub starts: usize,
-    /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit counts instead.
+    /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit applies instead.
     pub evaluations: usize,
-    /// Share of them spent on screening: points whose strikes the robot can make. Others that are drawn (at most eight for
-    /// each) cost nothing.
+    /// Share of them spent on screening. Screening evaluates only strikes that the robot can carry out; infeasible
+    /// draws (at most eight per point) cost nothing.
     pub screening_share: f64,
     /// Whether the task may suggest points to try first (for billiards: aim at the ghost ball).
     pub suggestions: bool,
-    /// The local search. Its steps begin at `initial_step` of the range that a start was drawn from.
+    /// The local search. Its first steps are `initial_step` of the range that a start was drawn from.
     pub nelder_mead: NelderMead,
     /// First step of the local search, as a share of the range that its start was drawn from.
     pub initial_step: f64,
-    /// Searches that [`Method::Halving`] does not halve any more.
+    /// Number of searches at which [`Method::Halving`] stops halving.
     pub survivors: usize,
-    /// Rollouts in the nominal world where disturbed worlds follow, in the place of `evaluations`.
+    /// Rollouts in the nominal world if perturbed worlds follow; replaces `evaluations`.
     pub robust_evaluations: usize,
-    /// How many times the nominal search begins anew, from other points and with as many rollouts, as long as its best comes to
-    /// more than [`SOLVED`] of what counts as success. Not with [`Method::MultiStart`].
-    pub anew: usize,
-    /// Points of a scan of the disturbed worlds, each tried in one of them; only such as the robot can make.
+    /// Number of times that the nominal search is repeated from other points, with the same budget, while its best
+    /// objective exceeds [`SOLVED`] of the success limit. Not used by [`Method::MultiStart`].
+    #[serde(rename = "anew")]
+    pub restarts: usize,
+    /// Points of a scan of the perturbed worlds. Each is feasible for the robot and tried in one of the worlds.
     pub scan: usize,
-    /// Distinct actions from the nominal search that are tried in the first few disturbed worlds; half as many more come
-    /// from the scan.
+    /// Distinct actions of the nominal search that are tried in the first few perturbed worlds. The scan adds half
+    /// this number.
     pub candidates: usize,
-    /// Simplex searches over the first few disturbed worlds, from the best candidates.
+    /// Simplex searches over the first few perturbed worlds, from the best candidates.
     pub descents: usize,
-    /// Points that each of them may try, each in all of these worlds, before the worse half of the searches ends.
+    /// Points per search and round, each tried in all of these worlds. The worse half of the searches ends after a
+    /// round.
     pub descent: usize,
-    /// Least number of them that are tried in all worlds, and how many of the best are tried in as many worlds again.
+    /// Smallest number of candidates that are tried in the first half of the worlds, and number of the best that
+    /// enter the second half.
     pub finalists: usize,
-    /// What is minimised over the disturbed worlds.
+    /// Statistic that is minimised over the perturbed worlds.
     pub objective: RobustObjective,
-    /// How many of them the world as scanned, the likeliest of all, counts for when candidates are ranked. It steadies a choice over few
-    /// worlds. Simplex searches over disturbed worlds (`descents`, `polish_starts`) go on without it; what they find is carried out there
-    /// before it is ranked.
+    /// Weight of the scanned world, the most likely one, in the ranking, as a number of perturbed worlds. It steadies
+    /// a choice over few worlds. Simplex searches over perturbed worlds (`descents`, `polish_starts`) do not use it;
+    /// their points are tried in the scanned world before they are ranked.
     pub nominal_worlds: usize,
-    /// How many simplex searches go on over all worlds, from the best candidates.
+    /// Simplex searches over the first half of the worlds, from the best candidates.
     pub polish_starts: usize,
-    /// Points that each of them may try, each in all worlds.
+    /// Points per search, each tried in all of these worlds.
     pub polish: usize,
-    /// Worlds that play no part in the choice, for the prediction.
+    /// Worlds of the forecast. They play no part in the choice.
     pub forecast_worlds: usize,
-    /// Rollouts that find out which unknown matters most, at most, and as many again that find out why the action was
-    /// chosen; 0 leaves both out. Up to 64 more tell apart the properties of the two materials that matter most.
+    /// Largest number of rollouts of the sensitivity analysis, and again of the counterfactuals that explain the
+    /// choice; 0 skips both. The analysis spends up to 64 more to separate the properties of the two materials that
+    /// matter most.
     pub sensitivity_rollouts: usize,
-    /// The disturbed worlds.
-    pub disturbances: Disturbances,
+    /// Errors that perturbed worlds and strikes are given.
+    #[serde(rename = "disturbances")]
+    pub perturbation: Perturbation,
 }
 
 impl Default for PlanConfig {
@@ -104,7 +112,7 @@ impl Default for PlanConfig {
             initial_step: 0.08,
             survivors: 4,
             robust_evaluations: 400,
-            anew: 2,
+            restarts: 2,
             scan: 800,
             candidates: 72,
             descents: 16,
@@ -116,18 +124,18 @@ impl Default for PlanConfig {
             polish: 12,
             forecast_worlds: 32,
             sensitivity_rollouts: 160,
-            disturbances: Disturbances::default(),
+            perturbation: Perturbation::default(),
         }
     }
 }
 
 impl PlanConfig {
-    /// Checks the values; `path` is the settings file, or what stands for it.
+    /// Checks the values. `path` names the settings file in errors.
     ///
     /// # Errors
     /// [`InputError`] that names the key.
     pub fn validate(&self, path: &Path) -> Result<(), InputError> {
-        let d = &self.disturbances;
+        let d = &self.perturbation;
         let r = Ranges::of("plan");
         let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
         for (key, value, low, high) in [
@@ -135,7 +143,7 @@ impl PlanConfig {
             ("evaluations", self.evaluations, 1, 1_000_000),
             ("survivors", self.survivors, 1, 1_000_000),
             ("robust_evaluations", self.robust_evaluations, 1, 1_000_000),
-            ("anew", self.anew, 0, 1000),
+            ("anew", self.restarts, 0, 1000),
             ("scan", self.scan, 0, 1_000_000),
             ("candidates", self.candidates, 1, 1_000_000),
             ("descents", self.descents, 0, 1_000_000),
@@ -151,7 +159,7 @@ impl PlanConfig {
         ] {
             r.count(key, value, low, high).map_err(named)?;
         }
-        // The command line sets it, too.
+        // The command line has an option for it.
         r.count("disturbances.worlds", d.worlds, 0, MOST_WORLDS)
             .map_err(|e| named(InputError { what: format!("{} (`--robust` sets it)", e.what), ..e }))?;
         for (key, value, low, high) in [
@@ -178,22 +186,22 @@ impl PlanConfig {
 
     /// Rollouts in the nominal world.
     pub(crate) fn nominal_evaluations(&self) -> usize {
-        if self.disturbances.worlds == 0 { self.evaluations } else { self.robust_evaluations }
+        if self.perturbation.worlds == 0 { self.evaluations } else { self.robust_evaluations }
     }
 
-    /// Most rollouts of a nominal search.
+    /// Largest number of rollouts of a nominal search.
     pub(crate) fn budget(&self) -> usize {
         if self.method == Method::MultiStart { usize::MAX } else { self.nominal_evaluations() }
     }
 
-    /// Most nominal searches, one after the other.
+    /// Largest number of nominal searches.
     pub(crate) fn searches(&self) -> usize {
-        if self.method == Method::MultiStart { 1 } else { 1 + self.anew }
+        if self.method == Method::MultiStart { 1 } else { 1 + self.restarts }
     }
 
-    /// About how many rollouts the choice and the forecast take.
-    pub(crate) fn disturbed_rollouts(&self) -> usize {
-        let half = self.disturbances.worlds;
+    /// Approximate number of rollouts of the choice and the forecast.
+    pub(crate) fn perturbed_rollouts(&self) -> usize {
+        let half = self.perturbation.worlds;
         if half == 0 {
             return 0;
         }
@@ -214,7 +222,7 @@ impl PlanConfig {
         count + half * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
     }
 
-    /// A quick plan: about a third of the rollouts.
+    /// A quick plan with about a third of the rollouts.
     pub fn draft() -> Self {
         Self {
             starts: 12,
@@ -229,12 +237,12 @@ impl PlanConfig {
             polish: 8,
             forecast_worlds: 16,
             sensitivity_rollouts: 64,
-            disturbances: Disturbances { worlds: 8, ..Disturbances::default() },
+            perturbation: Perturbation { worlds: 8, ..Perturbation::default() },
             ..Self::default()
         }
     }
 
-    /// Four times the rollouts, for a machine with more cores.
+    /// Four times the rollouts, for machines with more cores.
     pub fn fine() -> Self {
         Self {
             evaluations: 6000,
@@ -247,17 +255,17 @@ impl PlanConfig {
             polish_starts: 6,
             polish: 24,
             forecast_worlds: 64,
-            disturbances: Disturbances { worlds: 32, ..Disturbances::default() },
+            perturbation: Perturbation { worlds: 32, ..Perturbation::default() },
             ..Self::default()
         }
     }
 
-    /// The paper's method: 30 searches of 30 iterations each, the nominally best action wins.
+    /// The paper's method: 30 searches of 30 iterations each; the nominally best action wins.
     pub fn paper() -> Self {
         Self {
             method: Method::MultiStart,
             nelder_mead: NelderMead::paper(),
-            disturbances: Disturbances { worlds: 0, ..Disturbances::default() },
+            perturbation: Perturbation { worlds: 0, ..Perturbation::default() },
             ..Self::default()
         }
     }
@@ -279,7 +287,7 @@ mod tests {
         let nan = PlanConfig { initial_step: f64::NAN, ..PlanConfig::default() };
         assert!(nan.validate(path).is_err());
         let worlds = |worlds| PlanConfig {
-            disturbances: Disturbances { worlds, ..Disturbances::default() },
+            perturbation: Perturbation { worlds, ..Perturbation::default() },
             ..PlanConfig::default()
         };
         worlds(1024).validate(path).unwrap();

@@ -1,20 +1,20 @@
-//! Many simplex searches: from the best points of a scan with equal budgets or with successive halving, or the
-//! paper's from random simplexes.
+//! Many simplex searches: from the best screened points, with equal budgets or successive halving, or from the
+//! paper's random simplexes.
 
 use crate::screening::{self, Feasible, Screened};
 use crate::space::Space;
-use crate::{BatchOptimiser, LocalSearch, NelderMead, Phase, PlanError, Proposal, StartRecord};
+use crate::{BatchOptimiser, LocalSearch, NelderMead, PlanError, Proposal, StartRecord, TrialPhase};
 use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::Seed;
 
-/// How the budget is shared among searches.
+/// Allocation of the budget to the searches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sharing {
-    /// As many evaluations for each.
+    /// The same number of evaluations for each.
     Even,
-    /// Few for all, more for the better half, and so on (successive halving, Jamieson and Talwalkar 2016), until this
-    /// many searches are left.
+    /// Few evaluations for all, more for the better half, and so on until this many searches are left (successive
+    /// halving, Jamieson and Talwalkar 2016).
     Halving(usize),
 }
 
@@ -32,18 +32,18 @@ struct Member {
     search: LocalSearch,
     initial: Vec<f64>,
     initial_objective: Option<f64>,
-    /// Evaluations that it may still use in this round.
+    /// Evaluations left in this round.
     allowance: usize,
-    /// Points drawn for its start that cannot be tried.
+    /// Infeasible points drawn for its start.
     passed_over: usize,
 }
 
-/// Draws for the first point of a random simplex, in the promising ranges and as many in the whole box, and for each of the
-/// others. Where even these cannot be tried, the search moves them towards the first.
+/// Draws for the first point of a random simplex (this many in the promising ranges and again in the whole box) and
+/// for each other point. When all draws are infeasible, the search moves the point towards the first one.
 const FIRST_DRAWS: usize = 64;
 const NEXT_DRAWS: usize = 16;
 
-/// A random simplex: its points, whether the first can be tried, and how many others were drawn that cannot.
+/// A random simplex: its points, whether the first is feasible, and the number of infeasible draws.
 struct Drawn {
     points: Vec<Vec<f64>>,
     can: bool,
@@ -53,24 +53,24 @@ struct Drawn {
 pub(crate) struct Descents {
     settings: DescentSettings,
     space: Space,
-    /// Points of the scan; empty when there is none.
+    /// Screened points; empty for random starts.
     screen: Vec<Screened>,
     screened: bool,
     members: Vec<Member>,
     /// Members of this round, best first.
     active: Vec<usize>,
     rounds_left: usize,
-    /// Who was asked for: the member of each point.
+    /// The member behind each proposed point.
     asked: Vec<usize>,
 }
 
 impl Descents {
-    /// Searches from the best points of a scan.
+    /// Creates searches from the best screened points.
     pub(crate) fn screened(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
         Self::new(space, settings, screen)
     }
 
-    /// The paper's starts: simplexes of random points in the promising ranges, of such as are `feasible` where there are any.
+    /// Creates the paper's starts: simplexes of random points in the promising ranges, feasible ones where possible.
     pub(crate) fn random(
         space: &Space,
         settings: DescentSettings,
@@ -145,10 +145,10 @@ impl Descents {
         self.begin(&starts);
     }
 
-    /// Shares what this round may use, after leaving out the worse half of the searches; whether there is a round.
+    /// Drops the worse half of the searches and shares the budget of this round. Returns whether there is a round.
     fn begin_round(&mut self, room: usize, first: bool) -> bool {
         if self.rounds_left == 0 {
-            // What the last round left over: searches that were stopped go on, the best one first.
+            // The last rounds left budget over: stopped searches continue, the best one first.
             let mut waiting: Vec<usize> =
                 (0..self.members.len()).filter(|&i| self.members[i].search.next_point().is_some()).collect();
             waiting.sort_by(|&a, &b| self.value(a).total_cmp(&self.value(b)));
@@ -191,7 +191,7 @@ impl Descents {
                 continue;
             }
             if let Some(x) = m.search.next_point() {
-                points.push(Proposal { x: x.to_vec(), phase: Phase::Search, start: i as i32 });
+                points.push(Proposal { x: x.to_vec(), phase: TrialPhase::Search, start: i as i32 });
                 m.allowance = m.allowance.saturating_sub(1);
                 self.asked.push(i);
             }
@@ -200,7 +200,7 @@ impl Descents {
     }
 }
 
-/// Random points: n + 1 of them, each drawn until it can be tried.
+/// Draws the n + 1 points of a random simplex, each until it is feasible.
 fn random_simplex(space: &Space, seed: Seed, feasible: Feasible<'_>) -> Result<Drawn, PlanError> {
     let n = space.dimensions();
     let mut rng = seed.rng();
@@ -219,7 +219,7 @@ fn random_simplex(space: &Space, seed: Seed, feasible: Feasible<'_>) -> Result<D
             }
         }
         if !drawn.can {
-            // There is nothing to search from.
+            // Without a feasible first point there is no search.
             drawn.points.resize(n + 1, drawn.points[0].clone());
             break;
         }
@@ -238,7 +238,7 @@ impl BatchOptimiser for Descents {
             return self
                 .screen
                 .iter()
-                .map(|s| Proposal { x: s.x.clone(), phase: Phase::Screen, start: -1 })
+                .map(|s| Proposal { x: s.x.clone(), phase: TrialPhase::Screen, start: -1 })
                 .collect();
         }
         let mut first = self.members.is_empty();
@@ -268,7 +268,7 @@ impl BatchOptimiser for Descents {
                     m.search.tell(*f);
                 }
                 None => {
-                    // It was no evaluation.
+                    // An infeasible point is not an evaluation.
                     m.allowance = m.allowance.saturating_add(1);
                     m.search.refuse();
                 }

@@ -1,5 +1,5 @@
-//! The paper's baseline (appendix "Baseline Implementation Details"): a grid of speeds and angles, billiards geometry, and
-//! a map of what stands around, seen from above.
+//! The paper's baseline (appendix "Baseline Implementation Details"): a grid of speeds and angles, billiards
+//! geometry, and an obstacle map seen from above.
 
 use crate::PlanError;
 use glamx::{DVec2, DVec3};
@@ -8,10 +8,10 @@ use sms_core::InputError;
 use sms_scene::{BodyShape, Scene};
 use sms_task::{Action, ResolvedTask};
 
-/// Predictions that differ by less are the same, metres: the model is not worth more.
+/// Predictions that differ by less than this are equal, metres: the model is not more accurate.
 const RESOLUTION_M: f64 = 0.005;
 
-/// Settings of the baseline. The paper gives the grid and the threshold; the rest it leaves open.
+/// Settings of the baseline. The paper gives the grid and the threshold; the rest are our choices.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GridBaseline {
@@ -23,13 +23,13 @@ pub struct GridBaseline {
     pub angles: usize,
     /// Largest angle to the line from cue to target ball, radians.
     pub angle: f64,
-    /// What is higher above the floor is an obstacle, metres.
+    /// Points higher than this above the floor are obstacles, metres.
     pub threshold_m: f64,
-    /// Edge of the map's cells, metres.
+    /// Edge length of a map cell, metres.
     pub cell_m: f64,
-    /// How far the map goes beyond all bodies and the goal, metres; there the workspace ends.
+    /// Margin of the map around all bodies and the goal, metres. The workspace ends there.
     pub margin_m: f64,
-    /// How long the target ball is followed, seconds. It does not slow down: nothing in the paper's model brakes it.
+    /// Simulated motion of the target ball, seconds. It does not slow down: the paper's model has no friction.
     pub horizon_s: f64,
 }
 
@@ -48,32 +48,32 @@ impl Default for GridBaseline {
     }
 }
 
-/// What the baseline chooses.
+/// The choice of the baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GridPlan {
     /// The action.
     pub action: Action,
-    /// How near to the goal it expects the target ball to come, metres.
+    /// Predicted distance of the target ball to the goal, metres.
     pub predicted_m: f64,
 }
 
 impl GridBaseline {
-    /// Tries the whole grid and returns the action that is expected to bring the target ball nearest to the goal. Of those
-    /// that come as near to within 5 mm, the one with the fewest reflections, then the slowest: a ball that never slows
-    /// down passes almost everywhere after enough of them.
+    /// Tries the whole grid and returns the action with the smallest predicted distance of the target ball to the
+    /// goal. Among predictions within 5 mm the fewest reflections win, then the lowest speed: a ball that never slows
+    /// down passes almost everywhere after enough reflections.
     ///
-    /// The cue ball is taken to have the action's speed and angle at once, the target ball what of it is along the line of
-    /// centres. From then on the target ball moves evenly, and is reflected by obstacles, the map's borders and nothing
-    /// else: no object moves.
+    /// The model gives the cue ball the action's speed and angle at once, and the target ball the component along the
+    /// line of centres. After that the target ball moves at constant velocity and is reflected by obstacles and by
+    /// the borders of the map. No object moves.
     ///
     /// # Errors
-    /// [`PlanError::Input`] for tasks that are not billiards.
+    /// [`PlanError::Input`] for tasks other than billiards.
     pub fn plan(&self, task: &ResolvedTask, scene: &Scene) -> Result<GridPlan, PlanError> {
         let Some(goal) = task.goal_w() else {
             return Err(InputError::new(
                 "the grid baseline plans billiards only",
                 "(task)",
-                "use a task of the kind billiards",
+                "use a task with kind = \"billiards\"",
             )
             .into());
         };
@@ -92,7 +92,7 @@ impl GridBaseline {
             for a in 0..self.angles {
                 let angle = even(a, self.angles, [-self.angle, self.angle]);
                 let heading = DVec2::from_angle(angle).rotate(line.normalize_or_zero());
-                // Where the cue ball is when it touches the target ball.
+                // Position of the cue ball when it touches the target ball.
                 let ahead = line.dot(heading);
                 let aside_squared = line.length_squared() - ahead * ahead;
                 let reached = ahead > 0.0 && aside_squared < apart * apart;
@@ -120,7 +120,7 @@ impl GridBaseline {
     }
 }
 
-/// A map of the floor: how far the centre of each cell is from the nearest obstacle.
+/// An obstacle map of the floor: the distance of each cell centre to the nearest obstacle.
 struct Map {
     low: DVec2,
     cell_m: f64,
@@ -131,7 +131,7 @@ struct Map {
 
 impl Map {
     fn new(settings: &GridBaseline, scene: &Scene, left_out: &[usize], goal: DVec2) -> Self {
-        // What a picture from above shows: for each body its triangles and the height of their points.
+        // The view from above: triangles of each body with their heights.
         let mut triangles: Vec<[DVec3; 3]> = Vec::new();
         let mut bounds = [goal, goal];
         let mut include = |p: DVec2| bounds = [bounds[0].min(p), bounds[1].max(p)];
@@ -177,7 +177,8 @@ impl Map {
             + v * ((1.0 - u) * at(i, j + 1.0) + u * at(i + 1.0, j + 1.0))
     }
 
-    /// How near to the goal a ball comes that starts at `p` with the velocity `v` (m/s), and after how many reflections.
+    /// Smallest distance to the goal, metres, of a ball that starts at `p` with velocity `v` (m/s), and the number of
+    /// reflections before.
     fn nearest(&self, mut p: DVec2, mut v: DVec2, radius: f64, goal: DVec2, horizon_s: f64) -> (f64, usize) {
         let high = self.low + DVec2::new(self.size[0] as f64, self.size[1] as f64) * self.cell_m;
         let mut nearest = (p.distance(goal), 0);
@@ -202,7 +203,7 @@ impl Map {
                 let slope = |d: DVec2| self.clearance(next + d) - self.clearance(next - d);
                 let normal = DVec2::new(slope(DVec2::X * h), slope(DVec2::Y * h)).normalize_or_zero();
                 let into = v.dot(normal);
-                // A ball that stands against an obstacle may leave it.
+                // A ball in contact with an obstacle may leave it.
                 if into < 0.0 {
                     v -= 2.0 * into * normal;
                     reflections += 1;
@@ -219,7 +220,7 @@ impl Map {
 
 /// Marks the cells below the part of a triangle that is higher than the threshold.
 fn mark(t: &[DVec3; 3], settings: &GridBaseline, low: DVec2, size: [usize; 2], occupied: &mut [bool]) {
-    // Points closer together than half a cell leave no cell out.
+    // Samples closer than half a cell cover every cell.
     let longest = (0..3).map(|i| t[i].distance(t[(i + 1) % 3])).fold(0.0, f64::max);
     let n = ((longest / (0.5 * settings.cell_m)).ceil() as usize).clamp(1, 4000);
     for i in 0..=n {

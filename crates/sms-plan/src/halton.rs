@@ -23,18 +23,18 @@ impl Halton {
         Self { shift: (0..dimensions).map(|_| rng.random()).collect() }
     }
 
-    /// The point of this index.
+    /// The point at an index.
     pub fn point(&self, index: u64) -> Vec<f64> {
         self.shift
             .iter()
             .zip(PRIMES)
-            // Index 0 is the corner of all bases at once; it is left out.
+            // Index 0 is the corner of all bases at once, so it is skipped.
             .map(|(shift, base)| (radical_inverse(index + 1, base) + shift).fract())
             .collect()
     }
 }
 
-/// The digits of `index` in `base`, mirrored at the point.
+/// The digits of `index` in `base`, mirrored at the radix point.
 fn radical_inverse(mut index: u64, base: u64) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0 / base as f64);
     while index > 0 {
@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn points_are_spread_far_better_than_random_ones() {
         let (n, d) = (256, 4);
-        // What n independent uniform points have on average.
+        // The average of n independent uniform points.
         let random = (2f64.powi(-d) - 3f64.powi(-d)) / f64::from(n);
         let seeds = 8;
         let mut mean = 0.0;

@@ -1,9 +1,8 @@
-//! Optimisers and planning: Nelder-Mead, screening, multi-start, robust choice, trial log (paper section
-//! "Simulate").
+//! Planning of actions: optimisers, robust choice and the trial log (paper section "Simulate").
 //!
-//! [`plan`] searches the actions of a task in the nominal world and chooses, among the good ones, the one that
-//! fares best in worlds that differ within what the scan and the materials leave open. The local search sits behind
-//! the [`Optimiser`] trait; [`NelderMead`] is the paper's.
+//! [`plan`] searches the actions of a task in the nominal world. It then chooses the action with the best outcomes in
+//! perturbed worlds, which differ within the uncertainty of the scan and of the materials. Local searches implement
+//! [`Optimiser`]; [`NelderMead`] is the paper's.
 //!
 //! ```
 //! use sms_plan::{NelderMead, Optimiser};
@@ -13,24 +12,32 @@
 //! ```
 
 mod batch;
-mod beaten;
+mod body_property;
+mod candidate;
 mod config;
+mod counter;
 mod descents;
-mod disturb;
+mod error;
+mod explain;
 mod grid;
 mod halton;
 mod nelder_mead;
 mod optimiser;
 mod outcome;
+mod perturbation;
 mod plan;
 mod planner;
 mod prediction;
+mod racing;
 mod reason;
 mod robust;
 mod robust_search;
+mod rollout_outcome;
 pub mod screening;
 mod search;
 mod sensitivity;
+mod sensitivity_analysis;
+mod session;
 mod simplex;
 mod space;
 mod strategy;
@@ -38,20 +45,22 @@ mod trials;
 mod worlds;
 
 pub use batch::{BatchOptimiser, Proposal, StartRecord, drive};
+pub use body_property::BodyProperty;
 pub use config::{Method, PlanConfig, SOLVED};
-pub use disturb::{Disturbances, Unknown, quantile};
+pub use error::PlanError;
 pub use grid::{GridBaseline, GridPlan};
 pub use halton::Halton;
-pub use nelder_mead::{Bounds, NelderMead};
+pub use nelder_mead::{BoxBounds, NelderMead};
 pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
-pub use plan::{Plan, Refusal, StartSummary, Unbelievable};
-pub use planner::{MakeOptimiser, NominalSearch, PlanError, plan, search_nominal, search_nominal_by};
+pub use perturbation::{Perturbation, Unknown, quantile};
+pub use plan::{InvalidRollout, Plan, Refusal, StartSummary};
+pub use planner::{MakeOptimiser, NominalSearch, plan, search_nominal, search_nominal_by};
 pub use prediction::{Prediction, RobustObjective};
-pub use reason::{BodyProperty, Counterfactual, Reason};
+pub use reason::{Counterfactual, Reason};
 pub use sensitivity::Sensitivity;
 pub use simplex::{LocalSearch, SimplexSearch};
 pub use space::Space;
 pub use strategy::Strategy;
-pub use trials::{Phase, Trial, read_trials, write_trials};
-pub use worlds::rehearse;
+pub use trials::{Trial, TrialPhase, read_trials, write_trials};
+pub use worlds::{WorldFamily, rehearse};

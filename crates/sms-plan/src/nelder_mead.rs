@@ -1,33 +1,33 @@
-//! The downhill simplex method (Nelder and Mead 1965, the paper's optimiser), bounded and with restarts.
+//! The downhill simplex method (Nelder and Mead 1965), bounded and with restarts: the paper's optimiser.
 //!
-//! Without restarts it visits the same points as `scipy.optimize.minimize(method="Nelder-Mead")`, in the same
-//! order: the same acceptance rules, stopping test, adaptive coefficients (Gao and Han 2012) and treatment of
-//! bounds (the initial simplex is reflected into them, later points are clipped).
+//! Without restarts it visits the same points as `scipy.optimize.minimize(method="Nelder-Mead")`, in the same order.
+//! The acceptance rules, the stopping test, the adaptive coefficients (Gao and Han 2012) and the treatment of bounds
+//! are the same: the initial simplex is reflected into the bounds, later points are clipped.
 
 use crate::{LocalSearch, Minimum, Optimiser, SimplexSearch};
 use serde::{Deserialize, Serialize};
 
-/// Settings of the method. Coordinates are those of the unit box when it plans.
+/// Settings of the method. The planner applies it to the unit box.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NelderMead {
-    /// ρ: how far the worst point is reflected.
+    /// ρ: reflection coefficient.
     pub reflection: f64,
-    /// χ: how much further when that was the best so far.
+    /// χ: expansion coefficient.
     pub expansion: f64,
-    /// ψ: share of the way kept when it was not good.
+    /// ψ: contraction coefficient.
     pub contraction: f64,
-    /// σ: how much the simplex shrinks towards its best point when nothing helps.
+    /// σ: shrink coefficient.
     pub shrink: f64,
-    /// Coefficients by dimension n instead (1, 1 + 2/n, 3/4 − 1/(2n), 1 − 1/n).
+    /// Uses coefficients by dimension n instead: 1, 1 + 2/n, 3/4 − 1/(2n), 1 − 1/n.
     pub adaptive: bool,
-    /// Most iterations over all restarts; the paper uses 30.
+    /// Largest number of iterations over all restarts; the paper uses 30.
     pub max_iterations: usize,
-    /// Stops when all points are this near to the best in every coordinate, and ...
+    /// The search stops when all points are this close to the best in every coordinate, and …
     pub x_tolerance: f64,
-    /// ... their objectives are this near to the best.
+    /// … their objectives are this close to the best one.
     pub f_tolerance: f64,
-    /// How often to begin again at the best point, with a simplex of half the size that points the other way. It
+    /// Number of restarts from the best point, with a simplex of half the size that points the other way. A restart
     /// frees a simplex that has collapsed, for example onto a bound.
     pub restarts: usize,
 }
@@ -50,14 +50,14 @@ impl Default for NelderMead {
 
 /// Bounds per coordinate.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Bounds {
+pub struct BoxBounds {
     /// Smallest values.
     pub low: Vec<f64>,
     /// Largest values.
     pub high: Vec<f64>,
 }
 
-impl Bounds {
+impl BoxBounds {
     /// The unit box of n dimensions.
     pub fn unit(n: usize) -> Self {
         Self { low: vec![0.0; n], high: vec![1.0; n] }
@@ -69,7 +69,7 @@ impl Bounds {
         }
     }
 
-    /// Reflects what lies beyond an upper bound, so that a simplex started at the bound keeps its volume.
+    /// Reflects coordinates beyond an upper bound, so that a simplex at the bound keeps its volume.
     pub(crate) fn reflect(&self, x: &mut [f64]) {
         for (v, &high) in x.iter_mut().zip(&self.high) {
             if *v > high {
@@ -81,8 +81,8 @@ impl Bounds {
 }
 
 impl NelderMead {
-    /// The paper's preset: 30 iterations, coefficients 1, 2, 0.5 and 0.5, no restart, no early stop but SciPy's
-    /// tolerances on values in metres.
+    /// The paper's preset: 30 iterations, coefficients 1, 2, 0.5 and 0.5, no restart, and SciPy's tolerances on
+    /// values in metres.
     pub fn paper() -> Self {
         Self { max_iterations: 30, x_tolerance: 1e-4, f_tolerance: 1e-4, restarts: 0, ..Self::default() }
     }
@@ -98,8 +98,9 @@ impl NelderMead {
         simplex
     }
 
-    /// A simplex around a point with the given step per coordinate; steps that would leave the bounds are turned.
-    pub(crate) fn simplex_around(x0: &[f64], steps: &[f64], bounds: &Bounds) -> Vec<Vec<f64>> {
+    /// A simplex around a point with the given step per coordinate; a step that would leave the bounds changes its
+    /// sign.
+    pub(crate) fn simplex_around(x0: &[f64], steps: &[f64], bounds: &BoxBounds) -> Vec<Vec<f64>> {
         let mut simplex = vec![x0.to_vec()];
         for (k, &step) in steps.iter().enumerate() {
             let mut x = x0.to_vec();
@@ -110,12 +111,12 @@ impl NelderMead {
         simplex
     }
 
-    /// Minimises from a simplex of n + 1 points in n dimensions, without restarts. After each iteration
-    /// `on_iteration` sees the best point. Values that are not numbers count as infinite.
+    /// Minimises from a simplex of n + 1 points in n dimensions, without restarts. Calls `on_iteration` with the best
+    /// point after each iteration. NaN counts as infinite.
     pub fn descend(
         &self,
         simplex: Vec<Vec<f64>>,
-        bounds: Option<&Bounds>,
+        bounds: Option<&BoxBounds>,
         objective: &mut dyn FnMut(&[f64]) -> Option<f64>,
         on_iteration: &mut dyn FnMut(&[f64], f64),
     ) -> Minimum {

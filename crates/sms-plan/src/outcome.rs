@@ -1,4 +1,4 @@
-//! What a planning stage leaves behind.
+//! Output of the planning stage.
 
 use crate::{Plan, Trial, write_trials};
 use sms_core::metrics::Metrics;
@@ -6,17 +6,17 @@ use sms_core::{CoreError, atomic};
 use sms_task::json;
 use std::path::Path;
 
-/// A plan with every rollout that led to it.
+/// A plan with all rollouts behind it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanOutcome {
     /// The plan.
     pub plan: Plan,
-    /// The rollouts: screening, searches in order of their starts, disturbed worlds.
+    /// The rollouts: screening, searches in order of their starts, perturbed worlds.
     pub trials: Vec<Trial>,
 }
 
 impl PlanOutcome {
-    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, refused, striker, strategies}` and, with disturbed worlds,
+    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, refused, striker, strategies}` and, with perturbed worlds,
     /// `plan.predicted_{mean, q10, q50, q90, success_share, worlds}`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();

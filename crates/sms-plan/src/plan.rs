@@ -1,38 +1,38 @@
-//! The stage's result.
+//! The plan: result of the planning stage.
 
 use crate::{Prediction, Reason, RobustObjective, Sensitivity, Strategy};
 use serde::{Deserialize, Deserializer, Serialize};
 use sms_robots::RobotConfig;
 use sms_task::{Action, AgainstPrediction, Parameter, Trajectory};
 
-/// One optimisation from one start.
+/// One local search from one start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StartSummary {
     /// Index of the start.
     pub start: usize,
-    /// Where it began.
+    /// The initial action.
     pub initial: Action,
-    /// Objective there; infinite (`null` in JSON) where the rollout was not valid.
+    /// Its objective; infinite (`null` in JSON) if the rollout was invalid.
     #[serde(deserialize_with = "infinite_if_null")]
     pub initial_objective: f64,
-    /// Where it ended.
+    /// The best action.
     pub action: Action,
-    /// Objective there.
+    /// Its objective.
     #[serde(deserialize_with = "infinite_if_null")]
     pub objective: f64,
     /// Rollouts used.
     pub evaluations: usize,
     /// Nelder-Mead iterations used.
     pub iterations: usize,
-    /// Strikes that it asked for and that the robot cannot make: they cost nothing, and others were tried in their place.
+    /// Infeasible strikes that it proposed. They cost nothing, and other strikes were tried instead.
     #[serde(default)]
     pub refused: usize,
-    /// 90 % quantile of the objective over disturbed worlds, where it was computed.
+    /// 90 % quantile of the objective over perturbed worlds, if it was computed.
     pub objective_q90: Option<f64>,
 }
 
 impl StartSummary {
-    /// Whether no strike that the robot can make was found where this search was to begin.
+    /// Whether no feasible strike was found to start this search from.
     pub fn is_out_of_reach(&self) -> bool {
         self.refused > 0 && self.evaluations == 0 && !self.objective.is_finite()
     }
@@ -42,32 +42,32 @@ fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
-/// Why the robot cannot make some of the strikes that were looked at.
+/// A reason for refused strikes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
-    /// The reason, in words.
+    /// The reason as text.
     pub reason: String,
-    /// How many strikes.
+    /// Number of strikes.
     pub count: usize,
 }
 
-/// Why some of the rollouts cannot be believed.
+/// A reason for invalid rollouts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Unbelievable {
-    /// The reason, in words: which body did what.
+pub struct InvalidRollout {
+    /// The reason as text: the body and its failure.
     pub reason: String,
-    /// How many rollouts.
+    /// Number of rollouts.
     pub count: usize,
-    /// One of them: engine, time and figure.
+    /// An example: engine, time and measured value.
     pub example: String,
 }
 
-/// The chosen action with what it is predicted to do.
+/// The chosen action with its prediction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Kind of task ("billiards").
     pub task: String,
-    /// Engine that predicted.
+    /// The engine of the prediction.
     pub engine: String,
     /// The action's parameters.
     pub parameters: Vec<Parameter>,
@@ -77,47 +77,46 @@ pub struct Plan {
     pub objective: f64,
     /// Unit of the objective.
     pub objective_unit: String,
-    /// 90 % quantile over disturbed worlds; the nominal objective where there are none.
+    /// 90 % quantile over perturbed worlds; the nominal objective without them.
     pub objective_q90: f64,
-    /// Shots that were tried in some world, as many as trials in the log and one for the recorded motion. What a scan or a
-    /// search asks for and the robot cannot make is none of them: others are tried in its place.
+    /// Simulated shots in all worlds: the trials of the log and one for the recorded motion. Infeasible points of a
+    /// scan or a search are not included.
     pub evaluations: usize,
-    /// Rollouts among them that could not be believed; they were never the best.
+    /// Invalid rollouts among them. They never count as best.
     #[serde(default)]
     pub invalid: usize,
-    /// Why they could not be, the most frequent reason first.
-    #[serde(default)]
-    pub unbelievable: Vec<Unbelievable>,
-    /// Actions that were looked at in the search of the scanned world and in the scan of disturbed worlds, points that were
-    /// drawn for a scan and that the robot cannot make included.
+    /// Reasons of the invalid rollouts, the most frequent first.
+    #[serde(default, rename = "unbelievable")]
+    pub invalid_rollouts: Vec<InvalidRollout>,
+    /// Actions considered in the nominal search and in the scan of the perturbed worlds, including points that the
+    /// robot cannot carry out.
     #[serde(default)]
     pub searched: usize,
-    /// Those among them that the robot cannot make, by reason, the most frequent first; nothing was simulated for them,
-    /// and they were never the best.
+    /// The infeasible ones among them by reason, the most frequent first. They were not simulated.
     #[serde(default)]
     pub refused: Vec<Refusal>,
-    /// What carries the strike out, in words.
+    /// Name of the striker.
     #[serde(default)]
     pub striker: String,
-    /// The robot that carries it out, with its place in the run's world; `None` for the finger that gives no way.
+    /// The robot, with its pose in the world of the run; `None` for the kinematic finger.
     #[serde(default)]
     pub robot: Option<RobotConfig>,
-    /// Every start.
+    /// All local searches.
     pub starts: Vec<StartSummary>,
-    /// What was minimised over the disturbed worlds; `None` where the nominal world alone was looked at.
+    /// Statistic that was minimised over perturbed worlds; `None` for a plan of the nominal world alone.
     #[serde(default)]
     pub chosen_by: Option<RobustObjective>,
-    /// What the action does in disturbed worlds that played no part in choosing it.
+    /// Forecast of the action in perturbed worlds that played no part in the choice.
     #[serde(default)]
     pub predicted: Option<Prediction>,
-    /// Ways of reaching the goal, best first; the first one's action is the plan's.
+    /// Strategies, best first. The action of the first one is the plan's.
     #[serde(default)]
     pub strategies: Vec<Strategy>,
-    /// Why it was chosen, most telling first.
+    /// Reasons for the choice, most important first.
     #[serde(default)]
     pub reasons: Vec<Reason>,
-    /// Which unknowns matter for the chosen action, most important first. Each is disturbed alone: interactions are left
-    /// out.
+    /// Sensitivities of the chosen action, most important first. Each unknown is perturbed alone, without
+    /// interactions.
     #[serde(default)]
     pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
@@ -125,7 +124,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// "312 of 1500 actions are out of the robot's reach: …"; `None` where none is.
+    /// "312 of 1500 actions are out of the robot's reach: …"; `None` if all are within reach.
     pub fn refused_text(&self) -> Option<String> {
         let count: usize = self.refused.iter().map(|r| r.count).sum();
         let list: Vec<String> =
@@ -140,17 +139,17 @@ impl Plan {
         })
     }
 
-    /// "`ball` was inside of `box` (3), …": why rollouts could not be believed, with an example; `None` where all could, or
-    /// the plan is of an earlier version.
-    pub fn unbelievable_text(&self) -> Option<String> {
-        let first = self.unbelievable.first()?;
+    /// The reasons for invalid rollouts with an example, "`ball` was inside of `box` (3), …"; `None` if all rollouts
+    /// were valid, or for plans of earlier versions.
+    pub fn failure_text(&self) -> Option<String> {
+        let first = self.invalid_rollouts.first()?;
         let list: Vec<String> =
-            self.unbelievable.iter().take(4).map(|u| format!("{} ({})", u.reason, u.count)).collect();
-        let more = if self.unbelievable.len() > 4 { ", …" } else { "" };
+            self.invalid_rollouts.iter().take(4).map(|u| format!("{} ({})", u.reason, u.count)).collect();
+        let more = if self.invalid_rollouts.len() > 4 { ", …" } else { "" };
         Some(format!("{}{more}; for example, {}", list.join(", "), first.example))
     }
 
-    /// Where a realised objective lies in the predicted distribution; `None` where there is none.
+    /// The rank of a realised objective in the forecast; `None` without a forecast.
     pub fn against(&self, realised: f64) -> Option<AgainstPrediction> {
         let p = self.predicted?;
         let outcomes: Vec<f64> = self.strategies.first()?.outcomes.iter().copied().flatten().collect();
@@ -168,9 +167,9 @@ impl Plan {
         })
     }
 
-    /// Whether no disturbed world was looked at, so that nothing is known of how the action fares in them.
+    /// Whether the plan was made in the nominal world alone.
     pub fn is_nominal_only(&self) -> bool {
-        // Plans of earlier versions have neither, and a quantile over disturbed worlds.
+        // Plans of earlier versions have neither, but a quantile over perturbed worlds.
         self.predicted.is_none() && self.strategies.first().is_some_and(|s| s.outcomes.is_empty())
     }
 }

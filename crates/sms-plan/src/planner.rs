@@ -1,72 +1,49 @@
-//! From a task and a scene to a plan (paper section "Simulate").
+//! The planner: from a task and a scene to a plan (paper section "Simulate").
 
+use crate::candidate::{RobustCandidate, key};
 use crate::config::SOLVED;
-use crate::reason::Explaining;
-use crate::robust::{Candidate, Choice, key};
+use crate::counter::{Counter, Reasons};
+use crate::explain::Explanation;
+use crate::robust::RobustChoice;
+use crate::rollout_outcome::RolloutOutcome;
 use crate::screening::Feasible;
-use crate::search::{Found, search, search_by};
-use crate::sensitivity::Sensing;
+use crate::search::{SearchLog, search, search_by};
+use crate::sensitivity_analysis::SensitivityAnalysis;
+use crate::session::Session;
 use crate::space::Space;
-use crate::strategy::{strategy_of, touched};
-use crate::worlds::{Counter, DisturbedWorlds, Shot, Worlds};
+use crate::strategy::touched;
+use crate::worlds::{PerturbedWorlds, Worlds};
 use crate::{
-    BatchOptimiser, Phase, Plan, PlanConfig, PlanOutcome, Prediction, Refusal, StartSummary, Strategy, Trial,
-    Unknown,
+    BatchOptimiser, Plan, PlanConfig, PlanError, PlanOutcome, Prediction, Reason, Refusal, Sensitivity,
+    StartSummary, Strategy, Trial, TrialPhase,
 };
-use sms_core::{Cancel, CoreError, InputError, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
 use sms_scene::Scene;
-use sms_sim::{BodyId, SimError, WorldFactory};
-use sms_task::{Action, Recording, ResolvedTask, Rollout, TaskError};
+use sms_sim::{BodyId, WorldFactory};
+use sms_task::{Action, MotionRecording, ResolvedTask, Rollout};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Mutex;
 
 /// Time between recorded states of the plan's trajectory, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 120.0;
 
-/// Errors of planning.
-#[derive(Debug, thiserror::Error)]
-pub enum PlanError {
-    /// Bad settings.
-    #[error(transparent)]
-    Input(#[from] InputError),
-    /// Interrupted, or a file could not be written.
-    #[error(transparent)]
-    Core(#[from] CoreError),
-    /// The task does not fit the scene.
-    #[error(transparent)]
-    Task(#[from] TaskError),
-    /// The scene cannot be simulated.
-    #[error(transparent)]
-    Sim(#[from] SimError),
-    /// The robot can make none of the strikes.
-    #[error(transparent)]
-    OutOfReach(InputError),
-    /// No rollout reached its end.
-    #[error(
-        "none of the {evaluations} simulated shots could be carried out ({engine} blew up in each); check the \
-         scene's masses and shapes with `sms simulate`"
-    )]
-    Nothing {
-        /// Engine.
-        engine: String,
-        /// Rollouts.
-        evaluations: usize,
-    },
-}
-
-/// Plans: searches the actions in the nominal world, then chooses by how they fare in disturbed worlds (materials
-/// sampled within their intervals, objects, radii and strike a little off; the same worlds for every candidate).
+/// Plans an action for a task.
 ///
-/// Choice: distinct actions that do better than nothing, from the nominal search and from a scan in the disturbed worlds,
-/// are tried in a few of these; simplex searches go on over them from the best, the better half is tried in twice as many
-/// worlds, and so on. The best few are tried in as many worlds again, and the one with the smallest [`PlanConfig::objective`] over
-/// both wins. What it is predicted to do is measured in other worlds. The plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the
-/// scan made, is looked at.
+/// The planner searches the actions in the nominal world. It then chooses by the outcomes in perturbed worlds: materials
+/// sampled within their intervals, small errors of object poses, radii and the strike. All candidates meet the same worlds.
+///
+/// Candidates are distinct actions that improve on doing nothing, from the nominal search and from a scan of the perturbed
+/// worlds. They are tried in a few worlds, simplex searches start from the best of them, and the better half is tried in
+/// twice as many worlds until half of the worlds are used. The best few are then tried in the other half, and the smallest
+/// [`PlanConfig::objective`] over all worlds wins. Its prediction comes from worlds that played no part in the choice.
+///
+/// The plan is the same for any number of threads of rayon's current pool. The planner uses only `scene`, never the truth.
 ///
 /// # Errors
-/// [`PlanError`]: bad settings, a scene that cannot be simulated, or interruption.
+/// [`PlanError`]: bad settings, a scene that cannot be simulated, no strike within the robot's reach, or interruption.
 pub fn plan(
     task: &ResolvedTask,
     scene: &Scene,
@@ -77,169 +54,60 @@ pub fn plan(
     cancel: &Cancel,
     warnings: &Warnings,
 ) -> Result<PlanOutcome, PlanError> {
-    config.validate(Path::new("(settings of the planner)"))?;
-    let space = Space::new(task);
-    let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
-    let counter = Counter::new(progress, cancel);
-
-    counter.begin("plan: search", config.budget());
-    // What each shot touches, by its point: the order in which threads note it does not matter.
-    let notes: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
-    let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
-    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
-    let objective = |x: &[f64]| {
-        let mut seen = None;
-        let objective = counter.count(|| {
-            let rollout = nominal.rollout(&task.strike(&space.action(x)), None)?;
-            seen = Some(strategy_of(&rollout, scene, task));
-            Ok(rollout.objective)
-        })?;
-        if let (Some(strategy), Ok(mut notes)) = (seen, notes.lock()) {
-            notes.insert(key(x), strategy);
-        }
-        Ok(objective)
+    config.validate(Path::new(SETTINGS))?;
+    let session = Session {
+        task,
+        scene,
+        factory,
+        config,
+        seed,
+        space: Space::new(task),
+        nominal: Worlds::new(task, Cow::Borrowed(scene), factory)?,
+        counter: Counter::new(progress, cancel),
     };
-    let mut found = Found::default();
-    for round in 0..config.searches() {
-        if round > 0 {
-            counter.begin("plan: search anew", config.budget());
-        }
-        let seed = match round {
-            0 => seed.derive("search"),
-            _ => seed.derive_index("search anew", round as u64),
-        };
-        found.append(search(&space, &settings, seed, config.budget(), &feasible, &objective)?);
-        if found.best() <= SOLVED * task.success_m() {
-            break;
-        }
-    }
-    let known = notes.into_inner().unwrap_or_default();
-    let evaluations = counter.done();
-    let best = found.best();
-    let struck = counter.refused();
-    if !best.is_finite() {
-        let refused = counter.refusals(&struck);
-        let looked_at = evaluations + total(&refused) - struck.values().sum::<usize>();
-        if total(&refused) == looked_at {
-            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, looked_at)));
-        }
-        return Err(PlanError::Nothing { engine: factory.engine().to_owned(), evaluations });
-    }
-    progress.end(&format!("best of {evaluations} shots: {:.1} mm", 1e3 * best));
-
-    let d = &config.disturbances;
-    let (chosen, forecast) = {
-        counter.begin("plan: disturbed worlds", config.disturbed_rollouts());
-        let everything = |_: &Unknown| true;
-        let family = |range| {
-            DisturbedWorlds::new(task, scene, factory, d, seed.derive("disturbed"), range, &everything)
-        };
-        let choice = Choice {
-            task,
-            scene,
-            config,
-            space: &space,
-            nominal: &nominal,
-            counter: &counter,
-            known: &known,
-        };
-        let chosen = choice.choose(&mut found, &family(0..2 * d.worlds)?, seed.derive("robust scan"))?;
-        if chosen.is_empty() {
-            let refused = counter.refusals(&struck);
-            return Err(PlanError::OutOfReach(out_of_reach(task, &refused, total(&refused))));
-        }
-        // Worlds that played no part in the choice: in those that did, the winner looks better than it is.
-        let fresh = if d.worlds == 0 { 0 } else { config.forecast_worlds };
-        let fresh = family(2 * d.worlds..2 * d.worlds + fresh)?;
-        let see = |rollout: &Rollout| (strategy_of(rollout, scene, task), touched(rollout, scene));
-        let forecast = forecast(&chosen, &fresh, &counter, &see, &mut found.trials)?;
-        (chosen, forecast)
-    };
-    // Points of the scan, and what was refused, are looked at, too.
-    let is_scan = |t: &&Trial| t.phase == Phase::Disturbed && t.start == -1;
-    let scanned = found.trials.iter().filter(is_scan).count();
-    let refused = counter.refusals(&struck);
-    let searched = evaluations + scanned + total(&refused) - struck.values().sum::<usize>();
+    let mut planning = Planning::search(&session)?;
+    progress.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
+    let chosen = planning.choose()?;
+    let forecast = planning.forecast(&chosen)?;
+    let counts = planning.search_counts();
     let predictions: Vec<Option<Prediction>> =
-        forecast.iter().map(|row| Prediction::of(&shots(row), |v| task.is_success(v))).collect();
+        forecast.iter().map(|row| Prediction::of(&outcomes(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
     if let Some(p) = predicted {
         progress.end(&format!("chosen shot: {:.1} mm on average", 1e3 * p.mean));
     }
-    let action = winner.action.clone();
-    // A world for nothing but the strike's errors may have none that is valid.
     let objective_q90 = predicted.map_or(winner.objective, |p| p.q90);
-    for start in &mut found.starts {
-        if start.action == action {
-            start.objective_q90 = Some(objective_q90);
-        }
+    for start in planning.found.starts.iter_mut().filter(|s| s.action == winner.action) {
+        start.objective_q90 = Some(objective_q90);
     }
-    // Recorded until the end, it may turn out invalid after what counts has happened; there is nothing to show then.
-    let rollout = match nominal.rollout(&task.strike(&action), Some(Recording { every_s: RECORD_EVERY_S })) {
-        Err(e) if !e.is_invalid_rollout() => return Err(e.into()),
-        other => other.ok(),
-    };
-    let sensitivities = match &rollout {
-        Some(rollout) if predicted.is_some() && config.sensitivity_rollouts > 0 => {
-            let disturbed = forecast[0].iter().filter_map(|shot| shot.1.as_ref()).flat_map(|s| s.1.clone());
-            let touched = disturbed.chain(touched(rollout, scene)).collect();
-            let sensing =
-                Sensing { task, scene, factory, config, seed, counter: &counter, winner, touched: &touched };
-            sensing.sense(rollout, &mut found.trials)?
+    let rollout = planning.record(&winner.action)?;
+    let (mut sensitivities, mut reasons) = (Vec::new(), Vec::new());
+    let strategies = strategies(&chosen, &predictions, &forecast);
+    if let Some(rollout) = rollout.as_ref().filter(|_| config.sensitivity_rollouts > 0) {
+        // Sensitivities explain the spread of a forecast.
+        if predicted.is_some() {
+            sensitivities = planning.sensitivities(winner, rollout, &forecast[0])?;
         }
-        _ => Vec::new(),
-    };
-    let strategies: Vec<Strategy> = chosen
-        .iter()
-        .zip(&predictions)
-        .zip(&forecast)
-        .map(|((c, prediction), row)| Strategy {
-            name: c.strategy.clone(),
-            action: c.action.clone(),
-            objective: c.objective,
-            prediction: *prediction,
-            outcomes: shots(row).into_iter().map(|s| Some(s.objective()).filter(|v| v.is_finite())).collect(),
-            refused: shots(row).into_iter().filter(|s| *s == Shot::Refused).count(),
-            as_named_share: (!row.is_empty()).then(|| {
-                let is_so = |shot: &&Seen| shot.1.as_ref().is_some_and(|s| s.0 == c.strategy);
-                row.iter().filter(is_so).count() as f64 / row.len() as f64
-            }),
-        })
-        .collect();
-    let reasons = match &rollout {
-        Some(rollout) if config.sensitivity_rollouts > 0 => {
-            let explaining = Explaining {
-                task,
-                scene,
-                factory,
-                config,
-                space: &space,
-                nominal: &nominal,
-                counter: &counter,
-                scored: &found.scored,
-                known: &known,
-            };
-            explaining.reasons(&chosen, &strategies, rollout, &mut found.trials)?
-        }
-        _ => Vec::new(),
-    };
+        reasons = planning.reasons(&chosen, &strategies, rollout)?;
+    }
+    let counter = &session.counter;
     let plan = Plan {
         task: task.kind().to_owned(),
         engine: factory.engine().to_owned(),
         parameters: task.parameters(),
-        action,
+        action: winner.action.clone(),
         objective: winner.objective,
         objective_unit: task.objective_unit().to_owned(),
         objective_q90,
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
-        unbelievable: counter.unbelievable(),
-        searched,
-        refused,
+        invalid_rollouts: counter.invalid_rollouts(),
+        searched: counts.searched,
+        refused: counts.refused,
         striker: task.striker_name(),
         robot: task.arm().map(|a| a.settings().clone()),
-        starts: found.starts,
+        starts: planning.found.starts,
         chosen_by: predicted.map(|_| config.objective),
         predicted,
         strategies,
@@ -248,38 +116,208 @@ pub fn plan(
         trajectory: rollout.and_then(|r| r.trajectory).unwrap_or_default(),
     };
     warn(task, &plan, warnings);
-    Ok(PlanOutcome { plan, trials: found.trials })
+    Ok(PlanOutcome { plan, trials: planning.found.trials })
 }
 
-/// What comes of a shot in a disturbed world, and the strategy that it turned out to be with the bodies that it touched.
-type Seen = (Shot, Option<(String, BTreeSet<BodyId>)>);
+/// Names the settings in errors about settings that the caller made.
+const SETTINGS: &str = "(settings of the planner)";
 
-fn shots(row: &[Seen]) -> Vec<Shot> {
-    row.iter().map(|seen| seen.0).collect()
+/// A planning run after its nominal search.
+struct Planning<'a> {
+    session: &'a Session<'a>,
+    found: SearchLog,
+    /// Strategies of the rollouts of the search, by [`key`].
+    known: BTreeMap<Vec<u64>, String>,
+    /// Rollouts of the search.
+    evaluations: usize,
+    /// Refused strikes in the place of a rollout during the search.
+    struck: Reasons,
 }
 
-/// Tries the chosen actions in worlds that played no part in choosing them.
-fn forecast(
-    chosen: &[Candidate],
-    worlds: &DisturbedWorlds<'_>,
-    counter: &Counter<'_>,
-    see: &(dyn Fn(&Rollout) -> (String, BTreeSet<BodyId>) + Sync),
-    trials: &mut Vec<Trial>,
-) -> Result<Vec<Vec<Seen>>, PlanError> {
-    let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
-    let rows = worlds.look(&actions, 0..worlds.len(), counter, see)?;
-    for (i, row) in rows.iter().enumerate() {
-        for (w, objective) in shots(row).into_iter().map(Shot::objective).enumerate() {
-            trials.push(Trial::new(Phase::Forecast, i as i32, w as i32, actions[i].clone(), objective));
+/// Actions that the search and the scan considered.
+struct SearchCounts {
+    searched: usize,
+    refused: Vec<Refusal>,
+}
+
+/// The outcome of a shot in a forecast world. A simulated one has the strategy that it followed and the bodies it touched.
+type ForecastOutcome = (RolloutOutcome, Option<(String, BTreeSet<BodyId>)>);
+
+fn outcomes(row: &[ForecastOutcome]) -> Vec<RolloutOutcome> {
+    row.iter().map(|o| o.0).collect()
+}
+
+impl<'a> Planning<'a> {
+    /// Searches the nominal world, repeatedly from other points while the best objective is poor.
+    fn search(session: &'a Session<'a>) -> Result<Self, PlanError> {
+        let (config, counter) = (session.config, &session.counter);
+        counter.begin("plan: search", config.budget());
+        // Keyed by the point, so that the order in which threads finish does not matter.
+        let known: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
+        let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
+        let objective = |x: &[f64]| {
+            let mut strategy = None;
+            let objective = counter.count(|| {
+                let rollout =
+                    session.nominal.rollout(&session.task.strike(&session.space.action(x)), None)?;
+                strategy = Some(session.strategy_of(&rollout));
+                Ok(rollout.objective)
+            })?;
+            if let (Some(strategy), Ok(mut known)) = (strategy, known.lock()) {
+                known.insert(key(x), strategy);
+            }
+            Ok(objective)
+        };
+        let mut found = SearchLog::default();
+        for round in 0..config.searches() {
+            if round > 0 {
+                counter.begin("plan: search from other points", config.budget());
+            }
+            // The names of seeds are part of the result, so they keep their first wording.
+            let seed = match round {
+                0 => session.seed.derive("search"),
+                _ => session.seed.derive_index("search anew", round as u64),
+            };
+            let feasible = |x: &[f64]| session.is_feasible(x);
+            found.append(search(&session.space, &settings, seed, config.budget(), &feasible, &objective)?);
+            if found.best() <= SOLVED * session.task.success_m() {
+                break;
+            }
+        }
+        let known = known.into_inner().unwrap_or_default();
+        let planning = Self { session, found, known, evaluations: counter.done(), struck: counter.refused() };
+        planning.check_found()?;
+        Ok(planning)
+    }
+
+    /// Returns an error if no rollout of the search was valid.
+    fn check_found(&self) -> Result<(), PlanError> {
+        if self.found.best().is_finite() {
+            return Ok(());
+        }
+        let (session, evaluations) = (self.session, self.evaluations);
+        let refused = session.counter.refusals(&self.struck);
+        let considered = evaluations + total(&refused) - self.struck.values().sum::<usize>();
+        if total(&refused) == considered {
+            return Err(PlanError::OutOfReach(out_of_reach(session.task, &refused, considered)));
+        }
+        Err(PlanError::Nothing { engine: session.factory.engine().to_owned(), evaluations })
+    }
+
+    fn perturbed_worlds(&self, indices: Range<usize>) -> Result<PerturbedWorlds<'a>, PlanError> {
+        self.session.perturbed_worlds(self.session.seed.derive("disturbed"), indices)
+    }
+
+    /// The best action of each strategy, best strategy first; at least one.
+    fn choose(&mut self) -> Result<Vec<RobustCandidate>, PlanError> {
+        let session = self.session;
+        session.counter.begin("plan: perturbed worlds", session.config.perturbed_rollouts());
+        let worlds = self.perturbed_worlds(0..2 * session.config.perturbation.worlds)?;
+        let choice = RobustChoice { session, known: &self.known };
+        let chosen = choice.choose(&mut self.found, &worlds, session.seed.derive("robust scan"))?;
+        if chosen.is_empty() {
+            let refused = session.counter.refusals(&self.struck);
+            return Err(PlanError::OutOfReach(out_of_reach(session.task, &refused, total(&refused))));
+        }
+        Ok(chosen)
+    }
+
+    /// Tries the chosen actions in worlds that played no part in the choice: in the worlds of the choice, the winner looks
+    /// better than it is.
+    fn forecast(&mut self, chosen: &[RobustCandidate]) -> Result<Vec<Vec<ForecastOutcome>>, PlanError> {
+        let session = self.session;
+        let first = 2 * session.config.perturbation.worlds;
+        let count = if first == 0 { 0 } else { session.config.forecast_worlds };
+        let worlds = self.perturbed_worlds(first..first + count)?;
+        let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
+        let look = |rollout: &Rollout| (session.strategy_of(rollout), touched(rollout, session.scene));
+        let rows = worlds.look(&actions, 0..worlds.len(), &session.counter, &look)?;
+        for (i, row) in rows.iter().enumerate() {
+            for (w, outcome) in outcomes(row).into_iter().enumerate() {
+                let (action, objective) = (actions[i].clone(), outcome.objective());
+                self.found.trials.push(Trial::new(
+                    TrialPhase::Forecast,
+                    i as i32,
+                    w as i32,
+                    action,
+                    objective,
+                ));
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Actions considered so far: rollouts of the search, points of the scan and refused points of both.
+    fn search_counts(&self) -> SearchCounts {
+        let is_scan = |t: &&Trial| t.phase == TrialPhase::Perturbed && t.start == -1;
+        let scanned = self.found.trials.iter().filter(is_scan).count();
+        let refused = self.session.counter.refusals(&self.struck);
+        let struck = self.struck.values().sum::<usize>();
+        SearchCounts { searched: self.evaluations + scanned + total(&refused) - struck, refused }
+    }
+
+    /// Records the motion of an action in the nominal world. `None` where the rollout is not valid to its end, which may
+    /// come after the moment that decides the objective.
+    fn record(&self, action: &Action) -> Result<Option<Rollout>, PlanError> {
+        let recording = MotionRecording { every_s: RECORD_EVERY_S };
+        match self.session.nominal.rollout(&self.session.task.strike(action), Some(recording)) {
+            Err(e) if !e.is_invalid_rollout() => Err(e.into()),
+            other => Ok(other.ok()),
         }
     }
-    Ok(rows)
+
+    fn sensitivities(
+        &mut self,
+        winner: &RobustCandidate,
+        rollout: &Rollout,
+        forecast: &[ForecastOutcome],
+    ) -> Result<Vec<Sensitivity>, PlanError> {
+        let perturbed = forecast.iter().filter_map(|o| o.1.as_ref()).flat_map(|o| o.1.clone());
+        let touched = perturbed.chain(touched(rollout, self.session.scene)).collect();
+        let sensing = SensitivityAnalysis { session: self.session, winner, touched: &touched };
+        sensing.sense(rollout, &mut self.found.trials)
+    }
+
+    fn reasons(
+        &mut self,
+        chosen: &[RobustCandidate],
+        strategies: &[Strategy],
+        rollout: &Rollout,
+    ) -> Result<Vec<Reason>, PlanError> {
+        let explaining =
+            Explanation { session: self.session, scored: &self.found.scored, known: &self.known };
+        explaining.reasons(chosen, strategies, rollout, &mut self.found.trials)
+    }
 }
 
-/// What a search of the nominal world alone found.
+/// The chosen actions with their predictions and outcomes.
+fn strategies(
+    chosen: &[RobustCandidate],
+    predictions: &[Option<Prediction>],
+    forecast: &[Vec<ForecastOutcome>],
+) -> Vec<Strategy> {
+    let strategy =
+        |((c, prediction), row): ((&RobustCandidate, &Option<Prediction>), &Vec<ForecastOutcome>)| {
+            let all = outcomes(row);
+            let is_as_named = |o: &&ForecastOutcome| o.1.as_ref().is_some_and(|s| s.0 == c.strategy);
+            Strategy {
+                name: c.strategy.clone(),
+                action: c.action.clone(),
+                objective: c.objective,
+                prediction: *prediction,
+                outcomes: all.iter().map(|o| Some(o.objective()).filter(|v| v.is_finite())).collect(),
+                refused: all.iter().filter(|o| **o == RolloutOutcome::Refused).count(),
+                as_named_share: (!row.is_empty())
+                    .then(|| row.iter().filter(is_as_named).count() as f64 / row.len() as f64),
+            }
+        };
+    chosen.iter().zip(predictions).zip(forecast).map(strategy).collect()
+}
+
+/// The result of a search of the nominal world alone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NominalSearch {
-    /// Every rollout: the scan, then the searches in order of their starts.
+    /// Every rollout: the screening, then the local searches in order of their starts.
     pub trials: Vec<Trial>,
     /// The local searches.
     pub starts: Vec<StartSummary>,
@@ -292,10 +330,10 @@ impl NominalSearch {
     }
 }
 
-/// The first part of [`plan`] alone, for comparing methods: searches the nominal world with at most `budget` rollouts.
+/// Searches the nominal world with at most `budget` rollouts: the first part of [`plan`], for comparisons of methods.
 ///
 /// # Errors
-/// As [`plan`]; a search without any valid rollout is not an error here.
+/// As [`plan`], except that a search without a valid rollout is not an error.
 pub fn search_nominal(
     task: &ResolvedTask,
     scene: &Scene,
@@ -305,7 +343,7 @@ pub fn search_nominal(
     seed: Seed,
     cancel: &Cancel,
 ) -> Result<NominalSearch, PlanError> {
-    config.validate(Path::new("(settings of the planner)"))?;
+    config.validate(Path::new(SETTINGS))?;
     let space = Space::new(task);
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(&NoProgress, cancel);
@@ -342,24 +380,23 @@ pub fn search_nominal_by(
     Ok(NominalSearch { trials: found.trials, starts: found.starts })
 }
 
-/// How many strikes are refused.
+/// Number of refused strikes.
 fn total(refusals: &[Refusal]) -> usize {
     refusals.iter().map(|r| r.count).sum()
 }
 
-/// The robot can make none of the strikes.
-fn out_of_reach(task: &ResolvedTask, refusals: &[Refusal], evaluations: usize) -> InputError {
+/// The error for a robot that cannot carry out any strike.
+fn out_of_reach(task: &ResolvedTask, refusals: &[Refusal], considered: usize) -> InputError {
     let list: Vec<String> = refusals.iter().map(|r| format!("{} ({})", r.reason, r.count)).collect();
-    let cue = task.cue();
     InputError::new(
         format!(
-            "the robot can make none of the {evaluations} strikes of `{}` that were looked at: {}",
-            cue.name,
+            "the robot cannot carry out any of the {considered} strikes of `{}` that were considered: {}",
+            task.cue().name,
             list.join(", ")
         ),
         "[robot]",
-        "place the robot nearer or further away (`x_world_robot` of [robot]; 0.1 to 0.2 m further where its links would meet each \
-         other), take away what stands beside the struck body, lower the task's speeds, or plan without the robot",
+        "move the robot nearer or further away (`x_world_robot` of [robot]; by 0.1 to 0.2 m further where its links would \
+         collide), remove obstacles beside the struck body, lower the task's speeds, or plan without the robot",
     )
 }
 
@@ -369,7 +406,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "no_good_shot",
             format!(
-                "no shot was found that does what the task asks; the best one comes to {:.1} cm",
+                "no shot meets the task's success limit; the best one misses by {:.1} cm",
                 1e2 * plan.objective
             ),
             "move the goal, widen the task's bounds, or plan with more evaluations",
@@ -379,12 +416,12 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "fragile_shot",
             format!(
-                "the chosen shot comes to {:.1} cm, but only to {:.1} cm in nine of ten worlds that \
-                 differ within what is known",
+                "the chosen shot misses by {:.1} cm in the scanned world, but by {:.1} cm at the 90 % quantile over perturbed \
+                 worlds",
                 1e2 * plan.objective,
                 1e2 * plan.objective_q90
             ),
-            "narrow the material intervals, or choose a goal that is easier to reach",
+            "narrow the material intervals, or choose an easier goal",
         );
     }
     let refused = total(&plan.refused);
@@ -393,7 +430,7 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "out_of_reach",
             text,
-            "look at where the robot stands, and at what stands around the struck body",
+            "check the robot's pose and the obstacles around the struck body",
         );
     }
     let unreachable = plan.starts.iter().filter(|s| s.is_out_of_reach()).count();
@@ -402,34 +439,34 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "starts_out_of_reach",
             format!(
-                "{unreachable} of {} searches were not begun: no strike that the robot can make was found for them",
+                "{unreachable} of {} searches did not start: no strike within the robot's reach was found for them",
                 plan.starts.len()
             ),
-            "look at where the robot stands, and at what stands around the struck body",
+            "check the robot's pose and the obstacles around the struck body",
         );
     }
-    if let Some(why) = plan.strategies.first().and_then(Strategy::unbelievable_text) {
+    if let Some(why) = plan.strategies.first().and_then(Strategy::failure_text) {
         warnings.add(
             "plan",
             "forecast_failed",
-            format!("what the chosen shot does in disturbed worlds is not known: it {why}"),
+            format!("the chosen shot has no forecast in perturbed worlds: it {why}"),
             if plan.strategies[0].refused == plan.strategies[0].outcomes.len() {
-                "the strike is at the edge of what the robot can do: look at where it stands (`x_world_robot`)"
+                "the strike is at the edge of the robot's reach: move the robot (`x_world_robot`)"
             } else {
-                "look for interpenetrating or very light bodies in the scene; do not carry the shot out"
+                "check the scene for interpenetrating or very light bodies; do not carry out the shot"
             },
         );
     }
     if plan.invalid > 0 {
-        let why = plan.unbelievable_text().unwrap_or_default();
+        let why = plan.failure_text().unwrap_or_default();
         warnings.add(
             "plan",
             "failed_rollouts",
             format!(
-                "{} of {} simulated shots cannot be believed and were not counted: {why}",
+                "{} of {} simulated shots are invalid and were not counted: {why}",
                 plan.invalid, plan.evaluations
             ),
-            "look for interpenetrating or very light bodies in the scene",
+            "check the scene for interpenetrating or very light bodies",
         );
     }
 }

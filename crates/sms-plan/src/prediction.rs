@@ -1,10 +1,10 @@
-//! What a shot is predicted to do in a world that is not exactly the scanned one.
+//! Predicted distribution of the objective over perturbed worlds.
 
-use crate::disturb::quantile;
-use crate::worlds::Shot;
+use crate::perturbation::quantile;
+use crate::rollout_outcome::RolloutOutcome;
 use serde::{Deserialize, Serialize};
 
-/// What is minimised over disturbed worlds.
+/// Statistic that is minimised over perturbed worlds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RobustObjective {
@@ -19,8 +19,7 @@ pub enum RobustObjective {
 }
 
 impl RobustObjective {
-    /// The statistic of some values. Those that are infinite (invalid rollouts) are left out; infinite when there is no
-    /// other.
+    /// Computes the statistic of the finite values (invalid rollouts are infinite); infinite if there are none.
     pub fn of(self, values: &[f64]) -> f64 {
         let valid: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
         if valid.is_empty() {
@@ -34,19 +33,19 @@ impl RobustObjective {
         }
     }
 
-    /// What candidates are ranked by: fewer invalid rollouts first, then the statistic. An invalid rollout has no
-    /// value, so that no number of good ones makes up for it.
+    /// The rank of outcomes: fewer invalid rollouts first, then the statistic. No number of good outcomes makes up
+    /// for an invalid rollout.
     pub(crate) fn rank(self, values: &[f64]) -> (usize, f64) {
         (values.iter().filter(|v| !v.is_finite()).count(), self.of(values))
     }
 }
 
-/// The order of two ranks.
+/// Orders two ranks.
 pub(crate) fn compare(a: (usize, f64), b: (usize, f64)) -> std::cmp::Ordering {
     a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
 }
 
-/// The distribution of the objective over disturbed worlds, in the task's unit.
+/// The distribution of the objective over perturbed worlds, in the task's unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Prediction {
     /// Mean.
@@ -59,32 +58,32 @@ pub struct Prediction {
     pub q90: f64,
     /// Share of the worlds in which the task succeeds; invalid rollouts and refused strikes count as failures.
     pub success_share: f64,
-    /// Number of worlds, those with invalid rollouts or refused strikes included.
+    /// Number of worlds, including those with invalid rollouts or refused strikes.
     pub worlds: usize,
-    /// Rollouts that could not be believed and are in none of the figures above but the share.
+    /// Number of invalid rollouts. Of the figures above only `success_share` includes them.
     pub invalid: usize,
-    /// Worlds in which the robot cannot make the strike as it would be carried out there; treated likewise.
+    /// Number of worlds in which the robot cannot carry out the perturbed strike; treated likewise.
     #[serde(default)]
     pub refused: usize,
 }
 
 impl Prediction {
-    /// What is in no figure but the share: "2 of 32 not valid, 1 not made by the robot". `None` where all is.
+    /// The outcomes without a value: "2 of 32 invalid, 1 refused by the robot". `None` if there are none.
     pub fn missing_text(&self) -> Option<String> {
         let of_all = |first: bool| if first { format!(" of {}", self.worlds) } else { String::new() };
         let mut parts = Vec::new();
-        for (count, what) in [(self.invalid, "not valid"), (self.refused, "not made by the robot")] {
+        for (count, kind) in [(self.invalid, "invalid"), (self.refused, "refused by the robot")] {
             if count > 0 {
-                parts.push(format!("{count}{} {what}", of_all(parts.is_empty())));
+                parts.push(format!("{count}{} {kind}", of_all(parts.is_empty())));
             }
         }
         (!parts.is_empty()).then(|| parts.join(", "))
     }
 
-    /// The distribution of what comes of the same shot in several worlds. `None` when it was simulated well in none.
-    pub(crate) fn of(shots: &[Shot], is_success: impl Fn(f64) -> bool) -> Option<Self> {
+    /// The distribution of the outcomes of one shot in several worlds. `None` without a valid outcome.
+    pub(crate) fn of(shots: &[RolloutOutcome], is_success: impl Fn(f64) -> bool) -> Option<Self> {
         let valid: Vec<f64> = shots.iter().map(|s| s.objective()).filter(|v| v.is_finite()).collect();
-        let refused = shots.iter().filter(|s| **s == Shot::Refused).count();
+        let refused = shots.iter().filter(|s| **s == RolloutOutcome::Refused).count();
         if valid.is_empty() {
             return None;
         }
@@ -106,26 +105,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_those_of_a_ladder_and_invalid_rollouts_are_no_values() {
-        let mut values: Vec<Shot> = (0..=10).map(|i| Shot::Done(0.01 * f64::from(i))).collect();
+    fn statistics_of_a_ladder_leave_out_invalid_rollouts() {
+        let mut values: Vec<RolloutOutcome> =
+            (0..=10).map(|i| RolloutOutcome::Done(0.01 * f64::from(i))).collect();
         let p = Prediction::of(&values, |v| v < 0.045).unwrap();
         let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
         assert!(close(p.mean, 0.05) && close(p.q10, 0.01) && close(p.q50, 0.05) && close(p.q90, 0.09));
         assert!(close(p.success_share, 5.0 / 11.0) && (p.worlds, p.invalid) == (11, 0));
-        values.push(Shot::Unbelievable);
+        values.push(RolloutOutcome::Invalid);
         let q = Prediction::of(&values, |v| v < 0.045).unwrap();
         assert_eq!((q.mean, q.q90), (p.mean, p.q90));
         assert!(close(q.success_share, 5.0 / 12.0) && (q.worlds, q.invalid) == (12, 1));
         assert_eq!(q.refused, 0);
         assert_eq!(p.missing_text(), None);
-        assert_eq!(q.missing_text().unwrap(), "1 of 12 not valid");
-        // A refused strike is no simulation that cannot be believed, and no success either.
-        values.push(Shot::Refused);
+        assert_eq!(q.missing_text().unwrap(), "1 of 12 invalid");
+        // A refused strike is neither an invalid rollout nor a success.
+        values.push(RolloutOutcome::Refused);
         let r = Prediction::of(&values, |v| v < 0.045).unwrap();
         assert_eq!((r.mean, r.worlds, r.invalid, r.refused), (p.mean, 13, 1, 1));
-        assert_eq!(r.missing_text().unwrap(), "1 of 13 not valid, 1 not made by the robot");
+        assert_eq!(r.missing_text().unwrap(), "1 of 13 invalid, 1 refused by the robot");
         assert!(close(r.success_share, 5.0 / 13.0));
-        assert!(Prediction::of(&[Shot::Unbelievable, Shot::Refused], |_| true).is_none());
+        assert!(Prediction::of(&[RolloutOutcome::Invalid, RolloutOutcome::Refused], |_| true).is_none());
     }
 
     #[test]

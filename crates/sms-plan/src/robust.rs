@@ -1,87 +1,48 @@
-//! Which action to choose: the one that fares best when the world is a little different.
+//! Robust choice: the action with the best outcomes over perturbed worlds.
 
-use crate::beaten::until_beaten;
+use crate::candidate::{RobustCandidate, STRATEGIES, key};
+use crate::config::FIRST_WORLDS;
 use crate::prediction::compare;
+use crate::racing::race;
 use crate::robust_search::Searches;
-use crate::search::{Found, Scored};
-use crate::space::{Space, is_near};
-use crate::strategy::strategy_of;
-use crate::worlds::{Counter, DisturbedWorlds, Worlds};
-use crate::{Phase, PlanConfig, PlanError, Trial};
+use crate::search::{ScoredPoint, SearchLog};
+use crate::session::Session;
+use crate::space::is_near;
+use crate::worlds::PerturbedWorlds;
+use crate::{PlanError, Trial, TrialPhase};
 use rayon::prelude::*;
 use sms_core::Seed;
-use sms_scene::Scene;
-use sms_task::{Action, ResolvedTask};
+use sms_task::Action;
 use std::collections::BTreeMap;
 
-/// Ways of reaching the goal that are followed through all worlds.
-pub(crate) const STRATEGIES: usize = 4;
-
-/// Worlds in which all candidates are tried.
-pub(crate) const FIRST_WORLDS: usize = 4;
-
-/// An action on its way through the disturbed worlds.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Candidate {
-    pub(crate) x: Vec<f64>,
-    pub(crate) action: Action,
-    /// Objective in the nominal world.
-    pub(crate) objective: f64,
-    /// What happens, in words.
-    pub(crate) strategy: String,
-    /// Objectives in the worlds seen so far.
-    pub(crate) outcomes: Vec<f64>,
-}
-
-impl Candidate {
-    /// What it is ranked by over the worlds seen so far, the world as scanned among them where that is known, and `more` in which its
-    /// objective is 0.
-    pub(crate) fn rank(&self, config: &PlanConfig, more: usize) -> (usize, f64) {
-        let nominal = if self.objective.is_finite() { config.nominal_worlds } else { 0 };
-        let mut values = self.outcomes.clone();
-        values.extend(std::iter::repeat_n(self.objective, nominal));
-        values.extend(std::iter::repeat_n(0.0, more));
-        config.objective.rank(&values)
-    }
-}
-
-/// What the choice needs.
-pub(crate) struct Choice<'a> {
-    pub(crate) task: &'a ResolvedTask,
-    pub(crate) scene: &'a Scene,
-    pub(crate) config: &'a PlanConfig,
-    pub(crate) space: &'a Space,
-    pub(crate) nominal: &'a Worlds<'a>,
-    pub(crate) counter: &'a Counter<'a>,
-    /// What the shots of the search do, by [`key`].
+/// The choice among actions.
+pub(crate) struct RobustChoice<'a> {
+    pub(crate) session: &'a Session<'a>,
+    /// Strategies of the rollouts in the nominal world, by [`key`].
     pub(crate) known: &'a BTreeMap<Vec<u64>, String>,
 }
 
-/// What a point is noted by.
-pub(crate) fn key(x: &[f64]) -> Vec<u64> {
-    x.iter().map(|v| v.to_bits()).collect()
-}
-
-impl Choice<'_> {
-    /// The best action of each strategy that the robot can carry out from home to its end, best strategy first; empty where
-    /// there is none. With disturbed worlds:
+impl RobustChoice<'_> {
+    /// Returns the best action of each strategy whose whole motion the robot can carry out, best strategy first;
+    /// empty if there is none.
     ///
-    /// 1. Candidates are the nominally best actions and the best of a scan, each point of which is tried in one
-    ///    disturbed world: what works in the world as told alone does not get through.
-    /// 2. They are tried in few worlds; from the best that differ, simplex searches go on over these worlds, fewer and
-    ///    fewer of them.
-    /// 3. The best are tried in more worlds, the better half of them in twice as many, and so on; from the best of these
-    ///    the search goes on once more, over the first half of all worlds.
-    /// 4. In those worlds the survivors look better than they are, and those that were searched for there more so: the
-    ///    best few and the best of each strategy are tried in the other half too, as long as they may still become the best of
-    ///    their strategy, and both halves decide.
+    /// With perturbed worlds the choice has four steps.
+    ///
+    /// 1. Candidates are the nominally best actions and the best of a scan. Each point of the scan is tried in one
+    ///    perturbed world, so that actions which only work in the scanned world do not enter through it.
+    /// 2. The candidates are tried in a few worlds. Simplex searches over these worlds start from the best distinct
+    ///    ones; their number halves after each round.
+    /// 3. The best are tried in more worlds, the better half in twice as many, and so on through the first half of
+    ///    the worlds. Simplex searches over that half start from the best of these.
+    /// 4. The survivors are biased towards these worlds, those of the searches most of all. The best few and the best
+    ///    of each strategy race through the second half, and both halves decide.
     pub(crate) fn choose(
         &self,
-        found: &mut Found,
-        worlds: &DisturbedWorlds<'_>,
+        found: &mut SearchLog,
+        worlds: &PerturbedWorlds<'_>,
         seed: Seed,
-    ) -> Result<Vec<Candidate>, PlanError> {
-        let config = self.config;
+    ) -> Result<Vec<RobustCandidate>, PlanError> {
+        let config = self.session.config;
         let mut all = self.candidates(&found.scored);
         let mut alive: Vec<usize> = (0..all.len()).collect();
         if worlds.len() > 0 {
@@ -90,17 +51,17 @@ impl Choice<'_> {
             let trials = &mut found.trials;
             all.extend(self.scan(worlds, seed, trials)?);
             alive.extend(alive.len()..all.len());
-            alive = self.counted(&mut all, alive, trials)?;
+            alive = self.with_nominal_if_ranked(&mut all, alive, trials)?;
             self.run(&mut all, &alive, worlds, 0..few, trials)?;
             alive = self.ranked(&all, &alive);
             let searches =
                 Searches { starts: config.descents, survivors: 4, points: config.descent, worlds: few };
             let added = self.descend(&mut all, &alive, worlds, &searches, trials)?;
             alive.extend(added);
-            alive = self.counted(&mut all, alive, trials)?;
+            alive = self.with_nominal_if_ranked(&mut all, alive, trials)?;
             alive = self.ranked(&all, &alive);
             alive = self.apart(&all, &alive, config.candidates.div_ceil(2).max(config.finalists));
-            alive = self.looked_at(&mut all, &alive, trials)?;
+            alive = self.with_nominal(&mut all, &alive, trials)?;
             let mut seen = few;
             while seen < half {
                 let next = (2 * seen).min(half);
@@ -117,24 +78,24 @@ impl Choice<'_> {
                 worlds: half,
             };
             let polished = self.descend(&mut all, &alive, worlds, &searches, trials)?;
-            // Only the best of them can be chosen: the others are not looked at more closely.
+            // Only the best can be chosen; the others are not simulated in the scanned world.
             let polished: Vec<usize> =
                 self.ranked(&all, &polished).into_iter().take(2 * STRATEGIES).collect();
-            alive.extend(self.looked_at(&mut all, &polished, trials)?);
+            alive.extend(self.with_nominal(&mut all, &polished, trials)?);
             alive = self.ranked(&all, &alive);
             alive = self.executable(&all, &alive)?;
             alive = self.best_with_strategies(&all, &alive, config.finalists);
             let last = half..worlds.len();
-            alive = until_beaten(&mut all, &alive, last, config, &mut |all, who, range| {
+            alive = race(&mut all, &alive, last, config, &mut |all, who, range| {
                 self.run(all, who, worlds, range, trials)
             })?;
             alive = self.ranked(&all, &alive);
         }
         let is_checked = worlds.len() > 0;
-        let mut best: Vec<Candidate> = Vec::new();
+        let mut best: Vec<RobustCandidate> = Vec::new();
         for i in alive {
             let is_new = best.len() < STRATEGIES && !best.iter().any(|b| b.strategy == all[i].strategy);
-            if is_new && (is_checked || self.counter.executable(self.task, &all[i].action)?) {
+            if is_new && (is_checked || self.session.is_executable(&all[i].action)?) {
                 best.push(all[i].clone());
             }
         }
@@ -144,49 +105,47 @@ impl Choice<'_> {
         Ok(best)
     }
 
-    /// Those whose whole motion, from home to strike, passes every check of the robot.
-    fn executable(&self, all: &[Candidate], who: &[usize]) -> Result<Vec<usize>, PlanError> {
-        let can: Vec<bool> = who
-            .par_iter()
-            .map(|&i| self.counter.executable(self.task, &all[i].action))
-            .collect::<Result<_, _>>()?;
+    /// The candidates whose whole motion, from home to strike, passes every check of the robot.
+    fn executable(&self, all: &[RobustCandidate], who: &[usize]) -> Result<Vec<usize>, PlanError> {
+        let can: Vec<bool> =
+            who.par_iter().map(|&i| self.session.is_executable(&all[i].action)).collect::<Result<_, _>>()?;
         Ok(who.iter().zip(can).filter_map(|(&i, can)| can.then_some(i)).collect())
     }
 
     /// The nominally best action of the search that the robot can carry out from home to its end.
-    fn best_executable(&self, scored: &[Scored]) -> Result<Option<Candidate>, PlanError> {
-        let mut order: Vec<&Scored> = scored.iter().filter(|s| s.objective.is_finite()).collect();
+    fn best_executable(&self, scored: &[ScoredPoint]) -> Result<Option<RobustCandidate>, PlanError> {
+        let mut order: Vec<&ScoredPoint> = scored.iter().filter(|s| s.objective.is_finite()).collect();
         order.sort_by(|a, b| a.objective.total_cmp(&b.objective));
         for s in order {
             let candidate = self.candidate(s.x.clone(), s.objective);
-            if self.counter.executable(self.task, &candidate.action)? {
+            if self.session.is_executable(&candidate.action)? {
                 return Ok(Some(candidate));
             }
         }
         Ok(None)
     }
 
-    /// Distinct actions that do better than nothing, best first: half of them the nominally best ones, half from every
-    /// strategy in turn.
-    fn candidates(&self, scored: &[Scored]) -> Vec<Candidate> {
-        let count = self.config.candidates;
-        let steps = self.space.steps(self.config.initial_step, true);
-        let pool = distinct(scored, self.task.initial_objective(), &steps, 2 * count);
+    /// Distinct actions that improve on doing nothing, best first: half of them the nominally best ones, half from
+    /// each strategy in turn.
+    fn candidates(&self, scored: &[ScoredPoint]) -> Vec<RobustCandidate> {
+        let count = self.session.config.candidates;
+        let steps = self.session.space.steps(self.session.config.initial_step, true);
+        let pool = distinct(scored, self.session.task.initial_objective(), &steps, 2 * count);
         let pool = pool.into_iter().map(|s| self.candidate(s.x, s.objective)).collect();
         spread(pool, count)
     }
 
-    pub(crate) fn candidate(&self, x: Vec<f64>, objective: f64) -> Candidate {
-        let action = self.space.action(&x);
+    pub(crate) fn candidate(&self, x: Vec<f64>, objective: f64) -> RobustCandidate {
+        let action = self.session.space.action(&x);
         let strategy = self.known.get(&key(&x)).cloned().unwrap_or_default();
-        Candidate { x, action, objective, strategy, outcomes: Vec::new() }
+        RobustCandidate { x, action, objective, strategy, outcomes: Vec::new() }
     }
 
-    /// Carries out the shots that have not been in the nominal world there, and looks at what touches what. Without those
-    /// that cannot be believed there: what is invalid in the scanned world is no plan, however it fares in others.
-    fn looked_at(
+    /// Tries candidates without a nominal rollout in the nominal world and names their strategies. Drops those that
+    /// are invalid there: an action that is invalid in the scanned world cannot be the plan.
+    fn with_nominal(
         &self,
-        all: &mut [Candidate],
+        all: &mut [RobustCandidate],
         who: &[usize],
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<usize>, PlanError> {
@@ -194,11 +153,11 @@ impl Choice<'_> {
         let seen: Vec<(String, f64)> = unknown
             .par_iter()
             .map(|&i| {
-                let strike = self.task.strike(&all[i].action);
+                let strike = self.session.task.strike(&all[i].action);
                 let mut name = String::new();
-                let objective = self.counter.count(|| {
-                    let rollout = self.nominal.rollout(&strike, None)?;
-                    name = strategy_of(&rollout, self.scene, self.task);
+                let objective = self.session.counter.count(|| {
+                    let rollout = self.session.nominal.rollout(&strike, None)?;
+                    name = self.session.strategy_of(&rollout);
                     Ok(rollout.objective)
                 })?;
                 Ok((name, objective))
@@ -206,55 +165,55 @@ impl Choice<'_> {
             .collect::<Result<_, PlanError>>()?;
         for (&i, (name, objective)) in unknown.iter().zip(seen) {
             (all[i].strategy, all[i].objective) = (name, objective);
-            trials.push(Trial::new(Phase::Disturbed, i as i32, -1, all[i].action.clone(), objective));
+            trials.push(Trial::new(TrialPhase::Perturbed, i as i32, -1, all[i].action.clone(), objective));
         }
         Ok(who.iter().copied().filter(|&i| all[i].objective.is_finite()).collect())
     }
 
-    /// Where the scanned world is among those that candidates are ranked by, they are [`Choice::looked_at`] before.
-    fn counted(
+    /// Applies [`RobustChoice::with_nominal`] if the scanned world takes part in the ranking.
+    fn with_nominal_if_ranked(
         &self,
-        all: &mut [Candidate],
+        all: &mut [RobustCandidate],
         who: Vec<usize>,
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<usize>, PlanError> {
-        if self.config.nominal_worlds == 0 { Ok(who) } else { self.looked_at(all, &who, trials) }
+        if self.session.config.nominal_worlds == 0 { Ok(who) } else { self.with_nominal(all, &who, trials) }
     }
 
-    /// Tries the candidates `who` in the given worlds; outcomes are appended in the worlds' order.
+    /// Tries the candidates `who` in the given worlds and appends the outcomes in the order of the worlds.
     pub(crate) fn run(
         &self,
-        all: &mut [Candidate],
+        all: &mut [RobustCandidate],
         who: &[usize],
-        worlds: &DisturbedWorlds<'_>,
+        worlds: &PerturbedWorlds<'_>,
         range: std::ops::Range<usize>,
         trials: &mut Vec<Trial>,
     ) -> Result<(), PlanError> {
         let actions: Vec<Action> = who.iter().map(|&i| all[i].action.clone()).collect();
-        let rows = worlds.objectives(&actions, range.clone(), self.counter)?;
+        let rows = worlds.objectives(&actions, range.clone(), &self.session.counter)?;
         for (&i, row) in who.iter().zip(rows) {
             for (w, &objective) in range.clone().zip(&row) {
                 let action = all[i].action.clone();
-                trials.push(Trial::new(Phase::Disturbed, i as i32, w as i32, action, objective));
+                trials.push(Trial::new(TrialPhase::Perturbed, i as i32, w as i32, action, objective));
             }
             all[i].outcomes.extend(row);
         }
         Ok(())
     }
 
-    /// In order of the stated objective over the worlds; ties keep the nominally better one first.
-    pub(crate) fn ranked(&self, all: &[Candidate], who: &[usize]) -> Vec<usize> {
+    /// Sorts candidates by the robust objective; ties keep the nominally better one first.
+    pub(crate) fn ranked(&self, all: &[RobustCandidate], who: &[usize]) -> Vec<usize> {
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
-            compare(all[a].rank(self.config, 0), all[b].rank(self.config, 0))
+            compare(all[a].rank(self.session.config, 0), all[b].rank(self.session.config, 0))
                 .then(all[a].objective.total_cmp(&all[b].objective))
         });
         order
     }
 
-    /// The first `count` of ranked candidates, with the best one of each of the first few strategies and the nominally
-    /// best of all (the first candidate), so that the choice is never worse than that one over all worlds.
-    fn best_with_strategies(&self, all: &[Candidate], ranked: &[usize], count: usize) -> Vec<usize> {
+    /// The first `count` of ranked candidates, the best of each of the first few strategies, and the nominally best
+    /// of all (candidate 0). The choice is therefore never worse than candidate 0 over all worlds.
+    fn best_with_strategies(&self, all: &[RobustCandidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut strategies: Vec<&str> = Vec::new();
         ranked
             .iter()
@@ -272,13 +231,13 @@ impl Choice<'_> {
     }
 }
 
-/// Up to `count` actions better than `limit`, best first, that differ from each other by more than the steps in some
-/// coordinate; the best one whatever the limit.
-fn distinct(scored: &[Scored], limit: f64, steps: &[f64], count: usize) -> Vec<Scored> {
-    let mut order: Vec<&Scored> = scored.iter().filter(|s| s.objective.is_finite()).collect();
-    // Stable: what was tried first comes first among equals.
+/// Up to `count` actions better than `limit`, best first, that differ by more than the steps in some coordinate. The
+/// best action is always included.
+fn distinct(scored: &[ScoredPoint], limit: f64, steps: &[f64], count: usize) -> Vec<ScoredPoint> {
+    let mut order: Vec<&ScoredPoint> = scored.iter().filter(|s| s.objective.is_finite()).collect();
+    // Stable: equal points keep the order of their evaluation.
     order.sort_by(|a, b| a.objective.total_cmp(&b.objective));
-    let mut chosen: Vec<Scored> = Vec::new();
+    let mut chosen: Vec<ScoredPoint> = Vec::new();
     for s in order {
         if chosen.len() == count || (s.objective >= limit && !chosen.is_empty()) {
             break;
@@ -290,9 +249,9 @@ fn distinct(scored: &[Scored], limit: f64, steps: &[f64], count: usize) -> Vec<S
     chosen
 }
 
-/// Up to `count` of the candidates, which come best first, in their order: the first half of them, then one from each
+/// Up to `count` candidates of a list that is sorted best first, in order: the first half of them, then one from each
 /// strategy in turn.
-fn spread(pool: Vec<Candidate>, count: usize) -> Vec<Candidate> {
+fn spread(pool: Vec<RobustCandidate>, count: usize) -> Vec<RobustCandidate> {
     let mut chosen: Vec<usize> = (0..pool.len().min(count.div_ceil(2))).collect();
     let mut rest: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (i, c) in pool.iter().enumerate().skip(chosen.len()) {
@@ -311,20 +270,21 @@ fn spread(pool: Vec<Candidate>, count: usize) -> Vec<Candidate> {
         chosen.extend(round.into_iter().take(count - chosen.len()));
     }
     chosen.sort_unstable();
-    let mut pool: Vec<Option<Candidate>> = pool.into_iter().map(Some).collect();
+    let mut pool: Vec<Option<RobustCandidate>> = pool.into_iter().map(Some).collect();
     chosen.into_iter().filter_map(|i| pool[i].take()).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PlanConfig;
 
-    fn scored(x: f64, objective: f64) -> Scored {
-        Scored { x: vec![x], objective }
+    fn scored(x: f64, objective: f64) -> ScoredPoint {
+        ScoredPoint { x: vec![x], objective }
     }
 
-    fn candidate(objective: f64, strategy: &str) -> Candidate {
-        Candidate {
+    fn candidate(objective: f64, strategy: &str) -> RobustCandidate {
+        RobustCandidate {
             x: vec![objective],
             action: Action(vec![objective]),
             objective,
@@ -352,7 +312,7 @@ mod tests {
 
     #[test]
     fn the_scanned_world_counts_for_as_many_worlds_as_is_asked() {
-        let with = |objective: f64, outcomes: &[f64]| Candidate {
+        let with = |objective: f64, outcomes: &[f64]| RobustCandidate {
             outcomes: outcomes.to_vec(),
             ..candidate(objective, "direct")
         };
@@ -361,16 +321,17 @@ mod tests {
         assert!(here.rank(&config(0), 0) > there.rank(&config(0), 0));
         assert!(here.rank(&config(1), 0) < there.rank(&config(1), 0));
         assert_eq!(there.rank(&config(2), 0), (0, 0.375));
-        // Worlds to come, in which nothing can be better than 0.
+        // Worlds to come count as 0, the best possible objective.
         assert_eq!(there.rank(&config(2), 4), (0, 0.1875));
-        // What a shot of a simplex search does in the scanned world is not known before it is looked at.
+        // A point of a simplex search has no nominal objective before it is tried in the scanned world.
         let unknown = with(f64::INFINITY, &[0.125, 0.375]);
         assert_eq!(unknown.rank(&config(2), 0), (0, 0.25));
     }
 
     #[test]
     fn every_strategy_has_a_candidate() {
-        let mut pool: Vec<Candidate> = (0..20).map(|i| candidate(0.001 * f64::from(i), "direct")).collect();
+        let mut pool: Vec<RobustCandidate> =
+            (0..20).map(|i| candidate(0.001 * f64::from(i), "direct")).collect();
         pool.push(candidate(0.05, "off a"));
         pool.push(candidate(0.06, "off b"));
         let names: Vec<String> = spread(pool, 8).into_iter().map(|c| c.strategy).collect();

@@ -1,49 +1,56 @@
-//! Searches over disturbed worlds: where good actions may lie, and from there to better ones.
+//! Scan of and simplex searches over perturbed worlds.
 
-use crate::robust::{Candidate, Choice};
+use crate::candidate::RobustCandidate;
+use crate::robust::RobustChoice;
 use crate::screening::points;
 use crate::space::is_near;
-use crate::worlds::DisturbedWorlds;
-use crate::{LocalSearch, NelderMead, Phase, PlanError, Trial};
+use crate::worlds::PerturbedWorlds;
+use crate::{LocalSearch, NelderMead, PlanError, Trial, TrialPhase};
 use rayon::prelude::*;
 use sms_core::Seed;
 
-/// Simplex searches side by side.
+/// Settings of parallel simplex searches.
 pub(crate) struct Searches {
-    /// How many at first.
+    /// Searches of the first round.
     pub(crate) starts: usize,
-    /// How many at least.
+    /// Searches of the last round.
     pub(crate) survivors: usize,
-    /// Points that each may try before the worse half of them ends.
+    /// Points per search and round; the worse half of the searches ends after a round.
     pub(crate) points: usize,
-    /// Worlds over which they search.
+    /// Number of worlds over which they search.
     pub(crate) worlds: usize,
 }
 
-impl Choice<'_> {
-    /// Points spread over all actions that the robot can make, each tried in one of the disturbed worlds in turn; the best that differ, half as
-    /// many as there are candidates. What they did in that world is not kept: they were chosen for it.
+impl RobustChoice<'_> {
+    /// Tries feasible points spread over all actions, each in one of the perturbed worlds in turn. Returns the best
+    /// distinct ones, half the number of candidates. Their outcomes in that world are discarded, since they were
+    /// selected by them.
     pub(crate) fn scan(
         &self,
-        worlds: &DisturbedWorlds<'_>,
+        worlds: &PerturbedWorlds<'_>,
         seed: Seed,
         trials: &mut Vec<Trial>,
-    ) -> Result<Vec<Candidate>, PlanError> {
-        let config = self.config;
-        let scanned = points(self.space, config.suggestions, seed, config.scan, &|x| {
-            self.counter.draw(self.task, &self.space.action(x))
+    ) -> Result<Vec<RobustCandidate>, PlanError> {
+        let config = self.session.config;
+        let scanned = points(&self.session.space, config.suggestions, seed, config.scan, &|x| {
+            self.session.is_feasible(x)
         })?;
-        let jobs: Vec<_> =
-            scanned.iter().enumerate().map(|(i, s)| (i % worlds.len(), self.space.action(&s.x))).collect();
-        let values = worlds.each(&jobs, self.counter)?;
+        let jobs: Vec<_> = scanned
+            .iter()
+            .enumerate()
+            .map(|(i, s)| (i % worlds.len(), self.session.space.action(&s.x)))
+            .collect();
+        let values = worlds.each(&jobs, &self.session.counter)?;
         let mut order: Vec<usize> = (0..scanned.len()).filter(|&i| values[i].is_finite()).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         for ((world, action), &objective) in jobs.into_iter().zip(&values) {
-            trials.push(Trial::new(Phase::Disturbed, -1, world as i32, action, objective));
+            trials.push(Trial::new(TrialPhase::Perturbed, -1, world as i32, action, objective));
         }
-        let mut chosen: Vec<Candidate> = Vec::new();
+        let mut chosen: Vec<RobustCandidate> = Vec::new();
         for i in order {
-            if chosen.len() == config.candidates.div_ceil(2) || values[i] >= self.task.initial_objective() {
+            if chosen.len() == config.candidates.div_ceil(2)
+                || values[i] >= self.session.task.initial_objective()
+            {
                 break;
             }
             let steps = self.steps(&scanned[i].x, 0.5 * config.initial_step);
@@ -54,17 +61,17 @@ impl Choice<'_> {
         Ok(chosen)
     }
 
-    /// Simplex searches over the first worlds from the best of the ranked candidates that differ; the worse half of the
-    /// searches ends after each round. The points that were tried become candidates; their indices are returned.
+    /// Runs simplex searches over the first worlds from the best distinct candidates. The worse half of the searches
+    /// ends after each round. All points become candidates; their indices are returned.
     pub(crate) fn descend(
         &self,
-        all: &mut Vec<Candidate>,
+        all: &mut Vec<RobustCandidate>,
         ranked: &[usize],
-        worlds: &DisturbedWorlds<'_>,
+        worlds: &PerturbedWorlds<'_>,
         searches: &Searches,
         trials: &mut Vec<Trial>,
     ) -> Result<Vec<usize>, PlanError> {
-        let config = self.config;
+        let config = self.session.config;
         let settings = NelderMead { restarts: 0, ..config.nelder_mead };
         let mut begun: Vec<usize> = Vec::new();
         let mut running: Vec<LocalSearch> = Vec::new();
@@ -85,7 +92,7 @@ impl Choice<'_> {
             for _ in 0..searches.points {
                 let next: Vec<Option<Vec<f64>>> = running
                     .par_iter_mut()
-                    .map(|search| self.counter.next_feasible(self.task, self.space, search))
+                    .map(|search| self.session.next_feasible(search))
                     .collect::<Result<_, _>>()?;
                 let mut asked: Vec<(usize, usize)> = Vec::new();
                 for (s, x) in next.into_iter().enumerate() {
@@ -113,11 +120,11 @@ impl Choice<'_> {
         Ok((first..all.len()).collect())
     }
 
-    /// The first `count` of ranked candidates that differ by more than a small step, and the nominally best of all.
-    pub(crate) fn apart(&self, all: &[Candidate], ranked: &[usize], count: usize) -> Vec<usize> {
+    /// The first `count` ranked candidates that differ by more than a small step, and the nominally best of all.
+    pub(crate) fn apart(&self, all: &[RobustCandidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = Vec::new();
         for &i in ranked {
-            let steps = self.steps(&all[i].x, 0.1 * self.config.initial_step);
+            let steps = self.steps(&all[i].x, 0.1 * self.session.config.initial_step);
             let is_new = || !chosen.iter().any(|&c| is_near(&all[c].x, &all[i].x, &steps));
             if i == 0 || (chosen.len() < count && is_new()) {
                 chosen.push(i);
@@ -127,12 +134,12 @@ impl Choice<'_> {
     }
 
     fn steps(&self, x: &[f64], share: f64) -> Vec<f64> {
-        self.space.steps(share, self.space.is_promising(x))
+        self.session.space.steps(share, self.session.space.is_promising(x))
     }
 
-    /// What simplex searches minimise: infinite where a rollout is invalid.
-    fn statistic(&self, c: &Candidate) -> f64 {
-        let (invalid, value) = self.config.objective.rank(&c.outcomes);
+    /// The objective of the simplex searches; infinite if any rollout is invalid.
+    fn statistic(&self, c: &RobustCandidate) -> f64 {
+        let (invalid, value) = self.session.config.objective.rank(&c.outcomes);
         if invalid == 0 { value } else { f64::INFINITY }
     }
 }

@@ -1,30 +1,30 @@
-//! The coarse scan that methods begin with.
+//! Screening: a coarse scan of the actions before local searches.
 
 use crate::space::is_near;
 use crate::{Halton, PlanError, Space};
 use rayon::prelude::*;
 use sms_core::Seed;
 
-/// Points drawn at most for each that is asked for.
+/// Largest number of draws per point returned.
 const MOST_DRAWS: usize = 8;
 
-/// Whether the robot can make the strike of a unit point; called from many threads.
+/// Whether the robot can carry out the strike of a unit point; called from many threads.
 pub type Feasible<'a> = &'a (dyn Fn(&[f64]) -> Result<bool, PlanError> + Sync);
 
-/// A point of the scan and, later, its value.
+/// A screened point with its value, once known.
 #[derive(Debug, Clone)]
 pub struct Screened {
     /// The unit point.
     pub x: Vec<f64>,
     /// Whether a search from here should take the smaller steps of the promising ranges.
     pub promising: bool,
-    /// Its objective; infinite until it is known.
+    /// Objective; infinite until it is evaluated.
     pub objective: f64,
 }
 
-/// What the task suggests, then Halton points: every other one in the promising ranges, where there are any. Only points
-/// that are `feasible`, `budget` of them; fewer where eight times as many draws do not have so many. The same for any
-/// number of threads.
+/// Returns `budget` feasible points: the suggestions of the task, then Halton points. Every other Halton point lies
+/// in the promising ranges, if there are any. Stops after eight draws per point, so that fewer may be returned. The
+/// result does not depend on the number of threads.
 ///
 /// # Errors
 /// The first error of `feasible`.
@@ -44,7 +44,7 @@ pub fn points(
         .filter(|_| suggestions)
         .map(|x| unknown(x.clone(), true))
         .chain((0..).map(|i: u64| {
-            // Each sequence goes on by one: every other index alone would cover half of the first parameter's range.
+            // Each sequence advances by one. Every other index alone would cover half of the first parameter's range.
             if !space.has_promising() {
                 unknown(everywhere.point(i), false)
             } else if i.is_multiple_of(2) {
@@ -66,8 +66,8 @@ pub fn points(
     Ok(found)
 }
 
-/// Up to `count` points, best first, that differ from each other by more than half of their first steps in some
-/// coordinate; each with these steps.
+/// Returns up to `count` points, best first, that differ by more than half of their first steps in some coordinate,
+/// each with these steps.
 pub fn distinct(
     space: &Space,
     screened: &[Screened],
@@ -75,7 +75,7 @@ pub fn distinct(
     count: usize,
 ) -> Vec<(Screened, Vec<f64>)> {
     let mut order: Vec<&Screened> = screened.iter().collect();
-    // Stable: what was tried first comes first among equals.
+    // Stable: equal points keep the order of their evaluation.
     order.sort_by(|a, b| a.objective.total_cmp(&b.objective));
     let mut chosen: Vec<(Screened, Vec<f64>)> = Vec::new();
     for s in order {
@@ -102,7 +102,7 @@ mod tests {
         Space::of(["speed", "angle"].map(parameter).to_vec(), vec![[0.0, 1.0]; 2])
     }
 
-    /// Unit points of the scan with their number of draws.
+    /// Feasible points of the scan and the number of draws.
     fn drawn(share: f64, budget: usize, threads: usize) -> (Vec<Vec<f64>>, usize) {
         let draws = AtomicUsize::new(0);
         let feasible = |x: &[f64]| {
@@ -115,20 +115,20 @@ mod tests {
     }
 
     #[test]
-    fn points_are_drawn_until_so_many_are_feasible() {
+    fn points_are_drawn_until_enough_are_feasible() {
         let (all, draws) = drawn(1.0, 90, 1);
         assert_eq!((all.len(), draws), (90, 90));
         let (third, draws) = drawn(1.0 / 3.0, 90, 1);
         assert!(third.len() == 90 && third.iter().all(|x| x[0] < 1.0 / 3.0));
         assert!((250..290).contains(&draws), "{draws}");
-        // In the order of drawing, those that can be made.
+        // The feasible points, in the order of drawing.
         let many = drawn(1.0, draws, 1).0;
         assert_eq!(third, many.into_iter().filter(|x| x[0] < 1.0 / 3.0).collect::<Vec<_>>());
         assert_eq!(drawn(1.0 / 3.0, 90, 4), (third, draws));
     }
 
     #[test]
-    fn where_hardly_any_are_feasible_the_drawing_ends() {
+    fn drawing_ends_where_few_points_are_feasible() {
         let (none, draws) = drawn(0.0, 30, 2);
         assert_eq!((none.len(), draws), (0, 240));
         let (few, draws) = drawn(0.05, 30, 2);

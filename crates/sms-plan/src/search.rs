@@ -1,53 +1,54 @@
-//! Finding good actions in the nominal world.
+//! Search of the nominal world.
 
 use crate::batch::drive;
 use crate::descents::{DescentSettings, Descents, Sharing};
 use crate::screening::{Feasible, points};
 use crate::space::Space;
-use crate::{BatchOptimiser, Method, Phase, PlanConfig, PlanError, StartSummary, Trial};
+use crate::{BatchOptimiser, Method, PlanConfig, PlanError, StartSummary, Trial, TrialPhase};
 use sms_core::Seed;
 use std::collections::BTreeMap;
 
 /// The objective of a unit point; called from many threads. Infinite where the rollout is invalid.
-pub(crate) type Objective<'a> = &'a (dyn Fn(&[f64]) -> Result<f64, PlanError> + Sync);
+pub(crate) type ObjectiveFn<'a> = &'a (dyn Fn(&[f64]) -> Result<f64, PlanError> + Sync);
 
 /// A unit point with its objective.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Scored {
+pub(crate) struct ScoredPoint {
     pub(crate) x: Vec<f64>,
     pub(crate) objective: f64,
 }
 
-/// Everything that was tried, in an order that does not depend on threads.
+/// All evaluations of a search, in an order that does not depend on threads.
 #[derive(Debug, Default)]
-pub(crate) struct Found {
-    pub(crate) scored: Vec<Scored>,
+pub(crate) struct SearchLog {
+    pub(crate) scored: Vec<ScoredPoint>,
     pub(crate) starts: Vec<StartSummary>,
     pub(crate) trials: Vec<Trial>,
 }
 
-impl Found {
-    /// The best objective; infinite where there is no valid one.
+impl SearchLog {
+    /// The best objective; infinite without a valid evaluation.
     pub(crate) fn best(&self) -> f64 {
         self.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min)
     }
 
-    /// Adds what another search found; its starts and the points of its scan count on from those that are here.
+    /// Appends the results of another search. Its starts and screened points get the numbers after those already
+    /// here.
     pub(crate) fn append(&mut self, other: Self) {
         let before = self.starts.len();
-        let screened = self.trials.iter().filter(|t| t.phase == Phase::Screen).count();
+        let screened = self.trials.iter().filter(|t| t.phase == TrialPhase::Screen).count();
         self.scored.extend(other.scored);
         self.starts.extend(other.starts.into_iter().map(|s| StartSummary { start: before + s.start, ..s }));
         let renumbered = |t: Trial| match t.phase {
-            Phase::Search => Trial { start: t.start + before as i32, ..t },
+            TrialPhase::Search => Trial { start: t.start + before as i32, ..t },
             _ => Trial { iteration: t.iteration + screened as i32, ..t },
         };
         self.trials.extend(other.trials.into_iter().map(renumbered));
     }
 }
 
-/// The optimiser that the settings name. Its scan, or its random simplexes, have only points whose strikes the robot can
-/// make.
+/// Creates the optimiser that the settings name. Screened points and random simplexes contain only strikes that the
+/// robot can carry out.
 fn optimiser(
     space: &Space,
     config: &PlanConfig,
@@ -72,31 +73,31 @@ fn optimiser(
     })
 }
 
-/// Searches as `config` says, with at most `budget` evaluations. Strikes that the robot cannot make cost none: a scan and a
-/// population draw others in their place, and a simplex retreats towards its best point.
+/// Searches with at most `budget` evaluations. Infeasible strikes cost none: screening and populations draw others
+/// instead, and a simplex retreats towards its best point.
 pub(crate) fn search(
     space: &Space,
     config: &PlanConfig,
     seed: Seed,
     budget: usize,
     feasible: Feasible<'_>,
-    objective: Objective<'_>,
-) -> Result<Found, PlanError> {
+    objective: ObjectiveFn<'_>,
+) -> Result<SearchLog, PlanError> {
     search_by(optimiser(space, config, seed, feasible)?.as_mut(), space, budget, feasible, objective)
 }
 
-/// The same with a given optimiser.
+/// Runs [`search`] with a given optimiser.
 pub(crate) fn search_by(
     optimiser: &mut dyn BatchOptimiser,
     space: &Space,
     budget: usize,
     feasible: Feasible<'_>,
-    objective: Objective<'_>,
-) -> Result<Found, PlanError> {
+    objective: ObjectiveFn<'_>,
+) -> Result<SearchLog, PlanError> {
     let mut log = drive(optimiser, budget, &|x| Ok(if feasible(x)? { Some(objective(x)?) } else { None }))?;
-    // Stable: within a search, points stay in the order of asking.
-    log.sort_by_key(|(p, _)| (p.phase != Phase::Screen, p.start));
-    let mut found = Found::default();
+    // Stable: within a search, points keep the order in which they were proposed.
+    log.sort_by_key(|(p, _)| (p.phase != TrialPhase::Screen, p.start));
+    let mut found = SearchLog::default();
     let mut counts: BTreeMap<i32, i32> = BTreeMap::new();
     for (proposal, objective) in log {
         let count = counts.entry(proposal.start).or_default();
@@ -108,7 +109,7 @@ pub(crate) fn search_by(
             objective,
         ));
         *count += 1;
-        found.scored.push(Scored { x: proposal.x, objective });
+        found.scored.push(ScoredPoint { x: proposal.x, objective });
     }
     found.starts = optimiser
         .starts()
@@ -171,18 +172,18 @@ mod tests {
         }
     }
 
-    /// Points that cannot be tried in three quarters of the box, on both sides of an oblique strip about the valley.
+    /// Infeasible in three quarters of the box, on both sides of an oblique strip about the valley.
     fn strip(x: &[f64]) -> bool {
         (x[1] - 0.47 - 0.1 * (x[3] - 0.5)).abs() < 0.125
     }
 
     #[test]
-    fn what_cannot_be_tried_costs_nothing_and_stops_no_search() {
+    fn infeasible_points_cost_nothing_and_stop_no_search() {
         for method in Method::ALL {
             let config = PlanConfig { method, evaluations: 400, starts: 8, ..PlanConfig::draft() };
             let feasible = |x: &[f64]| Ok(strip(x));
             let found = search(&space(), &config, Seed(3), 400, &feasible, &|x| {
-                assert!(strip(x), "{method:?} evaluates what cannot be tried");
+                assert!(strip(x), "{method:?} evaluates an infeasible point");
                 valley(x)
             })
             .unwrap();
@@ -197,8 +198,8 @@ mod tests {
     }
 
     #[test]
-    fn descents_meet_refusals_and_go_on() {
-        // The best is on the border of what can be tried: searches run into it all the time.
+    fn searches_continue_after_refusals() {
+        // The minimum lies on the border of the feasible region, so that searches meet it all the time.
         let can = |x: &[f64]| Ok(x[0] + x[1] > 1.1);
         let value = |x: &[f64]| Ok((x[0] - 0.2).hypot(x[1] - 0.8) + 0.1 * (x[2] - 0.3).hypot(x[3] - 0.6));
         for method in Method::ALL {
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_second_search_found_counts_on() {
+    fn appended_searches_are_numbered_after_the_first() {
         let config = PlanConfig { evaluations: 100, starts: 4, ..PlanConfig::draft() };
         let run = |seed| search(&space(), &config, Seed(seed), 100, &|_| Ok(true), &valley).unwrap();
         let (mut both, second) = (run(1), run(2));

@@ -1,7 +1,7 @@
-//! The downhill simplex method as a state machine: it says which point it wants next and is told the value, so that a
-//! search can be stopped and continued, and many of them can be evaluated side by side.
+//! The downhill simplex method as a state machine in ask-and-tell form. Searches can be stopped and continued, and
+//! many of them can be evaluated in parallel.
 
-use crate::{Bounds, Minimum, NelderMead};
+use crate::{BoxBounds, Minimum, NelderMead};
 
 #[derive(Debug, Clone)]
 struct Vertex {
@@ -9,9 +9,9 @@ struct Vertex {
     f: f64,
 }
 
-/// What the point that was asked for is for.
+/// Purpose of the requested point.
 #[derive(Debug, Clone)]
-enum Step {
+enum SimplexStep {
     /// A vertex of the first simplex.
     First(usize),
     Reflect,
@@ -27,14 +27,14 @@ enum Step {
     Done,
 }
 
-/// One descent of [`NelderMead`] from a simplex, without restarts: the points that SciPy's method asks for, in its
-/// order.
+/// One descent of [`NelderMead`] from a simplex, without restarts. Requests the same points as SciPy's method, in the
+/// same order.
 #[derive(Debug, Clone)]
 pub struct SimplexSearch {
     settings: NelderMead,
-    bounds: Option<Bounds>,
+    bounds: Option<BoxBounds>,
     vertices: Vec<Vertex>,
-    step: Step,
+    step: SimplexStep,
     asked: Vec<f64>,
     iterations: usize,
     evaluations: usize,
@@ -43,11 +43,11 @@ pub struct SimplexSearch {
 }
 
 impl SimplexSearch {
-    /// Begins with a simplex of n + 1 points in n dimensions.
+    /// Starts with a simplex of n + 1 points in n dimensions.
     ///
     /// # Panics
-    /// Without points.
-    pub fn new(settings: &NelderMead, simplex: Vec<Vec<f64>>, bounds: Option<Bounds>) -> Self {
+    /// If the simplex is empty.
+    pub fn new(settings: &NelderMead, simplex: Vec<Vec<f64>>, bounds: Option<BoxBounds>) -> Self {
         let vertices: Vec<Vertex> = simplex
             .into_iter()
             .map(|mut x| {
@@ -63,19 +63,19 @@ impl SimplexSearch {
             settings: *settings,
             bounds,
             vertices,
-            step: Step::First(0),
+            step: SimplexStep::First(0),
             asked,
             iterations: 0,
             evaluations: 0,
         }
     }
 
-    /// The point whose value is wanted; `None` when the search has ended.
+    /// The point to evaluate next; `None` when the search has ended.
     pub fn next_point(&self) -> Option<&[f64]> {
-        (!matches!(self.step, Step::Done)).then_some(self.asked.as_slice())
+        (!matches!(self.step, SimplexStep::Done)).then_some(self.asked.as_slice())
     }
 
-    /// The best point so far with its value; infinite before the first one is known.
+    /// The best point and its value so far; the value is infinite before the first evaluation.
     pub fn best(&self) -> (&[f64], f64) {
         let mut best = &self.vertices[0];
         for v in &self.vertices[1..] {
@@ -86,80 +86,80 @@ impl SimplexSearch {
         (&best.x, best.f)
     }
 
-    /// Iterations done.
+    /// Completed iterations.
     pub fn iterations(&self) -> usize {
         self.iterations
     }
 
-    /// Values told.
+    /// Values received.
     pub fn evaluations(&self) -> usize {
         self.evaluations
     }
 
-    /// The value of [`SimplexSearch::next_point`]. One that is not a number counts as infinite. Returns whether an
-    /// iteration ended with it.
+    /// Receives the value of [`SimplexSearch::next_point`]. NaN counts as infinite. Returns whether this completed an
+    /// iteration.
     pub fn tell(&mut self, value: f64) -> bool {
         let f = if value.is_nan() { f64::INFINITY } else { value };
         self.evaluations += 1;
         let n = self.vertices.len() - 1;
         let [rho, chi, psi, _] = self.coefficients;
         let x = std::mem::take(&mut self.asked);
-        match std::mem::replace(&mut self.step, Step::Done) {
-            Step::First(k) => {
-                // It may have been moved since the simplex was made.
+        match std::mem::replace(&mut self.step, SimplexStep::Done) {
+            SimplexStep::First(k) => {
+                // The point may have been moved since the simplex was created.
                 self.vertices[k] = Vertex { x, f };
                 if k < n {
                     self.asked = self.vertices[k + 1].x.clone();
-                    self.step = Step::First(k + 1);
+                    self.step = SimplexStep::First(k + 1);
                 } else {
                     self.sort();
                     self.begin_iteration();
                 }
                 false
             }
-            Step::Reflect => {
+            SimplexStep::Reflect => {
                 let (f_best, f_worst) = (self.vertices[0].f, self.vertices[n].f);
                 let f_second = self.vertices[n.saturating_sub(1)].f;
                 if f < f_best {
                     self.asked = self.along(1.0 + rho * chi, -(rho * chi));
-                    // Kept first, so that a stop during the expansion does not lose it.
+                    // Stored first, so that a stop during the expansion does not lose it.
                     self.vertices[n] = Vertex { x: x.clone(), f };
-                    self.step = Step::Expand { reflected: x, f_reflected: f };
+                    self.step = SimplexStep::Expand { reflected: x, f_reflected: f };
                     false
                 } else if f < f_second {
                     self.replace_worst(x, f)
                 } else if f < f_worst {
                     self.asked = self.along(1.0 + psi * rho, -(psi * rho));
-                    self.step = Step::ContractOutside { f_reflected: f };
+                    self.step = SimplexStep::ContractOutside { f_reflected: f };
                     false
                 } else {
                     self.asked = self.along(1.0 - psi, psi);
-                    self.step = Step::ContractInside;
+                    self.step = SimplexStep::ContractInside;
                     false
                 }
             }
-            Step::Expand { reflected, f_reflected } => {
+            SimplexStep::Expand { reflected, f_reflected } => {
                 if f < f_reflected {
                     self.replace_worst(x, f)
                 } else {
                     self.replace_worst(reflected, f_reflected)
                 }
             }
-            Step::ContractOutside { f_reflected } => {
+            SimplexStep::ContractOutside { f_reflected } => {
                 if f <= f_reflected {
                     self.replace_worst(x, f)
                 } else {
                     self.begin_shrink()
                 }
             }
-            Step::ContractInside => {
+            SimplexStep::ContractInside => {
                 if f < self.vertices[n].f {
                     self.replace_worst(x, f)
                 } else {
                     self.begin_shrink()
                 }
             }
-            Step::Shrink(k) => {
+            SimplexStep::Shrink(k) => {
                 self.vertices[k] = Vertex { x, f };
                 if k < n {
                     self.ask_shrunk(k + 1);
@@ -168,21 +168,21 @@ impl SimplexSearch {
                     self.end_iteration()
                 }
             }
-            Step::Done => false,
+            SimplexStep::Done => false,
         }
     }
 
-    /// Puts another point in the place of the one that is asked for.
+    /// Replaces the requested point.
     fn move_point(&mut self, x: Vec<f64>) {
         self.asked = x;
     }
 
     fn is_first_simplex(&self) -> bool {
-        matches!(self.step, Step::First(_))
+        matches!(self.step, SimplexStep::First(_))
     }
 
     fn end(&mut self) {
-        self.step = Step::Done;
+        self.step = SimplexStep::Done;
     }
 
     fn replace_worst(&mut self, x: Vec<f64>, f: f64) -> bool {
@@ -201,12 +201,12 @@ impl SimplexSearch {
 
     fn begin_iteration(&mut self) {
         if self.iterations >= self.settings.max_iterations || self.has_converged() {
-            self.step = Step::Done;
+            self.step = SimplexStep::Done;
             return;
         }
         let rho = self.coefficients[0];
         self.asked = self.along(1.0 + rho, -rho);
-        self.step = Step::Reflect;
+        self.step = SimplexStep::Reflect;
     }
 
     fn begin_shrink(&mut self) -> bool {
@@ -226,7 +226,7 @@ impl SimplexSearch {
             bounds.clip(&mut x);
         }
         self.asked = x;
-        self.step = Step::Shrink(k);
+        self.step = SimplexStep::Shrink(k);
     }
 
     /// The point a·centroid + b·worst; the centroid is that of all vertices but the worst.
@@ -257,16 +257,16 @@ impl SimplexSearch {
     }
 }
 
-/// Where a point that cannot be tried is moved: its distance from the best point as a share of what it was. Of a first
-/// simplex the other side of the best point is as good.
+/// Retreats of an infeasible point: its new distance from the best point as a share of the old one. In a first
+/// simplex the opposite side of the best point is equally good.
 const RETREATS: [f64; 3] = [0.5, 0.25, 0.125];
 const FIRST_RETREATS: [f64; 5] = [-1.0, 0.5, -0.5, 0.25, -0.25];
 
-/// Points refused in a row after which a search ends: more than two whole simplexes with all their retreats in four
+/// Number of consecutive refusals that ends a search: more than two whole simplexes with all their retreats in four
 /// dimensions.
 const MOST_REFUSED: usize = 64;
 
-/// A descent in the unit box with the restarts of [`NelderMead::restarts`], which can be stopped and continued.
+/// A descent in the unit box with the restarts of [`NelderMead::restarts`]; it can be stopped and continued.
 #[derive(Debug, Clone)]
 pub struct LocalSearch {
     settings: NelderMead,
@@ -274,22 +274,22 @@ pub struct LocalSearch {
     simplex: SimplexSearch,
     restarts_left: usize,
     scale: f64,
-    /// Of the descents before the running one.
+    /// Result of the descents before the current one.
     finished: Minimum,
-    /// The first point where its value was known before the search.
+    /// The first point, if its value was known before the search.
     known: Option<(Vec<f64>, f64)>,
-    /// The point that was asked for first, where what is asked for now is a retreat from it, and how many there were.
+    /// The original request while the current one is a retreat from it, and the number of retreats.
     retreat: Option<(Vec<f64>, usize)>,
-    /// Points refused, and how many since a value was told.
+    /// Refused points in all, and since the last value.
     refused: usize,
     refused_in_a_row: usize,
 }
 
 impl LocalSearch {
-    /// Begins at a point, or at a simplex of n + 1 points; `steps` says how far apart first trials are. The value of
-    /// the first point may be known already; it is then not asked for.
+    /// Starts at a point, or at a simplex of n + 1 points. `steps` are the distances of the first trials per
+    /// coordinate. If the value of the first point is known, it is not requested.
     pub fn new(settings: &NelderMead, start: &[Vec<f64>], steps: &[f64], known: Option<f64>) -> Self {
-        let bounds = Bounds::unit(steps.len());
+        let bounds = BoxBounds::unit(steps.len());
         let simplex = if start.len() == steps.len() + 1 {
             start.to_vec()
         } else {
@@ -313,22 +313,24 @@ impl LocalSearch {
         search
     }
 
-    /// The point whose value is wanted; `None` when the search has ended.
+    /// The point to evaluate next; `None` when the search has ended.
     pub fn next_point(&self) -> Option<&[f64]> {
         self.simplex.next_point()
     }
 
-    /// The value of [`LocalSearch::next_point`].
+    /// Receives the value of [`LocalSearch::next_point`].
     pub fn tell(&mut self, value: f64) {
         self.finished.evaluations += 1;
         self.refused_in_a_row = 0;
         self.settle(value);
     }
 
-    /// Says that [`LocalSearch::next_point`] cannot be tried at all; it is no evaluation. The search asks for a point
-    /// nearer to its best one instead, three times (as the complex method of Box, 1965, moves points back over a
-    /// constraint towards the others' centroid, which here need not be feasible, while the best point is); then the point
-    /// counts as infinitely bad, and the simplex contracts. After 64 refusals in a row the search ends.
+    /// Reports that [`LocalSearch::next_point`] is infeasible. This is not an evaluation.
+    ///
+    /// The search requests a point nearer to its best one instead, up to three times. The complex method (Box 1965)
+    /// moves points across a constraint towards the centroid of the others in the same way; here the centroid may be
+    /// infeasible, while the best point is not. After that the point counts as infinitely bad and the simplex
+    /// contracts. After 64 refusals in a row the search ends.
     pub fn refuse(&mut self) {
         self.refused += 1;
         self.refused_in_a_row += 1;
@@ -369,7 +371,7 @@ impl LocalSearch {
         self.continue_or_restart();
     }
 
-    /// The best so far.
+    /// The best point so far.
     pub fn minimum(&self) -> Minimum {
         let (x, f) = self.simplex.best();
         let iterations = self.finished.iterations + self.simplex.iterations();
@@ -411,11 +413,11 @@ impl LocalSearch {
             self.finished = best;
             self.scale *= -0.5;
             let steps: Vec<f64> = self.steps.iter().map(|s| s * self.scale).collect();
-            let bounds = Bounds::unit(steps.len());
+            let bounds = BoxBounds::unit(steps.len());
             let simplex = NelderMead::simplex_around(&self.finished.x, &steps, &bounds);
             let settings = NelderMead { max_iterations: left, ..self.settings };
             self.simplex = SimplexSearch::new(&settings, simplex, Some(bounds));
-            // The simulation repeats: what is known is not asked for again.
+            // The simulation is deterministic: known values are not requested again.
             self.known = Some((self.finished.x.clone(), self.finished.objective));
         }
     }

@@ -2,12 +2,12 @@
 
 use sms_task::{Action, Parameter, ResolvedTask};
 
-/// The parameters' box and where in it to look first. "Unit" points are in [0, 1]ⁿ.
+/// The box of the parameters and its promising part. "Unit" points are in [0, 1]ⁿ.
 #[derive(Debug, Clone)]
 pub struct Space {
     parameters: Vec<Parameter>,
-    /// Ranges that deserve as many screening points as the whole box, in unit coordinates; the whole box where the
-    /// task names none.
+    /// Ranges that receive as many screening points as the whole box, in unit coordinates; the whole box if the task
+    /// names none.
     pub(crate) promising: Vec<[f64; 2]>,
     /// Unit points to try first.
     pub(crate) suggestions: Vec<Vec<f64>>,
@@ -27,7 +27,7 @@ impl Space {
         space
     }
 
-    /// A box of its own, for tests of the search.
+    /// A box without a task, for tests.
     #[cfg(test)]
     pub(crate) fn of(parameters: Vec<Parameter>, promising: Vec<[f64; 2]>) -> Self {
         Self { parameters, promising, suggestions: Vec::new() }
@@ -42,7 +42,7 @@ impl Space {
         self.promising.iter().any(|r| *r != [0.0, 1.0])
     }
 
-    /// Step per coordinate for a search in the promising ranges, or in the whole box.
+    /// Step per coordinate for a search in the promising ranges or in the whole box.
     pub fn steps(&self, share: f64, promising: bool) -> Vec<f64> {
         self.promising.iter().map(|[l, h]| if promising { share * (h - l) } else { share }).collect()
     }
@@ -52,7 +52,7 @@ impl Space {
         self.has_promising() && x.iter().zip(&self.promising).all(|(v, [l, h])| (l..=h).contains(&v))
     }
 
-    /// A unit point of the promising ranges, from a unit point within them.
+    /// Maps a unit point into the promising ranges.
     pub(crate) fn in_promising(&self, x: &[f64]) -> Vec<f64> {
         x.iter().zip(&self.promising).map(|(v, [l, h])| l + v * (h - l)).collect()
     }

@@ -1,4 +1,4 @@
-//! Ways of reaching the goal, told apart by who touches whom first.
+//! Strategies: ways to reach the goal, classified by the order of contacts.
 
 use crate::Prediction;
 use serde::{Deserialize, Serialize};
@@ -7,120 +7,119 @@ use sms_sim::{BodyId, ContactEvent};
 use sms_task::{Action, ResolvedTask, Rollout};
 use std::collections::BTreeSet;
 
-/// Bodies of a chain that are told by name; what they push in turn is left out.
+/// Length of a chain of pushed bodies that a name shows.
 const DEEPEST_CHAIN: usize = 3;
 
-/// A way of reaching the goal with its best action.
+/// A strategy with its best action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Strategy {
-    /// In words: "direct", "target off `statue`", "cue off `mug` first", "pushes `box` which pushes `mug`".
+    /// Name: "direct", "target off `statue`", "cue off `mug` first", "pushes `box` which pushes `mug`".
     pub name: String,
-    /// The best action of this kind that was found.
+    /// The best action found for this strategy.
     pub action: Action,
     /// Its objective in the nominal world.
     pub objective: f64,
-    /// What it is predicted to do in worlds that played no part in choosing it; `None` where there are none or no rollout
-    /// in them can be believed.
+    /// Its forecast; `None` without forecast worlds or without a valid rollout in them.
     pub prediction: Option<Prediction>,
-    /// Objective in each of those worlds, in their order; `None` where the rollout cannot be believed or the robot cannot
-    /// make the strike.
+    /// Objective in each forecast world, in order; `None` for an invalid rollout or a refused strike.
     #[serde(default)]
     pub outcomes: Vec<Option<f64>>,
-    /// In how many of them the robot cannot make the strike as it would be carried out there.
+    /// Number of forecast worlds in which the robot cannot carry out the perturbed strike.
     #[serde(default)]
     pub refused: usize,
-    /// Share of those worlds in which what happens is what the name says.
+    /// Share of the forecast worlds in which the shot follows the named strategy.
     #[serde(default)]
     pub as_named_share: Option<f64>,
 }
 
 impl Strategy {
-    /// What to say where worlds were looked at and nothing is known of any of them: "could not be believed: 32 of 32
-    /// rollouts", or "could not be made by the robot: 32 of 32 strikes".
-    pub fn unbelievable_text(&self) -> Option<String> {
+    /// Explains a forecast without any valid outcome: "is invalid in 32 of 32 worlds", or "is refused by the robot in
+    /// 32 of 32 worlds". `None` otherwise.
+    pub fn failure_text(&self) -> Option<String> {
         let (all, refused) = (self.outcomes.len(), self.refused.min(self.outcomes.len()));
         if all == 0 || self.outcomes.iter().any(Option::is_some) {
             return None;
         }
         let mut parts = Vec::new();
         if refused < all {
-            parts.push(format!("could not be believed: {} of {all} rollouts", all - refused));
+            parts.push(format!("is invalid in {} of {all} worlds", all - refused));
         }
         if refused > 0 {
-            parts.push(format!("could not be made by the robot: {refused} of {all} strikes"));
+            parts.push(format!("is refused by the robot in {refused} of {all} worlds"));
         }
-        Some(parts.join("; "))
+        Some(parts.join(" and "))
     }
 }
 
-/// What happens in a rollout.
+/// The contacts of a rollout, summarised.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Story {
     /// Name of the strategy.
     pub(crate) name: String,
-    /// Bodies that struck and target body touch and that are neither, in order; bodies that carry a chain included.
+    /// Bodies other than the struck and the target body that these two touch, in order, including those that pass on
+    /// the motion in a chain.
     pub(crate) involved: Vec<BodyId>,
 }
 
-/// What happens in a rollout, in words.
+/// The name of the strategy that a rollout follows.
 pub(crate) fn strategy_of(rollout: &Rollout, scene: &Scene, task: &ResolvedTask) -> String {
     story_of(&rollout.contacts, rollout.closest_s, scene, task).name
 }
 
-/// Every body that touches something other than a floor in a rollout, in order of their indices.
+/// Bodies that touch anything except a floor during a rollout.
 pub(crate) fn touched(rollout: &Rollout, scene: &Scene) -> BTreeSet<BodyId> {
     let known = |b: BodyId| scene.bodies.get(b).is_none_or(|b| !matches!(b.shape, BodyShape::HalfSpace));
     let pairs = rollout.contacts.iter().filter(|c| known(c.body) && known(c.other));
     pairs.flat_map(|c| [c.body, c.other]).collect()
 }
 
-/// What happens until `until_s`.
+/// Summarises the contacts until `until_s`.
 pub(crate) fn story_of(contacts: &[ContactEvent], until_s: f64, scene: &Scene, task: &ResolvedTask) -> Story {
     let is_ball = |b: BodyId| matches!(scene.bodies[b].shape, BodyShape::Sphere { .. });
-    let teller = Teller {
+    let builder = StoryBuilder {
         touches: contacts
             .iter()
             .filter(|c| c.time_s <= until_s)
             .map(|c| (c.body, c.other))
-            // Floors carry, and are none of the things that a ball rebounds off.
+            // Floors carry bodies; rebounds are off other bodies.
             .filter(|&(a, b)| is_prop(a, scene) && is_prop(b, scene))
             .collect(),
         scene,
         cue: task.cue().index,
         target: task.target().index,
     };
-    if is_ball(teller.cue) { teller.rebounds() } else { teller.pushes() }
+    if is_ball(builder.cue) { builder.rebounds() } else { builder.pushes() }
 }
 
-/// Whether it is a body of the scene other than a floor; the robot is none.
+/// Whether a body belongs to the scene and is not a floor. The robot has no body in the scene.
 fn is_prop(body: BodyId, scene: &Scene) -> bool {
     scene.bodies.get(body).is_some_and(|b| !matches!(b.shape, BodyShape::HalfSpace))
 }
 
-struct Teller<'a> {
+struct StoryBuilder<'a> {
     touches: Vec<(BodyId, BodyId)>,
     scene: &'a Scene,
     cue: BodyId,
     target: BodyId,
 }
 
-impl Teller<'_> {
-    fn called(&self, body: BodyId) -> String {
+impl StoryBuilder<'_> {
+    fn quoted_name(&self, body: BodyId) -> String {
         format!("`{}`", self.scene.bodies[body].name)
     }
 
     fn list(&self, bodies: &[BodyId]) -> String {
-        bodies.iter().map(|&b| self.called(b)).collect::<Vec<_>>().join(", ")
+        bodies.iter().map(|&b| self.quoted_name(b)).collect::<Vec<_>>().join(", ")
     }
 
-    /// What a body touches, in order, among the touches of a range.
+    /// The bodies that a body touches, in order, within a range of the contacts.
     fn touched_by(&self, body: BodyId, range: std::ops::Range<usize>) -> Vec<BodyId> {
         let other = |&(a, b): &(BodyId, BodyId)| (a == body).then_some(b).or((b == body).then_some(a));
         self.touches[range].iter().filter_map(other).collect()
     }
 
-    /// The chain of touches from the struck body to `to`: who set whom in motion, without the struck body itself. `None`
-    /// where there is none.
+    /// The chain of contacts that carries the motion from the struck body to `to`, without the struck body itself,
+    /// and the index of its last contact. `None` if there is none.
     fn chain(&self, to: BodyId) -> Option<(Vec<BodyId>, usize)> {
         let mut set_off_by: Vec<(BodyId, BodyId)> = vec![(self.cue, self.cue)];
         for (at, &(a, b)) in self.touches.iter().enumerate() {
@@ -147,14 +146,14 @@ impl Teller<'_> {
         None
     }
 
-    /// A struck ball: what it and the target ball rebound off.
+    /// Names the strategy of a struck ball by its rebounds and those of the target ball.
     fn rebounds(&self) -> Story {
         let all = 0..self.touches.len();
         if self.cue == self.target {
             let by_cue = self.touched_by(self.cue, all);
             let name = match by_cue.as_slice() {
                 [] => "direct".to_owned(),
-                [a] => format!("off {}", self.called(*a)),
+                [a] => format!("off {}", self.quoted_name(*a)),
                 [_, _] => format!("double rebound: {}", self.list(&by_cue)),
                 _ => format!("off {}", self.list(&by_cue)),
             };
@@ -162,14 +161,14 @@ impl Teller<'_> {
         }
         let Some((chain, at)) = self.chain(self.target) else {
             let by_cue = self.touched_by(self.cue, all);
-            let mut name = format!("{} is not touched", self.called(self.target));
+            let mut name = format!("{} is not touched", self.quoted_name(self.target));
             if !by_cue.is_empty() {
                 name = format!("{name}, cue off {}", self.list(&by_cue));
             }
             return Story { name, involved: by_cue };
         };
         let between = &chain[..chain.len() - 1];
-        // The cue ball leaves the story where it hands its motion on.
+        // Contacts of the cue ball count until it passes its motion on.
         let first = between.first().copied().unwrap_or(self.target);
         let handed = self
             .touches
@@ -196,33 +195,33 @@ impl Teller<'_> {
         Story { name, involved }
     }
 
-    /// A struck body that is no ball: what it pushes, and what that pushes.
+    /// Names the strategy of any other struck body by the bodies that it pushes in turn.
     fn pushes(&self) -> Story {
-        let mut told = vec![self.cue];
-        let name = format!("pushes {}", self.pushed(self.cue, &mut told, DEEPEST_CHAIN));
-        let named = told.split_off(1);
+        let mut listed = vec![self.cue];
+        let name = format!("pushes {}", self.pushed(self.cue, &mut listed, DEEPEST_CHAIN));
+        let named = listed.split_off(1);
         let is_left_out = self.target != self.cue && !named.contains(&self.target);
         let name = if is_left_out && self.chain(self.target).is_none() {
-            format!("{name}, {} is not touched", self.called(self.target))
+            format!("{name}, {} is not touched", self.quoted_name(self.target))
         } else {
             name
         };
         Story { name, involved: named.into_iter().filter(|b| *b != self.target).collect() }
     }
 
-    fn pushed(&self, body: BodyId, told: &mut Vec<BodyId>, depth: usize) -> String {
-        let mut text = self.called(body);
+    fn pushed(&self, body: BodyId, listed: &mut Vec<BodyId>, depth: usize) -> String {
+        let mut text = self.quoted_name(body);
         if depth <= 1 {
             return text;
         }
         let next: Vec<BodyId> = self
             .touched_by(body, 0..self.touches.len())
             .into_iter()
-            // A wall is not pushed.
-            .filter(|&b| !told.contains(&b) && self.scene.bodies[b].kind == BodyKind::Dynamic)
+            // Static bodies are not pushed.
+            .filter(|&b| !listed.contains(&b) && self.scene.bodies[b].kind == BodyKind::Dynamic)
             .collect();
-        told.extend(&next);
-        let names: Vec<String> = next.into_iter().map(|b| self.pushed(b, told, depth - 1)).collect();
+        listed.extend(&next);
+        let names: Vec<String> = next.into_iter().map(|b| self.pushed(b, listed, depth - 1)).collect();
         if !names.is_empty() {
             text += &format!(" which pushes {}", names.join(" and "));
         }
@@ -240,7 +239,7 @@ mod tests {
     use std::io::Write as _;
 
     const NAMES: [&str; 7] = ["floor", "cue", "target", "a", "b", "wall", "box"];
-    /// The finger: the first body that is none of the scene.
+    /// The finger has the first index after the bodies of the scene.
     const FINGER: BodyId = NAMES.len();
 
     fn scene() -> Scene {
@@ -268,7 +267,7 @@ mod tests {
         }
     }
 
-    fn told(task: &Task, touches: &[(BodyId, BodyId)]) -> Story {
+    fn story(task: &Task, touches: &[(BodyId, BodyId)]) -> Story {
         let scene = scene();
         let task = task.resolve(&scene).unwrap();
         let event =
@@ -278,21 +277,21 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_not_told_as_simulations_that_cannot_be_believed() {
+    fn refusals_and_invalid_rollouts_are_counted_apart() {
         let text = |outcomes: Vec<Option<f64>>, refused: usize| {
             let (name, action, prediction) = (String::new(), Action(Vec::new()), None);
             Strategy { name, action, objective: 0.0, prediction, outcomes, refused, as_named_share: None }
-                .unbelievable_text()
+                .failure_text()
         };
-        assert_eq!(text(vec![None; 4], 0).unwrap(), "could not be believed: 4 of 4 rollouts");
-        assert_eq!(text(vec![None; 4], 4).unwrap(), "could not be made by the robot: 4 of 4 strikes");
+        assert_eq!(text(vec![None; 4], 0).unwrap(), "is invalid in 4 of 4 worlds");
+        assert_eq!(text(vec![None; 4], 4).unwrap(), "is refused by the robot in 4 of 4 worlds");
         let both = text(vec![None; 4], 1).unwrap();
-        assert!(both.contains("believed: 3 of 4") && both.contains("robot: 1 of 4"), "{both}");
+        assert!(both.contains("3 of 4") && both.contains("1 of 4"), "{both}");
         assert!(text(vec![None, Some(0.1)], 1).is_none() && text(Vec::new(), 0).is_none());
     }
 
     #[test]
-    fn shots_of_balls_are_told_by_what_they_rebound_off() {
+    fn ball_shots_are_named_by_their_rebounds() {
         let (cue, target) = (Selector::by_name("cue"), Selector::by_name("target"));
         let task = Task::Billiards(Billiards::new(cue, target, [0.6, 0.3]));
         let (cue, target, a, b, wall) = (1, 2, 3, 4, 5);
@@ -308,14 +307,14 @@ mod tests {
             (vec![(cue, a)], "`target` is not touched, cue off `a`"),
             (vec![(FINGER, target)], "`target` is not touched"),
         ] {
-            assert_eq!(told(&task, &touches).name, name, "{touches:?}");
+            assert_eq!(story(&task, &touches).name, name, "{touches:?}");
         }
-        assert_eq!(told(&task, &[(cue, b), (cue, target), (target, a)]).involved, [b, a]);
-        // What happens after the target ball was nearest is no part of it.
+        assert_eq!(story(&task, &[(cue, b), (cue, target), (target, a)]).involved, [b, a]);
+        // Contacts after the closest approach do not count.
         let mut late = vec![(cue, target)];
         late.extend([(FINGER, cue); 9]);
         late.push((target, a));
-        assert_eq!(told(&task, &late).name, "direct");
+        assert_eq!(story(&task, &late).name, "direct");
     }
 
     fn strike(body: &str, moved: &str) -> Task {
@@ -330,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_ball_pushes() {
+    fn other_bodies_are_named_by_the_bodies_they_push() {
         let (a, b, wall, cube) = (3, 4, 5, 6);
         let push = strike("box", "box");
         for (touches, name) in [
@@ -339,16 +338,16 @@ mod tests {
             (vec![(cube, a), (cube, b)], "pushes `box` which pushes `a` and `b`"),
             (vec![(cube, a), (a, b), (b, wall)], "pushes `box` which pushes `a` which pushes `b`"),
         ] {
-            assert_eq!(told(&push, &touches).name, name, "{touches:?}");
+            assert_eq!(story(&push, &touches).name, name, "{touches:?}");
         }
         assert_eq!(
-            told(&strike("box", "a"), &[(cube, b)]).name,
+            story(&strike("box", "a"), &[(cube, b)]).name,
             "pushes `box` which pushes `b`, `a` is not touched"
         );
-        // One ball alone: struck, and sent somewhere itself.
+        // A single ball, both struck and sent to the goal.
         let own = strike("cue", "cue");
-        assert_eq!(told(&own, &[(FINGER, 1)]).name, "direct");
-        assert_eq!(told(&own, &[(1, wall)]).name, "off `wall`");
-        assert_eq!(told(&own, &[(1, wall), (1, a)]).name, "double rebound: `wall`, `a`");
+        assert_eq!(story(&own, &[(FINGER, 1)]).name, "direct");
+        assert_eq!(story(&own, &[(1, wall)]).name, "off `wall`");
+        assert_eq!(story(&own, &[(1, wall), (1, a)]).name, "double rebound: `wall`, `a`");
     }
 }

@@ -6,31 +6,32 @@ use sms_core::{CoreError, InputError};
 use sms_task::{Action, Parameter};
 use std::path::Path;
 
-/// What a rollout was for.
+/// Purpose of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Phase {
+pub enum TrialPhase {
     /// A point of the screening.
     Screen,
     /// A point of a local search.
     Search,
-    /// A candidate, or a point of the scan, in a disturbed world.
-    Disturbed,
-    /// A strategy's action in a disturbed world that played no part in choosing it.
+    /// A candidate, or a point of the scan, in a perturbed world.
+    #[serde(rename = "disturbed")]
+    Perturbed,
+    /// The action of a strategy in a forecast world.
     Forecast,
-    /// The chosen action with one unknown disturbed.
+    /// The chosen action with one unknown perturbed.
     Sensitivity,
-    /// A shot in a world in which one property of one body is another, to find out why the action was chosen.
+    /// A shot in a world where one property of one body differs, to explain the choice.
     Reason,
 }
 
-impl Phase {
-    /// The word in the trial log.
+impl TrialPhase {
+    /// The value in the trial log.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Screen => "screen",
             Self::Search => "search",
-            Self::Disturbed => "disturbed",
+            Self::Perturbed => "disturbed",
             Self::Forecast => "forecast",
             Self::Sensitivity => "sensitivity",
             Self::Reason => "reason",
@@ -41,33 +42,34 @@ impl Phase {
 /// One rollout.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
-    /// What it was for.
-    pub phase: Phase,
-    /// Index of the start (search), candidate (disturbed), strategy (forecast), unknown (sensitivity) or world with another
-    /// body (reason); −1 in the screening and in the scan of the disturbed worlds.
+    /// Purpose of the rollout.
+    pub phase: TrialPhase,
+    /// Index of the start (search), candidate (perturbed), strategy (forecast), unknown (sensitivity) or
+    /// counterfactual world (reason); −1 in the screening and in the scan of the perturbed worlds.
     pub start: i32,
-    /// Number of the evaluation within the phase and start; the world's for disturbed ones, where −1 is the nominal world.
+    /// Number of the evaluation within its phase and start. For perturbed worlds the index of the world, where −1 is
+    /// the nominal world.
     pub iteration: i32,
     /// The action.
     pub action: Action,
-    /// Its objective, in the task's unit; infinite for a trial that is not valid.
+    /// The objective in the task's unit; infinite for an invalid trial.
     pub objective: f64,
-    /// Whether the simulation can be believed: it neither diverged nor gained energy nor let bodies pass through each
-    /// other.
+    /// Whether the rollout is valid: it did not diverge, bodies gained no energy and did not pass through each other.
     pub valid: bool,
 }
 
 impl Trial {
-    /// A trial; one without a finite objective is not valid.
-    pub fn new(phase: Phase, start: i32, iteration: i32, action: Action, objective: f64) -> Self {
+    /// Creates a trial; it is valid when the objective is finite.
+    pub fn new(phase: TrialPhase, start: i32, iteration: i32, action: Action, objective: f64) -> Self {
         let valid = objective.is_finite();
         let objective = if valid { objective } else { f64::INFINITY };
         Self { phase, start, iteration, action, objective, valid }
     }
 }
 
-/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (by its name), `objective`,
-/// `valid` (1, or 0 for rollouts that cannot be believed, whose objective is infinite). No times, so that the same plan gives the same bytes.
+/// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (under its name), `objective` and
+/// `valid` (1, or 0 for invalid rollouts, whose objective is infinite). The file holds no times, so that equal plans
+/// give equal bytes.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -105,7 +107,11 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
         }
     }
     let not_trials = || {
-        InputError::new("this table is no trial log", path, "restore or regenerate the file with `sms plan`")
+        InputError::new(
+            "this table is not a trial log",
+            path,
+            "restore or regenerate the file with `sms plan`",
+        )
     };
     let (Some(phases), Some(starts), Some(iterations), Some(objectives)) =
         (phases, starts, iterations, objectives)
@@ -115,12 +121,12 @@ pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
     (0..rows)
         .map(|i| {
             let all = [
-                Phase::Screen,
-                Phase::Search,
-                Phase::Disturbed,
-                Phase::Forecast,
-                Phase::Sensitivity,
-                Phase::Reason,
+                TrialPhase::Screen,
+                TrialPhase::Search,
+                TrialPhase::Perturbed,
+                TrialPhase::Forecast,
+                TrialPhase::Sensitivity,
+                TrialPhase::Reason,
             ];
             let phase = all
                 .into_iter()

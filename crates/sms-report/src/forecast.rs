@@ -1,7 +1,7 @@
 //! What the plan is predicted to do: its strategies, why one was chosen, its distribution against what was realised, and
 //! which unknowns matter.
 
-use crate::page::escape;
+use crate::html::escape;
 use sms_core::length_text;
 use sms_plan::{Plan, Strategy};
 use sms_task::Execution;
@@ -129,7 +129,7 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
                 100.0 * p.success_share,
                 strip(s, &scale, realised.filter(|_| is_chosen))
             );
-        } else if let Some(text) = s.unbelievable_text() {
+        } else if let Some(text) = s.failure_text() {
             let _ = write!(html, "<td colspan=\"6\" class=\"missing\">{text}</td>");
         } else if has_worlds {
             html.push_str("<td colspan=\"6\"></td>");
@@ -141,7 +141,7 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
         let realised = if realised.is_some() { " The red line is what was realised." } else { "" };
         let _ = write!(
             html,
-            "<p class=\"key\">Each stroke is one disturbed world that played no part in choosing; the bar spans 10 to 90 %, \
+            "<p class=\"key\">Each stroke is one perturbed world that played no part in choosing; the bar spans 10 to 90 %, \
              the white line is the median, the dot the mean.{realised}</p>"
         );
     }
@@ -284,7 +284,7 @@ fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
     svg.push_str("</svg>");
     let mut caption = match execution.and_then(|e| e.predicted.or_else(|| plan.against(e.objective))) {
         Some(a) => format!("Realised {}: {}.", length_text(realised.unwrap_or(f64::NAN)), a.rank_text()),
-        None => format!("{} disturbed worlds; not carried out yet.", values.len()),
+        None => format!("{} perturbed worlds; not carried out yet.", values.len()),
     };
     if let Some(missing) = p.missing_text() {
         let _ = write!(caption, " Not shown: {missing}.");
@@ -363,7 +363,7 @@ mod tests {
             objective_q90: 0.03,
             evaluations: 9,
             invalid: 1,
-            unbelievable: Vec::new(),
+            invalid_rollouts: Vec::new(),
             searched: 9,
             refused: Vec::new(),
             striker: String::new(),

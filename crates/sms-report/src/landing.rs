@@ -1,6 +1,6 @@
 //! A planned landing: the approach from above, and what became of everything.
 
-use crate::page::escape;
+use crate::html::escape;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, length_text};

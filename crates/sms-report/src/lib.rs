@@ -4,8 +4,11 @@
 //! predicted against realised, and a 3-D view; its pictures are also written as PNG beside it.
 
 mod colormap;
+mod error;
 mod figures;
 mod forecast;
+mod html;
+mod input;
 mod landing;
 #[cfg(feature = "rerun")]
 mod live;
@@ -19,11 +22,13 @@ mod top_view;
 mod view3d;
 
 pub use colormap::{depth_picture, error_picture, label_picture, turbo};
+pub use error::ReportError;
 pub use figures::ViewPair;
+pub use input::{LossPoint, ReportInput};
 pub use landing::{LandingInput, LandingRealised};
 #[cfg(feature = "rerun")]
 pub use live::{LiveError, LiveScan, Viewer};
-pub use page::{LossPoint, ReportError, ReportInput, write_report};
+pub use page::write_report;
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};
 pub use top_view::{TopOutline, TopPath, TopShape, TopView, footprint};

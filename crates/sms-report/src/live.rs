@@ -8,7 +8,7 @@
 //! goes on.
 
 use crate::rerun_parts::{
-    APPLICATION, Logged, Points, bytes_of, color_image, depth_image, pinhole, transform,
+    APPLICATION, GaussianPoints, Logged, bytes_of, color_image, depth_image, pinhole, transform,
 };
 use rerun::blueprint::components::{PanelState, PlayState};
 use rerun::blueprint::{
@@ -56,18 +56,18 @@ pub enum LiveError {
 
 enum Message {
     Batch(BatchDone),
-    Slot(Box<Slot>),
+    Slot(Box<FrameUpdate>),
 }
 
 /// A frame that is done, in plain numbers.
-struct Slot {
+struct FrameUpdate {
     step: u64,
     frame: usize,
     is_last: bool,
     camera: Camera,
     observed: (Vec<u8>, Vec<f32>),
     rendered: (Vec<u8>, Vec<f32>),
-    points: Points,
+    points: GaussianPoints,
     psnr_db: f64,
 }
 
@@ -157,14 +157,14 @@ impl ScanObserver for LiveScan {
         let is_last = slot.slot == slot.frames;
         let most = if is_last { MOST_POINTS.1 } else { MOST_POINTS.0 };
         let rendered: Vec<[u8; 3]> = slot.rendered.color.iter().map(|&c| bytes_of(c)).collect();
-        self.send(Message::Slot(Box::new(Slot {
+        self.send(Message::Slot(Box::new(FrameUpdate {
             step: slot.step,
             frame: slot.frame.index,
             is_last,
             camera: slot.frame.camera,
             observed: (slot.frame.color.data.as_flattened().to_vec(), slot.frame.depth.data.clone()),
             rendered: (rendered.into_flattened(), slot.rendered.depth.clone()),
-            points: Points::of(&(slot.model)(), most),
+            points: GaussianPoints::of(&(slot.model)(), most),
             psnr_db: slot.score.psnr_db,
         })));
     }
@@ -199,7 +199,7 @@ fn log_batch(rec: &RecordingStream, batch: &BatchDone) -> Logged {
     Ok(())
 }
 
-fn log_slot(rec: &RecordingStream, slot: Slot, path: &mut Vec<[f32; 3]>) -> Logged {
+fn log_slot(rec: &RecordingStream, slot: FrameUpdate, path: &mut Vec<[f32; 3]>) -> Logged {
     rec.set_time_sequence("step", slot.step as i64);
     rec.set_time_sequence("frame", slot.frame as i64);
     rec.log("world/camera", &transform(&slot.camera.x_wc))?;

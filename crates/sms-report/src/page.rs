@@ -1,19 +1,18 @@
 //! The page.
 
-use crate::figures::{ViewPair, view_rows};
+use crate::error::ReportError;
+use crate::figures::view_rows;
 use crate::forecast::forecast_section;
-use crate::landing::{LandingInput, landing_section, landing_svg, predicted_card, verdict};
+use crate::html::escape;
+use crate::input::{LossPoint, ReportInput};
+use crate::landing::{landing_section, landing_svg, predicted_card, verdict};
 use crate::shot::shot_svg;
 use crate::view3d::view_data;
 use base64::Engine;
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, CoreError, Warning, atomic, length_text, write_png_color};
-use sms_gaussians::GaussianModel;
-use sms_plan::Plan;
-use sms_scene::{BodyKind, BodyShape, Scene};
-use sms_task::Execution;
+use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -22,64 +21,6 @@ const STYLE: &str = include_str!("../assets/page.css");
 const VIEWER: &str = include_str!("../assets/viewer.js");
 const THREE: &str = include_str!("../assets/three.bundle.js");
 const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
-
-/// Errors of writing a report.
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    /// Files.
-    #[error(transparent)]
-    Core(#[from] CoreError),
-}
-
-/// One point of the training curves.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LossPoint {
-    /// Step from the start of the scan.
-    pub step: u64,
-    /// Mean absolute colour error.
-    pub color_l1: f64,
-    /// Depth error in metres.
-    pub depth_m: f64,
-    /// Weighted total.
-    pub total: f64,
-}
-
-/// Everything a report shows. Parts of the pipeline that have not run are `None` or empty, and the page says so.
-#[derive(Debug, Default)]
-pub struct ReportInput<'a> {
-    /// Headline ("Billiards, seed 1").
-    pub title: String,
-    /// One line on what this is: recording, masks, materials, engine.
-    pub subtitle: String,
-    /// Frames, observed beside rendered.
-    pub views: Vec<ViewPair>,
-    /// The Gaussians.
-    pub gaussians: Option<&'a GaussianModel>,
-    /// The scene.
-    pub scene: Option<&'a Scene>,
-    /// The plan.
-    pub plan: Option<&'a Plan>,
-    /// The execution in the target world.
-    pub execution: Option<&'a Execution>,
-    /// A landing, in the place of plan and execution.
-    pub landing: Option<LandingInput<'a>>,
-    /// Pictures of the choice, with what they show: what was put to a vision-language model.
-    pub pictures: Vec<(String, ColorImage)>,
-    /// Goal on the floor, metres.
-    pub goal_w: Option<[f64; 2]>,
-    /// Half extents of the striker's box, metres.
-    pub striker_half_m: Option<[f64; 3]>,
-    /// Body name → role ("cue", "target").
-    pub roles: Vec<(String, String)>,
-    /// Training curves.
-    pub losses: Vec<LossPoint>,
-    /// All metrics of the run.
-    pub metrics: Metrics,
-    /// All warnings of the run.
-    pub warnings: Vec<Warning>,
-    /// `run.toml` as text.
-    pub settings_toml: String,
-}
 
 /// Writes `index.html` and its pictures into `dir`; returns the page's path.
 ///
@@ -141,10 +82,6 @@ fn fill(template: &str, parts: &[(&str, String)]) -> String {
     out
 }
 
-pub(crate) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {
     let _ = write!(
         html,
@@ -160,17 +97,17 @@ fn cards(input: &ReportInput<'_>) -> String {
     let mut html = String::new();
     let m = |key: &str| input.metrics.number(key);
     if let Some(plan) = input.plan {
-        let unbelievable = plan.strategies.first().and_then(|s| s.unbelievable_text());
+        let unbelievable = plan.strategies.first().and_then(|s| s.failure_text());
         let note = match (&plan.predicted, unbelievable) {
             (Some(p), _) => format!(
                 "on average; 9 in 10 worlds within {}, {} in the scanned one",
                 length_text(p.q90),
                 length_text(plan.objective)
             ),
-            (None, Some(text)) => format!("in the scanned world; in disturbed ones it {text}"),
+            (None, Some(text)) => format!("in the scanned world; in perturbed ones it {text}"),
             _ if plan.is_nominal_only() => "in the scanned world; others were not looked at".to_owned(),
             // Plans of earlier versions.
-            _ => format!("90 % of disturbed worlds within {}", length_text(plan.objective_q90)),
+            _ => format!("90 % of perturbed worlds within {}", length_text(plan.objective_q90)),
         };
         let value = plan.predicted.map_or(plan.objective, |p| p.mean);
         card(&mut html, "Predicted miss", &length_text(value), &note, "main");
@@ -260,7 +197,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
         );
     }
     let invalid = if plan.invalid > 0 {
-        let why = plan.unbelievable_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
+        let why = plan.failure_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
         format!(", {} of which could not be believed and were never the best{why}", plan.invalid)
     } else {
         String::new()
@@ -427,7 +364,8 @@ mod tests {
     use super::*;
     use glamx::{DPose3, DVec3};
     use sms_core::{MassProperties, Mesh};
-    use sms_scene::{Body, example_material, floor_body};
+    use sms_plan::Plan;
+    use sms_scene::{Body, Scene, example_material, floor_body};
     use sms_sim::BodyState;
     use sms_task::{Action, BodyTrack, Parameter, Trajectory};
 
@@ -477,7 +415,7 @@ mod tests {
             objective_q90: 0.02,
             evaluations: 10,
             invalid: 0,
-            unbelievable: Vec::new(),
+            invalid_rollouts: Vec::new(),
             searched: 10,
             refused: Vec::new(),
             striker: String::new(),

@@ -47,14 +47,14 @@ pub(crate) fn bytes_of(color: [f32; 3]) -> [u8; 3] {
 
 /// Gaussians as points, in plain numbers.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Points {
+pub(crate) struct GaussianPoints {
     positions: Vec<[f32; 3]>,
     radii: Vec<f32>,
     colors: Vec<[u8; 3]>,
     labels: Vec<u16>,
 }
 
-impl Points {
+impl GaussianPoints {
     /// The Gaussians of a model, evenly thinned to at most `most`; the points grow as they get fewer.
     pub(crate) fn of(model: &GaussianModel, most: usize) -> Self {
         let stride = model.len().div_ceil(most.max(1)).max(1);
@@ -99,12 +99,12 @@ mod tests {
             colors: vec![[1.0, 0.5, -1.0]; 1000],
             ..GaussianModel::default()
         };
-        let all = Points::of(&model, 1000);
+        let all = GaussianPoints::of(&model, 1000);
         assert_eq!((all.len(), all.colors[0]), (1000, [255, 128, 0]));
         assert!((all.radii[0] - 0.004).abs() < 1e-6, "the disc's mean radius, not its thickness");
-        let some = Points::of(&model, 300);
+        let some = GaussianPoints::of(&model, 300);
         assert_eq!((some.len(), some.positions[1][0]), (250, 4.0));
         assert!((some.radii[0] - 0.008).abs() < 1e-6);
-        assert_eq!(Points::of(&GaussianModel::default(), 10).len(), 0);
+        assert_eq!(GaussianPoints::of(&GaussianModel::default(), 10).len(), 0);
     }
 }

@@ -5,9 +5,9 @@
 //! observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as predicted), `world/realised/*`,
 //! `world/paths/*`, `world/air` (particles of a landing's wash), `losses/*`.
 
+use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
-use crate::page::ReportInput;
-use crate::rerun_parts::{APPLICATION, Logged, Points, color_image, depth_image, pinhole, transform};
+use crate::rerun_parts::{APPLICATION, GaussianPoints, Logged, color_image, depth_image, pinhole, transform};
 use rerun::blueprint::{
     Blueprint, BlueprintActivation, Horizontal, Spatial2DView, Spatial3DView, TimePanel, TimeSeriesView,
     Vertical,
@@ -160,7 +160,7 @@ fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
 
 fn log_gaussians(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     let Some(g) = input.gaussians else { return Ok(()) };
-    rec.log_static("world/gaussians", &Points::of(g, usize::MAX).archetype())
+    rec.log_static("world/gaussians", &GaussianPoints::of(g, usize::MAX).archetype())
 }
 
 fn mesh_of(mesh: &Mesh, color: [u8; 4]) -> rerun::Mesh3D {

@@ -1,6 +1,6 @@
 //! The planned shot from above, as SVG.
 
-use crate::page::ReportInput;
+use crate::input::ReportInput;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
 use glamx::DVec2;
 use sms_scene::{Body, BodyKind, BodyShape};

@@ -117,7 +117,7 @@ impl TopView {
         let (min, max) = self.window_w.or_else(|| self.window())?;
         let size = max - min;
         let scale = self.size_px / size.max_element();
-        let canvas = Canvas { min, size, scale };
+        let canvas = SvgCanvas { min, size, scale };
         let (w, h) = (size.x * scale, size.y * scale);
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" \
@@ -149,13 +149,13 @@ impl TopView {
     }
 }
 
-struct Canvas {
+struct SvgCanvas {
     min: DVec2,
     size: DVec2,
     scale: f64,
 }
 
-impl Canvas {
+impl SvgCanvas {
     fn at(&self, p: DVec2) -> DVec2 {
         DVec2::new((p.x - self.min.x) * self.scale, (self.size.y - (p.y - self.min.y)) * self.scale)
     }

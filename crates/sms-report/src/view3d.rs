@@ -1,7 +1,7 @@
 //! Data of the interactive 3-D view: binary buffers as base64 inside JSON.
 
+use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
-use crate::page::ReportInput;
 use base64::Engine;
 use serde_json::{Value, json};
 use sms_core::Mesh;

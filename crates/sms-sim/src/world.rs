@@ -142,7 +142,7 @@ pub enum Impossible {
 
 impl SimError {
     /// Why a run was spoilt, without figures, for counting; `None` where it was not.
-    pub fn spoilt_by(&self) -> Option<String> {
+    pub fn failure_reason(&self) -> Option<String> {
         match self {
             Self::Diverged { body, .. } => Some(format!("`{body}` went beyond all numbers")),
             Self::Unphysical { why: Impossible::Inside { body, other, .. }, .. } => {

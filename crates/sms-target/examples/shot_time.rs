@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let mut simulation = target.simulation(&scene, &task.world_options())?;
                 let built = cpu_s() - began;
                 simulation.begin_profile();
-                let recording = recorded.then_some(sms_task::Recording { every_s: 1.0 / 120.0 });
+                let recording = recorded.then_some(sms_task::MotionRecording { every_s: 1.0 / 120.0 });
                 let outcome = task.rollout(&mut simulation, &struck, &bodies, recording);
                 let total = cpu_s() - began;
                 let p = simulation.profile().unwrap_or_default();

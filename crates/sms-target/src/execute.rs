@@ -10,7 +10,7 @@ use sms_robots::RobotConfig;
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{ArmKind, SimError, Striker, WorldOptions};
 use sms_synth::TruthScene;
-use sms_task::{Action, Execution, Recording, ResolvedTask, Rollout, Task, TaskError};
+use sms_task::{Action, Execution, MotionRecording, ResolvedTask, Rollout, Task, TaskError};
 
 /// Settings of an execution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -106,7 +106,7 @@ pub fn execute_on(
 
     let run =
         |scene: &Scene, recording| rollout(target, &task, &striker, options.arm, scene, &called, recording);
-    let recording = Recording { every_s: options.record_every_s };
+    let recording = MotionRecording { every_s: options.record_every_s };
     let realised = run(&true_scene, Some(recording))?;
     let mut chaos_floor = 0.0f64;
     for index in 0..options.chaos_runs {
@@ -132,7 +132,7 @@ fn rollout(
     arm: ArmKind,
     scene: &Scene,
     called: &dyn Fn(&str) -> String,
-    recording: Option<Recording>,
+    recording: Option<MotionRecording>,
 ) -> Result<Rollout, TargetError> {
     let bodies = task.bodies_called(scene, called)?;
     let mut simulation = target.simulation(scene, &WorldOptions { arm, ..task.world_options() })?;

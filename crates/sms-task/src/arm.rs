@@ -1,4 +1,4 @@
-//! The arm that carries a task's strikes out.
+//! The robot arm that carries out the strikes of a task.
 
 use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
@@ -12,21 +12,21 @@ use sms_sim::{SimError, Striker, StrikerMotion};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-/// A robot in the planner's scene, with the sweeps that were planned for it. A sweep depends on the action alone; it is
-/// planned once, however many worlds it is tried in.
+/// A robot in the planner's scene with a cache of planned sweeps. A sweep depends on the action alone, so that it is
+/// planned once for all worlds.
 pub struct RobotArm {
     settings: RobotConfig,
     model: Arc<RobotModel>,
     config: StrikeConfig,
-    around: Vec<Obstacle>,
-    /// Of the scene's bodies and of the one that is struck: two arms are the same only among the same things.
-    among: Hash,
+    obstacles: Vec<Obstacle>,
+    /// Hash of the scene's bodies and of the struck one. Two arms are equal only obstacles_hash the same obstacles.
+    obstacles_hash: Hash,
     planned: Mutex<BTreeMap<[u64; 6], Result<Arc<ArmStrike>, StrikeError>>>,
 }
 
 impl RobotArm {
-    /// The robot of the settings, among the bodies of a scene; the one that is struck is no obstacle. `None` where the
-    /// settings do not say where it stands.
+    /// Creates the robot of the settings obstacles_hash the bodies of a scene. The struck body is not an obstacle. `None` if
+    /// the settings give no pose of the robot.
     ///
     /// # Errors
     /// [`InputError`] of the robot's URDF.
@@ -37,27 +37,27 @@ impl RobotArm {
         Ok(Some(Self {
             model: Arc::new(config.model()?.with_base(x_wr)),
             config: config.strike_config(),
-            around: obstacles(scene, struck),
-            among: hash_of(scene, struck),
+            obstacles: obstacles(scene, struck),
+            obstacles_hash: obstacles_hash(scene, struck),
             settings,
             planned: Mutex::default(),
         }))
     }
 
-    /// The settings of the robot, with its place in the world of the scene.
+    /// The settings, with the pose of the robot in the world of the scene.
     pub fn settings(&self) -> &RobotConfig {
         &self.settings
     }
 
-    /// The robot, standing in the world.
+    /// The robot model with its base in the world.
     pub fn model(&self) -> &RobotModel {
         &self.model
     }
 
-    /// The arm's sweep for a strike, in a posture that it can come to from home.
+    /// Plans the sweep of a strike, in a posture that the arm can reach from home.
     ///
     /// # Errors
-    /// [`StrikeError`]: out of reach, beyond a limit, or something in the way.
+    /// [`StrikeError`]: out of reach, beyond a joint limit, or blocked by an obstacle.
     pub fn strike(&self, motion: &StrikerMotion) -> Result<Arc<ArmStrike>, StrikeError> {
         let c = motion.contact_w;
         let key = [c.x, c.y, c.z, motion.angle, motion.speed, motion.ball_radius].map(f64::to_bits);
@@ -66,8 +66,13 @@ impl RobotArm {
         }
         let half = self.config.half_m;
         let sweep = motion.sweep(half.x);
-        let found =
-            plan_startable_sweep(&self.model, &sweep, &self.around, &self.config, &mut Workspace::default());
+        let found = plan_startable_sweep(
+            &self.model,
+            &sweep,
+            &self.obstacles,
+            &self.config,
+            &mut Workspace::default(),
+        );
         let found =
             found.map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
         if let Ok(mut planned) = self.planned.lock() {
@@ -76,35 +81,35 @@ impl RobotArm {
         found
     }
 
-    /// Checks the whole motion of a strike, from home to the lift after it, as `sms robot` does: `None` where every check
-    /// passes, else what does not, without figures. Takes some ten times as long as [`Self::strike`].
+    /// Checks the whole motion of a strike, from home to the lift after it, as `sms robot` does. Returns the name of
+    /// the first failed check, without figures, or `None`. Takes about ten times as long as [`Self::strike`].
     pub fn not_executable(&self, motion: &StrikerMotion) -> Option<String> {
         let ws = &mut Workspace::default();
         let sweep = motion.sweep(self.config.half_m.x);
-        let strike = match plan_strike(&self.model, &sweep, &self.around, &self.config, ws) {
+        let strike = match plan_strike(&self.model, &sweep, &self.obstacles, &self.config, ws) {
             Ok(strike) => strike,
             Err(e) => return Some(e.reason()),
         };
-        let check = check_strike(&self.model, &strike, &self.around, &self.config, ws);
+        let check = check_strike(&self.model, &strike, &self.obstacles, &self.config, ws);
         let failed = check.failed().next()?;
-        Some(format!("the motion from home does not pass the check of {}", failed.kind.name()))
+        Some(format!("the motion from home fails the check of {}", failed.kind.name()))
     }
 
-    /// The arm's sweep for a strike that is carried out a little off: the posture of the asked one, with the tool held as
-    /// there, moved to the start of the other. Limits and obstacles are those of the asked one.
+    /// Plans the sweep of a strike with execution errors: the posture and tool orientation of the commanded strike,
+    /// moved to the start of the actual one. Limits and obstacles are checked for the commanded strike.
     ///
     /// # Errors
-    /// [`StrikeError`] of the asked strike, or where the posture cannot follow.
+    /// [`StrikeError`] of the commanded strike, or if the posture cannot follow.
     pub fn strike_near(
         &self,
-        asked: &StrikerMotion,
+        commanded: &StrikerMotion,
         carried_out: &StrikerMotion,
     ) -> Result<Arc<ArmStrike>, StrikeError> {
-        let asked = self.strike(asked)?;
-        let moved = asked.moved_to(|front_m| carried_out.sweep(front_m));
+        let commanded = self.strike(commanded)?;
+        let moved = commanded.moved_to(|front_m| carried_out.sweep(front_m));
         let start = IkTarget::Pose(moved.path().at(0.0).x_wt);
         let ws = &mut Workspace::default();
-        let q_start = self.model.refine(&start, &asked.q_start, &self.config.ik, ws)?;
+        let q_start = self.model.refine(&start, &commanded.q_start, &self.config.ik, ws)?;
         Ok(Arc::new(ArmStrike { q_start, ..moved }))
     }
 }
@@ -117,12 +122,13 @@ impl std::fmt::Debug for RobotArm {
 
 impl PartialEq for RobotArm {
     fn eq(&self, other: &Self) -> bool {
-        (&self.settings, &self.config, &self.among) == (&other.settings, &other.config, &other.among)
+        (&self.settings, &self.config, &self.obstacles_hash)
+            == (&other.settings, &other.config, &other.obstacles_hash)
     }
 }
 
-/// What the obstacles are made from: names, poses and shapes of all bodies, and which is none.
-fn hash_of(scene: &Scene, struck: usize) -> Hash {
+/// Hash of the input of the obstacles: names, poses and shapes of all bodies, and the index of the struck one.
+fn obstacles_hash(scene: &Scene, struck: usize) -> Hash {
     let mut hasher = Hasher::new();
     hasher.bytes(&struck.to_le_bytes());
     let mut numbers = |values: &[f64]| {
@@ -155,8 +161,8 @@ fn rows(x: &DPose3) -> [[f64; 4]; 4] {
 }
 
 impl ResolvedTask {
-    /// The same task, carried out by the robot of the settings where they say where it stands; by a finger that gives
-    /// no way where they do not. `scene` is the one that the task was resolved in.
+    /// The same task, carried out by the robot of the settings, or by a kinematic finger if they give no pose of the
+    /// robot. `scene` is the one that the task was resolved in.
     ///
     /// # Errors
     /// [`InputError`] of the robot's URDF.
@@ -165,29 +171,29 @@ impl ResolvedTask {
         Ok(self)
     }
 
-    /// The robot that carries strikes out; `None` for the finger.
+    /// The robot that carries out strikes; `None` for the finger.
     pub fn arm(&self) -> Option<&RobotArm> {
         self.arm.as_deref()
     }
 
-    /// Why a strike cannot be carried out from home to its end; `None` where every check of its whole motion passes, or
-    /// where there is no robot to check.
+    /// The name of the check that the whole motion of a strike fails. `None` if every check passes, or without a
+    /// robot.
     pub fn not_executable(&self, motion: &StrikerMotion) -> Option<String> {
         self.arm.as_ref()?.not_executable(motion)
     }
 
-    /// What carries strikes out, in words.
+    /// The name of the striker.
     pub fn striker_name(&self) -> String {
         match &self.arm {
             Some(arm) => format!("{} under torque control", arm.model().name()),
-            None => "a finger that gives no way (the robot's place is not known)".to_owned(),
+            None => "a kinematic finger (no robot pose is known)".to_owned(),
         }
     }
 
-    /// What carries a strike out.
+    /// The striker for a strike.
     ///
     /// # Errors
-    /// [`SimError::Refused`] when the arm cannot make it.
+    /// [`SimError::Refused`] if the arm cannot carry it out.
     pub fn striker(&self, motion: &StrikerMotion) -> Result<Striker, SimError> {
         Ok(match &self.arm {
             Some(arm) => Striker::Arm(arm.strike(motion)?),
@@ -195,17 +201,17 @@ impl ResolvedTask {
         })
     }
 
-    /// What carries a strike out that goes a little off: `asked` is what the arm was told.
+    /// The striker for a strike with execution errors. `commanded` is the strike without them.
     ///
     /// # Errors
-    /// [`SimError::Refused`] when the arm cannot make the asked strike.
+    /// [`SimError::Refused`] if the arm cannot carry out the commanded strike.
     pub fn striker_near(
         &self,
-        asked: &StrikerMotion,
+        commanded: &StrikerMotion,
         carried_out: &StrikerMotion,
     ) -> Result<Striker, SimError> {
         Ok(match &self.arm {
-            Some(arm) => Striker::Arm(arm.strike_near(asked, carried_out)?),
+            Some(arm) => Striker::Arm(arm.strike_near(commanded, carried_out)?),
             None => carried_out.into(),
         })
     }

@@ -14,7 +14,7 @@ pub enum BilliardsKind {
     Billiards,
 }
 
-/// Which parameters an action has.
+/// The parameters of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionForm {
@@ -25,9 +25,9 @@ pub enum ActionForm {
 }
 
 /// A range of a parameter, `[low, high]`.
-pub type Range = [f64; 2];
+pub type ParameterRange = [f64; 2];
 
-/// Strike the cue ball so that the target ball passes over the goal: the objective is the smallest horizontal
+/// Strike the cue ball so that the target ball passes over the goal. The objective is the smallest horizontal
 /// distance of the target ball's centre to the goal over the horizon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -40,10 +40,10 @@ pub struct Billiards {
     pub target: Selector,
     /// The goal on the floor, world x and y in metres.
     pub goal_w: [f64; 2],
-    /// How long is simulated, seconds from the start of the sweep.
+    /// Simulated time, seconds from the start of the sweep.
     #[serde(default = "default_horizon_s")]
     pub horizon_s: f64,
-    /// Objective up to which the task counts as done, metres.
+    /// Largest objective that counts as success, metres.
     #[serde(default = "default_success_m")]
     pub success_m: f64,
     /// The parameters of an action.
@@ -58,7 +58,7 @@ pub struct Billiards {
     /// Nominal time step in seconds (paper: 0.0025).
     #[serde(default = "default_dt")]
     pub dt: f64,
-    /// The file this was read from, for messages.
+    /// The file that the task was read from, for messages.
     #[serde(skip)]
     pub source: PathBuf,
 }
@@ -68,14 +68,14 @@ pub struct Billiards {
 #[serde(default, deny_unknown_fields)]
 pub struct ActionBounds {
     /// Speed of the finger at the contact position, m/s (paper's baseline: 0.2 to 0.85).
-    pub speed: Range,
+    pub speed: ParameterRange,
     /// Direction of the sweep relative to the direction from cue to target ball, radians, positive to the left.
     /// Shots that reach the target ball over an obstacle seldom begin further than 60° from it.
-    pub angle: Range,
+    pub angle: ParameterRange,
     /// Contact position along the sweep relative to the centre of the cue ball, metres.
-    pub along: Range,
+    pub along: ParameterRange,
     /// Contact position across the sweep, metres, positive to the left.
-    pub across: Range,
+    pub across: ParameterRange,
 }
 
 impl Default for ActionBounds {
@@ -142,7 +142,7 @@ impl Billiards {
     /// Checks the values.
     ///
     /// # Errors
-    /// [`InputError`] that names the file, the key and what is allowed.
+    /// [`InputError`] that names the file, the key and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
         let fault = |key: &str, why: String| {
             Err(InputError::new(format!("`{key}` in this task file cannot be used: {why}"), self.path(), {
@@ -151,7 +151,7 @@ impl Billiards {
         };
         for (key, selector) in [("cue", &self.cue), ("target", &self.target)] {
             if let Some(why) = selector.fault() {
-                return fault(key, why);
+                return fault(key, why.to_string());
             }
         }
         if self.goal_w.iter().any(|v| !v.is_finite()) {
@@ -160,13 +160,13 @@ impl Billiards {
         self.common().validate(self.path())
     }
 
-    /// The file to name in messages.
+    /// The file name for messages.
     pub(crate) fn path(&self) -> &Path {
         named(&self.source)
     }
 
-    pub(crate) fn common(&self) -> Common {
-        Common {
+    pub(crate) fn common(&self) -> StrikeSettings {
+        StrikeSettings {
             horizon_s: self.horizon_s,
             success_m: self.success_m,
             form: self.form,
@@ -177,14 +177,14 @@ impl Billiards {
     }
 }
 
-/// The file that a task came from, or what stands for it.
+/// The file of a task, or a placeholder for tasks without one.
 pub(crate) fn named(source: &Path) -> &Path {
     if source.as_os_str().is_empty() { Path::new("(task made by the program)") } else { source }
 }
 
-/// What all tasks of a strike have.
+/// Settings that all strike tasks share.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Common {
+pub(crate) struct StrikeSettings {
     pub(crate) horizon_s: f64,
     pub(crate) success_m: f64,
     pub(crate) form: ActionForm,
@@ -193,7 +193,7 @@ pub(crate) struct Common {
     pub(crate) dt: f64,
 }
 
-impl Common {
+impl StrikeSettings {
     pub(crate) fn validate(&self, path: &Path) -> Result<(), InputError> {
         let fault = |key: &str, why: String| {
             let what = format!("`{key}` in this task file cannot be used: {why}");
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back() {
+    fn a_written_task_reads_back() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("shot.toml");
         let mut task = Billiards::new(Selector::by_name("a"), Selector::sphere_of_color("blue"), [0.1, -0.2]);

@@ -2,9 +2,9 @@
 
 use glamx::DVec2;
 
-/// Running minimum of the horizontal distance, exact for motion at constant velocity between observations: within
-/// a step the squared distance is a quadratic in time, whose minimum is taken. Without it the objective would have
-/// a ripple of half a step's travel (1 mm at 0.8 m/s and 2.5 ms) that an optimiser would climb on.
+/// Running minimum of the horizontal distance, exact for constant velocity between observations: within a step the
+/// squared distance is a quadratic in time, and its minimum is taken. Without this the objective would have a ripple
+/// of half a step's travel (1 mm at 0.8 m/s and 2.5 ms), which traps optimisers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClosestApproach {
     goal_w: DVec2,
@@ -14,12 +14,12 @@ pub struct ClosestApproach {
 }
 
 impl ClosestApproach {
-    /// Nothing observed yet.
+    /// Creates a minimum without observations.
     pub fn new(goal_w: DVec2) -> Self {
         Self { goal_w, last: None, distance: f64::INFINITY, time_s: 0.0 }
     }
 
-    /// Observes the position at a time not before the last one.
+    /// Adds the position at a time that is not before the last one.
     pub fn observe(&mut self, time_s: f64, p_w: DVec2) {
         let (distance, at) = match self.last {
             None => (p_w.distance(self.goal_w), time_s),
@@ -45,7 +45,7 @@ impl ClosestApproach {
         self.distance
     }
 
-    /// When that was, seconds.
+    /// The time of the smallest distance, seconds.
     pub fn time_s(&self) -> f64 {
         self.time_s
     }

@@ -1,28 +1,28 @@
-//! The result of carrying out a plan.
+//! Result of carrying out a plan in a target world.
 
 use crate::{Trajectory, json};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, atomic};
 use std::path::Path;
 
-/// Where a realised objective lies in the distribution that was predicted for it.
+/// Position of a realised objective in its predicted distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AgainstPrediction {
-    /// Predicted in the scanned world.
+    /// Predicted objective in the scanned world.
     pub nominal: f64,
     /// Mean of the predicted distribution.
     pub mean: f64,
     /// Its 90 % quantile.
     pub q90: f64,
-    /// Share of the predicted worlds that are better than what was realised, those that are equal counted half: 0 is better
-    /// than all, 1 worse than all, 0.5 what could be expected.
+    /// Share of the predicted worlds with a smaller objective than the realised one; equal ones count half. 0 is
+    /// better than all worlds, 1 worse than all, 0.5 the expectation.
     pub rank: f64,
-    /// Number of predicted worlds; those whose rollout cannot be believed are none.
+    /// Number of predicted worlds with a valid rollout.
     pub worlds: usize,
 }
 
 impl AgainstPrediction {
-    /// In words: "worse than 78 % of 32 predicted worlds".
+    /// The rank as text: "worse than 78 % of 32 predicted worlds".
     pub fn rank_text(&self) -> String {
         let percent = (100.0 * self.rank).round();
         match self.rank {
@@ -33,7 +33,7 @@ impl AgainstPrediction {
     }
 }
 
-/// A plan carried out in a target world: an observed trajectory that a calibrator can read.
+/// A plan carried out in a target world, with the observed trajectory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Execution {
     /// Engine of the target, with its label ("rapier3d f64, quarter step (same engine)").
@@ -44,14 +44,14 @@ pub struct Execution {
     pub objective_unit: String,
     /// Whether the task's success condition was met.
     pub success: bool,
-    /// Largest |Δobjective| over runs with start positions disturbed by 1 µm: what no planner can beat.
+    /// Largest |Δobjective| over runs with start positions perturbed by 1 µm: a lower bound of any planner's error.
     pub chaos_floor: f64,
-    /// Where the objective lies in the predicted distribution; `None` for plans that have none.
+    /// Position of the objective in the predicted distribution; `None` for plans without one.
     #[serde(default)]
     pub predicted: Option<AgainstPrediction>,
-    /// What moved. Names are those of the target's bodies.
+    /// The recorded motion, under the target's body names.
     pub trajectory: Trajectory,
-    /// Planner's body name → target's body name, for those that were matched.
+    /// Planner's body name → target's body name, for the matched bodies.
     pub matches: Vec<(String, String)>,
 }
 

@@ -1,5 +1,4 @@
-//! JSON that a person can read although it holds long tables: one line per key, and per element of a key's list;
-//! what is nested deeper stays on its line.
+//! Readable JSON with long tables: one line per key and per element of a key's list; deeper levels stay on one line.
 
 use serde::Serialize;
 use serde_json::ser::{Formatter, PrettyFormatter, Serializer};
@@ -7,7 +6,7 @@ use sms_core::{CoreError, atomic};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Levels that are laid out one element per line.
+/// Levels with one element per line.
 const PRETTY_LEVELS: usize = 2;
 
 /// Writes a value atomically, with a final newline.
@@ -16,24 +15,24 @@ const PRETTY_LEVELS: usize = 2;
 /// [`CoreError::Write`].
 pub fn write<T: Serialize>(path: &Path, value: &T) -> Result<(), CoreError> {
     atomic::write_with(path, |w| {
-        let layout = Layout { pretty: PrettyFormatter::new(), level: 0 };
+        let layout = LineFormatter { pretty: PrettyFormatter::new(), level: 0 };
         value.serialize(&mut Serializer::with_formatter(&mut *w, layout)).map_err(io::Error::other)?;
         w.write_all(b"\n")
     })
 }
 
-struct Layout {
+struct LineFormatter {
     pretty: PrettyFormatter<'static>,
     level: usize,
 }
 
-impl Layout {
+impl LineFormatter {
     fn is_pretty(&self) -> bool {
         self.level <= PRETTY_LEVELS
     }
 }
 
-impl Formatter for Layout {
+impl Formatter for LineFormatter {
     fn begin_array<W: ?Sized + Write>(&mut self, w: &mut W) -> io::Result<()> {
         self.level += 1;
         if self.is_pretty() { self.pretty.begin_array(w) } else { w.write_all(b"[") }

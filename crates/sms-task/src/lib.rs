@@ -1,9 +1,9 @@
-//! Tasks as data: actions, objectives, trajectories and the one rollout that planner and target share.
+//! Tasks as data: actions, objectives, trajectories and the rollout that planner and target share.
 //!
-//! A [`Task`] is a TOML file. [`Task::resolve`] finds its bodies in the planner's scene and gives a
-//! [`ResolvedTask`], which says what an [`Action`] means as a motion of the robot in the world
-//! ([`ResolvedTask::strike`]), and carries that motion out in any world ([`ResolvedTask::rollout`]): the planner's
-//! or a target's. What moves so is the arm of [`ResolvedTask::with_robot`], or a finger that gives no way.
+//! A [`Task`] is a TOML file. [`Task::resolve`] finds its bodies in the planner's scene. The [`ResolvedTask`] converts an
+//! [`Action`] to a motion of the robot in the world ([`ResolvedTask::strike`]) and carries that motion out in any world
+//! ([`ResolvedTask::rollout`]), the planner's or a target's. The striker is the arm of [`ResolvedTask::with_robot`], or a
+//! kinematic finger.
 //!
 //! ```
 //! use sms_task::{Billiards, Selector, Task};
@@ -25,7 +25,9 @@
 mod action;
 mod arm;
 mod billiards;
+mod body;
 mod closest;
+mod error;
 mod execution;
 pub mod json;
 mod place;
@@ -39,13 +41,15 @@ mod trajectory;
 
 pub use action::{Action, Parameter};
 pub use arm::RobotArm;
-pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, Range, StrikerMaterial};
+pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, ParameterRange, StrikerMaterial};
+pub use body::TaskBody;
 pub use closest::ClosestApproach;
+pub use error::TaskError;
 pub use execution::{AgainstPrediction, Execution};
-pub use resolved::{Ball, ResolvedTask, TaskError};
-pub use rollout::{Recording, Rollout, STRIKER, WorldBodies};
+pub use resolved::ResolvedTask;
+pub use rollout::{MotionRecording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
 pub use strike::{Strike, StrikeKind};
 pub use task::Task;
-pub use terms::{Bodies, METRES_PER_RADIAN, Others, Region, Term, When};
+pub use terms::{METRES_PER_RADIAN, Others, Region, Term, TermBodies, When};
 pub use trajectory::{BodyTrack, Trajectory};

@@ -1,27 +1,26 @@
-//! Whether the places of a task can be come to.
+//! Checks that the places of a task can be reached.
 
-use crate::Ball;
-use crate::resolved::{bodies_of, horizontal};
+use crate::body::{TaskBody, bodies_of, horizontal};
 use glamx::DVec2;
 use sms_core::InputError;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::signed_distance;
 use std::path::Path;
 
-/// Farther than this from every body nothing of a scan is left, metres.
+/// Places farther than this from every body are outside of the scan, metres.
 const FARTHEST_M: f64 = 3.0;
 
-/// A body nearer than this to what does not move stands on it, metres.
+/// A body within this distance of a static body stands on it, metres.
 const STANDS_M: f64 = 0.01;
 
-/// A ball that is deeper than this in something has no room there, metres: meshes are rough.
+/// Overlap of a ball with an obstacle that is still accepted, metres: meshes are rough.
 const TOUCH_M: f64 = 0.005;
 
-/// Places that are tried around one: rings, and directions of each.
+/// Samples around a place: rings, and directions per ring.
 const RINGS: u32 = 8;
 const DIRECTIONS: u32 = 24;
 
-/// A place that nothing of the scene is near to is a slip of units or axes.
+/// Refuses a place far from the whole scene: units or axes are wrong.
 pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
     let nearest = scene
         .bodies
@@ -34,7 +33,7 @@ pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene)
     }
     Err(InputError::new(
         format!(
-            "{what}, at [{:.3}, {:.3}], is {nearest:.1} m from everything that was scanned",
+            "{what}, at [{:.3}, {:.3}], is {nearest:.1} m from the nearest scanned body",
             place_w.x, place_w.y
         ),
         path,
@@ -42,14 +41,14 @@ pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene)
     ))
 }
 
-/// A place on the floor that the body cannot come within `enough_m` of, at the height at which it stands: what does not
-/// move is in the way, or nothing carries it there.
+/// Refuses a place on the floor that the body cannot come within `enough_m` of, at its own height: a static body is
+/// in the way, or there is no floor.
 pub(crate) fn check_reachable(
     path: &Path,
     what: &str,
     place_w: DVec2,
     enough_m: f64,
-    body: &Ball,
+    body: &TaskBody,
     scene: &Scene,
 ) -> Result<(), InputError> {
     let is_sphere = matches!(scene.bodies[body.index].shape, BodyShape::Sphere { .. });
@@ -68,7 +67,7 @@ pub(crate) fn check_reachable(
                 && signed_distance(b, p_w.extend(body.center_w.z)) < body.radius - TOUCH_M
         };
         let in_way = |p_w: DVec2| still.iter().find(|b| is_in_way(b, p_w));
-        // As far from the place as counts as having come to it, in all directions.
+        // Samples of the disc in which the place counts as reached.
         let mut around = (1..=RINGS).flat_map(|ring| {
             (0..DIRECTIONS).map(move |k| {
                 let turn = std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS);
@@ -80,7 +79,7 @@ pub(crate) fn check_reachable(
         {
             return refuse(
                 format!(
-                    "`{}`, which does not move, keeps it more than {:.0} mm away",
+                    "the static body `{}` keeps it more than {:.0} mm away",
                     obstacle.name,
                     1e3 * enough_m
                 ),
@@ -88,16 +87,16 @@ pub(crate) fn check_reachable(
             );
         }
     }
-    // A place on the floor is on what the body itself stands on, or on a floor without end.
+    // A place on the floor needs the support that the body stands on now, or an infinite floor.
     let lowest_w = |p_w: DVec2| p_w.extend(body.center_w.z - body.radius);
     let gap_m =
         |p_w: DVec2| still.iter().map(|b| signed_distance(b, lowest_w(p_w))).fold(f64::INFINITY, f64::min);
     let here_m = gap_m(horizontal(body.center_w)).max(0.0);
     let there_m = gap_m(place_w);
-    // What stands on something that moves says nothing about the floor.
+    // A body on a movable support gives no information about the floor.
     if here_m < STANDS_M && there_m > here_m + enough_m {
         return refuse(
-            format!("there is no floor, nor within {:.0} mm", 1e3 * there_m),
+            format!("there is no floor within {:.0} mm", 1e3 * there_m),
             "choose a place on the floor, or a box `{ min_w, max_w }` for a place off it",
         );
     }

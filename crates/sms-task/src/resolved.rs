@@ -1,77 +1,51 @@
-//! A task with its bodies found in the planner's scene.
+//! A task whose bodies are found in the planner's scene.
 
-use crate::billiards::{Common, named};
+use crate::billiards::{StrikeSettings, named};
+use crate::body::{TaskBody, bodies_of, find, horizontal, task_body};
 use crate::place::{check_near, check_reachable};
-use crate::terms::Tracker;
+use crate::terms::TermTracker;
 use crate::{
-    Action, ActionForm, Billiards, Bodies, Parameter, Region, RobotArm, Selector, Strike, Task, Term,
+    Action, ActionForm, Billiards, Parameter, Region, RobotArm, Strike, Task, TaskError, Term, TermBodies,
 };
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{CoreError, InputError, wrapped_angle};
+use sms_core::{InputError, wrapped_angle};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
-use sms_sim::{SimError, StrikerMotion, WorldOptions};
+use sms_sim::{StrikerMotion, WorldOptions};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Errors of resolving or running a task.
-#[derive(Debug, thiserror::Error)]
-pub enum TaskError {
-    /// The task does not fit the scene; names the task file and lists the bodies there are.
-    #[error(transparent)]
-    Input(#[from] InputError),
-    /// The world could not be built or blew up.
-    #[error(transparent)]
-    Sim(#[from] SimError),
-    /// A file could not be read or written.
-    #[error(transparent)]
-    Core(#[from] CoreError),
-}
-
-/// A task resolved against the planner's scene. It holds all that an action means in world coordinates, so that a
-/// target world, whose bodies are others, carries out the same motion of the robot.
+/// A task resolved against the planner's scene. It defines actions in world coordinates, so that a target world with
+/// other bodies carries out the same motion of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedTask {
     kind: &'static str,
-    pub(crate) common: Common,
+    pub(crate) common: StrikeSettings,
     source: PathBuf,
-    cue: Ball,
-    /// Corners of the struck body on the floor, relative to its centre; none for a ball.
+    cue: TaskBody,
+    /// Corners of the struck body in the plane of the floor, relative to its centre; empty for a ball.
     outline: Vec<DVec2>,
-    target: Ball,
+    target: TaskBody,
     /// Direction of the angle 0 on the floor, radians from world x.
     base_angle: f64,
-    pub(crate) wish: Wish,
+    pub(crate) objective: Objective,
     pub(crate) arm: Option<Arc<RobotArm>>,
 }
 
-/// What the objective is.
+/// The objective of a task.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Wish {
-    /// The target ball passes over the goal on the floor.
-    Pass(DVec2),
-    /// Terms, each with the bodies that it is about.
-    Terms(Vec<(Term, Vec<Ball>)>),
-}
-
-/// A body of the task, as the planner's scene has it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Ball {
-    /// Name of the body.
-    pub name: String,
-    /// Index of the body in the scene; also its [`sms_sim::BodyId`].
-    pub index: usize,
-    /// Centre in the world, metres.
-    pub center_w: DVec3,
-    /// Radius, metres; for a body that is no sphere, half of its mean extent.
-    pub radius: f64,
+pub(crate) enum Objective {
+    /// Closest approach of the target ball to the goal on the floor.
+    ClosestApproach(DVec2),
+    /// Weighted terms, each with its bodies.
+    Terms(Vec<(Term, Vec<TaskBody>)>),
 }
 
 impl Task {
     /// Finds the task's bodies in the planner's scene.
     ///
     /// # Errors
-    /// [`TaskError::Input`] when a selector matches no dynamic body (the bodies there are, are listed), when cue and
-    /// target are the same body, or when a setting is out of range.
+    /// [`TaskError::Input`] if a selector matches no dynamic body (the error lists the bodies of the scene), if cue
+    /// and target are the same body, or if a setting is out of range.
     pub fn resolve(&self, scene: &Scene) -> Result<ResolvedTask, TaskError> {
         match self {
             Self::Billiards(settings) => resolve_billiards(settings, scene),
@@ -102,7 +76,7 @@ fn resolve_billiards(settings: &Billiards, scene: &Scene) -> Result<ResolvedTask
         source: settings.source.clone(),
         outline: Vec::new(),
         base_angle: horizontal(target.center_w - cue.center_w).to_angle(),
-        wish: Wish::Pass(DVec2::from_array(settings.goal_w)),
+        objective: Objective::ClosestApproach(DVec2::from_array(settings.goal_w)),
         arm: None,
         cue,
         target,
@@ -117,15 +91,15 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
     let mut found = Vec::new();
     for (i, term) in settings.terms.iter().enumerate() {
         let body = match term.bodies() {
-            Bodies::One(selector) => Some(find(path, &format!("terms[{i}].body"), selector, scene)?),
-            Bodies::Others(_) => None,
+            TermBodies::One(selector) => Some(find(path, &format!("terms[{i}].body"), selector, scene)?),
+            TermBodies::Others(_) => None,
         };
         named_bodies.extend(body.as_ref().map(|b| b.index));
         found.push(body);
     }
-    let others: Vec<Ball> = (0..scene.bodies.len())
+    let others: Vec<TaskBody> = (0..scene.bodies.len())
         .filter(|i| scene.bodies[*i].kind == BodyKind::Dynamic && !named_bodies.contains(i))
-        .map(|i| ball_of(scene, i))
+        .map(|i| task_body(scene, i))
         .collect();
     let moved = settings.terms.iter().zip(&found).find_map(|(term, body)| match term {
         Term::Reach { .. } | Term::Topple { .. } => body.clone().filter(|b| b.index != cue.index),
@@ -146,7 +120,7 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
             let on_floor = match place {
                 Region::Point { .. } => Some(0.0),
                 Region::Disc { radius_m, .. } => Some(*radius_m),
-                // It may be beside the floor, or below it.
+                // A box may lie beside the floor or below it.
                 Region::Box { .. } => None,
             };
             if let (Term::Reach { .. }, Some(body), Some(radius_m)) = (term, &found[i], on_floor) {
@@ -156,22 +130,22 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
         }
     }
     let outline = outline_of(&scene.bodies[cue.index]);
-    let wish = settings.terms.iter().cloned().zip(found);
-    let wish = wish.map(|(term, body)| (term, body.map_or_else(|| others.clone(), |b| vec![b]))).collect();
+    let terms = settings.terms.iter().cloned().zip(found);
+    let terms = terms.map(|(term, body)| (term, body.map_or_else(|| others.clone(), |b| vec![b]))).collect();
     Ok(ResolvedTask {
         kind: "strike",
         common: settings.common(),
         source: settings.source.clone(),
         target: moved.unwrap_or_else(|| cue.clone()),
         base_angle,
-        wish: Wish::Terms(wish),
+        objective: Objective::Terms(terms),
         arm: None,
         outline,
         cue,
     })
 }
 
-/// Corners of a body that is no ball on the floor, relative to its centre.
+/// Corners of a body in the plane of the floor, relative to its centre; empty for a ball.
 fn outline_of(body: &Body) -> Vec<DVec2> {
     match &body.shape {
         BodyShape::Sphere { .. } | BodyShape::HalfSpace => Vec::new(),
@@ -182,55 +156,14 @@ fn outline_of(body: &Body) -> Vec<DVec2> {
     }
 }
 
-fn find(path: &Path, key: &str, selector: &Selector, scene: &Scene) -> Result<Ball, InputError> {
-    let index = selector.select(scene).ok_or_else(|| {
-        InputError::new(
-            format!("`{key} = {selector}` matches no dynamic body of scene `{}`", scene.name),
-            path,
-            format!("select one of the bodies that the scene has: {}", bodies_of(scene)),
-        )
-    })?;
-    Ok(ball_of(scene, index))
-}
-
-fn ball_of(scene: &Scene, index: usize) -> Ball {
-    let body = &scene.bodies[index];
-    Ball { name: body.name.clone(), index, center_w: body.x_wb.translation, radius: radius_of(body) }
-}
-
-/// "a (sphere, #f0f0f0, at [0.10, 0.20, 0.03]), b (static), …".
-pub(crate) fn bodies_of(scene: &Scene) -> String {
-    let describe = |b: &Body| {
-        if b.kind == BodyKind::Static {
-            return format!("{} (static)", b.name);
-        }
-        let shape = if matches!(b.shape, BodyShape::Sphere { .. }) { "sphere" } else { "no sphere" };
-        let ([r, g, blue], p) = (b.color, b.x_wb.translation);
-        format!("{} ({shape}, color [{r}, {g}, {blue}], at [{:.3}, {:.3}, {:.3}])", b.name, p.x, p.y, p.z)
-    };
-    let list: Vec<String> = scene.bodies.iter().map(describe).collect();
-    if list.is_empty() { "none".to_owned() } else { list.join(", ") }
-}
-
-fn radius_of(body: &Body) -> f64 {
-    match &body.shape {
-        BodyShape::Sphere { radius } => *radius,
-        BodyShape::HalfSpace => 0.0,
-        shape => {
-            let corners = shape.meshes().into_iter().flat_map(|m| m.vertices);
-            sms_core::Aabb::of_points(corners).map_or(0.0, |b| b.extents().element_sum() / 6.0)
-        }
-    }
-}
-
 impl ResolvedTask {
-    /// Places on the floor that bodies have to come to, with what they are called in the task's file: points of the surface on
-    /// which the body stands, in the world. Places that may be beside the floor are none of them.
+    /// Goals on the floor with their names in the task file, as points of the surface on which the body stands, in
+    /// the world. Places that may lie beside the floor are not included.
     pub fn floor_places(&self) -> Vec<(String, DVec3)> {
-        let under = |body: &Ball, place_w: DVec2| place_w.extend(body.center_w.z - body.radius);
-        match &self.wish {
-            Wish::Pass(goal_w) => vec![("`goal_w`".to_owned(), under(&self.target, *goal_w))],
-            Wish::Terms(terms) => terms
+        let under = |body: &TaskBody, place_w: DVec2| place_w.extend(body.center_w.z - body.radius);
+        match &self.objective {
+            Objective::ClosestApproach(goal_w) => vec![("`goal_w`".to_owned(), under(&self.target, *goal_w))],
+            Objective::Terms(terms) => terms
                 .iter()
                 .enumerate()
                 .filter_map(|(i, (term, bodies))| match term {
@@ -244,7 +177,7 @@ impl ResolvedTask {
         }
     }
 
-    /// The file to name in messages.
+    /// The file name for messages.
     pub(crate) fn path(&self) -> &Path {
         named(&self.source)
     }
@@ -255,20 +188,20 @@ impl ResolvedTask {
     }
 
     /// The body that is struck.
-    pub fn cue(&self) -> &Ball {
+    pub fn cue(&self) -> &TaskBody {
         &self.cue
     }
 
-    /// The body that has to come to a place or to topple; the struck one where no term names another.
-    pub fn target(&self) -> &Ball {
+    /// The body that has to reach a place or to topple; the struck body if no term names another.
+    pub fn target(&self) -> &TaskBody {
         &self.target
     }
 
-    /// The goal on the floor: that of billiards, or the middle of the first place to reach.
+    /// The goal on the floor: of billiards, or the middle of the first place to reach.
     pub fn goal_w(&self) -> Option<DVec2> {
-        match &self.wish {
-            Wish::Pass(goal_w) => Some(*goal_w),
-            Wish::Terms(terms) => terms.iter().find_map(|(term, _)| match term {
+        match &self.objective {
+            Objective::ClosestApproach(goal_w) => Some(*goal_w),
+            Objective::Terms(terms) => terms.iter().find_map(|(term, _)| match term {
                 Term::Reach { place, .. } => Some(place.middle_w()),
                 _ => None,
             }),
@@ -280,7 +213,7 @@ impl ResolvedTask {
         "m"
     }
 
-    /// Largest objective that counts as success; metres where it is a distance.
+    /// Largest objective that counts as success, metres.
     pub fn success_m(&self) -> f64 {
         self.common.success_m
     }
@@ -290,16 +223,16 @@ impl ResolvedTask {
         objective <= self.common.success_m
     }
 
-    /// Objective of doing nothing, metres: where everything stays where it is.
+    /// Objective of doing nothing, metres.
     pub fn initial_objective(&self) -> f64 {
-        match &self.wish {
-            Wish::Pass(goal_w) => horizontal(self.target.center_w).distance(*goal_w),
-            Wish::Terms(terms) => terms
+        match &self.objective {
+            Objective::ClosestApproach(goal_w) => horizontal(self.target.center_w).distance(*goal_w),
+            Objective::Terms(terms) => terms
                 .iter()
                 .map(|(term, bodies)| {
-                    let cost = |b: &Ball| {
+                    let cost = |b: &TaskBody| {
                         let x_wb = DPose3::from_translation(b.center_w);
-                        let mut tracker = Tracker::new(term, x_wb);
+                        let mut tracker = TermTracker::new(term, x_wb);
                         tracker.observe(term.between_s()[0], &x_wb);
                         tracker.cost()
                     };
@@ -309,7 +242,7 @@ impl ResolvedTask {
         }
     }
 
-    /// How worlds are built for this task.
+    /// Settings of the worlds for this task.
     pub fn world_options(&self) -> WorldOptions {
         WorldOptions { dt: self.common.dt, ..WorldOptions::default() }
     }
@@ -331,8 +264,8 @@ impl ResolvedTask {
         all
     }
 
-    /// The part of the parameters' box where the cue ball can reach the target ball directly: a far smaller range
-    /// of angles than the bounds allow, where most good shots are. `None` when it is not smaller.
+    /// The part of the parameter box in which the cue ball hits the target ball directly. It has a far smaller range
+    /// of angles than the bounds and contains most good shots. `None` if it is not smaller.
     pub fn direct_box(&self) -> Option<Vec<[f64; 2]>> {
         if self.cue.index == self.target.index || !self.outline.is_empty() {
             return None;
@@ -342,7 +275,7 @@ impl ResolvedTask {
         let [low, high] = self.common.bounds.angle;
         // Beyond a cut of about 75° the target ball hardly moves.
         let cone = (0.97 * reach.min(1.0)).asin();
-        // The angle 0 may go towards something else.
+        // The angle 0 may point elsewhere.
         let middle =
             wrapped_angle(horizontal(self.target.center_w - self.cue.center_w).to_angle() - self.base_angle);
         let narrowed = [low.max(middle - cone), high.min(middle + cone)];
@@ -357,8 +290,8 @@ impl ResolvedTask {
         )
     }
 
-    /// Actions that billiards geometry suggests: aim at the ghost ball, the place where the cue ball touches the
-    /// target ball opposite to the goal, at several speeds. Spin, friction and obstacles are left to the search.
+    /// Actions from billiards geometry: aim at the ghost ball (the position of the cue ball when it touches the
+    /// target ball opposite to the goal) at several speeds. The search accounts for spin, friction and obstacles.
     pub fn suggestions(&self) -> Vec<Action> {
         let (cue, target) = (horizontal(self.cue.center_w), horizontal(self.target.center_w));
         let Some(to_goal) = self.goal_w().and_then(|goal_w| (goal_w - target).try_normalize()) else {
@@ -369,7 +302,7 @@ impl ResolvedTask {
         } else {
             target - to_goal * (self.cue.radius + self.target.radius) - cue
         };
-        // The far side of the target ball cannot be struck directly.
+        // The far side of the target ball cannot be hit directly.
         if aim.dot(to_goal) <= 0.0 {
             return Vec::new();
         }
@@ -385,25 +318,25 @@ impl ResolvedTask {
             .collect()
     }
 
-    /// The action with every value inside its bounds.
+    /// The action with every value clamped to its bounds.
     pub fn clamped(&self, action: &Action) -> Action {
         let values = action.0.iter().zip(self.parameters());
         Action(values.map(|(&v, p)| v.max(p.low).min(p.high)).collect())
     }
 
-    /// The motion of the robot's finger, in world coordinates, that an action means: the sweep goes along the
-    /// direction from cue to target ball turned by `angle`, and has `speed` at the contact position, which is the
-    /// cue ball's centre plus the contact offsets.
+    /// The motion of the robot's finger in world coordinates. The sweep goes along the direction from cue to target
+    /// ball turned by `angle`. It has `speed` at the contact position: the cue ball's centre plus the contact
+    /// offsets.
     ///
     /// # Panics
-    /// When the action has another number of values than the task has parameters.
+    /// If the number of values differs from the number of parameters.
     pub fn strike(&self, action: &Action) -> StrikerMotion {
         assert_eq!(action.0.len(), self.parameters().len(), "values of the action");
         let offset = |i: usize| action.0.get(i).copied().unwrap_or(0.0);
         let angle = wrapped_angle(self.base_angle + action.0[1]);
         let forward = DVec2::from_angle(angle);
         let contact = forward * offset(2) + forward.perp() * offset(3);
-        // The finger starts clear of a body that is no ball, whichever way it lies.
+        // The finger starts clear of an extended body in any orientation.
         let back = self.outline.iter().map(|p| -p.dot(forward)).fold(0.0, f64::max);
         StrikerMotion {
             contact_w: self.cue.center_w + DVec3::new(contact.x, contact.y, 0.0),
@@ -412,9 +345,4 @@ impl ResolvedTask {
             ball_radius: if self.outline.is_empty() { self.cue.radius } else { back },
         }
     }
-}
-
-/// The part of a world vector that lies in the floor.
-pub(crate) fn horizontal(v_w: DVec3) -> DVec2 {
-    DVec2::new(v_w.x, v_w.y)
 }

@@ -1,7 +1,8 @@
-//! The one rollout that planner and targets share.
+//! The rollout that planner and targets share.
 
-use crate::resolved::{Wish, horizontal};
-use crate::terms::{Tracker, is_indispensable};
+use crate::body::horizontal;
+use crate::resolved::Objective;
+use crate::terms::{TermTracker, is_indispensable};
 use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DVec2, DVec3};
 use sms_core::InputError;
@@ -13,38 +14,40 @@ use sms_sim::{
 /// Name of the striker's track.
 pub const STRIKER: &str = "striker";
 
-/// A body that turned or moved less than this is not recorded: metres and radians.
+/// Motion below which a body is not recorded: metres and radians.
 const MOVED: (f64, f64) = (2e-4, 2e-3);
 
-/// Speeds (m/s, rad/s) below which a body that is no ball counts as standing still. A toppling body is faster.
+/// Speeds (m/s, rad/s) below which a body other than a ball counts as still. A toppling body is faster.
 const STILL: (f64, f64) = (0.003, 0.03);
 
-/// How far outside of everything a ball has to be to count as gone, metres: obstacles are pushed about a little.
+/// Distance outside of all bodies from which on a ball counts as gone, metres. The margin allows for pushed
+/// obstacles.
 const ARENA_MARGIN_M: f64 = 0.05;
 
-/// A ball deeper than this inside of another body has passed through its surface, metres. Engines let fast balls sink in by
-/// a few tenths of a millimetre.
+/// Penetration beyond which a ball has passed through a surface, metres. Engines let fast balls sink in by a few
+/// tenths of a millimetre.
 const DEEPEST_M: f64 = 0.005;
 
-/// The same of a body that is no ball, beyond what it was inside of others at the start: its convex parts are larger than
-/// it is, and rest in each other.
+/// The same for other bodies, beyond their penetration at the start: their convex parts are larger than the body and
+/// overlap at rest.
 const DEEPEST_BODY_M: f64 = 0.01;
 
-/// How much faster than the finger a body may become that it strikes again and again, as a factor.
+/// Largest speed of a repeatedly struck body relative to the finger, as a factor.
 const FASTEST: f64 = 4.0;
 
-/// Energy that bodies may seem to have beyond what the robot gave, and to gain once it is gone, as a share of what they then had
-/// and in joules. Engines push bodies apart that have sunk into each other. Valid shots have at most 0.92 of what was given and
-/// gain at most 0.05 mJ (152 shots in four engines, docs/plan-study.md); 20 mJ lift 5 kg by 0.4 mm, out of what they stand on.
+/// Tolerance for energy beyond the robot's work, and for gains after the strike: a share of the energy, and joules.
+/// Engines push apart bodies that have sunk into each other. Valid shots have at most 0.92 of the robot's work and
+/// gain at most 0.05 mJ (152 shots in four engines, docs/plan-study.md). 20 mJ lift 5 kg by 0.4 mm, out of their
+/// support.
 const ENERGY_GAIN: (f64, f64) = (0.05, 0.02);
 
-/// Longest settling, seconds, and farthest that anything may move horizontally in it, metres.
+/// Longest settling time, seconds, and largest horizontal motion in it, metres.
 const SETTLE_S: f64 = 1.0;
 const SETTLE_M: f64 = 5e-4;
 
-/// What to record of a rollout.
+/// Settings of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Recording {
+pub struct MotionRecording {
     /// Time between recorded states, seconds; 0 records every step.
     pub every_s: f64,
 }
@@ -52,28 +55,27 @@ pub struct Recording {
 /// The result of a rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout {
-    /// Smallest horizontal distance of the target ball's centre to the goal, metres, over all steps and between
-    /// them; or the weighted sum of the task's terms.
+    /// Smallest horizontal distance of the target ball's centre to the goal, metres, over all steps and between them;
+    /// or the weighted sum of the task's terms.
     pub objective: f64,
-    /// When the target ball was there, seconds from the start of the sweep; the end of the rollout for terms.
+    /// Time of the closest approach, seconds from the start of the sweep; the end of the rollout for terms.
     pub closest_s: f64,
-    /// First touches of bodies, in order of time; seconds from the start of the sweep.
+    /// First contacts of pairs of bodies in order of time, in seconds from the start of the sweep.
     pub contacts: Vec<ContactEvent>,
-    /// When the rollout ended, seconds: the horizon, or earlier when nothing could change any more.
+    /// End of the rollout, seconds: the horizon, or earlier when the objective was final.
     pub end_s: f64,
-    /// The motion, when it was recorded.
+    /// The motion, if it was recorded.
     pub trajectory: Option<Trajectory>,
 }
 
-/// The bodies of a world that a rollout looks at. The world may be the planner's or a target's: bodies have other
-/// names and indices there.
+/// The bodies of one world in a rollout. A target's world has other names and indices than the planner's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldBodies {
     target: BodyId,
-    /// Bodies of the task's terms, in the order of the terms and of their bodies; `None` where this world lacks one.
-    wished: Vec<Option<BodyId>>,
+    /// Bodies of the terms, in the order of the terms; `None` for a body that this world lacks.
+    term_bodies: Vec<Option<BodyId>>,
     dynamic: Vec<Mover>,
-    /// Centre and radius of a disc on the floor that holds everything at the start.
+    /// Centre and radius of a disc on the floor that contains all bodies at the start.
     arena: (DVec2, f64),
 }
 
@@ -81,32 +83,31 @@ pub struct WorldBodies {
 struct Mover {
     id: BodyId,
     name: String,
-    /// For a ball its radius.
+    /// Radius of a ball.
     radius: Option<f64>,
     mass: f64,
-    /// Largest principal moment or more, kg·m².
+    /// Upper bound of the principal moments of inertia, kg·m².
     inertia: f64,
-    /// Smallest principal moment or less, kg·m².
+    /// Lower bound of the principal moments of inertia, kg·m².
     least_inertia: f64,
 }
 
 impl ResolvedTask {
-    /// The bodies of a world built from `scene`, in which the target is called `target` and all others have their own
-    /// names.
+    /// The bodies of a world built from `scene`, in which the target is called `target` and the other bodies have
+    /// their own names.
     ///
     /// # Errors
-    /// [`TaskError::Input`] when there is no dynamic body of that name.
+    /// [`TaskError::Input`] if there is no dynamic body of that name.
     pub fn bodies_in(&self, scene: &Scene, target: &str) -> Result<WorldBodies, TaskError> {
         let own = self.target().name.clone();
         self.bodies_called(scene, &|name| if name == own { target.to_owned() } else { name.to_owned() })
     }
 
-    /// The bodies of a world built from `scene`, in which bodies have other names than in the planner's: `called` gives
-    /// them.
+    /// The bodies of a world built from `scene`; `called` maps the planner's body names to those of the world.
     ///
     /// # Errors
-    /// [`TaskError::Input`] when the target, or another body that has to come somewhere or to topple, is not there.
-    /// What only had to keep still or out of the way may be missing.
+    /// [`TaskError::Input`] if the target, or another body that has to reach a place or to topple, is missing. Bodies
+    /// that only have to keep still or out of a place may be missing.
     pub fn bodies_called(
         &self,
         scene: &Scene,
@@ -153,26 +154,26 @@ impl ResolvedTask {
             dynamic.iter().find(|m| m.name == name).map(|m| m.id).ok_or_else(|| missing(&name))
         };
         let target = find(&self.target().name)?;
-        let mut wished = Vec::new();
-        if let Wish::Terms(terms) = &self.wish {
+        let mut term_bodies = Vec::new();
+        if let Objective::Terms(terms) = &self.objective {
             for (term, bodies) in terms {
                 for body in bodies {
                     match find(&body.name) {
                         Err(e) if is_indispensable(term) => return Err(e.into()),
-                        found => wished.push(found.ok()),
+                        found => term_bodies.push(found.ok()),
                     }
                 }
             }
         }
-        Ok(WorldBodies { target, wished, dynamic, arena: arena_of(scene) })
+        Ok(WorldBodies { target, term_bodies, dynamic, arena: arena_of(scene) })
     }
 
-    /// Builds a world of a scene and saves it as [`ResolvedTask::rollout`] wants it: at rest. The scan saw the objects
-    /// standing still; a world that first lets them settle and fall asleep spends no time on those that the shot
-    /// does not touch. Where they do not come to rest at once and in place, the world starts as the scene says.
+    /// Builds a world of a scene and saves it at rest, as [`ResolvedTask::rollout`] expects. The scan saw the objects
+    /// at rest; once they have settled and fallen asleep, the simulation spends no time on those that the shot does
+    /// not touch. If they do not settle quickly and in place, the world starts in the state of the scene.
     ///
     /// # Errors
-    /// [`SimError::Body`] when a body cannot be simulated.
+    /// [`SimError::Body`] if a body cannot be simulated.
     pub fn prepare(
         &self,
         factory: &dyn WorldFactory,
@@ -188,29 +189,29 @@ impl ResolvedTask {
         Ok(simulation)
     }
 
-    /// Carries out a strike ([`ResolvedTask::striker`]) in a simulation that is in its first state, and measures how near the target ball comes
-    /// to the goal.
+    /// Carries out a strike ([`ResolvedTask::striker`]) in a simulation in its first state and measures the
+    /// objective.
     ///
-    /// A rollout ends at the horizon or when the sweep is over and everything rests. Without recording it also ends
-    /// as soon as the target ball cannot come nearer any more: when all kinetic energy, given to it at once, would
-    /// not carry it there in the time left, or when it rolls away outside of all other bodies and not towards the
-    /// goal. Balls that roll away no longer count; bodies that are no balls must stand still, or they might topple.
+    /// A rollout ends at the horizon, or when the sweep is over and everything rests. Without recording it also ends
+    /// once the objective is final. That holds when all kinetic energy, given to the target ball at once, would not
+    /// bring it closer in the time left, or when the ball rolls away outside of all other bodies and not towards the
+    /// goal. Balls that roll away no longer count; other bodies must stand still, since they might topple.
     ///
     /// # Errors
-    /// [`SimError::Diverged`] when a state stops being finite; [`SimError::Unphysical`] when bodies have more energy than the
-    /// robot gave them, or gain some after it has gone, when a ball is more than 5 mm inside of another body, or another
-    /// moving body 10 mm deeper in others than at the start. Looked at every 16 steps.
+    /// [`SimError::Diverged`] if a state is not finite. [`SimError::Unphysical`] if bodies have more energy than the
+    /// robot gave them, if they gain energy after the strike, if a ball is more than 5 mm inside of another body, or
+    /// if another moving body is 10 mm deeper in others than at the start. Checked every 16 steps.
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
         striker: impl Into<Striker>,
         bodies: &WorldBodies,
-        recording: Option<Recording>,
+        recording: Option<MotionRecording>,
     ) -> Result<Rollout, SimError> {
         let settings = &self.common;
-        let mut judge = Judge::new(&self.wish, simulation, bodies);
+        let mut tracker = ObjectiveTracker::new(&self.objective, simulation, bodies);
         let start = simulation.states().to_vec();
-        // The world is older: it settled.
+        // The world has settled before, so its clock does not start at 0.
         let start_s = simulation.time_s();
         let striker = striker.into();
         let finger_speed = match &striker {
@@ -222,35 +223,35 @@ impl ResolvedTask {
         let steps = (settings.horizon_s / settings.dt).round().max(1.0) as usize;
         let mut time_s = 0.0;
         let rest = bodies.energy(simulation)[0];
-        let mut watch = Watch { left: None, rest, start, striker, finger_speed };
-        judge.observe(time_s, simulation);
+        let mut checks = RolloutChecks { left: None, rest, start, striker, finger_speed };
+        tracker.observe(time_s, simulation);
         if let Some(r) = &mut recorder {
             r.record(time_s, simulation);
         }
         for step in 1..=steps {
             simulation.advance(settings.dt)?;
             time_s = step as f64 * settings.dt;
-            judge.observe(time_s, simulation);
+            tracker.observe(time_s, simulation);
             if let Some(r) = &mut recorder {
                 r.record_if_due(time_s, simulation);
             }
             let left_s = settings.horizon_s - time_s;
-            // Looked at now and then: it costs as much as a few contacts.
+            // Checked now and then: a check costs as much as a few contacts.
             if step % 16 != 0 {
                 continue;
             }
-            watch.check(time_s, simulation, bodies)?;
+            checks.check(time_s, simulation, bodies)?;
             if simulation.is_strike_over()
                 && (bodies.all_rest(simulation)
-                    || (recorder.is_none() && judge.is_over(simulation, bodies, left_s)))
+                    || (recorder.is_none() && tracker.is_over(simulation, bodies, left_s)))
             {
                 break;
             }
         }
-        judge.rest(time_s, simulation);
+        tracker.rest(time_s, simulation);
         Ok(Rollout {
-            objective: judge.objective(),
-            closest_s: judge.closest_s().unwrap_or(time_s),
+            objective: tracker.objective(),
+            closest_s: tracker.closest_s().unwrap_or(time_s),
             contacts: simulation
                 .contacts()
                 .iter()
@@ -262,29 +263,31 @@ impl ResolvedTask {
     }
 }
 
-/// Looks at a motion as it goes on, and says what it is worth.
-enum Judge<'a> {
-    Pass(ClosestApproach, BodyId),
-    Terms(Vec<(Tracker<'a>, BodyId)>),
+/// Tracks the objective during a motion.
+enum ObjectiveTracker<'a> {
+    ClosestApproach(ClosestApproach, BodyId),
+    Terms(Vec<(TermTracker<'a>, BodyId)>),
 }
 
-impl<'a> Judge<'a> {
-    fn new(wish: &'a Wish, simulation: &Simulation, bodies: &WorldBodies) -> Self {
-        match wish {
-            Wish::Pass(goal_w) => Self::Pass(ClosestApproach::new(*goal_w), bodies.target),
-            Wish::Terms(terms) => {
+impl<'a> ObjectiveTracker<'a> {
+    fn new(objective: &'a Objective, simulation: &Simulation, bodies: &WorldBodies) -> Self {
+        match objective {
+            Objective::ClosestApproach(goal_w) => {
+                Self::ClosestApproach(ClosestApproach::new(*goal_w), bodies.target)
+            }
+            Objective::Terms(terms) => {
                 let of_terms = terms.iter().flat_map(|(term, bodies)| bodies.iter().map(move |_| term));
                 let tracker = |(term, id): (&'a crate::Term, &Option<BodyId>)| {
-                    id.map(|id| (Tracker::new(term, simulation.state(id).x_wb), id))
+                    id.map(|id| (TermTracker::new(term, simulation.state(id).x_wb), id))
                 };
-                Self::Terms(of_terms.zip(&bodies.wished).filter_map(tracker).collect())
+                Self::Terms(of_terms.zip(&bodies.term_bodies).filter_map(tracker).collect())
             }
         }
     }
 
     fn observe(&mut self, time_s: f64, simulation: &Simulation) {
         match self {
-            Self::Pass(closest, id) => {
+            Self::ClosestApproach(closest, id) => {
                 closest.observe(time_s, horizontal(simulation.state(*id).x_wb.translation));
             }
             Self::Terms(trackers) => {
@@ -293,7 +296,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Nothing moves any more.
+    /// Records that nothing moves any more.
     fn rest(&mut self, time_s: f64, simulation: &Simulation) {
         if let Self::Terms(trackers) = self {
             trackers.iter_mut().for_each(|(t, id)| t.rest(time_s, &simulation.state(*id).x_wb));
@@ -302,29 +305,29 @@ impl<'a> Judge<'a> {
 
     fn objective(&self) -> f64 {
         match self {
-            Self::Pass(closest, _) => closest.distance(),
+            Self::ClosestApproach(closest, _) => closest.distance(),
             Self::Terms(trackers) => trackers.iter().map(|(t, _)| t.cost()).sum(),
         }
     }
 
     fn closest_s(&self) -> Option<f64> {
         match self {
-            Self::Pass(closest, _) => Some(closest.time_s()),
+            Self::ClosestApproach(closest, _) => Some(closest.time_s()),
             Self::Terms(_) => None,
         }
     }
 
-    /// Whether nothing that is still to come can change the objective.
+    /// Whether the objective is final.
     fn is_over(&self, simulation: &Simulation, bodies: &WorldBodies, left_s: f64) -> bool {
         match self {
-            Self::Pass(closest, _) => bodies.cannot_improve(simulation, closest, left_s),
+            Self::ClosestApproach(closest, _) => bodies.cannot_improve(simulation, closest, left_s),
             Self::Terms(trackers) => trackers.iter().all(|(t, _)| t.is_met()),
         }
     }
 }
 
 impl WorldBodies {
-    /// Lets everything come to rest; whether it did, without anything having left its place.
+    /// Lets everything come to rest. Returns whether it did, without any body leaving its place.
     fn settle(&self, simulation: &mut Simulation, dt: f64) -> bool {
         let places: Vec<DVec2> = self.places(simulation).collect();
         let mut time_s = 0.0;
@@ -338,8 +341,8 @@ impl WorldBodies {
         self.all_rest(simulation) && moved.fold(0.0, f64::max) < SETTLE_M
     }
 
-    /// Bounds of the mechanical energy that was not there at rest, joules: from below and from above. Bodies that sleep
-    /// have only their height.
+    /// Lower and upper bound of the mechanical energy relative to rest, joules. Sleeping bodies have only potential
+    /// energy.
     fn energy(&self, simulation: &Simulation) -> [f64; 2] {
         let gravity_w = simulation.gravity_w();
         let mut bounds = [0.0, 0.0];
@@ -353,7 +356,7 @@ impl WorldBodies {
         bounds
     }
 
-    /// Name of the body with the most energy of motion.
+    /// Name of the body with the most kinetic energy.
     fn fastest(&self, simulation: &Simulation) -> String {
         let energy = |m: &&Mover| {
             let state = simulation.state(m.id);
@@ -399,7 +402,7 @@ impl WorldBodies {
         closest.current_distance() - fastest * left_s >= closest.distance()
     }
 
-    /// Whether a ball is outside of everything, rolls without slip (so that spin cannot turn it back), and outwards.
+    /// Whether a ball is outside of everything and rolls outwards without slip, so that spin cannot turn it back.
     fn rolls_away(&self, state: &BodyState, radius: f64) -> bool {
         let (center, arena_radius) = self.arena;
         let outwards = horizontal(state.x_wb.translation) - center;
@@ -412,12 +415,12 @@ impl WorldBodies {
     }
 }
 
-/// The disc around the horizontal extents of all bodies but half spaces.
+/// The disc around the horizontal extents of all bodies except half spaces.
 fn arena_of(scene: &Scene) -> (DVec2, f64) {
     let corners = scene.bodies.iter().flat_map(|b| {
         let local: Vec<DVec3> = match &b.shape {
             BodyShape::HalfSpace => Vec::new(),
-            // Where the ball is; its radius is added in every direction.
+            // The centre of the ball, extended by its radius in every direction.
             BodyShape::Sphere { radius } => {
                 let r = *radius;
                 vec![
@@ -441,20 +444,20 @@ fn arena_of(scene: &Scene) -> (DVec2, f64) {
     (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
 }
 
-/// Notices motions that bodies cannot have.
-struct Watch {
-    /// Upper bound of the energy when the robot had gone, and of the share of it that is motion.
+/// Checks for physically impossible motion.
+struct RolloutChecks {
+    /// Upper bound of the energy at the end of the strike, and of its kinetic part.
     left: Option<(f64, f64)>,
     /// Energy at the start.
     rest: f64,
-    /// States of all bodies then.
+    /// States of all bodies at the start.
     start: Vec<BodyState>,
     striker: BodyId,
-    /// Speed of a finger at the contact, m/s; 0 of an arm.
+    /// Speed of a finger at the contact, m/s; 0 for an arm.
     finger_speed: f64,
 }
 
-impl Watch {
+impl RolloutChecks {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
         let unphysical =
             |why: Impossible| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
@@ -463,7 +466,7 @@ impl Watch {
             let is_too_deep = if m.radius.is_some() {
                 depth_m > DEEPEST_M
             } else {
-                // Worked out only where it matters.
+                // Computed only if it decides.
                 depth_m > DEEPEST_BODY_M
                     && depth_m > DEEPEST_BODY_M + simulation.penetration_at(m.id, &self.start)
             };
@@ -496,8 +499,8 @@ impl Watch {
         Ok(())
     }
 
-    /// The most energy that bodies can have from the robot, J: the work of the arm, or of a finger, which gives no way, the
-    /// energy of what it touched at some times its speed.
+    /// Upper bound of the energy that the robot can have given, J: the work of the arm. For a kinematic finger it is
+    /// the kinetic energy of the touched bodies at a multiple of its speed.
     fn most_given(&self, simulation: &Simulation, bodies: &WorldBodies) -> f64 {
         if let Some(work) = simulation.work_j(self.striker) {
             return work.max(0.0);
@@ -510,7 +513,7 @@ impl Watch {
         };
         let v2 = (FASTEST * self.finger_speed).powi(2);
         let touched = |m: &&Mover| with_finger(m.id);
-        // Of engines that do not tell all touches, any may have been.
+        // Engines that do not report all contacts may have missed some: then any body counts.
         let any = bodies.dynamic.iter().any(|m| with_finger(m.id));
         bodies.dynamic.iter().filter(|m| !any || touched(m)).map(|m| 0.5 * m.mass * v2).sum()
     }
@@ -521,12 +524,12 @@ struct Recorder<'a> {
     bodies: &'a WorldBodies,
     striker: BodyId,
     times_s: Vec<f64>,
-    /// Per dynamic body, then the striker.
+    /// One per dynamic body, then the striker.
     tracks: Vec<Vec<BodyState>>,
 }
 
 impl<'a> Recorder<'a> {
-    fn new(recording: Recording, bodies: &'a WorldBodies, striker: BodyId) -> Self {
+    fn new(recording: MotionRecording, bodies: &'a WorldBodies, striker: BodyId) -> Self {
         let tracks = vec![Vec::new(); bodies.dynamic.len() + 1];
         Self { every_s: recording.every_s, bodies, striker, times_s: Vec::new(), tracks }
     }
@@ -540,7 +543,7 @@ impl<'a> Recorder<'a> {
     }
 
     fn record_if_due(&mut self, time_s: f64, simulation: &Simulation) {
-        // Half a microsecond of slack, so that rounding of the times does not skip a state.
+        // Half a microsecond of slack, so that rounded times do not skip a state.
         if self.times_s.len() as f64 * self.every_s <= time_s + 5e-7 {
             self.record(time_s, simulation);
         }

@@ -1,4 +1,4 @@
-//! How a task file names a body of a scene that was reconstructed, not authored.
+//! Selection of bodies in reconstructed scenes, whose body names are not known in advance.
 
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
@@ -17,10 +17,10 @@ pub struct Selector {
     /// The body whose origin is nearest to this world point, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near: Option<[f64; 3]>,
-    /// The body whose mean colour looks nearest to this one.
+    /// The body whose mean colour is closest to this one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub color: Option<ColorName>,
-    /// Consider only spheres (`true`) or only what is no sphere (`false`); absent: both.
+    /// Only spheres (`true`) or only other bodies (`false`); absent: both.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sphere: Option<bool>,
 }
@@ -51,7 +51,7 @@ pub const COLOR_WORDS: [(&str, [u8; 3]); 11] = [
 ];
 
 impl ColorName {
-    /// The sRGB value; `None` for a word that is not known.
+    /// The sRGB value; `None` for an unknown word.
     pub fn srgb(&self) -> Option<[u8; 3]> {
         match self {
             Self::Srgb(rgb) => Some(*rgb),
@@ -78,24 +78,23 @@ impl Selector {
         Self { color: Some(ColorName::Word(word.into())), sphere: Some(true), ..Self::default() }
     }
 
-    /// What is wrong with the selector itself, whatever the scene; `None` when nothing is.
-    pub(crate) fn fault(&self) -> Option<String> {
+    /// The fault of the selector itself, independent of a scene.
+    pub(crate) fn fault(&self) -> Option<SelectorFault> {
         let ways = [self.name.is_some(), self.near.is_some(), self.color.is_some()];
         if ways.iter().filter(|&&w| w).count() != 1 {
-            return Some("give exactly one of `name`, `near` and `color`".to_owned());
+            return Some(SelectorFault::Ambiguous);
         }
         if self.near.is_some_and(|p| p.iter().any(|v| !v.is_finite())) {
-            return Some("`near` must be three finite numbers in metres".to_owned());
+            return Some(SelectorFault::NotFinite);
         }
         if self.color.as_ref().is_some_and(|c| c.srgb().is_none()) {
-            let words: Vec<&str> = COLOR_WORDS.iter().map(|&(word, _)| word).collect();
-            return Some(format!("this colour is not known; use [r, g, b] or one of: {}", words.join(", ")));
+            return Some(SelectorFault::UnknownColor);
         }
         None
     }
 
-    /// Index of the body in the scene; `None` when no dynamic body satisfies the selector. Ties go to the body
-    /// that comes first in the scene.
+    /// Index of the selected body in the scene; `None` if no dynamic body matches. Ties go to the first body of the
+    /// scene.
     pub fn select(&self, scene: &Scene) -> Option<usize> {
         let badness = |body: &Body| -> f64 {
             if let Some(p) = self.near {
@@ -115,6 +114,30 @@ impl Selector {
             .filter(|(_, b)| self.sphere.is_none_or(|s| s == matches!(b.shape, BodyShape::Sphere { .. })))
             .min_by(|(_, a), (_, b)| badness(a).total_cmp(&badness(b)))
             .map(|(i, _)| i)
+    }
+}
+
+/// A fault of a selector.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SelectorFault {
+    /// None or several of the three ways to select.
+    Ambiguous,
+    /// A place that is not finite.
+    NotFinite,
+    /// A colour word that is not in [`COLOR_WORDS`].
+    UnknownColor,
+}
+
+impl fmt::Display for SelectorFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ambiguous => f.write_str("give exactly one of `name`, `near` and `color`"),
+            Self::NotFinite => f.write_str("`near` must be three finite numbers in metres"),
+            Self::UnknownColor => {
+                let words: Vec<&str> = COLOR_WORDS.iter().map(|&(word, _)| word).collect();
+                write!(f, "unknown colour; use [r, g, b] or one of: {}", words.join(", "))
+            }
+        }
     }
 }
 
@@ -139,8 +162,8 @@ impl fmt::Display for Selector {
     }
 }
 
-/// Distance of two sRGB colours in CIE L*a*b* with lightness at half weight: the mean colour of an object is
-/// darkened by shading and shadow, while its hue stays.
+/// Distance of two sRGB colours in CIE L*a*b* with lightness at half weight: shading and shadow darken the mean
+/// colour of an object, while its hue stays.
 pub(crate) fn color_distance(a: [u8; 3], b: [u8; 3]) -> f64 {
     let (a, b) = (lab(a), lab(b));
     let (dl, da, db) = (0.5 * (a[0] - b[0]), a[1] - b[1], a[2] - b[2]);
@@ -196,10 +219,10 @@ mod tests {
 
     #[test]
     fn faults_are_named() {
-        assert!(Selector::default().fault().unwrap().contains("exactly one"));
+        assert_eq!(Selector::default().fault(), Some(SelectorFault::Ambiguous));
         let two = Selector { near: Some([0.0; 3]), ..Selector::by_name("a") };
-        assert!(two.fault().unwrap().contains("exactly one"));
-        assert!(Selector::sphere_of_color("mauve").fault().unwrap().contains("white"));
+        assert_eq!(two.fault(), Some(SelectorFault::Ambiguous));
+        assert_eq!(Selector::sphere_of_color("mauve").fault(), Some(SelectorFault::UnknownColor));
         assert_eq!(Selector::sphere_of_color("White").fault(), None);
     }
 }

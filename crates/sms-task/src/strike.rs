@@ -1,6 +1,6 @@
-//! The general task as a file: strike one body so that a sum of wishes is met.
+//! The general task as a file: strike one body to minimise a weighted sum of terms.
 
-use crate::billiards::{self, Common};
+use crate::billiards::{self, StrikeSettings};
 use crate::{ActionBounds, ActionForm, Selector, StrikerMaterial, Term};
 use serde::{Deserialize, Serialize};
 use sms_core::InputError;
@@ -14,7 +14,7 @@ pub enum StrikeKind {
     Strike,
 }
 
-/// Strike a body so that the weighted sum of terms is least: "push the box off the table without moving the mug".
+/// Strike a body so that the weighted sum of terms is smallest: "push the box off the table without moving the mug".
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Strike {
@@ -22,14 +22,14 @@ pub struct Strike {
     pub kind: StrikeKind,
     /// The body that the finger strikes.
     pub strike: Selector,
-    /// Point on the floor that the angle 0 of the sweep goes towards, world x and y in metres. Where it is left out,
-    /// the first other body that a `reach` or `topple` term names, else the first place to reach.
+    /// Point on the floor that the angle 0 of the sweep points to, world x and y in metres. Default: the first other
+    /// body that a `reach` or `topple` term names, or else the first place to reach.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub towards_w: Option<[f64; 2]>,
-    /// How long is simulated, seconds from the start of the sweep.
+    /// Simulated time, seconds from the start of the sweep.
     #[serde(default = "billiards::default_horizon_s")]
     pub horizon_s: f64,
-    /// Sum up to which the task counts as done, metres.
+    /// Largest sum that counts as success, metres.
     #[serde(default = "billiards::default_success_m")]
     pub success_m: f64,
     /// The parameters of an action.
@@ -44,9 +44,9 @@ pub struct Strike {
     /// Nominal time step in seconds.
     #[serde(default = "billiards::default_dt")]
     pub dt: f64,
-    /// The wishes.
+    /// The terms of the objective.
     pub terms: Vec<Term>,
-    /// The file this was read from, for messages.
+    /// The file that the task was read from, for messages.
     #[serde(skip)]
     pub source: PathBuf,
 }
@@ -69,7 +69,7 @@ impl Strike {
         }
     }
 
-    /// Checks what can be checked without a scene.
+    /// Checks the values without a scene.
     ///
     /// # Errors
     /// [`InputError`] that names the file and the key.
@@ -80,14 +80,14 @@ impl Strike {
             Err(InputError::new(what, path, format!("correct `{key}`")))
         };
         if let Some(why) = self.strike.fault() {
-            return fault("strike", &why);
+            return fault("strike", &why.to_string());
         }
         if self.towards_w.is_some_and(|p| p.iter().any(|v| !v.is_finite())) {
             return fault("towards_w", "it must be two finite numbers, x and y in metres");
         }
         self.common().validate(path)?;
         if self.terms.is_empty() {
-            return fault("terms", "there is none; write at least one [[terms]] with a `term`");
+            return fault("terms", "it is empty; write at least one [[terms]] with a `term`");
         }
         self.terms.iter().enumerate().try_for_each(|(i, t)| t.validate(i, self.horizon_s, self.dt, path))
     }
@@ -96,8 +96,8 @@ impl Strike {
         billiards::named(&self.source)
     }
 
-    pub(crate) fn common(&self) -> Common {
-        Common {
+    pub(crate) fn common(&self) -> StrikeSettings {
+        StrikeSettings {
             horizon_s: self.horizon_s,
             success_m: self.success_m,
             form: self.form,

@@ -11,7 +11,7 @@ use std::path::Path;
 pub enum Task {
     /// Strike the cue ball so that the target ball passes over the goal.
     Billiards(Billiards),
-    /// Strike a body so that a sum of wishes is met.
+    /// Strike a body to minimise a weighted sum of terms.
     Strike(Strike),
 }
 
@@ -22,7 +22,7 @@ impl Task {
     /// [`CoreError::Input`] that names the file and the key: the file cannot be read, is no TOML, has an unknown or
     /// missing key, an unknown kind, or a value out of range.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
-        // The kind decides which keys exist, so it is looked at first; the typed reading then reports lines.
+        // The kind decides which keys exist, so it is read first. The typed reading then reports lines.
         let table: toml::Table = atomic::read_toml(path)?;
         refuse_robot(&table, path)?;
         match table.get("kind").and_then(toml::Value::as_str) {
@@ -41,14 +41,14 @@ impl Task {
             other => {
                 let what = match other {
                     Some(kind) => format!("this task file has an unknown `kind`, \"{kind}\""),
-                    None => "this task file does not say its `kind`".to_owned(),
+                    None => "this task file has no `kind`".to_owned(),
                 };
                 Err(InputError::new(what, path, "write kind = \"billiards\" or kind = \"strike\"").into())
             }
         }
     }
 
-    /// Writes the task as TOML, with every setting that is in force.
+    /// Writes the task as TOML with all settings, defaults included.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -67,14 +67,14 @@ impl Task {
     }
 }
 
-/// Where the robot stands is no part of a task.
+/// Refuses a pose of the robot in a task file: it belongs in the settings.
 fn refuse_robot(table: &toml::Table, path: &Path) -> Result<(), InputError> {
     let is_place = |key: &&String| {
         ["x_world_robot", "x_recording_robot", "robot"].iter().any(|k| key.eq_ignore_ascii_case(k))
     };
     let Some(key) = table.keys().find(is_place) else { return Ok(()) };
     Err(InputError::new(
-        format!("`{key}` is no key of a task: a task says what is wanted, not where the robot stands"),
+        format!("`{key}` is not a key of a task: a task states the goal, not the pose of the robot"),
         path,
         "write `[robot]` with `x_world_robot = [[…], […], […], [0, 0, 0, 1]]` in a settings file and give it with --settings \
          (docs/robot.md)",
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_in_a_task_file_is_sent_to_the_settings() {
+    fn a_robot_in_a_task_file_is_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("task.toml");
         for text in

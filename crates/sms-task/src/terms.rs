@@ -1,4 +1,4 @@
-//! What a task asks of the motion: terms that are added up.
+//! Terms of a task's objective.
 
 use crate::Selector;
 use glamx::{DPose3, DVec2, DVec3};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::InputError;
 use std::path::Path;
 
-/// Length that a turn of one radian counts as, metres: half the height of a mug, which its rim travels.
+/// Length equivalent to a rotation of one radian, metres: half the height of a mug, the path of its rim.
 pub const METRES_PER_RADIAN: f64 = 0.1;
 
 /// A place in the world.
@@ -17,12 +17,12 @@ pub const METRES_PER_RADIAN: f64 = 0.1;
     expecting = "a place is { at_w = [x, y] }, { center_w = [x, y], radius_m = r } or { min_w = [x, y, z], max_w = [x, y, z] }"
 )]
 pub enum Region {
-    /// A point on the floor, x and y in metres; heights do not count.
+    /// A point on the floor, x and y in metres; heights are ignored.
     Point {
         /// The point.
         at_w: [f64; 2],
     },
-    /// A disc on the floor; heights do not count.
+    /// A disc on the floor; heights are ignored.
     Disc {
         /// Its centre, metres.
         center_w: [f64; 2],
@@ -39,7 +39,7 @@ pub enum Region {
 }
 
 impl Region {
-    /// Distance of a point to the region, metres; negative inside: minus the way out.
+    /// Distance of a point to the region, metres; negative inside, as the depth below the surface.
     pub fn signed_distance(&self, p_w: DVec3) -> f64 {
         match self {
             Self::Point { at_w } => p_w.truncate().distance(DVec2::from_array(*at_w)),
@@ -54,7 +54,7 @@ impl Region {
         }
     }
 
-    /// Its middle on the floor, world x and y.
+    /// Its centre on the floor, world x and y.
     pub(crate) fn middle_w(&self) -> DVec2 {
         match self {
             Self::Point { at_w } => DVec2::from_array(*at_w),
@@ -84,25 +84,25 @@ impl Region {
     }
 }
 
-/// When a term looks.
+/// The time at which a term is evaluated.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
-    /// The best moment counts.
+    /// The best moment.
     #[default]
     Ever,
-    /// The last moment counts: where things come to lie.
+    /// The last moment, at the final position.
     End,
 }
 
-/// Which bodies a term is about.
+/// The bodies of a term.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(
     untagged,
     expecting = "a body is \"others\", or one of { name = … }, { near = [x, y, z] }, { color = … }"
 )]
-pub enum Bodies {
-    /// All dynamic bodies but the one that is struck and those that other terms name: `"others"`.
+pub enum TermBodies {
+    /// All dynamic bodies except the struck one and those that other terms name: `"others"`.
     Others(Others),
     /// One body.
     One(Selector),
@@ -116,15 +116,15 @@ pub enum Others {
     Others,
 }
 
-/// One wish. Every kind has a value in metres of 0 where it is met, and grows with what is missing.
+/// A term of the objective. Its value is 0 when it is met and grows with the error, in metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "term", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Term {
-    /// The body's centre comes to a place. Value: its distance to the place.
+    /// The body's centre reaches a place. Value: its distance to the place.
     Reach {
-        /// Which body.
-        body: Bodies,
-        /// Where to.
+        /// The body.
+        body: TermBodies,
+        /// The place.
         place: Region,
         /// The best moment, or the last.
         #[serde(default)]
@@ -136,11 +136,11 @@ pub enum Term {
         #[serde(default = "always")]
         between_s: [f64; 2],
     },
-    /// The body's centre stays out of a place. Value: how deep it came into it.
+    /// The body's centre stays out of a place. Value: the largest depth inside.
     Avoid {
-        /// Which bodies.
-        body: Bodies,
-        /// The place; no point.
+        /// The bodies.
+        body: TermBodies,
+        /// The place; not a point.
         place: Region,
         /// Factor in the sum.
         #[serde(default = "one")]
@@ -149,11 +149,11 @@ pub enum Term {
         #[serde(default = "always")]
         between_s: [f64; 2],
     },
-    /// The body stays where it is. Value: how far its centre came, plus its largest turn times
+    /// The body stays in place. Value: the largest displacement of its centre plus its largest rotation times
     /// [`METRES_PER_RADIAN`].
     KeepStill {
-        /// Which bodies.
-        body: Bodies,
+        /// The bodies.
+        body: TermBodies,
         /// Factor in the sum.
         #[serde(default = "one")]
         weight: f64,
@@ -161,10 +161,10 @@ pub enum Term {
         #[serde(default = "always")]
         between_s: [f64; 2],
     },
-    /// The body falls over. Value: what its upright axis lacks to `angle_rad`, times [`METRES_PER_RADIAN`].
+    /// The body falls over. Value: the missing tilt to `angle_rad`, times [`METRES_PER_RADIAN`].
     Topple {
-        /// Which body.
-        body: Bodies,
+        /// The body.
+        body: TermBodies,
         /// Tilt that counts as toppled, radians.
         #[serde(default = "toppled")]
         angle_rad: f64,
@@ -190,7 +190,7 @@ fn always() -> [f64; 2] {
 }
 
 impl Term {
-    /// The word in the file.
+    /// The value of `term` in the file.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Reach { .. } => "reach",
@@ -200,8 +200,8 @@ impl Term {
         }
     }
 
-    /// Which bodies it is about.
-    pub fn bodies(&self) -> &Bodies {
+    /// The bodies of the term.
+    pub fn bodies(&self) -> &TermBodies {
         match self {
             Self::Reach { body, .. }
             | Self::Avoid { body, .. }
@@ -240,7 +240,7 @@ impl Term {
             let what = format!("`terms[{index}]` ({}) in this task file cannot be used: {why}", self.name());
             Err(InputError::new(what, path, "correct this term"))
         };
-        if let Bodies::One(selector) = self.bodies()
+        if let TermBodies::One(selector) = self.bodies()
             && let Some(why) = selector.fault()
         {
             return fault(&format!("`body`: {why}"));
@@ -255,8 +255,8 @@ impl Term {
                  more between them",
             );
         }
-        if is_indispensable(self) && matches!(self.bodies(), Bodies::Others(_)) {
-            return fault("name the body; \"others\" is for `avoid` and `keep-still`");
+        if is_indispensable(self) && matches!(self.bodies(), TermBodies::Others(_)) {
+            return fault("it needs the name of one body; \"others\" is for `avoid` and `keep-still`");
         }
         match self {
             Self::Reach { place, .. } | Self::Avoid { place, .. } => {
@@ -264,7 +264,7 @@ impl Term {
                     return fault(why);
                 }
                 if matches!((self, place), (Self::Avoid { .. }, Region::Point { .. })) {
-                    return fault("a point has no inside to avoid: give a disc or a box");
+                    return fault("a point has no interior to avoid; give a disc or a box");
                 }
             }
             Self::Topple { angle_rad, .. } if !(*angle_rad > 0.0 && *angle_rad <= std::f64::consts::PI) => {
@@ -276,14 +276,14 @@ impl Term {
     }
 }
 
-/// Whether a term has no meaning without its body.
+/// Whether a term is meaningless without its body.
 pub(crate) fn is_indispensable(term: &Term) -> bool {
     matches!(term, Term::Reach { .. } | Term::Topple { .. })
 }
 
-/// A term's value for one body, as the motion goes on.
+/// A term's value for one body during a motion.
 #[derive(Debug, Clone)]
-pub(crate) struct Tracker<'a> {
+pub(crate) struct TermTracker<'a> {
     term: &'a Term,
     start: DPose3,
     last: Option<DVec3>,
@@ -292,7 +292,7 @@ pub(crate) struct Tracker<'a> {
     turned: f64,
 }
 
-impl<'a> Tracker<'a> {
+impl<'a> TermTracker<'a> {
     pub(crate) fn new(term: &'a Term, start: DPose3) -> Self {
         let value = match term {
             Term::Reach { .. } => f64::INFINITY,
@@ -302,7 +302,7 @@ impl<'a> Tracker<'a> {
         Self { term, start, last: None, value, moved: 0.0, turned: 0.0 }
     }
 
-    /// Looks at the body's pose at `time_s`. Between two looks its centre goes straight.
+    /// Observes the body's pose at `time_s`. The centre moves straight between observations.
     pub(crate) fn observe(&mut self, time_s: f64, x_wb: &DPose3) {
         let [from, to] = self.term.between_s();
         if time_s < from || time_s > to {
@@ -332,13 +332,13 @@ impl<'a> Tracker<'a> {
         self.last = Some(p_w);
     }
 
-    /// The least signed distance to a place on the way from the last look. Distances to convex places are convex along
-    /// a line, so that a golden-section search finds it.
+    /// The smallest signed distance to a place since the last observation. The distance to a convex place is convex
+    /// along a line, so that a golden-section search finds the minimum.
     fn least_distance(&self, place: &Region, p_w: DVec3) -> f64 {
         let there = place.signed_distance(p_w);
         let Some(before) = self.last else { return there };
         let here = place.signed_distance(before);
-        // Nearer than both ends by no more than the way between them.
+        // Lower bound: closer than both ends by at most the distance between them.
         if here.min(there) - before.distance(p_w) > self.value && matches!(self.term, Term::Reach { .. }) {
             return here.min(there);
         }
@@ -361,7 +361,7 @@ impl<'a> Tracker<'a> {
         here.min(there).min(at_a).min(at_b)
     }
 
-    /// The motion ended at `time_s` and everything rests: a span of time that is still to come sees it lie.
+    /// The motion ended at `time_s` and everything rests: a time span in the future sees the final pose.
     pub(crate) fn rest(&mut self, time_s: f64, x_wb: &DPose3) {
         let [from, _] = self.term.between_s();
         if from > time_s {
@@ -369,12 +369,12 @@ impl<'a> Tracker<'a> {
         }
     }
 
-    /// What the term adds to the objective, metres.
+    /// The contribution to the objective, metres.
     pub(crate) fn cost(&self) -> f64 {
         self.term.weight() * self.value
     }
 
-    /// Whether nothing that is still to come can lower the cost.
+    /// Whether the cost cannot become smaller.
     pub(crate) fn is_met(&self) -> bool {
         match self.term {
             Term::Reach { when: When::Ever, .. } | Term::Topple { .. } => self.value == 0.0,
@@ -393,8 +393,8 @@ mod tests {
         DPose3::from_translation(DVec3::new(x, y, z))
     }
 
-    fn body() -> Bodies {
-        Bodies::One(Selector::by_name("b"))
+    fn body() -> TermBodies {
+        TermBodies::One(Selector::by_name("b"))
     }
 
     const BOX: Region = Region::Box { min_w: [0.0, 0.0, 0.0], max_w: [0.2, 0.1, 0.3] };
@@ -404,14 +404,14 @@ mod tests {
     }
 
     proptest! {
-        /// However the way is sampled, the least distance is that of the line.
+        /// The smallest distance is that of the line for any sampling.
         #[test]
         fn reaching_does_not_depend_on_the_steps(
             y in -0.4..0.4f64, cuts in prop::collection::vec(0.0..1.0f64, 0..12),
         ) {
             let place = Region::Point { at_w: [0.0, 0.0] };
             let term = reach(place, When::Ever);
-            let mut tracker = Tracker::new(&term, at(-1.0, y, 0.0));
+            let mut tracker = TermTracker::new(&term, at(-1.0, y, 0.0));
             let mut cuts = cuts;
             cuts.sort_by(f64::total_cmp);
             for t in std::iter::once(0.0).chain(cuts).chain([1.0]) {
@@ -420,11 +420,11 @@ mod tests {
             prop_assert!((tracker.cost() - 2.0 * y.abs()).abs() < 1e-6, "{} {}", tracker.cost(), y);
         }
 
-        /// A body that flies through a box within one step is noticed, as deep as it came.
+        /// A body that passes a box within one step is noticed, with the depth it reached.
         #[test]
         fn a_place_to_avoid_is_noticed_between_two_steps(depth in 0.005..0.045f64) {
             let term = Term::Avoid { body: body(), place: BOX, weight: 1.0, between_s: always() };
-            let mut tracker = Tracker::new(&term, at(-1.0, depth, 0.1));
+            let mut tracker = TermTracker::new(&term, at(-1.0, depth, 0.1));
             tracker.observe(0.0, &at(-1.0, depth, 0.1));
             tracker.observe(1.0, &at(1.0, depth, 0.1));
             prop_assert!((tracker.cost() - depth).abs() < 1e-6, "{}", tracker.cost());
@@ -444,9 +444,9 @@ mod tests {
     }
 
     #[test]
-    fn the_end_counts_where_things_come_to_lie() {
+    fn the_end_counts_the_final_position() {
         let term = reach(Region::Disc { center_w: [0.0, 0.0], radius_m: 0.1 }, When::End);
-        let mut tracker = Tracker::new(&term, at(1.0, 0.0, 0.0));
+        let mut tracker = TermTracker::new(&term, at(1.0, 0.0, 0.0));
         for (t, x) in [(0.0, 1.0), (0.5, 0.0), (1.0, 0.4)] {
             tracker.observe(t, &at(x, 0.0, 0.0));
         }
@@ -456,9 +456,9 @@ mod tests {
     }
 
     #[test]
-    fn still_means_neither_moved_nor_turned_and_a_span_of_time_is_kept_to() {
+    fn keep_still_counts_motion_and_rotation_within_its_time_span() {
         let term = Term::KeepStill { body: body(), weight: 1.0, between_s: [0.5, 2.0] };
-        let mut tracker = Tracker::new(&term, at(0.0, 0.0, 0.0));
+        let mut tracker = TermTracker::new(&term, at(0.0, 0.0, 0.0));
         tracker.observe(0.1, &at(5.0, 0.0, 0.0));
         assert_eq!(tracker.cost(), 0.0, "before its time");
         tracker.observe(1.0, &DPose3::from_parts(DVec3::X * 0.02, DQuat::from_rotation_x(0.3)));
@@ -467,21 +467,21 @@ mod tests {
     }
 
     #[test]
-    fn a_span_after_everything_came_to_rest_sees_it_lie() {
+    fn a_time_span_after_rest_sees_the_final_pose() {
         let place = Region::Point { at_w: [0.0, 0.0] };
         let term = Term::Reach { body: body(), place, when: When::Ever, weight: 1.0, between_s: [2.0, 3.0] };
-        let mut tracker = Tracker::new(&term, at(1.0, 0.0, 0.0));
+        let mut tracker = TermTracker::new(&term, at(1.0, 0.0, 0.0));
         tracker.observe(0.5, &at(0.3, 0.0, 0.0));
         tracker.rest(0.5, &at(0.3, 0.0, 0.0));
         assert!((tracker.cost() - 0.3).abs() < 1e-12);
     }
 
     #[test]
-    fn toppling_is_done_at_the_angle_and_spinning_is_no_toppling() {
+    fn a_tilt_topples_and_a_spin_does_not() {
         let term = Term::Topple { body: body(), angle_rad: 1.0, weight: 1.0, between_s: always() };
-        // The body's own axes may lie anyhow at the start.
+        // The body's own axes are arbitrary at the start.
         let start = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_y(0.7));
-        let mut tracker = Tracker::new(&term, start);
+        let mut tracker = TermTracker::new(&term, start);
         let turned = |q: DQuat| DPose3::from_parts(DVec3::ZERO, q * start.rotation);
         tracker.observe(0.0, &turned(DQuat::from_rotation_z(2.0)));
         assert!((tracker.cost() - METRES_PER_RADIAN).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! What happened in a world.
+//! Recorded motion.
 
 use serde::{Deserialize, Serialize};
 use sms_core::CoreError;

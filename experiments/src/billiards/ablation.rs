@@ -5,7 +5,7 @@ use super::ablated::{Ablated, Ablation, Replaced};
 use super::planner_view::{PlannerView, apply_to_matched, forget_material};
 use super::realise::Table;
 use super::rows::{View, make};
-use super::{BilliardsBench, BilliardsScene, Row, Shot, Unfinished};
+use super::{BilliardsBench, BilliardsScene, Row, Shot};
 use crate::material_prior::set_material;
 use crate::{BenchError, MaterialPrior};
 use glamx::DVec3;

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
 use sms_mesh::ConvexConfig;
-use sms_plan::{Disturbances, GridBaseline, PlanConfig};
+use sms_plan::{GridBaseline, Perturbation, PlanConfig};
 use sms_synth::FixedScene;
 use sms_target::TargetEngine;
 use sms_vlm::Client;
@@ -134,7 +134,7 @@ impl BilliardsBench {
             starts: 12,
             survivors: 3,
             robust_evaluations: 300,
-            anew: 3,
+            restarts: 3,
             scan: 0,
             candidates: 12,
             descents: 0,
@@ -143,7 +143,7 @@ impl BilliardsBench {
             polish_starts: 0,
             forecast_worlds: 1,
             sensitivity_rollouts: 0,
-            disturbances: Disturbances { worlds: 4, ..Disturbances::default() },
+            perturbation: Perturbation { worlds: 4, ..Perturbation::default() },
             ..PlanConfig::default()
         }
     }

@@ -66,7 +66,7 @@ pub fn scan_billiards(
     for scene in &bench.scenes {
         cancel.check()?;
         let truth = scene.generate();
-        let known = see(bench, scene, &truth, material_prior, progress, cancel)?;
+        let known = planner_view(bench, scene, &truth, material_prior, progress, cancel)?;
         done(scene, known.matched, truth.objects.len());
     }
     Ok(())
@@ -96,7 +96,7 @@ fn run_scene(
     let truth = fixed.generate();
     let robot = robot_of(&truth);
     let clock = Clock::start();
-    let known = see(bench, fixed, &truth, material_prior, progress, cancel)?;
+    let known = planner_view(bench, fixed, &truth, material_prior, progress, cancel)?;
     let see_s = clock.cpu_s();
     let seed = bench.seed.derive_index("billiards", fixed.number as u64);
     let mut result = match before {
@@ -260,7 +260,7 @@ pub(super) mod tests {
         bench.starts = 2;
         bench.paper.nelder_mead.max_iterations = 4;
         bench.ours = PlanConfig { robust_evaluations: 24, candidates: 2, finalists: 1, ..bench.ours };
-        bench.ours.disturbances.worlds = 1;
+        bench.ours.perturbation.worlds = 1;
         bench.robust = bench.ours.clone();
         bench
     }

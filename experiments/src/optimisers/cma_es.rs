@@ -5,7 +5,7 @@ use super::jacobi::symmetric_eigen;
 use rand::Rng;
 use sms_core::{Seed, StageRng, standard_normal};
 use sms_plan::screening::{self, Screened};
-use sms_plan::{BatchOptimiser, Phase, Proposal, Space, StartRecord};
+use sms_plan::{BatchOptimiser, Proposal, Space, StartRecord, TrialPhase};
 
 /// A search distribution N(m, σ²C) over ℝⁿ and its adaptation.
 #[derive(Debug, Clone)]
@@ -259,7 +259,7 @@ impl BatchOptimiser for CmaSearch {
             return self
                 .screen
                 .iter()
-                .map(|s| Proposal { x: s.x.clone(), phase: Phase::Screen, start: -1 })
+                .map(|s| Proposal { x: s.x.clone(), phase: TrialPhase::Screen, start: -1 })
                 .collect();
         }
         if self.runs.last().is_none_or(|r| self.is_over(r)) && !self.begin_next() {
@@ -273,7 +273,7 @@ impl BatchOptimiser for CmaSearch {
             .iter()
             .map(|y| Proposal {
                 x: y.iter().zip(&run.steps).map(|(y, s)| mirrored(y * s)).collect(),
-                phase: Phase::Search,
+                phase: TrialPhase::Search,
                 start,
             })
             .collect()

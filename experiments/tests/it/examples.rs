@@ -2,7 +2,7 @@
 
 use sms_core::{Cancel, NoProgress, Seed, Warnings};
 use sms_experiments::{PlanScene, SceneFamily};
-use sms_plan::{Disturbances, Plan, PlanConfig, plan};
+use sms_plan::{Perturbation, Plan, PlanConfig, plan};
 use sms_scene::Scene;
 use sms_sim::RapierFactory;
 use sms_task::{ResolvedTask, Task};
@@ -22,7 +22,7 @@ fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
         polish_starts: 0,
         forecast_worlds: 4,
         sensitivity_rollouts: 0,
-        disturbances: Disturbances { worlds: 4, ..Disturbances::default() },
+        perturbation: Perturbation { worlds: 4, ..Perturbation::default() },
         ..PlanConfig::default()
     };
     let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());

@@ -76,7 +76,7 @@ fn carry_out(
 ) -> anyhow::Result<()> {
     let mut config = config.clone();
     if let Some(worlds) = a.robust {
-        config.disturbances.worlds = worlds;
+        config.perturbation.worlds = worlds;
     }
     let config = &config;
     let run = RunFolder::open(&a.run)?;
@@ -104,7 +104,7 @@ fn carry_out(
                 "make sure that it does, or choose a place that was recorded",
             );
         }
-        if config.disturbances.worlds > 0 && is_evaluations_set {
+        if config.perturbation.worlds > 0 && is_evaluations_set {
             warnings.add(
                 "plan",
                 "evaluations_unused",
@@ -166,7 +166,7 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
             p.worlds
         )),
         None => {
-            let unbelievable = plan.strategies.first().and_then(|s| s.unbelievable_text());
+            let unbelievable = plan.strategies.first().and_then(|s| s.failure_text());
             let elsewhere = unbelievable.map_or_else(
                 || "other worlds were not looked at".to_owned(),
                 |text| format!("in disturbed ones it {text}"),
@@ -190,7 +190,7 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
             if let Some(missing) = p.missing_text() {
                 line.push_str(&format!("  ({missing})"));
             }
-        } else if let Some(text) = s.unbelievable_text() {
+        } else if let Some(text) = s.failure_text() {
             line.push_str(&format!("  {text}"));
         }
         lines.push(line);
@@ -212,6 +212,6 @@ pub(crate) fn summary(plan: &Planned) -> Vec<String> {
         if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };
     lines.extend(plan.refused_text().map(|text| format!("  {text}")));
     lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
-    lines.extend(plan.unbelievable_text().map(|text| format!("    not valid: {text}")));
+    lines.extend(plan.failure_text().map(|text| format!("    not valid: {text}")));
     lines
 }

@@ -41,7 +41,7 @@ fn task(scene: &Scene) -> ResolvedTask {
 }
 
 #[test]
-fn a_ball_deep_inside_of_a_box_is_no_valid_rollout() {
+fn a_ball_deep_inside_of_a_box_is_an_invalid_rollout() {
     let stuck = Body {
         name: "box".into(),
         kind: BodyKind::Static,
@@ -57,56 +57,66 @@ fn a_ball_deep_inside_of_a_box_is_no_valid_rollout() {
     let motion = task.strike(&crate::Action(vec![0.5, 0.0, 0.0, 0.0]));
     let error = task.rollout(&mut simulation, motion, &bodies, None).unwrap_err();
     assert!(error.is_invalid_rollout(), "{error}");
-    assert!(error.to_string().contains("`blue` is") && error.to_string().contains("inside"), "{error}");
+    assert!(
+        matches!(&error, SimError::Unphysical { why: Impossible::Inside { body, other, .. }, .. }
+            if body == "blue" && other == "box"),
+        "{error}"
+    );
 }
 
-/// A strike that the watch has let pass for so long, in a world of two balls.
-fn watched_strike(duration_s: f64) -> (Simulation, WorldBodies, Watch, f64) {
+/// A strike that passed the checks up to `duration_s`, in a world of two balls.
+fn checked_strike(duration_s: f64) -> (Simulation, WorldBodies, RolloutChecks, f64) {
     let scene = scene([]);
     let task = task(&scene);
     let bodies = task.bodies_in(&scene, "blue").unwrap();
     let options = task.world_options();
     let mut simulation = Simulation::new(&RapierFactory, &scene, &options).unwrap();
     let motion = task.strike(&crate::Action(vec![0.8, 0.0, 0.0, 0.0]));
-    let mut watch = watch_of(&simulation, &bodies, motion.speed);
-    watch.striker = simulation.strike(motion, 0.6, 0.7);
+    let mut checks = checks_of(&simulation, &bodies, motion.speed);
+    checks.striker = simulation.strike(motion, 0.6, 0.7);
     let mut time_s = 0.0;
     while time_s < duration_s {
         simulation.advance(options.dt).unwrap();
         time_s += options.dt;
-        watch.check(time_s, &simulation, &bodies).unwrap();
+        checks.check(time_s, &simulation, &bodies).unwrap();
     }
-    (simulation, bodies, watch, time_s)
+    (simulation, bodies, checks, time_s)
 }
 
 #[test]
 fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
-    let (mut simulation, bodies, mut watch, time_s) = watched_strike(1.5);
+    let (mut simulation, bodies, mut checks, time_s) = checked_strike(1.5);
     assert!(simulation.is_strike_over());
     let mut state = simulation.state(bodies.target);
     state.v_w += DVec3::new(0.0, 3.0, 0.0);
     simulation.set_state(bodies.target, &state);
-    let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
-    assert!(error.to_string().contains("gained") && error.to_string().contains("`blue`"), "{error}");
-    assert_eq!(error.spoilt_by().unwrap(), "`blue` gained energy by itself");
+    let error = checks.check(time_s, &simulation, &bodies).unwrap_err();
+    assert!(
+        matches!(&error, SimError::Unphysical { why: Impossible::Gained { body, .. }, .. } if body == "blue"),
+        "{error}"
+    );
+    assert!(error.failure_reason().unwrap().contains("`blue`"));
 }
 
-fn watch_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) -> Watch {
+fn checks_of(simulation: &Simulation, bodies: &WorldBodies, finger_speed: f64) -> RolloutChecks {
     let (rest, start) = (bodies.energy(simulation)[0], simulation.states().to_vec());
-    Watch { left: None, rest, striker: start.len(), start, finger_speed }
+    RolloutChecks { left: None, rest, striker: start.len(), start, finger_speed }
 }
 
 #[test]
 fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
-    let (mut simulation, bodies, mut watch, time_s) = watched_strike(0.3);
+    let (mut simulation, bodies, mut checks, time_s) = checked_strike(0.3);
     assert!(!simulation.is_strike_over());
     let mut state = simulation.state(bodies.target);
-    // Away from everything: nothing but the energy is wrong.
+    // Away from everything: only the energy is wrong.
     state.v_w += DVec3::new(0.0, 0.0, 5.0);
     simulation.set_state(bodies.target, &state);
-    let error = watch.check(time_s, &simulation, &bodies).unwrap_err();
-    assert!(error.to_string().contains("of which the robot gave"), "{error}");
-    assert_eq!(error.spoilt_by().unwrap(), "`blue` had more energy than the robot gave");
+    let error = checks.check(time_s, &simulation, &bodies).unwrap_err();
+    assert!(
+        matches!(&error, SimError::Unphysical { why: Impossible::MoreThanGiven { body, .. }, .. } if body == "blue"),
+        "{error}"
+    );
+    assert!(error.failure_reason().unwrap().contains("`blue`"));
 }
 
 fn block(name: &str, kind: BodyKind, center_w: DVec3, half: DVec3) -> Body {
@@ -137,24 +147,28 @@ fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
     let task = task(&scene);
     let bodies = task.bodies_in(&scene, "blue").unwrap();
     let mut simulation = Simulation::new(&RapierFactory, &scene, &task.world_options()).unwrap();
-    let mut watch = watch_of(&simulation, &bodies, 0.5);
+    let mut checks = checks_of(&simulation, &bodies, 0.5);
     let id = scene.bodies.iter().position(|b| b.name == "crate").unwrap();
     let at = |p: DVec3| BodyState { x_wb: DPose3::from_translation(p), v_w: DVec3::ZERO, w_w: DVec3::ZERO };
     let fine = [DVec3::new(0.9, 0.0, 0.025), DVec3::new(0.9, 0.375, 0.03), DVec3::new(0.9, -0.375, 0.03)];
     for (k, good) in fine.into_iter().enumerate() {
         simulation.set_state(id, &at(good));
-        watch.check(0.1, &simulation, &bodies).unwrap();
+        checks.check(0.1, &simulation, &bodies).unwrap();
         // 20 mm farther in.
         let into = [DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y][k];
         simulation.set_state(id, &at(good + 0.02 * into));
-        let error = watch.check(0.1, &simulation, &bodies).unwrap_err();
-        assert!(error.to_string().contains("`crate` is 2"), "{k}: {error}");
-        let other = ["floor", "post", "shell"][k];
-        assert!(error.to_string().contains(&format!("mm inside of `{other}`")), "{k}: {error}");
-        assert_eq!(error.spoilt_by().unwrap(), format!("`crate` was inside of `{other}`"));
+        let error = checks.check(0.1, &simulation, &bodies).unwrap_err();
+        let expected = ["floor", "post", "shell"][k];
+        let SimError::Unphysical { why: Impossible::Inside { body, other, depth_m }, .. } = &error else {
+            panic!("{k}: {error}");
+        };
+        assert_eq!((body.as_str(), other.as_str()), ("crate", expected));
+        assert!((0.02..0.03).contains(depth_m), "{k}: {depth_m}");
+        let reason = error.failure_reason().unwrap();
+        assert!(reason.contains("`crate`") && reason.contains(&format!("`{expected}`")), "{reason}");
     }
-    // What stood in another body from the start may stay there.
+    // An overlap from the start is accepted.
     simulation.set_state(id, &at(fine[0] - DVec3::Z * 0.02));
-    let mut watch = watch_of(&simulation, &bodies, 0.5);
-    watch.check(0.1, &simulation, &bodies).unwrap();
+    let mut checks = checks_of(&simulation, &bodies, 0.5);
+    checks.check(0.1, &simulation, &bodies).unwrap();
 }

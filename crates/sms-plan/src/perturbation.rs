@@ -1,4 +1,4 @@
-//! Disturbed worlds: what the planner does not know for certain, sampled.
+//! Perturbations: samples of the uncertainty in the scene and in the strike.
 
 use glamx::DQuat;
 use rand::{Rng, RngExt};
@@ -7,32 +7,32 @@ use sms_core::{Aabb, MassProperties, Material, Property, Seed};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::StrikerMotion;
 
-/// Largest errors of scans as multiples of the standard errors that their residuals show, rounded up (docs/plan-study.md):
-/// where a ball is, its radius, and where another object is.
+/// Largest scan errors as multiples of the standard errors of the fit, rounded up (docs/plan-study.md): position of a
+/// ball, radius of a ball, position of another object.
 const BALL_RATIO: f64 = 2.0;
 const RADIUS_RATIO: f64 = 5.0;
 const OBJECT_RATIO: f64 = 15.0;
 
-/// How worlds and strikes are disturbed. All errors are uniform within ± the given half width.
+/// Perturbation of worlds and strikes. All errors are uniform within ± the given half width.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Disturbances {
-    /// Number of disturbed worlds; the same ones for every candidate. 0 plans for the nominal world alone.
+pub struct Perturbation {
+    /// Number of perturbed worlds; all candidates meet the same ones. 0 plans for the nominal world alone.
     pub worlds: usize,
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
-    /// Horizontal error of where the scan put a ball, metres, so far as its residuals do not show it (it is common to all
-    /// bodies: scale, the recording's pose, where the robot stands); twice the body's standard error
-    /// ([`Body::fit_se_m`]) comes on top. 0 switches both off. Balls that touch something stay where they are.
+    /// Horizontal position error of balls that is common to all bodies (scale, pose of the recording, pose of the
+    /// robot), metres. Twice the standard error of the fit ([`Body::fit_se_m`]) is added. 0 switches both off. Balls
+    /// in contact with other bodies stay in place.
     pub position_m: f64,
-    /// Error of a ball's radius, metres, likewise; on top of it five times the standard error of the radius. A ball that
-    /// rests on something goes on resting on it.
+    /// Radius error of balls, metres, likewise. Five times the standard error of the radius is added. A resting ball
+    /// keeps its contact with the support.
     pub radius_m: f64,
-    /// Horizontal error of where the scan put another object, metres, likewise; on top of it fifteen times its standard error,
-    /// which does not know of the side that no camera saw. Objects that stand against each
-    /// other stay where they are: they would be pushed into one another.
+    /// Horizontal position error of other objects, metres, likewise. Fifteen times the standard error of the fit is
+    /// added, because the fit does not know the side that no camera saw. Objects in contact with each other stay in
+    /// place, since they would be pushed into one another.
     pub object_m: f64,
-    /// Error of such an object's turn about the vertical, radians.
+    /// Yaw error of such objects, radians.
     pub object_rad: f64,
     /// Error of the contact position, metres, along x and y.
     pub contact_m: f64,
@@ -42,12 +42,12 @@ pub struct Disturbances {
     pub speed_share: f64,
 }
 
-impl Default for Disturbances {
+impl Default for Perturbation {
     fn default() -> Self {
-        // A scan places a ball within about a millimetre, finds its radius within a few tenths of one, and other
-        // objects, of which it sees one side less, within two (docs/objects.md): what the residuals of one entity
-        // do not show, because it is common to all. A torque-controlled arm repeats a path within a few tenths of a millimetre: over the sweep
-        // of 0.1 m that is 2 mrad.
+        // A scan places a ball within about a millimetre and finds its radius within a few tenths of one. It places
+        // other objects, of which it sees one side less, within two (docs/objects.md). The residuals of one entity do
+        // not show these errors, because they are common to all. A torque-controlled arm repeats a path within a few
+        // tenths of a millimetre: over the sweep of 0.1 m that is 2 mrad.
         Self {
             worlds: 16,
             materials: true,
@@ -62,7 +62,7 @@ impl Default for Disturbances {
     }
 }
 
-/// Something that is not known for certain.
+/// An uncertain quantity of the scene or the strike.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Unknown {
@@ -71,7 +71,7 @@ pub enum Unknown {
         /// Its name.
         body: String,
     },
-    /// Where a body is, and which way it is turned.
+    /// Position and yaw of a body.
     Pose {
         /// Its name.
         body: String,
@@ -81,7 +81,7 @@ pub enum Unknown {
         /// Its name.
         body: String,
     },
-    /// How exactly the robot carries out the strike.
+    /// Execution of the strike by the robot.
     Execution,
 }
 
@@ -89,15 +89,15 @@ impl std::fmt::Display for Unknown {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Material { body } => write!(f, "the material of `{body}`"),
-            Self::Pose { body } => write!(f, "where `{body}` is"),
+            Self::Pose { body } => write!(f, "the pose of `{body}`"),
             Self::Radius { body } => write!(f, "the radius of `{body}`"),
-            Self::Execution => f.write_str("how exactly the robot strikes"),
+            Self::Execution => f.write_str("the execution of the strike"),
         }
     }
 }
 
-impl Disturbances {
-    /// Everything that is disturbed in a scene.
+impl Perturbation {
+    /// The uncertain quantities of a scene.
     pub fn unknowns(&self, scene: &Scene) -> Vec<Unknown> {
         let mut all = Vec::new();
         for (body, is_free) in scene.bodies.iter().zip(self.free(scene)) {
@@ -118,13 +118,13 @@ impl Disturbances {
         all
     }
 
-    /// The `index`-th disturbed scene: masses, materials, radii and places differ from `scene`.
+    /// The `index`-th perturbed scene: masses, materials, radii and poses differ from `scene`.
     pub fn scene(&self, scene: &Scene, seed: Seed, index: usize) -> Scene {
         self.scene_of(scene, seed, index, &|_| true)
     }
 
-    /// The `index`-th disturbed scene with only those unknowns disturbed that `which` picks, each as in the scene in
-    /// which all are.
+    /// The `index`-th perturbed scene with only the unknowns that `which` picks. Each has the same value as in the
+    /// fully perturbed scene.
     pub fn scene_of(
         &self,
         scene: &Scene,
@@ -133,8 +133,8 @@ impl Disturbances {
         which: &dyn Fn(&Unknown) -> bool,
     ) -> Scene {
         let seed = seed.derive_index("world", index as u64);
-        let mut disturbed = scene.clone();
-        for (body, is_free) in disturbed.bodies.iter_mut().zip(self.free(scene)) {
+        let mut perturbed = scene.clone();
+        for (body, is_free) in perturbed.bodies.iter_mut().zip(self.free(scene)) {
             let name = body.name.clone();
             let rng = |what: &str| seed.derive(what).derive(&name).rng();
             if self.materials && which(&Unknown::Material { body: name.clone() }) {
@@ -144,7 +144,7 @@ impl Disturbances {
             }
             let (shift, swell) = (self.shift(body), self.swell(body));
             if is_free && swell > 0.0 && which(&Unknown::Radius { body: name.clone() }) {
-                disturb_radius(body, swell * symmetric(&mut rng("radius")));
+                perturb_radius(body, swell * symmetric(&mut rng("radius")));
             }
             if is_free && which(&Unknown::Pose { body: name.clone() }) {
                 let mut rng = rng("pose");
@@ -156,10 +156,10 @@ impl Disturbances {
                 }
             }
         }
-        disturbed
+        perturbed
     }
 
-    /// Half width of the error of where a body is.
+    /// Half width of the position error of a body, metres.
     fn shift(&self, body: &Body) -> f64 {
         if is_ball(body) {
             with_residual(self.position_m, BALL_RATIO * body.fit_se_m)
@@ -168,16 +168,17 @@ impl Disturbances {
         }
     }
 
-    /// Half width of the error of a ball's radius; 0 for other bodies.
+    /// Half width of the radius error of a ball, metres; 0 for other bodies.
     fn swell(&self, body: &Body) -> f64 {
-        // All points of the surface tell the radius, a third of them a coordinate of the centre.
+        // All points of the surface determine the radius, a third of them one coordinate of the centre.
         if !is_ball(body) {
             return 0.0;
         }
         with_residual(self.radius_m, RADIUS_RATIO * body.fit_se_m / 3f64.sqrt())
     }
 
-    /// Which dynamic bodies stand apart from all others by more than both can be off, in the scene's order.
+    /// Whether each body may move: dynamic bodies with a gap to all others above the sum of both errors. In the order
+    /// of the scene.
     fn free(&self, scene: &Scene) -> Vec<bool> {
         let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(Body::aabb_w).collect();
         let reach: Vec<f64> = scene.bodies.iter().map(|b| self.shift(b) + self.swell(b)).collect();
@@ -189,7 +190,7 @@ impl Disturbances {
                 };
                 boxes.iter().enumerate().all(|(k, other)| {
                     let Some(other) = other.as_ref().filter(|_| k != i) else { return true };
-                    // What it stands on does not hold it in place.
+                    // A support does not hold a body in place.
                     let is_static = scene.bodies[k].kind == BodyKind::Static;
                     let carries = is_static && other.max.z < own.min.z + 0.005;
                     carries || gap(&scene.bodies[i], own, &scene.bodies[k], other) > reach[i] + reach[k]
@@ -198,15 +199,15 @@ impl Disturbances {
             .collect()
     }
 
-    /// The strike as it is carried out in the `index`-th disturbed world.
+    /// The strike as carried out in the `index`-th perturbed world.
     pub fn strike(&self, motion: &StrikerMotion, seed: Seed, index: usize) -> StrikerMotion {
         let mut rng = seed.derive_index("strike", index as u64).rng();
-        let mut disturbed = *motion;
-        disturbed.contact_w.x += self.contact_m * symmetric(&mut rng);
-        disturbed.contact_w.y += self.contact_m * symmetric(&mut rng);
-        disturbed.angle += self.angle_rad * symmetric(&mut rng);
-        disturbed.speed *= 1.0 + self.speed_share * symmetric(&mut rng);
-        disturbed
+        let mut perturbed = *motion;
+        perturbed.contact_w.x += self.contact_m * symmetric(&mut rng);
+        perturbed.contact_w.y += self.contact_m * symmetric(&mut rng);
+        perturbed.angle += self.angle_rad * symmetric(&mut rng);
+        perturbed.speed *= 1.0 + self.speed_share * symmetric(&mut rng);
+        perturbed
     }
 }
 
@@ -214,13 +215,13 @@ fn is_ball(body: &Body) -> bool {
     body.kind == BodyKind::Dynamic && matches!(body.shape, BodyShape::Sphere { .. })
 }
 
-/// What is common to all bodies and what a body's own residuals show; nothing where `common` is switched off.
+/// Sum of the common error and the error from a body's own residuals; 0 if `common` is switched off.
 fn with_residual(common: f64, shown: f64) -> f64 {
     if common > 0.0 { common + shown } else { 0.0 }
 }
 
-/// Distance between two bodies, or less: between balls exactly, else along the axis in which their boxes are farthest
-/// apart. Negative where boxes overlap.
+/// A lower bound of the distance between two bodies, metres: exact between balls, otherwise along the axis that
+/// separates their boxes most. Negative if the boxes overlap.
 fn gap(a: &Body, of_a: &Aabb, b: &Body, of_b: &Aabb) -> f64 {
     match (&a.shape, &b.shape) {
         (BodyShape::Sphere { radius: r }, BodyShape::Sphere { radius: s }) => {
@@ -236,10 +237,10 @@ fn has_intervals(material: &Material) -> bool {
         .any(|p| p.value.low < p.value.high)
 }
 
-/// Scales mass and, by the square of `length`, inertia besides.
+/// Scales the mass; the inertia scales with the square of `length` in addition.
 fn scale_mass(body: &mut Body, mass: f64, length: f64) {
     if let Some(was) = body.mass.filter(|_| mass.is_finite() && mass > 0.0) {
-        // A positive multiple of a possible inertia is possible.
+        // A positive multiple of a valid inertia is valid.
         body.mass =
             MassProperties::new(was.mass() * mass, was.com(), was.inertia() * (mass * length * length))
                 .ok()
@@ -247,12 +248,12 @@ fn scale_mass(body: &mut Body, mass: f64, length: f64) {
     }
 }
 
-fn disturb_radius(body: &mut Body, change_m: f64) {
+fn perturb_radius(body: &mut Body, change_m: f64) {
     let BodyShape::Sphere { radius } = &mut body.shape else { return };
     let was = *radius;
     *radius = (was + change_m).max(0.5 * was);
     let ratio = *radius / was;
-    // So that it goes on resting on what it lies on.
+    // The ball keeps its contact with the support.
     body.x_wb.translation.z += *radius - was;
     scale_mass(body, ratio.powi(3), ratio);
 }
@@ -260,7 +261,7 @@ fn disturb_radius(body: &mut Body, change_m: f64) {
 fn sample_material(material: &mut Material, rng: &mut impl Rng) {
     let mut sample = |p: &mut Property, by_factors: bool| {
         let (t, v) = (symmetric(rng), p.value);
-        // What is known within a factor is as likely to be half as much as twice as much.
+        // In log space: for a quantity known within a factor, half and twice the value are equally likely.
         let end = if t < 0.0 { v.low } else { v.high };
         let is_positive = v.best > 0.0 && end > 0.0;
         p.value.best =
@@ -283,8 +284,8 @@ fn symmetric(rng: &mut impl Rng) -> f64 {
     rng.random_range(-1.0..1.0)
 }
 
-/// The quantile `q` in [0, 1] of values, linear between order statistics (type 7 of Hyndman and Fan 1996). NaN
-/// when there are none.
+/// The quantile `q` in [0, 1], linear between order statistics (type 7 of Hyndman and Fan 1996). NaN for an empty
+/// slice.
 pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -330,12 +331,12 @@ mod tests {
     }
 
     #[test]
-    fn disturbed_worlds_repeat_and_stay_within_what_is_known() {
-        let (scene, disturbances) = (scene(), Disturbances { radius_m: 0.0, ..Disturbances::default() });
+    fn perturbed_worlds_repeat_and_stay_within_what_is_known() {
+        let (scene, perturbation) = (scene(), Perturbation { radius_m: 0.0, ..Perturbation::default() });
         let mut masses = Vec::new();
         for i in 0..50 {
-            let other = disturbances.scene(&scene, Seed(5), i);
-            assert_eq!(other, disturbances.scene(&scene, Seed(5), i));
+            let other = perturbation.scene(&scene, Seed(5), i);
+            assert_eq!(other, perturbation.scene(&scene, Seed(5), i));
             let (ball, nominal) = (&other.bodies[1], &scene.bodies[1]);
             let moved = ball.x_wb.translation - nominal.x_wb.translation;
             assert!(moved.x.abs() <= 0.001 && moved.y.abs() <= 0.001 && moved.z == 0.0);
@@ -361,9 +362,9 @@ mod tests {
 
     #[test]
     fn a_ball_of_another_radius_rests_and_has_the_mass_of_its_size() {
-        let (scene, disturbances) = (scene(), Disturbances { materials: false, ..Disturbances::default() });
+        let (scene, perturbation) = (scene(), Perturbation { materials: false, ..Perturbation::default() });
         for i in 0..20 {
-            let ball = &disturbances.scene(&scene, Seed(5), i).bodies[1];
+            let ball = &perturbation.scene(&scene, Seed(5), i).bodies[1];
             let BodyShape::Sphere { radius } = ball.shape else { panic!("still a ball") };
             assert!((radius - 0.03).abs() <= 0.0003 && radius != 0.03);
             assert!((ball.x_wb.translation.z - radius).abs() < 1e-15);
@@ -377,22 +378,22 @@ mod tests {
 
     #[test]
     fn one_unknown_at_a_time_is_drawn_as_in_the_world_of_all() {
-        let (scene, disturbances) = (scene(), Disturbances::default());
-        let unknowns = disturbances.unknowns(&scene);
+        let (scene, perturbation) = (scene(), Perturbation::default());
+        let unknowns = perturbation.unknowns(&scene);
         let kinds: Vec<String> = unknowns.iter().map(ToString::to_string).collect();
         assert_eq!(
             kinds,
             [
                 "the material of `floor`",
                 "the material of `ball`",
-                "where `ball` is",
+                "the pose of `ball`",
                 "the radius of `ball`",
-                "how exactly the robot strikes"
+                "the execution of the strike"
             ]
         );
-        let all = disturbances.scene(&scene, Seed(5), 3);
+        let all = perturbation.scene(&scene, Seed(5), 3);
         let pose = Unknown::Pose { body: "ball".into() };
-        let one = disturbances.scene_of(&scene, Seed(5), 3, &|u| *u == pose);
+        let one = perturbation.scene_of(&scene, Seed(5), 3, &|u| *u == pose);
         assert_eq!(one.bodies[1].x_wb.translation.x, all.bodies[1].x_wb.translation.x);
         assert_ne!(one.bodies[1].x_wb, scene.bodies[1].x_wb);
         assert_eq!(one.bodies[1].material, scene.bodies[1].material);
@@ -410,7 +411,7 @@ mod tests {
         };
         let cubes = [cube("a", 0.5), cube("b", 0.541), cube("c", 0.7)];
         scene.bodies.extend(cubes);
-        let moved = Disturbances::default().scene(&scene, Seed(1), 0);
+        let moved = Perturbation::default().scene(&scene, Seed(1), 0);
         let stays = |name: &str| scene.body(name).unwrap().x_wb == moved.body(name).unwrap().x_wb;
         assert!(stays("a") && stays("b") && !stays("c"));
         let c = moved.body("c").unwrap().x_wb;
@@ -419,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn balls_that_touch_something_stay_and_no_disturbed_balls_overlap() {
+    fn balls_that_touch_something_stay_and_no_perturbed_balls_overlap() {
         let mut scene = scene();
         let ball = |name: &str, x: f64| Body {
             name: name.into(),
@@ -429,11 +430,11 @@ mod tests {
         // 0.1 mm and 10 mm from the next.
         let others = [ball("touching", 0.3601), ball("apart", 0.4301)];
         scene.bodies.extend(others);
-        let disturbances = Disturbances::default();
+        let perturbation = Perturbation::default();
         let radius =
             |b: &Body| if let BodyShape::Sphere { radius } = b.shape { radius } else { panic!("a ball") };
         for i in 0..50 {
-            let moved = disturbances.scene(&scene, Seed(1), i);
+            let moved = perturbation.scene(&scene, Seed(1), i);
             for name in ["ball", "touching"] {
                 let (was, is) = (scene.body(name).unwrap(), moved.body(name).unwrap());
                 assert_eq!((was.x_wb, radius(was)), (is.x_wb, radius(is)));
@@ -445,7 +446,7 @@ mod tests {
                 }
             }
         }
-        let unknowns = disturbances.unknowns(&scene);
+        let unknowns = perturbation.unknowns(&scene);
         assert!(!unknowns.contains(&Unknown::Radius { body: "touching".into() }));
         assert!(unknowns.contains(&Unknown::Pose { body: "apart".into() }));
     }
@@ -454,7 +455,7 @@ mod tests {
     fn bodies_that_the_scan_fitted_badly_are_farther_off() {
         let mut scene = scene();
         scene.bodies[1].fit_se_m = 0.003;
-        let d = Disturbances { materials: false, ..Disturbances::default() };
+        let d = Perturbation { materials: false, ..Perturbation::default() };
         let mut most = (0.0f64, 0.0f64);
         for i in 0..100 {
             let ball = &d.scene(&scene, Seed(2), i).bodies[1];
@@ -465,22 +466,22 @@ mod tests {
             assert!(off.x.abs() <= 0.007 && (radius - 0.03).abs() <= 0.0003 + 0.015 / 3f64.sqrt());
         }
         assert!(most.0 > 0.0065 && most.1 > 0.008, "{most:?}");
-        let off = Disturbances { position_m: 0.0, radius_m: 0.0, ..d };
+        let off = Perturbation { position_m: 0.0, radius_m: 0.0, ..d };
         assert_eq!(off.scene(&scene, Seed(2), 0).bodies[1].x_wb, scene.bodies[1].x_wb);
     }
 
     #[test]
-    fn strikes_are_disturbed_a_little_and_repeat() {
+    fn strikes_are_perturbed_a_little_and_repeat() {
         let motion = StrikerMotion {
             contact_w: DVec3::new(0.1, 0.2, 0.03),
             angle: 0.5,
             speed: 0.6,
             ball_radius: 0.03,
         };
-        let disturbances = Disturbances::default();
-        let first = disturbances.strike(&motion, Seed(1), 0);
-        assert_eq!(first, disturbances.strike(&motion, Seed(1), 0));
-        assert_ne!(first, disturbances.strike(&motion, Seed(1), 1));
+        let perturbation = Perturbation::default();
+        let first = perturbation.strike(&motion, Seed(1), 0);
+        assert_eq!(first, perturbation.strike(&motion, Seed(1), 0));
+        assert_ne!(first, perturbation.strike(&motion, Seed(1), 1));
         assert!((first.angle - 0.5).abs() <= 0.002 && (first.speed / 0.6 - 1.0).abs() <= 0.02);
         assert!((first.contact_w - motion.contact_w).length() <= 0.0003 * 2f64.sqrt());
     }

@@ -1,13 +1,13 @@
 //! The shared rollout on a table with two balls.
 
-mod common;
-
-use common::{RADIUS, ball, material, two_balls};
+use crate::common::{RADIUS, ball, material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec2, DVec3};
 use sms_core::{Mesh, polyhedron_mass_properties};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{RapierFactory, Simulation};
-use sms_task::{Action, ActionForm, Billiards, Recording, ResolvedTask, Rollout, STRIKER, Selector, Task};
+use sms_task::{
+    Action, ActionForm, Billiards, MotionRecording, ResolvedTask, Rollout, STRIKER, Selector, Task,
+};
 
 fn task_in(scene: &Scene, goal_w: DVec2, form: ActionForm) -> ResolvedTask {
     let (cue, target) = (Selector::by_name("cue"), Selector::by_name("blue"));
@@ -20,7 +20,7 @@ fn simulation(task: &ResolvedTask, scene: &Scene) -> Simulation {
     Simulation::new(&RapierFactory, scene, &task.world_options()).unwrap()
 }
 
-fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<Recording>) -> Rollout {
+fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<MotionRecording>) -> Rollout {
     let bodies = task.bodies_in(scene, "blue").unwrap();
     let motion = task.strike(&Action(action.to_vec()));
     task.rollout(&mut simulation(task, scene), motion, &bodies, recording).unwrap()
@@ -32,14 +32,14 @@ fn a_straight_shot_drives_the_target_ball_over_a_goal_ahead() {
     let goal_w = DVec2::new(0.8, 0.0);
     let task = task_in(&scene, goal_w, ActionForm::SpeedAngle);
     assert!((task.initial_objective() - 0.2).abs() < 1e-12);
-    let hit = roll(&task, &scene, &[0.6, 0.0], Some(Recording { every_s: 1.0 / 120.0 }));
+    let hit = roll(&task, &scene, &[0.6, 0.0], Some(MotionRecording { every_s: 1.0 / 120.0 }));
     assert!(hit.objective < 1e-3, "{}", hit.objective);
     let trajectory = hit.trajectory.unwrap();
     for name in ["cue", "blue", STRIKER] {
         let track = trajectory.body(name).unwrap_or_else(|| panic!("no track of {name}"));
         assert_eq!(track.states.len(), trajectory.times_s.len());
     }
-    // The recorded positions agree with the objective to within the travel between two of them.
+    // The recorded positions agree with the objective within the travel between two of them.
     let nearest = trajectory.body("blue").unwrap().states.iter();
     let nearest = nearest.map(|s| DVec2::new(s.x_wb.translation.x, s.x_wb.translation.y).distance(goal_w));
     let nearest = nearest.fold(f64::INFINITY, f64::min);
@@ -62,7 +62,7 @@ fn recording_and_reusing_a_world_do_not_change_the_objective() {
     let actions = [[0.5, -0.03, 0.0, 0.001], [0.85, -0.1, 0.004, -0.003], [0.3, 0.02, -0.005, 0.0]];
     for action in actions {
         let fresh = roll(&task, &scene, &action, None);
-        let recorded = roll(&task, &scene, &action, Some(Recording { every_s: 0.01 }));
+        let recorded = roll(&task, &scene, &action, Some(MotionRecording { every_s: 0.01 }));
         assert_eq!(fresh.objective, recorded.objective);
         assert!(fresh.end_s <= recorded.end_s);
         for _ in 0..2 {
@@ -74,7 +74,7 @@ fn recording_and_reusing_a_world_do_not_change_the_objective() {
     }
 }
 
-/// Two balls among boxes: one to bounce off, one that topples.
+/// Two balls among boxes: one for a rebound, one that topples.
 fn two_balls_and_boxes() -> Scene {
     let mut scene = two_balls();
     let boxes = [(0.85, 0.05, DVec3::new(0.03, 0.06, 0.04)), (0.7, -0.12, DVec3::new(0.015, 0.015, 0.06))];
@@ -102,7 +102,7 @@ fn stopping_early_changes_no_objective() {
         let action = Action(vec![0.25 + 0.025 * f64::from(i), -0.2 + 0.4 * f64::from(i * 7 % 24) / 23.0]);
         let motion = task.strike(&action);
         assert!(world.restore());
-        let full = task.rollout(&mut world, motion, &bodies, Some(Recording { every_s: 0.1 })).unwrap();
+        let full = task.rollout(&mut world, motion, &bodies, Some(MotionRecording { every_s: 0.1 })).unwrap();
         assert!(world.restore());
         let short = task.rollout(&mut world, motion, &bodies, None).unwrap();
         assert_eq!(short.objective, full.objective, "{action:?}");
@@ -175,7 +175,7 @@ fn a_target_world_with_other_names_carries_out_the_same_motion() {
     truth.bodies[2].name = "ball_01".into();
     truth.bodies.push(ball("bystander", -1.0, 1.0, [0, 0, 0], material(0.3, 0.9)));
     let bodies = task.bodies_in(&truth, "ball_07").unwrap();
-    let recording = Some(Recording { every_s: 0.02 });
+    let recording = Some(MotionRecording { every_s: 0.02 });
     let there = task.rollout(&mut simulation(&task, &truth), motion, &bodies, recording).unwrap();
     assert!((there.objective - here.objective).abs() < 1e-4, "{} {}", there.objective, here.objective);
     let trajectory = there.trajectory.unwrap();
@@ -205,7 +205,9 @@ fn selectors_find_balls_and_errors_list_the_bodies() {
     }
     let message =
         resolve(Selector::by_name("red"), Selector::sphere_of_color("red")).unwrap_err().to_string();
-    assert!(message.contains("same body, `red`"), "{message}");
+    for part in ["`cue`", "`target`", "`red`"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
     assert!(
         resolve(Selector::by_name("floor"), Selector::by_name("red")).is_err(),
         "static bodies do not move"
@@ -233,12 +235,15 @@ fn a_goal_that_no_ball_can_reach_is_refused_with_the_reason() {
     }
     // 10 mm within its surface: the centre comes as near as 39 mm.
     assert!(resolve(&scene, [0.76, 0.0]).is_ok());
-    // On a floor without end every other place is one; a table has edges.
+    // An infinite floor has no other limits; a table has edges.
     assert!(resolve(&scene, [1.6, 0.9]).is_ok());
     scene.bodies[0] = fixed("table", DVec3::new(0.5, 0.0, -0.05), DVec3::new(0.6, 0.4, 0.05));
     assert!(resolve(&scene, [0.6, 0.3]).is_ok() && resolve(&scene, [0.6, 0.43]).is_ok());
     let message = resolve(&scene, [0.6, 0.5]).unwrap_err();
-    assert!(message.contains("there is no floor") && message.contains("100 mm"), "{message}");
+    assert!(
+        message.contains("goal_w") && message.contains("`blue`") && message.contains("100 mm"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use serde_json::Value;
-use sms_plan::{Bounds, NelderMead, Optimiser};
+use sms_plan::{BoxBounds, NelderMead, Optimiser};
 
 fn function(name: &str) -> fn(&[f64]) -> f64 {
     match name {
@@ -36,14 +36,17 @@ fn floats(value: &Value) -> Vec<f64> {
 
 #[test]
 fn visits_the_same_points_as_scipy() {
-    let table: Value = serde_json::from_str(include_str!("oracle/nelder_mead.json")).unwrap();
+    let table: Value = serde_json::from_str(include_str!("../oracle/nelder_mead.json")).unwrap();
     let cases = table["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 9);
     for case in cases {
         let f = function(case["function"].as_str().unwrap());
         let bounds = case["bounds"].as_array().map(|sides| {
             let sides: Vec<Vec<f64>> = sides.iter().map(floats).collect();
-            Bounds { low: sides.iter().map(|s| s[0]).collect(), high: sides.iter().map(|s| s[1]).collect() }
+            BoxBounds {
+                low: sides.iter().map(|s| s[0]).collect(),
+                high: sides.iter().map(|s| s[1]).collect(),
+            }
         });
         let settings = NelderMead {
             adaptive: case["adaptive"].as_bool().unwrap(),

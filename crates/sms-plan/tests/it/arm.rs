@@ -1,13 +1,11 @@
 //! Planning with the arm: strikes that it cannot make are counted and never chosen.
 
-#[path = "../../sms-task/tests/common/mod.rs"]
-mod common;
-
-use common::{material, two_balls};
+use crate::common::{ball, material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::{Cancel, Mesh, NoProgress, Seed, Warnings};
 use sms_plan::{
-    Disturbances, Halton, Method, Phase, PlanConfig, PlanError, PlanOutcome, plan, rehearse, search_nominal,
+    Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, WorldFamily, plan,
+    rehearse, search_nominal,
 };
 use sms_robots::{RobotConfig, ToolPath};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -31,7 +29,7 @@ fn scene() -> Scene {
         shape: BodyShape::Box { half_extents: half },
         visual: Mesh::default(),
         mass: None,
-        ..common::ball("post", 0.0, 0.0, [90, 90, 90], material(0.4, 0.5))
+        ..ball("post", 0.0, 0.0, [90, 90, 90], material(0.4, 0.5))
     };
     let mut scene = two_balls();
     scene.bodies.push(post);
@@ -56,7 +54,7 @@ fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome
         polish: 3,
         forecast_worlds: 4,
         sensitivity_rollouts: 0,
-        disturbances: Disturbances { worlds: 4, ..Disturbances::default() },
+        perturbation: Perturbation { worlds: 4, ..Perturbation::default() },
         ..PlanConfig::default()
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -65,7 +63,7 @@ fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome
 }
 
 #[test]
-fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
+fn refused_strikes_are_counted_and_never_chosen() {
     let scene = scene();
     let task = task(&scene, -0.1);
     let outcome = run(&task, &scene, 1).unwrap();
@@ -79,15 +77,16 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
     assert!(refused > 0 && refused < p.searched, "{refused} of {}", p.searched);
     assert!(p.refused.iter().any(|r| r.reason.contains("post")), "{:?}", p.refused);
     // What a scan draws and the arm cannot make is not charged to it: it gets all of its rollouts.
-    let screened: Vec<_> = outcome.trials.iter().filter(|t| t.phase == Phase::Screen).collect();
+    let screened: Vec<_> = outcome.trials.iter().filter(|t| t.phase == TrialPhase::Screen).collect();
     let scanned: Vec<_> =
-        outcome.trials.iter().filter(|t| t.phase == Phase::Disturbed && t.start == -1).collect();
+        outcome.trials.iter().filter(|t| t.phase == TrialPhase::Perturbed && t.start == -1).collect();
     assert_eq!((screened.len(), scanned.len()), (120, 100), "30 % of 400, and the scan");
     for t in screened.iter().chain(&scanned) {
         assert!(task.striker(&task.strike(&t.action)).is_ok(), "{:?}", t.action);
     }
     assert_eq!(outcome.trials.len() + 1, p.evaluations);
-    let in_search = outcome.trials.iter().filter(|t| matches!(t.phase, Phase::Screen | Phase::Search));
+    let in_search =
+        outcome.trials.iter().filter(|t| matches!(t.phase, TrialPhase::Screen | TrialPhase::Search));
     let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
     // Where searches meet refusals, they are not charged for them.
     assert_eq!(struck, 0);
@@ -107,14 +106,26 @@ fn what_the_arm_cannot_do_is_counted_and_never_chosen() {
         panic!("both are arms")
     };
     assert_eq!((&a.q_start, a.sweep, a.rotation_w), (&b.q_start, b.sweep, b.rotation_w));
-    let worlds = Disturbances::default();
+    let worlds = Perturbation::default();
     let cancel = Cancel::new();
-    let values = rehearse(&task, &scene, &RapierFactory, &worlds, &p.action, Seed(1), 4, &cancel).unwrap();
+    let values = rehearse(
+        WorldFamily {
+            task: &task,
+            scene: &scene,
+            factory: &RapierFactory,
+            perturbation: &worlds,
+            seed: Seed(1),
+        },
+        &p.action,
+        4,
+        &cancel,
+    )
+    .unwrap();
     assert!(values.iter().all(|v| v.is_finite()), "{values:?}");
 }
 
 #[test]
-fn where_the_arm_can_make_a_third_of_the_strikes_as_many_are_simulated() {
+fn refused_strikes_do_not_use_up_the_budget() {
     let scene = scene();
     let share = |task: &ResolvedTask| {
         let halton = Halton::new(4, Seed(8));
@@ -148,17 +159,16 @@ fn where_the_arm_can_make_a_third_of_the_strikes_as_many_are_simulated() {
     };
     let cancel = Cancel::new();
     let found = search_nominal(&task, &scene, &RapierFactory, &config, 40, Seed(3), &cancel).unwrap();
-    let simulated = found.trials.iter().filter(|t| t.phase == Phase::Screen && t.valid);
+    let simulated = found.trials.iter().filter(|t| t.phase == TrialPhase::Screen && t.valid);
     assert_eq!(simulated.count(), 40);
 }
 
 #[test]
-fn a_robot_out_of_reach_is_the_users_to_mend() {
+fn a_robot_out_of_reach_is_an_input_error() {
     let scene = scene();
     let error = run(&task(&scene, -3.0), &scene, 1).unwrap_err();
-    let text = error.to_string();
-    assert!(matches!(error, PlanError::OutOfReach(_)));
-    assert!(text.contains("`cue`") && text.contains("no posture reaches it"), "{text}");
+    let PlanError::OutOfReach(e) = &error else { panic!("{error}") };
+    assert!(e.path == "[robot]" && e.what.contains("`cue`"), "{error}");
 }
 
 #[test]

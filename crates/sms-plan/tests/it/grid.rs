@@ -1,9 +1,6 @@
 //! The paper's grid baseline, where its answers are known from geometry.
 
-#[path = "../../sms-task/tests/common/mod.rs"]
-mod common;
-
-use common::{RADIUS, two_balls};
+use crate::common::{RADIUS, two_balls};
 use sms_core::Mesh;
 use sms_core::glamx::{DPose3, DVec2, DVec3};
 use sms_plan::{GridBaseline, PlanError};
@@ -35,7 +32,7 @@ fn the_best_angle_of_the_grid_is_the_ghost_balls() {
 }
 
 #[test]
-fn what_stands_in_the_way_is_seen_from_above_and_what_is_flat_is_not() {
+fn obstacles_are_mapped_and_flat_things_are_not() {
     let target = DVec2::new(0.6, 0.0);
     let goal_w = target + DVec2::new(0.25, 0.0);
     for (height, blocks) in [(0.1, true), (0.004, false)] {

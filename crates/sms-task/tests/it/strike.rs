@@ -1,13 +1,11 @@
 //! Tasks stated as terms, on a table with an edge.
 
-mod common;
-
-use common::{RADIUS, ball, material, two_balls};
+use crate::common::{RADIUS, ball, material, two_balls};
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::{Mesh, box_mass_properties, cylinder_mass_properties};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, floor_body};
 use sms_sim::RapierFactory;
-use sms_task::{Action, Recording, ResolvedTask, Rollout, Task, TaskError};
+use sms_task::{Action, MotionRecording, ResolvedTask, Rollout, Task, TaskError};
 
 const TOP: f64 = 0.3;
 
@@ -60,7 +58,7 @@ fn read(text: &str) -> Task {
     Task::read(&path).unwrap()
 }
 
-fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<Recording>) -> Rollout {
+fn roll(task: &ResolvedTask, scene: &Scene, action: &[f64], recording: Option<MotionRecording>) -> Rollout {
     let bodies = task.bodies_in(scene, &task.target().name).unwrap();
     let mut simulation = task.prepare(&RapierFactory, scene, &task.world_options(), &bodies).unwrap();
     task.rollout(&mut simulation, task.strike(&Action(action.to_vec())), &bodies, recording).unwrap()
@@ -96,8 +94,8 @@ fn the_box_is_pushed_off_the_table_and_the_mug_stays() {
     assert!(objective(0.2, 0.0) > 0.2);
     let towards_mug = objective(0.8, 0.6);
     assert!(towards_mug > 0.01, "{towards_mug}");
-    // What was recorded is what was judged.
-    let recorded = roll(&task, &scene, &[0.8, 0.6], Some(Recording { every_s: 0.0 }));
+    // The recorded motion gives the same objective.
+    let recorded = roll(&task, &scene, &[0.8, 0.6], Some(MotionRecording { every_s: 0.0 }));
     assert_eq!(recorded.objective, towards_mug);
     let mug = recorded.trajectory.unwrap();
     let mug = &mug.body("mug").expect("it moved").states;
@@ -147,7 +145,7 @@ fn a_mug_is_toppled_and_what_keeps_out_of_a_place_costs_nothing() {
     assert!(slow > 0.08 && fast < 0.02, "{slow} {fast}");
 }
 
-/// Billiards said in terms is billiards.
+/// Billiards expressed by terms equals billiards.
 #[test]
 fn reaching_with_a_ball_is_the_billiards_objective() {
     let scene = two_balls();
@@ -183,9 +181,9 @@ fn reaching_with_a_ball_is_the_billiards_objective() {
 }
 
 #[test]
-fn mistakes_name_the_file_the_term_and_what_there_is() {
+fn errors_name_the_file_and_the_term() {
     let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("wish.toml");
+    let path = dir.path().join("task.toml");
     let attempt = |text: &str| -> String {
         std::fs::write(&path, text).unwrap();
         match Task::read(&path) {
@@ -203,27 +201,27 @@ fn mistakes_name_the_file_the_term_and_what_there_is() {
         ("weight = 2.0", "weight = -2.0", "weight"),
         ("weight = 2.0", "wieght = 2.0", "wieght"),
         ("max_w = [1.5, 0.4, 0.1]", "max_w = [0.2, 0.4, 0.1]", "min_w"),
-        ("min_w = [0.3, -0.4, 0.0], max_w = [1.5, 0.4, 0.1]", "at_w = [300.0, 0.0]", "from everything"),
+        ("min_w = [0.3, -0.4, 0.0], max_w = [1.5, 0.4, 0.1]", "at_w = [300.0, 0.0]", "300.000"),
         ("when = \"end\"", "when = \"end\"\nbetween_s = [5.0, 6.0]", "between_s"),
-        ("body = { name = \"box\" }", "body = \"others\"", "name the body"),
+        ("body = { name = \"box\" }", "body = \"others\"", "terms[0]"),
         ("max_w = [1.5, 0.4, 0.1]", "max_w = [1.5, 0.4, 0.1], radius_m = 0.1", "place"),
         ("strike = { name = \"box\" }", "", "strike"),
-        ("horizon_s", "horizon_s", "wish.toml"),
+        ("horizon_s", "horizon_s", "task.toml"),
     ] {
         let text = PUSH_OFF.replacen(from, to, 1);
         let text = if from == to { format!("horizon_s = -1.0\n{PUSH_OFF}") } else { text };
         let message = attempt(&text);
-        assert!(message.contains(words) && message.contains("wish.toml"), "{to}: {message}");
+        assert!(message.contains(words) && message.contains("task.toml"), "{to}: {message}");
     }
     assert!(attempt("kind = \"strike\"\nstrike = { name = \"box\" }\nterms = []").contains("terms"));
-    // The far ball is there to be found by colour, too.
+    // The far ball is selected by its colour.
     let mut scene = two_balls();
     scene.bodies.push(ball("far", 0.9, 0.2 + RADIUS, [200, 30, 30], material(0.1, 0.9)));
     let task = read(&PUSH_OFF.replace("{ name = \"box\" }", "{ color = \"red\" }").replace("mug", "blue"));
     assert_eq!(task.resolve(&scene).unwrap().cue().name, "far");
 }
 
-/// The examples of docs/tasks.md are task files, and each wants something that is not so already.
+/// The examples of docs/tasks.md are valid task files whose objective is not met at the start.
 #[test]
 fn the_examples_can_be_read() {
     let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks");

@@ -1,22 +1,25 @@
-//! The last worlds of the choice: who cannot become the best of its strategy any more is not tried in the rest of them.
+//! Racing over the last worlds of the choice: a candidate drops out once it can no longer become the best of its
+//! strategy.
 
+use crate::candidate::{RobustCandidate, STRATEGIES};
 use crate::prediction::compare;
-use crate::robust::{Candidate, STRATEGIES};
 use crate::{PlanConfig, PlanError};
 use std::ops::Range;
 
-/// Worlds that candidates are tried in between two looks at whether they are beaten.
+/// Worlds in which candidates are tried between two eliminations.
 const BLOCK: usize = 4;
 
-/// Tries candidates in worlds; outcomes are appended.
+/// Tries candidates in worlds and appends the outcomes.
 pub(crate) type TryIn<'a> =
-    &'a mut dyn FnMut(&mut [Candidate], &[usize], Range<usize>) -> Result<(), PlanError>;
+    &'a mut dyn FnMut(&mut [RobustCandidate], &[usize], Range<usize>) -> Result<(), PlanError>;
 
-/// Tries the ranked candidates, which have been in the worlds before `range`, in those of `range`: the best of each strategy
-/// in all of them, the others, some worlds at a time, as long as they may still become better than that one. Returns those
-/// that were tried in all, in their order. The best of each strategy over all worlds is among them.
-pub(crate) fn until_beaten(
-    all: &mut [Candidate],
+/// Tries ranked candidates, whose outcomes cover the worlds before `range`, in the worlds of `range`.
+///
+/// The best candidate of each strategy is tried in all worlds. The others are tried block by block while they may
+/// still overtake it. Returns the candidates that were tried in all worlds, in rank order. The result always contains
+/// the best of each strategy over all worlds.
+pub(crate) fn race(
+    all: &mut [RobustCandidate],
     ranked: &[usize],
     range: Range<usize>,
     config: &PlanConfig,
@@ -31,19 +34,19 @@ pub(crate) fn until_beaten(
     }
     let mut others: Vec<usize> = ranked.iter().copied().filter(|i| !leaders.contains(i)).collect();
     try_in(all, &leaders, range.clone())?;
-    let mut seen = range.start;
-    while seen < range.end && !others.is_empty() {
+    let mut tried = range.start;
+    while tried < range.end && !others.is_empty() {
         others.retain(|&i| {
-            // The best rank that it can still come to: no objective is less than 0, and what cannot be believed ranks last.
+            // A lower bound of the final rank: no objective is below 0, and invalid rollouts only worsen a rank.
             let least = all[i].rank(config, range.end.saturating_sub(all[i].outcomes.len()));
             let beats = |&l: &usize| {
                 all[l].strategy == all[i].strategy && compare(all[l].rank(config, 0), least).is_lt()
             };
             !leaders.iter().any(beats)
         });
-        let next = (seen + BLOCK).min(range.end);
-        try_in(all, &others, seen..next)?;
-        seen = next;
+        let next = (tried + BLOCK).min(range.end);
+        try_in(all, &others, tried..next)?;
+        tried = next;
     }
     Ok(ranked.iter().copied().filter(|i| leaders.contains(i) || others.contains(i)).collect())
 }
@@ -58,8 +61,8 @@ mod tests {
     const FROM: usize = 6;
     const TOTAL: usize = 16;
 
-    /// The best of each strategy in order, as the choice takes them.
-    fn best(all: &[Candidate], who: &[usize], config: &PlanConfig) -> Vec<usize> {
+    /// The best of each strategy in rank order, as the choice picks them.
+    fn best(all: &[RobustCandidate], who: &[usize], config: &PlanConfig) -> Vec<usize> {
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
             compare(all[a].rank(config, 0), all[b].rank(config, 0))
@@ -75,9 +78,9 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the outcomes, the best of each strategy are those of trying all in all worlds.
+        /// For any outcomes, racing and trying everything agree on the best of each strategy.
         #[test]
-        fn the_choice_is_that_of_trying_everything(
+        fn racing_and_trying_everything_choose_the_same(
             outcomes in prop::collection::vec((0..6usize, prop::collection::vec(0.0..1.0f64, TOTAL)), 1..14),
             kind in 0..4usize,
             nominal_worlds in 0..5usize,
@@ -85,7 +88,7 @@ mod tests {
             let objective =
                 [RobustObjective::Mean, RobustObjective::Q50, RobustObjective::Q75, RobustObjective::Q90][kind];
             let config = PlanConfig { objective, nominal_worlds, ..PlanConfig::default() };
-            // Bad candidates and unbelievable rollouts among good ones.
+            // Bad candidates and invalid rollouts among good ones.
             let truth: Vec<(usize, Vec<f64>)> = outcomes
                 .into_iter()
                 .enumerate()
@@ -94,17 +97,17 @@ mod tests {
                     (s, row.iter().map(|&v| if v > 0.97 { f64::INFINITY } else { scale * v }).collect())
                 })
                 .collect();
-            let candidate = |(s, row): &(usize, Vec<f64>), seen: usize| Candidate {
+            let candidate = |(s, row): &(usize, Vec<f64>), seen: usize| RobustCandidate {
                 x: Vec::new(),
                 action: Action(Vec::new()),
                 objective: row[0],
                 strategy: s.to_string(),
                 outcomes: row[..seen].to_vec(),
             };
-            let full: Vec<Candidate> = truth.iter().map(|t| candidate(t, TOTAL)).collect();
+            let full: Vec<RobustCandidate> = truth.iter().map(|t| candidate(t, TOTAL)).collect();
             let everyone: Vec<usize> = (0..full.len()).collect();
-            let mut all: Vec<Candidate> = truth.iter().map(|t| candidate(t, FROM)).collect();
-            let left = until_beaten(&mut all, &everyone, FROM..TOTAL, &config, &mut |all, who, range| {
+            let mut all: Vec<RobustCandidate> = truth.iter().map(|t| candidate(t, FROM)).collect();
+            let left = race(&mut all, &everyone, FROM..TOTAL, &config, &mut |all, who, range| {
                 who.iter().for_each(|&i| all[i].outcomes.extend(&truth[i].1[range.clone()]));
                 Ok(())
             }).unwrap();
@@ -114,12 +117,12 @@ mod tests {
     }
 
     #[test]
-    fn who_is_beaten_is_tried_no_more() {
+    fn dropped_candidates_are_not_tried_again() {
         let rows = [[0.01; TOTAL], [0.5; TOTAL], [0.9; TOTAL]];
-        let mut all: Vec<Candidate> = rows
+        let mut all: Vec<RobustCandidate> = rows
             .iter()
             .zip(["direct", "direct", "off a"])
-            .map(|(row, strategy)| Candidate {
+            .map(|(row, strategy)| RobustCandidate {
                 x: Vec::new(),
                 action: Action(Vec::new()),
                 objective: 0.0,
@@ -128,17 +131,11 @@ mod tests {
             })
             .collect();
         let mut tried = 0;
-        let left = until_beaten(
-            &mut all,
-            &[0, 1, 2],
-            FROM..TOTAL,
-            &PlanConfig::default(),
-            &mut |all, who, range| {
-                tried += who.len() * range.len();
-                who.iter().for_each(|&i| all[i].outcomes.extend(&rows[i][range.clone()]));
-                Ok(())
-            },
-        )
+        let left = race(&mut all, &[0, 1, 2], FROM..TOTAL, &PlanConfig::default(), &mut |all, who, range| {
+            tried += who.len() * range.len();
+            who.iter().for_each(|&i| all[i].outcomes.extend(&rows[i][range.clone()]));
+            Ok(())
+        })
         .unwrap();
         assert_eq!((left, tried), (vec![0, 2], 2 * (TOTAL - FROM)));
     }

@@ -1,0 +1,153 @@
+//! Counts and progress of rollouts.
+
+use crate::rollout_outcome::RolloutOutcome;
+use crate::{InvalidRollout, PlanError, Refusal};
+use sms_core::{Cancel, Progress};
+use sms_sim::SimError;
+use sms_task::{Action, ResolvedTask};
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Counts rollouts, reports progress and checks for cancellation.
+pub(crate) struct Counter<'a> {
+    progress: &'a dyn Progress,
+    cancel: &'a Cancel,
+    done: AtomicUsize,
+    /// Rollouts before the current part of the work.
+    before: AtomicUsize,
+    invalid: AtomicUsize,
+    /// Invalid rollouts by reason: their number and the alphabetically first example.
+    invalid_rollouts: Mutex<BTreeMap<String, (usize, String)>>,
+    /// Refused strikes that took the place of a rollout, by reason.
+    refused: Mutex<Reasons>,
+    /// Refused points of scans and searches, by reason. Others were tried in their place.
+    passed_over: Mutex<Reasons>,
+}
+
+/// Reasons of refused strikes, with the number of strikes.
+pub(crate) type Reasons = BTreeMap<String, usize>;
+
+impl<'a> Counter<'a> {
+    pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
+        Self {
+            progress,
+            cancel,
+            done: AtomicUsize::new(0),
+            before: AtomicUsize::new(0),
+            invalid: AtomicUsize::new(0),
+            invalid_rollouts: Mutex::default(),
+            refused: Mutex::default(),
+            passed_over: Mutex::default(),
+        }
+    }
+
+    /// Starts a part of the work with about this many rollouts.
+    pub(crate) fn begin(&self, part: &str, rollouts: usize) {
+        self.before.store(self.done(), Ordering::SeqCst);
+        self.progress.begin(part, rollouts as u64);
+    }
+
+    pub(crate) fn done(&self) -> usize {
+        self.done.load(Ordering::SeqCst)
+    }
+
+    pub(crate) fn invalid(&self) -> usize {
+        self.invalid.load(Ordering::SeqCst)
+    }
+
+    /// Whether the robot can carry out the strike of a proposed point. Counts refusals; simulates nothing.
+    pub(crate) fn draw(&self, task: &ResolvedTask, action: &Action) -> Result<bool, PlanError> {
+        self.cancel.check()?;
+        match task.striker(&task.strike(action)) {
+            Err(SimError::Refused(e)) => {
+                if let Ok(mut passed_over) = self.passed_over.lock() {
+                    *passed_over.entry(e.reason()).or_default() += 1;
+                }
+                Ok(false)
+            }
+            other => Ok(other.map(|_| true)?),
+        }
+    }
+
+    /// Whether the whole motion of an action, from home to the lift after the strike, passes every check of the
+    /// robot. Counts refusals.
+    pub(crate) fn executable(&self, task: &ResolvedTask, action: &Action) -> Result<bool, PlanError> {
+        self.cancel.check()?;
+        let Some(reason) = task.not_executable(&task.strike(action)) else { return Ok(true) };
+        if let Ok(mut passed_over) = self.passed_over.lock() {
+            *passed_over.entry(reason).or_default() += 1;
+        }
+        Ok(false)
+    }
+
+    fn note_invalid(&self, e: &SimError) {
+        let (Ok(mut all), Some(reason)) = (self.invalid_rollouts.lock(), e.failure_reason()) else { return };
+        let example = e.to_string();
+        // The first example in alphabetical order: threads finish in any order.
+        let (count, least) = all.entry(reason).or_insert_with(|| (0, example.clone()));
+        *count += 1;
+        if example < *least {
+            *least = example;
+        }
+    }
+
+    /// Invalid rollouts so far by reason, the most frequent first.
+    pub(crate) fn invalid_rollouts(&self) -> Vec<InvalidRollout> {
+        let all = self.invalid_rollouts.lock().map(|all| all.clone()).unwrap_or_default();
+        let mut all: Vec<InvalidRollout> = all
+            .into_iter()
+            .map(|(reason, (count, example))| InvalidRollout { reason, count, example })
+            .collect();
+        all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
+        all
+    }
+
+    /// Strikes refused so far in the place of a rollout.
+    pub(crate) fn refused(&self) -> Reasons {
+        self.refused.lock().map(|r| r.clone()).unwrap_or_default()
+    }
+
+    /// Refused points of scans and searches so far, together with `refused`, the most frequent reason first.
+    pub(crate) fn refusals(&self, refused: &Reasons) -> Vec<Refusal> {
+        let mut counted = self.passed_over.lock().map(|r| r.clone()).unwrap_or_default();
+        for (reason, count) in refused {
+            *counted.entry(reason.clone()).or_default() += count;
+        }
+        let mut all: Vec<Refusal> =
+            counted.into_iter().map(|(reason, count)| Refusal { reason, count }).collect();
+        all.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.reason.cmp(&b.reason)));
+        all
+    }
+
+    /// The objective of a rollout; infinite if it is invalid or refused.
+    pub(crate) fn count(&self, rollout: impl FnOnce() -> Result<f64, SimError>) -> Result<f64, PlanError> {
+        Ok(self.shot(rollout)?.objective())
+    }
+
+    /// The outcome of a rollout; as [`Counter::count`].
+    pub(crate) fn shot(
+        &self,
+        rollout: impl FnOnce() -> Result<f64, SimError>,
+    ) -> Result<RolloutOutcome, PlanError> {
+        self.cancel.check()?;
+        let shot = match rollout() {
+            Err(SimError::Refused(e)) => {
+                if let Ok(mut refused) = self.refused.lock() {
+                    *refused.entry(e.reason()).or_default() += 1;
+                }
+                RolloutOutcome::Refused
+            }
+            Err(e @ (SimError::Diverged { .. } | SimError::Unphysical { .. })) => {
+                self.invalid.fetch_add(1, Ordering::SeqCst);
+                self.note_invalid(&e);
+                RolloutOutcome::Invalid
+            }
+            other => RolloutOutcome::Done(other?),
+        };
+        let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
+        let before = self.before.load(Ordering::SeqCst);
+        self.progress.update(done.saturating_sub(before) as u64, "shots simulated");
+        Ok(shot)
+    }
+}

@@ -1,0 +1,80 @@
+//! State that all stages of planning share.
+
+use crate::counter::Counter;
+use crate::space::Space;
+use crate::strategy::strategy_of;
+use crate::worlds::{PerturbedWorlds, WorldFamily, Worlds};
+use crate::{LocalSearch, PlanConfig, PlanError, Unknown};
+use sms_core::Seed;
+use sms_scene::Scene;
+use sms_sim::WorldFactory;
+use sms_task::{Action, ResolvedTask, Rollout};
+use std::ops::Range;
+
+/// One planning run: its input, the scanned world and the counter of rollouts.
+pub(crate) struct Session<'a> {
+    pub(crate) task: &'a ResolvedTask,
+    /// The scene that the scan made.
+    pub(crate) scene: &'a Scene,
+    pub(crate) factory: &'a dyn WorldFactory,
+    pub(crate) config: &'a PlanConfig,
+    pub(crate) seed: Seed,
+    pub(crate) space: Space,
+    /// The scanned world.
+    pub(crate) nominal: Worlds<'a>,
+    pub(crate) counter: Counter<'a>,
+}
+
+impl<'a> Session<'a> {
+    /// Whether the robot can carry out the strike of a unit point.
+    pub(crate) fn is_feasible(&self, x: &[f64]) -> Result<bool, PlanError> {
+        self.counter.draw(self.task, &self.space.action(x))
+    }
+
+    /// The next point of a local search whose strike the robot can carry out; `None` when the search has ended.
+    pub(crate) fn next_feasible(&self, search: &mut LocalSearch) -> Result<Option<Vec<f64>>, PlanError> {
+        while let Some(x) = search.next_point().map(<[f64]>::to_vec) {
+            if self.is_feasible(&x)? {
+                return Ok(Some(x));
+            }
+            search.refuse();
+        }
+        Ok(None)
+    }
+
+    /// Whether the whole motion of an action, from home to the lift, passes every check of the robot.
+    pub(crate) fn is_executable(&self, action: &Action) -> Result<bool, PlanError> {
+        self.counter.executable(self.task, action)
+    }
+
+    /// The name of the strategy that a rollout follows.
+    pub(crate) fn strategy_of(&self, rollout: &Rollout) -> String {
+        strategy_of(rollout, self.scene, self.task)
+    }
+
+    /// The worlds of a family that differ from the scene in every unknown, by their indices.
+    pub(crate) fn perturbed_worlds(
+        &self,
+        seed: Seed,
+        indices: Range<usize>,
+    ) -> Result<PerturbedWorlds<'a>, PlanError> {
+        self.partly_perturbed_worlds(seed, indices, &|_| true)
+    }
+
+    /// The same with only the unknowns that `which` picks.
+    pub(crate) fn partly_perturbed_worlds(
+        &self,
+        seed: Seed,
+        indices: Range<usize>,
+        which: &(dyn Fn(&Unknown) -> bool + Sync),
+    ) -> Result<PerturbedWorlds<'a>, PlanError> {
+        let family = WorldFamily {
+            task: self.task,
+            scene: self.scene,
+            factory: self.factory,
+            perturbation: &self.config.perturbation,
+            seed,
+        };
+        PerturbedWorlds::new(family, indices, which)
+    }
+}
