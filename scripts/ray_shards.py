@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs the parts of an experiment as Ray tasks and merges them. See docs/large-runs.md.
+"""Runs the parts of an experiment as Ray tasks and merges them. See experiments/studies/large-runs.md.
 
     pip install ray
     python scripts/ray_shards.py --parts 8 --results RESULTS robust --seeds 1001..1032

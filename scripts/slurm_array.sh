@@ -1,5 +1,5 @@
 #!/bin/bash
-# One part of an experiment per task of a Slurm job array. See docs/large-runs.md.
+# One part of an experiment per task of a Slurm job array. See experiments/studies/large-runs.md.
 #
 #   sbatch --array=1-18 scripts/slurm_array.sh RESULTS billiards
 #   sbatch --array=1-8  scripts/slurm_array.sh RESULTS robust --seeds 1..200 --family crowded

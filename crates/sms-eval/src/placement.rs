@@ -1,5 +1,5 @@
 //! Placement errors of entities, in metres and over the standard errors that their own residuals show. The widths of the
-//! planner's perturbations are set by them (docs/plan-study.md).
+//! planner's perturbations are set by them (experiments/studies/plan.md).
 
 use crate::truth::TrueSurface;
 use glamx::DPose3;

@@ -4,7 +4,7 @@
 //! cannot tell them apart but by time and rounding, and a checkpoint of one is continued by the other. Parameters and
 //! moments live on the device; up to 64 steps go to it at once, and only their losses come back. The kernels lie under
 //! `shaders/`, in the order of a step: `project`, `visit` (twice), `place`, `sort`, `forward`, `ssim`, `loss`, `segment`,
-//! `backward`, `reduce`, `update`, `finish`. What they cost, and what was tried, is in `docs/gpu-study.md`.
+//! `backward`, `reduce`, `update`, `finish`. What they cost, and what was tried, is in `experiments/studies/gpu.md`.
 //!
 //! [`checked_trainer`] first compares the adapter with the CPU on a small scene ([`self_check`]).
 //!

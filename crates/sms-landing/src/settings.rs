@@ -23,8 +23,8 @@ pub struct LandingDisturbances {
 
 impl Default for LandingDisturbances {
     fn default() -> Self {
-        // Scans place the edges of large objects within a few millimetres (docs/objects.md). Models of wash differ by 10 to 20 % in
-        // moments about edges (docs/wash-study.md). A vehicle with a camera holds its place within a few centimetres.
+        // Scans place the edges of large objects within a few millimetres. Models of wash differ by 10 to 20 % in
+        // moments about edges (experiments/studies/wash.md). A vehicle with a camera holds its place within a few centimetres.
         Self { materials: true, object_m: 0.004, wash_share: 0.2, flight_m: 0.02, speed_share: 0.1 }
     }
 }

@@ -7,7 +7,7 @@ use sms_core::{Aabb, MassProperties, Material, Property, Seed};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::StrikerMotion;
 
-/// Largest scan errors as multiples of the standard errors of the fit, rounded up (docs/plan-study.md): position of a
+/// Largest scan errors as multiples of the standard errors of the fit, rounded up (experiments/studies/plan.md): position of a
 /// ball, radius of a ball, position of another object.
 const BALL_RATIO: f64 = 2.0;
 const RADIUS_RATIO: f64 = 5.0;
@@ -45,7 +45,7 @@ pub struct Perturbation {
 impl Default for Perturbation {
     fn default() -> Self {
         // A scan places a ball within about a millimetre and finds its radius within a few tenths of one. It places
-        // other objects, of which it sees one side less, within two (docs/objects.md). The residuals of one entity do
+        // other objects, of which it sees one side less, within two. The residuals of one entity do
         // not show these errors, because they are common to all. A torque-controlled arm repeats a path within a few
         // tenths of a millimetre: over the sweep of 0.1 m that is 2 mrad.
         Self {

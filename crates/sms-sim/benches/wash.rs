@@ -96,7 +96,7 @@ fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<Blown, Bo
 fn write_emitters(path: &str, scene: &Scene, sph: &SphSettings, blown: &Blown) -> Result<(), Box<dyn Error>> {
     let vehicle = Quadrotor::default();
     let thrust = vehicle.mass * 9.81 / vehicle.rotors.len() as f64;
-    // The far wake: half the disk, twice its speed (docs/wash-study.md).
+    // The far wake: half the disk, twice its speed (experiments/studies/wash.md).
     let radius = vehicle.rotor_radius / 2f64.sqrt();
     let speed = (thrust / (sph.air_density * std::f64::consts::PI * radius * radius)).sqrt();
     let mut text = format!(

@@ -97,7 +97,7 @@ fn its_sweep_in_free_space_is_that_of_the_shared_arm() {
 }
 
 /// The aim is 1 % of the speed. PhysX's contacts of articulations give back up to 3.5 % less than they should, so that balls are
-/// up to 2 % slower (docs/target-study.md). Without friction between fist and ball both arms send it the same way; with it
+/// up to 2 % slower (experiments/studies/target.md). Without friction between fist and ball both arms send it the same way; with it
 /// the tip of the articulation, which recoils sideways as well, takes the ball along.
 #[test]
 fn a_struck_ball_is_hardly_slower_than_by_the_shared_arm() {

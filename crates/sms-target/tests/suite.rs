@@ -4,7 +4,7 @@
 use sms_eval::closed_form::probes;
 use sms_target::TargetEngine;
 
-/// Probes that an engine misses, with a little more than it misses them by: the reasons are in `docs/target-study.md`. Every
+/// Probes that an engine misses, with a little more than it misses them by: the reasons are in `experiments/studies/target.md`. Every
 /// other probe is held to its limit.
 fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
     match engine {

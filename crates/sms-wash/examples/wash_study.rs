@@ -1,5 +1,5 @@
 //! Force of a hovering quadrotor on a plate by all models, size of the free jet, and cost, for settings of the particle model; what
-//! docs/wash-study.md is made of.
+//! experiments/studies/wash.md is made of.
 //!
 //! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML, and `half`
 //! (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along x), `propellers`, `seconds`.

@@ -203,7 +203,7 @@ impl ScanConfig {
             Preset::Draft => Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard },
             Preset::Standard => standard,
             // Of three scenes at 640 × 400, with 60 steps a frame PSNR is 0.02 to 0.04 dB higher, but the depth of held-out
-            // views 3 to 5 % worse and F1 0.001 to 0.003 lower: the refinement makes up for them (docs/gpu-study.md).
+            // views 3 to 5 % worse and F1 0.001 to 0.003 lower: the refinement makes up for them (experiments/studies/gpu.md).
             Preset::Fine => Self {
                 steps_first: 400,
                 final_steps: 1000,

@@ -45,7 +45,7 @@ pub struct SphSettings {
     pub air_density: f64,
     /// How much momentum leaves a propeller.
     pub emission: Emission,
-    /// Distance of particles in air at rest, metres (docs/wash-study.md).
+    /// Distance of particles in air at rest, metres (experiments/studies/wash.md).
     pub spacing: f64,
     /// Radius of the kernel's support, in spacings.
     pub support_spacings: f64,
