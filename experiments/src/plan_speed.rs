@@ -2,7 +2,7 @@
 
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
 use sms_plan::{Halton, Method, Perturbation, PlanConfig, PlanError, plan};
 use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
 use sms_task::Action;
@@ -45,7 +45,13 @@ pub fn run_plan_speed(
         for (key, config) in kinds {
             let (began, warnings) = (Instant::now(), Warnings::new());
             let seed = Seed(scene.seed);
-            plan(&arm_task, &scene.scene, &RapierFactory, &config, seed, &NoProgress, cancel, &warnings)?;
+            plan(
+                &arm_task,
+                &scene.scene,
+                &RapierFactory,
+                &config,
+                StageContext::quiet(cancel, &warnings).with_seed(seed),
+            )?;
             row.push((key, began.elapsed().as_secs_f64()));
         }
         rows.push(row);

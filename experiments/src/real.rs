@@ -6,7 +6,7 @@ use crate::panels::write_panel;
 use crate::prepare::Prepared;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, Seed, Warnings};
+use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, StageContext, Warnings};
 use sms_entities::build_entities;
 use sms_eval::TrueView;
 use sms_eval::{DepthErrors, ShownView, psnr_db};
@@ -102,5 +102,11 @@ fn entities(
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
     // Problems in the rest of a real scene are not measured here.
     let warnings = Warnings::new();
-    Ok(build_entities(model, &sequence, &labels, &options.entities, Seed(0), progress, cancel, &warnings)?)
+    Ok(build_entities(
+        model,
+        &sequence,
+        &labels,
+        &options.entities,
+        StageContext::new(progress, cancel, &warnings),
+    )?)
 }

@@ -4,7 +4,7 @@ use crate::robust_table::summarise;
 use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
 use sms_core::process::thread_cpu_seconds;
-use sms_core::{Cancel, Hash, InputError, NoProgress, Progress, Seed, Warnings, hash_serializable};
+use sms_core::{Cancel, Hash, InputError, Progress, Seed, StageContext, Warnings, hash_serializable};
 use sms_plan::{Perturbation, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};
 use sms_target::TargetEngine;
@@ -324,8 +324,13 @@ impl Running<'_> {
         let scene = &self.scenes[scene];
         let (seed, warnings) = (Seed(scene.seed).derive("bench robust"), Warnings::new());
         let clock = Clock::start();
-        let outcome =
-            plan(&scene.task, &scene.scene, &RapierFactory, config, seed, &NoProgress, cancel, &warnings)?;
+        let outcome = plan(
+            &scene.task,
+            &scene.scene,
+            &RapierFactory,
+            config,
+            StageContext::quiet(cancel, &warnings).with_seed(seed),
+        )?;
         let cpu_s = clock.seconds();
         let worlds = self.worlds(scene, self.bench.worlds)?;
         let action = &outcome.plan.action;
@@ -398,6 +403,7 @@ impl Clock {
 mod tests {
     use super::*;
     use crate::robust_table;
+    use sms_core::NoProgress;
 
     #[test]
     fn fixed_scenes_go_by_their_numbers() {

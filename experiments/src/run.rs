@@ -13,7 +13,7 @@ use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
 use sms_core::process;
-use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, Warnings, atomic};
+use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, StageContext, Warnings, atomic};
 use sms_entities::build_entities;
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
@@ -90,12 +90,9 @@ pub fn run_scene_with<T: Trainer>(
         &prepared.sequence,
         &prepared.labels,
         &options.scan,
-        SCAN_SEED,
         &work,
         &mut trainer,
-        progress,
-        cancel,
-        warnings,
+        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.seconds();
     // Before anything is measured, which takes memory, too.
@@ -373,8 +370,13 @@ fn mesh_scores(
 ) -> Result<(SceneScores, SceneScores, f64), BenchError> {
     let timer = Timer::start();
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
-    let set =
-        build_entities(model, &sequence, &labels, &options.entities, SCAN_SEED, progress, cancel, warnings)?;
+    let set = build_entities(
+        model,
+        &sequence,
+        &labels,
+        &options.entities,
+        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
+    )?;
     let seconds = timer.seconds().0;
     let (mut mesh, mut cloud) = (Vec::new(), Vec::new());
     for entity in set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic) {

@@ -19,9 +19,14 @@ pub struct StageContext<'a> {
 }
 
 impl<'a> StageContext<'a> {
+    /// A context with seed 0.
+    pub fn new(progress: &'a dyn Progress, cancel: &'a Cancel, warnings: &'a Warnings) -> Self {
+        Self { progress, cancel, warnings, seed: Seed(0) }
+    }
+
     /// A context without progress and with seed 0, for tests and for callers that show nothing.
     pub fn quiet(cancel: &'a Cancel, warnings: &'a Warnings) -> Self {
-        Self { progress: &NoProgress, cancel, warnings, seed: Seed(0) }
+        Self::new(&NoProgress, cancel, warnings)
     }
 
     /// The same services with another seed.

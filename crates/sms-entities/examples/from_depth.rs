@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p sms-entities --example from_depth -- RECORDING files|truth|geometry [OUT]`
 
-use sms_core::{Cancel, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, NoProgress, StageContext, Warnings};
 use sms_entities::{EntitiesConfig, build_entities, save_entities};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 use sms_gaussians::GaussianModel;
@@ -15,18 +15,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
     let recording = Recording::open(source, &ReadOptions::default())?;
-    let sequence = load(&recording, &LoadSettings::default(), &progress, &cancel, &warnings)?;
+    let sequence =
+        load(&recording, &LoadSettings::default(), StageContext::new(&progress, &cancel, &warnings))?;
     let segmenter: Box<dyn Segmenter> = match masks.as_str() {
         "truth" => Box::new(TruthMasks),
         "geometry" => Box::new(GeometryMasks::default()),
         _ => Box::new(FileMasks::default()),
     };
-    let labels = segmenter.segment(&sequence, &progress, &cancel, &warnings)?;
+    let labels = segmenter.segment(&sequence, StageContext::new(&progress, &cancel, &warnings))?;
     let progress = sms_core::PlainProgress::new(std::time::Duration::ZERO);
     let began = std::time::Instant::now();
     let config = EntitiesConfig::default();
     let model = GaussianModel::default();
-    let set = build_entities(&model, &sequence, &labels, &config, Seed(0), &progress, &cancel, &warnings)?;
+    let set = build_entities(
+        &model,
+        &sequence,
+        &labels,
+        &config,
+        StageContext::new(&progress, &cancel, &warnings),
+    )?;
     println!(
         "{:.2?}, support {:?}, X_world_recording {:?}",
         began.elapsed(),

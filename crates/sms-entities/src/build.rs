@@ -18,8 +18,7 @@ use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{
-    Aabb, Cancel, CoreError, Entity, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Progress, Seed,
-    Warnings,
+    Aabb, CoreError, Entity, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed, StageContext, Warnings,
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
@@ -52,11 +51,9 @@ pub fn build_entities(
     sequence: &Sequence,
     labels: &Labels,
     config: &EntitiesConfig,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<EntitySet, EntitiesError> {
+    let StageContext { progress, cancel, warnings, seed } = context;
     config.validate()?;
     check_inputs(sequence, labels)?;
     let views = Views { sequence, labels };

@@ -6,7 +6,7 @@ use common::*;
 use rand::RngExt;
 use sms_core::glamx::{DVec3, Quat, Vec3};
 use sms_core::{
-    Cancel, Entity, EntityShape, LabelInfo, MaskSource, Mesh, NoProgress, PointCloud, Seed, Warnings,
+    Cancel, Entity, EntityShape, LabelInfo, MaskSource, Mesh, PointCloud, Seed, StageContext, Warnings,
     polyhedron_mass_properties,
 };
 use sms_entities::{
@@ -44,9 +44,14 @@ fn check_body(entity: &Entity) {
 fn build_with(fixture: &Fixture, config: &EntitiesConfig) -> (EntitySet, Vec<String>) {
     let warnings = Warnings::new();
     let (model, sequence, labels) = (&fixture.model, &fixture.sequence, &fixture.labels);
-    let set =
-        build_entities(model, sequence, labels, config, Seed(1), &NoProgress, &Cancel::new(), &warnings)
-            .unwrap();
+    let set = build_entities(
+        model,
+        sequence,
+        labels,
+        config,
+        StageContext::quiet(&Cancel::new(), &warnings).with_seed(Seed(1)),
+    )
+    .unwrap();
     let messages: Vec<String> =
         warnings.snapshot().iter().map(|w| format!("{}: {}", w.code, w.message)).collect();
     for info in &labels.objects {
@@ -177,10 +182,7 @@ fn gaussians_that_are_no_numbers_are_passed_over_and_such_depths_refused() {
             &fixture.sequence,
             &fixture.labels,
             &EntitiesConfig::default(),
-            Seed(1),
-            &NoProgress,
-            &Cancel::new(),
-            &Warnings::new(),
+            StageContext::quiet(&Cancel::new(), &Warnings::new()).with_seed(Seed(1)),
         );
         assert!(refused.unwrap_err().to_string().contains("depth of frame 3"));
     }

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Observation, observe, round_bowl};
 use sms_core::glamx::{DPose3, DVec3};
-use sms_core::{Cancel, NoProgress, Seed, Warnings, sphere_mass_properties};
+use sms_core::{Cancel, Seed, StageContext, Warnings, sphere_mass_properties};
 use sms_entities::{EntitiesConfig, build_entities};
 use sms_scene::{Body, BodyKind, BodyShape, build_scene, example_material, floor_body};
 use sms_sim::{RapierF64Factory, RapierFactory, Simulation, WorldFactory, WorldOptions};
@@ -19,10 +19,7 @@ fn a_ball_dropped_into_a_scanned_bowl_stays_in_it() {
         &fixture.sequence,
         &fixture.labels,
         &EntitiesConfig::default(),
-        Seed(1),
-        &NoProgress,
-        &Cancel::new(),
-        &Warnings::new(),
+        StageContext::quiet(&Cancel::new(), &Warnings::new()).with_seed(Seed(1)),
     )
     .unwrap();
     let support = set.support_height.zip(Some(example_material()));

@@ -5,7 +5,7 @@ mod common;
 use common::*;
 use proptest::prelude::*;
 use sms_core::glamx::DVec3;
-use sms_core::{Cancel, EntityKind, EntityShape, MaskSource, Mesh, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, EntityKind, EntityShape, MaskSource, Mesh, NoProgress, Seed, StageContext, Warnings};
 use sms_entities::{
     ConvexConfig, EntitiesConfig, EntitiesError, EntitySet, MeshRule, build_entities, convex_parts,
     load_entities, save_entities,
@@ -18,10 +18,7 @@ fn run(fixture: &Fixture, config: &EntitiesConfig, warnings: &Warnings) -> Resul
         &fixture.sequence,
         &fixture.labels,
         config,
-        Seed(1),
-        &progress,
-        &cancel,
-        warnings,
+        StageContext::new(&progress, &cancel, warnings).with_seed(Seed(1)),
     )
 }
 

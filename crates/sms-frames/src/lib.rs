@@ -9,11 +9,11 @@
 //! Camera axes are OpenCV's and pixel centres lie at +0.5, whatever the recording used.
 //!
 //! ```no_run
-//! use sms_core::{Cancel, NoProgress, Warnings};
+//! use sms_core::{Cancel, StageContext, Warnings};
 //! use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 //! let recording = Recording::open("scan_of_my_desk", &ReadOptions::default())?;
 //! let settings = LoadSettings { long_side: 320, ..LoadSettings::default() };
-//! let sequence = load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new())?;
+//! let sequence = load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new()))?;
 //! assert_eq!(sequence.frames[0].color.width.max(sequence.frames[0].color.height), 320);
 //! # Ok::<(), sms_frames::FramesError>(())
 //! ```

@@ -6,9 +6,7 @@ use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 use crate::{Frame, FramesError, LoadSettings, RecordedFrame, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{
-    Camera, Cancel, ColorImage, DepthImage, InputError, Intrinsics, NormalImage, Progress, Warnings,
-};
+use sms_core::{Camera, ColorImage, DepthImage, InputError, Intrinsics, NormalImage, StageContext};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A frame before alignment.
@@ -35,10 +33,9 @@ pub fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<us
 pub fn load(
     recording: &Recording,
     settings: &LoadSettings,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Sequence, FramesError> {
+    let StageContext { progress, cancel, warnings, .. } = context;
     settings.validate()?;
     for notice in &recording.notices {
         warnings.add("scan", notice.code, notice.message.clone(), notice.cure.clone());

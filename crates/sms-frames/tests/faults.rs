@@ -4,7 +4,9 @@ mod common;
 
 use common::{Written, save, write};
 use serde_json::{Value, json};
-use sms_core::{Cancel, CoreError, Image, NoProgress, Warnings, write_png_color, write_png_gray16};
+use sms_core::{
+    Cancel, CoreError, Image, NoProgress, StageContext, Warnings, write_png_color, write_png_gray16,
+};
 use sms_frames::{FramesError, LoadSettings, ReadOptions, Recording, Sequence, check, load};
 use std::path::Path;
 
@@ -15,7 +17,7 @@ fn small() -> Written {
 fn scan(dir: &Path, options: &ReadOptions) -> Result<Sequence, FramesError> {
     let recording = Recording::open(dir, options)?;
     let settings = LoadSettings { long_side: 80, ..LoadSettings::default() };
-    load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new())
+    load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new()))
 }
 
 /// Writes a recording, spoils it, and looks at the message of a scan (and of a check, where opening succeeds).
@@ -215,9 +217,10 @@ fn options_out_of_range_and_cancelled_work() {
     let recording = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
     let cancel = Cancel::new();
     cancel.cancel();
-    let cancelled = load(&recording, &LoadSettings::default(), &NoProgress, &cancel, &Warnings::new());
+    let cancelled =
+        load(&recording, &LoadSettings::default(), StageContext::quiet(&cancel, &Warnings::new()));
     assert!(matches!(cancelled, Err(CoreError::Interrupted)));
     let late = LoadSettings { first: 3, ..LoadSettings::default() };
-    let error = load(&recording, &late, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap_err();
+    let error = load(&recording, &late, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap_err();
     assert!(error.to_string().contains("no frame is left"), "{error}");
 }

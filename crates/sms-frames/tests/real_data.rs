@@ -1,7 +1,7 @@
 //! On the recordings of `SMS_TEST_DATA`; skipped with a printed reason where they are absent.
 
 use glamx::DVec3;
-use sms_core::{Cancel, NoProgress, Warnings};
+use sms_core::{Cancel, NoProgress, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 use std::path::PathBuf;
 
@@ -39,7 +39,7 @@ fn the_bin_recording_fills_up_and_stands_upright() {
     let started = std::time::Instant::now();
     let warnings = Warnings::new();
     let sequence =
-        load(&recording, &LoadSettings::default(), &NoProgress, &Cancel::new(), &warnings).unwrap();
+        load(&recording, &LoadSettings::default(), StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     let seconds = started.elapsed().as_secs_f64();
     let loaded = fill(sequence.frames.iter().map(|f| f.depth.clone()));
     let with_normal = sequence
@@ -68,7 +68,8 @@ fn the_shelf_recording_stands_upright() {
     let Some(dir) = data("seq_shelf_tissue") else { return };
     let recording = Recording::open(&dir, &options()).unwrap();
     let sequence =
-        load(&recording, &LoadSettings::default(), &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+        load(&recording, &LoadSettings::default(), StageContext::quiet(&Cancel::new(), &Warnings::new()))
+            .unwrap();
     let tilt = (sequence.x_world_recording.rotation * DVec3::Z).angle_between(DVec3::Z).to_degrees();
     println!("gravity off by {tilt:.2} deg");
     assert!(tilt < 3.0);

@@ -3,7 +3,7 @@
 mod common;
 
 use glamx::{DPose3, DQuat, DVec3};
-use sms_core::{Cancel, Image, NoProgress, Warnings, write_png_color, write_png_gray16};
+use sms_core::{Cancel, Image, NoProgress, StageContext, Warnings, write_png_color, write_png_gray16};
 use sms_frames::{FramesError, LoadSettings, ReadOptions, Recording, RecordingFormat, check, load};
 use std::fmt::Write;
 use std::path::Path;
@@ -76,7 +76,8 @@ fn frames_are_associated_posed_and_measured() {
     let report = check(&recording, &NoProgress, &Cancel::new()).unwrap();
     assert!(report.approved(), "{report}");
     let sequence =
-        load(&recording, &LoadSettings::default(), &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+        load(&recording, &LoadSettings::default(), StageContext::quiet(&Cancel::new(), &Warnings::new()))
+            .unwrap();
     let up = sequence.x_world_recording.rotation * DVec3::Z;
     assert!(up.angle_between(DVec3::Z).to_degrees() < 1.0);
 }

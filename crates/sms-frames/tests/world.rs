@@ -6,7 +6,7 @@ use common::{Written, save, write};
 use glamx::{DPose3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
 use serde_json::json;
-use sms_core::{Cancel, NoProgress, Warnings};
+use sms_core::{Cancel, StageContext, Warnings};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, load};
 use std::path::Path;
 
@@ -17,7 +17,7 @@ fn settings() -> LoadSettings {
 fn scan(dir: &Path, settings: &LoadSettings) -> (Sequence, Warnings) {
     let recording = Recording::open(dir, &ReadOptions::default()).unwrap();
     let warnings = Warnings::new();
-    let sequence = load(&recording, settings, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let sequence = load(&recording, settings, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     (sequence, warnings)
 }
 
@@ -146,7 +146,8 @@ fn frames_can_be_thinned_and_labels_follow() {
     let recording = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
     let settings =
         LoadSettings { long_side: 40, first: 2, stride: 2, max_frames: 3, ..LoadSettings::default() };
-    let sequence = load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+    let sequence =
+        load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap();
     let names: Vec<_> =
         sequence.frames.iter().map(|f| f.color_path.file_name().unwrap().to_owned()).collect();
     assert_eq!(names, ["000002.png", "000004.png", "000006.png"]);

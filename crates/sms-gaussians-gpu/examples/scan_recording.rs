@@ -5,7 +5,7 @@
 //! resolution, whatever the preset.
 
 use sms_core::glamx::Vec3;
-use sms_core::{Camera, Cancel, NoProgress, Seed, Warnings};
+use sms_core::{Camera, Cancel, Seed, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
@@ -27,8 +27,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (cancel, warnings, seed) = (Cancel::new(), Warnings::new(), Seed(0));
     let recording = Recording::open(Path::new(recording), &ReadOptions::default())?;
     let settings = LoadSettings { long_side: 640, ..LoadSettings::default() };
-    let sequence = load(&recording, &settings, &NoProgress, &cancel, &warnings)?;
-    let labels = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings)?;
+    let sequence = load(&recording, &settings, StageContext::quiet(&cancel, &warnings))?;
+    let labels = GeometryMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings))?;
     let preset = options.first().filter(|o| !o.starts_with('-')).map_or("fine", String::as_str);
     let mut config = ScanConfig { holdout: 8, ..ScanConfig::preset(preset.parse::<Preset>()?) };
     if let Some(at) = options.iter().position(|o| o == "--steps-frame") {
@@ -54,8 +54,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let opened_s = began.elapsed().as_secs_f64();
     let dir = std::env::temp_dir().join(format!("sms-scan-{}", std::process::id()));
     let began = Instant::now();
-    let result =
-        scan(&sequence, &labels, &config, seed, &dir, &mut trainer, &NoProgress, &cancel, &warnings)?;
+    let result = scan(
+        &sequence,
+        &labels,
+        &config,
+        &dir,
+        &mut trainer,
+        StageContext::quiet(&cancel, &warnings).with_seed(seed),
+    )?;
     let seconds = began.elapsed().as_secs_f64();
     println!("{device} {preset}: {seconds:.2} s, opening and self-check {opened_s:.2} s");
     for (stage, seconds) in result.stages.iter() {

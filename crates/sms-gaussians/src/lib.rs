@@ -6,7 +6,8 @@
 //! against. [`write_ply`] and [`read_ply`] keep the model as a standard 3D Gaussian Splatting file.
 //!
 //! ```
-//! use sms_core::{BACKGROUND, Camera, Cancel, Image, Intrinsics, Labels, MaskSource, NoProgress, Seed, Warnings};
+//! use sms_core::{BACKGROUND, Camera, Cancel, Image, Intrinsics, Labels, MaskSource};
+//! use sms_core::{Seed, StageContext, Warnings};
 //! use sms_core::glamx::DPose3;
 //! use sms_frames::{Frame, Sequence};
 //! use sms_gaussians::{CpuTrainer, Preset, ScanConfig, read_ply, scan};
@@ -30,9 +31,8 @@
 //! let mut trainer = CpuTrainer::new(&config.train, labels.class_count(), seed);
 //! let dir = tempfile::tempdir()?;
 //! let (cancel, warnings) = (Cancel::new(), Warnings::new());
-//! let result = scan(
-//!     &sequence, &labels, &config, seed, dir.path(), &mut trainer, &NoProgress, &cancel, &warnings,
-//! )?;
+//! let context = StageContext::quiet(&cancel, &warnings).with_seed(seed);
+//! let result = scan(&sequence, &labels, &config, dir.path(), &mut trainer, context)?;
 //! assert!(result.model.positions_w.iter().all(|p| (p.z - 0.5).abs() < 1e-3));
 //! assert_eq!(read_ply(&dir.path().join("scene.ply"))?.len(), result.model.len());
 //! # Ok::<(), Box<dyn std::error::Error>>(())

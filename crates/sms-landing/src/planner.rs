@@ -7,7 +7,7 @@ use crate::{
     LandingAction, LandingError, LandingPlan, LandingPlanOutcome, LandingPrediction, LandingRecording,
     LandingSettings, PlannedBody, ResolvedLanding, RolloutOptions,
 };
-use sms_core::{Cancel, Progress, Seed, Warnings};
+use sms_core::{Seed, StageContext, Warnings};
 use sms_plan::{Halton, LocalSearch, NelderMead, Trial, TrialPhase};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::WorldFactory;
@@ -75,11 +75,9 @@ pub fn plan_landing(
     scene: &Scene,
     factory: &dyn WorldFactory,
     settings: &LandingSettings,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<LandingPlanOutcome, LandingError> {
+    let StageContext { progress, cancel, warnings, seed } = context;
     settings.validate(Path::new("(settings of the planner)"))?;
     let robust = settings.worlds > 0;
     let mut scene = scene.without_pictures();

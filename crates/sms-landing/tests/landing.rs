@@ -1,7 +1,7 @@
 //! Landings against closed forms, and faults.
 
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{Cancel, Interval, NoProgress, Seed, Warnings, box_mass_properties};
+use sms_core::{Cancel, Interval, NoProgress, Seed, StageContext, Warnings, box_mass_properties};
 use sms_landing::{
     LandingAction, LandingError, LandingPlan, LandingRecording, LandingSettings, LandingTask, LandingWorld,
     PlannedBody, QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,
@@ -277,10 +277,7 @@ fn plan_with(threads: usize, settings: &LandingSettings) -> sms_landing::Landing
             &scene,
             &RapierFactory,
             settings,
-            Seed(3),
-            &NoProgress,
-            &Cancel::new(),
-            &Warnings::new(),
+            StageContext::quiet(&Cancel::new(), &Warnings::new()).with_seed(Seed(3)),
         )
     })
     .unwrap()
@@ -375,9 +372,14 @@ fn a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
     for seed in [1, 2] {
         let warnings = Warnings::new();
         let (quiet, cancel) = (NoProgress, Cancel::new());
-        let planned =
-            plan_landing(&landing, &told, &RapierFactory, &settings, Seed(seed), &quiet, &cancel, &warnings)
-                .unwrap();
+        let planned = plan_landing(
+            &landing,
+            &told,
+            &RapierFactory,
+            &settings,
+            StageContext::new(&quiet, &cancel, &warnings).with_seed(Seed(seed)),
+        )
+        .unwrap();
         let screened = planned.trials.iter().filter(|t| t.phase == sms_plan::TrialPhase::Screen);
         let good: Vec<LandingAction> = screened
             .filter(|t| t.objective < 1.0)
@@ -404,10 +406,7 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
             scene,
             &RapierFactory,
             &LandingSettings { forecast_worlds: 0, ..quick() },
-            Seed(1),
-            &NoProgress,
-            &Cancel::new(),
-            warnings,
+            StageContext::quiet(&Cancel::new(), warnings).with_seed(Seed(1)),
         )
     };
     // 0.8 kg hold 2 kg.
@@ -501,10 +500,7 @@ fn a_plan_on_something_fixed_warns() {
         &scene,
         &RapierFactory,
         &settings,
-        Seed(1),
-        &NoProgress,
-        &Cancel::new(),
-        &warnings,
+        StageContext::quiet(&Cancel::new(), &warnings).with_seed(Seed(1)),
     )
     .unwrap();
     assert!(planned.plan.nominal.is_success() && planned.plan.predicted.is_none());
@@ -528,10 +524,7 @@ fn a_cancelled_plan_says_so() {
         &scene,
         &RapierFactory,
         &quick(),
-        Seed(1),
-        &NoProgress,
-        &cancel,
-        &Warnings::new(),
+        StageContext::quiet(&cancel, &Warnings::new()).with_seed(Seed(1)),
     )
     .unwrap_err();
     assert!(matches!(e, LandingError::Core(sms_core::CoreError::Interrupted)), "{e}");

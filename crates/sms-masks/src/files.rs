@@ -4,8 +4,8 @@ use crate::names::{file_name, unique};
 use crate::{MasksError, STAGE, Segmenter};
 use serde::Deserialize;
 use sms_core::{
-    BACKGROUND, Cancel, Image, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, Warnings,
-    atomic, read_png_labels,
+    BACKGROUND, Cancel, Image, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, StageContext,
+    Warnings, atomic, read_png_labels,
 };
 use sms_frames::{Frame, Sequence};
 use std::collections::BTreeMap;
@@ -67,13 +67,8 @@ impl FileMasks {
 }
 
 impl Segmenter for FileMasks {
-    fn segment(
-        &self,
-        sequence: &Sequence,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-        warnings: &Warnings,
-    ) -> Result<Labels, MasksError> {
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
+        let StageContext { progress, cancel, warnings, .. } = context;
         // All paths first: a missing mask should be reported before minutes of reading.
         let paths = sequence.frames.iter().map(|f| self.path_of(f)).collect::<Result<Vec<_>, _>>()?;
         let maps = read_maps(sequence, &paths, progress, cancel)?;
@@ -247,7 +242,8 @@ pub(crate) fn number_labels(
 mod tests {
     use super::*;
     use crate::fixture;
-    use sms_core::{NoProgress, write_png_gray16};
+    use sms_core::StageContext;
+    use sms_core::write_png_gray16;
 
     /// A sequence of `n` frames of 8×6 whose recording (with masks of 16×12) lies in `dir`.
     fn recording(dir: &Path, n: usize) -> Sequence {
@@ -267,7 +263,7 @@ mod tests {
     }
 
     fn run(masks: &FileMasks, sequence: &Sequence, warnings: &Warnings) -> Result<Labels, MasksError> {
-        masks.segment(sequence, &NoProgress, &Cancel::new(), warnings)
+        masks.segment(sequence, StageContext::quiet(&Cancel::new(), warnings))
     }
 
     #[test]
@@ -376,7 +372,7 @@ mod tests {
         let sequence = recording(dir.path(), 1);
         let cancel = Cancel::new();
         cancel.cancel();
-        let stopped = FileMasks::default().segment(&sequence, &NoProgress, &cancel, &Warnings::new());
+        let stopped = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &Warnings::new()));
         assert!(matches!(stopped, Err(MasksError::Core(sms_core::CoreError::Interrupted))));
     }
 }

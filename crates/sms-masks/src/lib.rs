@@ -14,12 +14,12 @@
 //! may be edited and objects merged.
 //!
 //! ```
-//! use sms_core::{Cancel, NoProgress, Warnings, glamx::DPose3};
+//! use sms_core::{Cancel, StageContext, Warnings, glamx::DPose3};
 //! use sms_frames::Sequence;
 //! use sms_masks::{GeometryMasks, Segmenter};
 //! let empty = Sequence { frames: vec![], x_world_recording: DPose3::identity(), source: "nowhere".into() };
 //! let warnings = Warnings::new();
-//! let labels = GeometryMasks::default().segment(&empty, &NoProgress, &Cancel::new(), &warnings)?;
+//! let labels = GeometryMasks::default().segment(&empty, StageContext::quiet(&Cancel::new(), &warnings))?;
 //! assert!(labels.maps.is_empty() && labels.objects.is_empty());
 //! assert_eq!(warnings.snapshot()[0].code, "no_objects");
 //! # Ok::<(), sms_masks::MasksError>(())
@@ -51,7 +51,7 @@ pub use store::{load_labels, save_labels};
 pub use truth::TruthMasks;
 pub use unknown::add_unknown;
 
-use sms_core::{Cancel, Progress, Warnings};
+use sms_core::StageContext;
 use sms_frames::Sequence;
 
 /// The stage's name in warnings.
@@ -65,11 +65,5 @@ pub trait Segmenter {
     /// # Errors
     /// [`MasksError::Input`] when what the user gave does not fit the sequence, [`MasksError::Core`] for files and
     /// interruption.
-    fn segment(
-        &self,
-        sequence: &Sequence,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-        warnings: &Warnings,
-    ) -> Result<Labels, MasksError>;
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError>;
 }

@@ -4,7 +4,7 @@ use crate::files::{number_labels, read_maps};
 use crate::names::{file_name, unique};
 use crate::{MasksError, Segmenter};
 use serde::Deserialize;
-use sms_core::{Cancel, InputError, LabelInfo, Labels, MaskSource, Progress, Warnings, atomic};
+use sms_core::{InputError, LabelInfo, Labels, MaskSource, StageContext, atomic};
 use sms_frames::Sequence;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -26,13 +26,8 @@ struct TruthObject {
 }
 
 impl Segmenter for TruthMasks {
-    fn segment(
-        &self,
-        sequence: &Sequence,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-        warnings: &Warnings,
-    ) -> Result<Labels, MasksError> {
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
+        let StageContext { progress, cancel, warnings, .. } = context;
         let folder = sequence.source.join("truth");
         let path = folder.join("truth.json");
         if !path.is_file() {
@@ -81,7 +76,8 @@ impl Segmenter for TruthMasks {
 mod tests {
     use super::*;
     use crate::fixture;
-    use sms_core::{Image, NoProgress, write_png_gray16};
+    use sms_core::{Cancel, Warnings};
+    use sms_core::{Image, write_png_gray16};
 
     #[test]
     fn truth_is_read_in_the_objects_order_and_its_absence_is_explained() {
@@ -89,7 +85,7 @@ mod tests {
         let mut sequence = fixture::blank_sequence(2, 4, 2);
         sequence.source = dir.path().to_owned();
         let warnings = Warnings::new();
-        let run = |s: &Sequence| TruthMasks.segment(s, &NoProgress, &Cancel::new(), &warnings);
+        let run = |s: &Sequence| TruthMasks.segment(s, StageContext::quiet(&Cancel::new(), &warnings));
         let message = run(&sequence).unwrap_err().to_string();
         assert!(message.contains("truth.json") && message.contains("--masks geometry"), "{message}");
 

@@ -1,6 +1,6 @@
 //! The recordings in `SMS_TEST_DATA` (by default `../shared/data` beside the workspace), skipped where absent.
 
-use sms_core::{Cancel, LabelMap, Labels, NoProgress, Warnings};
+use sms_core::{Cancel, LabelMap, Labels, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_masks::{FileMasks, GeometryMasks, Segmenter};
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ fn recording(name: &str) -> Option<Sequence> {
     }
     let recording = Recording::open(&folder, &ReadOptions::default()).unwrap();
     let settings = LoadSettings { long_side: 320, stride: 2, ..LoadSettings::default() };
-    Some(load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap())
+    Some(load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap())
 }
 
 fn overlap(a: &[LabelMap], a_id: u16, b: &[LabelMap], b_id: u16) -> (usize, usize, usize) {
@@ -41,11 +41,11 @@ fn best_overlap(given: &Labels, id: u16, found: &Labels) -> f64 {
 fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
     let Some(sequence) = recording("seq_tabletop_bin") else { return };
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
-    let given = FileMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
+    let given = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     assert_eq!(given.objects.len(), 1);
     assert_eq!(given.objects[0].name, "elmers_washable_school_glue");
     let began = Instant::now();
-    let found = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
+    let found = GeometryMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     println!("bin: {} objects in {:.1} s", found.objects.len(), began.elapsed().as_secs_f64());
     assert!((4..=40).contains(&found.objects.len()));
     let best = best_overlap(&given, 1, &found);
@@ -58,10 +58,10 @@ fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
 fn a_shelf_that_is_hardly_seen_is_labelled_without_complaint() {
     let Some(sequence) = recording("seq_shelf_tissue") else { return };
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
-    let given = FileMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
+    let given = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     assert_eq!(given.objects.len(), 2);
     let began = Instant::now();
-    let found = GeometryMasks::default().segment(&sequence, &NoProgress, &cancel, &warnings).unwrap();
+    let found = GeometryMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     println!("shelf: {} objects in {:.1} s", found.objects.len(), began.elapsed().as_secs_f64());
     assert_eq!(found.maps.len(), sequence.len());
     let ious: Vec<f64> = given.objects.iter().map(|o| best_overlap(&given, o.id, &found)).collect();

@@ -10,7 +10,8 @@ use candle_core::Device;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    BACKGROUND, Cancel, ColorImage, CoreError, InputError, LabelMap, Labels, MaskSource, Progress, Warnings,
+    BACKGROUND, Cancel, ColorImage, CoreError, InputError, LabelMap, Labels, MaskSource, Progress,
+    StageContext, Warnings,
 };
 use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
 use sms_masks::{MasksError, Segmenter};
@@ -444,13 +445,8 @@ impl NetsMasks {
 
 impl Segmenter for NetsMasks {
     /// The networks' borders waver by some pixels: [`sms_masks::complete`] corrects them, as it does those of other sources.
-    fn segment(
-        &self,
-        sequence: &Sequence,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-        warnings: &Warnings,
-    ) -> Result<Labels, MasksError> {
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
+        let StageContext { progress, cancel, warnings, .. } = context;
         let found = self.find_first(sequence, cancel, warnings)?;
         self.follow(sequence, &found, progress, cancel, warnings)
     }

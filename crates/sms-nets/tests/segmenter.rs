@@ -5,7 +5,7 @@ mod support;
 
 use glamx::{DPose3, DVec3};
 use sms_core::{
-    Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, Labels, MaskSource, NoProgress, NormalImage,
+    Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, Labels, MaskSource, NormalImage, StageContext,
     Warnings, write_png_color, write_png_gray16,
 };
 use sms_frames::{Frame, LoadSettings, ReadOptions, Recording, Sequence, load};
@@ -80,7 +80,7 @@ fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
                 read: ReadOptions::default(),
             };
             let warnings = Warnings::new();
-            let run = || masks.segment(&sequence(3), &NoProgress, &Cancel::new(), &warnings).unwrap();
+            let run = || masks.segment(&sequence(3), StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
             let labels = run();
             assert_eq!(labels.source, MaskSource::Foundation);
             assert_eq!(labels.maps.len(), 3);
@@ -93,7 +93,7 @@ fn boxes_and_queries_become_labels_by_memory_and_by_prompting_anew() {
             assert_eq!(labels, run(), "the same every time on {name}");
             let cancel = Cancel::new();
             cancel.cancel();
-            let stopped = masks.segment(&sequence(3), &NoProgress, &cancel, &warnings).unwrap_err();
+            let stopped = masks.segment(&sequence(3), StageContext::quiet(&cancel, &warnings)).unwrap_err();
             assert!(stopped.to_string().contains("interrupted"), "{stopped}");
             // Elsewhere the same objects have the same pixels, up to those whose logits are as good as equal.
             if let Some(first) = &first {
@@ -129,7 +129,7 @@ fn an_object_that_leaves_the_view_for_good_is_told_and_has_no_mask_after() {
         frame.camera.x_wc = DPose3::rotation(DVec3::new(0.0, std::f64::consts::PI, 0.0));
     }
     let warnings = Warnings::new();
-    let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let labels = masks.segment(&sequence, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     let seen: Vec<bool> = labels.maps.iter().map(|m| m.data.contains(&1)).collect();
     assert_eq!(seen, [true, true, false, false, false]);
     assert_eq!(labels.objects.len(), 1, "it keeps its id");
@@ -163,7 +163,7 @@ fn recorded(folder: &Path) -> Sequence {
     std::fs::write(folder.join("transforms.json"), json.to_string()).unwrap();
     let recording = Recording::open(folder, &ReadOptions::default()).unwrap();
     let settings = LoadSettings { long_side: 150, ..LoadSettings::default() };
-    load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap()
+    load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap()
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn the_networks_look_at_the_pictures_as_they_were_recorded() {
         read: ReadOptions::default(),
     };
     let run = |sequence: &Sequence| {
-        masks.segment(sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap().maps
+        masks.segment(sequence, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap().maps
     };
     let with = run(&sequence);
     assert!(with.iter().all(|m| m.size() == (150, 100)));
@@ -205,13 +205,13 @@ fn no_detections_a_foreign_query_and_a_long_one_are_said() {
         read: ReadOptions::default(),
     };
     let warnings = Warnings::new();
-    let labels = masks.segment(&sequence(2), &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let labels = masks.segment(&sequence(2), StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     assert!(labels.objects.is_empty() && labels.maps.len() == 2);
     // Where other things are found, what is missing is told by name.
     let by_hand = vec![named("ball", 22.0, 20.0, 59.0, 57.0)];
     let some = NetsMasks { boxes: by_hand, ..masks.clone() };
     let others = Warnings::new();
-    some.segment(&sequence(1), &NoProgress, &Cancel::new(), &others).unwrap();
+    some.segment(&sequence(1), StageContext::quiet(&Cancel::new(), &others)).unwrap();
     let told = others.snapshot();
     let missing: Vec<&str> =
         told.iter().filter(|w| w.code == "object_not_found").map(|w| w.message.as_str()).collect();
@@ -234,7 +234,7 @@ fn bad_input_is_explained() {
     };
     let message = |masks: &NetsMasks| {
         let warnings = Warnings::new();
-        masks.segment(&sequence(1), &NoProgress, &Cancel::new(), &warnings).unwrap_err().to_string()
+        masks.segment(&sequence(1), StageContext::quiet(&Cancel::new(), &warnings)).unwrap_err().to_string()
     };
     let fault = |words: [&str; 2], change: &dyn Fn(&mut NetsMasks)| {
         let mut masks = base.clone();
@@ -284,7 +284,7 @@ fn a_detector_whose_config_cannot_be_is_refused_by_file_and_field() {
         (r#""patch_size": 16"#, r#""patch_size": "#, "line 42"),
     ] {
         std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
-        let run = masks.segment(&sequence(1), &NoProgress, &Cancel::new(), &Warnings::new());
+        let run = masks.segment(&sequence(1), StageContext::quiet(&Cancel::new(), &Warnings::new()));
         let message = run.unwrap_err().to_string();
         assert!(message.contains(word) && message.contains("config.json"), "{to}: {message}");
     }

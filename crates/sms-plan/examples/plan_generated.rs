@@ -6,7 +6,7 @@
 //! Tune on seeds from 1000 on; the ones below are for reported figures.
 
 use rand::RngExt;
-use sms_core::{Cancel, Interval, Material, Mesh, NoProgress, Property, PropertySource, Seed, Warnings};
+use sms_core::{Cancel, Interval, Material, Mesh, Property, PropertySource, Seed, StageContext, Warnings};
 use sms_plan::{PlanConfig, plan};
 use sms_scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene, floor_body};
 use sms_sim::{RapierF64Factory, RapierFactory, Simulation, WorldOptions};
@@ -105,8 +105,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let task = Task::Billiards(task).resolve(&believed)?;
         let began = Instant::now();
         let warnings = Warnings::new();
-        let outcome =
-            plan(&task, &believed, &RapierFactory, &config, Seed(1), &NoProgress, &Cancel::new(), &warnings)?;
+        let outcome = plan(
+            &task,
+            &believed,
+            &RapierFactory,
+            &config,
+            StageContext::quiet(&Cancel::new(), &warnings).with_seed(Seed(1)),
+        )?;
         let seconds = began.elapsed().as_secs_f64();
         let options = WorldOptions { dt: 0.25 * task.world_options().dt, ..task.world_options() };
         let mut target = Simulation::new(&RapierF64Factory, &true_scene, &options)?;

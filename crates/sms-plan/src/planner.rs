@@ -17,7 +17,7 @@ use crate::{
     BatchOptimiser, Plan, PlanConfig, PlanError, PlanOutcome, Prediction, Reason, Refusal, Sensitivity,
     StartSummary, Strategy, Trial, TrialPhase,
 };
-use sms_core::{Cancel, InputError, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, InputError, NoProgress, Seed, StageContext, Warnings};
 use sms_scene::Scene;
 use sms_sim::{BodyId, WorldFactory};
 use sms_task::{Action, MotionRecording, ResolvedTask, Rollout};
@@ -49,11 +49,9 @@ pub fn plan(
     scene: &Scene,
     factory: &dyn WorldFactory,
     config: &PlanConfig,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<PlanOutcome, PlanError> {
+    let StageContext { progress, cancel, warnings, seed } = context;
     config.validate(Path::new(SETTINGS))?;
     let session = Session {
         task,

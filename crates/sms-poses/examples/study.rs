@@ -6,7 +6,7 @@
 
 use glamx::{DPose3, DQuat, DVec3};
 use rand::RngExt;
-use sms_core::{Cancel, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, NoProgress, Seed, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load, normals_from_depth};
 use sms_poses::{PosesConfig, PosesMode, compare_poses, refine_poses};
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
@@ -59,7 +59,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for path in recordings {
         record_if_missing(Path::new(&path))?;
         let recording = Recording::open(Path::new(&path), &ReadOptions::default())?;
-        let mut sequence = load(&recording, &settings, &NoProgress, &Cancel::new(), &Warnings::new())?;
+        let mut sequence =
+            load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new()))?;
         for frame in &mut sequence.frames {
             if shift > 0 {
                 let old = frame.color.clone();
@@ -86,9 +87,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let refined = refine_poses(
             &sequence,
             &PosesConfig { mode: PosesMode::On, ..config.clone() },
-            &NoProgress,
-            &Cancel::new(),
-            &Warnings::new(),
+            StageContext::quiet(&Cancel::new(), &Warnings::new()),
         )?;
         let seconds = began.elapsed().as_secs_f64();
         let show = |s: &Sequence| {

@@ -21,12 +21,12 @@
 //! eliminated pair terms is the pose-graph form of it. Results do not depend on the number of threads.
 //!
 //! ```
-//! use sms_core::{Cancel, NoProgress, Warnings};
+//! use sms_core::{Cancel, StageContext, Warnings};
 //! use sms_poses::{PosesConfig, PosesMode, Verdict, refine_poses};
 //! # let sequence = sms_frames::Sequence {
 //! #     frames: Vec::new(), x_world_recording: glamx::DPose3::identity(), source: "here".into() };
 //! let config = PosesConfig { mode: PosesMode::Auto, ..PosesConfig::default() };
-//! let refined = refine_poses(&sequence, &config, &NoProgress, &Cancel::new(), &Warnings::new())?;
+//! let refined = refine_poses(&sequence, &config, StageContext::quiet(&Cancel::new(), &Warnings::new()))?;
 //! // This sequence has no frames, so that there was nothing to refine.
 //! assert_eq!(refined.report.verdict, Verdict::NotPossible);
 //! # Ok::<(), sms_core::CoreError>(())
@@ -50,7 +50,7 @@ pub use report::{PoseCorrection, PoseReport, Verdict};
 
 use glamx::DPose3;
 use refine::Problem;
-use sms_core::{Cancel, CoreError, Progress, Warnings};
+use sms_core::{CoreError, StageContext, Warnings};
 use sms_frames::Sequence;
 
 /// A sequence with the poses to use, and how they came about.
@@ -73,10 +73,9 @@ pub struct PoseRefinement {
 pub fn refine_poses(
     sequence: &Sequence,
     config: &PosesConfig,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<PoseRefinement, CoreError> {
+    let StageContext { progress, cancel, warnings, .. } = context;
     let keep = |report| Ok(PoseRefinement { sequence: sequence.clone(), report });
     if config.mode == PosesMode::Off {
         return keep(PoseReport::without_refinement(Verdict::Off));

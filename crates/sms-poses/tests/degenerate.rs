@@ -4,14 +4,14 @@ mod common;
 
 use common::{bare_floor, billiards, disturbed, poses, sequence};
 use glamx::{DQuat, DVec3};
-use sms_core::{Cancel, CoreError, Image, NoProgress, Warnings};
+use sms_core::{Cancel, CoreError, Image, StageContext, Warnings};
 use sms_frames::Sequence;
 use sms_poses::{PoseRefinement, PosesConfig, PosesMode, Verdict, compare_poses, refine_poses};
 
 fn refine(sequence: &Sequence) -> (PoseRefinement, Vec<String>) {
     let config = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };
     let warnings = Warnings::new();
-    let result = refine_poses(sequence, &config, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let result = refine_poses(sequence, &config, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     (result, warnings.snapshot().into_iter().map(|w| w.code).collect())
 }
 
@@ -111,9 +111,9 @@ fn interruption_and_settings_out_of_range_are_errors() {
     let on = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };
     let cancel = Cancel::new();
     cancel.cancel();
-    let interrupted = refine_poses(&given, &on, &NoProgress, &cancel, &Warnings::new());
+    let interrupted = refine_poses(&given, &on, StageContext::quiet(&cancel, &Warnings::new()));
     assert!(matches!(interrupted, Err(CoreError::Interrupted)));
     let wrong = PosesConfig { prior_position_m: 0.0, ..on };
-    let refused = refine_poses(&given, &wrong, &NoProgress, &Cancel::new(), &Warnings::new());
+    let refused = refine_poses(&given, &wrong, StageContext::quiet(&Cancel::new(), &Warnings::new()));
     assert!(refused.unwrap_err().to_string().contains("prior_position_m"));
 }

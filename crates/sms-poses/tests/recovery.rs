@@ -3,7 +3,7 @@
 mod common;
 
 use common::{billiards, disturbed, poses};
-use sms_core::{Cancel, NoProgress, Warnings};
+use sms_core::{Cancel, StageContext, Warnings};
 use sms_frames::Sequence;
 use sms_poses::{
     PoseRefinement, PosesConfig, PosesMode, Verdict, align_rigidly, compare_poses, refine_poses,
@@ -11,7 +11,7 @@ use sms_poses::{
 
 fn refine(sequence: &Sequence, mode: PosesMode) -> PoseRefinement {
     let config = PosesConfig { mode, ..PosesConfig::default() };
-    refine_poses(sequence, &config, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap()
+    refine_poses(sequence, &config, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap()
 }
 
 /// Distance of the scene from the cameras.

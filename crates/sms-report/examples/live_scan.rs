@@ -1,7 +1,7 @@
 //! Scans the frames and masks of a finished run once more, with the `draft` preset, and streams it to a Rerun viewer:
 //! `cargo run --release -p sms-report --features rerun --example live_scan -- RUN [ADDR]`.
 
-use sms_core::{Cancel, PlainProgress, Seed, Warnings};
+use sms_core::{Cancel, PlainProgress, Seed, StageContext, Warnings};
 use sms_frames::Sequence;
 use sms_gaussians::{CpuTrainer, Preset, ScanConfig, scan_observed};
 use sms_report::{LiveScan, Viewer};
@@ -23,13 +23,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &sequence,
         &labels,
         &config,
-        Seed(0),
         work.path(),
         &mut trainer,
         &mut live,
-        &progress,
-        &cancel,
-        &warnings,
+        StageContext::new(&progress, &cancel, &warnings),
     )?;
     live.finish()?;
     Ok(())

@@ -350,6 +350,7 @@ mod tests {
     use super::*;
     use sms_core::box_mass_properties;
     use sms_landing::{BodyChange, LandingEvaluations, LandingFailure, LandingTask};
+    use sms_scene::BodyShape;
     use sms_sim::BodyState;
     use sms_task::BodyTrack;
 

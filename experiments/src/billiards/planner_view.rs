@@ -10,7 +10,8 @@ use crate::{
 };
 use glamx::DMat3;
 use sms_core::{
-    Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, Warnings, hash_serializable,
+    Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, StageContext, Warnings,
+    hash_serializable,
 };
 use sms_entities::{EntitiesConfig, build_entities};
 use sms_materials::MaterialTable;
@@ -158,10 +159,7 @@ pub(crate) fn scanned(
         &trained.sequence,
         &trained.labels,
         entities,
-        SEED,
-        progress,
-        cancel,
-        &warnings,
+        StageContext::new(progress, cancel, &warnings).with_seed(SEED),
     )?;
     let table = MaterialTable::builtin();
     let materials: Vec<_> =

@@ -3,7 +3,7 @@
 use super::{BilliardsBench, Row, Shot};
 use crate::BenchError;
 use sms_core::process::cpu_seconds;
-use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings};
+use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
 use sms_plan::{Plan, PlanConfig, PlanError, plan, search_nominal};
 use sms_robots::RobotConfig;
 use sms_scene::Scene;
@@ -122,10 +122,7 @@ impl Planner<'_> {
             self.scene,
             &RapierFactory,
             config,
-            seed,
-            &NoProgress,
-            self.cancel,
-            &Warnings::new(),
+            StageContext::quiet(self.cancel, &Warnings::new()).with_seed(seed),
         );
         match found {
             Ok(outcome) => {

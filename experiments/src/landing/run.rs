@@ -8,7 +8,7 @@ use crate::billiards::planner_view::{apply_to_matched, forget_material, scanned}
 use crate::{BenchError, BilliardsGeometry, MaterialPrior, part_of};
 use rayon::prelude::*;
 use sms_core::process::cpu_seconds;
-use sms_core::{Cancel, NoProgress, Progress, Seed, Warnings, atomic};
+use sms_core::{Cancel, NoProgress, Progress, Seed, StageContext, Warnings, atomic};
 use sms_landing::{
     LandingAction, LandingError, LandingWorld, ResolvedLanding, RolloutOptions, Stuck, plan_landing,
 };
@@ -425,8 +425,14 @@ fn plan(
     let warnings = Warnings::new();
     let (settings, seed) = (&bench.settings, sight.seed);
     let (engine, quiet) = (&RapierFactory, &NoProgress);
-    let plan =
-        plan_landing(sight.landing, sight.scene, engine, settings, seed, quiet, cancel, &warnings)?.plan;
+    let plan = plan_landing(
+        sight.landing,
+        sight.scene,
+        engine,
+        settings,
+        StageContext::new(quiet, cancel, &warnings).with_seed(seed),
+    )?
+    .plan;
     Ok(LandingPlanned {
         predicted_share: plan.predicted.map(|p| p.success_share),
         predicted: plan.nominal.objective,

@@ -4,7 +4,7 @@ use crate::BenchError;
 use crate::options::BenchOptions;
 use crate::recordings::locate;
 use crate::scenes::{BenchScene, no_scene};
-use sms_core::{Cancel, Progress, Seed, Warnings};
+use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
 use sms_eval::carried;
 use sms_frames::{Frame, Recording, load};
 use sms_landing::ResolvedLanding;
@@ -66,7 +66,8 @@ impl<'a> Recorded<'a> {
         let dir =
             locate(&self.scene, options, self.progress, self.cancel)?.ok_or_else(|| no_scene(&self.scene))?;
         let recording = Recording::open(&dir, &options.read)?;
-        let mut sequence = load(&recording, &options.load, self.progress, self.cancel, &Warnings::new())?;
+        let mut sequence =
+            load(&recording, &options.load, StageContext::new(self.progress, self.cancel, &Warnings::new()))?;
         // The planner's scene may be the truth itself, which lies as the recording has it.
         let x_scene_sequence = scene.x_world_recording * sequence.x_world_recording.inverse();
         for frame in &mut sequence.frames {

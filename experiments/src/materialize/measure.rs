@@ -6,7 +6,7 @@ use crate::BenchError;
 use crate::scenes::BenchScene;
 use crate::timer::Timer;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, Warnings};
+use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, StageContext, Warnings};
 use sms_entities::{EntitySet, build_entities};
 use sms_eval::{
     SURFACE_SAMPLES, TrueSurface, UNMATCHED, collision_solids, observed_surface_at_most, placed_figures,
@@ -38,10 +38,7 @@ pub fn run_materialize(
         &trained.sequence,
         &trained.labels,
         config,
-        SEED,
-        progress,
-        cancel,
-        warnings,
+        StageContext::new(progress, cancel, warnings).with_seed(SEED),
     )?;
     let (seconds, cpu_seconds) = timer.seconds();
 

@@ -8,7 +8,7 @@ use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    Camera, Cancel, CoreError, Hasher, InputError, Labels, Progress, Seed, Warnings, atomic,
+    Camera, Cancel, CoreError, Hasher, InputError, Labels, Progress, Seed, StageContext, Warnings, atomic,
     hash_serializable,
 };
 use sms_eval::{
@@ -169,12 +169,9 @@ fn make(
         &prepared.sequence,
         &prepared.labels,
         &bench.scan,
-        SCAN_SEED,
         &work,
         trainer.as_mut(),
-        progress,
-        cancel,
-        warnings,
+        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.elapsed().as_secs_f64();
     std::fs::remove_dir_all(&work).map_err(CoreError::write(&work))?;

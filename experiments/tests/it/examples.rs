@@ -1,6 +1,6 @@
 //! The tasks of `examples/tasks`, planned on the scene that they are written for.
 
-use sms_core::{Cancel, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, NoProgress, Seed, StageContext, Warnings};
 use sms_experiments::{PlanScene, SceneFamily};
 use sms_plan::{Perturbation, Plan, PlanConfig, plan};
 use sms_scene::Scene;
@@ -26,8 +26,15 @@ fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
         ..PlanConfig::default()
     };
     let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
-    let plan =
-        plan(&task, &scene, &RapierFactory, &config, Seed(1), &progress, &cancel, &warnings).unwrap().plan;
+    let plan = plan(
+        &task,
+        &scene,
+        &RapierFactory,
+        &config,
+        StageContext::new(&progress, &cancel, &warnings).with_seed(Seed(1)),
+    )
+    .unwrap()
+    .plan;
     println!("{file}: {:.4} of {:.4} m", plan.objective, task.initial_objective());
     for s in &plan.strategies {
         println!("  {}: {:.4} {:?}", s.name, s.objective, s.prediction.map(|p| [p.mean, p.q90]));

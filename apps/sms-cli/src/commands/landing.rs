@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
-    ColorImage, Hasher, InputError, RunFolder, Seed, Warnings, atomic, read_png_color, write_png_color,
+    ColorImage, Hasher, InputError, RunFolder, Seed, StageContext, Warnings, atomic, read_png_color,
+    write_png_color,
 };
 use sms_frames::{Frame, Sequence};
 use sms_landing::{
@@ -111,7 +112,13 @@ fn planned(console: &Console, a: &Plan, base: LandingSettings, run: &RunFolder) 
             let outcome = match a.chooser {
                 ChooserName::Ours => {
                     let cancel = &console.context.cancel;
-                    plan_landing(&landing, &scene, &RapierFactory, &config, seed, progress, cancel, warnings)?
+                    plan_landing(
+                        &landing,
+                        &scene,
+                        &RapierFactory,
+                        &config,
+                        StageContext::new(progress, cancel, warnings).with_seed(seed),
+                    )?
                 }
                 _ => {
                     baseline(console, a.chooser, run, &landing, &scene, &config, seed, stage.dir(), warnings)?

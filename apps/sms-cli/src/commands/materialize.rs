@@ -7,7 +7,7 @@ use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
     BACKGROUND, CoreError, EntityKind, EntityShape, Hash, InputError, Labels, MaskSource, RunFolder, Seed,
-    Warnings, atomic,
+    StageContext, Warnings, atomic,
 };
 use sms_entities::{
     EntitiesConfig, EntitySet, bake_textures, build_entities, load_entities, material_queries,
@@ -62,10 +62,8 @@ pub(crate) fn run(console: &Console, a: &Materialize) -> anyhow::Result<()> {
                     &sequence,
                     &labels,
                     &config,
-                    seed,
-                    console.context.progress.as_ref(),
-                    &console.context.cancel,
-                    warnings,
+                    StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings)
+                        .with_seed(seed),
                 )?;
                 set.relabel_model(&mut model);
                 let mut labels = labels.clone();

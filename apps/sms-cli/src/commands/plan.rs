@@ -5,7 +5,7 @@ use super::{inputs_hash, length_text, of_what, run_stage, shown, timed};
 use super::{landing, robot};
 use crate::cli::{ChooserName, Plan};
 use sms_cli::front::Console;
-use sms_core::{Hasher, InputError, RunFolder, Seed};
+use sms_core::{Hasher, InputError, RunFolder, Seed, StageContext};
 use sms_frames::{FloorAt, floor_at, load_depths};
 use sms_landing::{LandingSettings, LandingTask};
 use sms_plan::{Plan as Planned, PlanConfig, PlanError, load_plan, plan, save_plan};
@@ -115,7 +115,13 @@ fn carry_out(
         timed("plan.seconds", || {
             let search = |task| {
                 let progress = console.context.progress.as_ref();
-                plan(task, &scene, &RapierFactory, config, seed, progress, &console.context.cancel, warnings)
+                plan(
+                    task,
+                    &scene,
+                    &RapierFactory,
+                    config,
+                    StageContext::new(progress, &console.context.cancel, warnings).with_seed(seed),
+                )
             };
             let outcome = match search(&with_arm) {
                 // Nobody asked for the generator's robot.

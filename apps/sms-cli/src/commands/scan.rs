@@ -10,7 +10,7 @@ use sms_cli::front::{Console, peak_bytes};
 use sms_cli::front::{PresetName, RefinePoses};
 use sms_cli::settings::poses_defaults;
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, StageContext, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, Severity, check, load};
 use sms_gaussians::ScanConfig;
 use sms_masks::{
@@ -91,9 +91,7 @@ pub(crate) fn run(console: &Console, a: &Scan) -> anyhow::Result<RunFolder> {
             let sequence = load(
                 &recording,
                 &frames_settings,
-                console.context.progress.as_ref(),
-                &console.context.cancel,
-                warnings,
+                StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings),
             )?;
             let sequence = match refinement(&poses_config) {
                 None => sequence,
@@ -122,7 +120,10 @@ pub(crate) fn run(console: &Console, a: &Scan) -> anyhow::Result<RunFolder> {
     }
     let masks_dir = run_stage(console, &run, "masks", &["masks."], &masks_hash, |stage, warnings| {
         let by = |segmenter: &dyn Segmenter| {
-            segmenter.segment(&sequence, console.context.progress.as_ref(), &console.context.cancel, warnings)
+            segmenter.segment(
+                &sequence,
+                StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings),
+            )
         };
         let labels = match a.masks {
             MasksName::Geometry => by(&GeometryMasks { config: geometry.clone() })?,
@@ -170,13 +171,11 @@ pub(crate) fn run(console: &Console, a: &Scan) -> anyhow::Result<RunFolder> {
             &sequence,
             &labels,
             &scan_config,
-            seed,
             stage.dir(),
             trainer.as_mut(),
             &mut observer,
-            console.context.progress.as_ref(),
-            &console.context.cancel,
-            warnings,
+            StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings)
+                .with_seed(seed),
         )?;
         let mut metrics = result.metrics;
         metrics.set("scan.seconds", result.seconds).set("scan.device", device);
@@ -209,8 +208,11 @@ fn refined(
     warnings: &Warnings,
 ) -> anyhow::Result<Sequence> {
     let began = Instant::now();
-    let result =
-        refine_poses(sequence, config, console.context.progress.as_ref(), &console.context.cancel, warnings)?;
+    let result = refine_poses(
+        sequence,
+        config,
+        StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings),
+    )?;
     metrics.merge(result.report.metrics());
     metrics.set("poses.seconds", began.elapsed().as_secs_f64());
     atomic::write_json(&dir.join("poses.json"), &result.report)?;

@@ -24,7 +24,7 @@ use glamx::Vec3;
 use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, Labels, Progress, Seed, Status, Warnings, atomic};
+use sms_core::{Cancel, CoreError, Labels, Progress, Seed, StageContext, Status, Warnings, atomic};
 use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
@@ -67,14 +67,11 @@ pub fn scan(
     sequence: &Sequence,
     labels: &Labels,
     config: &ScanConfig,
-    seed: Seed,
     work_dir: &Path,
     trainer: &mut dyn Trainer,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<ScanResult, ScanError> {
-    scan_observed(sequence, labels, config, seed, work_dir, trainer, &mut (), progress, cancel, warnings)
+    scan_observed(sequence, labels, config, work_dir, trainer, &mut (), context)
 }
 
 /// [`scan`] with somebody watching.
@@ -85,14 +82,12 @@ pub fn scan_observed(
     sequence: &Sequence,
     labels: &Labels,
     config: &ScanConfig,
-    seed: Seed,
     work_dir: &Path,
     trainer: &mut dyn Trainer,
     observer: &mut dyn ScanObserver,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<ScanResult, ScanError> {
+    let StageContext { progress, cancel, warnings, seed } = context;
     config.validate()?;
     check_inputs(sequence, labels, config.holdout)?;
     let trained = trained_frames(sequence, config.holdout);

@@ -10,7 +10,7 @@ use crate::{
     TrainState, Trainer, TrainerError,
 };
 use glamx::Vec3;
-use sms_core::{Camera, Cancel, CoreError, Labels, NoProgress, Seed, Warnings};
+use sms_core::{Camera, Cancel, CoreError, Labels, Seed, StageContext, Warnings};
 use sms_frames::Sequence;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -36,7 +36,7 @@ fn run(
     let cancel = Cancel::new();
     let inner = CpuTrainer::new(&config.train, labels.class_count(), SEED);
     let mut trainer = Disturbed { inner, disturb, calls: 0, cancel: cancel.clone() };
-    scan(sequence, labels, config, SEED, dir, &mut trainer, &NoProgress, &cancel, warnings)
+    scan(sequence, labels, config, dir, &mut trainer, StageContext::quiet(&cancel, warnings).with_seed(SEED))
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -6,7 +6,7 @@ use super::schedule::{ScanResult, scan_observed};
 use super::tests::{SEED, bytes, quick};
 use super::{ScanConfig, ScanError};
 use crate::CpuTrainer;
-use sms_core::{Cancel, CoreError, Labels, NoProgress, Progress, Status, Warnings};
+use sms_core::{Cancel, CoreError, Labels, NoProgress, Progress, StageContext, Status, Warnings};
 use sms_frames::Sequence;
 use std::path::Path;
 use std::sync::Mutex;
@@ -21,7 +21,15 @@ fn watched(
     warnings: &Warnings,
 ) -> Result<ScanResult, ScanError> {
     let mut trainer = CpuTrainer::new(&config.train, labels.class_count(), SEED);
-    scan_observed(sequence, labels, config, SEED, dir, &mut trainer, observer, progress, cancel, warnings)
+    scan_observed(
+        sequence,
+        labels,
+        config,
+        dir,
+        &mut trainer,
+        observer,
+        StageContext::new(progress, cancel, warnings).with_seed(SEED),
+    )
 }
 
 /// Notes everything, and asks for as much as it can.

@@ -24,7 +24,7 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    Cancel, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, Ranges, Seed, Warnings,
+    Cancel, InputError, LabelInfo, LabelMap, Labels, MaskSource, Progress, Ranges, Seed, StageContext,
 };
 use sms_frames::Sequence;
 
@@ -208,13 +208,8 @@ impl Clustered {
 }
 
 impl Segmenter for GeometryMasks {
-    fn segment(
-        &self,
-        sequence: &Sequence,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-        warnings: &Warnings,
-    ) -> Result<Labels, MasksError> {
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
+        let StageContext { progress, cancel, warnings, .. } = context;
         let clustered = Clustered::new(sequence, &self.config, progress, cancel)?;
         let maps = clustered.maps(sequence, &self.config, cancel)?;
         let count = clustered.clusters.len();

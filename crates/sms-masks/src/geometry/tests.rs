@@ -3,11 +3,12 @@
 use super::*;
 use crate::fixture::{Sensor, Solid, best_iou, scene, table_scene};
 use glamx::DVec3;
-use sms_core::NoProgress;
+use sms_core::{NoProgress, StageContext, Warnings};
 
 fn segment(sequence: &Sequence) -> (Labels, Warnings) {
     let warnings = Warnings::new();
-    let labels = GeometryMasks::default().segment(sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+    let labels =
+        GeometryMasks::default().segment(sequence, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     (labels, warnings)
 }
 
@@ -165,7 +166,7 @@ fn a_plank_that_is_too_long_for_a_thing_is_named() {
     let told = |max_structure_m: f64| {
         let config = GeometryConfig { max_structure_m, ..GeometryConfig::default() };
         let warnings = Warnings::new();
-        GeometryMasks { config }.segment(&sequence, &NoProgress, &Cancel::new(), &warnings).unwrap();
+        GeometryMasks { config }.segment(&sequence, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
         warnings.snapshot()
     };
     let short = told(0.45);
@@ -180,7 +181,7 @@ fn what_stands_free_as_a_whole_may_be_longer_than_a_structure() {
     let found = |max_structure_m: f64| {
         let config = GeometryConfig { max_structure_m, max_object_m: 0.3, ..GeometryConfig::default() };
         let masks = GeometryMasks { config };
-        let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+        let labels = masks.segment(&sequence, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap();
         if labels.objects.is_empty() { 0.0 } else { best_iou(&truth, 1, &labels).0 }
     };
     // 0.5 m is within one and a half times 0.38 m, and beyond that of 0.3 m.
@@ -264,7 +265,7 @@ fn a_lid_within_its_rim_is_part_of_its_box() {
     }
     let config = GeometryConfig { max_object_m: 0.3, ..GeometryConfig::default() };
     let masks = GeometryMasks { config };
-    let labels = masks.segment(&sequence, &NoProgress, &Cancel::new(), &Warnings::new()).unwrap();
+    let labels = masks.segment(&sequence, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap();
     let iou = best_iou(&truth, 1, &labels).0;
     assert_eq!(labels.objects.len(), 1, "IoU {iou:.3}");
     assert!(iou > 0.9, "{iou}");

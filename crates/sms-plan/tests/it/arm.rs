@@ -2,7 +2,7 @@
 
 use crate::common::{ball, material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec3};
-use sms_core::{Cancel, Mesh, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, Mesh, NoProgress, Seed, StageContext, Warnings};
 use sms_plan::{
     Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, WorldFamily, plan,
     rehearse, search_nominal,
@@ -59,7 +59,15 @@ fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
-    pool.install(|| plan(task, scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings))
+    pool.install(|| {
+        plan(
+            task,
+            scene,
+            &RapierFactory,
+            &config,
+            StageContext::new(&progress, &cancel, &warnings).with_seed(Seed(3)),
+        )
+    })
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::common::{RADIUS, material, two_balls};
 use sms_core::glamx::{DPose3, DVec2, DVec3};
-use sms_core::{Cancel, CoreError, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, CoreError, NoProgress, Seed, StageContext, Warnings};
 use sms_plan::{
     Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Unknown, WorldFamily, load_plan,
     plan, read_trials, rehearse, save_plan,
@@ -41,7 +41,13 @@ fn task(goal_w: DVec2, form: ActionForm) -> ResolvedTask {
 
 fn run(task: &ResolvedTask, config: &PlanConfig, warnings: &Warnings) -> Result<PlanOutcome, PlanError> {
     let factory = RapierFactory;
-    plan(task, &two_balls(), &factory, config, Seed(11), &NoProgress, &Cancel::new(), warnings)
+    plan(
+        task,
+        &two_balls(),
+        &factory,
+        config,
+        StageContext::quiet(&Cancel::new(), warnings).with_seed(Seed(11)),
+    )
 }
 
 /// The angle that sends the target ball, without throw, towards a goal: at the ghost ball.
@@ -161,8 +167,14 @@ fn interruption_and_bad_settings_end_the_plan() {
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
     cancel.cancel();
     let factory = RapierFactory;
-    let stopped =
-        plan(&task, &two_balls(), &factory, &config(), Seed(1), &NoProgress, &cancel, &warnings).unwrap_err();
+    let stopped = plan(
+        &task,
+        &two_balls(),
+        &factory,
+        &config(),
+        StageContext::quiet(&cancel, &warnings).with_seed(Seed(1)),
+    )
+    .unwrap_err();
     assert!(matches!(stopped, PlanError::Core(CoreError::Interrupted)), "{stopped}");
     let none = run(&task, &PlanConfig { starts: 0, ..config() }, &warnings).unwrap_err();
     assert!(none.to_string().contains("`starts`"), "{none}");
@@ -243,8 +255,15 @@ fn a_ball_that_just_comes_to_the_goal_depends_on_its_rolling_resistance_and_not_
     let task = Task::read(&path).unwrap().resolve(&scene).unwrap();
     let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
     let config = PlanConfig { sensitivity_rollouts: 64, ..config() };
-    let plan =
-        plan(&task, &scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings).unwrap().plan;
+    let plan = plan(
+        &task,
+        &scene,
+        &RapierFactory,
+        &config,
+        StageContext::new(&progress, &cancel, &warnings).with_seed(Seed(3)),
+    )
+    .unwrap()
+    .plan;
     assert_eq!(plan.strategies[0].name, "direct");
     for s in plan.sensitivities.iter().filter(|s| s.property.is_some()) {
         println!("{s}: {:.3}", s.share);
@@ -300,8 +319,15 @@ fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
     let config = PlanConfig { evaluations: 300, starts: 8, ..config() };
     let warnings = Warnings::new();
     let (progress, cancel) = (NoProgress, Cancel::new());
-    let plan =
-        plan(&task, &scene, &RapierFactory, &config, Seed(3), &progress, &cancel, &warnings).unwrap().plan;
+    let plan = plan(
+        &task,
+        &scene,
+        &RapierFactory,
+        &config,
+        StageContext::new(&progress, &cancel, &warnings).with_seed(Seed(3)),
+    )
+    .unwrap()
+    .plan;
     assert!(plan.objective < 0.1, "{}", plan.objective);
     let names: Vec<&str> = plan.strategies.iter().map(|s| s.name.as_str()).collect();
     let mut distinct = names.clone();
@@ -324,7 +350,14 @@ fn in_its_worlds_the_choice_beats_the_nominally_best_shot() {
     let mean = |config: &PlanConfig| {
         let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
         let factory = RapierFactory;
-        let found = plan(&task, &scene, &factory, config, Seed(11), &progress, &cancel, &warnings).unwrap();
+        let found = plan(
+            &task,
+            &scene,
+            &factory,
+            config,
+            StageContext::new(&progress, &cancel, &warnings).with_seed(Seed(11)),
+        )
+        .unwrap();
         let seed = Seed(11).derive("disturbed");
         let values = rehearse(
             WorldFamily { task: &task, scene: &scene, factory: &factory, perturbation: &wide, seed },
