@@ -1,22 +1,23 @@
-//! What is done to the masks of every source but the truth.
+//! Corrections applied to the masks of every source but the truth.
 
-use crate::{DEFAULT_NEIGHBORS, GeometryConfig, MasksError, add_unknown, refine_edges, scaled_margin_px};
+use crate::refine::{DEFAULT_NEIGHBORS, scaled_margin_px};
+use crate::{GeometryConfig, MasksError, add_unknown, refine_edges};
 use sms_core::{Cancel, Labels, MaskSource, Progress};
 use sms_frames::Sequence;
 
-/// What [`complete`] did.
+/// Effects of [`complete`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Completed {
-    /// Pixels of all frames whose label the refinement of edges changed; `None` where it was not asked for.
+    /// Number of pixels of all frames relabelled by the refinement of edges; `None` if it is switched off.
     pub moved_pixels: Option<usize>,
-    /// Objects that the source missed; `None` where they were not asked for.
+    /// Number of objects added; `None` if the search is switched off.
     pub unknown: Option<usize>,
 }
 
-/// Corrects the borders of masks ([`refine_edges`], the paper's margin at the images' width) and adds what their source missed
-/// ([`add_unknown`]), as far as `config` wants it.
+/// Corrects the borders of masks ([`refine_edges`], with the paper's margin at the images' width) and adds missed
+/// objects ([`add_unknown`]), as far as `config` asks for it.
 ///
-/// The truth stays as it is, and geometry has found all that it can find.
+/// The truth remains unchanged, and masks from geometry gain no objects.
 ///
 /// # Errors
 /// As [`refine_edges`] and [`add_unknown`].
@@ -57,7 +58,7 @@ mod tests {
     use sms_core::{BACKGROUND, LabelInfo, NoProgress};
 
     #[test]
-    fn every_source_gets_what_it_needs_and_settings_switch_it_off() {
+    fn corrections_depend_on_source_and_settings() {
         let (sequence, truth) = scene(&table_scene(), Sensor { frames: 8, ..Sensor::default() }, 3);
         let maps = truth.iter().map(|map| {
             let mut map = map.clone();
@@ -79,7 +80,7 @@ mod tests {
             let (labels, done) = run(source, &on);
             assert_eq!(done.unknown, Some(1));
             assert!(done.moved_pixels.is_some_and(|n| n > 0));
-            // The name that a user had given already is not given again.
+            // A name that the user already gave is not used again.
             assert_eq!(labels.objects[4].name, "unknown_01_2");
         }
         let (labels, done) = run(MaskSource::Geometry, &on);

@@ -2,7 +2,7 @@
 
 use sms_core::{CoreError, InputError};
 
-/// What can go wrong while labelling.
+/// An error of segmentation.
 #[derive(Debug, thiserror::Error)]
 pub enum MasksError {
     /// Bad input by the user: the message names the file and the cure.
@@ -14,7 +14,7 @@ pub enum MasksError {
 }
 
 impl From<CoreError> for MasksError {
-    /// Keeps bad input recognisable as such, whichever crate found it.
+    /// Keeps bad input recognizable, whichever crate found it.
     fn from(error: CoreError) -> Self {
         match error {
             CoreError::Input(input) => Self::Input(input),

@@ -11,33 +11,33 @@ use sms_frames::{Frame, Sequence};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// More values than this are no objects: such an image is a depth image or a picture.
+/// Images with more values than this are depth images or pictures, not label images.
 const MOST_OBJECTS: usize = 500;
 
-/// Label images: grey PNGs of up to 16 bits, or palette PNGs, 0 for the background and one value an object.
+/// Label images: grey PNGs of up to 16 bits, or palette PNGs, with 0 for the background and one value per object.
 ///
 /// The images may be larger than the frames (the recording's native size); they are resampled by nearest neighbour
 /// with pixel centres at +0.5, as in the paper's appendix. Values are renumbered from 1 in increasing order. Names
-/// come from `objects.json` in the recording's folder (`objects[].{name, mask_value}`), where there is one.
+/// come from `objects.json` in the recording's folder (`objects[].{name, mask_value}`), if it exists.
 #[derive(Debug, Clone, Default)]
 pub struct FileMasks {
-    /// Folder with one PNG a frame, named like the colour image or by the frame's index (`000000.png`); `None` takes
-    /// the masks that the recording names.
+    /// Folder with one PNG per frame, named like the colour image or by the frame's index (`000000.png`); `None`
+    /// takes the masks listed in the recording.
     pub dir: Option<PathBuf>,
 }
 
-/// What is read of `objects.json`; a recording may say more about its objects.
+/// The fields used of `objects.json`; it may contain others.
 #[derive(Debug, Deserialize)]
-pub(crate) struct ObjectsFile {
-    pub(crate) objects: Vec<ObjectEntry>,
+struct MaskObjectsFile {
+    objects: Vec<MaskObject>,
 }
 
 #[derive(Debug, Deserialize)]
-pub(crate) struct ObjectEntry {
-    pub(crate) name: String,
+struct MaskObject {
+    name: String,
     #[serde(default)]
-    pub(crate) description: String,
-    pub(crate) mask_value: Option<u16>,
+    description: String,
+    mask_value: Option<u16>,
 }
 
 impl FileMasks {
@@ -49,7 +49,7 @@ impl FileMasks {
                 InputError::new(
                     format!("there are fewer masks than frames: frame {} has none", frame.index),
                     dir,
-                    "put one label PNG a frame there, named like the colour image, or use `--masks geometry`",
+                    "add one label PNG per frame, named like the colour image, or use `--masks geometry`",
                 )
             });
         }
@@ -69,7 +69,7 @@ impl FileMasks {
 impl Segmenter for FileMasks {
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
         let StageContext { progress, cancel, warnings, .. } = context;
-        // All paths first: a missing mask should be reported before minutes of reading.
+        // All paths first, to report a missing mask before minutes of reading.
         let paths = sequence.frames.iter().map(|f| self.path_of(f)).collect::<Result<Vec<_>, _>>()?;
         let maps = read_maps(sequence, &paths, progress, cancel)?;
         let named = read_objects(&sequence.source, warnings)?;
@@ -81,7 +81,7 @@ impl Segmenter for FileMasks {
     }
 }
 
-/// Reads one label image a frame, resampled to the frames' size.
+/// Reads one label image per frame, resampled to the frames' size.
 pub(crate) fn read_maps(
     sequence: &Sequence,
     paths: &[PathBuf],
@@ -97,7 +97,7 @@ pub(crate) fn read_maps(
         let values = values_in([&image]).into_iter().filter(|is_there| *is_there).count();
         if values > MOST_OBJECTS {
             return Err(InputError::new(
-                format!("this mask has {values} different values: that many objects are not in view"),
+                format!("this mask has {values} different values, more than a label image of objects"),
                 path,
                 "give label images, with one value for each object; this may be a depth image",
             )
@@ -118,7 +118,7 @@ pub(crate) fn read_maps(
         return Err(InputError::new(
             format!("the masks of this sequence have {values} different values, few of them in each frame"),
             first.parent().unwrap_or(first),
-            "give an object the same value in all frames: these seem to be numbered anew in each",
+            "give an object the same value in all frames: these seem to be renumbered in each frame",
         )
         .into());
     }
@@ -126,7 +126,7 @@ pub(crate) fn read_maps(
     Ok(maps)
 }
 
-/// Which values occur in images, the background's apart.
+/// Marks the values that occur in images, except the background's.
 fn values_in<'a>(images: impl IntoIterator<Item = &'a LabelMap>) -> Vec<bool> {
     let mut seen = vec![false; 1 << 16];
     images.into_iter().flat_map(|m| &m.data).for_each(|&v| seen[usize::from(v)] = true);
@@ -134,10 +134,10 @@ fn values_in<'a>(images: impl IntoIterator<Item = &'a LabelMap>) -> Vec<bool> {
     seen
 }
 
-fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), whose: &str) -> InputError {
+fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), reference: &str) -> InputError {
     InputError::new(
         format!(
-            "this mask is {}×{} pixels, which does not fit {whose} ({}×{})",
+            "this mask is {}×{} pixels, which does not fit {reference} ({}×{})",
             have.0, have.1, want.0, want.1
         ),
         path,
@@ -145,14 +145,15 @@ fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), whose: &s
     )
 }
 
-/// Whether an image shows the same view at another size: equal aspect within the rounding to whole pixels.
+/// Whether an image can show the same view at another size: equal aspect ratio within the rounding to whole pixels.
 fn fits(have: (usize, usize), want: (usize, usize)) -> bool {
     let (sx, sy) = (have.0 as f64 / want.0 as f64, have.1 as f64 / want.1 as f64);
     let rounding = 0.5 / want.0 as f64 + 0.5 / want.1 as f64;
     have.0 > 0 && have.1 > 0 && (sx / sy - 1.0).abs() <= rounding
 }
 
-/// Nearest neighbour with pixel centres at +0.5: target pixel x takes the source pixel that holds (x + 0.5)·scale.
+/// Resamples by nearest neighbour with pixel centres at +0.5: target pixel x takes the source pixel at (x +
+/// 0.5)·scale.
 pub(crate) fn resample_nearest(image: &LabelMap, (width, height): (usize, usize)) -> LabelMap {
     if image.size() == (width, height) {
         return image.clone();
@@ -167,22 +168,22 @@ pub(crate) fn resample_nearest(image: &LabelMap, (width, height): (usize, usize)
     Image::from_vec(width, height, data)
 }
 
-/// The objects that `objects.json` names, by mask value; empty without the file.
+/// Reads the objects of `objects.json` by mask value; returns none without the file.
 fn read_objects(source: &Path, warnings: &Warnings) -> Result<BTreeMap<u16, LabelInfo>, MasksError> {
     let path = source.join("objects.json");
     if !path.is_file() {
         return Ok(BTreeMap::new());
     }
-    let file: ObjectsFile = atomic::read_json(&path)?;
+    let file: MaskObjectsFile = atomic::read_json(&path)?;
     let mut taken = Vec::new();
     let mut named = BTreeMap::new();
     for object in file.objects {
         let Some(value) = object.mask_value else { continue };
         if value == BACKGROUND || named.contains_key(&value) {
             return Err(InputError::new(
-                format!("the mask value {value} of `{}` is the background's or used twice", object.name),
+                format!("the mask value {value} of `{}` is 0 (the background) or used twice", object.name),
                 &path,
-                "give every object a mask value of its own, at least 1",
+                "give every object its own mask value, at least 1",
             )
             .into());
         }
@@ -191,7 +192,7 @@ fn read_objects(source: &Path, warnings: &Warnings) -> Result<BTreeMap<u16, Labe
             warnings.add(
                 STAGE,
                 "renamed",
-                format!("`{}` is called `{name}` here", object.name),
+                format!("the object `{}` was renamed to `{name}`", object.name),
                 "names must be unique and usable as file names",
             );
         }
@@ -203,7 +204,7 @@ fn read_objects(source: &Path, warnings: &Warnings) -> Result<BTreeMap<u16, Labe
     Ok(named)
 }
 
-/// Renumbers the values that occur to 1, 2, … in increasing order and names them.
+/// Renumbers the occurring values to 1, 2, … in increasing order and names them.
 pub(crate) fn number_labels(
     mut maps: Vec<LabelMap>,
     named: &BTreeMap<u16, LabelInfo>,
@@ -228,8 +229,8 @@ pub(crate) fn number_labels(
         warnings.add(
             STAGE,
             "unseen_object",
-            format!("`{}` is named but no mask shows it", object.name),
-            "check its mask_value",
+            format!("the object `{}` occurs in no mask", object.name),
+            "check its `mask_value` in objects.json",
         );
     }
     for value in maps.iter_mut().flat_map(|m| &mut m.data) {
@@ -245,7 +246,7 @@ mod tests {
     use sms_core::StageContext;
     use sms_core::write_png_gray16;
 
-    /// A sequence of `n` frames of 8×6 whose recording (with masks of 16×12) lies in `dir`.
+    /// A sequence of `n` frames of 8×6 with a recording in `dir` (masks of 16×12).
     fn recording(dir: &Path, n: usize) -> Sequence {
         let mut sequence = fixture::blank_sequence(n, 8, 6);
         sequence.source = dir.to_owned();
@@ -278,7 +279,7 @@ mod tests {
         .unwrap();
         let warnings = Warnings::new();
         let labels = run(&FileMasks::default(), &sequence, &warnings).unwrap();
-        // (3, 5) and (9, 7) hold the centres of pixels (1, 2) and (4, 3) at half size; (0, 0) holds none.
+        // (3, 5) and (9, 7) contain the centres of pixels (1, 2) and (4, 3) at half size; (0, 0) contains none.
         assert_eq!(labels.maps[1].size(), (8, 6));
         assert_eq!((labels.maps[1][(1, 2)], labels.maps[1][(4, 3)], labels.maps[1][(0, 0)]), (2, 1, 0));
         let names: Vec<_> =
@@ -304,36 +305,35 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_input_errors_that_name_the_file_and_the_cure() {
+    fn faults_are_input_errors_with_the_file() {
         let dir = tempfile::tempdir().unwrap();
         let mut sequence = recording(dir.path(), 3);
         let warnings = Warnings::new();
         let fault = |masks: &FileMasks, sequence: &Sequence| match run(masks, sequence, &warnings) {
-            Err(MasksError::Input(e)) => e.to_string(),
+            Err(MasksError::Input(e)) => (e.path, e.what),
             other => panic!("{other:?}"),
         };
         let bytes = std::fs::read(dir.path().join("masks/000001.png")).unwrap();
         std::fs::write(dir.path().join("masks/000001.png"), &bytes[..bytes.len() / 2]).unwrap();
-        let truncated = fault(&FileMasks::default(), &sequence);
-        assert!(truncated.contains("000001.png") && truncated.contains("cure"), "{truncated}");
+        let (path, _) = fault(&FileMasks::default(), &sequence);
+        assert!(path.ends_with("000001.png"), "{path}");
 
         write_png_gray16(&dir.path().join("masks/000001.png"), &Image::filled(12, 12, 0)).unwrap();
         let other_size = fault(&FileMasks::default(), &sequence);
-        assert!(other_size.contains("12×12") && other_size.contains("000001.png"), "{other_size}");
+        let shows = |size: (usize, usize), text: &str| text.contains(&format!("{}×{}", size.0, size.1));
+        assert!(other_size.0.ends_with("000001.png") && shows((12, 12), &other_size.1), "{other_size:?}");
 
         write_png_gray16(&dir.path().join("masks/000000.png"), &Image::filled(12, 12, 0)).unwrap();
         let other_aspect = fault(&FileMasks::default(), &sequence);
-        assert!(other_aspect.contains("8×6") && other_aspect.contains("000000.png"), "{other_aspect}");
+        assert!(other_aspect.0.ends_with("000000.png") && shows((8, 6), &other_aspect.1), "{other_aspect:?}");
 
         let depth = Image::from_vec(40, 30, (0..1200).collect());
         write_png_gray16(&dir.path().join("masks/000000.png"), &depth).unwrap();
         let no_labels = fault(&FileMasks::default(), &sequence);
-        assert!(
-            no_labels.contains("1199 different values") && no_labels.contains("000000.png"),
-            "{no_labels}"
-        );
+        let counts = |n: usize, text: &str| text.contains(&n.to_string());
+        assert!(no_labels.0.ends_with("000000.png") && counts(1199, &no_labels.1), "{no_labels:?}");
 
-        // 192 values in each frame, other ones in every frame; resampled, 48 of them are left.
+        // 192 values in each frame, different ones in every frame; 48 of them survive resampling.
         for (frames, is_fine) in [(10, true), (11, false)] {
             let numbered = recording(&dir.path().join("numbered"), frames);
             for (i, frame) in numbered.frames.iter().enumerate() {
@@ -344,26 +344,27 @@ mod tests {
             if is_fine {
                 assert_eq!(run(&FileMasks::default(), &numbered, &warnings).unwrap().objects.len(), 480);
             } else {
-                let anew = fault(&FileMasks::default(), &numbered);
-                assert!(anew.contains("528 different values") && anew.contains("anew"), "{anew}");
+                let renumbered = fault(&FileMasks::default(), &numbered);
+                assert!(renumbered.0.ends_with("masks") && counts(528, &renumbered.1), "{renumbered:?}");
             }
         }
 
         std::fs::remove_file(dir.path().join("masks/000002.png")).unwrap();
         let from_dir = FileMasks { dir: Some(dir.path().join("masks")) };
         let fewer = fault(&from_dir, &sequence);
-        assert!(fewer.contains("fewer masks than frames") && fewer.contains("frame 2"), "{fewer}");
+        assert!(fewer.0.ends_with("masks") && counts(2, &fewer.1), "{fewer:?}");
 
         sequence.frames[0].mask_path = None;
         let none = fault(&FileMasks::default(), &sequence);
-        assert!(none.contains("fewer masks than frames") && none.contains("--masks geometry"), "{none}");
+        assert!(none.0.ends_with("000000.png") && counts(0, &none.1), "{none:?}");
 
         let good = recording(dir.path(), 1);
         let twice = r#"{"objects": [{"name": "a", "mask_value": 48}, {"name": "b", "mask_value": 48}]}"#;
         std::fs::write(dir.path().join("objects.json"), twice).unwrap();
-        assert!(fault(&FileMasks::default(), &good).contains("used twice"));
+        let (path, what) = fault(&FileMasks::default(), &good);
+        assert!(path.ends_with("objects.json") && counts(48, &what), "{what}");
         std::fs::write(dir.path().join("objects.json"), "{").unwrap();
-        assert!(fault(&FileMasks::default(), &good).contains("objects.json"));
+        assert!(fault(&FileMasks::default(), &good).0.ends_with("objects.json"));
     }
 
     #[test]

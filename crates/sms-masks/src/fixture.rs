@@ -1,4 +1,4 @@
-//! Ray-cast scenes with known masks, for tests: a table (z = 0) seen through a noisy depth camera on an arc.
+//! Ray-cast scenes with known masks, for tests: a table (z = 0) recorded by a noisy depth camera on an arc.
 
 use glamx::{DPose3, DVec3};
 use rand::RngExt;
@@ -12,13 +12,13 @@ pub(crate) enum Solid {
     Sphere(DVec3, f64),
     /// Centre, half extents, turn about z in radians.
     Box(DVec3, DVec3, f64),
-    /// A cylinder: centre, from there to the middle of one end, radius.
+    /// A cylinder: its centre, half of its axis, its radius.
     Rod(DVec3, DVec3, f64),
-    /// An upright cup, open at the top, its walls and floor 4 mm thick: centre of its base, radius, height.
+    /// An upright cup, open at the top, with walls and floor 4 mm thick: centre of its base, radius, height.
     Cup(DVec3, f64, f64),
 }
 
-/// What the camera does to depth.
+/// Errors of the depth camera.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sensor {
     /// Standard deviation at 1 m; grows with the square of depth.
@@ -57,7 +57,7 @@ pub(crate) fn blank_sequence(frames: usize, width: usize, height: usize) -> Sequ
     }
 }
 
-/// The distance along a unit-speed ray to a solid's surface.
+/// Returns the distance along a unit-speed ray to a solid's surface.
 fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
     match *solid {
         Solid::Sphere(c, r) => {
@@ -80,7 +80,7 @@ fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
         Solid::Rod(c, half, r) => {
             let (oc, axis) = (o - c, half.normalize());
             let (o_along, d_along) = (oc.dot(axis), d.dot(axis));
-            // Across the axis it is a disc.
+            // In the plane across the axis, a disc.
             let (o, d) = (oc - axis * o_along, d - axis * d_along);
             let (a, b) = (d.dot(d), o.dot(d));
             let disc = b * b - a * (o.dot(o) - r * r);
@@ -93,7 +93,7 @@ fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
             const WALL: f64 = 0.004;
             let o = o - base;
             let at = |t: f64| o + d * t;
-            // Both walls of the hollow, where the ray leaves the inner cylinder and enters the outer one.
+            // Both walls of the cup, where the ray leaves the inner cylinder and enters the outer one.
             let wall = |r: f64, side: f64, low: f64| {
                 let (a, b) = (d.truncate().length_squared(), o.truncate().dot(d.truncate()));
                 let disc = b * b - a * (o.truncate().length_squared() - r * r);
@@ -118,7 +118,7 @@ fn hit(solid: &Solid, o: DVec3, d: DVec3) -> Option<f64> {
     }
 }
 
-/// The noisy sequence and its true masks (value = index of the solid + 1).
+/// Returns the noisy sequence and its true masks (value = index of the solid + 1).
 pub(crate) fn scene(solids: &[Solid], sensor: Sensor, seed: u64) -> (Sequence, Vec<LabelMap>) {
     let (width, height) = sensor.size;
     let k = Intrinsics::from_fov(width, height, 1.05);
@@ -133,7 +133,7 @@ pub(crate) fn scene(solids: &[Solid], sensor: Sensor, seed: u64) -> (Sequence, V
         let mut labels = Image::filled(width, height, 0);
         for y in 0..height {
             for x in 0..width {
-                // At depth 1 along the camera's axis, so that a ray's parameter is the depth.
+                // At depth 1 along the camera's axis, so that the ray's parameter is the depth.
                 let d = frame.camera.unproject_pixel(x, y, 1.0) - eye_w;
                 let floor = -eye_w.z / d.z;
                 let (mut z, mut label) = if floor > 0.0 { (floor, 0) } else { (0.0, 0) };
@@ -157,8 +157,8 @@ pub(crate) fn scene(solids: &[Solid], sensor: Sensor, seed: u64) -> (Sequence, V
     (sequence, truth)
 }
 
-/// Intersection over union of a true label (over all frames) with the found label that overlaps it most, and that
-/// label.
+/// Returns the intersection over union of a true label (over all frames) with the found label of most overlap, and
+/// that label.
 pub(crate) fn best_iou(truth: &[LabelMap], value: u16, found: &Labels) -> (f64, u16) {
     let classes = found.class_count();
     let (mut both, mut area, mut own) = (vec![0usize; classes], vec![0usize; classes], 0usize);
@@ -174,7 +174,7 @@ pub(crate) fn best_iou(truth: &[LabelMap], value: u16, found: &Labels) -> (f64, 
         .fold((0.0, 0), |best, next| if next.0 > best.0 { next } else { best })
 }
 
-/// Five things well apart, of the sizes that the billiards scenes have.
+/// Five separate solids of the sizes in billiards scenes.
 pub(crate) fn table_scene() -> Vec<Solid> {
     let on = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
     vec![

@@ -1,17 +1,17 @@
-//! Object masks through a sequence: from files, from geometry, from the truth of a generated scene.
+//! Object masks of a sequence: from files, from geometry, or from the truth of a generated scene.
 //!
-//! Every source is a [`Segmenter`]: it looks at a posed RGB-D [`Sequence`] and returns [`Labels`], one label map a
-//! frame with the same id for the same object throughout. What no label explains stays [`BACKGROUND`] and becomes a
+//! Every source is a [`Segmenter`]: it takes a posed RGB-D [`Sequence`] and returns [`Labels`], one label map per
+//! frame with the same id for the same object throughout. Pixels without a label are [`BACKGROUND`] and become a
 //! static collision mesh in a later stage.
 //!
-//! - [`FileMasks`]: label images that came with the recording.
-//! - [`GeometryMasks`]: the embedded default. Large planes are removed from the fused cloud, what is left is
-//!   clustered (and split where two convex things meet), and the clusters are projected back into every frame.
+//! - [`FileMasks`]: label images of the recording.
+//! - [`GeometryMasks`]: the default. Large planes are removed from the fused cloud, the rest is clustered (and
+//!   split where two convex objects meet), and the clusters are projected back into every frame.
 //! - [`TruthMasks`]: the truth of a generated recording, for ablations only and named so.
 //!
-//! [`refine_edges`] is the paper's correction of mask borders by nearest neighbours in the back-projected cloud, and
-//! [`add_unknown`] adds what a source missed; [`complete`] does both for the sources that need it; [`save_labels`] / [`load_labels`] keep labels in the run folder, where names
-//! may be edited and objects merged.
+//! [`refine_edges`] is the paper's correction of mask borders by nearest neighbours in the back-projected cloud,
+//! [`add_unknown`] adds missed objects, and [`complete`] does both for the sources that need it. [`save_labels`]
+//! and [`load_labels`] keep labels in the run folder, where names may be edited and objects merged.
 //!
 //! ```
 //! use sms_core::{Cancel, StageContext, Warnings, glamx::DPose3};
@@ -45,7 +45,7 @@ pub use error::MasksError;
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};
 pub use palette::label_color;
-pub use refine::{DEFAULT_MARGIN_PX, DEFAULT_NEIGHBORS, refine_edges, scaled_margin_px};
+pub use refine::refine_edges;
 pub use sms_core::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use store::{load_labels, save_labels};
 pub use truth::TruthMasks;
@@ -59,11 +59,11 @@ pub(crate) const STAGE: &str = "masks";
 
 /// A source of object labels.
 pub trait Segmenter {
-    /// Labels every frame of `sequence`: one map a frame, of the frame's size, with ids consistent through the
+    /// Labels every frame of `sequence`: one map per frame, of the frame's size, with ids consistent through the
     /// sequence and objects ordered by id.
     ///
     /// # Errors
-    /// [`MasksError::Input`] when what the user gave does not fit the sequence, [`MasksError::Core`] for files and
+    /// [`MasksError::Input`] if the user's input does not fit the sequence, [`MasksError::Core`] for files and
     /// interruption.
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError>;
 }

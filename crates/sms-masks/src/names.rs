@@ -1,7 +1,7 @@
 //! Names of objects: unique in a scene and usable as file names.
 
-/// Makes a file name of free text: ASCII letters and digits in lower case, everything else one underscore; never empty
-/// and at most 48 characters.
+/// Makes a file name of free text: ASCII letters and digits in lower case, everything else one underscore; never
+/// empty and at most 48 characters.
 pub(crate) fn file_name(text: &str) -> String {
     let mut name = String::new();
     for c in text.chars() {
@@ -16,7 +16,7 @@ pub(crate) fn file_name(text: &str) -> String {
     if name.is_empty() { "object".to_owned() } else { name.to_owned() }
 }
 
-/// Bodies that every scene may have besides its objects.
+/// Names of bodies that every scene may have besides its objects.
 const RESERVED: [&str; 3] = ["floor", "environment", "world"];
 
 /// Appends `_2`, `_3`, … until the name is neither reserved nor among `taken`.
@@ -28,7 +28,7 @@ pub(crate) fn unique(name: String, taken: &[String]) -> String {
     (2..).map(|n| format!("{name}_{n}")).find(is_free).unwrap_or(name)
 }
 
-/// Whether a name that a user typed can be used as a file name as it is.
+/// Whether a name typed by a user can be used as a file name unchanged.
 pub(crate) fn is_usable(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= 64

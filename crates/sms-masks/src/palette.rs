@@ -1,7 +1,7 @@
 //! Colours of labels in pictures.
 
-/// A colour for a label id, sRGB: dark grey for the background, then hues a golden ratio apart, so that neighbouring
-/// ids look different however many there are; brightness and saturation alternate in a cycle of four.
+/// Returns the colour of a label id, sRGB: dark grey for the background, then hues a golden ratio apart, so that
+/// neighbouring ids always differ; brightness and saturation alternate in a cycle of four.
 pub fn label_color(id: u16) -> [u8; 3] {
     if id == sms_core::BACKGROUND {
         return [48, 48, 48];
@@ -13,7 +13,7 @@ pub fn label_color(id: u16) -> [u8; 3] {
     hsv(hue, saturation, value)
 }
 
-/// sRGB bytes of hue, saturation and value in [0, 1].
+/// Converts hue, saturation and value in [0, 1] to sRGB bytes.
 fn hsv(hue: f64, saturation: f64, value: f64) -> [u8; 3] {
     let channel = |offset: f64| {
         let k = (offset + hue * 6.0) % 6.0;

@@ -10,30 +10,30 @@ use sms_frames::{Frame, Sequence};
 use std::num::NonZeroUsize;
 
 /// Margin of the paper, in pixels of an image 1280 wide; see [`scaled_margin_px`].
-pub const DEFAULT_MARGIN_PX: f64 = 5.0;
-/// Number of neighbours that vote.
-pub const DEFAULT_NEIGHBORS: usize = 12;
+const DEFAULT_MARGIN_PX: f64 = 5.0;
+/// Number of voting neighbours.
+pub(crate) const DEFAULT_NEIGHBORS: usize = 12;
 
-/// Voters are thinned to one a label and cell of this size, so that near frames do not outvote far ones.
+/// Voters are thinned to one per label and cell of this size, so that near frames do not outvote far ones.
 const CELL_M: f64 = 0.003;
-/// Weight of a voter that lies within the margin itself, where labels are doubtful. Not 0: of a thin thing every
-/// pixel lies within the margin.
+/// Weight of a voter within the margin of its own frame, where labels are doubtful. Not 0: all pixels of a thin
+/// object lie within the margin.
 const DOUBTFUL_WEIGHT: f32 = 0.1;
 
-/// The paper's 5 pixels at 1280 pixels' width, for images `width` wide; at least 1.
-pub fn scaled_margin_px(width: usize) -> usize {
+/// Scales the paper's 5 pixels at 1280 pixels' width to images `width` wide; at least 1.
+pub(crate) fn scaled_margin_px(width: usize) -> usize {
     (DEFAULT_MARGIN_PX * width as f64 / 1280.0).round().max(1.0) as usize
 }
 
-/// Voters further away say nothing about a pixel: between two surfaces lie flying pixels.
+/// Greatest distance of a voter: beyond it lie flying pixels between two surfaces.
 const REACH_M: f64 = 0.012;
 /// Spread of colour on one surface, 8-bit levels: noise and light.
 const COLOR_SIGMA: f64 = 20.0;
-/// Weight of a voter of quite another colour than the pixel's, against 1 of one of its own. Near silhouettes the depth of a
-/// pixel is often that of the other surface while its colour is right.
+/// Weight of a voter of another colour than the pixel's, against 1 of one of the same colour. Near silhouettes,
+/// depth often belongs to the other surface while colour is right.
 const UNLIKE_WEIGHT: f64 = 0.01;
 
-/// A voter: a mean point of one label in one cell.
+/// A voter: the mean of the points of one label in one cell.
 #[derive(Debug, Clone, Copy)]
 struct Voter {
     key: u64,
@@ -44,15 +44,15 @@ struct Voter {
     color: [f32; 3],
 }
 
-/// Gives every pixel within `margin_px` pixels of a mask edge, where depth was measured, the label that wins a vote of
-/// its `k` nearest neighbours in the cloud back-projected from all frames, each weighted by the inverse of its
-/// distance. Pixels within the margin of their own frame's edges vote with a tenth of the weight. Beyond the paper, voters of
-/// the pixel's colour count more than others, which spares right masks where depth is wrong at a silhouette.
+/// Relabels every pixel with depth within `margin_px` pixels of a mask edge by a vote of its `k` nearest neighbours
+/// in the cloud back-projected from all frames, each weighted by the inverse of its distance. Pixels within the
+/// margin of their own frame's edges vote with a tenth of the weight. Beyond the paper, voters of the pixel's
+/// colour count more than others, which preserves right masks where depth is wrong at a silhouette.
 ///
-/// Pixels without depth keep their label. Labels, names and sizes stay as they are.
+/// Pixels without depth keep their label. Labels, names and sizes remain unchanged.
 ///
 /// # Errors
-/// [`MasksError::Input`] when labels and sequence do not have the same frames and sizes, or `k` is 0.
+/// [`MasksError::Input`] if labels and sequence differ in frames or sizes, or `k` is 0.
 pub fn refine_edges(
     labels: &Labels,
     sequence: &Sequence,
@@ -70,7 +70,7 @@ pub fn refine_edges(
         .into());
     }
     let k = NonZeroUsize::new(k).ok_or_else(|| {
-        InputError::new("no neighbour may vote on mask edges", "masks.edge_neighbors", "use at least 1")
+        InputError::new("the number of voting neighbours is 0", "masks.edge_neighbors", "use at least 1")
     })?;
     let margins: Vec<Vec<bool>> = labels.maps.par_iter().map(|map| margin(map, margin_px)).collect();
     let per_frame: Vec<Vec<Voter>> = (0..sequence.len())
@@ -107,7 +107,7 @@ pub fn refine_edges(
     Ok(Labels { maps, ..labels.clone() })
 }
 
-/// Pixels within `margin_px` (Chebyshev) of a change of label.
+/// Marks pixels within `margin_px` (Chebyshev) of a change of label.
 fn margin(map: &LabelMap, margin_px: usize) -> Vec<bool> {
     let (w, h) = map.size();
     let mut edge = vec![false; w * h];
@@ -158,7 +158,8 @@ fn voters(frame: &Frame, map: &LabelMap, margin: &[bool]) -> Vec<Voter> {
         .collect()
 }
 
-/// One voter a cell and label: the weighted mean. The sort is stable, so sums run in the frames' order.
+/// Merges voters to one per cell and label: the weighted mean. The sort is stable, so sums run in the frames'
+/// order.
 fn merge(mut all: Vec<Voter>) -> Vec<Voter> {
     all.sort_by_key(|v| (v.key, v.label));
     all.chunk_by(|a, b| (a.key, a.label) == (b.key, b.label))
@@ -176,11 +177,12 @@ fn merge(mut all: Vec<Voter>) -> Vec<Voter> {
         .collect()
 }
 
-/// The label with the largest sum of weight / distance among the voters of colour like `own`; `present` wins ties.
+/// Returns the label with the largest sum of weight / distance among the voters, weighted by likeness to the colour
+/// `own`; `present` wins ties.
 fn vote<'a>(near: impl Iterator<Item = (&'a Voter, f64)>, present: u16, own: [f32; 3]) -> u16 {
     let mut sums: Vec<(u16, f64)> = vec![(present, 0.0)];
     for (voter, squared) in near.filter(|n| n.1 < REACH_M * REACH_M) {
-        // Below a millimetre distances say nothing.
+        // Distances below a millimetre are noise.
         let weight = f64::from(voter.weight.min(8.0)) / (squared.sqrt() + 1e-3);
         let unlike: f32 = own.iter().zip(&voter.color).map(|(a, b)| (a - b).powi(2)).sum();
         let weight = weight * (UNLIKE_WEIGHT + (-0.5 * f64::from(unlike) / COLOR_SIGMA.powi(2)).exp());
@@ -252,8 +254,8 @@ mod tests {
         assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
     }
 
-    /// The paper's case: five pixels at 1280, with the margin that the product takes there. Frames that agree on a wrong border
-    /// outvote the right one: less is mended than where they differ.
+    /// The paper's case: five pixels at 1280, with the product's margin. Frames that agree on a wrong border
+    /// outvote the right one, so less is corrected than where they differ.
     #[test]
     fn of_borders_that_all_frames_have_wrong_four_tenths_are_mended() {
         let solids = table_scene();

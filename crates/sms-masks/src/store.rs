@@ -9,7 +9,7 @@ use sms_core::{
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What `labels.json` holds. `name`, `description` and `merge_into` may be edited.
+/// Contents of `labels.json`. `name`, `description` and `merge_into` may be edited.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LabelsFile {
@@ -25,15 +25,15 @@ struct ObjectRow {
     name: String,
     #[serde(default)]
     description: String,
-    /// Name of the object that this one is a part of; both become one when the labels are read.
+    /// Name of another object of which this one is a part; the two become one when the labels are read.
     #[serde(default)]
     merge_into: Option<String>,
 }
 
-/// Writes one 16-bit label PNG a frame (`000000.png`, …) and `labels.json` into `dir`.
+/// Writes one 16-bit label PNG per frame (`000000.png`, …) and `labels.json` into `dir`.
 ///
 /// # Errors
-/// [`MasksError::Core`] when a file cannot be written.
+/// [`MasksError::Core`] if a file cannot be written.
 pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     for (index, map) in labels.maps.iter().enumerate() {
         write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
@@ -54,29 +54,29 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     Ok(())
 }
 
-/// Reads what [`save_labels`] wrote, with the user's edits of `labels.json` applied: names and descriptions are taken
-/// as they are, an object with `"merge_into": "other"` becomes part of `other` (chains are followed) and its id is no
-/// longer used.
+/// Reads the files written by [`save_labels`], and applies the user's edits of `labels.json`: names and
+/// descriptions are used as they are, an object with `"merge_into": "other"` becomes part of `other` (chains are
+/// followed) and its id is no longer used.
 ///
 /// # Errors
-/// [`MasksError::Input`] naming the file when a name is not unique or unusable, a merge names an unknown object or runs
-/// in a circle, a mask is missing, of another size, or holds a value that `labels.json` does not list.
+/// [`MasksError::Input`] naming the file if a name is not unique or unusable, a merge names an unknown object or
+/// runs in a circle, a mask is missing, has another size, or contains a value that `labels.json` does not list.
 pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let path = dir.join("labels.json");
     let file: LabelsFile = atomic::read_json(&path)?;
     let targets = check_and_merge(&file, &path)?;
-    // Not with a capacity: the file may have been edited, and say anything.
+    // No preallocation: the edited file may contain any number.
     let mut maps = Vec::new();
     for index in 0..file.frames {
         let path = dir.join(format!("{index:06}.png"));
         let mut map = read_png_labels(&path)?;
         if maps.first().is_some_and(|first: &sms_core::LabelMap| first.size() != map.size()) {
-            return Err(InputError::new("this mask has another size than the first", &path, CURE).into());
+            return Err(InputError::new("this mask differs in size from the first", &path, CURE).into());
         }
         for value in map.data.iter_mut().filter(|v| **v != BACKGROUND) {
             *value = *targets.get(value).ok_or_else(|| {
                 InputError::new(
-                    format!("this mask holds the value {value}, which labels.json does not list"),
+                    format!("this mask contains the value {value}, which labels.json does not list"),
                     &path,
                     CURE,
                 )
@@ -98,7 +98,7 @@ const CURE: &str = "restore the file, or make the masks again with `sms scan --f
 
 /// Validates the rows and returns the final id of every id.
 fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>, InputError> {
-    let fault = |what: String, cure: &str| Err(InputError::new(what, path, cure));
+    let fault = |message: String, cure: &str| Err(InputError::new(message, path, cure));
     let mut by_name: BTreeMap<&str, &ObjectRow> = BTreeMap::new();
     let mut by_id = BTreeMap::new();
     for row in &file.objects {
@@ -112,13 +112,13 @@ fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>,
         if by_name.insert(&row.name, row).is_some() {
             return fault(
                 format!("the name `{}` is used twice", row.name),
-                "give every object its own name; to make one of two, set `merge_into`",
+                "give every object its own name; to merge two objects, set `merge_into`",
             );
         }
         if row.id == BACKGROUND || by_id.insert(row.id, row).is_some() {
             return fault(
                 format!("the id {} is 0 or used twice", row.id),
-                "ids are not for editing: restore them",
+                "ids must not be edited: restore them",
             );
         }
     }
@@ -207,19 +207,25 @@ mod tests {
     #[test]
     fn bad_edits_are_explained() {
         let fault = |edit: &dyn Fn(String) -> String| match edited(edit) {
-            Err(MasksError::Input(e)) => e.to_string(),
+            Err(MasksError::Input(e)) => e,
             other => panic!("{other:?}"),
         };
         let unknown = fault(&merging("object_01", "teapot"));
-        assert!(unknown.contains("teapot") && unknown.contains("far, object_01"), "{unknown}");
-        let circle = fault(&|t| merging("object_02", "object_01")(merging("object_01", "object_02")(t)));
-        assert!(circle.contains("circle"), "{circle}");
-        assert!(fault(&merging("object_01", "object_01")).contains("circle"));
-        assert!(fault(&|t| t.replacen("object_02", "object_01", 1)).contains("used twice"));
-        assert!(fault(&|t| t.replacen("object_02", "a/b", 1)).contains("cannot be used"));
-        assert!(fault(&|t| t.replacen("\"id\": 2", "\"id\": 1", 1)).contains("ids are not for editing"));
-        assert!(fault(&|t| t.replacen("\"id\": 3", "\"id\": 4", 1)).contains("does not list"));
-        assert!(fault(&|t| t.replacen("\"name\"", "\"nane\"", 1)).contains("nane"));
-        assert!(fault(&|t| t.replacen("\"frames\": 2", "\"frames\": 3", 1)).contains("000002.png"));
+        let [name, known] = ["teapot", "far, object_01"];
+        assert!(unknown.what.contains(name) && unknown.cure.contains(known), "{unknown}");
+        fault(&|t| merging("object_02", "object_01")(merging("object_01", "object_02")(t)));
+        fault(&merging("object_01", "object_01"));
+        let edits = [
+            ("object_02", "object_01", "labels.json"),
+            ("object_02", "a/b", "labels.json"),
+            ("\"id\": 2", "\"id\": 1", "labels.json"),
+            ("\"id\": 3", "\"id\": 4", "000001.png"),
+            ("\"name\"", "\"nane\"", "labels.json"),
+            ("\"frames\": 2", "\"frames\": 3", "000002.png"),
+        ];
+        for (from, to, file) in edits {
+            let error = fault(&|t| t.replacen(from, to, 1));
+            assert!(error.path.ends_with(file), "{from} -> {to}: {error}");
+        }
     }
 }

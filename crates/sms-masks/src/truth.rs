@@ -9,19 +9,19 @@ use sms_frames::Sequence;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// The masks that the generator rendered (`truth/masks/000000.png`, value = index + 1 in `truth/truth.json`'s
-/// `objects`). For ablations only: the labels say that they are the truth ([`MaskSource::Truth`]).
+/// The masks rendered by the generator (`truth/masks/000000.png`, value = index + 1 in `truth/truth.json`'s
+/// `objects`). For ablations only: the labels are marked as the truth ([`MaskSource::Truth`]).
 #[derive(Debug, Clone, Default)]
 pub struct TruthMasks;
 
-/// What is read of `truth/truth.json`: nothing but the objects' names.
+/// The fields used of `truth/truth.json`.
 #[derive(Debug, Deserialize)]
-struct TruthFile {
-    objects: Vec<TruthObject>,
+struct TruthNames {
+    objects: Vec<TruthName>,
 }
 
 #[derive(Debug, Deserialize)]
-struct TruthObject {
+struct TruthName {
     name: String,
 }
 
@@ -38,7 +38,7 @@ impl Segmenter for TruthMasks {
             )
             .into());
         }
-        let truth: TruthFile = atomic::read_json(&path)?;
+        let truth: TruthNames = atomic::read_json(&path)?;
         let mut taken = Vec::new();
         let mut named = BTreeMap::new();
         for (index, object) in truth.objects.iter().enumerate() {
@@ -52,7 +52,7 @@ impl Segmenter for TruthMasks {
             .iter()
             .map(|frame| {
                 let by_index = folder.join(format!("masks/{:06}.png", frame.index));
-                // A sequence that leaves frames out keeps the recording's file names.
+                // A sequence with omitted frames keeps the recording's file names.
                 let stem = frame.color_path.file_stem();
                 stem.map(|s| folder.join("masks").join(s).with_extension("png"))
                     .filter(|p| p.is_file())
@@ -60,12 +60,9 @@ impl Segmenter for TruthMasks {
             })
             .collect();
         if let Some(missing) = paths.iter().find(|p| !p.is_file()) {
-            return Err(InputError::new(
-                "there are fewer truth masks than frames: this one is missing",
-                missing,
-                "generate the recording again",
-            )
-            .into());
+            return Err(
+                InputError::new("a truth mask is missing", missing, "generate the recording again").into()
+            );
         }
         let maps = read_maps(sequence, &paths, progress, cancel)?;
         Ok(number_labels(maps, &named, MaskSource::Truth, warnings))
@@ -86,14 +83,16 @@ mod tests {
         sequence.source = dir.path().to_owned();
         let warnings = Warnings::new();
         let run = |s: &Sequence| TruthMasks.segment(s, StageContext::quiet(&Cancel::new(), &warnings));
-        let message = run(&sequence).unwrap_err().to_string();
-        assert!(message.contains("truth.json") && message.contains("--masks geometry"), "{message}");
+        let fails_at = |file: &str| match run(&sequence) {
+            Err(MasksError::Input(e)) => assert!(e.path.ends_with(file), "{e}"),
+            other => panic!("{other:?}"),
+        };
+        fails_at("truth.json");
 
         std::fs::create_dir(dir.path().join("truth")).unwrap();
         let truth = r#"{"objects": [{"name": "cue_ball", "mass": 1}, {"name": "mug"}], "seed": 3}"#;
         std::fs::write(dir.path().join("truth/truth.json"), truth).unwrap();
-        let message = run(&sequence).unwrap_err().to_string();
-        assert!(message.contains("000000.png") && message.contains("fewer"), "{message}");
+        fails_at("000000.png");
 
         for index in 0..2 {
             let mask = Image::from_vec(4, 2, vec![0, 0, 2, 2, 0, 1, 1, 0]);

@@ -1,4 +1,4 @@
-//! Objects that a source of masks missed.
+//! Detection of objects missed by a source of masks.
 
 use crate::geometry::Clustered;
 use crate::names::unique;
@@ -7,18 +7,19 @@ use rayon::prelude::*;
 use sms_core::{BACKGROUND, Cancel, LabelInfo, LabelMap, Labels, Progress};
 use sms_frames::Sequence;
 
-/// Of a leftover at most this share may bear a label, and as much may lie beside what does, or beside a wall.
+/// Greatest share of a missed object that bears a label, and that lies beside labelled surfaces, or beside a wall.
 const EXPLAINED: f64 = 0.1;
-/// Labels are looked up in at most so many frames.
+/// Greatest number of frames in which labels are looked up.
 const FRAMES: usize = 40;
 
-/// Adds what stands free and no label explains: clusters of [`crate::GeometryMasks`] of which at most a tenth bears a label
-/// and at most a tenth touches what does, or a wall, and which a fifth of the frames
-/// ([`GeometryConfig::min_seen_share`]) shows whole. They are called `unknown_01`, `unknown_02`, … and take the pixels that have no
-/// label yet. What cannot be told from a labelled object or from the surroundings stays background, and so static.
+/// Adds free-standing objects without a label: clusters of [`crate::GeometryMasks`] of which at most a tenth bears
+/// a label, at most a tenth touches labelled surfaces or a wall, and which lie completely within the image in a
+/// fifth of the frames ([`GeometryConfig::min_seen_share`]). They are named `unknown_01`, `unknown_02`, … and take
+/// pixels without a label. Clusters that cannot be told from a labelled object or from the surroundings remain
+/// background, and so static.
 ///
 /// # Errors
-/// [`MasksError::Input`] for settings that cannot be used, [`MasksError::Core`] for interruption.
+/// [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
 pub fn add_unknown(
     labels: &Labels,
     sequence: &Sequence,
@@ -88,7 +89,8 @@ pub fn add_unknown(
     Ok(labels)
 }
 
-/// In how many frames each cluster (label less 1) is seen and does not reach the image's border.
+/// Returns the number of frames in which each cluster (label less 1) is visible and does not reach the image's
+/// border.
 fn seen_whole(maps: &[LabelMap], clusters: usize) -> Vec<usize> {
     let mut frames = vec![0; clusters];
     for map in maps {
@@ -127,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_source_missed_becomes_unknown_and_nothing_else_changes() {
+    fn missed_objects_become_unknown_and_nothing_else_changes() {
         let solids = table_scene();
         let (sequence, truth) = scene(&solids, Sensor { frames: 12, ..Sensor::default() }, 3);
         let given = some_labels(&truth, &[1, 2, 4]);
@@ -142,18 +144,18 @@ mod tests {
         for (before, after) in given.maps.iter().zip(&full.maps) {
             assert!(before.data.iter().zip(&after.data).all(|(b, a)| *b == BACKGROUND || a == b));
         }
-        // With all of them labelled there is nothing to add.
+        // With all of them labelled, nothing is added.
         let all = some_labels(&truth, &[1, 2, 3, 4, 5]);
         assert_eq!(add_unknown(&all, &sequence, &config, &NoProgress, &Cancel::new()).unwrap(), all);
     }
 
     #[test]
-    fn what_leans_on_a_wall_or_is_never_seen_whole_stays_static() {
+    fn objects_on_a_wall_or_never_whole_in_view_stay_static() {
         let wall = Solid::Box(DVec3::new(-0.25, 0.0, 0.2), DVec3::new(0.003, 0.5, 0.2), 0.0);
         let thing = |x: f64| Solid::Box(DVec3::new(x, 0.0, 0.04), DVec3::new(0.03, 0.05, 0.04), 0.0);
         let unknown = |solids: &[Solid], width: usize| {
             let (mut sequence, truth) = scene(solids, Sensor { frames: 12, ..Sensor::default() }, 5);
-            // The images end in the middle of what lies in their middle.
+            // The images are cropped through the middle of the object.
             for frame in &mut sequence.frames {
                 frame.depth = crop(&frame.depth, width);
                 frame.color = crop(&frame.color, width);
@@ -180,7 +182,7 @@ mod tests {
 
     #[test]
     fn the_unlabelled_half_of_a_labelled_thing_stays_static() {
-        // One mask covers the lower half of a tower alone.
+        // One mask covers only the lower half of a tower.
         let tower = |z: f64| Solid::Box(DVec3::new(0.0, 0.0, z), DVec3::new(0.04, 0.03, 0.03), 0.3);
         let (sequence, truth) =
             scene(&[tower(0.03), tower(0.09)], Sensor { frames: 12, ..Sensor::default() }, 5);

@@ -2,11 +2,11 @@
 
 use glamx::DVec3;
 
-/// Cells along each axis that a key can hold on both sides of the origin.
+/// Greatest index of a cell along each axis, on both sides of the origin.
 const HALF: i64 = 1 << 20;
 
-/// The key of the cell of size `cell_m` that holds a point; `None` for points that are not finite or too far away.
-/// Keys sort by z, then y, then x.
+/// Returns the key of the cell of size `cell_m` that contains a point, or `None` for points that are not finite or
+/// too far away. Keys sort by z, then y, then x.
 pub(crate) fn key_of(p_w: DVec3, cell_m: f64) -> Option<u64> {
     let c = (p_w / cell_m).floor();
     let inside = c.is_finite() && c.abs().max_element() < (HALF - 64) as f64;
@@ -17,19 +17,19 @@ fn pack([x, y, z]: [i64; 3]) -> u64 {
     ((z + HALF) as u64) << 42 | ((y + HALF) as u64) << 21 | (x + HALF) as u64
 }
 
-/// The cells of a sorted list around each of its cells, by walking along the rows of the grid: in a list sorted by
-/// key, the cells of a row that are near cell `i` lie behind those that are near cell `i - 1`.
+/// A walk over the cells around each cell of a sorted list, row by row of the grid: in a list sorted by key, the
+/// cells of a row near cell `i` come after those near cell `i - 1`.
 #[derive(Debug)]
 pub(crate) struct RowWalk<'a> {
     keys: &'a [u64],
-    /// Of each row the key offset of its first cell and the number of cells after that one.
+    /// For each row, the key offset of its first cell and the number of cells after that one.
     rows: Vec<(i64, u64)>,
     cursors: Vec<usize>,
 }
 
 impl<'a> RowWalk<'a> {
-    /// A walk that starts at position `first`; visits all cells that can hold a point within `radius_cells` (at most
-    /// 60) of a point of the central cell, the central one included.
+    /// A walk that starts at position `first`; visits all cells that can contain a point within `radius_cells` (at
+    /// most 60) of a point of the central cell, which is included.
     pub(crate) fn new(keys: &'a [u64], radius_cells: f64, first: usize) -> Self {
         let r = radius_cells.ceil() as i64;
         let gap2 = |d: i64| ((d.abs() - 1).max(0) as f64).powi(2);
@@ -73,7 +73,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_walk_finds_what_all_pairs_find(
+        fn a_walk_agrees_with_all_pairs(
             points in proptest::collection::vec(proptest::array::uniform3(-0.06f64..0.06), 1..60), first in 0usize..60,
         ) {
             let (cell, radius) = (0.01, 2.3);

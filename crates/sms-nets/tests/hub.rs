@@ -368,7 +368,7 @@ fn a_hub_that_answers_with_another_commit_is_refused() {
 }
 
 #[test]
-fn what_lies_in_the_cache_under_a_wrong_name_is_fetched_again() {
+fn cached_files_with_a_wrong_checksum_are_fetched_again() {
     let server = Server::new(|_, _| Fault::None);
     let cache = tempfile::tempdir().unwrap();
     let blobs = cache.path().join("models--org--toy/blobs");
@@ -423,7 +423,7 @@ fn the_token_goes_to_the_hub_alone() {
 }
 
 #[test]
-fn what_cannot_be_reached_says_what_to_fetch_and_where_to_put_it() {
+fn an_unreachable_hub_names_the_files_and_their_place() {
     let cache = tempfile::tempdir().unwrap();
     let server = Server::new(|_, _| Fault::None);
     let nowhere = HubConfig { endpoint: "http://127.0.0.1:9".into(), ..hub(&server, cache.path()) };

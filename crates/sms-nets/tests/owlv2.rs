@@ -67,7 +67,7 @@ fn every_seam_equals_the_reference() {
 }
 
 #[test]
-fn what_matters_equals_the_reference_with_weights_made_up_here() {
+fn results_equal_the_reference_with_synthetic_weights() {
     let folder = data("owlv2");
     let config = config(&folder);
     let names = Weights::zeros();
@@ -101,7 +101,7 @@ fn a_config_that_says_little_is_the_base_model() {
 }
 
 #[test]
-fn the_same_input_gives_the_same_bytes_whatever_the_threads() {
+fn results_do_not_depend_on_the_number_of_threads() {
     let folder = data("owlv2");
     let run = |threads: usize, device: &Device| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_on_the_platform_is_kept_clear() {
+    fn objects_on_the_platform_are_kept_clear() {
         let board = cuboid("board", DVec3::new(0.6, 0.2, 0.01), DVec3::Z * 0.69, 0.0);
         let bar = cuboid("bar", DVec3::new(0.05, 0.15, 0.03), DVec3::new(-0.5, 0.0, 0.73), 0.0);
         let sites = found(&[board, bar]).unwrap();

@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_named_and_the_rest_is_kept() {
+    fn unusable_fields_are_reported_and_the_rest_is_kept() {
         for (from, to, field) in [
             ("2400", "\"2400 kg\"", "density"),
             ("2400", "2.4", "density"),

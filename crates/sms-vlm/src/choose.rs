@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_no_mark_says_why() {
+    fn replies_without_a_mark_are_explained() {
         for (text, why) in [
             (r#"{"decision": 12}"#, "no mark 12: the marks are 1, 2"),
             (r#"{"decision": "1 or 2"}"#, "not one number"),

@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_step_down_only_for_what_they_are_about() {
+    fn refusals_step_down_only_for_their_own_feature() {
         let first = Dialect::default();
         let after = |d: Dialect, words: &str| d.after_refusal(words);
         let mut d = first;

@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn what_models_do_to_json_is_undone() {
+    fn damaged_json_is_repaired() {
         for text in [
             "Sure! Here it is:\n```json\n{\"a\": 1, \"b\": \"x\",}\n```\nHope {it} helps",
             "{a: 1, 'b': 'x'}",
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_object_says_why() {
+    fn replies_without_an_object_are_explained() {
         for text in ["", "I cannot tell.", "[1, 2]", "\"just text\"", "{ ( }"] {
             assert_eq!(objects(text), Err(NoObject::Missing), "{text}");
         }

@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repair_lists_what_is_wrong() {
+    fn a_repair_lists_the_faults() {
         let faults = [Fault { field: "density".into(), what: "it is missing".into() }];
         assert!(repair(&faults).contains("- density: it is missing"));
     }

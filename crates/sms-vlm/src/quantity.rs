@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_be_read_in_two_ways_is_refused() {
+    fn ambiguous_quantities_are_refused() {
         for (p, text) in [
             (Density, "heavy"),
             (Density, ""),

@@ -152,7 +152,7 @@ fn servers_are_asked_as_strictly_as_they_can() {
 }
 
 #[test]
-fn what_was_found_out_is_remembered_for_the_other_objects() {
+fn server_capabilities_are_remembered_for_later_objects() {
     let done = Setup::new(|_, r| {
         if r.form() == "none" {
             reply(WHOLE)
@@ -196,7 +196,7 @@ fn prose_around_the_object_is_left_aside() {
 }
 
 #[test]
-fn the_model_is_told_what_was_wrong_at_most_twice() {
+fn at_most_two_repairs_are_requested() {
     let units = WHOLE.replace(
         "\"best\": 2400, \"low\": 2200, \"high\": 2600",
         "\"best\": 2.4, \"low\": 2.2, \"high\": 2.6",

@@ -415,7 +415,7 @@ fn damaged_numbers_never_reach_a_parameter() {
 }
 
 #[test]
-fn frames_without_anything_usable_move_only_what_regularizers_move() {
+fn unusable_frames_change_only_regularized_parameters() {
     let camera = camera(SIZE.0, SIZE.1);
     let pixels = SIZE.0 * SIZE.1;
     let mut trainer = trainer(&TrainConfig::default(), Simd::detect());

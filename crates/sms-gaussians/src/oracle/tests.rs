@@ -116,7 +116,7 @@ fn colors_before_a_background() {
 }
 
 #[test]
-fn what_splats_leave_is_the_background() {
+fn the_remaining_transmittance_shows_the_background() {
     let camera = camera(17, 13);
     let mut parameters = Parameters::new(CLASSES, Seed(2));
     parameters.insert(&seedlings(&camera, 10, Seed(3)));

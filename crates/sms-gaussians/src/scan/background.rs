@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_of_what_is_clear_of_depth() {
+    fn the_mean_of_pixels_clear_of_depth() {
         let (mut a, b) = (frame(30, [51, 102, 204]), frame(30, [51, 102, 0]));
         assert_eq!(background_color(&[&a]), [0.2, 0.4, 0.8]);
         assert_eq!(background_color(&[&a, &b]), [0.2, 0.4, 0.4]);

@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_stop_early_shorten_what_is_expected_of_the_rest() {
+    fn frames_that_stop_early_shorten_the_forecast() {
         let mut pace = Pace::new(vec![100, 20, 20, 60], 4);
         pace.stepped(60, 0.6);
         pace.finished(0, 60, Some(2.0));

@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn the_header_is_what_viewers_expect() {
+    fn the_header_is_readable_by_viewers() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("scene.ply");
         write_ply(&model(2), &path).unwrap();

@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_not_explained_is_seeded() {
+    fn only_unexplained_pixels_are_seeded() {
         let frame = first_frame();
         let n = frame.depth.data.len();
         let mut maps = RenderedMaps {

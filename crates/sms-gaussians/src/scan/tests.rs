@@ -289,7 +289,7 @@ fn a_sky_without_depth_is_the_background_and_not_covered() {
 }
 
 #[test]
-fn what_cannot_be_scanned_is_refused_with_a_cure() {
+fn unusable_input_is_refused() {
     let (sequence, labels) = record(fixture::Recorded { frames: 2, width: 16, height: 10, noise_m: 0.0 });
     let dir = tempfile::tempdir().unwrap();
     let refusal = |sequence: &Sequence, labels: &Labels| {

@@ -1,9 +1,8 @@
-//! What stands free on the ground and is larger than an object: furniture, containers, and what is stacked on them.
+//! Free-standing assemblies larger than an object: furniture, containers, and the things stacked on them.
 
 use super::GeometryConfig;
-use super::cluster::{is_ragged, quantile};
+use super::extents::{extents, is_ragged, quantile};
 use super::fuse::{Neighbors, Surfel};
-use super::planes::extents;
 use super::posts::{Footprint, Post};
 use super::seams::{LevelSeam, OTHER_HUE, between, hue_contrast, sector, share_around};
 use super::segments::{Border, Segments};
@@ -11,27 +10,29 @@ use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// Of the largest object's length: what is thinner is a wall or a lip, though it may stand free.
+/// Least thickness, of the largest object's length: thinner pieces are walls or lips, though they may stand free.
 const THICK: f64 = 0.25;
-/// An assembly may be so much longer than one structure: a board that juts out from a stool.
+/// Greatest length of an assembly, of one structure's: a board juts out from a stool.
 pub(crate) const OVER: f64 = 1.5;
-/// It is so high, or so much of it was taken for static: else it is objects on a table that hardly touch, which other rules tell
-/// apart.
+/// Least height of an assembly, or least share of it that was classified as static. Anything less is a group of
+/// objects on a table that hardly touch; other rules separate them.
 const HIGH_M: f64 = 0.35;
 const FACES: f64 = 0.05;
-/// The lowest cells are at most so high over the ground.
+/// Greatest height of the lowest cells over the ground.
 pub(crate) const FOOT_M: f64 = 0.04;
 /// Upright surface faces away from the middle by at least this (mean cosine); the walls of a bin or a shelf face inwards.
 const OUTWARD: f64 = 0.1;
-/// Length of the mean of the upright normals' level parts, of theirs: 0 for what is seen all around, 1 for one side.
+/// Length of the mean of the horizontal parts of upright normals, relative to their mean length: 0 for a piece
+/// visible from all around, 1 for a single side.
 const ONE_SIDED: f64 = 0.5;
-/// At most this share of an assembly lies beside large planes that are no part of it, the ground included.
+/// Greatest share of an assembly that lies beside large planes outside of it, the ground included.
 const TOUCHING: f64 = 0.05;
 
-/// The connected pieces of the cells that are no ground which stand free as a whole: sorted cells.
+/// Returns the connected pieces of the cells off the ground that stand free as a whole, as sorted cells.
 ///
-/// `heights` are the cells' heights over the ground (not finite where there is none), `is_ground` says which belong to
-/// it, `is_static` which belong to other large planes. Faces of what is found here are not static, however large.
+/// `heights` are the cells' heights over the ground (not finite where there is none), `is_ground` marks the cells
+/// of the ground, `is_static` those of other large planes. Faces of the returned pieces are not static, however
+/// large.
 pub(crate) fn free_standing(
     coarse: &[Surfel],
     graph: &Neighbors,
@@ -84,31 +85,32 @@ fn stands_free(
         && touching <= TOUCHING * members.len() as f64
 }
 
-/// Heights of a contact are known to this.
+/// Accuracy of the height of a contact.
 const LEVEL_M: f64 = 0.02;
-/// Colours of surfaces that face the same way differ by so many spreads where two things of one body never do, and by so
-/// many where a flush seam is one between two things.
+/// Contrast of surfaces that face the same way, in spreads, from which two segments are never one body; and from
+/// which a flush seam separates two bodies.
 const OTHER_COLOR: f64 = 2.0;
 const FLUSH_COLOR: f64 = 2.4;
 /// Share of a border that bends inwards below which it is smooth or an edge of one thing.
 const BENT: f64 = 0.25;
-/// Height of a level seam, of its length.
+/// Height of a level seam, relative to its length.
 const LEVEL: f64 = 0.2;
-/// Parts of the way along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
+/// Sectors along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
 const SECTORS: usize = 24;
 const RUNNING: f64 = 0.5;
-/// … or, between two colours, this share in one piece: a side of a board, where the shade hides the others.
+/// … or, between two colours, this share without a gap: one side of a board, where shade hides the others.
 const SIDE: f64 = 0.25;
-/// A seam that is less wide than this share of its length runs along a line.
+/// A seam narrower than this share of its length runs along a line.
 const LINE: f64 = 0.2;
-/// What is that much shorter than what it carries is a foot of it.
+/// A segment with less than this share of the extent of the one above it is a foot of it.
 const FOOT: f64 = 0.15;
-/// What rises above a level face by this bounds it; noise and edges that are rounded off do not.
+/// A surface bounds a level face if it rises above it by this; noise and rounded edges do not.
 const SUNK_M: f64 = 0.006;
-/// … where it does so within this of the face, metres, over this share of the way around it: a ridge beside it does not.
+/// … if it does so within this distance of the face, metres, over this share of the way around it: a ridge on one
+/// side does not.
 const RIM_M: f64 = 0.03;
 const BOUNDED: f64 = 0.75;
-/// What hangs in the air is part of what is nearest to it, this far at most.
+/// A floating segment belongs to the nearest other segment, at most this far away.
 const HANGS_M: f64 = 0.1;
 
 /// How two segments meet.
@@ -118,18 +120,19 @@ enum Seam {
     On,
     /// The second stands on the first.
     Under,
-    /// Both are one thing; the greater the surer.
+    /// Both are one body. The greater the value, the more certain.
     One(f64),
-    /// Two things beside each other, if both stand by themselves.
+    /// Two bodies side by side, if each stands by itself.
     Beside,
 }
 
-/// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` the surfels of the least
-/// object, `cell_m2` the area of a surfel.
+/// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` the number of
+/// surfels of the smallest object, `cell_m2` the area of a surfel.
 ///
-/// What stands free is stacked: bodies meet where one stands on another, in a level seam around the contact with the one above
-/// it and the other below. And nothing floats: what neither reaches the ground nor stands on something is part of what it
-/// hangs on, whatever its colour. A strip that is too ragged for an object is part of what it stands on.
+/// Free-standing assemblies are stacks: bodies meet where one stands on another, in a level seam around the contact
+/// with one body above it and the other below. No body floats: a segment that neither reaches the ground nor stands
+/// on another belongs to the segment it touches, whatever its colour. A strip too ragged for an object belongs to
+/// the segment below it.
 pub(crate) fn merge_bodies(
     s: &mut Segments,
     surfels: &[Surfel],
@@ -166,7 +169,7 @@ pub(crate) fn merge_bodies(
     }
 }
 
-/// The bodies of an assembly while they are put together.
+/// The bodies of an assembly during merging.
 struct Bodies<'a> {
     /// The segment of each surfel.
     owner: Vec<usize>,
@@ -188,7 +191,7 @@ impl Bodies<'_> {
         quantile(s.members(a).iter().map(|&i| self.surfels[i].p_w.z), share)
     }
 
-    /// Gives crumbs, of faces that cameras look along, to the segment that most of the surfels near them are of.
+    /// Merges crumbs (surfels of faces seen at grazing angles) into the segment with most surfels near them.
     fn attach_crumbs(&mut self, s: &mut Segments, smallest: usize) {
         for _ in 0..4 {
             let mut joins = Vec::new();
@@ -208,7 +211,7 @@ impl Bodies<'_> {
                 break;
             }
             for (b, a) in joins {
-                // Its neighbour may itself have gone in this round.
+                // The neighbour may itself have been merged in this round.
                 if s.size(b) > 0 {
                     self.merge(s, b, a);
                 }
@@ -216,7 +219,7 @@ impl Bodies<'_> {
         }
     }
 
-    /// How each pair of neighbours meets, the lesser number first.
+    /// Classifies the seam between each pair of neighbours, the lesser index first.
     fn seams(&self, s: &Segments, smallest: usize) -> BTreeMap<(usize, usize), Seam> {
         let mut seams = BTreeMap::new();
         for a in s.left().into_iter().filter(|&a| s.size(a) >= smallest) {
@@ -237,7 +240,8 @@ impl Bodies<'_> {
         let contrast = s.shared_contrast(a, b);
         let bent = border.crease / border.pairs;
         let one = Seam::One(1.0 / (1.0 + contrast.unwrap_or(1.0)));
-        // The side on which a face is seen has no body: what looks down is the underside of what is above it.
+        // The side from which a face is visible is empty: a face that looks down is the underside of the segment
+        // above it.
         let rests = |sheet: usize, other: usize| {
             self.is_underside(s, sheet) && below(other) && !self.is_underside(s, other)
         };
@@ -280,8 +284,8 @@ impl Bodies<'_> {
         }
     }
 
-    /// Whether a segment is the rim of what it seems to stand on, or its seat: low, of one hue with it, and right below a level
-    /// seam, so that what lies on it hides all but its sides, and shades them.
+    /// Whether a segment is the rim or the seat of the segment below it: low, of the same hue, and right below a
+    /// level seam, so that the load on it hides all but its sides, and shades them.
     fn is_rim(&self, s: &Segments, rim: usize, lower: usize) -> bool {
         let [bottom, top] = [0.05, 0.95].map(|share| self.height(s, rim, share));
         let is_under = |seam: &LevelSeam| {
@@ -293,8 +297,8 @@ impl Bodies<'_> {
             && hue_contrast(self.surfels, s.members(rim), s.members(lower)) < OTHER_HUE
     }
 
-    /// Whether a level face that looks up is the bottom of a hollow, or a lid within its rim: what bounds it rises above it, and
-    /// is of its hue. What stands on something is nowhere below its top.
+    /// Whether a level face that looks up is the bottom of a hollow, or a lid within its rim: the surface around it
+    /// rises above it and has its hue. A body that stands on another is nowhere below the other's top.
     fn is_sunk(&self, s: &Segments, face: usize, around: usize) -> bool {
         if s.facing(face).z < 0.7
             || s.spread(face).height() > LEVEL_M
@@ -326,7 +330,8 @@ impl Bodies<'_> {
         s.facing(a).z < -0.7 && s.spread(a).height() < LEVEL_M
     }
 
-    /// The share of the way along or around a border in which it runs, and the largest that it does in one piece.
+    /// Returns the share of the sectors along or around a border that it reaches, and the largest share it reaches
+    /// without a gap.
     fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> [f64; 2] {
         let (small, other) = if s.size(a) < s.size(b) { (a, b) } else { (b, a) };
         let touches = |&&i: &&usize| self.graph.of(i).any(|j| self.owner[j] == other);
@@ -352,7 +357,7 @@ impl Bodies<'_> {
             };
             reached[sector(share, SECTORS)] = true;
         }
-        // Around, it may run over the end.
+        // Around a contact, a run may wrap around.
         let rounds = if is_line { 1 } else { 2 };
         let (mut run, mut longest) = (0, 0);
         for &r in reached.iter().cycle().take(rounds * SECTORS) {
@@ -362,8 +367,8 @@ impl Bodies<'_> {
         [reached.iter().filter(|r| **r).count(), longest].map(|n| n as f64 / SECTORS as f64)
     }
 
-    /// A strip too ragged for an object: the rim of a bin or the sides of a seat, in the shade of what lies on it. It is part of what it
-    /// stands on, else of what it is most alike in colour of those it touches.
+    /// Finds a strip too ragged for an object: the rim of a bin or the sides of a seat, in the shade of its load.
+    /// It belongs to the segment it stands on, else to the one of most similar colour among those it touches.
     fn ragged(
         &self,
         s: &Segments,
@@ -390,7 +395,7 @@ impl Bodies<'_> {
         })
     }
 
-    /// The lowest segment that hangs in the air, and what it is part of.
+    /// Finds the lowest floating segment and the segment it belongs to.
     fn floating(
         &self,
         s: &Segments,
@@ -430,7 +435,7 @@ impl Bodies<'_> {
                         let others = s.members(b).iter().map(|&j| self.surfels[j].p_w.distance_squared(*p));
                         others.fold(f64::INFINITY, f64::min)
                     };
-                    // Not the nearest pair of points, which noise decides: as much of a tenth of it is.
+                    // Not the nearest pair of points, which noise decides, but the 10th percentile.
                     let mut distances: Vec<f64> = own.iter().map(to).collect();
                     distances.sort_by(f64::total_cmp);
                     (distances[distances.len() / 10].sqrt(), b)
@@ -443,7 +448,8 @@ impl Bodies<'_> {
         None
     }
 
-    /// A post that touches nothing it could carry, and what it is a leg of: the lowest of what is over its end.
+    /// Finds a post that touches no segment it could carry, and the lowest segment over its end, of which it is a
+    /// leg.
     fn hidden_leg(
         &self,
         s: &Segments,

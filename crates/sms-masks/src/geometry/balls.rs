@@ -1,5 +1,5 @@
-//! Balls among what is connected. A ball touches in a point, but noise fills the gap around it, and patches of a few surfels merge
-//! across: that it is round all around is seen only of the whole.
+//! Detection of balls in connected pieces. A ball touches in a point, but noise fills the gap around it, and
+//! patches of a few surfels merge across: only the whole shows that it is round.
 
 use super::fuse::{Neighbors, Surfel};
 use glamx::{DMat3, DVec3};
@@ -12,7 +12,7 @@ use std::collections::{BTreeSet, HashSet};
 pub(crate) struct Ball {
     /// Its surfels, sorted.
     pub(crate) members: Vec<usize>,
-    #[cfg_attr(not(test), expect(dead_code, reason = "what a fit is judged by"))]
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests compare it"))]
     pub(crate) sphere: Sphere,
 }
 
@@ -23,26 +23,27 @@ pub(crate) struct Sphere {
     pub(crate) radius_m: f64,
 }
 
-/// Radii that are looked for: from three cells on a ball shows in enough of them, and larger things than balls for
+/// Radii of the search. A ball needs three cells to show in enough of them; round things larger than balls for
 /// games are furniture.
 const RADII_M: std::ops::Range<f64> = 0.012..0.13;
-/// One surfel in so many is where a search starts, in large pieces one in more: there are at most so many searches.
+/// Every `STRIDE`-th surfel starts a search, fewer in large pieces: there are at most `SEARCHES`.
 const STRIDE: usize = 29;
 const SEARCHES: usize = 1000;
-/// Searches that are done at once: so many at most are in vain for each ball that is found.
+/// Searches run at once; at most this many are wasted for each ball found.
 const BATCH: usize = 64;
-/// A ball shows at least this share of its surface: balls of 3 cm on a table and against a mug show 0.86 to 0.97, a band around
-/// a cup or a rod 0.44 to 0.72.
+/// Least visible share of a ball's surface: balls of 3 cm on a table and against a mug show 0.86 to 0.97, a band
+/// around a cup or a rod 0.44 to 0.72.
 const COVERED: f64 = 0.75;
-/// Root of the mean square of what lies off it, at most: so much of the radius, and noise. Balls of 3 cm alone on a table have 1 % of
-/// the radius, against a mug 2 %; heads and bellies of toys, which are as round all around and of 4 cm and more, 2.8 % and more, bands 4 %.
+/// Greatest root mean square distance of the surfels from the sphere: a share of the radius, plus noise. Balls of 3
+/// cm have 1 % of the radius alone on a table and 2 % against a mug; round heads and bellies of toys, of 4 cm and
+/// more, have at least 2.8 %, bands 4 %.
 const UNROUND: f64 = 0.015;
 const NOISE_M: f64 = 3e-4;
-/// Directions that the surface is divided into for that.
+/// Directions for measuring the visible share of the surface.
 const DIRECTIONS: usize = 64;
 
 impl Sphere {
-    /// By positions and normals: the least squares of p = c + r n.
+    /// Fits positions and normals: the least squares of p = c + r n.
     fn from_normals(surfels: &[Surfel], of: &[usize]) -> Option<Self> {
         let count = of.len() as f64;
         let mean = |f: &dyn Fn(&Surfel) -> DVec3| of.iter().map(|&i| f(&surfels[i])).sum::<DVec3>() / count;
@@ -56,7 +57,7 @@ impl Sphere {
         RADII_M.contains(&radius_m).then(|| Self { center_w: p - radius_m * n, radius_m })
     }
 
-    /// By positions alone: the least squares of |p|² = 2 c·p + k, which is linear.
+    /// Fits positions only: the least squares of |p|² = 2 c·p + k, which is linear.
     fn from_positions(surfels: &[Surfel], of: &[usize]) -> Option<Self> {
         let count = of.len() as f64;
         let mean = of.iter().map(|&i| surfels[i].p_w).sum::<DVec3>() / count;
@@ -79,13 +80,13 @@ impl Sphere {
         p_w.distance(self.center_w) - self.radius_m
     }
 
-    /// Whether a surfel lies within a distance of its surface and faces as it does there.
+    /// Whether a surfel lies within a distance of the surface and faces as the surface does there.
     fn shows(&self, s: &Surfel, within_m: f64, aligned: f64) -> bool {
         self.height(s.p_w).abs() < within_m
             && (s.p_w - self.center_w).normalize_or_zero().dot(s.n_w) > aligned
     }
 
-    /// What hangs together around a surfel and lies on it.
+    /// Returns the connected surfels around some that lie on the sphere.
     fn flood(
         &self,
         surfels: &[Surfel],
@@ -109,7 +110,7 @@ impl Sphere {
         found
     }
 
-    /// Whether it is round within the noise where surfels lie on it, and shows enough of its surface.
+    /// Whether the surfels on it are round within noise and cover enough of its surface.
     fn is_ball(&self, surfels: &[Surfel], on_it: &[usize], directions: &[DVec3]) -> bool {
         let square: f64 = on_it.iter().map(|&i| self.height(surfels[i].p_w).powi(2)).sum();
         let rms_m = (square / on_it.len() as f64).sqrt();
@@ -129,13 +130,14 @@ impl Sphere {
     }
 }
 
-/// The balls among the surfels of a connected piece (sorted), that share no surfels, in the order of their first ones.
+/// Returns the balls among the surfels of a connected piece (sorted), disjoint, in the order of their first
+/// surfels.
 ///
-/// From every [`STRIDE`]-th surfel a sphere is fitted to two rings of neighbours, then to all that hangs together on it, four times
-/// over. What is round within the noise and shows [`COVERED`] of its surface is a ball.
+/// From every [`STRIDE`]-th surfel, a sphere is fitted to two rings of neighbours, then four times to all connected
+/// surfels on it. A fit that is round within noise and shows [`COVERED`] of its surface is a ball.
 ///
 /// # Errors
-/// [`CoreError::Interrupted`] once a stop was asked for.
+/// [`CoreError::Interrupted`] once a stop was requested.
 pub(crate) fn balls(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -158,15 +160,15 @@ pub(crate) fn balls(
             let (sphere, on_it) = grown(surfels, graph, seed, voxel_m, free)?;
             sphere.is_ball(surfels, &on_it, &directions).then_some((at, sphere))
         };
-        // A search depends on the balls before it alone: of several at once the first that finds one counts, and those after it
-        // are done again.
+        // A search depends on earlier balls only: of a batch, the first search that finds one counts, and those
+        // after it are repeated.
         let batch = &seeds[next..seeds.len().min(next + BATCH)];
         let Some((at, sphere)) = batch.par_iter().enumerate().find_map_first(search) else {
             next += batch.len();
             continue;
         };
         next += at + 1;
-        // Right under its surface there is nothing else, whichever way noise has it face.
+        // Surfels right under the surface belong to the ball, whichever way noise turns their normals.
         let is_member = |&i: &usize| {
             let s = &surfels[i];
             let under = (-2.0 * voxel_m..0.0).contains(&sphere.height(s.p_w));
@@ -182,7 +184,7 @@ pub(crate) fn balls(
     Ok(balls)
 }
 
-/// A sphere that fits around a surfel, and the surfels on it.
+/// Fits a sphere around a surfel, and returns it with the surfels on it.
 fn grown(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -200,7 +202,7 @@ fn grown(
     for share in [0.3, 0.2, 0.12, 0.1] {
         let within_m = (share * sphere.radius_m).max(0.6 * voxel_m);
         on_it = sphere.flood(surfels, graph, &on_it, within_m, &free);
-        // Less than a third of it: no ball, whatever comes.
+        // With less than a third of the surface it cannot become a ball.
         if 3.0 * on_it.len() as f64 * voxel_m.powi(2) < 2.0 * std::f64::consts::PI * sphere.radius_m.powi(2) {
             return None;
         }
@@ -215,7 +217,7 @@ mod tests {
     use super::*;
     use crate::fixture::{Sensor, Solid, scene};
 
-    /// The balls of a scene, a table's surface taken away.
+    /// The balls of a scene, without the table's surface.
     fn found(solids: &[Solid], sensor: Sensor) -> Vec<Sphere> {
         let config = GeometryConfig::default();
         let (sequence, _) = scene(solids, sensor, 3);
@@ -298,7 +300,7 @@ mod tests {
             let fit = fit.unwrap();
             assert!(fit.center_w.distance(center_w) < 1e-9 && (fit.radius_m - radius_m).abs() < 1e-9);
         }
-        // From inside, the same points are no ball.
+        // From inside, the same points are not a ball.
         let inside: Vec<Surfel> = surfels.iter().map(|s| Surfel { n_w: -s.n_w, ..*s }).collect();
         assert!(Sphere::from_normals(&inside, &of).is_none());
     }

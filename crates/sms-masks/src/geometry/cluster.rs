@@ -1,10 +1,11 @@
-//! From what is not static to objects.
+//! Clustering of the surfels that are not static into objects.
 
 use super::GeometryConfig;
 use super::assembly::{FOOT_M, OVER, merge_bodies};
 use super::balls::{Ball, balls};
+use super::extents::{extents, is_ragged, quantile};
 use super::fuse::{Neighbors, Surfel};
-use super::planes::{StaticPlane, extents, is_seen_through};
+use super::planes::{StaticPlane, is_seen_through};
 use super::posts::{Footprint, Post};
 use super::seams::{LevelSeam, level_seams};
 use super::segments::{Border, Segments};
@@ -13,10 +14,10 @@ use rayon::prelude::*;
 use sms_core::{Cancel, CoreError};
 use sms_frames::Sequence;
 
-/// The objects: sorted lists of surfels, the largest first.
+/// Returns the objects as sorted lists of surfels, the largest first.
 ///
 /// # Errors
-/// [`CoreError::Interrupted`] once a stop was asked for.
+/// [`CoreError::Interrupted`] once a stop was requested.
 pub(crate) fn clusters(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -56,7 +57,7 @@ pub(crate) fn clusters(
         standing.extend(bodies(surfels, graph, members, config));
     }
     let parts = join_legs(surfels, parts, |p_w| is_seen_through(p_w, sequence));
-    // A body that stands free may be as long as all of what stands there.
+    // A free-standing body may be as long as its whole assembly.
     let [part, body] = [1.2, OVER].map(|times| times * config.max_structure_m);
     let mut objects: Vec<Vec<usize>> = parts
         .into_iter()
@@ -74,7 +75,7 @@ pub(crate) fn clusters(
     Ok(objects)
 }
 
-/// The bodies of an assembly, whose surfels are `members`.
+/// Returns the bodies of an assembly, whose surfels are `members`.
 pub(crate) fn bodies(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -88,18 +89,13 @@ pub(crate) fn bodies(
     segments.into_members()
 }
 
-/// What is longer than an object stands free where at most this share of it lies beside static surfaces.
+/// A piece longer than an object stands free if at most this share of it lies beside static surfaces.
 const TOUCHING: f64 = 0.1;
 
-/// What shows less surface than this (m²), a cube of 13 mm, must be seen in so large a share of the frames: noise and rims of other
-/// things are seldom in the same place.
+/// A piece with less surface than this (m²), a cube of 13 mm, must be visible in this larger share of the frames:
+/// noise and rims of other things seldom repeat in one place.
 const SMALL_M2: f64 = 9e-4;
 const SMALL_SEEN: f64 = 0.5;
-
-/// Whether a piece fills little of the rectangle around it, as rims do.
-pub(crate) fn is_ragged(area_m2: f64, middle_m: f64, long_m: f64) -> bool {
-    area_m2 < 0.35 * middle_m * long_m
-}
 
 /// Whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
 fn is_plausible(
@@ -171,15 +167,15 @@ fn split(
         Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad, seams, balls);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
     let length = extents(surfels, piece)[2];
-    // A thing's own parts may hang together by little, too: only in clutter is it noise between things.
+    // An object's own parts may be connected by little, too: only in clutter is a thread noise between objects.
     let is_thread = |s: &Segments, a: usize, b: usize, border: &Border| {
         length > config.clutter_m
             && s.size(a).min(s.size(b)) >= smallest
             && s.width(a, b, border) < THREAD
             && neck(s, a, b, border) < THREAD_NECK
     };
-    // Greedy merging leaks through a border here and there. It is done twice, led by colour and by shape, and what one of
-    // them keeps apart stays apart.
+    // Greedy merging leaks through a border here and there. It runs twice, led by colour and by shape; a border
+    // kept by either run stays.
     let [by_color, by_shape] = LIGHTS.map(|light| {
         let mut merged = segments.clone();
         merged.merge_convex(config.crease_share, light, is_thread);
@@ -205,12 +201,13 @@ fn split(
 /// Levels by which light alone may change the colours of neighbouring patches, when colour leads and when shape does.
 const LIGHTS: [f64; 2] = [15.0, 60.0];
 
-/// Large segments whose border is narrower than this ([`Segments::width`]), and hardly wider than the smaller of them (in
-/// its widths), hang together by a thread: noise where they are near. The legs of a stool join over several of their widths.
+/// Large segments whose border is narrower than this ([`Segments::width`]), and hardly wider than the smaller of
+/// them (in its widths), are connected by a thread: noise in a narrow gap. The legs of a stool join over several of
+/// their widths.
 const THREAD: f64 = 12.0;
 const THREAD_NECK: f64 = 1.2;
 
-/// What adjoins other surfaces and shows less than this (m²) is a detail of them, whatever its colour.
+/// A segment with less surface than this (m²) is a detail of its neighbours, whatever its colour.
 const DETAIL_M2: f64 = 2.5e-3;
 
 /// Width of a border in widths of the smaller segment: below 1, they touch in less than their cross-section.
@@ -219,8 +216,8 @@ fn neck(s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
     border.spread.extents()[2] / s.spread(smaller).extents()[1].max(1e-6)
 }
 
-/// Whether segment `a` is the bottom of a hollow whose walls `b` is: flat, with a border all around it, beyond which `b`
-/// rises on the side that `a` faces.
+/// Whether segment `a` is the bottom of a hollow with walls `b`: flat, with a border all around it, beyond which
+/// `b` rises on the side that `a` faces.
 fn is_inside(s: &Segments, a: usize, b: usize, border: &Border) -> bool {
     let (own, ring) = (s.spread(a).extents(), border.spread.extents());
     let rises = (s.spread(b).center() - s.spread(a).center()).dot(s.facing(a).normalize_or_zero());
@@ -231,11 +228,12 @@ fn is_inside(s: &Segments, a: usize, b: usize, border: &Border) -> bool {
         && rises > 2.0 * own[0].max(0.005)
 }
 
-/// Whether two segments with a crease between them are two things.
+/// Whether two segments with a crease between them are two objects.
 ///
-/// Colours that differ across the crease tell, and so does a border that is narrower than either side. In a piece of an
-/// object's size (a toy's head, a bottle's cap) the crease must be sharp, and neither side a mere detail; in larger pieces
-/// less evidence is needed, and in pieces larger than most objects a level crease is where one thing stands on another.
+/// Evidence is a colour difference across the crease, or a border narrower than either side. In a piece of an
+/// object's size (a toy's head, a bottle's cap) the crease must be sharp, and neither side a mere detail; larger
+/// pieces need less evidence, and in pieces larger than most objects a level crease separates an object from its
+/// support.
 fn are_distinct(
     s: &Segments,
     a: usize,
@@ -253,7 +251,7 @@ fn are_distinct(
     }
     let sharp = border.crease > 0.5 * border.pairs;
     let neck = neck(s, a, b, border);
-    // A round head of its body's colour is no ball for that alone.
+    // A round head of its body's colour is not a ball.
     if border.is_round() && (contrast > 1.0 || neck < 0.6) {
         return true;
     }
@@ -275,21 +273,22 @@ fn are_distinct(
     narrow || (sharp && least && contrast > 1.5)
 }
 
-/// Gives posts to what they carry. The underside of a table hides where its legs meet it: what is slender, upright and has
-/// something over its axis belongs to what lies around its upper end, if that has other posts or reaches the ground itself.
-/// Where its upper end is hidden, it belongs to the lowest thing over it, unless cameras look through between (`is_open`).
+/// Merges posts into the objects they carry. The underside of a table hides where its legs meet it: a slender,
+/// upright object with something over its axis belongs to the object around its upper end, if that has other posts
+/// or reaches the ground itself. If its upper end is hidden, it belongs to the lowest object over it, unless
+/// cameras look through the gap (`is_open`).
 pub(crate) fn join_legs(
     surfels: &[Surfel],
     objects: Vec<Vec<usize>>,
     is_open: impl Fn(DVec3) -> bool,
 ) -> Vec<Vec<usize>> {
-    /// A post's top and the rim of what it carries are at most so far apart, beside half of the post's width.
+    /// Greatest distance between a post's top and the rim of its load, beyond half of the post's width.
     const INSET_M: f64 = 0.035;
-    /// Thickness of what a post may carry.
+    /// Greatest thickness of a post's load.
     const TOP_M: f64 = 0.06;
-    /// What lies over a post is at most so high over it: a load on the top hides the top.
+    /// Greatest height of an object over a post: a load on the top hides the top.
     const OVER_M: f64 = 0.3;
-    /// So near, a post ends at what is over it.
+    /// Within this distance, a post ends at the object over it.
     const CLOSE_M: f64 = 0.03;
     let mut carried_by: Vec<Option<usize>> = vec![None; objects.len()];
     let lowest: Vec<f64> =
@@ -308,7 +307,7 @@ pub(crate) fn join_legs(
                 covered |= aside < f64::max(0.5 * width, 0.01) && over > 0.0 && over < OVER_M;
                 around += usize::from(aside < 0.5 * width + INSET_M && over > -0.02 && over < TOP_M);
             }
-            // Of equals the first, which is no post of the same thing: posts are slender.
+            // The first of equals; it is not a post of the same object, since posts are slender.
             if around >= 5 && other.len() > members.len() && best.is_none_or(|(most, _)| around > most) {
                 best = Some((around, b));
             }
@@ -327,7 +326,7 @@ pub(crate) fn join_legs(
     let mut joined: Vec<Option<Vec<usize>>> = objects.into_iter().map(Some).collect();
     for a in 0..joined.len() {
         let Some(b) = carried_by[a] else { continue };
-        // What is carried must not be a post itself.
+        // The load must not be a post itself.
         if carried_by[b].is_some() || (legs(b) < 2 && lowest[b] > lowest[a] + 0.03) {
             continue;
         }
@@ -338,14 +337,4 @@ pub(crate) fn join_legs(
     let mut joined: Vec<Vec<usize>> = joined.into_iter().flatten().collect();
     joined.iter_mut().for_each(|m| m.sort_unstable());
     joined
-}
-
-/// The value below which a share of the values lies; 0 without values.
-pub(crate) fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let at = ((values.len() - 1) as f64 * share) as usize;
-    *values.select_nth_unstable_by(at, f64::total_cmp).1
 }

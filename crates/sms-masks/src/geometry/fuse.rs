@@ -25,7 +25,7 @@ pub(crate) struct Surfel {
 
 /// Sums of the samples of one cell, in one frame or in several.
 #[derive(Debug, Clone, Copy)]
-struct Cell {
+struct FusedCell {
     key: u64,
     p_w: DVec3,
     to_camera: DVec3,
@@ -43,7 +43,7 @@ pub(crate) fn fuse(
     let fused: Vec<&Frame> =
         spread(sequence.len(), config.max_fused_frames).map(|i| &sequence.frames[i]).collect();
     let limit = depth_limit(&fused, config);
-    let parts: Vec<Vec<Cell>> = fused
+    let parts: Vec<Vec<FusedCell>> = fused
         .par_iter()
         .map(|f| {
             if cancel.is_cancelled() {
@@ -77,8 +77,7 @@ fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..n).map(move |k| k * count / n)
 }
 
-/// Depth beyond which nothing is fused: a multiple of the median depth of what the cameras look at, the central ninth
-/// of their images.
+/// Returns the depth limit of fusion: a multiple of the median depth in the central ninth of the images.
 fn depth_limit(frames: &[&Frame], config: &GeometryConfig) -> f64 {
     let mut depths: Vec<f32> = Vec::new();
     for frame in frames {
@@ -98,7 +97,7 @@ fn depth_limit(frames: &[&Frame], config: &GeometryConfig) -> f64 {
 /// The back-projected pixels of one frame. Isolated depths (fewer than 4 of the 5×5 around agree within 3 %) are not
 /// surface. A sample weighs by the inverse of z², and by the cosine of its viewing angle where the normal is known:
 /// samples near silhouettes are off by up to a pixel.
-fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<Cell> {
+fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<FusedCell> {
     let (w, h) = frame.depth.size();
     let center_w = frame.camera.center_w();
     let mut cells = Vec::new();
@@ -126,7 +125,7 @@ fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<Cell> {
             let facing = if n == [0.0; 3] { 0.3 } else { n_w.dot(to_camera).max(0.1).powi(2) };
             let weight = facing / f64::from(z * z);
             let color = frame.color[(x, y)].map(|c| f32::from(c) * weight as f32);
-            cells.push(Cell {
+            cells.push(FusedCell {
                 key,
                 p_w: p_w * weight,
                 to_camera: to_camera * weight,
@@ -139,14 +138,14 @@ fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<Cell> {
     cells
 }
 
-/// The same surface in cells of size `cell_m`, which surfels are near each other there (2.5 cells), and the coarse surfel
-/// of each fine one. Coarse normals come from a wider neighbourhood: they hold where noise tilts fine ones.
+/// Returns the same surface in cells of size `cell_m`, their neighbours (within 2.5 cells), and the coarse surfel
+/// of each fine one. Coarse normals come from a wider neighbourhood and are reliable where noise tilts fine ones.
 pub(crate) fn coarsen(surfels: &[Surfel], cell_m: f64) -> (Vec<Surfel>, Neighbors, Vec<u32>) {
     let key = |s: &Surfel| key_of(s.p_w, cell_m).unwrap_or(u64::MAX);
     let cells = merge(
         surfels
             .iter()
-            .map(|s| Cell {
+            .map(|s| FusedCell {
                 key: key(s),
                 p_w: s.p_w * s.weight,
                 to_camera: s.n_w * s.weight,
@@ -166,7 +165,7 @@ pub(crate) fn coarsen(surfels: &[Surfel], cell_m: f64) -> (Vec<Surfel>, Neighbor
 }
 
 /// Adds up the cells of equal key; the sort is stable, so sums run in the frames' order.
-fn merge(mut cells: Vec<Cell>) -> Vec<Cell> {
+fn merge(mut cells: Vec<FusedCell>) -> Vec<FusedCell> {
     cells.par_sort_by_key(|c| c.key);
     cells
         .chunk_by(|a, b| a.key == b.key)
@@ -187,7 +186,7 @@ fn merge(mut cells: Vec<Cell>) -> Vec<Cell> {
 }
 
 /// Whether more frames see a surface at the cell than see through it.
-fn is_consistent(cell: &Cell, frames: &[&Frame]) -> bool {
+fn is_consistent(cell: &FusedCell, frames: &[&Frame]) -> bool {
     let p_w = cell.p_w / cell.weight;
     let (mut seen, mut through) = (0usize, 0usize);
     for frame in frames {
@@ -221,7 +220,7 @@ fn around(depth: &DepthImage, x: usize, y: usize) -> Option<(f64, f64)> {
 
 /// Normals from the weighted neighbourhood of each cell; then each position moves along its normal onto the mean of
 /// those neighbours that face the same way, which turns the noise's thick skin into a surface.
-fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, reach_m: f64) -> Vec<Surfel> {
+fn orient(cells: &[FusedCell], positions: &[DVec3], graph: &Neighbors, reach_m: f64) -> Vec<Surfel> {
     // Gaussian of half the reach, truncated at the reach.
     let near = |i: usize| {
         graph.of(i).chain(std::iter::once(i)).map(move |j| {
@@ -270,7 +269,7 @@ fn orient(cells: &[Cell], positions: &[DVec3], graph: &Neighbors, reach_m: f64) 
         .collect()
 }
 
-/// For each surfel the others within a radius, in the order of their keys.
+/// The neighbours of each surfel within a radius, in the order of their keys.
 #[derive(Debug)]
 pub(crate) struct Neighbors {
     start: Vec<u32>,

@@ -2,13 +2,13 @@
 
 use super::GeometryConfig;
 use super::assembly::free_standing;
-use super::cluster::quantile;
+use super::extents::{extents, length, quantile};
 use super::fuse::{Neighbors, Surfel, coarsen};
 use super::linalg::{mean_and_covariance, symmetric_eigen};
 use glamx::DVec3;
 use rand::RngExt;
 use rayon::prelude::*;
-use sms_core::{Cancel, CoreError};
+use sms_core::{Cancel, CoreError, QuantileRule};
 use sms_frames::Sequence;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -33,7 +33,7 @@ impl StaticPlane {
     }
 }
 
-/// What is at most so many times longer than a structure may be one.
+/// A piece at most this many times longer than a structure may be one.
 const OVERSIZE: f64 = 2.0;
 /// Most pieces that are looked at before fitting stops.
 const MAX_FITS: usize = 60;
@@ -48,11 +48,11 @@ const COARSE: f64 = 3.0;
 /// Real floors, walls and sensors bend so far from the plane.
 const BEND_M: f64 = 0.015;
 
-/// Which surfels are static, to which free-standing assembly each belongs, and the static planes.
+/// Returns which surfels are static, the free-standing assembly of each surfel, and the static planes.
 ///
-/// Planes are found on coarse surfels by one-point RANSAC (a surfel and its normal are a plane), one after the other;
-/// each falls into connected pieces, of which the large ones are static and grow over what continues them smoothly.
-/// Then the fine surfels over these pieces are judged by their distance.
+/// Planes are found on coarse surfels by one-point RANSAC (a surfel and its normal define a plane), one after the
+/// other; each is split into connected pieces, of which the large ones are static and grow over their smooth
+/// continuation. Fine surfels over these pieces are then classified by their distance.
 pub(crate) fn static_surfels(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -92,7 +92,7 @@ pub(crate) fn static_surfels(
             plane.free_length_m = Some(long);
         }
         let members = extend(&plane, members, &coarse, &coarse_graph);
-        // The cells over, under and beside the piece hold its outskirts.
+        // The cells over, under and beside the piece contain its outskirts.
         let mut over: Vec<usize> =
             members.iter().flat_map(|&c| coarse_graph.of(c).chain(std::iter::once(c))).collect();
         over.sort_unstable();
@@ -144,7 +144,7 @@ fn assemblies(
         for (c, s) in coarse.iter().enumerate().filter(|(_, s)| over.contains(&at(s.p_w))) {
             let h = plane.height(s.p_w);
             heights[c] = heights[c].min(if h < -BEND_M { f64::INFINITY } else { h });
-            // What the noise lifts off the ground connects nothing.
+            // Surfels that noise lifts off the ground connect nothing.
             is_ground[c] |= (-BEND_M..BEND_M).contains(&h);
         }
     }
@@ -166,8 +166,8 @@ fn large_pieces(
     // A piece of least area that is long enough to be static.
     let smallest = (STRIP * config.max_face_m2 / cell_m.powi(2)) as usize;
     let band = (3.0 * median(coarse.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
-    // Things stand on something: where nothing large faces up, it is the lowest piece that does, has some area, and is no thing
-    // that stands on something itself.
+    // Objects need a support: without a large piece that faces up, it is the lowest piece that faces up, has some
+    // area, and does not itself stand on a lower surface.
     let mut support: Option<(Vec<usize>, DVec3, f64)> = None;
     for _ in 0..MAX_FITS {
         cancel.check()?;
@@ -193,7 +193,7 @@ fn large_pieces(
         let mut on = vec![false; coarse.len()];
         open.iter().for_each(|&j| on[j] = fits(&coarse[j], p_w, n_w, band));
         let pieces = graph.components(|i| on[i]);
-        // What was looked at is not looked at again, large or not.
+        // Each surfel is examined once, whether its piece is large or not.
         open.retain(|&j| !on[j] && j != best);
         if pieces.iter().map(Vec::len).sum::<usize>() < smallest {
             continue;
@@ -211,7 +211,7 @@ fn large_pieces(
         let is_static = |m: &Vec<usize>| {
             is_large(coarse, graph, m, n_w, cell_m, config)
                 && (length(coarse, m) > config.max_structure_m
-                    // Walls and lips stand free, too, and are no things.
+                    // Walls and lips stand free, too, and are not objects.
                     || n_w.z < UPWARD
                     || !stands_free(coarse, m, p_w, n_w, cell_m, sequence))
         };
@@ -228,8 +228,7 @@ fn fits(s: &Surfel, p_w: DVec3, n_w: DVec3, band: f64) -> bool {
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    sms_core::quantile(&mut values, 0.5, QuantileRule::Nearest).unwrap_or(0.0)
 }
 
 /// Share of the largest face's area from which something may stand on a piece.
@@ -268,11 +267,12 @@ fn is_large(
         || (area > wall * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
 }
 
-/// Of the normal's upward part, what a top and its edges have, and a wall has not.
+/// Least upward part of the normal of a top and its edges; walls have less.
 const UPWARD: f64 = 0.15;
 
-/// The lowest level plane that patches which face up share, where together they span more than a face of an object: of metal,
-/// glass and what is looked along, depth cameras measure a patch here and there. Sorted surfels, and the normal.
+/// Finds the lowest level plane shared by patches that face up, if together they span more than a face of an
+/// object: on metal, glass and at grazing angles, depth cameras measure only scattered patches. Returns sorted
+/// surfels and the normal.
 fn scattered_ground(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -308,7 +308,7 @@ fn scattered_ground(
             let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
             let Some((mean, covariance, _)) = mean_and_covariance(points) else { break };
             let n = aligned(symmetric_eigen(covariance).1[0], DVec3::Z);
-            // Patches along a line do not tell the plane across it.
+            // Patches along a line do not determine the plane across it.
             (p_w, n_w) = (mean, if n.z > LEVEL { n } else { DVec3::Z });
             members = patches(p_w, n_w);
         }
@@ -321,12 +321,12 @@ fn scattered_ground(
     None
 }
 
-/// Whether nothing beside a piece that faces up reaches below it: what stands on the same ground as the piece does, and
-/// the walls around both.
+/// Whether nothing beside a piece that faces up reaches below it: neither objects on the same ground nor the walls
+/// around both.
 fn is_ground(coarse: &[Surfel], members: &[usize], p_w: DVec3, n_w: DVec3, cell_m: f64) -> bool {
     /// How far aside, in cells.
     const ASIDE: i64 = 3;
-    /// Share of the piece's cells from which what lies below is more than noise and mirror images.
+    /// Share of the piece's cells from which the surface below is more than noise and mirror images.
     const BELOW: f64 = 0.1;
     let u = n_w.any_orthonormal_vector();
     let v = n_w.cross(u);
@@ -345,12 +345,12 @@ fn is_ground(coarse: &[Surfel], members: &[usize], p_w: DVec3, n_w: DVec3, cell_
     (below.count() as f64) < BELOW * members.len() as f64
 }
 
-/// Share of a rim past which the surroundings must be seen, for what faces up and for the rest: the rim of a table's top is
-/// interrupted by what stands on it.
+/// Share of a rim past which the surroundings must be visible, for pieces that face up and for others: objects on a
+/// table interrupt the rim of its top.
 const FREE_RIM: [f64; 2] = [0.35, 0.5];
 
-/// Whether a planar piece ends where it is seen to end: past most of its rim, cameras look through its plane. Floors, walls
-/// and desks end where the view does, or at other large surfaces.
+/// Whether a planar piece visibly ends: past most of its rim, cameras look through its plane. Floors, walls and
+/// desks end at the edge of the view, or at other large surfaces.
 fn stands_free(
     coarse: &[Surfel],
     members: &[usize],
@@ -368,7 +368,7 @@ fn stands_free(
         let d = s.p_w - p_w;
         ((u.dot(d) / cell_m).floor() as i64, (v.dot(d) / cell_m).floor() as i64)
     };
-    // Of what faces up, the rim around things that stand on it says nothing.
+    // The rim of a piece that faces up is uninformative around the objects on it.
     let occupied: BTreeSet<(i64, i64)> = match n_w.z > 0.9 {
         true => coarse.iter().filter(over).map(project).collect(),
         false => BTreeSet::new(),
@@ -377,7 +377,7 @@ fn stands_free(
     let (mut rim, mut free, mut covered) = (0usize, 0usize, 0usize);
     for &(x, y) in &cells {
         for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
-            // Holes of a cell or two are no rim.
+            // Holes of a cell or two are not a rim.
             if (1..=PAST + 1).any(|k| cells.contains(&(x + k * dx, y + k * dy))) {
                 continue;
             }
@@ -410,8 +410,8 @@ pub(crate) fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
     through >= 2 && through > seen
 }
 
-/// Whether what adjoins a planar piece lies in front of it, as with the inside of a bin: the face of an object has the
-/// object's other faces, or what the object stands on, behind it.
+/// Whether the surfaces beside a planar piece lie in front of it, as inside a bin: the face of an object has the
+/// object's other faces, or its support, behind it.
 fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3) -> bool {
     const CLEAR_M: f64 = 0.008;
     let inside: BTreeSet<usize> = members.iter().copied().collect();
@@ -421,26 +421,9 @@ fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3)
     let heights = || ring.iter().map(|&j| n_w.dot(coarse[j].p_w - mean));
     let front = heights().filter(|h| *h > CLEAR_M).count();
     let behind = heights().filter(|h| *h < -CLEAR_M).count();
-    // What faces up and has things standing on it may end in an edge towards the camera, as a shelf does.
+    // A piece that faces up and carries objects may end in an edge towards the camera, as a shelf does.
     let few = if n_w.z > 0.9 { 1 } else { 4 };
     10 * front > 3 * ring.len() && few * behind < front
-}
-
-/// Extent of a piece along its longest principal axis.
-pub(crate) fn length(surfels: &[Surfel], members: &[usize]) -> f64 {
-    extents(surfels, members)[2]
-}
-
-/// Extents along the principal axes, increasing.
-pub(crate) fn extents(surfels: &[Surfel], members: &[usize]) -> [f64; 3] {
-    let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
-    let Some((_, covariance, _)) = mean_and_covariance(points) else { return [0.0; 3] };
-    let axes = symmetric_eigen(covariance).1;
-    axes.map(|axis| {
-        let along = members.iter().map(|&i| axis.dot(surfels[i].p_w));
-        let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
-        high - low
-    })
 }
 
 /// The plane of a piece's fine surfels, with their spread.
@@ -468,8 +451,8 @@ fn aligned(n: DVec3, with: DVec3) -> DVec3 {
     if n.dot(with) < 0.0 { -n } else { n }
 }
 
-/// Around a cell that continues a plane, the cloud is no thicker than this, or than twice what noise alone makes it nearby: around the
-/// edge of a book it is, though a slope of 1:8 leads over it.
+/// Greatest thickness of the cloud around a cell that continues a plane, or twice the thickness that noise causes
+/// nearby. Around the edge of a book it is thicker, though a slope of 1:8 leads over it.
 const FLAT_M: f64 = 0.001;
 /// Nearby: noise grows with the square of the depth.
 const NEARBY_M: f64 = 0.2;
@@ -479,7 +462,7 @@ fn flatness(members: &[usize], coarse: &[Surfel]) -> impl Fn(DVec3) -> f64 + use
     let block = |p: DVec3| (p / NEARBY_M).floor().as_i64vec3().to_array();
     let mut sigmas: BTreeMap<[i64; 3], Vec<f64>> = BTreeMap::new();
     members.iter().for_each(|&i| sigmas.entry(block(coarse[i].p_w)).or_default().push(coarse[i].sigma_m));
-    // The lower quarter: rims and what stands on the piece thicken the cloud, too.
+    // The lower quartile: rims and objects on the piece thicken the cloud, too.
     let limit = |values: Vec<f64>| (2.0 * quantile(values.into_iter(), 0.25)).max(FLAT_M);
     let all = limit(sigmas.values().flatten().copied().collect());
     let nearby: BTreeMap<[i64; 3], f64> = sigmas.into_iter().map(|(at, own)| (at, limit(own))).collect();

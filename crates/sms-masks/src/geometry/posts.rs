@@ -1,20 +1,19 @@
-//! Posts: legs of tables and stools. What they carry hides their upper ends from cameras that look down.
+//! Posts: legs of tables and stools. Their load hides their upper ends from cameras that look down.
 
-use super::cluster::quantile;
+use super::extents::{extents, quantile};
 use super::fuse::Surfel;
-use super::planes::extents;
 use glamx::{DVec2, DVec3};
 
-/// Posts are at most so wide, and so many times as long.
+/// Greatest width of a post, and least ratio of its length to its width.
 pub(crate) const WIDE_M: f64 = 0.12;
 const SLENDER: f64 = 2.5;
 /// Share of a post's length that it rises at least.
 const UPRIGHT: f64 = 0.85;
 /// A post's upper end is hidden for at most so much of its height.
 const HIDDEN_M: f64 = 0.12;
-/// Noise lets a post's top and the lower edge of what it carries overlap by so much.
+/// Greatest overlap of a post's top with the lower edge of its load, due to noise.
 const OVERLAP_M: f64 = 0.02;
-/// A post's axis is at most so far outside of what it carries; around it the lower edge is looked for within this.
+/// Greatest distance of a post's axis from the outline of its load; the lower edge is searched within `AROUND_M`.
 const OUTSIDE_M: f64 = 0.03;
 const AROUND_M: f64 = 0.1;
 
@@ -42,8 +41,8 @@ impl Post {
         Some(Self { axis_w: (sum / f64::max(count, 1.0)).truncate(), top_m, width_m })
     }
 
-    /// Of pieces, each with its number, members and outline, the one whose lower edge is lowest over the post's end; of
-    /// equals the one with the smallest number. With how far over (see [`Post::reaches`]).
+    /// Returns the piece whose lower edge is lowest over the post's end, with its gap (see [`Post::reaches`]).
+    /// Pieces are given with index, members and outline; of equals, the one with the smallest index wins.
     pub(crate) fn lowest_over<'a>(
         &self,
         surfels: &[Surfel],
@@ -73,7 +72,7 @@ impl Post {
     }
 }
 
-/// The convex outline of points seen from above: how far they reach in each of some directions.
+/// The convex outline of points in top view: their extent in each of some directions.
 #[derive(Debug, Clone)]
 pub(crate) struct Footprint([f64; Self::DIRECTIONS]);
 
@@ -112,7 +111,8 @@ impl Footprint {
         (0..Self::DIRECTIONS).map(|k| self.width(k)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether it reaches beyond another one, in some direction, by more than a share of the other's width there.
+    /// Whether it reaches beyond another outline, in some direction, by more than a share of the other's width
+    /// there.
     pub(crate) fn juts_out(&self, other: &Self, share: f64) -> bool {
         (0..Self::DIRECTIONS).any(|k| self.0[k] - other.0[k] > share * other.width(k))
     }

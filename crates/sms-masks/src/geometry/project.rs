@@ -9,7 +9,7 @@ use sms_frames::{Frame, Sequence};
 
 /// A surfel as a frame sees it.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct VisibleSurfel {
     pixel: u32,
     label: u16,
     p_c: DVec3,
@@ -18,7 +18,7 @@ struct Seen {
 
 /// A surfel under a pixel's ray.
 #[derive(Debug, Clone, Copy)]
-struct Candidate {
+struct RayCandidate {
     label: u16,
     /// Depth at which the ray meets the surfel's plane.
     z: f64,
@@ -56,10 +56,10 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
     if !nearest.is_finite() {
         return map;
     }
-    // The ray may meet a surfel's disc so many pixels away from where its centre projects.
+    // The ray may meet a surfel's disc this many pixels away from its centre's projection.
     let k = &frame.camera.intrinsics;
     let reach = ((REACH * config.voxel_m * k.fx.max(k.fy) / nearest).ceil() as usize).clamp(1, 12);
-    // All other pixels are background, whatever is seen there.
+    // All other pixels are background.
     let near = around(&seen, (w, h), reach);
     let wanted = around(&seen, (w, h), 2 * reach);
     seen.extend(visible(frame, surfels, labels, |label, pixel| label == BACKGROUND && wanted[pixel]));
@@ -79,7 +79,7 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
                 let z = s.n_c.dot(s.p_c) / rate;
                 let rho = (z * d).distance(s.p_c) / config.voxel_m;
                 if rho < REACH {
-                    candidates.push(Candidate { label: s.label, z, rho });
+                    candidates.push(RayCandidate { label: s.label, z, rho });
                 }
             }
         }
@@ -91,13 +91,13 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
 /// Largest distance of a ray from a surfel, in cells.
 const REACH: f64 = 1.25;
 
-/// The surfels in front of the camera whose label and pixel `keep` accepts.
+/// Returns the surfels in front of the camera whose label and pixel `keep` accepts.
 fn visible(
     frame: &Frame,
     surfels: &[Surfel],
     labels: &[u16],
     keep: impl Fn(u16, usize) -> bool,
-) -> Vec<Seen> {
+) -> Vec<VisibleSurfel> {
     let camera = &frame.camera;
     let x_cw = camera.x_wc.inverse();
     let r_cw = glamx::DMat3::from_quat(x_cw.rotation);
@@ -116,7 +116,7 @@ fn visible(
             let n_c = r_cw * s.n_w;
             // Surfels that face away hide nothing that another surfel does not.
             if n_c.dot(p_c) < 0.0 {
-                seen.push(Seen { pixel: pixel as u32, label, p_c, n_c });
+                seen.push(VisibleSurfel { pixel: pixel as u32, label, p_c, n_c });
             }
         }
     }
@@ -124,7 +124,7 @@ fn visible(
 }
 
 /// Sorted by pixel, with the position of each pixel's first (counting sort; equal pixels keep their order).
-fn by_pixel(seen: &[Seen], pixels: usize) -> (Vec<u32>, Vec<Seen>) {
+fn by_pixel(seen: &[VisibleSurfel], pixels: usize) -> (Vec<u32>, Vec<VisibleSurfel>) {
     let mut start = vec![0u32; pixels + 1];
     seen.iter().for_each(|s| start[s.pixel as usize + 1] += 1);
     for i in 1..start.len() {
@@ -141,7 +141,7 @@ fn by_pixel(seen: &[Seen], pixels: usize) -> (Vec<u32>, Vec<Seen>) {
 }
 
 /// Which pixels have one of these surfels within `reach` pixels.
-fn around(seen: &[Seen], (w, h): (usize, usize), reach: usize) -> Vec<bool> {
+fn around(seen: &[VisibleSurfel], (w, h): (usize, usize), reach: usize) -> Vec<bool> {
     let mut holds = vec![false; w * h];
     seen.iter().for_each(|s| holds[s.pixel as usize] = true);
     let mut near = vec![false; w * h];
@@ -155,9 +155,9 @@ fn around(seen: &[Seen], (w, h): (usize, usize), reach: usize) -> Vec<bool> {
 }
 
 /// The winning label of the candidates of one pixel.
-fn vote(candidates: &[Candidate], measured: f64) -> u16 {
+fn vote(candidates: &[RayCandidate], measured: f64) -> u16 {
     let sigma = |z: f64| 0.0015 + 0.0025 * z * z;
-    let supports = |c: &Candidate, z: f64| (c.z - z).abs() < 3.0 * sigma(z);
+    let supports = |c: &RayCandidate, z: f64| (c.z - z).abs() < 3.0 * sigma(z);
     let surface = if measured > 0.0 && candidates.iter().any(|c| c.rho < 1.2 && supports(c, measured)) {
         measured
     } else {

@@ -1,58 +1,60 @@
-//! Level seams: heights at which what stands free comes apart, because what is above juts out over what is below.
+//! Level seams: heights at which a free-standing assembly separates, because the upper body juts out over the lower
+//! one.
 //!
-//! Of a board on a stool whose sides are flush, segments do not tell: the board is thinner than a few surfels, the
-//! border is no crease where both are in one plane, and woods are alike. What tells is the whole way around the height
-//! at which the outline changes: there is a ledge, or an underside, or the colour steps, and it does so all along.
+//! Segmentation alone cannot separate a board from a stool with flush sides: the board is thinner than a few
+//! surfels, the border is not a crease where both sides are coplanar, and woods look alike. The evidence is the
+//! whole way around the height at which the outline changes: a ledge, an underside or a step in colour, all along.
 
-use super::cluster::quantile;
+use super::extents::quantile;
 use super::fuse::Surfel;
 use super::posts::{Footprint, WIDE_M};
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Sides just above and just below a height are compared, so far from it; nearer to it noise mixes them.
+/// Sides are compared within this distance above and below a height, except in the middle, where noise mixes them.
 const BAND_M: f64 = 0.012;
 const MIXED_M: f64 = 0.002;
-/// Upward part of the normal of a side, at most, and of a level face, at least.
+/// Greatest upward part of the normal of a side, and least of a level face.
 const SIDE: f64 = 0.5;
 const LEVEL: f64 = 0.6;
-/// A side reaches at least so far down or up: the edge of a slab is none.
+/// Least vertical extent of a side; the edge of a slab has less.
 const REACHES_M: f64 = 0.006;
-/// A level face at a height is at most so far from it.
+/// Greatest distance of a level face from its height.
 const FACE_M: f64 = 0.006;
-/// Sides above and below are flush where they are at most so far aside from each other.
+/// Greatest horizontal distance between flush sides above and below.
 const FLUSH_M: f64 = 0.008;
-/// What is above juts out, somewhere, by this share of the width of what is below: lips, rims and the tops of
+/// The upper body juts out, somewhere, by this share of the width of the lower one; lips, rims and the tops of
 /// cupboards do by less.
 const JUTS: f64 = 0.2;
-/// Parts of the way around, and the share of them where the seam must show.
+/// Sectors around the contact, and the share of them that must show the seam.
 const SECTORS: usize = 24;
 const SHOWN: f64 = 0.5;
-/// Sides of two things differ in hue by so many spreads of the difference along the way; light changes the logarithm of
-/// the ratio of two channels by this much.
+/// Hues of two objects differ by this many spreads of the difference along the way; light changes the logarithm of
+/// the ratio of two channels by `LIGHT`.
 pub(crate) const OTHER_HUE: f64 = 2.0;
 const LIGHT: f64 = 0.03;
-/// Beside the outline of what is below, what touches it may be so far outside.
+/// Greatest distance of a touching surface from the outline of the body below.
 const ASIDE_M: f64 = 0.015;
 
 /// A level line along which one body stands on another.
 #[derive(Debug, Clone)]
 pub(crate) struct LevelSeam {
     pub(crate) height_m: f64,
-    /// Of the body below.
+    /// The outline of the body below.
     pub(crate) outline: Footprint,
 }
 
 impl LevelSeam {
-    /// Whether a surfel is above it. At the seam, what faces up is a ledge or its edge and below, what looks down is above;
-    /// the more so, the more level it is.
+    /// Whether a surfel is above the seam. Near the seam, level surfels that face up (a ledge or its edge) are
+    /// below, and level surfels that face down are above.
     pub(crate) fn is_above(&self, s: &Surfel) -> bool {
         let up = s.p_w.z - self.height_m;
         if up.abs() < FACE_M * s.n_w.z.abs() { s.n_w.z < 0.0 } else { up > 0.0 }
     }
 
-    /// 1 if the first of two neighbours is above the seam and the second below it, −1 for the reverse, else 0.
+    /// Returns 1 if the first of two neighbours is above the seam and the second below it, −1 for the reverse, else
+    /// 0.
     fn between(&self, a: &Surfel, b: &Surfel) -> f64 {
         let (over, under) = (self.is_above(a), self.is_above(b));
         if over == under || !self.outline.covers(0.5 * (a.p_w + b.p_w).truncate(), ASIDE_M) {
@@ -62,22 +64,22 @@ impl LevelSeam {
     }
 }
 
-/// As [`LevelSeam::between`], of the first seam that is between two surfels.
+/// As [`LevelSeam::between`], for the first seam between two surfels.
 pub(crate) fn between(seams: &[LevelSeam], a: &Surfel, b: &Surfel) -> f64 {
     seams.iter().map(|s| s.between(a, b)).find(|x| *x != 0.0).unwrap_or(0.0)
 }
 
-/// What a height shows of a seam.
+/// Evidence for a seam at a height.
 struct Shown {
     seam: LevelSeam,
     /// Sectors with a ledge or an underside.
     creased: usize,
-    /// How far the hue steps where sides are flush, and the sectors in which it does.
+    /// Size of the step in hue where sides are flush, and the number of sectors with such a step.
     step: f64,
     stepped: usize,
 }
 
-/// The level seams of an assembly's surfels.
+/// Returns the level seams of an assembly's surfels.
 pub(crate) fn level_seams(surfels: &[Surfel], members: &[usize], cell_m: f64) -> Vec<LevelSeam> {
     let by_height = |holds: &dyn Fn(f64) -> bool| {
         let mut some: Vec<usize> =
@@ -106,7 +108,7 @@ pub(crate) fn level_seams(surfels: &[Surfel], members: &[usize], cell_m: f64) ->
         })
         .filter(|s| (s.creased + s.stepped) as f64 >= SHOWN * SECTORS as f64)
         .collect();
-    // The best of those that are one: where most of it is a crease, else where the hue steps most.
+    // The best of coincident seams: the one with most creased sectors, then with the largest step in hue.
     shown.sort_by(|a, b| {
         b.creased
             .cmp(&a.creased)
@@ -143,7 +145,7 @@ fn around((x, y): (i64, i64)) -> impl Iterator<Item = (i64, i64)> {
     (-1..=1).flat_map(move |i| (-1..=1).map(move |j| (x + i, y + j)))
 }
 
-/// The cells that hang together with some of them.
+/// Returns the cells connected to some of them.
 fn connected(cells: &Cells, from: impl Iterator<Item = (i64, i64)>) -> BTreeSet<(i64, i64)> {
     let mut open: Vec<(i64, i64)> = from.filter(|c| cells.contains_key(c)).collect();
     let mut taken: BTreeSet<(i64, i64)> = open.iter().copied().collect();
@@ -157,8 +159,8 @@ fn connected(cells: &Cells, from: impl Iterator<Item = (i64, i64)>) -> BTreeSet<
     taken
 }
 
-/// What shows of a seam at a height, for each connected outline of sides `below` it that sides `above` it jut out over; `level` are
-/// the level faces at this height.
+/// Collects the evidence at a height, for each connected outline of sides `below` it over which sides `above` it
+/// jut out; `level` are the level faces at this height.
 fn at_height(
     surfels: &[Surfel],
     height_m: f64,
@@ -182,7 +184,7 @@ fn at_height(
         };
         let lower = members(&below, &ring);
         let outline = Footprint::of(surfels, &lower);
-        // Posts carry what juts out over them.
+        // A load that juts out over a post belongs to it.
         if lower.len() < 2 * SECTORS || outline.narrowest() < WIDE_M {
             continue;
         }
@@ -195,7 +197,7 @@ fn at_height(
     shown
 }
 
-/// What shows of a seam along the sides of what is below it.
+/// Collects the evidence for a seam along the sides of the lower body.
 fn along(
     surfels: &[Surfel],
     seam: LevelSeam,
@@ -239,7 +241,7 @@ fn along(
     }
     let is_flush = |s: &Sector| 2 * s.flush > s.all;
     let creased = sectors.iter().filter(|s| !is_flush(s) && 2 * s.faced > s.all).count();
-    // Along the way, sides of one thing differ by its pattern, this way and that; of two things, always the same way.
+    // The hue of one object varies in all directions along the way; between two objects it steps in one direction.
     let flush: Vec<DVec2> = steps.iter().filter(|(at, _)| is_flush(&sectors[*at])).map(|s| s.1).collect();
     let count = flush.len().max(1) as f64;
     let mean = flush.iter().sum::<DVec2>() / count;
@@ -248,13 +250,13 @@ fn along(
         |s: &&Sector| is_flush(s) && (s.steps / s.flush as f64).dot(mean) > 0.5 * mean.length_squared();
     let stepped =
         if spreads(mean, variance) > OTHER_HUE { sectors.iter().filter(steps_along).count() } else { 0 };
-    // Where there are faces, they say best how high it is.
+    // Level faces give the most accurate height.
     let height_m = if creased > stepped { quantile(heights.into_iter(), 0.5) } else { seam.height_m };
     let seam = LevelSeam { height_m, ..seam };
     Shown { seam, creased, step: mean.length(), stepped }
 }
 
-/// How different the hues of two sets of surfels are, in spreads.
+/// Returns the difference between the hues of two sets of surfels, in spreads.
 pub(crate) fn hue_contrast(surfels: &[Surfel], one: &[usize], other: &[usize]) -> f64 {
     let moments = |members: &[usize]| {
         let count = members.len().max(1) as f64;
@@ -266,7 +268,7 @@ pub(crate) fn hue_contrast(surfels: &[Surfel], one: &[usize], other: &[usize]) -
     spreads(m - n, u + v)
 }
 
-/// The length of a difference of hues in spreads, of which light makes a part.
+/// Returns the length of a difference of hues in spreads; light is part of the spread.
 fn spreads(difference: DVec2, variance: DVec2) -> f64 {
     let variance = variance.max(DVec2::ZERO) + DVec2::splat(2.0 * LIGHT * LIGHT);
     (difference * difference / variance).element_sum().sqrt()
@@ -277,12 +279,12 @@ fn hue(s: &Surfel) -> DVec2 {
     let [r, g, b] = s.color.map(|c| f64::from(c.max(8.0)).ln());
     DVec2::new(r - g, g - b)
 }
-/// The share of the way around at which an offset points, from 0 to 1.
+/// Returns the angle of an offset as a share of the full turn, from 0 to 1.
 pub(crate) fn share_around(offset: DVec2) -> f64 {
     offset.to_angle() / std::f64::consts::TAU + 0.5
 }
 
-/// Which of `count` equal parts of the way a share of it is in.
+/// Returns the sector, of `count` equal ones, that contains a share.
 pub(crate) fn sector(share: f64, count: usize) -> usize {
     ((share * count as f64) as usize).min(count - 1)
 }

@@ -1,4 +1,4 @@
-//! Segments of a connected piece: patches that merge pairwise, with what tells two of them apart.
+//! Segments of a connected piece: patches that merge pairwise, and the evidence at their borders.
 
 use super::balls::Ball;
 use super::fuse::{Neighbors, Surfel};
@@ -11,14 +11,14 @@ use std::collections::{BTreeMap, BinaryHeap, HashSet};
 
 /// Surfels of one coarse cell that face about the same way.
 #[derive(Debug, Clone)]
-struct Patch {
+struct SurfelPatch {
     members: Vec<usize>,
     p_w: DVec3,
     n_w: DVec3,
-    look: Look,
+    look: FacingColors,
 }
 
-/// Which of the six axis directions a normal is nearest to.
+/// Returns which of the six axis directions is nearest to a normal.
 fn facing(n: DVec3) -> usize {
     let a = n.abs();
     let axis = if a.x >= a.y && a.x >= a.z {
@@ -53,7 +53,7 @@ impl ColorMoments {
         self.squares += other.squares;
     }
 
-    /// Distance of the means in units of the spreads and of what light alone does (`light`, 8-bit levels).
+    /// Distance of the means in units of the spreads and of the effect of light alone (`light`, 8-bit levels).
     fn distance(&self, other: &Self, light: f64) -> f64 {
         let (m, n) = (self.sum / self.count.max(1.0), other.sum / other.count.max(1.0));
         let variance =
@@ -63,23 +63,23 @@ impl ColorMoments {
     }
 }
 
-/// Colours by facing: surfaces that face the same way are lit alike, so that their colours may be compared.
+/// Colours by facing: surfaces that face the same way are lit alike, so their colours may be compared.
 #[derive(Debug, Clone, Copy, Default)]
-struct Look([ColorMoments; 6]);
+struct FacingColors([ColorMoments; 6]);
 
-/// Light changes the colour of surfaces that face the same way by so many levels.
+/// Change of colour by light, in levels, between surfaces that face the same way.
 const SAME_LIGHT: f64 = 15.0;
-/// And of larger surfaces that do not.
+/// The same between larger surfaces that do not.
 const OTHER_LIGHT: f64 = 40.0;
 /// Surfels of a patch, at most.
 const FEW: f64 = 48.0;
 
-impl Look {
+impl FacingColors {
     fn merge(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| a.merge(b));
     }
 
-    /// Distance of two looks; of patches, of which `light` changes the colour by so many levels.
+    /// Returns the distance of two looks; between patches, `light` changes the colour by that many levels.
     fn distance(&self, other: &Self, light: f64) -> f64 {
         let (own, others) = (self.whole(), other.whole());
         // Patches beside each other are lit alike, whole segments are not.
@@ -111,20 +111,20 @@ impl Look {
 
 /// Moments of a set of points.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Spread {
+pub(crate) struct PointMoments {
     count: f64,
     sum: DVec3,
     squares: DMat3,
 }
 
-impl Default for Spread {
+impl Default for PointMoments {
     fn default() -> Self {
         // A matrix is the identity by default.
         Self { count: 0.0, sum: DVec3::ZERO, squares: DMat3::ZERO }
     }
 }
 
-impl Spread {
+impl PointMoments {
     fn add(&mut self, p: DVec3) {
         self.count += 1.0;
         self.sum += p;
@@ -167,19 +167,20 @@ impl Spread {
     }
 }
 
-/// What is known of the border between two segments.
+/// Evidence at the border between two segments.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Border {
     /// Number of pairs of neighbouring surfels across it.
     pub(crate) pairs: f64,
     /// The same, weighted by how sharply each bends inwards (0 to 1).
     pub(crate) crease: f64,
-    /// Number of pairs across a level seam whose first is above it, less those whose second is.
+    /// Number of pairs across a level seam with the first surfel above it, less the number with the second above
+    /// it.
     pub(crate) over: f64,
     /// Number of pairs of which one lies on a ball that the other does not.
     round: f64,
-    /// Where it runs.
-    pub(crate) spread: Spread,
+    /// Positions of the border.
+    pub(crate) spread: PointMoments,
 }
 
 impl Border {
@@ -193,12 +194,12 @@ impl Border {
         2.0 * self.round > self.pairs
     }
 
-    /// Whether something that was seen of larger parts says that two things meet there.
+    /// Whether larger-scale evidence says that two objects meet there.
     fn is_parted(&self) -> bool {
         self.is_seam() || self.is_round()
     }
 
-    /// As the other side has it.
+    /// The border from the other side.
     fn reversed(self) -> Self {
         Self { over: -self.over, ..self }
     }
@@ -208,8 +209,8 @@ impl Border {
 #[derive(Clone)]
 pub(crate) struct Segments {
     members: Vec<Option<Vec<usize>>>,
-    looks: Vec<Look>,
-    spreads: Vec<Spread>,
+    looks: Vec<FacingColors>,
+    spreads: Vec<PointMoments>,
     /// Sums of the normals.
     normals: Vec<DVec3>,
     /// Borders of each segment, under both of its sides' numbers.
@@ -224,7 +225,7 @@ pub(crate) struct Segments {
     patches: Vec<Vec<usize>>,
 }
 
-/// How much a border counts, for the queue of merges: the highest score first, then the first segments.
+/// The score of a border in the queue of merges: the highest score first, then the first segments.
 #[derive(PartialEq)]
 struct Score(f64);
 
@@ -243,9 +244,10 @@ impl Ord for Score {
 }
 
 impl Segments {
-    /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way. Surfels
-    /// nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on, and wholly from
-    /// three times that. No patch lies on both sides of one of the `seams`, and each of the `balls` is one patch.
+    /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way.
+    /// Surfels nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on,
+    /// and fully from three times that. No patch lies on both sides of one of the `seams`, and each of the `balls`
+    /// is one patch.
     pub(crate) fn patches(
         surfels: &[Surfel],
         graph: &Neighbors,
@@ -282,7 +284,7 @@ impl Segments {
             for (b, mut border) in one_sided {
                 let is_ball = b >= first_ball;
                 border.round = if is_ball { border.pairs } else { 0.0 };
-                // Outside of a ball everything bends inwards, and it faces no way.
+                // Outside of a ball everything bends inwards, and a ball has no facing.
                 let bend = if is_ball { 1.0 } else { inward_bend(&patches[a], &patches[b], crease_rad) };
                 border.crease = border.pairs * bend;
                 borders[a].insert(b, border);
@@ -290,7 +292,7 @@ impl Segments {
             }
         }
         let spread = |members: &[usize]| {
-            let mut spread = Spread::default();
+            let mut spread = PointMoments::default();
             members.iter().for_each(|&i| spread.add(surfels[i].p_w));
             spread
         };
@@ -342,22 +344,23 @@ impl Segments {
         &self.borders[a]
     }
 
-    /// Extents of a segment; see [`Spread::extents`].
-    pub(crate) fn spread(&self, a: usize) -> &Spread {
+    /// Extents of a segment; see [`PointMoments::extents`].
+    pub(crate) fn spread(&self, a: usize) -> &PointMoments {
         &self.spreads[a]
     }
 
-    /// The mean of a segment's normals, at most of length 1: shorter the more ways it faces.
+    /// The mean of a segment's normals, at most of length 1: shorter the more its normals vary.
     pub(crate) fn facing(&self, a: usize) -> DVec3 {
         self.normals[a] / self.size(a).max(1) as f64
     }
 
-    /// How different the colours of two segments are, in spreads.
+    /// Returns the difference between the colours of two segments, in spreads.
     pub(crate) fn contrast(&self, a: usize, b: usize) -> f64 {
         self.looks[a].distance(&self.looks[b], OTHER_LIGHT)
     }
 
-    /// How different the colours of their surfaces that face the same way are, in spreads; `None` where they have none.
+    /// Returns the difference between the colours of their surfaces that face the same way, in spreads; `None`
+    /// without such surfaces.
     pub(crate) fn shared_contrast(&self, a: usize, b: usize) -> Option<f64> {
         self.looks[a].shared_distance(&self.looks[b])
     }
@@ -367,10 +370,10 @@ impl Segments {
         border.pairs / (self.size(a).min(self.size(b)) as f64).sqrt()
     }
 
-    /// Merges what is locally convex and of one colour: the border that bends inwards least first, until every border bends
-    /// by at least `crease_share`. `light` is how much the colours of neighbouring patches may differ by light alone, in
-    /// 8-bit levels: the less, the more colours count. What hangs together by a thread stays apart, and so do the sides of a
-    /// level seam, and balls.
+    /// Merges locally convex segments of one colour, the border that bends inwards least first, until every border
+    /// bends by at least `crease_share`. `light` is the difference in colour between neighbouring patches that
+    /// light alone may cause, in 8-bit levels: the less, the more colours count. Segments connected by a thread,
+    /// the sides of a level seam, and balls stay apart.
     pub(crate) fn merge_convex(
         &mut self,
         crease_share: f64,
@@ -386,7 +389,7 @@ impl Segments {
         self.merge_while(score, 1.0 - crease_share);
     }
 
-    /// Merges the patches that two partitions of them both keep together.
+    /// Merges the patches that two partitions both keep together.
     pub(crate) fn merge_agreed(&mut self, one: &Self, other: &Self) {
         let group: Vec<(usize, usize)> = one.roots.iter().copied().zip(other.roots.iter().copied()).collect();
         let together = |a: usize, b: usize, border: &Border| group[a] == group[b] && !border.is_parted();
@@ -418,9 +421,10 @@ impl Segments {
         }
     }
 
-    /// Merges segments that are too small into the neighbour with the longest border, smallest first. A ball is none however small.
+    /// Merges segments that are too small into the neighbour with the longest border, smallest first. A ball is
+    /// never too small.
     pub(crate) fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
-        // What is not small does not become so by growing.
+        // A segment that is not small does not become small by growing.
         let mut open: std::collections::BTreeSet<(usize, usize)> = (0..self.members.len())
             .filter(|&a| !self.holds_ball(a) && self.members[a].as_ref().is_some_and(|m| is_small(m)))
             .map(|a| (self.size(a), a))
@@ -432,7 +436,7 @@ impl Segments {
             let longest = self.borders[a]
                 .iter()
                 .filter(|(_, border)| !border.is_seam())
-                // What is left between a ball and what it touches is not round.
+                // The remainder between a ball and its neighbour is not round.
                 .max_by(|x, y| {
                     let flat = (!x.1.is_round()).cmp(&!y.1.is_round());
                     flat.then(x.1.pairs.total_cmp(&y.1.pairs)).then(y.0.cmp(x.0))
@@ -492,7 +496,7 @@ fn patches(
     cell_m: f64,
     seams: &[LevelSeam],
     balls: &[Ball],
-) -> Vec<Patch> {
+) -> Vec<SurfelPatch> {
     let round: HashSet<usize> = balls.iter().flat_map(|b| b.members.iter().copied()).collect();
     let mut cells: BTreeMap<(u64, usize, usize), Vec<usize>> = BTreeMap::new();
     for &i in piece.iter().filter(|i| !round.contains(i)) {
@@ -508,15 +512,16 @@ fn patches(
             let mean = |f: &dyn Fn(&Surfel) -> DVec3| members.iter().map(|&i| f(&surfels[i])).sum::<DVec3>();
             let p_w = mean(&|s| s.p_w) / members.len() as f64;
             let n_w = mean(&|s| s.n_w).normalize_or(DVec3::Z);
-            let mut look = Look::default();
+            let mut look = FacingColors::default();
             members.iter().for_each(|&i| look.0[facing(surfels[i].n_w)].add(surfels[i].color));
-            Patch { members, p_w, n_w, look }
+            SurfelPatch { members, p_w, n_w, look }
         })
         .collect()
 }
 
-/// 0 for borders that are flat or bend outwards, rising to 1 for inward bends of one and a half times the crease angle.
-fn inward_bend(a: &Patch, b: &Patch, crease_rad: f64) -> f64 {
+/// Returns 0 for borders that are flat or bend outwards, rising to 1 for inward bends of one and a half times the
+/// crease angle.
+fn inward_bend(a: &SurfelPatch, b: &SurfelPatch, crease_rad: f64) -> f64 {
     let d = (a.p_w - b.p_w).normalize_or(DVec3::X);
     let angle = a.n_w.angle_between(b.n_w);
     let inward = (a.n_w - b.n_w).dot(d) < 0.0;

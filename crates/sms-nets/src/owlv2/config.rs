@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_built_is_named() {
+    fn unsupported_configurations_are_named() {
         for (tower, key, value) in [
             ("text_config", "vocab_size", "0"),
             ("text_config", "hidden_size", "0"),

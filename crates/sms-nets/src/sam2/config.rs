@@ -260,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_built_is_named() {
+    fn unsupported_configurations_are_named() {
         assert_eq!(Sam2Config::default().fault(), None);
         let faulty = |json: &str, part: &str| {
             let config: Sam2Config = serde_json::from_str(json).unwrap();

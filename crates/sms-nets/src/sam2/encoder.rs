@@ -250,7 +250,7 @@ mod tests {
     use candle_core::Device;
 
     #[test]
-    fn windows_join_to_what_they_came_from() {
+    fn joining_windows_inverts_splitting() {
         for (h, w, side) in [(8, 8, 4), (7, 5, 3)] {
             let x = Tensor::randn(0f32, 1.0, (1, h, w, 2), &Device::Cpu).unwrap();
             let windows = partitioned(&x, side).unwrap();

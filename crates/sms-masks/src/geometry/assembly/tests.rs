@@ -1,4 +1,4 @@
-//! Assemblies made of boxes with known bodies: what stands free as a whole, and what it falls into.
+//! Assemblies of boxes with known bodies: which are free-standing, and the bodies they are split into.
 
 use super::super::cluster::{bodies, join_legs};
 use super::super::fuse::coarsen;
@@ -36,7 +36,7 @@ fn table(body: usize, half: [f64; 2], height: f64, inset: f64, leg: f64) -> Vec<
     blocks
 }
 
-/// The cloud of what is seen of blocks, and the body of each surfel.
+/// The visible cloud of some blocks, and the body of each surfel.
 struct Cloud {
     surfels: Vec<Surfel>,
     graph: Neighbors,
@@ -45,7 +45,8 @@ struct Cloud {
 }
 
 impl Cloud {
-    /// Faces that look down are not seen, what lies within or between blocks is not, and neither is what `is_hidden` says.
+    /// Faces that look down, surfaces within or between blocks, and points that `is_hidden` accepts are not
+    /// visible.
     fn of(blocks: &[Block], is_hidden: impl Fn(DVec3) -> bool) -> Self {
         let config = GeometryConfig::default();
         let cell = config.voxel_m;
@@ -68,7 +69,7 @@ impl Cloud {
                     if blocks.iter().any(is_inside) || is_hidden(p_w) {
                         continue;
                     }
-                    // Light, and a pattern that is no edge.
+                    // Shading, and a pattern without edges.
                     let shade = 1.0 + 0.08 * n_w.x as f32 + 0.05 * ((i / 2 + j / 2) % 2) as f32;
                     let color = b.color.map(|c| c * shade);
                     let none = Surfel {
@@ -102,7 +103,7 @@ impl Cloud {
         Self::of(blocks, |_| false)
     }
 
-    /// The bodies that are no crumbs: of each the true body that most of it is of, and how much.
+    /// The bodies larger than crumbs: for each, the true body with the largest share of it, and that share.
     fn bodies(&self) -> Vec<(usize, f64)> {
         let all: Vec<usize> = (0..self.surfels.len()).collect();
         let mut found: Vec<(usize, f64)> = bodies(&self.surfels, &self.graph, &all, &self.config)
@@ -119,7 +120,7 @@ impl Cloud {
         found
     }
 
-    /// Asserts that the bodies are these, each of them found once and hardly mixed.
+    /// Asserts that these bodies are found, each of them once and nearly pure.
     fn assert_bodies(&self, expected: &[usize]) {
         let found = self.bodies();
         assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), expected, "{found:.2?}");
@@ -131,7 +132,7 @@ impl Cloud {
         level_seams(&self.surfels, &all, self.config.voxel_m)
     }
 
-    /// What stands free as a whole on the ground at z = 0, in surfels.
+    /// The free-standing assemblies on the ground at z = 0, in surfels.
     fn free_standing(&self, is_static: impl Fn(&Surfel) -> bool) -> Vec<Vec<usize>> {
         let (coarse, graph, parent) = coarsen(&self.surfels, 3.0 * self.config.voxel_m);
         let heights: Vec<f64> = coarse.iter().map(|s| s.p_w.z).collect();
@@ -151,7 +152,7 @@ fn a_table_and_the_box_on_it_are_two_bodies() {
     let mut blocks = table(0, [0.25, 0.18], 0.3, 0.02, 0.036);
     blocks.push(block(1, BLUE, [-0.1, -0.12, 0.3], [0.3, 0.12, 0.42]));
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
-    // Of one colour, too: a level seam all around, that bends inwards.
+    // In one colour, too, there is a level inward crease all around.
     blocks[5].color = WOOD;
     blocks[5].high.x = 0.2;
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
@@ -165,7 +166,7 @@ fn boxes_side_by_side_are_as_many_bodies_as_they_have_colours() {
         block(1, WOOD, [0.2, 0.03, 0.0], [0.4, 0.17, 0.3]),
     ];
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
-    // Nothing tells two of one colour apart from a cupboard with a step.
+    // In one colour, the two cannot be told from a cupboard with a step.
     blocks[1].color = BLUE;
     assert_eq!(Cloud::all_of(&blocks).bodies().len(), 1);
 }
@@ -198,10 +199,10 @@ fn a_board_over_a_rim_that_shows_in_pieces_lies_on_it() {
         block(0, GREEN, [-0.13, -0.11, 0.0], [0.13, 0.11, 0.4]),
         block(1, BLUE, [-0.13, -0.11, 0.4], [0.5, 0.11, 0.43]),
     ];
-    // Two sides, one of them in part, as the shade of the board has it.
+    // Two sides, one of them partly hidden, as by the shade of the board.
     let is_hidden = |p: DVec3| (0.3..0.4).contains(&p.z) && (p.y > 0.0 || (-0.02..0.09).contains(&p.x));
     Cloud::of(&blocks, is_hidden).assert_bodies(&[0, 1]);
-    // Of one colour that is a top on what may be legs.
+    // In one colour, it may be a table's top on its legs.
     blocks[0].color = BLUE;
     assert_eq!(Cloud::of(&blocks, is_hidden).bodies().len(), 1);
 }
@@ -231,20 +232,20 @@ fn board_on_stool(board: [f32; 3]) -> Vec<Block> {
 }
 
 #[test]
-fn a_board_whose_sides_are_flush_with_a_stool_is_told_by_its_hue_all_along() {
+fn a_board_flush_with_a_stool_is_separated_by_its_hue() {
     // Another wood, hardly darker: its hue steps everywhere along the sides.
     Cloud::all_of(&board_on_stool([205.0, 150.0, 92.0])).assert_bodies(&[0, 1]);
-    // Of one wood a ledge on one side of four is too little: a top that juts out over its stand has it, too.
+    // In one colour, a ledge on one side of four is too little: a top that juts out over its stand has it, too.
     assert_eq!(Cloud::all_of(&board_on_stool(WOOD)).bodies().len(), 1);
 }
 
 #[test]
-fn a_board_of_one_colour_with_its_stool_is_told_by_ledges_on_three_sides() {
+fn a_board_of_its_stools_colour_is_separated_by_three_ledges() {
     let mut blocks = board_on_stool(WOOD);
     (blocks[5].low.y, blocks[5].high.y) = (-0.16, 0.16);
     let cloud = Cloud::all_of(&blocks);
     cloud.assert_bodies(&[0, 1]);
-    // What is above a seam is so to the surfel: a board is hardly thicker than three of them.
+    // Surfels above a seam must be classified so: a board is hardly thicker than three of them.
     let all: Vec<usize> = (0..cloud.body.len()).collect();
     let found = bodies(&cloud.surfels, &cloud.graph, &all, &cloud.config);
     let board = found.iter().find(|m| m.len() > 60 && cloud.body[m[0]] == 1).unwrap();
@@ -254,7 +255,7 @@ fn a_board_of_one_colour_with_its_stool_is_told_by_ledges_on_three_sides() {
 
 #[test]
 fn a_top_with_a_lip_does_not_come_off() {
-    // A counter on a plinth of another wood: no more than a lip juts out.
+    // A counter on a plinth of another wood: it juts out by less than a lip.
     let blocks = [
         block(0, WOOD, [-0.25, -0.2, 0.0], [0.25, 0.2, 0.5]),
         block(0, [205.0, 150.0, 92.0], [-0.25, -0.2, 0.5], [0.3, 0.2, 0.54]),
@@ -277,7 +278,7 @@ fn a_tall_rim_in_the_shade_is_part_of_its_bin() {
 }
 
 #[test]
-fn what_floats_is_part_of_what_it_hangs_on() {
+fn floating_segments_join_their_neighbour() {
     // A sign of another colour on the side of a crate.
     let blocks = [
         block(0, BLUE, [-0.2, -0.2, 0.0], [0.2, 0.2, 0.5]),
@@ -286,7 +287,7 @@ fn what_floats_is_part_of_what_it_hangs_on() {
     Cloud::all_of(&blocks).assert_bodies(&[0]);
 }
 
-/// A table all of whose legs' upper ends, and most of whose top, are hidden by a tote that juts out over one side.
+/// A table under a tote that juts out over one side, and hides the upper ends of all legs and most of the top.
 fn hidden_table() -> Cloud {
     let mut blocks = table(0, [0.25, 0.18], 0.3, 0.02, 0.036);
     blocks.push(block(1, BLUE, [-0.21, -0.17, 0.3], [0.33, 0.17, 0.44]));
@@ -296,7 +297,7 @@ fn hidden_table() -> Cloud {
 #[test]
 fn legs_whose_ends_are_hidden_join_the_lowest_thing_over_them() {
     let cloud = hidden_table();
-    // The tote, the rim of the top, and each leg, as segments would have them.
+    // The tote, the rim of the top, and each leg, as segmentation returns them.
     let is_leg = |i: usize| cloud.surfels[i].p_w.z < 0.2;
     let mut objects: Vec<Vec<usize>> =
         [1, 0].map(|b| (0..cloud.body.len()).filter(|&i| cloud.body[i] == b && !is_leg(i)).collect()).into();
@@ -307,7 +308,7 @@ fn legs_whose_ends_are_hidden_join_the_lowest_thing_over_them() {
     for members in joined {
         assert!(members.iter().all(|&i| cloud.body[i] == cloud.body[members[0]]));
     }
-    // Where cameras look through between, they are other things: bottles that stand under the table.
+    // Where cameras look through the gap, the posts are separate things: bottles under the table.
     assert_eq!(join_legs(&cloud.surfels, objects, |_| true).len(), 6);
 }
 
@@ -317,14 +318,14 @@ fn legs_whose_ends_are_hidden_are_one_body_with_the_lowest_thing_over_them() {
 }
 
 #[test]
-fn walls_and_what_is_seen_from_one_side_do_not_stand_free() {
+fn walls_and_one_sided_views_do_not_stand_free() {
     let wall = Cloud::all_of(&[block(0, WOOD, [-0.3, 0.0, 0.0], [0.3, 0.03, 0.5])]);
     assert!(wall.free_standing(|_| false).is_empty(), "thin");
     let cupboard = [block(0, WOOD, [-0.25, -0.2, 0.0], [0.25, 0.2, 0.5])];
     assert_eq!(Cloud::all_of(&cupboard).free_standing(|_| false).len(), 1);
     let front = Cloud::of(&cupboard, |p| p.y > -0.199 && p.z < 0.499);
     assert!(front.free_standing(|_| false).is_empty(), "seen from one side");
-    // Low things are objects on a table, unless a face of them was taken for static.
+    // Low assemblies are objects on a table, unless one of their faces was classified as static.
     let low = Cloud::all_of(&[block(0, WOOD, [-0.25, -0.2, 0.0], [0.25, 0.2, 0.2])]);
     assert!(low.free_standing(|_| false).is_empty(), "low");
     assert_eq!(low.free_standing(|s| s.n_w.z > 0.9).len(), 1);
