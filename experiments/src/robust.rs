@@ -138,7 +138,7 @@ enum Job {
 /// current number of threads works side by side. The figures but the CPU seconds depend on seeds alone.
 ///
 /// Plain planning gets as many rollouts as the first robust planner spends in all: search, choice and forecast, and two
-/// for each perturbed world that it builds. Keys are those of docs/metrics.md. The figures in `known` (of an earlier run, or
+/// for each perturbed world that it builds. Keys are those of experiments/metrics.md. The figures in `known` (of an earlier run, or
 /// of another shard) are not computed again; `keep` is given all figures of scenes so far whenever a job is done.
 ///
 /// # Errors

@@ -30,7 +30,7 @@ use std::path::Path;
 /// The scan's seed; `sms scan` has the same default.
 const SCAN_SEED: Seed = Seed(0);
 
-/// Scans a scene and measures it; keys are `bench.scan.{scene}.…` (see `docs/metrics.md`). Into `dir` come the scan's
+/// Scans a scene and measures it; keys are `bench.scan.{scene}.…` (see `experiments/metrics.md`). Into `dir` come the scan's
 /// own files (`scan/scene.ply` …), `panel.png`, `objects.json` and `metrics.json`. `None` for a real recording that is
 /// not there.
 ///

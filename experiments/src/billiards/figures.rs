@@ -21,7 +21,7 @@ fn worst(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The figures of results, with the keys of docs/metrics.md: for every engine, row and material prior, over the scenes that
+/// The figures of results, with the keys of experiments/metrics.md: for every engine, row and material prior, over the scenes that
 /// are there. Overall means and deviations pool all starts of all scenes; `best` and `worst` are those of each scene's
 /// starts, as means and deviations over the scenes.
 pub fn billiards_metrics(scenes: &[BilliardsScene]) -> Metrics {

@@ -18,7 +18,7 @@ use std::path::Path;
 const SEED: Seed = Seed(0);
 
 /// Makes the entities of a scene (from a kept scan where there is one) and measures them; keys are
-/// `bench.materialize.{scene}.…` (see `docs/metrics.md`). The meshes come to `keep/meshes/{scene}/` as OBJ in the truth's
+/// `bench.materialize.{scene}.…` (see `experiments/metrics.md`). The meshes come to `keep/meshes/{scene}/` as OBJ in the truth's
 /// world. `None` where there is nothing to measure: a model that is not there, or a real recording.
 ///
 /// # Errors
