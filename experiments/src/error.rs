@@ -1,6 +1,6 @@
 //! Errors of the experiments.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 
 /// Errors of a measurement.
 #[derive(Debug, thiserror::Error)]
@@ -41,4 +41,22 @@ pub enum BenchError {
     /// A comparison with a scanned model failed.
     #[error(transparent)]
     Evaluate(#[from] sms_eval::EvaluateError),
+}
+
+impl StageError for BenchError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) | Self::Unanswered(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Masks(e) => e.kind(),
+            Self::Scan(e) => e.kind(),
+            Self::Entities(e) => e.kind(),
+            Self::Plan(e) => e.kind(),
+            Self::Scene(e) => e.kind(),
+            Self::Landing(e) => e.kind(),
+            Self::Target(e) => e.kind(),
+            Self::Evaluate(e) => e.kind(),
+            Self::Build(_) => ErrorKind::Other,
+        }
+    }
 }

@@ -162,9 +162,7 @@ impl Settings {
 
     /// A value out of its range, with the place that it was given at.
     fn blame(&self, section: &str, error: InputError) -> InputError {
-        let named = error.what.split('`').nth(1).unwrap_or_default().to_owned();
-        let key = named.strip_prefix(section).and_then(|k| k.strip_prefix('.')).unwrap_or(&named);
-        let set = self.assignments.iter().rev().find(|a| a.section == section && a.concerns(key));
+        let set = error.key.as_deref().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
         match set {
             Some(assignment) => InputError { path: assignment.source(), ..error },
             None if self.table.contains_key(section) => {
@@ -229,11 +227,11 @@ impl Assignment {
         format!("--set {}", self.text)
     }
 
-    /// Whether it gives the dotted `key`, one of its parts or the whole that it is part of.
+    /// Whether it sets `key` (`section.key`), a part of it, or a table that contains it.
     fn concerns(&self, key: &str) -> bool {
-        let own = self.key.join(".");
+        let own = format!("{}.{}", self.section, self.key.join("."));
         let within = |a: &str, b: &str| {
-            a.strip_prefix(b).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+            a.strip_prefix(b).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[', ' ']))
         };
         within(key, &own) || within(&own, key)
     }

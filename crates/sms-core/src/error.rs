@@ -16,6 +16,8 @@ pub struct InputError {
     pub cure: String,
     /// The underlying reason, where there is one.
     pub detail: Option<String>,
+    /// The dotted key of the setting at fault (`scan.holdout`), where it is one.
+    pub key: Option<Box<str>>,
 }
 
 fn fmt_detail(detail: &Option<String>) -> String {
@@ -25,7 +27,15 @@ fn fmt_detail(detail: &Option<String>) -> String {
 impl InputError {
     /// A new input error about `path`.
     pub fn new(what: impl Into<String>, path: impl AsRef<Path>, cure: impl Into<String>) -> Self {
-        Self { what: what.into(), path: path.as_ref().display().to_string(), cure: cure.into(), detail: None }
+        let path = path.as_ref().display().to_string();
+        Self { what: what.into(), path, cure: cure.into(), detail: None, key: None }
+    }
+
+    /// The same error, attributed to a setting (`section.key`).
+    #[must_use]
+    pub fn at_key(mut self, key: impl Into<Box<str>>) -> Self {
+        self.key = Some(key.into());
+        self
     }
 
     /// The same error with the underlying reason.
@@ -33,6 +43,54 @@ impl InputError {
         self.detail = Some(detail.to_string());
         self
     }
+}
+
+/// The kinds of failure that callers treat differently.
+#[derive(Debug, Clone, Copy)]
+pub enum ErrorKind<'a> {
+    /// Bad input, which the user can correct.
+    Input(&'a InputError),
+    /// The disk, or the user's quota, is full.
+    DiskFull,
+    /// The user asked to stop.
+    Interrupted,
+    /// Any other failure.
+    Other,
+}
+
+/// An error of a stage, which knows its kind whatever it wraps.
+pub trait StageError: std::error::Error {
+    /// Returns the kind of failure.
+    fn kind(&self) -> ErrorKind<'_>;
+
+    /// Returns the bad input, if that is the cause.
+    fn input(&self) -> Option<&InputError> {
+        match self.kind() {
+            ErrorKind::Input(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl StageError for InputError {
+    fn kind(&self) -> ErrorKind<'_> {
+        ErrorKind::Input(self)
+    }
+}
+
+impl StageError for CoreError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => ErrorKind::Input(e),
+            Self::Write { source, .. } if is_disk_full(source) => ErrorKind::DiskFull,
+            Self::Interrupted => ErrorKind::Interrupted,
+            Self::Read { .. } | Self::Write { .. } => ErrorKind::Other,
+        }
+    }
+}
+
+fn is_disk_full(source: &std::io::Error) -> bool {
+    matches!(source.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
 }
 
 /// Errors of the vocabulary crate: files and the run folder.
@@ -64,7 +122,7 @@ pub enum CoreError {
 
 fn disk_full_hint(source: &std::io::Error) -> &'static str {
     match source.kind() {
-        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
+        _ if is_disk_full(source) => {
             "; free some space and run the same command again: finished stages are kept"
         }
         std::io::ErrorKind::PermissionDenied => "; choose a folder that you may write to",

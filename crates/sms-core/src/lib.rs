@@ -57,7 +57,7 @@ pub use cancel::Cancel;
 pub use cholesky::Cholesky;
 pub use directions::{GOLDEN_ANGLE_RAD, even_directions};
 pub use entity::{Entity, EntityKind, EntityShape, PointCloud};
-pub use error::{CoreError, InputError};
+pub use error::{CoreError, ErrorKind, InputError, StageError};
 pub use glamx;
 pub use hash::{Hash, Hasher, hash_serializable};
 pub use image::{ColorImage, DepthImage, Image, NormalImage};

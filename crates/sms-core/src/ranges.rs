@@ -58,7 +58,8 @@ impl<'a> Ranges<'a> {
             format!("`{section}.{}` is {}, above `{section}.{}`, which is {}", low.0, low.1, high.0, high.1),
             format!("[{section}]"),
             "exchange them, or change one",
-        ))
+        )
+        .at_key(format!("{section}.{}", low.0)))
     }
 
     fn fault(&self, key: &str, value: impl Display, low: impl Display, high: impl Display) -> InputError {
@@ -68,6 +69,7 @@ impl<'a> Ranges<'a> {
             format!("[{section}]"),
             format!("give `{key}` a value from {low} to {high}"),
         )
+        .at_key(format!("{section}.{key}"))
     }
 }
 
@@ -86,6 +88,7 @@ mod tests {
         }
         let message = r.within("a.b", 0.1f32, 0.5, 2.0).unwrap_err().to_string();
         assert!(message.contains("`s.a.b` is 0.1, and must be from 0.5 to 2"), "{message}");
+        assert_eq!(r.count("n", 0, 1, 3).unwrap_err().key.as_deref(), Some("s.n"));
         assert!(r.count("n", 0, 1, 3).is_err() && r.count("n", 3, 1, 3).is_ok());
         let message = r.ordered(("min", 3.0), ("max", 2.0)).unwrap_err().to_string();
         assert!(message.contains("`s.min` is 3, above `s.max`, which is 2"), "{message}");

@@ -1,6 +1,6 @@
 //! What can go wrong.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 
 /// Errors of the entities stage.
 #[derive(Debug, thiserror::Error)]
@@ -14,4 +14,14 @@ pub enum EntitiesError {
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),
+}
+
+impl StageError for EntitiesError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Mismatch(_) => ErrorKind::Other,
+        }
+    }
 }

@@ -17,7 +17,9 @@ use glamx::{DMat4, DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, atomic, quantile};
+use sms_core::{
+    CoreError, ErrorKind, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, StageError, atomic, quantile,
+};
 use std::path::Path;
 
 /// Errors of evaluation.
@@ -29,6 +31,15 @@ pub enum EvaluateError {
     /// Nothing to compare.
     #[error("{0} has no surface to compare")]
     Empty(&'static str),
+}
+
+impl StageError for EvaluateError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Core(e) => e.kind(),
+            Self::Empty(_) => ErrorKind::Other,
+        }
+    }
 }
 
 /// How surfaces are compared.

@@ -1,13 +1,13 @@
 //! What a landing cannot be planned for.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_plan::PlanError;
 use sms_robots::VehicleError;
 use sms_sim::SimError;
 use sms_wash::WashError;
 
-/// Errors of the landing task. Those of what the user gave hold an [`InputError`], which names the file and the cure;
-/// [`LandingError::input`] gives it whatever the variant.
+/// Errors of the landing task. Those about user input hold an [`InputError`], which names the file and the cure;
+/// [`StageError::input`] returns it whatever the variant.
 #[derive(Debug, thiserror::Error)]
 pub enum LandingError {
     /// A bad task file, vehicle file or setting.
@@ -53,17 +53,17 @@ pub enum LandingError {
     },
 }
 
-impl LandingError {
-    /// What the user can mend, if that is what it is.
-    pub fn input(&self) -> Option<&InputError> {
+impl StageError for LandingError {
+    fn kind(&self) -> ErrorKind<'_> {
         match self {
             Self::Input(e)
             | Self::NoSurface(e)
             | Self::TooNarrow(e)
             | Self::UnknownBody(e)
-            | Self::AlreadyFalling(e)
-            | Self::Core(CoreError::Input(e)) => Some(e),
-            _ => None,
+            | Self::AlreadyFalling(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Plan(e) => e.kind(),
+            Self::Sim(_) | Self::Wash(_) | Self::Vehicle(_) | Self::Nothing { .. } => ErrorKind::Other,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::resolved::STANDS;
 use crate::{LandingDisturbances, LandingError, LandingTask, ResolvedLanding};
-use sms_core::Seed;
+use sms_core::{Seed, StageError};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{RestingDrift, WorldFactory, fix_restless};
 

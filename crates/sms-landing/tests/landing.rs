@@ -1,7 +1,7 @@
 //! Landings against closed forms, and faults.
 
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{Cancel, Interval, NoProgress, Seed, StageContext, Warnings, box_mass_properties};
+use sms_core::{Cancel, Interval, NoProgress, Seed, StageContext, StageError, Warnings, box_mass_properties};
 use sms_landing::{
     LandingAction, LandingError, LandingPlan, LandingRecording, LandingSettings, LandingTask, LandingWorld,
     PlannedBody, QUADROTOR, ResolvedLanding, RolloutOptions, plan_landing, rollout_landing,

@@ -1,6 +1,6 @@
 //! Errors of this crate.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 
 /// An error of segmentation.
 #[derive(Debug, thiserror::Error)]
@@ -11,6 +11,15 @@ pub enum MasksError {
     /// A file could not be written or read, or the user asked to stop.
     #[error(transparent)]
     Core(CoreError),
+}
+
+impl StageError for MasksError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+        }
+    }
 }
 
 impl From<CoreError> for MasksError {

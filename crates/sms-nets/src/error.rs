@@ -1,6 +1,6 @@
 //! Errors of this crate.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_masks::MasksError;
 
 /// What can go wrong with the networks.
@@ -15,6 +15,16 @@ pub enum NetsError {
     /// A computation failed on the device: out of memory, a driver's fault, or a defect of ours.
     #[error("a network could not be computed: {0}")]
     Compute(#[from] candle_core::Error),
+}
+
+impl StageError for NetsError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Compute(_) => ErrorKind::Other,
+        }
+    }
 }
 
 impl From<CoreError> for NetsError {

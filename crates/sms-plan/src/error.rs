@@ -1,6 +1,6 @@
 //! Errors of planning.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_sim::SimError;
 use sms_task::TaskError;
 
@@ -33,4 +33,15 @@ pub enum PlanError {
         /// Rollouts.
         evaluations: usize,
     },
+}
+
+impl StageError for PlanError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) | Self::OutOfReach(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Task(e) => e.kind(),
+            Self::Sim(_) | Self::Nothing { .. } => ErrorKind::Other,
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! Errors of writing a report.
 
-use sms_core::CoreError;
+use sms_core::{CoreError, ErrorKind, StageError};
 
 /// Errors of writing a report.
 #[derive(Debug, thiserror::Error)]
@@ -8,4 +8,12 @@ pub enum ReportError {
     /// Files.
     #[error(transparent)]
     Core(#[from] CoreError),
+}
+
+impl StageError for ReportError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Core(e) => e.kind(),
+        }
+    }
 }

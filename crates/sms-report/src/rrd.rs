@@ -13,7 +13,7 @@ use rerun::blueprint::{
     Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
-use sms_core::Mesh;
+use sms_core::{ErrorKind, Mesh, StageError};
 use sms_core::glamx::DVec3;
 use sms_landing::ParticleFrame;
 use sms_scene::{BodyKind, BodyShape, Scene};
@@ -42,6 +42,15 @@ pub enum RrdError {
     /// The finished recording could not be put in place.
     #[error(transparent)]
     Core(#[from] sms_core::CoreError),
+}
+
+impl StageError for RrdError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Core(e) => e.kind(),
+            Self::Sdk { .. } | Self::Flush { .. } => ErrorKind::Other,
+        }
+    }
 }
 
 /// Writes the recording; an earlier one stays whole until this one is complete.

@@ -6,7 +6,7 @@ use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    CoreError, InputError, MassProperties, Material, Mesh, atomic, read_mesh_texture, write_textured_obj,
+    CoreError, ErrorKind, InputError, MassProperties, Material, Mesh, StageError, atomic, read_mesh_texture, write_textured_obj,
 };
 use std::path::Path;
 
@@ -19,6 +19,15 @@ pub enum SceneError {
     /// The scene cannot be simulated.
     #[error("the scene cannot be simulated:\n  {0}")]
     Invalid(String),
+}
+
+impl StageError for SceneError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Core(e) => e.kind(),
+            Self::Invalid(_) => ErrorKind::Other,
+        }
+    }
 }
 
 impl From<InputError> for SceneError {

@@ -5,7 +5,7 @@ use crate::{SameEngineTarget, Target, match_bodies, scene_from_truth};
 use glamx::DVec3;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
-use sms_core::{InertiaError, Seed};
+use sms_core::{ErrorKind, InertiaError, Seed, StageError};
 use sms_robots::RobotConfig;
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{ArmKind, SimError, Striker, WorldOptions};
@@ -58,6 +58,16 @@ pub enum TargetError {
     /// The truth names masses that no body has.
     #[error("the truth cannot be simulated: {0}")]
     Truth(#[from] InertiaError),
+}
+
+impl StageError for TargetError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Task(e) => e.kind(),
+            Self::Landing(e) => e.kind(),
+            Self::Sim(_) | Self::Truth(_) => ErrorKind::Other,
+        }
+    }
 }
 
 /// Carries out a planned action in the true scene, on [`SameEngineTarget`].

@@ -1,6 +1,6 @@
 //! Errors of resolving or running a task.
 
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_sim::SimError;
 
 /// Errors of resolving or running a task.
@@ -15,4 +15,14 @@ pub enum TaskError {
     /// A file could not be read or written.
     #[error(transparent)]
     Core(#[from] CoreError),
+}
+
+impl StageError for TaskError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => e.kind(),
+            Self::Core(e) => e.kind(),
+            Self::Sim(_) => ErrorKind::Other,
+        }
+    }
 }

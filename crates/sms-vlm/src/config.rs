@@ -115,6 +115,7 @@ impl VlmConfig {
                 "`vlm.url` (SMS_VLM_URL)",
                 "give the server's base address, such as https://api.openai.com/v1 or http://localhost:8000/v1",
             )
+            .at_key("vlm.url")
         };
         let url = self.url.trim().trim_end_matches('/');
         let rest = ["http://", "https://"]

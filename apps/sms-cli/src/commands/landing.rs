@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
-    ColorImage, Hasher, InputError, RunFolder, Seed, StageContext, Warnings, atomic, read_png_color,
+    ColorImage, Hasher, InputError, RunFolder, Seed, StageContext, StageError, Warnings, atomic, read_png_color,
     write_png_color,
 };
 use sms_frames::{Frame, Sequence};
@@ -69,7 +69,7 @@ pub(crate) fn plan(console: &Console, a: &Plan, base: LandingSettings) -> anyhow
     };
     let refused = error
         .downcast_ref::<LandingError>()
-        .and_then(LandingError::input)
+        .and_then(StageError::input)
         .or(error.downcast_ref::<InputError>())
         .cloned();
     let Some(refused) = refused else { return Err(error) };

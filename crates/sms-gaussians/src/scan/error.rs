@@ -1,7 +1,7 @@
 //! Errors of the scan.
 
 use crate::TrainerError;
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, ErrorKind, InputError, StageError};
 
 /// What can go wrong in a scan.
 #[derive(Debug, thiserror::Error)]
@@ -15,4 +15,14 @@ pub enum ScanError {
     /// The back end failed.
     #[error(transparent)]
     Trainer(#[from] TrainerError),
+}
+
+impl StageError for ScanError {
+    fn kind(&self) -> ErrorKind<'_> {
+        match self {
+            Self::Input(e) => e.kind(),
+            Self::Core(e) | Self::Trainer(TrainerError::Core(e)) => e.kind(),
+            Self::Trainer(_) => ErrorKind::Other,
+        }
+    }
 }

@@ -28,7 +28,8 @@ impl ScanConfig {
                 "`scan.holdout` is 1: holding out every frame leaves none to train on",
                 "[scan]",
                 "give 0 (none) or at least 2, such as 8",
-            ));
+            )
+            .at_key("scan.holdout"));
         }
         for (key, value, low, high) in [
             ("current_share", self.current_share, 0.0, 1.0),

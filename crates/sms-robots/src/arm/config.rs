@@ -70,7 +70,8 @@ impl RobotConfig {
                     ),
                     Path::new("(settings)"),
                     "leave `front_m` out: the box reaches as far ahead as behind the tool's origin",
-                ));
+                )
+                .at_key("robot.front_m"));
             }
         }
         r.within("period_s", self.period_s, 1e-4, 0.1)?;
@@ -86,7 +87,8 @@ impl RobotConfig {
                     ),
                     Path::new("(settings)"),
                     "give [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]] with metres",
-                ));
+                )
+                .at_key(format!("robot.{key}")));
             }
         }
         if self.x_world_robot.is_some() && self.x_recording_robot.is_some() {
@@ -94,7 +96,8 @@ impl RobotConfig {
                 "`robot.x_world_robot` and `robot.x_recording_robot` are both given",
                 Path::new("(settings)"),
                 "keep one of them",
-            ));
+            )
+            .at_key("robot.x_world_robot"));
         }
         Ok(())
     }
