@@ -162,7 +162,8 @@ impl Settings {
 
     /// A value out of its range, with the place that it was given at.
     fn blame(&self, section: &str, error: InputError) -> InputError {
-        let set = error.key.as_deref().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
+        let set =
+            error.key.as_deref().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
         match set {
             Some(assignment) => InputError { path: assignment.source(), ..error },
             None if self.table.contains_key(section) => {

@@ -18,7 +18,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{
-    CoreError, ErrorKind, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, StageError, atomic, quantile,
+    CoreError, ErrorKind, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, StageError, atomic,
+    quantile,
 };
 use std::path::Path;
 

@@ -13,8 +13,8 @@ use rerun::blueprint::{
     Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
-use sms_core::{ErrorKind, Mesh, StageError};
 use sms_core::glamx::DVec3;
+use sms_core::{ErrorKind, Mesh, StageError};
 use sms_landing::ParticleFrame;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_task::Trajectory;

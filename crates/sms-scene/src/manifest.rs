@@ -6,7 +6,8 @@ use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    CoreError, ErrorKind, InputError, MassProperties, Material, Mesh, StageError, atomic, read_mesh_texture, write_textured_obj,
+    CoreError, ErrorKind, InputError, MassProperties, Material, Mesh, StageError, atomic, read_mesh_texture,
+    write_textured_obj,
 };
 use std::path::Path;
 

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
 use sms_core::{
-    ColorImage, Hasher, InputError, RunFolder, Seed, StageContext, StageError, Warnings, atomic, read_png_color,
-    write_png_color,
+    ColorImage, Hasher, InputError, RunFolder, Seed, StageContext, StageError, Warnings, atomic,
+    read_png_color, write_png_color,
 };
 use sms_frames::{Frame, Sequence};
 use sms_landing::{
