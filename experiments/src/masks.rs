@@ -2,7 +2,7 @@
 
 use crate::{BenchError, BenchOptions, BenchScene, locate};
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, ColorImage, Image, Labels, Progress, StageContext, Warnings, write_png_color};
+use sms_core::{ColorImage, Image, Labels, StageContext, write_png_color};
 use sms_eval::{MaskScores, score_masks};
 use sms_frames::{Recording, Sequence, load};
 use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, complete, label_color};
@@ -20,20 +20,19 @@ pub fn run_masks(
     scene: &BenchScene,
     options: &BenchOptions,
     dir: Option<&Path>,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<(MaskScores, f64)>, BenchError> {
+    let StageContext { progress, cancel, .. } = context;
     let Some(folder) = locate(scene, options, progress, cancel)? else { return Ok(None) };
     let recording = Recording::open(&folder, &options.read)?;
-    let sequence = load(&recording, &options.load, StageContext::new(progress, cancel, warnings))?;
+    let sequence = load(&recording, &options.load, context)?;
     let is_real = matches!(scene, BenchScene::Real(_));
     let given = FileMasks::default();
     let truth: &dyn Segmenter = if is_real { &given } else { &TruthMasks };
-    let truth = truth.segment(&sequence, StageContext::new(progress, cancel, warnings))?;
+    let truth = truth.segment(&sequence, context)?;
     let began = Instant::now();
     let geometry = GeometryMasks { config: options.masks.clone() };
-    let found = geometry.segment(&sequence, StageContext::new(progress, cancel, warnings))?;
+    let found = geometry.segment(&sequence, context)?;
     let (found, _) = complete(found, &sequence, &options.masks, progress, cancel)?;
     let seconds = began.elapsed().as_secs_f64();
     if let Some(dir) = dir {

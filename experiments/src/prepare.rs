@@ -6,7 +6,7 @@ use crate::recordings::locate;
 use crate::scenes::{BenchScene, generated};
 use crate::timer::Timer;
 use glamx::DPose3;
-use sms_core::{Camera, Cancel, InputError, Labels, Progress, Seed, StageContext, Warnings};
+use sms_core::{Camera, InputError, Labels, Seed, StageContext};
 use sms_frames::{Recording, Sequence, load};
 use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, complete};
 use sms_poses::{PosesMode, refine_poses};
@@ -71,17 +71,12 @@ impl Prepared {
 pub fn prepare(
     scene: &BenchScene,
     options: &BenchOptions,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<Prepared>, BenchError> {
+    let StageContext { progress, cancel, .. } = context;
     let Some(dir) = locate(scene, options, progress, cancel)? else { return Ok(None) };
     let timer = Timer::start();
-    let mut sequence = load(
-        &Recording::open(&dir, &options.read)?,
-        &options.load,
-        StageContext::new(progress, cancel, warnings),
-    )?;
+    let mut sequence = load(&Recording::open(&dir, &options.read)?, &options.load, context)?;
     let load_seconds = timer.seconds();
     if !(1..sequence.len()).any(|i| Sequence::is_held_out(i, options.scan.holdout)) {
         return Err(InputError::new(
@@ -104,8 +99,7 @@ pub fn prepare(
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();
     if options.poses.mode != PosesMode::Off {
-        sequence =
-            refine_poses(&sequence, &options.poses, StageContext::new(progress, cancel, warnings))?.sequence;
+        sequence = refine_poses(&sequence, &options.poses, context)?.sequence;
     }
     let poses_seconds = timer.seconds();
     let timer = Timer::start();
@@ -116,7 +110,7 @@ pub fn prepare(
         Some(_) if options.true_masks => &TruthMasks,
         Some(_) => &geometry,
     };
-    let labels = masks.segment(&sequence, StageContext::new(progress, cancel, warnings))?;
+    let labels = masks.segment(&sequence, context)?;
     let (labels, _) = complete(labels, &sequence, &options.masks, progress, cancel)?;
     let masks_seconds = timer.seconds();
     let real = truth.is_none().then_some(dir);

@@ -1,32 +1,26 @@
 //! Metrics of real recordings, which have no complete truth.
 
 use crate::BenchError;
-use crate::options::BenchOptions;
 use crate::panels::write_panel;
-use crate::prepare::Prepared;
+use crate::run::ScannedScene;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{BACKGROUND, Cancel, EntityKind, Image, PointCloud, Progress, StageContext, Warnings};
+use sms_core::{BACKGROUND, EntityKind, Image, PointCloud, StageContext, Warnings};
 use sms_entities::build_entities;
 use sms_eval::TrueView;
 use sms_eval::{DepthErrors, ShownView, psnr_db};
 use sms_eval::{DiscSampling, disc_points, score_surface};
 use sms_eval::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
-use sms_gaussians::{GaussianModel, Trainer};
-use std::path::Path;
+use sms_gaussians::Trainer;
 
 /// Held-out colour and depth against the frames, and each object that has a scanned model against it: points on its
 /// Gaussians' discs, and the default mesh.
 pub(crate) fn real_metrics(
-    prefix: &str,
-    prepared: &Prepared,
-    options: &BenchOptions,
-    model: &GaussianModel,
+    scanned: &ScannedScene<'_>,
     trainer: &mut dyn Trainer,
-    dir: &Path,
-    progress: &dyn Progress,
-    cancel: &Cancel,
+    context: StageContext<'_>,
 ) -> Result<Metrics, BenchError> {
+    let &ScannedScene { prefix, prepared, options, model, dir } = scanned;
     let mut metrics = Metrics::new();
     let mut set = |key: &str, value: f64| {
         metrics.set(format!("{prefix}{key}"), value);
@@ -61,8 +55,7 @@ pub(crate) fn real_metrics(
     let x_wr = prepared.sequence.x_world_recording;
     let points = disc_points(model, &DPose3::identity(), &DiscSampling::default());
     let known = read_known_objects(&objects)?;
-    let set_entities =
-        if known.is_empty() { None } else { Some(entities(prepared, options, model, progress, cancel)?) };
+    let set_entities = if known.is_empty() { None } else { Some(entities(scanned, context)?) };
     for object in known {
         let model_w: Vec<DVec3> = object.model_r.points_w.iter().map(|&p| x_wr.transform_point(p)).collect();
         let Some(index) = SurfaceIndex::of_points(&model_w) else { continue };
@@ -93,12 +86,10 @@ pub(crate) fn real_metrics(
 }
 
 fn entities(
-    prepared: &Prepared,
-    options: &BenchOptions,
-    model: &GaussianModel,
-    progress: &dyn Progress,
-    cancel: &Cancel,
+    scanned: &ScannedScene<'_>,
+    context: StageContext<'_>,
 ) -> Result<sms_entities::EntitySet, BenchError> {
+    let &ScannedScene { prepared, options, model, .. } = scanned;
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
     // Problems in the rest of a real scene are not measured here.
     let warnings = Warnings::new();
@@ -107,6 +98,6 @@ fn entities(
         &sequence,
         &labels,
         &options.entities,
-        StageContext::new(progress, cancel, &warnings),
+        StageContext { warnings: &warnings, ..context },
     )?)
 }

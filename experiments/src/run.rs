@@ -13,7 +13,7 @@ use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
 use sms_core::process;
-use sms_core::{Camera, Cancel, CoreError, EntityKind, Progress, Seed, StageContext, Warnings, atomic};
+use sms_core::{Camera, CoreError, EntityKind, Seed, StageContext, atomic};
 use sms_entities::build_entities;
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
@@ -42,9 +42,7 @@ pub fn run_scene(
     scene: &BenchScene,
     options: &BenchOptions,
     dir: &Path,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<Metrics>, BenchError> {
     let cpu = |train: &TrainConfig, classes, seed| Ok(CpuTrainer::new(train, classes, seed));
     let figures = |prefix: &str, trainer: &mut CpuTrainer, prepared: &Prepared| {
@@ -57,7 +55,7 @@ pub fn run_scene(
         }
         metrics
     };
-    run_scene_with(scene, options, dir, cpu, figures, progress, cancel, warnings)
+    run_scene_with(scene, options, dir, cpu, figures, context)
 }
 
 /// [`run_scene`] on another back end: `make` constructs its trainer, and `figures` measures, after all other
@@ -71,11 +69,9 @@ pub fn run_scene_with<T: Trainer>(
     dir: &Path,
     make: impl FnOnce(&TrainConfig, usize, Seed) -> Result<T, BenchError>,
     figures: impl FnOnce(&str, &mut T, &Prepared) -> Metrics,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<Metrics>, BenchError> {
-    let Some(prepared) = prepare(scene, options, progress, cancel, warnings)? else { return Ok(None) };
+    let Some(prepared) = prepare(scene, options, context)? else { return Ok(None) };
     let prefix = format!("bench.scan.{scene}.");
     let work = dir.join("scan");
     if work.exists() {
@@ -92,7 +88,7 @@ pub fn run_scene_with<T: Trainer>(
         &options.scan,
         &work,
         &mut trainer,
-        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
+        context.with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.seconds();
     // Before anything is measured, which takes memory, too.
@@ -125,17 +121,32 @@ pub fn run_scene_with<T: Trainer>(
     if scan_seconds.1.is_finite() {
         metrics.set(format!("{prefix}scan_step_cpu_ms"), 1e3 * scan_seconds.1 / steps.max(1.0));
     }
+    let scanned = ScannedScene { prefix: &prefix, prepared: &prepared, options, model: &result.model, dir };
     let measured = if !options.quality {
         Metrics::new()
     } else if prepared.truth.is_some() {
-        measure(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel, warnings)?
+        measure(&scanned, &mut trainer, context)?
     } else {
-        real_metrics(&prefix, &prepared, options, &result.model, &mut trainer, dir, progress, cancel)?
+        real_metrics(&scanned, &mut trainer, context)?
     };
     metrics.merge(measured);
     metrics.merge(figures(&prefix, &mut trainer, &prepared));
     metrics.save(&dir.join("metrics.json"))?;
     Ok(Some(metrics))
+}
+
+/// A scanned scene that is to be measured.
+pub(crate) struct ScannedScene<'a> {
+    /// Start of the keys of its metrics.
+    pub(crate) prefix: &'a str,
+    /// Input of the scan.
+    pub(crate) prepared: &'a Prepared,
+    /// Settings of the scan and the measurements.
+    pub(crate) options: &'a BenchOptions,
+    /// Result of the scan.
+    pub(crate) model: &'a GaussianModel,
+    /// Folder of the results.
+    pub(crate) dir: &'a Path,
 }
 
 /// Truth of a generated scene that any reconstruction is measured against.
@@ -181,16 +192,11 @@ struct ObjectRecord<'a> {
 }
 
 fn measure(
-    prefix: &str,
-    prepared: &Prepared,
-    options: &BenchOptions,
-    model: &GaussianModel,
+    scanned: &ScannedScene<'_>,
     trainer: &mut dyn Trainer,
-    dir: &Path,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Metrics, BenchError> {
+    let &ScannedScene { prefix, prepared, options, model, dir } = scanned;
     let timer = Timer::start();
     let Some(truth) = Yardstick::new(prepared, options.scan.holdout) else { return Ok(Metrics::new()) };
     let mut metrics = Metrics::new();
@@ -257,8 +263,7 @@ fn measure(
     set("rendered_p90_m", from_depth.mean.p90_m);
     set("rendered_f1_2p5mm", from_depth.mean.f1);
     let mesh = if options.meshes {
-        let (mesh, cloud, seconds) =
-            mesh_scores(prepared, options, model, &x_tw, &truth, progress, cancel, warnings)?;
+        let (mesh, cloud, seconds) = mesh_scores(scanned, &x_tw, &truth, context)?;
         set("mesh_median_m", mesh.mean.median_m);
         set("mesh_p90_m", mesh.mean.p90_m);
         set("mesh_f1_2p5mm", mesh.mean.f1);
@@ -359,24 +364,15 @@ fn rendered_points(
 
 /// Scores of the default meshes and of the clouds that they are made of, and the seconds it took to make them.
 fn mesh_scores(
-    prepared: &Prepared,
-    options: &BenchOptions,
-    model: &GaussianModel,
+    scanned: &ScannedScene<'_>,
     x_tw: &DPose3,
     truth: &Yardstick,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<(SceneScores, SceneScores, f64), BenchError> {
+    let &ScannedScene { prepared, options, model, .. } = scanned;
     let timer = Timer::start();
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
-    let set = build_entities(
-        model,
-        &sequence,
-        &labels,
-        &options.entities,
-        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
-    )?;
+    let set = build_entities(model, &sequence, &labels, &options.entities, context.with_seed(SCAN_SEED))?;
     let seconds = timer.seconds().0;
     let (mut mesh, mut cloud) = (Vec::new(), Vec::new());
     for entity in set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic) {

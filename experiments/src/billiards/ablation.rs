@@ -4,14 +4,13 @@
 use super::ablated::{Ablated, Ablation, Replaced};
 use super::planner_view::{PlannerView, apply_to_matched, forget_material};
 use super::realise::Table;
-use super::rows::{View, make};
-use super::{BilliardsBench, BilliardsScene, Row, Shot};
+use super::rows::{RowPlanner, View};
+use super::{BilliardsScene, Row, Shot};
 use crate::material_prior::set_material;
 use crate::{BenchError, MaterialPrior};
 use glamx::DVec3;
-use sms_core::{Aabb, Cancel, Progress, Seed};
+use sms_core::{Aabb, Seed};
 use sms_plan::PlanError;
-use sms_robots::RobotConfig;
 use sms_scene::{Body, BodyShape, Scene};
 use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
 use sms_synth::TruthScene;
@@ -39,15 +38,12 @@ impl Target for PlannersOwn {
 
 /// Runs the ablation of a planned scene against the judge, the first of the engines.
 pub(super) fn ablate(
-    bench: &BilliardsBench,
+    planner: &RowPlanner<'_>,
     result: &BilliardsScene,
     known: &PlannerView,
     truth: &TruthScene,
-    robot: &RobotConfig,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
 ) -> Result<Ablation, BenchError> {
+    let &RowPlanner { bench, robot, progress, cancel, .. } = planner;
     let engine = bench.engines.first().copied().unwrap_or(TargetEngine::Rapier);
     let judge = engine.target()?;
     let starts = bench.ablation_starts.min(bench.starts);
@@ -73,7 +69,7 @@ pub(super) fn ablate(
             _ => {
                 let mut plans = BTreeMap::new();
                 for row in ROWS {
-                    let shots = match make(bench, view, row, starts, robot, seed, progress, cancel) {
+                    let shots = match planner.plan(view, row, starts) {
                         Ok(planned) => planned.shots,
                         Err(BenchError::Plan(PlanError::Task(TaskError::Input(_)))) => {
                             vec![Shot::nothing(result.idle_m); if row == Row::Ours { starts } else { 1 }]
@@ -212,9 +208,10 @@ fn with_true_shapes(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BilliardsBench;
     use crate::BilliardsGeometry;
     use crate::billiards::planner_view::{is_object, planner_view};
-    use sms_core::NoProgress;
+    use sms_core::{Cancel, NoProgress};
     use sms_synth::FIXED_SCENES;
 
     /// The planner's view of scene 8 with every body displaced, its boxes enlarged, and one missing.

@@ -153,7 +153,8 @@ pub(crate) fn scanned(
         return Ok(load_scene(&dir)?);
     }
     let warnings = Warnings::new();
-    let trained = train(which, scan, progress, cancel, &warnings)?.ok_or_else(|| no_scene(which))?;
+    let trained =
+        train(which, scan, StageContext::new(progress, cancel, &warnings))?.ok_or_else(|| no_scene(which))?;
     let set = build_entities(
         &trained.model,
         &trained.sequence,

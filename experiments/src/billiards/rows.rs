@@ -29,48 +29,52 @@ pub(super) struct Planned {
     pub(super) motion: Option<Trajectory>,
 }
 
-/// Plans with a row, with `starts` starts if it has any. Depends on its arguments alone.
-pub(super) fn make(
-    bench: &BilliardsBench,
-    view: View<'_>,
-    row: Row,
-    starts: usize,
-    robot: &RobotConfig,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-) -> Result<Planned, BenchError> {
-    let free = view.task.resolve(view.scene).map_err(PlanError::from)?;
-    let task = free.clone().with_robot(robot, view.scene)?;
-    let planner = Planner { bench, task: &task, scene: view.scene, seed, cancel };
-    let count = if row == Row::Ours { starts } else { 1 };
-    progress.begin(&format!("bench billiards: plans, {}", row.as_str()), count as u64);
-    let (began, cpu) = (Instant::now(), cpu_seconds());
-    let mut motion = None;
-    let shots = match row {
-        Row::Grid => vec![planner.grid(&free)?],
-        Row::Paper => planner.paper(starts)?,
-        Row::Robust => {
-            let (shot, predicted) = planner.whole(&bench.robust, seed.derive("robust"))?;
-            motion = predicted;
-            vec![shot]
-        }
-        Row::Ours => (0..starts)
-            .map(|k| {
-                let seed = seed.derive_index("ours", k as u64);
-                let (shot, _) = planner.whole(&bench.ours, seed)?;
-                progress.update(k as u64 + 1, "starts");
-                Ok(shot)
-            })
-            .collect::<Result<_, BenchError>>()?,
-    };
-    progress.end("");
-    Ok(Planned {
-        shots,
-        seconds: began.elapsed().as_secs_f64(),
-        cpu_s: cpu_seconds().zip(cpu).map(|(now, then)| now - then),
-        motion,
-    })
+/// Plans the rows of one scene with one robot.
+#[derive(Clone, Copy)]
+pub(super) struct RowPlanner<'a> {
+    pub(super) bench: &'a BilliardsBench,
+    pub(super) robot: &'a RobotConfig,
+    pub(super) seed: Seed,
+    pub(super) progress: &'a dyn Progress,
+    pub(super) cancel: &'a Cancel,
+}
+
+impl RowPlanner<'_> {
+    /// Plans with a row, with `starts` starts if it has any. The result depends on the arguments and the planner's fields only.
+    pub(super) fn plan(&self, view: View<'_>, row: Row, starts: usize) -> Result<Planned, BenchError> {
+        let &Self { bench, robot, seed, progress, cancel } = self;
+        let free = view.task.resolve(view.scene).map_err(PlanError::from)?;
+        let task = free.clone().with_robot(robot, view.scene)?;
+        let planner = Planner { bench, task: &task, scene: view.scene, seed, cancel };
+        let count = if row == Row::Ours { starts } else { 1 };
+        progress.begin(&format!("bench billiards: plans, {}", row.as_str()), count as u64);
+        let (began, cpu) = (Instant::now(), cpu_seconds());
+        let mut motion = None;
+        let shots = match row {
+            Row::Grid => vec![planner.grid(&free)?],
+            Row::Paper => planner.paper(starts)?,
+            Row::Robust => {
+                let (shot, predicted) = planner.whole(&bench.robust, seed.derive("robust"))?;
+                motion = predicted;
+                vec![shot]
+            }
+            Row::Ours => (0..starts)
+                .map(|k| {
+                    let seed = seed.derive_index("ours", k as u64);
+                    let (shot, _) = planner.whole(&bench.ours, seed)?;
+                    progress.update(k as u64 + 1, "starts");
+                    Ok(shot)
+                })
+                .collect::<Result<_, BenchError>>()?,
+        };
+        progress.end("");
+        Ok(Planned {
+            shots,
+            seconds: began.elapsed().as_secs_f64(),
+            cpu_s: cpu_seconds().zip(cpu).map(|(now, then)| now - then),
+            motion,
+        })
+    }
 }
 
 struct Planner<'a> {

@@ -6,14 +6,13 @@ use super::drawing::{outlines, ways};
 use super::planner_view::{PlannerView, planner_view};
 use super::realise::Table;
 use super::result::kept;
-use super::rows::{View, make};
+use super::rows::{RowPlanner, View};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
 use crate::{BenchError, MaterialPrior};
 use glamx::DVec2;
 use sms_core::process::cpu_seconds;
-use sms_core::{Cancel, InputError, Progress, Seed, atomic};
+use sms_core::{Cancel, InputError, Progress, atomic};
 use sms_plan::PlanError;
-use sms_robots::RobotConfig;
 use sms_synth::{FixedScene, TruthScene};
 use sms_target::robot_of;
 use sms_target::{TargetEngine, scene_from_truth};
@@ -99,11 +98,11 @@ fn run_scene(
     let known = planner_view(bench, fixed, &truth, material_prior, progress, cancel)?;
     let see_s = clock.cpu_s();
     let seed = bench.seed.derive_index("billiards", fixed.number as u64);
+    let planner = RowPlanner { bench, robot: &robot, seed, progress, cancel };
     let mut result = match before {
         Some(result) => result,
         None => {
-            let mut result =
-                plan_all(bench, fixed, material_prior, &known, &truth, &robot, seed, progress, cancel)?;
+            let mut result = plan_all(&planner, fixed, material_prior, &known, &truth)?;
             result.cpu_s.extend(see_s.map(|s| ("see".to_owned(), s)));
             atomic::write_json(&path, &result)?;
             result
@@ -133,7 +132,7 @@ fn run_scene(
     }
     if !ablated(&result) {
         let clock = Clock::start();
-        let ablation = ablate(bench, &result, &known, &truth, &robot, seed, progress, cancel)?;
+        let ablation = ablate(&planner, &result, &known, &truth)?;
         result.ablation = Some(ablation);
         result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
         atomic::write_json(&path, &result)?;
@@ -143,16 +142,13 @@ fn run_scene(
 
 /// All plans of a scene.
 fn plan_all(
-    bench: &BilliardsBench,
+    planner: &RowPlanner<'_>,
     fixed: &FixedScene,
     material_prior: MaterialPrior,
     known: &PlannerView,
     truth: &TruthScene,
-    robot: &RobotConfig,
-    seed: Seed,
-    progress: &dyn Progress,
-    cancel: &Cancel,
 ) -> Result<BilliardsScene, BenchError> {
+    let bench = planner.bench;
     let mut result = BilliardsScene {
         key: bench.key(fixed, material_prior),
         number: fixed.number,
@@ -176,7 +172,7 @@ fn plan_all(
     };
     for row in Row::ALL.into_iter().rev().filter(|row| bench.rows.contains(row)) {
         let view = View { task: &known.task, scene: known.scene_of(row) };
-        match make(bench, view, row, bench.starts, robot, seed, progress, cancel) {
+        match planner.plan(view, row, bench.starts) {
             Ok(planned) => {
                 result.plans.insert(row, planned.shots);
                 result.seconds.insert(row, planned.seconds);
@@ -242,8 +238,8 @@ pub(super) mod tests {
         BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_pictures,
         write_shots,
     };
-    use sms_core::NoProgress;
     use sms_core::table::read_table;
+    use sms_core::{NoProgress, Seed};
     use sms_plan::PlanConfig;
     use sms_synth::{FIXED_SCENES, redraw_materials};
     use sms_target::SameEngineTarget;
@@ -415,9 +411,17 @@ pub(super) mod tests {
             let known =
                 planner_view(&bench, &fixed, truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
             let robot = robot_of(truth);
+            let cancel = Cancel::new();
+            let planner = RowPlanner {
+                bench: &bench,
+                robot: &robot,
+                seed: Seed(2),
+                progress: &NoProgress,
+                cancel: &cancel,
+            };
             let make = |row| {
                 let view = View { task: &known.task, scene: known.scene_of(row) };
-                make(&bench, view, row, 2, &robot, Seed(2), &NoProgress, &Cancel::new()).unwrap().shots
+                planner.plan(view, row, 2).unwrap().shots
             };
             Row::ALL.map(make)
         };

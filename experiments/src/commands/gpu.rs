@@ -46,9 +46,7 @@ pub(crate) fn run(
         dir,
         make,
         figures,
-        console.context.progress.as_ref(),
-        &console.context.cancel,
-        warnings,
+        StageContext::new(console.context.progress.as_ref(), &console.context.cancel, warnings),
     )?;
     Ok(())
 }

@@ -4,7 +4,7 @@ use super::shared::{finish, parse_shard, settings};
 use anyhow::Context as _;
 use clap::Args;
 use sms_cli::front::Console;
-use sms_core::{InputError, Warnings};
+use sms_core::{InputError, StageContext, Warnings};
 use sms_eval::MaskScores;
 use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, REAL, Shard, masks_metrics, masks_table, part_of, run_masks,
@@ -50,7 +50,12 @@ pub(crate) fn run(console: &Console, a: &MasksArguments) -> anyhow::Result<()> {
     for scene in part_of(select_mask_scenes(&a.scenes)?, part.unwrap_or((1, 1))) {
         let warnings = Warnings::new();
         let progress = console.context.progress.as_ref();
-        match run_masks(&scene, &options, a.out.as_deref(), progress, &console.context.cancel, &warnings)? {
+        match run_masks(
+            &scene,
+            &options,
+            a.out.as_deref(),
+            StageContext::new(progress, &console.context.cancel, &warnings),
+        )? {
             Some((score, seconds)) => scores.push((scene, score, seconds)),
             None => console.say(format!("skipped: {scene} is absent (SMS_TEST_DATA names its folder)")),
         }

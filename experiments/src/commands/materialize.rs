@@ -5,7 +5,7 @@ use super::shared::{finish, parse_shard, read_baseline, with_settings};
 use clap::{Args, ValueEnum};
 use sms_cli::front::{Console, Device, PresetName};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Warnings};
+use sms_core::{InputError, StageContext, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, Shard,
     add_materialize_means, materialize_markdown, materialize_table, model_path, part_of, run_materialize,
@@ -94,9 +94,11 @@ pub(crate) fn run(console: &Console, a: &MaterializeArguments) -> anyhow::Result
         }
         let warnings = Warnings::new();
         let progress = console.context.progress.as_ref();
-        if let Some(figures) =
-            run_materialize(&scene, &options, progress, &console.context.cancel, &warnings)?
-        {
+        if let Some(figures) = run_materialize(
+            &scene,
+            &options,
+            StageContext::new(progress, &console.context.cancel, &warnings),
+        )? {
             shard.add(&scene.to_string(), &figures);
             metrics.merge(figures);
             measured.push(scene.clone());

@@ -8,7 +8,7 @@ use serde_json::json;
 use sms_cli::front::{Console, Device, PresetName, RefinePoses};
 use sms_cli::settings::poses_defaults;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Warnings};
+use sms_core::{InputError, StageContext, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, Shard, add_means, export_scene, locate,
     parse_length_m, parse_pose_noise, part_of, prepare, run_scene, select_scenes, table,
@@ -204,8 +204,11 @@ fn export(
     }
     for scene in scenes.iter().filter(|s| matches!(s, BenchScene::Billiards(_))) {
         let warnings = Warnings::new();
-        let prepared =
-            prepare(scene, options, console.context.progress.as_ref(), &console.context.cancel, &warnings)?;
+        let prepared = prepare(
+            scene,
+            options,
+            StageContext::new(console.context.progress.as_ref(), &console.context.cancel, &warnings),
+        )?;
         if let Some(prepared) = prepared {
             let to = dir.join(scene.to_string());
             export_scene(scene, &prepared, options, &to)?;
@@ -300,9 +303,7 @@ fn run_child(
                 scene,
                 options,
                 dir,
-                console.context.progress.as_ref(),
-                &console.context.cancel,
-                &warnings,
+                StageContext::new(console.context.progress.as_ref(), &console.context.cancel, &warnings),
             )?;
         }
         Device::Gpu(index) => gpu::run(console, scene, options, index, dir, &warnings)?,

@@ -58,7 +58,7 @@ pub fn run_landings(
         let recorded = recorded.insert(kept.unwrap_or_else(|| {
             Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel)
         }));
-        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, recorded, progress, cancel)?;
+        let (flight, is_new) = flown(bench, part, target.as_ref(), &mut shared, recorded)?;
         if is_new {
             line(&flight);
         }
@@ -141,7 +141,7 @@ pub fn run_landing(
 ) -> Result<LandingFlight, BenchError> {
     let target = bench.engine.target()?;
     let recorded = Recorded::new(&bench.scan.bench, bench.scene(part.scene), part.scene, progress, cancel);
-    Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), &recorded, progress, cancel)?.0)
+    Ok(flown(bench, part, target.as_ref(), &mut Shared::default(), &recorded)?.0)
 }
 
 /// A flight, and whether anything of it was not in the folder yet.
@@ -151,9 +151,8 @@ fn flown(
     target: &dyn Target,
     shared: &mut Shared,
     recorded: &Recorded<'_>,
-    progress: &dyn Progress,
-    cancel: &Cancel,
 ) -> Result<(LandingFlight, bool), BenchError> {
+    let (progress, cancel) = (recorded.progress, recorded.cancel);
     let mut flight = match kept(bench, part)? {
         Some(flight) if is_done(bench, part, &flight) => return Ok((flight, false)),
         Some(flight) => flight,

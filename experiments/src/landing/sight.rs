@@ -37,8 +37,8 @@ pub(super) struct Recorded<'a> {
     options: &'a BenchOptions,
     scene: BenchScene,
     number: usize,
-    progress: &'a dyn Progress,
-    cancel: &'a Cancel,
+    pub(super) progress: &'a dyn Progress,
+    pub(super) cancel: &'a Cancel,
     frames: OnceCell<Vec<Frame>>,
 }
 

@@ -6,7 +6,7 @@ use crate::BenchError;
 use crate::scenes::BenchScene;
 use crate::timer::Timer;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, EntityKind, EntityShape, Mesh, Progress, Seed, StageContext, Warnings};
+use sms_core::{CoreError, EntityKind, EntityShape, Mesh, Seed, StageContext};
 use sms_entities::{EntitySet, build_entities};
 use sms_eval::{
     SURFACE_SAMPLES, TrueSurface, UNMATCHED, collision_solids, observed_surface_at_most, placed_figures,
@@ -26,20 +26,13 @@ const SEED: Seed = Seed(0);
 pub fn run_materialize(
     scene: &BenchScene,
     options: &MaterializeOptions,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<Metrics>, BenchError> {
-    let Some(trained) = train(scene, options, progress, cancel, warnings)? else { return Ok(None) };
+    let Some(trained) = train(scene, options, context)? else { return Ok(None) };
     let config = &options.bench.entities;
     let timer = Timer::start();
-    let set = build_entities(
-        &trained.model,
-        &trained.sequence,
-        &trained.labels,
-        config,
-        StageContext::new(progress, cancel, warnings).with_seed(SEED),
-    )?;
+    let set =
+        build_entities(&trained.model, &trained.sequence, &trained.labels, config, context.with_seed(SEED))?;
     let (seconds, cpu_seconds) = timer.seconds();
 
     let measured = measure(&trained, &set);

@@ -8,8 +8,7 @@ use crate::{BenchError, TrainerMaker};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    Camera, Cancel, CoreError, Hasher, InputError, Labels, Progress, Seed, StageContext, Warnings, atomic,
-    hash_serializable,
+    Camera, CoreError, Hasher, InputError, Labels, Seed, StageContext, atomic, hash_serializable,
 };
 use sms_eval::{
     DiscSampling, Overlaps, SURFACE_SAMPLES, SurfacePoint, TrueSurface, carried, disc_points, match_labels,
@@ -82,9 +81,7 @@ struct Record {
 pub fn train(
     scene: &BenchScene,
     options: &MaterializeOptions,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<Option<Trained>, BenchError> {
     let Some(made) = generated(scene)? else { return Ok(None) };
     let true_masks = match options.masks {
@@ -103,7 +100,7 @@ pub fn train(
         if dir.exists() {
             std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
         }
-        make(scene, &bench, &options.trainer, &dir, progress, cancel, warnings)?;
+        make(scene, &bench, &options.trainer, &dir, context)?;
     }
     let record: Record = atomic::read_json(&record_path)?;
     let sequence = Sequence::load(&dir.join("frames"))?;
@@ -154,11 +151,9 @@ fn make(
     bench: &BenchOptions,
     maker: &TrainerMaker,
     dir: &Path,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
+    context: StageContext<'_>,
 ) -> Result<(), BenchError> {
-    let Some(prepared) = prepare(scene, bench, progress, cancel, warnings)? else { return Ok(()) };
+    let Some(prepared) = prepare(scene, bench, context)? else { return Ok(()) };
     let Some(truth) = &prepared.truth else { return Ok(()) };
     let aside = dir.with_extension(format!("partial-{}", std::process::id()));
     let work = aside.join("work");
@@ -171,7 +166,7 @@ fn make(
         &bench.scan,
         &work,
         trainer.as_mut(),
-        StageContext::new(progress, cancel, warnings).with_seed(SCAN_SEED),
+        context.with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.elapsed().as_secs_f64();
     std::fs::remove_dir_all(&work).map_err(CoreError::write(&work))?;
