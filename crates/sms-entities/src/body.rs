@@ -1,17 +1,15 @@
 //! Entities from what was found out about an object.
 
 use crate::build::{Draft, STAGE};
-use crate::cloud;
 use crate::config::EntitiesConfig;
 use crate::mesher::{self, MeshInput, MeshPath};
-use crate::primitive::primitive_mesh;
 use crate::recognise::recognise_primitive;
-use crate::sphere::SphereFit;
 use crate::support::Carrier;
 use crate::underside::contact_points;
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Entity, EntityKind, EntityShape, Mesh, Seed, Warnings};
+use sms_mesh::{SphereFit, cloud, colors_from, convex_parts_cached, distances, median, primitive_mesh};
 
 fn kind(draft: &Draft) -> EntityKind {
     if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic }
@@ -22,7 +20,7 @@ pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     let mut center_w = fit.center;
     if draft.rest.carrier != Carrier::Unseen {
         // No overlap and no gap with what carries it, where they are within what the scan can tell.
-        let gap = draft.rest.plane.height_over(center_w) - fit.radius;
+        let gap = draft.rest.plane.height(center_w) - fit.radius;
         if gap.abs() < 0.003 {
             center_w -= draft.rest.plane.normal * gap;
         }
@@ -45,7 +43,7 @@ pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
         parts: Vec::new(),
         texture: None,
         observed_share: fit.coverage,
-        residual_m: crate::grid::median(residuals),
+        residual_m: median(residuals),
         mean_color,
     }
 }
@@ -96,12 +94,11 @@ pub(crate) fn mesh_entity(
     if let Some(solid) = exact.as_ref().and_then(|shape| primitive_mesh(shape, spacing.max(0.004))) {
         mesh = solid;
     }
-    mesh.colors = crate::refine::colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
+    mesh.colors = colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
     let parts = match exact {
         Some(_) => Vec::new(),
         None => {
-            let mut parts =
-                sms_mesh::convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
+            let mut parts = convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
             crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
             parts
         }
@@ -116,7 +113,7 @@ pub(crate) fn mesh_entity(
         shape: exact.unwrap_or(EntityShape::Convex),
         cloud: draft.cloud.clone(),
         observed_share: mesher::observed_share(&mesh, &draft.cloud, 1.5 * spacing),
-        residual_m: crate::grid::median(mesher::distances(&sample, &mesh)),
+        residual_m: median(distances(&sample, &mesh)),
         mean_color: cloud::mean_color(&draft.cloud.colors),
         mesh,
         parts,

@@ -5,11 +5,9 @@ use crate::cloud::{self, Disc};
 use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::environment;
-use crate::grid::{PointGrid, quantile};
 use crate::level;
 use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
-use crate::sphere::SphereFit;
 use crate::stack;
 use crate::support::{self, Carrier, Rest, Surroundings};
 use crate::underside::{is_over, outline_on_plane, return_sides, return_undersides};
@@ -22,6 +20,11 @@ use sms_core::{
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
+use sms_mesh::{
+    PointGrid, SphereFit,
+    cloud::{chosen, extend, retain, thin},
+    quantile,
+};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub(crate) const STAGE: &str = "materialize";
@@ -237,7 +240,7 @@ fn draft(
         );
         return None;
     }
-    let sparse: Vec<DVec3> = cloud::thin(&cloud.points_w, &cloud.normals_w, 0.8 * coarse)
+    let sparse: Vec<DVec3> = thin(&cloud.points_w, &cloud.normals_w, 0.8 * coarse)
         .into_iter()
         .map(|i| cloud.points_w[i])
         .collect();
@@ -302,7 +305,7 @@ fn join_pieces(
         let piece = drafts.remove(i);
         let host = &mut drafts[if host > i { host - 1 } else { host }];
         joined.push((piece.info.id, host.info.id));
-        cloud::extend(&mut host.cloud, piece.cloud);
+        extend(&mut host.cloud, piece.cloud);
         host.spacing = host.spacing.max(piece.spacing);
         host.sphere = recognise_sphere(&host.cloud, views, around, host.info.id, &host.rest, config, seed);
         let message = format!(
@@ -352,10 +355,10 @@ fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     let draft = &drafts[i];
     let plane = &draft.rest.plane;
     let points = &draft.cloud.points_w;
-    let heights: Vec<f64> = points.iter().map(|&p| plane.height_over(p)).collect();
+    let heights: Vec<f64> = points.iter().map(|&p| plane.height(p)).collect();
     let seen = quantile(heights.clone(), 0.02);
     // The foot itself is often hidden: a ball's lowest point follows from the fit, other shapes get a tenth.
-    let lowest = draft.sphere.map_or(seen, |fit| plane.height_over(fit.center) - fit.radius);
+    let lowest = draft.sphere.map_or(seen, |fit| plane.height(fit.center) - fit.radius);
     let slack = (0.1 * (quantile(heights, 0.98) - seen)).max(0.015);
     match draft.rest.carrier {
         Carrier::Unseen => false,
@@ -398,7 +401,7 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
 /// than the plane's scatter is taken, because the floor of a thin dish lies just over it. Gives those that lie below.
 fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
     const BELOW_M: f64 = -0.003;
-    let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height_over(p)).collect();
+    let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height(p)).collect();
     let top = heights.iter().copied().fold(0.0, f64::max);
     // A thin object's top may be this near to the plane itself.
     let band = (0.15 * top).min((4.0 * rest.noise_m).clamp(0.0008, 0.003));
@@ -407,7 +410,7 @@ fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
     if keep.iter().filter(|&&k| k).count() < 20 {
         return PointCloud::default();
     }
-    let below = cloud::chosen(cloud, &heights.iter().map(|h| *h <= BELOW_M).collect::<Vec<_>>());
-    cloud::retain(cloud, &keep);
+    let below = chosen(cloud, &heights.iter().map(|h| *h <= BELOW_M).collect::<Vec<_>>());
+    retain(cloud, &keep);
     below
 }

@@ -1,13 +1,16 @@
 //! From an object's Gaussians to a dense, oriented surface cloud (paper, Section "Materialize").
 
 use crate::config::EntitiesConfig;
-use crate::grid::{PointGrid, median};
-use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Entity, PointCloud, Seed};
 use sms_gaussians::GaussianModel;
+use sms_mesh::{
+    PointGrid,
+    cloud::{drop_strays, smooth_normals, thin},
+    median,
+};
 
 /// One Gaussian as a flat disc.
 #[derive(Debug, Clone, Copy)]
@@ -34,25 +37,6 @@ pub(crate) fn spacing(discs: &[Disc], config: &EntitiesConfig) -> f64 {
     // Random points thinned to a distance cover about 0.7 of its square each (random sequential packing).
     let area = 0.7_f64.recip() * thin(&points, &normals, coarse).len() as f64 * coarse * coarse;
     (area / config.point_budget.max(1) as f64).sqrt().clamp(config.min_spacing.min(coarse), coarse)
-}
-
-/// Median distance to the nearest neighbour that is somewhere else, metres, scaled to the pitch of an even cover (random
-/// points lie half as far from their nearest as even ones); `None` where all points are one.
-pub(crate) fn measured_spacing(points: &[DVec3]) -> Option<f64> {
-    let extents = sms_core::Aabb::of_points(points.iter().copied())?.extents();
-    // A surface of n points: its box has about this pitch.
-    let guess = (extents.length_squared() / points.len() as f64).sqrt();
-    if !(guess > 0.0 && guess.is_finite()) {
-        return None;
-    }
-    let grid = PointGrid::new(points, guess);
-    let stride = points.len().div_ceil(2000).max(1);
-    let gaps = points
-        .iter()
-        .step_by(stride)
-        .filter_map(|&p| grid.nearest_k(p, 4).into_iter().map(|n| n.0.sqrt()).find(|&d| d > 0.0));
-    let gaps: Vec<f64> = gaps.collect();
-    (!gaps.is_empty()).then(|| 2.0 * median(gaps))
 }
 
 /// The discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the frames:
@@ -200,49 +184,6 @@ pub(crate) fn drop_islands(discs: Vec<Disc>, spacing: f64) -> Vec<Disc> {
     discs
 }
 
-/// Indices of points that keep `distance` from each other, in order; points on opposite sides of a thin wall do not
-/// see each other.
-pub(crate) fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
-    const EMPTY: u32 = u32::MAX;
-    let Some(bounds) = sms_core::Aabb::of_points(points.iter().copied()) else { return Vec::new() };
-    let mut cell = distance;
-    while (bounds.extents() / cell + DVec3::splat(3.0)).to_array().iter().product::<f64>() > 4e6 {
-        cell *= 1.5;
-    }
-    // A rim of empty cells all round spares the bounds checks; kept points are chained within their cell.
-    let size = (bounds.extents() / cell).to_array().map(|v| v as usize + 3);
-    let mut head = vec![EMPTY; size.iter().product()];
-    let mut next = vec![EMPTY; points.len()];
-    let mut kept = Vec::new();
-    let limit = distance * distance;
-    for (i, &p) in points.iter().enumerate() {
-        let at = ((p - bounds.min) / cell).to_array().map(|v| v as usize + 1);
-        let mut blocked = false;
-        'search: for z in at[2] - 1..=at[2] + 1 {
-            for y in at[1] - 1..=at[1] + 1 {
-                for x in at[0] - 1..=at[0] + 1 {
-                    let mut j = head[(z * size[1] + y) * size[0] + x];
-                    while j != EMPTY {
-                        let k = j as usize;
-                        if points[k].distance_squared(p) < limit && normals[k].dot(normals[i]) > 0.3 {
-                            blocked = true;
-                            break 'search;
-                        }
-                        j = next[k];
-                    }
-                }
-            }
-        }
-        if !blocked {
-            let slot = &mut head[(at[2] * size[1] + at[1]) * size[0] + at[0]];
-            next[i] = *slot;
-            *slot = i as u32;
-            kept.push(i);
-        }
-    }
-    kept
-}
-
 /// Normals are smoothed over at least this, metres: the noise of depth reaches over a few pixels.
 const NORMAL_RADIUS_M: f64 = 0.005;
 
@@ -304,87 +245,4 @@ pub(crate) fn densify(
     }
     drop_strays(&mut cloud, spacing);
     cloud
-}
-
-/// Normals from local plane fits where the surroundings are flat, else averaged with like-minded neighbours.
-pub(crate) fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
-    let grid = PointGrid::new(&cloud.points_w, radius);
-    let smoothed: Vec<DVec3> = (0..cloud.points_w.len())
-        .map(|i| {
-            let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
-            let (mut sum, mut near) = (DVec3::ZERO, Vec::new());
-            grid.for_each_within(p, radius, |j, d| {
-                let like = cloud.normals_w[j].dot(n);
-                if like > 0.5 {
-                    let w = (1.0 - d / (radius * radius)) * like;
-                    sum += cloud.normals_w[j] * w;
-                    near.push((cloud.points_w[j], w));
-                }
-            });
-            let average = sum.normalize_or(n);
-            if near.len() < 6 {
-                return average;
-            }
-            let axes = scatter(near.iter().copied()).and_then(|(moments, _)| principal_axes(moments));
-            let Some((values, axes)) = axes else { return average };
-            let flat = values[0] < 0.1 * values[1];
-            let fit = if axes[0].dot(average) < 0.0 { -axes[0] } else { axes[0] };
-            if flat && fit.dot(average) > 0.7 { (average + fit).normalize() } else { average }
-        })
-        .collect();
-    cloud.normals_w = smoothed;
-}
-
-/// Drops points that have hardly any neighbours.
-fn drop_strays(cloud: &mut PointCloud, spacing: f64) {
-    let grid = PointGrid::new(&cloud.points_w, 3.0 * spacing);
-    let keep: Vec<bool> = cloud
-        .points_w
-        .iter()
-        .map(|&p| {
-            let mut near = 0;
-            grid.for_each_within(p, 3.0 * spacing, |_, _| near += 1);
-            near >= 5
-        })
-        .collect();
-    retain(cloud, &keep);
-}
-
-/// The points of a cloud whose entry is true.
-pub(crate) fn chosen(cloud: &PointCloud, which: &[bool]) -> PointCloud {
-    let mut part = cloud.clone();
-    retain(&mut part, which);
-    part
-}
-
-/// Adds the points of one cloud to another.
-pub(crate) fn extend(cloud: &mut PointCloud, by: PointCloud) {
-    cloud.points_w.extend(by.points_w);
-    cloud.normals_w.extend(by.normals_w);
-    cloud.colors.extend(by.colors);
-}
-
-/// Keeps the points whose entry is true.
-pub(crate) fn retain(cloud: &mut PointCloud, keep: &[bool]) {
-    fn filter<T: Copy>(values: &mut Vec<T>, keep: &[bool]) {
-        let mut i = 0;
-        values.retain(|_| {
-            i += 1;
-            keep[i - 1]
-        });
-    }
-    filter(&mut cloud.points_w, keep);
-    filter(&mut cloud.normals_w, keep);
-    filter(&mut cloud.colors, keep);
-}
-
-/// Mean colour; grey for an empty cloud.
-pub(crate) fn mean_color(colors: &[[u8; 3]]) -> [u8; 3] {
-    if colors.is_empty() {
-        return [128; 3];
-    }
-    std::array::from_fn(|k| {
-        let sum: usize = colors.iter().map(|c| c[k] as usize).sum();
-        (sum / colors.len()) as u8
-    })
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
-use sms_mesh::ConvexConfig;
+use sms_mesh::{ConvexConfig, PrimitiveConfig, SphereConfig};
 use std::path::PathBuf;
 
 /// Which tetrahedra belong to the solid.
@@ -141,26 +141,6 @@ impl EntitiesConfig {
     }
 }
 
-/// When a cloud counts as a box or a cylinder: exact solids collide better and faster than hulls.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PrimitiveConfig {
-    /// Whether boxes and cylinders are recognised at all.
-    pub enabled: bool,
-    /// A point belongs to the solid when nearer than this to its surface, metres, and its normal agrees.
-    pub inlier_distance: f64,
-    /// Share of the surface points that must belong to it.
-    pub min_inlier_share: f64,
-    /// Largest difference of its volume from that of the mesh of the same points, as a share: hollow things are no solids.
-    pub max_volume_error: f64,
-}
-
-impl Default for PrimitiveConfig {
-    fn default() -> Self {
-        Self { enabled: true, inlier_distance: 0.0015, min_inlier_share: 0.92, max_volume_error: 0.06 }
-    }
-}
-
 /// Pictures on meshes, baked from the frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -180,40 +160,6 @@ pub struct TextureConfig {
 impl Default for TextureConfig {
     fn default() -> Self {
         Self { enabled: true, texel_m: 0.001, max_side: 2048, views: 3, image_side: 1280 }
-    }
-}
-
-/// When a cloud counts as a sphere: by its shape, not by its name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SphereConfig {
-    /// Random minimal samples (released code: 1000).
-    pub samples: usize,
-    /// A point belongs to the sphere when nearer than this, metres …
-    pub inlier_distance: f64,
-    /// … or nearer than this share of the radius, whichever is larger.
-    pub inlier_radius_share: f64,
-    /// Share of the surface points that must belong to it.
-    pub min_inlier_share: f64,
-    /// Share of the sphere's directions that must have been seen.
-    pub min_coverage: f64,
-    /// Smallest radius, metres.
-    pub min_radius: f64,
-    /// Largest radius, metres.
-    pub max_radius: f64,
-}
-
-impl Default for SphereConfig {
-    fn default() -> Self {
-        Self {
-            samples: 1000,
-            inlier_distance: 0.0015,
-            inlier_radius_share: 0.05,
-            min_inlier_share: 0.85,
-            min_coverage: 0.25,
-            min_radius: 0.004,
-            max_radius: 0.25,
-        }
     }
 }
 

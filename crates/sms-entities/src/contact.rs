@@ -1,13 +1,12 @@
 //! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
 
 use crate::level::LevelFace;
-use crate::outline::is_within;
 use crate::stack::{REACH_M, bottom_outline, can_carry};
 use glamx::{DPose3, DQuat, DVec2, DVec3};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Ball, ConvexPolyhedron, Cuboid, Cylinder, Shape};
 use sms_core::{Aabb, Entity, EntityKind, EntityShape, Mesh};
-use sms_mesh::{clip, convex_hull};
+use sms_mesh::{clip, convex_hull, outline::is_within};
 
 /// Overlap that physics engines tolerate, metres.
 const ALLOWED: f64 = 1e-5;

@@ -1,15 +1,15 @@
 //! The static environment: everything that no label explains.
 
 use crate::config::EntitiesConfig;
-use crate::grid::PointGrid;
-use crate::refine;
-use crate::support::{Carrier, Plane, Rest, Surroundings};
-use crate::tsdf::Tsdf;
+use crate::support::{Carrier, Rest, Surroundings};
 use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
-use sms_mesh::convex_hull;
+use sms_mesh::{
+    Plane, PointGrid, Tsdf, TsdfFrame, cloud::mean_color, colors_from, convex_hull, distances, median,
+    simplify, taubin,
+};
 
 /// Environment surface this near to an object's own surface is the object, bled over its mask's edge, metres.
 const CLEARANCE: f64 = 0.008;
@@ -44,7 +44,13 @@ pub(crate) fn environment_entity(
     let region = Aabb { min: region.min - reach, max: region.max + reach };
     let floor = support_height.unwrap_or(f64::NEG_INFINITY);
     let is_floor = |p: DVec3| p.z < floor + settings.floor_band;
-    let tsdf = Tsdf::fuse(views, &region, settings.voxel, is_floor);
+    let frames: Vec<TsdfFrame> = (0..views.sequence.frames.len())
+        .map(|f| {
+            let frame = &views.sequence.frames[f];
+            TsdfFrame { camera: &frame.camera, depth: &frame.depth, pixels: views.unlabelled_pixels(f) }
+        })
+        .collect();
+    let tsdf = Tsdf::fuse(&frames, &region, settings.voxel, is_floor);
     let mut mesh = tsdf.surface();
     smooth_open(&mut mesh, 0.5 * settings.voxel);
     let own: Vec<DVec3> = objects
@@ -70,7 +76,7 @@ pub(crate) fn environment_entity(
             let corners = t.map(|v| mesh.vertices[v as usize]);
             let center = corners.iter().sum::<DVec3>() / 3.0;
             let replaced = patches.iter().any(|(outline, plane)| {
-                plane.height_over(center).abs() < 0.012 && is_over(outline, plane, center)
+                plane.height(center).abs() < 0.012 && is_over(outline, plane, center)
             });
             let near_object = own.is_near(center, CLEARANCE);
             !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
@@ -90,7 +96,7 @@ pub(crate) fn environment_entity(
     let mut mesh = out;
     for error in DECIMATION_ERRORS {
         if mesh.triangles.len() > settings.face_budget {
-            mesh = refine::simplify(&mesh, settings.face_budget, error);
+            mesh = simplify(&mesh, settings.face_budget, error);
         }
     }
     for (outline, _) in &patches {
@@ -101,10 +107,10 @@ pub(crate) fn environment_entity(
         return None;
     }
     let cloud = background_cloud(around, &mesh, 4.0 * settings.voxel);
-    mesh.colors = refine::colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.voxel);
+    mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.voxel);
     let stride = cloud.points_w.len().div_ceil(500).max(1);
     let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
-    let residual_m = crate::grid::median(crate::mesher::distances(&sample, &mesh));
+    let residual_m = median(distances(&sample, &mesh));
     Some(Entity {
         label: BACKGROUND,
         name: "environment".into(),
@@ -112,7 +118,7 @@ pub(crate) fn environment_entity(
         kind: EntityKind::Static,
         shape: EntityShape::TriMesh,
         observed_share: crate::mesher::observed_share(&mesh, &cloud, 3.0 * settings.voxel),
-        mean_color: crate::cloud::mean_color(&cloud.colors),
+        mean_color: mean_color(&cloud.colors),
         cloud,
         mesh,
         parts: Vec::new(),
@@ -158,7 +164,7 @@ fn smooth_open(mesh: &mut Mesh, limit: f64) {
             rim[b as usize] = true;
         }
     }
-    refine::taubin(mesh, &rim, 6, limit);
+    taubin(mesh, &rim, 6, limit);
 }
 
 /// The unlabelled surroundings that the mesh represents.

@@ -1,9 +1,8 @@
 //! The corners that an object stands on survive the vertex limit of its convex parts.
 
-use crate::support::Plane;
 use glamx::DVec3;
 use sms_core::Mesh;
-use sms_mesh::convex_hull;
+use sms_mesh::{Plane, convex_hull};
 
 /// Vertices this near to the lowest belong to the foot, metres.
 const FOOT_M: f64 = 3e-4;
@@ -15,7 +14,7 @@ const DIRECTIONS: usize = 16;
 /// Makes the part nearest to each outermost corner of the foot contain it. A hull that stops at its vertex limit spends
 /// its vertices where the surface bulges most; on a flat foot that leaves a sliver, and the object tips over it.
 pub(crate) fn keep_foot(parts: &mut [Mesh], mesh: &Mesh, plane: &Plane, max_vertices: usize) {
-    let height = |p: DVec3| plane.height_over(p);
+    let height = |p: DVec3| plane.height(p);
     let lowest = mesh.vertices.iter().map(|&p| height(p)).fold(f64::INFINITY, f64::min);
     let foot: Vec<DVec3> = mesh.vertices.iter().copied().filter(|&p| height(p) <= lowest + FOOT_M).collect();
     let across = plane.normal.any_orthonormal_vector();

@@ -4,13 +4,13 @@
 //! fills the rest, and an empty mug weighs twice what it should. Where an object has thin walls, cameras look into it, and
 //! nothing of its own was seen at the end of what they look into, the hollow goes on down between walls and to a floor of that thickness.
 
-use crate::grid::{PointGrid, median};
 use crate::mesher::MeshInput;
 use crate::views::{Sight, Views};
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use sms_core::Mesh;
+use sms_mesh::{PointGrid, median};
 
 /// Walls between these count as thin, metres …
 const WALL_M: [f64; 2] = [0.001, 0.01];
@@ -66,7 +66,7 @@ pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInsi
     // Up to where the columns end; there the seen part of the wall begins.
     let end = median(columns.iter().map(|c| c.1).collect());
     for (&p, &n) in input.cloud.points_w.iter().zip(&input.cloud.normals_w) {
-        let height = plane.height_over(p);
+        let height = plane.height(p);
         let deep = || exit(&solid, p - n * (0.5 * wall), -n).is_some_and(|d| d > COLUMN_WALLS * wall);
         if height > wall && height < end && n.dot(up).abs() < 0.8 && deep() {
             inside.points.push(p - n * wall);

@@ -6,16 +6,18 @@
 //! is an exact solid, what carries it ends there, and it is flat. What carries others stands on a flat foot itself.
 
 use crate::contact::{cut_to, is_exact, reaches_beside};
-use crate::grid::{PointGrid, median, quantile};
-use crate::outline::{common, is_within, outline_of, width};
 use crate::stack::{
     CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
 };
-use crate::support::{Carrier, Rest, least_squares_plane};
+use crate::support::{Carrier, Rest};
 use crate::underside::SIDE;
 use glamx::{DVec2, DVec3};
 use sms_core::{Entity, EntityShape, Mesh};
-use sms_mesh::{clip, convex_hull};
+use sms_mesh::{
+    Plane, PointGrid, clip, convex_hull, median,
+    outline::{common, is_within, outline_of, width},
+    quantile,
+};
 
 /// Seen points of an underside look down at least so steeply (cosine).
 const DOWN: f64 = 0.95;
@@ -148,8 +150,8 @@ fn seen_face(entity: &Entity, low: f64) -> Option<Face> {
     let spread = |of: Vec<f64>| quantile(of.clone(), 0.9) - quantile(of, 0.1);
     let heights: Vec<f64> = points.iter().map(|p| p.z).collect();
     let is_level = spread(heights.clone()) < LEVEL_M
-        || least_squares_plane(&points).is_some_and(|plane| {
-            let off = points.iter().map(|p| plane.height_over(*p)).collect();
+        || Plane::least_squares(&points).is_some_and(|plane| {
+            let off = points.iter().map(|p| plane.height(*p)).collect();
             plane.normal.z > LEANS.cos() && spread(off) < LEVEL_M
         });
     let height = median(heights);
@@ -231,8 +233,8 @@ mod tests {
     use super::*;
     use crate::contact::part_objects;
     use crate::stack::{close_gaps, tests::entity};
-    use crate::support::Plane;
     use sms_core::PointCloud;
+    use sms_mesh::Plane;
 
     /// A board of 12 mm on a solid block whose top nobody saw bulges into it, 15 mm high on one side.
     fn board_on_bulge(seen: usize) -> [Entity; 2] {

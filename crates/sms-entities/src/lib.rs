@@ -7,76 +7,44 @@
 //!    an even, oriented surface cloud.
 //! 2. `support`, `underside`: what it rests on is found, labels that bled over the edge between the two are put right, and the contact
 //!    area that no camera saw is closed.
-//! 3. `sphere`: round objects become spheres, whatever they are called.
-//! 4. `delaunay`, `inside`, `surface`, `refine`, `mesher`: the rest become closed meshes; `primitive`: boxes and
-//!    cylinders that explain what was seen take the place of theirs.
-//! 5. crate `sms-mesh`: meshes are split into convex parts for physics.
-//! 6. `level`, `contact`, `stack`, `lid`: where one stands on another, both get the level face that was seen or follows from the sides
-//!    that were seen; parts of different objects that overlap are cut apart, gaps are closed.
+//! 3. `recognise`: round objects become spheres, whatever they are called; boxes and cylinders that explain the points
+//!    replace the mesh.
+//! 4. `mesher`: the rest become closed meshes.
+//! 5. Crate `sms-mesh` splits meshes into convex parts for physics.
+//! 6. `level`, `contact`, `stack`, `lid`: where one object stands on another, both get the level face that was seen or
+//!    follows from the sides that were seen; overlapping parts of different objects are cut apart, gaps are closed.
 //! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
 //! 8. `texture` ([`bake_textures`]): meshes get pictures from the frames.
-//!
-//! ```
-//! use sms_core::{Mesh, Seed, glamx::DVec3};
-//! use sms_entities::{ConvexConfig, SphereConfig, convex_parts, delaunay, fit_sphere};
-//! // A ball is recognised by its shape …
-//! let ball = Mesh::icosphere(0.03, 3);
-//! let fit = fit_sphere(&ball.vertices, &SphereConfig::default(), Seed(0)).unwrap();
-//! assert!((fit.radius - 0.03).abs() < 1e-4);
-//! // … and a box is one convex part that its tetrahedra fill.
-//! let cube = Mesh::cuboid(DVec3::splat(0.05));
-//! assert_eq!(convex_parts(&cube, &ConvexConfig::default()).len(), 1);
-//! let solid = delaunay(&cube.vertices);
-//! let volume: f64 = (0..solid.tetrahedra.len()).map(|t| solid.volume(t)).sum();
-//! assert!((volume - 1e-3).abs() < 1e-12);
-//! ```
 
 mod body;
 mod build;
 mod cloud;
 mod config;
 mod contact;
-mod decimate;
-mod delaunay;
 mod environment;
 mod error;
 mod foot;
-mod grid;
-mod hilbert;
 mod hollow;
-mod inside;
 mod level;
 mod lid;
-mod maxflow;
 mod mesher;
-mod outline;
-mod pca;
-mod predicates;
-mod primitive;
 mod queries;
 mod recognise;
-mod refine;
 mod save;
-mod sphere;
 mod stack;
 mod support;
-mod surface;
 mod texture;
-mod tsdf;
 mod underside;
 mod views;
 
 pub use build::build_entities;
 pub use cloud::object_gaussians;
-pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, PrimitiveConfig, SphereConfig, TextureConfig};
-pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
+pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, TextureConfig};
 pub use error::EntitiesError;
 pub use mesher::mesh_cloud;
-pub use primitive::{PrimitiveFit, fit_primitive};
 pub use queries::material_queries;
 pub use save::{load_entities, save_entities};
-pub use sms_mesh::{ConvexConfig, convex_hull, convex_parts};
-pub use sphere::{SphereFit, fit_sphere};
+pub use sms_mesh::{ConvexConfig, PrimitiveConfig, SphereConfig};
 pub use texture::bake_textures;
 
 use sms_core::{Entity, Labels};

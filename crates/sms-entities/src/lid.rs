@@ -3,13 +3,15 @@
 //! edge than in truth. What was seen is the sides, up to millimetres below the face, and they say where its edge is.
 
 use crate::contact::{Piece, cut_to, is_exact, is_thick, pieces_near};
-use crate::grid::{PointGrid, quantile};
-use crate::outline::{common, convex_outline, is_within, outline_of, width};
 use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
 use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_core::{Aabb, Entity, Mesh};
-use sms_mesh::convex_hull;
+use sms_mesh::{
+    PointGrid, convex_hull,
+    outline::{common, convex_outline, is_within, outline_of, width},
+    quantile,
+};
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
@@ -272,9 +274,9 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
 mod tests {
     use super::*;
     use crate::stack::tests::entity;
-    use crate::support::Plane;
     use glamx::DPose3;
     use sms_core::{BACKGROUND, EntityKind, EntityShape};
+    use sms_mesh::Plane;
 
     fn cuboid(name: &str, half: DVec3, center: DVec3) -> Entity {
         let mesh = Mesh::cuboid(half).transformed(&DPose3::from_translation(center));

@@ -1,16 +1,17 @@
 //! From an oriented cloud with its contact points to a closed mesh (paper, Section "Materialize").
 
 use crate::config::{EntitiesConfig, MeshRule};
-use crate::decimate::decimate;
-use crate::delaunay::{NONE, Tetrahedralization, delaunay};
 use crate::hollow::{HiddenInside, hidden_inside};
-use crate::support::Plane;
 use crate::views::{Sight, Views};
-use crate::{inside, refine, surface};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
-use sms_mesh::convex_hull;
+use sms_mesh::{
+    Plane, PointGrid,
+    cloud::measured_spacing,
+    convex_hull, decimate, taubin,
+    tetra::{self, NONE, Tetrahedralization, delaunay},
+};
 
 /// How the mesh was obtained; later ones are fallbacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,7 +63,7 @@ pub fn mesh_cloud(cloud: &PointCloud, config: &EntitiesConfig) -> Option<Mesh> {
     if !usable {
         return None;
     }
-    let spacing = crate::cloud::measured_spacing(&cloud.points_w)?;
+    let spacing = measured_spacing(&cloud.points_w)?;
     let lowest = cloud.points_w.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
     let rest = Plane::horizontal(lowest - 1.0);
     mesh_object(&MeshInput { cloud, contact: &[], rest, views: None, spacing }, config).map(|m| m.0)
@@ -104,10 +105,10 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
         let chosen = match rule {
             MeshRule::Vote => vote(&tetrahedra, &normals, input),
             MeshRule::Prune => {
-                inside::prune(&tetrahedra, config.prune_length, config.prune_factor, config.prune_neighbors)
+                tetra::prune(&tetrahedra, config.prune_length, config.prune_factor, config.prune_neighbors)
             }
         };
-        let chosen = inside::largest_component(&tetrahedra, &chosen);
+        let chosen = tetra::largest_component(&tetrahedra, &chosen);
         if !chosen.contains(&true) {
             continue;
         }
@@ -128,7 +129,7 @@ fn is_wide(inertia: glamx::DMat3) -> bool {
 }
 
 fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -> Vec<bool> {
-    let mut votes = inside::normal_votes(tetrahedra, normals);
+    let mut votes = tetra::normal_votes(tetrahedra, normals);
     if let Some(views) = input.views {
         let frames = views.sequence.frames.len();
         let free: Vec<usize> = (0..votes.len())
@@ -148,7 +149,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
             }
         }
     }
-    inside::cut(tetrahedra, &votes, STIFFNESS, 0.5 * input.spacing * input.spacing)
+    tetra::cut(tetrahedra, &votes, STIFFNESS, 0.5 * input.spacing * input.spacing)
 }
 
 /// Vertices this near to the resting plane become the foot, metres.
@@ -160,10 +161,10 @@ fn finish(
     input: &MeshInput,
     config: &EntitiesConfig,
 ) -> Mesh {
-    let (mut mesh, source) = surface::boundary(tetrahedra, inside);
+    let (mut mesh, source) = tetra::boundary(tetrahedra, inside);
     let seen = input.cloud.points_w.len() as u32;
     let fixed: Vec<bool> = source.iter().map(|&s| s != NONE && s >= seen).collect();
-    refine::taubin(&mut mesh, &fixed, config.smoothing_iterations, 0.4 * input.spacing);
+    taubin(&mut mesh, &fixed, config.smoothing_iterations, 0.4 * input.spacing);
     let mesh = rest_on(mesh, &input.rest, CONTACT_BAND);
     let mut small = within_budget(&mesh, config);
     keep_volume(&mut small, mesh.volume());
@@ -197,58 +198,16 @@ fn within_budget(mesh: &Mesh, config: &EntitiesConfig) -> Mesh {
 /// a flat foot and overlaps nothing.
 pub(crate) fn rest_on(mut mesh: Mesh, plane: &Plane, band: f64) -> Mesh {
     for v in &mut mesh.vertices {
-        if plane.height_over(*v) < band {
+        if plane.height(*v) < band {
             *v = plane.project(*v);
         }
     }
     mesh
 }
 
-/// Distance from a point to a triangle (Ericson, "Real-Time Collision Detection", 5.1.5).
-pub(crate) fn point_triangle_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return ap.length();
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return bp.length();
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return (ap - ab * (d1 / (d1 - d3).max(f64::MIN_POSITIVE))).length();
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return cp.length();
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return (ap - ac * (d2 / (d2 - d6).max(f64::MIN_POSITIVE))).length();
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f64::MIN_POSITIVE);
-        return (bp - (c - b) * w).length();
-    }
-    ab.cross(ac).normalize_or_zero().dot(ap).abs()
-}
-
-/// Distances of points to a mesh, metres.
-pub(crate) fn distances(points: &[DVec3], mesh: &Mesh) -> Vec<f64> {
-    let triangles: Vec<[DVec3; 3]> = (0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect();
-    points
-        .par_iter()
-        .map(|&p| triangles.iter().map(|&t| point_triangle_distance(p, t)).fold(f64::INFINITY, f64::min))
-        .collect()
-}
-
 /// Share of the mesh's area that has a seen point with a like normal within `reach`.
 pub(crate) fn observed_share(mesh: &Mesh, cloud: &PointCloud, reach: f64) -> f64 {
-    let grid = crate::grid::PointGrid::new(&cloud.points_w, reach);
+    let grid = PointGrid::new(&cloud.points_w, reach);
     let (mut seen, mut total) = (0.0, 0.0);
     for t in 0..mesh.triangles.len() {
         let [a, b, c] = mesh.corners(t);
@@ -266,28 +225,4 @@ pub(crate) fn observed_share(mesh: &Mesh, cloud: &PointCloud, reach: f64) -> f64
         }
     }
     if total > 0.0 { seen / total } else { 0.0 }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn triangle_distances_are_those_of_dense_samples() {
-        use rand::RngExt;
-        let mut rng = sms_core::Seed(1).rng();
-        let mut point = || DVec3::new(rng.random(), rng.random(), rng.random());
-        for _ in 0..200 {
-            let (t, p) = ([point(), point(), point()], point() * 2.0 - DVec3::splat(0.5));
-            let mut best = f64::INFINITY;
-            for i in 0..=60 {
-                for j in 0..=60 - i {
-                    let (u, v) = (f64::from(i) / 60.0, f64::from(j) / 60.0);
-                    best = best.min(p.distance(t[0] * (1.0 - u - v) + t[1] * u + t[2] * v));
-                }
-            }
-            let d = point_triangle_distance(p, t);
-            assert!(d <= best + 1e-12 && d > best - 0.02, "{d} {best}");
-        }
-    }
 }

@@ -1,8 +1,9 @@
 //! What is known of objects when their materials are looked for.
 
-use crate::{EntitySet, convex_hull};
+use crate::EntitySet;
 use sms_core::{Entity, EntityKind, EntityShape};
 use sms_materials::ObjectQuery;
+use sms_mesh::convex_hull;
 use std::f64::consts::PI;
 
 /// Name and description of the support plane.

@@ -2,12 +2,11 @@
 
 use crate::build::Draft;
 use crate::config::EntitiesConfig;
-use crate::primitive::{self, primitive_mesh};
-use crate::sphere::{self, RaySample, SphereFit};
-use crate::support::{Carrier, Plane, Rest, Surroundings, height_below_ball};
+use crate::support::{Carrier, Rest, Surroundings, height_below_ball};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::{EntityShape, Mesh, PointCloud, Seed, even_directions};
+use sms_mesh::{Plane, RaySample, SphereFit, fit_primitive, fit_sphere, primitive_mesh, refine_on_rays};
 
 /// Labelled depth pixels away from edges of depth and mask, as rays.
 fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
@@ -53,17 +52,17 @@ pub(crate) fn recognise_sphere(
     seed: Seed,
 ) -> Option<SphereFit> {
     let points = &cloud.points_w;
-    let first = sphere::fit_sphere(points, &config.sphere, seed)?;
-    if !sphere::is_sphere(&first, points, &config.sphere) {
+    let first = fit_sphere(points, &config.sphere, seed)?;
+    if !first.explains(points, &config.sphere) {
         return None;
     }
     // A ball that stands on the level floor touches it: that fixes what the hidden lower half leaves open.
     let gap = first.center.z - first.radius - rest.plane.offset;
     let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
     let rays = object_rays(views, label);
-    let best = match sphere::refine_on_rays(&rays, first.center, first.radius, floor) {
+    let best = match refine_on_rays(&rays, first.center, first.radius, floor) {
         Some((center, radius)) => {
-            let refined = sphere::describe(points, center, radius, first.sigma, &config.sphere);
+            let refined = SphereFit::of_sphere(points, center, radius, first.sigma, &config.sphere);
             // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
             if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
         }
@@ -86,7 +85,7 @@ pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
     };
     match hollow {
         Some(height) => height - (fit.center.z - fit.radius),
-        None => fit.radius - rest.plane.height_over(fit.center),
+        None => fit.radius - rest.plane.height(fit.center),
     }
 }
 
@@ -131,7 +130,7 @@ pub(crate) fn recognise_primitive(
     // What is hidden below says where the solid ends, but does not vote for it.
     cloud.points_w.extend_from_slice(contact);
     cloud.normals_w.extend(std::iter::repeat_n(-plane.normal, contact.len()));
-    let fit = primitive::fit_primitive(&cloud, Some(plane.normal), settings, seed)?;
+    let fit = fit_primitive(&cloud, Some(plane.normal), settings, seed)?;
     if fit.inlier_share < settings.min_inlier_share || fit.residual_median_m > 0.5 * settings.inlier_distance
     {
         return None;
@@ -154,7 +153,7 @@ fn stood_on(shape: EntityShape, plane: &Plane) -> EntityShape {
         (best.dot(n) > UPRIGHT).then(|| turned(x_ws, best, n))
     };
     let lowered = |x_ws: DPose3, reach: f64| -> DPose3 {
-        let gap = plane.height_over(x_ws.translation) - reach;
+        let gap = plane.height(x_ws.translation) - reach;
         let shift = if gap.abs() < GAP_M { -n * gap } else { DVec3::ZERO };
         DPose3::from_parts(x_ws.translation + shift, x_ws.rotation)
     };
@@ -212,7 +211,7 @@ mod tests {
             panic!()
         };
         assert!((x_ws.rotation * DVec3::Z).dot(plane.normal) > 1.0 - 1e-12);
-        assert!((plane.height_over(x_ws.translation) - 0.05).abs() < 1e-12);
+        assert!((plane.height(x_ws.translation) - 0.05).abs() < 1e-12);
         // A lying cylinder touches along its whole length.
         let lying = DPose3::from_parts(
             plane.normal * (plane.offset + 0.031),
@@ -221,7 +220,7 @@ mod tests {
         let can = EntityShape::Cylinder { x_ws: lying, radius: 0.03, half_length: 0.06 };
         let EntityShape::Cylinder { x_ws, .. } = stood_on(can, &plane) else { panic!() };
         assert!((x_ws.rotation * DVec3::Z).dot(plane.normal).abs() < 1e-12);
-        assert!((plane.height_over(x_ws.translation) - 0.03).abs() < 1e-12);
+        assert!((plane.height(x_ws.translation) - 0.03).abs() < 1e-12);
         // What leans by 10° leans; what hangs 2 cm higher hangs.
         let leaning = DPose3::from_parts(DVec3::Z, DQuat::from_rotation_x(0.17));
         let shape = EntityShape::Box { x_ws: leaning, half_extents: size };

@@ -2,12 +2,14 @@
 //! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
 
 use crate::contact::{Piece, is_exact, pieces_near, translate};
-use crate::outline::{common, is_within, meet, outline_of, width};
 use glamx::{DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::ConvexPolyhedron;
 use sms_core::{Entity, EntityKind, EntityShape, Mesh};
-use sms_mesh::{clip, convex_hull};
+use sms_mesh::{
+    clip, convex_hull,
+    outline::{common, is_within, meet, outline_of, width},
+};
 
 /// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
 pub(crate) const REACH_M: f64 = 0.005;

@@ -1,13 +1,15 @@
 //! What objects rest on.
 
 use crate::cloud::Disc;
-use crate::grid::{PointGrid, median, quantile};
-use crate::outline::{area, is_within, outline_of};
-use crate::pca::{principal_axes, scatter};
 use crate::views::Views;
 use glamx::{DMat4, DVec3, DVec4};
 use rand::RngExt;
 use sms_core::Seed;
+use sms_mesh::{
+    Plane, PointGrid, median,
+    outline::{area, is_within, outline_of},
+    principal_axes, quantile, scatter,
+};
 use std::collections::BTreeMap;
 
 /// Thinned surface points of the whole scene with normals and labels.
@@ -36,27 +38,6 @@ impl Surroundings {
         let measured = measured.map(|i| (self.points[i], self.normals[i]));
         let all = measured.chain(unlabelled.iter().map(|d| (d.center, d.normal)));
         self.lost_sides = all.filter(|(_, normal)| normal.z.abs() < UPRIGHT).collect();
-    }
-}
-
-/// A plane: points x with `normal · x = offset`; the normal points up, out of what carries.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Plane {
-    pub(crate) normal: DVec3,
-    pub(crate) offset: f64,
-}
-
-impl Plane {
-    pub(crate) fn horizontal(height: f64) -> Self {
-        Self { normal: DVec3::Z, offset: height }
-    }
-
-    pub(crate) fn height_over(&self, p: DVec3) -> f64 {
-        self.normal.dot(p) - self.offset
-    }
-
-    pub(crate) fn project(&self, p: DVec3) -> DVec3 {
-        p - self.normal * self.height_over(p)
     }
 }
 
@@ -199,7 +180,7 @@ pub(crate) fn find_rest(
         candidates.retain(|&i| around.labels[i] == carrier);
     }
     let scatter = |plane: &Plane, members: &[usize]| {
-        median(members.iter().map(|&i| plane.height_over(around.points[i]).abs()).collect())
+        median(members.iter().map(|&i| plane.height(around.points[i]).abs()).collect())
     };
     let rest = |plane: Plane, carrier: Carrier, members: &[usize]| {
         let noise_m = if members.len() < 12 { UNSEEN_NOISE_M } else { 1.4826 * scatter(&plane, members) };
@@ -425,8 +406,8 @@ fn fit_level_plane(
             continue;
         }
         let plane = Plane { normal, offset: normal.dot(at(a)) };
-        let near = candidates.iter().filter(|&&i| plane.height_over(at(i)).abs() < REACH).count() as f64;
-        let below = object.iter().step_by(stride).filter(|&&p| plane.height_over(p) < -0.004).count() as f64
+        let near = candidates.iter().filter(|&&i| plane.height(at(i)).abs() < REACH).count() as f64;
+        let below = object.iter().step_by(stride).filter(|&&p| plane.height(p) < -0.004).count() as f64
             / object.len().div_ceil(stride) as f64;
         let along = upright.map_or(1.0, |axis| {
             let angle = axis.dot(normal).clamp(-1.0, 1.0).acos().to_degrees();
@@ -439,13 +420,13 @@ fn fit_level_plane(
     }
     let (_, near, mut plane) = best.filter(|b| b.0 >= 6.0)?;
     let members = |plane: &Plane| -> Vec<usize> {
-        candidates.iter().copied().filter(|&i| plane.height_over(at(i)).abs() < REACH).collect()
+        candidates.iter().copied().filter(|&i| plane.height(at(i)).abs() < REACH).collect()
     };
     // A plane that only a minority agrees on would turn towards the clutter when refined.
     if near > 0.5 * candidates.len() as f64 {
         for _ in 0..2 {
             let points: Vec<DVec3> = members(&plane).iter().map(|&i| at(i)).collect();
-            plane = least_squares_plane(&points).unwrap_or(plane);
+            plane = Plane::least_squares(&points).unwrap_or(plane);
         }
     }
     let members = members(&plane);
@@ -462,14 +443,6 @@ fn upright_axis(object: &[DVec3]) -> Option<DVec3> {
         !(0.7..=1.4).contains(&ratio)
     });
     (distinct && vectors[k].z.abs() > 30f64.to_radians().cos()).then(|| vectors[k] * vectors[k].z.signum())
-}
-
-/// Total least squares, normal up.
-pub(crate) fn least_squares_plane(points: &[DVec3]) -> Option<Plane> {
-    let (moments, mean) = scatter(points.iter().map(|&p| (p, 1.0)))?;
-    let normal = principal_axes(moments)?.1[0];
-    let normal = if normal.z < 0.0 { -normal } else { normal };
-    Some(Plane { normal, offset: normal.dot(mean) })
 }
 
 #[cfg(test)]

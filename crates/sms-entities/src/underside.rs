@@ -2,13 +2,15 @@
 //! belongs.
 
 use crate::build::Draft;
-use crate::cloud;
-use crate::grid::{PointGrid, quantile};
-use crate::outline::{convex_outline, is_within};
-use crate::support::{Carrier, Plane, Rest};
+use crate::support::{Carrier, Rest};
 use crate::views::{Sight, Views};
 use glamx::{DVec2, DVec3};
 use sms_core::PointCloud;
+use sms_mesh::{
+    Plane, PointGrid, cloud,
+    outline::{convex_outline, is_within},
+    quantile,
+};
 
 /// Points on the resting plane, a `spacing` apart, where the object's foot may touch it: inside the outline of the
 /// object's lowest part, and where no camera saw the plane itself. Without any such place, the surroundings of the
@@ -23,7 +25,7 @@ pub(crate) fn contact_points(
     let plane = rest.plane;
     let u = plane.normal.any_orthonormal_vector();
     let v = plane.normal.cross(u);
-    let heights: Vec<f64> = cloud.points_w.iter().map(|&p| plane.height_over(p)).collect();
+    let heights: Vec<f64> = cloud.points_w.iter().map(|&p| plane.height(p)).collect();
     if heights.is_empty() {
         return Vec::new();
     }
@@ -139,7 +141,7 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
             of.points_w.iter().zip(&of.normals_w).filter(looks_up).map(|(p, _)| *p).collect();
         let tops = PointGrid::new(&tops, SHEET_M);
         let is_underside = |(&p, normal): (&DVec3, &DVec3)| {
-            let (height, [below, above]) = (plane.height_over(p), UNDERSIDE_M);
+            let (height, [below, above]) = (plane.height(p), UNDERSIDE_M);
             let is_there = height > -below && height < above && is_within(&outline, on_plane(p), BESIDE_M);
             is_there && normal.dot(plane.normal) < -LOOKS_DOWN && !tops.is_near(p, SHEET_M)
         };
@@ -159,7 +161,7 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
 pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
     let u = plane.normal.any_orthonormal_vector();
     let v = plane.normal.cross(u);
-    let near = points.iter().filter(|&&p| plane.height_over(p) < band);
+    let near = points.iter().filter(|&&p| plane.height(p) < band);
     let grown: Vec<DVec2> = near
         .flat_map(|p| {
             (0..8).map(move |k| {

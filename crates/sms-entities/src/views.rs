@@ -1,8 +1,9 @@
 //! What the cameras say about a point in space: seen as surface, seen through, hidden.
 
 use glamx::DVec3;
-use sms_core::Labels;
+use sms_core::{BACKGROUND, Labels};
 use sms_frames::Sequence;
+use sms_mesh::{PixelUse, median};
 
 /// How one frame sees a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -109,6 +110,34 @@ impl Views<'_> {
         2 * hidden > frames
     }
 
+    /// The use of each pixel of frame `f` for the surface that no label explains: the pixel and its neighbours are
+    /// unlabelled; no pixel at an edge of depth counts.
+    pub(crate) fn unlabelled_pixels(&self, f: usize) -> Vec<PixelUse> {
+        let frame = &self.sequence.frames[f];
+        let (width, height) = frame.depth.size();
+        let map = &self.labels.maps[f];
+        (0..width * height)
+            .map(|i| {
+                let (x, y) = ((i % width) as i64, (i / width) as i64);
+                let depth = f64::from(frame.depth.data[i]);
+                if depth <= 0.0 {
+                    return PixelUse::Unusable;
+                }
+                let neighbors = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+                let mut own = map.data[i] == BACKGROUND;
+                for (nx, ny) in neighbors {
+                    let Some(&next) = frame.depth.get(nx, ny) else { continue };
+                    let jump = next > 0.0 && (f64::from(next) - depth).abs() > 5.0 * depth_tolerance(depth);
+                    if jump {
+                        return PixelUse::Unusable;
+                    }
+                    own &= map.get(nx, ny).is_none_or(|&l| l == BACKGROUND);
+                }
+                if own { PixelUse::Surface } else { PixelUse::FreeOnly }
+            })
+            .collect()
+    }
+
     /// Median signed distance along `normal` from `p_w` to the surface that frames measure at its pixel, over frames
     /// that label it `label`; `None` with fewer than `min_frames`.
     pub(crate) fn surface_offset(
@@ -137,7 +166,7 @@ impl Views<'_> {
                 offsets.push(offset);
             }
         }
-        (offsets.len() >= min_frames).then(|| crate::grid::median(offsets))
+        (offsets.len() >= min_frames).then(|| median(offsets))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Writes the analytic test shapes as OBJ files: `shapes OUT_DIR`.
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/it/common.rs"]
 mod common;
 
 use std::path::Path;

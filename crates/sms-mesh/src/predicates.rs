@@ -1,4 +1,4 @@
-//! Exact orientation tests on [`DVec3`], with the signs this crate uses throughout.
+//! Exact orientation and in-sphere tests on [`DVec3`], with the signs this crate uses throughout.
 
 use glamx::DVec3;
 use robust::Coord3D;
@@ -9,17 +9,23 @@ fn coord(p: DVec3) -> Coord3D<f64> {
 
 /// Sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side to which the normal
 /// (b − a) × (c − a) points. Zero exactly when the four points are coplanar.
-pub fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+pub(crate) fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
 /// Whether three points lie exactly on a line.
-pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let flat = |i: usize, j: usize| {
         let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
         robust::orient2d(at(a), at(b), at(c)) == 0.0
     };
     flat(0, 1) && flat(1, 2) && flat(2, 0)
+}
+
+/// Positive when `e` lies strictly inside the circumsphere of the positively oriented tetrahedron (a, b, c, d).
+pub(crate) fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+    // The library's convention wants the opposite orientation, hence the swap of the first two corners.
+    robust::insphere(coord(b), coord(a), coord(c), coord(d), coord(e))
 }
 
 #[cfg(test)]
@@ -32,6 +38,9 @@ mod tests {
         assert!(orient(a, b, c, d) > 0.0);
         assert!(orient(a, b, c, -d) < 0.0);
         assert_eq!(orient(a, b, c, DVec3::new(0.3, 0.9, 0.0)), 0.0);
+        assert!(in_sphere(a, b, c, d, DVec3::splat(0.5)) > 0.0);
+        assert!(in_sphere(a, b, c, d, DVec3::splat(1.5)) < 0.0);
+        assert_eq!(in_sphere(a, b, c, d, DVec3::splat(1.0)), 0.0);
         assert!(collinear(a, b, b * 3.0) && !collinear(a, b, c));
     }
 }

@@ -1,0 +1,151 @@
+//! What closes a cut: the flat region that a plane's outline bounds.
+//!
+//! Only the region's signed boundary is kept, as edges with whole weights; a fan from any point of the plane to them has
+//! the region's signed volume, however tangled the outline is. Cutting the region again clips the edges and closes them
+//! along the line in which the two planes meet. On a line the chain with given ends is unique: there is nothing to
+//! triangulate, and a cap has about as many edges as the outlines that bound it. (Fans that are clipped triangle by
+//! triangle double with every cut that passes near their apex; a tangled mesh's fifteen levels made half a million.)
+
+use crate::convex::piece::six_volume;
+use crate::plane::Plane;
+use glamx::DVec3;
+
+/// A directed edge of a cap's boundary.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Edge {
+    pub(crate) ends: [DVec3; 2],
+    /// How often it is passed in this direction.
+    pub(crate) weight: i32,
+    /// Whether it lies where two cuts meet, and not on the surface.
+    pub(crate) is_inner: bool,
+}
+
+impl Edge {
+    pub(crate) fn of_surface(ends: [DVec3; 2]) -> Self {
+        Self { ends, weight: 1, is_inner: false }
+    }
+}
+
+/// A cap of a piece.
+#[derive(Debug, Clone)]
+pub(crate) struct Cap {
+    /// Normal of its plane, out of the piece.
+    pub(crate) normal: DVec3,
+    pub(crate) edges: Vec<Edge>,
+}
+
+impl Cap {
+    /// Six times the signed volume between the cap and the origin.
+    pub(crate) fn six_volume(&self) -> f64 {
+        let Some(first) = self.edges.first() else { return 0.0 };
+        let apex = first.ends[0];
+        self.edges.iter().map(|e| f64::from(e.weight) * six_volume([apex, e.ends[0], e.ends[1]])).sum()
+    }
+
+    /// Gives what lies below and above a plane to `sides`, and adds to `outline` what the lower side gains in the
+    /// plane. Points within `hair` of the plane lie in it.
+    pub(crate) fn split(&self, plane: Plane, hair: f64, sides: [&mut Vec<Cap>; 2], outline: &mut Vec<Edge>) {
+        let mut halves = [(); 2].map(|()| Half::default());
+        for e in &self.edges {
+            let [sa, sb] = e.ends.map(|p| {
+                let h = plane.height(p);
+                i8::from(h > hair) - i8::from(h < -hair)
+            });
+            if sa * sb < 0 {
+                let cut = between(e.ends[0], e.ends[1], plane);
+                let first = usize::from(sa > 0);
+                halves[first].push(Edge { ends: [e.ends[0], cut], ..*e }, false, true);
+                halves[1 - first].push(Edge { ends: [cut, e.ends[1]], ..*e }, true, false);
+            } else if sa != 0 || sb != 0 {
+                halves[usize::from(sa + sb > 0)].push(*e, sa == 0, sb == 0);
+            }
+        }
+        if halves.iter().all(|h| h.edges.is_empty()) {
+            // All in the plane: as a face there, it belongs to its material's side.
+            let is_low = self.normal.dot(plane.normal) > 0.0;
+            if is_low {
+                outline.extend(&self.edges);
+            }
+            sides[usize::from(!is_low)].push(self.clone());
+            return;
+        }
+        for (k, (half, side)) in halves.into_iter().zip(sides).enumerate() {
+            let Half { mut edges, ends } = half;
+            if edges.is_empty() {
+                continue;
+            }
+            let closing = chain(ends);
+            if k == 0 {
+                outline.extend(&closing);
+            }
+            edges.extend(closing);
+            side.push(Cap { normal: self.normal, edges });
+        }
+    }
+}
+
+/// The edges on one side of a plane, and their ends in it, counted from where they are entered.
+#[derive(Default)]
+struct Half {
+    edges: Vec<Edge>,
+    ends: Vec<(DVec3, i32)>,
+}
+
+impl Half {
+    fn push(&mut self, edge: Edge, starts_in_plane: bool, ends_in_plane: bool) {
+        self.edges.push(edge);
+        if starts_in_plane {
+            self.ends.push((edge.ends[0], -edge.weight));
+        }
+        if ends_in_plane {
+            self.ends.push((edge.ends[1], edge.weight));
+        }
+    }
+}
+
+/// The edges along a line that start where others end: `ends` lie on the line, with the weight that arrives there.
+fn chain(mut ends: Vec<(DVec3, i32)>) -> Vec<Edge> {
+    let Some(bounds) = sms_core::Aabb::of_points(ends.iter().map(|e| e.0)) else { return Vec::new() };
+    let axis = bounds.extents().max_position();
+    ends.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
+    let mut weight = 0;
+    let mut out = Vec::new();
+    for pair in ends.windows(2) {
+        weight += pair[0].1;
+        if weight != 0 && pair[0].0 != pair[1].0 {
+            out.push(Edge { ends: [pair[0].0, pair[1].0], weight, is_inner: true });
+        }
+    }
+    out
+}
+
+/// The same boundary with each edge once; those passed both ways drop out.
+pub(crate) fn tidy(mut edges: Vec<Edge>) -> Vec<Edge> {
+    for e in &mut edges {
+        if e.ends[1].to_array() < e.ends[0].to_array() {
+            e.ends.swap(0, 1);
+            e.weight = -e.weight;
+        }
+    }
+    let bits = |e: &Edge| e.ends.map(|p| p.to_array().map(f64::to_bits));
+    edges.sort_by_cached_key(bits);
+    let mut out: Vec<Edge> = Vec::with_capacity(edges.len());
+    for e in edges {
+        match out.last_mut() {
+            Some(last) if last.ends == e.ends => {
+                last.weight += e.weight;
+                last.is_inner |= e.is_inner;
+            }
+            _ => out.push(e),
+        }
+    }
+    out.retain(|e| e.weight != 0);
+    out
+}
+
+/// Where the edge between two points crosses a plane: the same bits whichever of them comes first.
+pub(crate) fn between(a: DVec3, b: DVec3, plane: Plane) -> DVec3 {
+    let (a, b) = if a.to_array() < b.to_array() { (a, b) } else { (b, a) };
+    let (ha, hb) = (plane.height(a), plane.height(b));
+    a + (b - a) * (ha / (ha - hb))
+}

@@ -1,0 +1,173 @@
+//! Joining parts again where cuts were not needed, and where the part budget asks for it.
+
+use crate::convex::parts::{Part, Tolerance, rv};
+use crate::convex::piece::SLIGHT;
+use crate::convex::search::Scratch;
+use crate::convex::solid::Solid;
+use crate::convex::work::Work;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Share of the parts' volume below which a part is a sliver.
+const SLIVER: f64 = 3e-4;
+
+/// A possible union of two parts.
+struct Union {
+    part: Part,
+    /// Hull volume that the union adds: what the whole gets worse by.
+    added: f64,
+    /// Whether it stays within the threshold, once that was asked.
+    allowed: Option<bool>,
+}
+
+fn union(a: &Part, b: &Part, gap: f64, scratch: &mut Scratch) -> Option<Union> {
+    let apart = (a.min - b.max).max(b.min - a.max).max_element();
+    if apart > gap {
+        return None;
+    }
+    scratch.hull.clear(SLIGHT);
+    for &p in a.points.iter().chain(&b.points) {
+        scratch.hull.push(p);
+    }
+    let hull_volume = scratch.hull.volume();
+    let part = Part::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
+    Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
+}
+
+/// Joins parts, those first whose union adds the least volume: all that stay within the threshold and add no more than
+/// `most_added`, and more while there are more than `max_parts`.
+pub(crate) fn merge(
+    parts: Vec<Part>,
+    solid: &Solid,
+    tolerance: Tolerance,
+    max_parts: usize,
+    most_added: f64,
+    work: &Work,
+) -> Vec<Part> {
+    let mut alive: BTreeMap<usize, Part> = parts.into_iter().enumerate().collect();
+    let mut unions: BTreeMap<(usize, usize), Union> = BTreeMap::new();
+    let mut next_id = alive.len();
+    let mut fresh: Vec<usize> = alive.keys().copied().collect();
+    while alive.len() > 1 {
+        let ids: Vec<usize> = alive.keys().copied().collect();
+        let pairs: Vec<(usize, usize)> =
+            fresh.iter().flat_map(|&b| ids.iter().filter(move |&&a| a < b).map(move |&a| (a, b))).collect();
+        let found: Vec<Option<Union>> = pairs
+            .par_iter()
+            .map_init(Scratch::default, |scratch, &(a, b)| {
+                let union = union(&alive[&a], &alive[&b], tolerance.threshold, scratch);
+                work.add(1 + scratch.hull.take_steps());
+                union
+            })
+            .collect();
+        unions.extend(pairs.into_iter().zip(found).filter_map(|(k, u)| Some((k, u?))));
+        fresh.clear();
+        let forced = alive.len() > max_parts;
+        let Some(key) =
+            best(&mut unions, solid, tolerance, if forced { None } else { Some(most_added) }, work)
+        else {
+            if !forced {
+                break;
+            }
+            // What is left does not touch: only unions across gaps can meet the budget.
+            let Some(key) = across_gap(&alive, &mut unions, work) else { break };
+            join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
+            continue;
+        };
+        join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
+    }
+    drop_slivers(alive)
+}
+
+/// Splinters left by cuts carry nothing and trouble physics engines: each joins the part that grows least by it where
+/// that costs next to nothing, and is left out otherwise.
+fn drop_slivers(mut alive: BTreeMap<usize, Part>) -> Vec<Part> {
+    let total: f64 = alive.values().map(|p| p.hull_volume).sum();
+    let slivers: Vec<usize> =
+        alive.iter().filter(|(_, p)| p.hull_volume < SLIVER * total).map(|(&k, _)| k).collect();
+    let mut scratch = Scratch::default();
+    for id in slivers {
+        if alive.len() < 2 {
+            break;
+        }
+        let Some(sliver) = alive.remove(&id) else { continue };
+        let best = alive
+            .iter()
+            .filter_map(|(&k, p)| Some((k, union(p, &sliver, 0.02, &mut scratch)?)))
+            .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(&b.0)));
+        if let Some((k, union)) = best
+            && union.added < SLIVER * total
+        {
+            alive.insert(k, union.part);
+        }
+    }
+    alive.into_values().collect()
+}
+
+fn join(
+    alive: &mut BTreeMap<usize, Part>,
+    unions: &mut BTreeMap<(usize, usize), Union>,
+    (a, b): (usize, usize),
+    next_id: &mut usize,
+    fresh: &mut Vec<usize>,
+) {
+    let Some(union) = unions.remove(&(a, b)) else { return };
+    unions.retain(|&(i, j), _| i != a && i != b && j != a && j != b);
+    alive.remove(&a);
+    alive.remove(&b);
+    alive.insert(*next_id, union.part);
+    fresh.push(*next_id);
+    *next_id += 1;
+}
+
+/// The union that adds the least volume; of those within the threshold that add no more than `most_added`, if given.
+fn best(
+    unions: &mut BTreeMap<(usize, usize), Union>,
+    solid: &Solid,
+    tolerance: Tolerance,
+    most_added: Option<f64>,
+    work: &Work,
+) -> Option<(usize, usize)> {
+    let mut scratch = Scratch::default();
+    loop {
+        let (key, union) = unions
+            .iter_mut()
+            .filter(|(_, u)| most_added.is_none_or(|most| u.allowed != Some(false) && u.added <= most))
+            .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(b.0)))?;
+        if most_added.is_none() {
+            return Some(*key);
+        }
+        let allowed = *union.allowed.get_or_insert_with(|| {
+            let part = &union.part;
+            rv(part.hull_volume - part.volume) <= tolerance.threshold && {
+                scratch.hull.clear(SLIGHT);
+                for &p in &part.points {
+                    scratch.hull.push(p);
+                }
+                scratch.hull.volume();
+                let enough = tolerance.threshold;
+                solid.reach(scratch.hull.triangles(), tolerance.spacing, enough, work) <= enough
+            }
+        });
+        if allowed {
+            return Some(*key);
+        }
+    }
+}
+
+fn across_gap(
+    alive: &BTreeMap<usize, Part>,
+    unions: &mut BTreeMap<(usize, usize), Union>,
+    work: &Work,
+) -> Option<(usize, usize)> {
+    let mut scratch = Scratch::default();
+    for (&a, pa) in alive {
+        for (&b, pb) in alive.range(a + 1..) {
+            if let Some(u) = union(pa, pb, f64::INFINITY, &mut scratch) {
+                unions.entry((a, b)).or_insert(u);
+            }
+        }
+    }
+    work.add(scratch.hull.take_steps());
+    unions.iter().min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(b.0))).map(|(k, _)| *k)
+}

@@ -1,0 +1,349 @@
+//! From a closed surface to convex parts: cut, measure, merge.
+
+use crate::convex::config::ConvexConfig;
+use crate::convex::merge::merge;
+use crate::convex::piece::Piece;
+use crate::convex::remesh::{MOST_PAIRS, pairs};
+use crate::convex::repair::{Surface, clean, closed_surface};
+use crate::convex::round::Rounds;
+use crate::convex::search::{Breadth, Planes, Scratch, best_cut};
+use crate::convex::solid::Solid;
+use crate::convex::sweep::GrowingHull;
+use crate::convex::work::Work;
+use crate::hull::convex_hull;
+use crate::limit::limited_hull;
+use glamx::DVec3;
+use rayon::prelude::*;
+use sms_core::{Aabb, Mesh};
+
+/// The best cuts are sought with about so many faces.
+const COARSE_FACES: usize = 600;
+
+/// Volume, in those whose [`rv`] is the threshold, that a result may have more for one part less.
+const PART_COST: f64 = 0.25;
+
+/// … and no more than this share of all hulls, so that thin walls are followed.
+const PART_SHARE: f64 = 0.0054;
+
+/// Steps after which nothing is cut any further: two seconds. Household things take 0.4 to 110 million, the most for thin
+/// bowls and vases.
+const MOST_WORK: u64 = 150_000_000;
+
+/// Pieces are cut until the volume that their hulls add is this much nearer than the threshold; unions may use it whole.
+const CUT_SHARE: f64 = 0.8;
+
+/// Volume of the whole's hull, likewise, up to which nothing is cut: a scanned block's dents are no parts.
+const WHOLE_SHARE: f64 = 1.25;
+
+/// Pieces thinner than this are films that cuts beside flat faces leave; they hold nothing, but span hollows.
+const FILM: f64 = 1e-4;
+
+/// Sectors, whose number was chosen by what a part costs, are joined where that adds less than this share of it.
+const SECTOR_SHARE: f64 = 0.5;
+
+/// Pieces are not cut any further once there are so many.
+const MOST_PIECES: usize = 256;
+
+/// A convex part in unit coordinates.
+#[derive(Clone)]
+pub(crate) struct Part {
+    /// The hull's vertices.
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) min: DVec3,
+    pub(crate) max: DVec3,
+    /// Volume of the solid that the part stands for.
+    pub(crate) volume: f64,
+    pub(crate) hull_volume: f64,
+}
+
+impl Part {
+    pub(crate) fn new(points: Vec<DVec3>, volume: f64, hull_volume: f64) -> Option<Self> {
+        let bounds = Aabb::of_points(points.iter().copied())?;
+        (hull_volume > 0.0).then_some(Self { points, min: bounds.min, max: bounds.max, volume, hull_volume })
+    }
+}
+
+/// When a part is convex enough.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Tolerance {
+    /// Concavity in half sizes of the object.
+    pub(crate) threshold: f64,
+    /// Distance of the samples on a hull's surface.
+    pub(crate) spacing: f64,
+}
+
+/// CoACD's measure of a surplus of volume: 0.3 times the radius of a ball of that volume (its `R_v`, k = 0.3).
+pub(crate) fn rv(surplus: f64) -> f64 {
+    0.3 * (surplus.max(0.0) * 3.0 / (4.0 * std::f64::consts::PI)).cbrt()
+}
+
+/// The volume whose [`rv`] is `threshold`.
+fn rv_volume(threshold: f64) -> f64 {
+    4.0 / 3.0 * std::f64::consts::PI * (threshold / 0.3).powi(3)
+}
+
+/// Convex parts whose union approximates the solid that `mesh` bounds, in its frame: each a closed hull with positive
+/// volume and at most `max_vertices` vertices. A convex object comes back as one part.
+///
+/// Any mesh will do. Open, torn, tangled and inside-out ones are made closed first (a single sheet becomes a shell);
+/// what still encloses nothing goes to voxel decomposition (V-HACD, crate `parry3d`), then to a single hull. Empty only
+/// when all vertices lie in one plane. The same mesh and settings give the same bytes, however many threads there are.
+///
+/// ```
+/// use sms_core::{Mesh, glamx::DVec3};
+/// let parts = sms_mesh::convex_parts(&Mesh::cuboid(DVec3::splat(0.05)), &Default::default());
+/// assert_eq!(parts.len(), 1);
+/// ```
+pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
+    let finite = || mesh.vertices.iter().copied().filter(|p| p.is_finite());
+    let Some(bounds) = Aabb::of_points(finite()) else { return Vec::new() };
+    let frame = Frame { center: bounds.center(), half: 0.5 * bounds.extents().max_element() };
+    if !(frame.half > 1e-9 && frame.half < 1e9 && frame.center.length() < 1e9) {
+        return Vec::new();
+    }
+    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - frame.center) / frame.half).collect();
+    let solid: Vec<DVec3> = points.iter().copied().filter(|p| p.is_finite()).collect();
+    if convex_hull(&solid, 4, 0.0).is_none() {
+        return Vec::new();
+    }
+    let hulls = decompose(&points, &mesh.triangles, config, frame.half, &Work::default())
+        .or_else(|| voxel_parts(&points, &mesh.triangles, config))
+        .unwrap_or_default();
+    let hull = |points: &[DVec3]| {
+        let mut hull = limited_hull(points, config.max_vertices)?;
+        for v in &mut hull.vertices {
+            *v = frame.center + *v * frame.half;
+        }
+        (hull.volume() > 0.0 && hull.is_closed_oriented()).then_some(hull)
+    };
+    let parts: Vec<Mesh> = hulls.iter().filter_map(|p| hull(p)).collect();
+    if !parts.is_empty() {
+        return parts;
+    }
+    hull(&solid).into_iter().collect()
+}
+
+/// Where the unit coordinates lie in the mesh's.
+#[derive(Clone, Copy)]
+struct Frame {
+    center: DVec3,
+    half: f64,
+}
+
+/// Points of each part's hull; all in unit coordinates, of which `half` metres are one. `total` counts the work.
+fn decompose(
+    points: &[DVec3],
+    triangles: &[[u32; 3]],
+    config: &ConvexConfig,
+    half: f64,
+    total: &Work,
+) -> Option<Vec<Vec<DVec3>>> {
+    let surface = closed_surface(points, triangles, config.threshold)?;
+    let coarse = surface.clone().decimated(COARSE_FACES, 0.4 * config.threshold);
+    // Rough surfaces: what is seen of them with twice as many faces says enough of where to cut.
+    let coarse = [1.0, 2.0, 4.0]
+        .iter()
+        .fold(coarse, |s, share| s.decimated(2 * COARSE_FACES, share * config.threshold));
+    let solid = Solid::new(&surface)?;
+    let threshold = config.threshold.max(config.floor / half);
+    let tolerance = Tolerance { threshold, spacing: 0.04 };
+    let breadth = Breadth {
+        first: 15,
+        second: 7,
+        candidates: 16,
+        planes: Planes::All,
+        part_cost: 0.05 * rv_volume(tolerance.threshold),
+    };
+    // What is convex enough is one part, whatever is saved by cutting it.
+    let work = Work::default();
+    let mut hull = GrowingHull::default();
+    let hull_volume = whole(&surface).hull_volume(&mut hull);
+    if hull_volume > 0.0
+        && is_convex(&hull, hull_volume - surface.volume(), WHOLE_SHARE, &solid, tolerance, &work)
+    {
+        return Some(vec![hull.vertices()]);
+    }
+    let max_parts = config.max_parts.max(1);
+    let finish = |open: Vec<[Piece; 2]>, planes: Planes, most_added: f64, work: &Work| {
+        let parts = cut(open, &solid, tolerance, Breadth { planes, ..breadth }, work);
+        let parts = merge(parts, &solid, tolerance, max_parts, most_added, work);
+        total.add(work.steps());
+        // What a hull lacks of its own piece counts too.
+        let hulls: f64 =
+            parts.iter().map(|p| p.hull_volume + 5.0 * (p.volume - p.hull_volume).max(0.0)).sum();
+        (hulls, parts)
+    };
+    // Some planes suit what is built square, others what is round: the cheapest result is taken.
+    let mut results: Vec<(f64, Vec<Part>)> = [Planes::All, Planes::Square, Planes::Flat]
+        .into_par_iter()
+        .map(|planes| {
+            finish(vec![[whole(&surface), whole(&coarse)]], planes, f64::INFINITY, &Work::default())
+        })
+        .collect();
+    let least = results.iter().map(|r| r.0).fold(f64::INFINITY, f64::min);
+    let part_cost = (PART_COST * rv_volume(threshold)).min(PART_SHARE * least);
+    let work = Work::default();
+    if let Some(rounds) = Rounds::plan(&whole(&coarse), &solid, part_cost, max_parts, &work) {
+        let [fine, coarse] = [(&surface, true), (&coarse, false)]
+            .map(|(s, with_caps)| rounds.cut(&whole(s), with_caps, &solid, &work));
+        let open = fine.into_iter().zip(coarse).map(|(fine, coarse)| [fine, coarse]).collect();
+        results.push(finish(open, Planes::All, SECTOR_SHARE * part_cost, &work));
+    }
+    let price = |r: &(f64, Vec<Part>)| r.0 + part_cost * r.1.len() as f64;
+    let parts = results.into_iter().min_by(|a, b| price(a).total_cmp(&price(b)))?.1;
+    (!parts.is_empty()).then(|| parts.into_iter().map(|p| p.points).collect())
+}
+
+fn whole(surface: &Surface) -> Piece {
+    Piece { points: surface.points.clone(), triangles: surface.triangles.clone(), ..Piece::default() }
+}
+
+/// The leaves of the trees of cuts that grow from the `open` pieces.
+fn cut(
+    mut open: Vec<[Piece; 2]>,
+    solid: &Solid,
+    tolerance: Tolerance,
+    breadth: Breadth,
+    work: &Work,
+) -> Vec<Part> {
+    let mut parts: Vec<Part> = Vec::new();
+    while !open.is_empty() {
+        let spent = work.steps() > MOST_WORK;
+        let room = if spent { 0 } else { MOST_PIECES.saturating_sub(parts.len() + open.len()) };
+        let cut: Vec<(Option<Part>, Vec<[Piece; 2]>)> = open
+            .par_iter()
+            .enumerate()
+            .map(|(i, piece)| examine(piece, solid, tolerance, breadth, i < room, work))
+            .collect();
+        open.clear();
+        for (part, sides) in cut {
+            parts.extend(part);
+            open.extend(sides);
+        }
+    }
+    parts
+}
+
+/// Whether a hull that adds `surplus` to its piece is within the threshold, of which the volume may use a `share`.
+fn is_convex(
+    hull: &GrowingHull,
+    surplus: f64,
+    share: f64,
+    solid: &Solid,
+    tolerance: Tolerance,
+    work: &Work,
+) -> bool {
+    let enough = tolerance.threshold;
+    rv(surplus) <= share * enough && solid.reach(hull.triangles(), tolerance.spacing, enough, work) <= enough
+}
+
+/// A part where the piece is convex enough, else its two sides.
+fn examine(
+    [piece, coarse]: &[Piece; 2],
+    solid: &Solid,
+    tolerance: Tolerance,
+    breadth: Breadth,
+    may_cut: bool,
+    work: &Work,
+) -> (Option<Part>, Vec<[Piece; 2]>) {
+    let mut scratch = Scratch::default();
+    piece.hull_volume(&mut scratch.hull);
+    if piece.cell.len() > 2 {
+        // Corners where three cuts meet inside the solid are ends of the caps' inner edges.
+        let inner = piece.caps.iter().flat_map(|c| &c.edges).filter(|e| e.is_inner);
+        for p in inner.flat_map(|e| e.ends) {
+            if p.abs().max_element() <= 1.0 && scratch.hull.leaves_out(p) && solid.contains(p, work) {
+                scratch.hull.push(p);
+            }
+        }
+    }
+    let hull_volume = scratch.hull.volume();
+    work.add(piece.size() + scratch.hull.take_steps());
+    let volume = piece.volume().max(0.0);
+    if hull_volume <= 0.0 || volume < FILM * piece.widest_side() {
+        return (None, Vec::new());
+    }
+    let convex = || is_convex(&scratch.hull, hull_volume - volume, CUT_SHARE, solid, tolerance, work);
+    if may_cut
+        && !convex()
+        && let Some(plane) = best_cut(coarse, hull_volume - volume, solid, breadth, work)
+    {
+        work.add(2 * (piece.size() + coarse.size()));
+        let inside = |p| solid.contains(p, work);
+        let sides = piece.split(plane, true, &inside).into_iter().zip(coarse.split(plane, false, &inside));
+        let sides = sides.map(|(fine, coarse)| [fine, coarse]);
+        // A block from deep inside has no surface, but spines.
+        return (None, sides.filter(|s| s[0].points.len() > 3).collect());
+    }
+    (Part::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
+}
+
+/// Voxels along the longest side for voxel decomposition.
+const VOXELS: usize = 64;
+
+fn voxel_parts(points: &[DVec3], triangles: &[[u32; 3]], config: &ConvexConfig) -> Option<Vec<Vec<DVec3>>> {
+    use parry3d_f64::transformation::vhacd::{VHACD, VHACDParameters};
+    let surface = clean(points, triangles);
+    if surface.triangles.len() < 4 || pairs(&surface, VOXELS) > MOST_PAIRS {
+        return None;
+    }
+    let Surface { points, triangles } = surface;
+    let parameters = VHACDParameters {
+        resolution: VOXELS as u32,
+        max_convex_hulls: config.max_parts.max(1) as u32,
+        ..Default::default()
+    };
+    let parts = VHACD::decompose(&parameters, &points, &triangles, true)
+        .compute_exact_convex_hulls(&points, &triangles);
+    let parts: Vec<Vec<DVec3>> = parts.into_iter().map(|(v, _)| v).filter(|v| v.len() > 3).collect();
+    (!parts.is_empty()).then_some(parts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+    use sms_core::Seed;
+
+    /// Steps that a mesh in unit coordinates takes, after its parts were checked.
+    fn steps_of(mesh: &Mesh) -> u64 {
+        let work = Work::default();
+        let config = ConvexConfig::default();
+        if let Some(parts) = decompose(&mesh.vertices, &mesh.triangles, &config, 1.0, &work) {
+            assert!(!parts.is_empty() && parts.len() <= config.max_parts);
+        }
+        work.steps()
+    }
+
+    #[test]
+    fn tangles_take_little_work() {
+        let mut rng = Seed(4).rng();
+        // Two corners exchanged: faces pass through each other.
+        let mut cube = Mesh::cuboid(DVec3::ONE);
+        cube.vertices.swap(0, 6);
+        let mut shaken = Mesh::icosphere(0.6, 5);
+        assert_eq!(shaken.triangles.len(), 20_480);
+        for v in &mut shaken.vertices {
+            *v += (DVec3::new(rng.random(), rng.random(), rng.random()) - 0.5) * 0.7;
+        }
+        let mut spikes = Mesh::icosphere(0.5, 5);
+        spikes.vertices.iter_mut().for_each(|v| *v *= rng.random_range(0.6..2.0));
+        for (name, mesh) in [("cube", cube), ("shaken", shaken), ("spikes", spikes)] {
+            let steps = steps_of(&mesh);
+            println!("{name}: {steps} steps");
+            // Four ways to cut; none should have to stop early.
+            assert!(steps < 4 * MOST_WORK, "{name}: {steps}");
+        }
+    }
+
+    #[test]
+    fn faces_across_everything_are_not_followed() {
+        let mut rng = Seed(5).rng();
+        let points: Vec<DVec3> =
+            (0..3000).map(|_| DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - 1.0).collect();
+        let triangles = (0..20_000).map(|_| std::array::from_fn(|_| rng.random_range(0..3000))).collect();
+        let mesh = Mesh::new(points, triangles);
+        assert_eq!(steps_of(&mesh), 0);
+        assert_eq!(convex_parts(&mesh, &ConvexConfig::default()).len(), 1);
+    }
+}

@@ -1,0 +1,328 @@
+//! Where to cut a piece: planes are scored by the volume of the hulls that they and the best next cuts leave.
+//!
+//! CoACD (Wei et al. 2022) searches a tree of axis-aligned cuts at random; here all planes of a direction are scored
+//! in one pass ([`crate::convex::sweep`]), so that every first cut can be tried with its best second cuts. One cut alone says
+//! little about rings, tubes and bowls: half a ring has the hull of the whole.
+
+use crate::convex::piece::Piece;
+use crate::convex::solid::Solid;
+use crate::convex::sweep::{GrowingHull, outline};
+use crate::convex::work::Work;
+use crate::plane::Plane;
+use glamx::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Hulls are scored without what reaches out of them by less, in half sizes of the object.
+const SLIGHT: f64 = 2e-3;
+
+/// Share of a piece's surplus that a good cut takes away.
+const PLENTY: f64 = 0.6;
+
+const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
+
+/// Which planes are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Planes {
+    /// The frame's axes, the piece's own and diagonals.
+    All,
+    /// The frame's axes only.
+    Square,
+    /// Through flat faces, where there are any: nothing shows that an open box should fall into its five walls until the
+    /// last of four cuts.
+    Flat,
+}
+
+/// How widely the search looks.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Breadth {
+    /// Offsets along each direction of the first cut.
+    pub(crate) first: usize,
+    /// … and of the second.
+    pub(crate) second: usize,
+    /// First cuts tried with their second cuts.
+    pub(crate) candidates: usize,
+    pub(crate) planes: Planes,
+    /// Volume of hulls that one more part must save.
+    pub(crate) part_cost: f64,
+}
+
+/// Buffers of one task.
+#[derive(Default)]
+pub(crate) struct Scratch {
+    pub(crate) hull: GrowingHull,
+    heights: Vec<f64>,
+    order: Vec<u32>,
+    outlines: Vec<Vec<(DVec2, DVec3)>>,
+    below: Vec<f64>,
+}
+
+/// Volumes of the hulls below and above each of the planes `normal · p = offsets[k]` (ascending).
+pub(crate) fn side_volumes(
+    piece: &Piece,
+    edges: &[(u32, u32)],
+    normal: DVec3,
+    offsets: &[f64],
+    scratch: &mut Scratch,
+) -> Vec<(f64, f64)> {
+    let Scratch { hull, heights, order, outlines, below } = scratch;
+    heights.clear();
+    heights.extend(piece.points.iter().map(|p| p.dot(normal)));
+    order.clear();
+    order.extend(0..piece.points.len() as u32);
+    order.sort_unstable_by(|&a, &b| heights[a as usize].total_cmp(&heights[b as usize]).then(a.cmp(&b)));
+    let u = normal.any_orthonormal_vector();
+    let v = normal.cross(u);
+    if outlines.len() < offsets.len() {
+        outlines.resize_with(offsets.len(), Vec::new);
+    }
+    for o in &mut outlines[..offsets.len()] {
+        o.clear();
+    }
+    for &(i, j) in edges {
+        let (mut i, mut j) = (i as usize, j as usize);
+        if heights[i] > heights[j] {
+            std::mem::swap(&mut i, &mut j);
+        }
+        let (low, high) = (heights[i], heights[j]);
+        let from = offsets.partition_point(|&d| d <= low);
+        for k in from..offsets.len() {
+            if offsets[k] >= high {
+                break;
+            }
+            let p = piece.points[i].lerp(piece.points[j], (offsets[k] - low) / (high - low));
+            outlines[k].push((DVec2::new(p.dot(u), p.dot(v)), p));
+        }
+    }
+    below.clear();
+    hull.clear(SLIGHT);
+    let mut at = 0;
+    for (k, &d) in offsets.iter().enumerate() {
+        while at < order.len() && heights[order[at] as usize] <= d {
+            hull.push(piece.points[order[at] as usize]);
+            at += 1;
+        }
+        outline(&mut outlines[k]);
+        for (_, p) in &outlines[k] {
+            hull.push(*p);
+        }
+        below.push(hull.volume());
+    }
+    let mut volumes = vec![(0.0, 0.0); offsets.len()];
+    hull.clear(SLIGHT);
+    let mut at = order.len();
+    for (k, &d) in offsets.iter().enumerate().rev() {
+        while at > 0 && heights[order[at - 1] as usize] >= d {
+            hull.push(piece.points[order[at - 1] as usize]);
+            at -= 1;
+        }
+        for (_, p) in &outlines[k] {
+            hull.push(*p);
+        }
+        volumes[k] = (below[k], hull.volume());
+    }
+    volumes
+}
+
+pub(crate) fn extent(piece: &Piece, normal: DVec3) -> (f64, f64) {
+    let heights = piece.points.iter().map(|p| p.dot(normal));
+    heights.fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h), high.max(h)))
+}
+
+/// Evenly spaced offsets inside the piece's extent along `normal`; none when it is too thin to be cut.
+fn even_offsets(piece: &Piece, normal: DVec3, count: usize) -> Vec<f64> {
+    let (low, high) = extent(piece, normal);
+    const THINNEST: f64 = 0.02;
+    let count = count.min(((high - low) / THINNEST) as usize);
+    (1..=count).map(|k| low + (high - low) * k as f64 / (count + 1) as f64).collect()
+}
+
+fn add_direction(directions: &mut Vec<DVec3>, d: DVec3) {
+    if directions.iter().all(|e| e.dot(d).abs() < 0.985) {
+        directions.push(d);
+    }
+}
+
+/// The frame's axes, the piece's own, and the diagonals between the latter.
+fn directions(piece: &Piece) -> Vec<DVec3> {
+    let mut out = AXES.to_vec();
+    let axes = piece.axes();
+    for a in axes {
+        add_direction(&mut out, a);
+    }
+    for k in 0..3 {
+        let (a, b) = (axes[k], axes[(k + 1) % 3]);
+        add_direction(&mut out, (a + b).normalize());
+        add_direction(&mut out, (a - b).normalize());
+    }
+    for (a, b) in [(DVec3::X, DVec3::Y), (DVec3::X, DVec3::NEG_Y)] {
+        add_direction(&mut out, (a + b).normalize());
+    }
+    out
+}
+
+/// The frame's axes and the directions of the largest flat faces.
+fn flat_directions(piece: &Piece) -> Vec<DVec3> {
+    let mut flat: Vec<(DVec3, f64)> = Vec::new();
+    for t in &piece.triangles {
+        let [a, b, c] = piece.corners(t);
+        let cross = (b - a).cross(c - a);
+        let Some(n) = cross.try_normalize() else { continue };
+        match flat.iter().position(|f| f.0.dot(n).abs() > 0.9995) {
+            Some(k) => flat[k].1 += cross.length(),
+            None => flat.push((n, cross.length())),
+        }
+        if flat.len() > 200 {
+            // Round all over.
+            return AXES.to_vec();
+        }
+    }
+    let total: f64 = flat.iter().map(|f| f.1).sum();
+    flat.retain(|f| f.1 > 0.03 * total);
+    flat.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut out: Vec<DVec3> = flat.iter().take(6).map(|f| f.0).collect();
+    for axis in AXES {
+        if out.iter().all(|d| d.dot(axis).abs() < 0.9995) {
+            out.push(axis);
+        }
+    }
+    out
+}
+
+/// Heights along `normal` beside which large faces lie flat: cuts there leave clean blocks. A hair towards the open side
+/// of the faces, so that neither a cut runs through corners nor a film of one block stays on the other.
+pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
+    const HAIR: f64 = 1e-5;
+    let mut flat: Vec<(f64, f64)> = Vec::new();
+    let mut total = 0.0;
+    for t in &piece.triangles {
+        let [a, b, c] = piece.corners(t);
+        let cross = (b - a).cross(c - a);
+        let (area, up) = (cross.length(), cross.dot(normal));
+        total += area;
+        if up.abs() > 0.999 * area {
+            flat.push(((a + b + c).dot(normal) / 3.0, up));
+        }
+    }
+    flat.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut levels: Vec<(f64, f64)> = flat
+        .chunk_by(|a, b| b.0 - a.0 < 5e-4)
+        .filter_map(|level| {
+            let area: f64 = level.iter().map(|f| f.1.abs()).sum();
+            let up: f64 = level.iter().map(|f| f.1).sum();
+            let height = if up > 0.0 { level.last()?.0 + HAIR } else { level.first()?.0 - HAIR };
+            Some((height, area))
+        })
+        .collect();
+    levels.retain(|l| l.1 > 0.01 * total);
+    levels.sort_by(|a, b| b.1.total_cmp(&a.1));
+    levels.truncate(6);
+    levels.into_iter().map(|l| l.0).collect()
+}
+
+/// The cheapest that a side's hulls can be made by at most one more cut.
+fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scratch) -> f64 {
+    if whole < 2.0 * breadth.part_cost {
+        return whole;
+    }
+    let edges = side.edges();
+    let mut best = whole;
+    for normal in if breadth.planes == Planes::All { side.axes() } else { AXES } {
+        let offsets = even_offsets(side, normal, breadth.second);
+        for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
+            best = best.min(below + above + breadth.part_cost);
+        }
+    }
+    best
+}
+
+/// The plane that leaves the least volume of hulls after it and one more cut on each side; `None` when the piece is
+/// too thin everywhere.
+pub(crate) fn best_cut(
+    piece: &Piece,
+    surplus: f64,
+    solid: &Solid,
+    breadth: Breadth,
+    work: &Work,
+) -> Option<Plane> {
+    let edges = piece.edges();
+    let directions = match breadth.planes {
+        Planes::All => directions(piece),
+        Planes::Square => AXES.to_vec(),
+        Planes::Flat => flat_directions(piece),
+    };
+    let per_direction: Vec<Vec<(Plane, f64, f64, bool)>> = directions
+        .par_iter()
+        .map_init(Scratch::default, |scratch, &normal| {
+            let mut offsets = even_offsets(piece, normal, breadth.first);
+            let (low, high) = extent(piece, normal);
+            let middle = 0.5 * (low + high);
+            let mut flat = flat_heights(piece, normal);
+            flat.retain(|h| *h > low + 2e-3 && *h < high - 2e-3);
+            if breadth.planes == Planes::Flat && !flat.is_empty() {
+                offsets.clear();
+            }
+            offsets.extend(&flat);
+            offsets.sort_by(f64::total_cmp);
+            offsets.dedup();
+            if offsets.is_empty() {
+                return Vec::new();
+            }
+            let volumes = side_volumes(piece, &edges, normal, &offsets, scratch);
+            work.add((edges.len() + piece.points.len()) as u64 + scratch.hull.take_steps());
+            if breadth.planes == Planes::Flat && !flat.is_empty() {
+                let planes = offsets.iter().zip(volumes);
+                return planes.map(|(&offset, v)| (Plane { normal, offset }, v.0, v.1, true)).collect();
+            }
+            let sum = |k: usize| volumes[k].0 + volumes[k].1;
+            let mut chosen: Vec<usize> = Vec::new();
+            // The best two that are not neighbours, and the middle.
+            let mut order: Vec<usize> = (0..offsets.len()).collect();
+            order.sort_by(|&a, &b| sum(a).total_cmp(&sum(b)).then(a.cmp(&b)));
+            for k in order {
+                let apart = (high - low) / breadth.first as f64 * 1.5;
+                if chosen.len() < 2 && chosen.iter().all(|&c| (offsets[c] - offsets[k]).abs() > apart) {
+                    chosen.push(k);
+                }
+            }
+            let mid = (0..offsets.len()).min_by(|&a, &b| {
+                (offsets[a] - middle).abs().total_cmp(&(offsets[b] - middle).abs()).then(a.cmp(&b))
+            });
+            chosen.extend(mid.filter(|m| !chosen.contains(m)));
+            chosen
+                .into_iter()
+                .map(|k| (Plane { normal, offset: offsets[k] }, volumes[k].0, volumes[k].1, false))
+                .collect()
+        })
+        .collect();
+    let mut candidates: Vec<(Plane, f64, f64, bool)> = per_direction.into_iter().flatten().collect();
+    if candidates.iter().any(|c| c.3) {
+        candidates.retain(|c| c.3);
+    }
+    let sum = |c: &(Plane, f64, f64, bool)| c.1 + c.2;
+    let best = candidates.iter().min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
+    let whole = piece.hull_volume(&mut GrowingHull::default());
+    // Where one cut already takes most of the surplus away, there is no need to look farther.
+    if whole - sum(best) > PLENTY * surplus {
+        return Some(best.0);
+    }
+    candidates.sort_by(|a, b| sum(a).total_cmp(&sum(b)));
+    candidates.truncate(breadth.candidates);
+    let scores: Vec<f64> = candidates
+        .par_iter()
+        .map_init(Scratch::default, |scratch, &(plane, below, above, _)| {
+            work.add(2 * piece.size());
+            let sides = piece.split(plane, false, &|p| solid.contains(p, work));
+            if sides.iter().any(|s| s.points.len() < 4) {
+                return f64::INFINITY;
+            }
+            let score = after_next_cut(&sides[0], below, breadth, scratch)
+                + after_next_cut(&sides[1], above, breadth, scratch);
+            work.add(6 * piece.size() + scratch.hull.take_steps());
+            score
+        })
+        .collect();
+    let best = (0..candidates.len())
+        .filter(|&i| scores[i].is_finite())
+        .min_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(a.cmp(&b)))?;
+    Some(candidates[best].0)
+}

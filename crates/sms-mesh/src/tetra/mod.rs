@@ -1,0 +1,11 @@
+//! Tetrahedra: Delaunay tetrahedralisation, choice of the solid's tetrahedra, and the solid's boundary.
+
+mod boundary;
+mod delaunay;
+mod hilbert;
+mod inside;
+mod maxflow;
+
+pub use boundary::boundary;
+pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
+pub use inside::{cut, largest_component, normal_votes, prune};

@@ -1,0 +1,6 @@
+//! Integration tests of the crate.
+
+mod common;
+mod delaunay;
+mod parts;
+mod sphere;
