@@ -55,7 +55,7 @@ pub(crate) enum Command {
     /// executed in the target engines. A second run on the same folder resumes the first; shards share a folder.
     Billiards(Box<BilliardsArguments>),
     /// Run the paper's landing experiment: four structures are scanned, landings are planned from ten starts, and each is flown
-    /// in the target world, beside baselines without a wash model. A second run on the same folder resumes the first.
+    /// in the target world, together with baselines without a wash model. A second run on the same folder resumes the first.
     Landing(Box<LandingArguments>),
     /// Merge the parts of a run with --shard on several machines: the same tables and keys as one run.
     Merge(MergeArguments),

@@ -80,7 +80,7 @@ fn normal(rng: &mut StageRng) -> f64 {
     (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
 }
 
-/// A length with its unit (`10mm`, `1cm`, `0.01m`) in metres; a number alone is metres.
+/// A length with its unit (`10mm`, `1cm`, `0.01m`) in metres; a plain number is metres.
 ///
 /// # Errors
 /// [`InputError`] naming the option.

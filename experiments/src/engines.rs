@@ -11,7 +11,7 @@ use sms_target::{Target, TargetEngine, TargetOptions, disturbed};
 use sms_task::Action;
 use std::time::Instant;
 
-/// The planner's engine, as a row beside the targets.
+/// The planner's engine, as a row among the targets.
 struct Planner;
 
 impl Target for Planner {
@@ -98,7 +98,7 @@ fn best_suggestions(scene: &PlanScene, count: usize) -> Result<Vec<Action>, Benc
     Ok(rated.into_iter().take(count).map(|r| r.1).collect())
 }
 
-/// A shot; `None` where the engine spoilt it.
+/// A shot; `None` if the engine could not finish it.
 fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Option<Shot>, BenchError> {
     let task = &scene.task;
     let bodies = task.bodies_in(&scene.scene, &task.target().name).map_err(PlanError::from)?;

@@ -1,4 +1,4 @@
-//! Export of a scene as files for other programs, with the yardstick beside it.
+//! Export of a scene as files for other programs, with its truth.
 //!
 //! # Format
 //! `sms-experiments scan --export DIR` writes for each scene the folder `DIR/{scene}/`:
@@ -7,9 +7,9 @@
 //! |---|---|
 //! | `transforms.json` | nerfstudio's layout: `fl_x fl_y cx cy w h` (pixels, `pixel_center` 0.5), `depth_unit_scale_factor` 0.0001, per frame `file_path`, `depth_file_path`, `mask_path` and `transform_matrix` (camera to world, OpenGL axes, metres); `holdout` lists the indices of the frames that must not be used |
 //! | `color/NNNNNN.png` | 8-bit colour as the scan trains on it: at the preset's resolution |
-//! | `depth/NNNNNN.png` | 16-bit depth in 0.1 mm as the scan trains on it, 0 for none: with noise, disturbed where that was asked for |
+//! | `depth/NNNNNN.png` | 16-bit depth in 0.1 mm as the scan trains on it, 0 for none: with noise, and disturbed if requested |
 //! | `masks/NNNNNN.png` | 16-bit labels of our masks; 0 is the background, 65535 not to be used |
-//! | `truth/truth.json` | names of objects, exact spheres, true poses (camera to world, OpenCV axes), which true label each mask label stands for |
+//! | `truth/truth.json` | names of objects, exact spheres, true poses (camera to world, OpenCV axes), the true label of each mask label |
 //! | `truth/object_NN.obj` | true surface of the object with label NN |
 //! | `truth/observed.ply` | samples of the observed surface: `x y z nx ny nz`, `object` (its label) |
 //! | `truth/depth/NNNNNN.png`, `truth/labels/NNNNNN.png` | noise-free depth (0.1 mm) and labels of the held-out views |
@@ -68,7 +68,7 @@ pub(crate) struct TransformsFrame {
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct TruthFile {
     objects: Vec<TruthEntry>,
-    /// True label of each mask label, from 0; `null` stands for none.
+    /// True label of each mask label, from 0; `null` for none.
     truth_of: Vec<Option<u16>>,
     pub(crate) poses_disturbed: bool,
     /// `X_WC` of every frame as it was, rows of 4 × 4 matrices.
@@ -242,7 +242,7 @@ pub(crate) fn pose_of_opengl(rows: &[[f64; 4]; 4]) -> DPose3 {
     DPose3::from_mat4(DMat4::from_cols_array_2d(rows).transpose() * flip)
 }
 
-/// Depth in exported units; 0 where there is none or it does not fit.
+/// Depth in exported units; 0 if there is none or it does not fit.
 pub(crate) fn encode_depth(depth: &DepthImage) -> Image<u16> {
     depth.map(|&z| {
         let units = (f64::from(z) / DEPTH_UNIT_M).round();

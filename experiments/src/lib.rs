@@ -10,7 +10,7 @@
 //!   samples of the planner's uncertainty.
 //! - [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, execute in the target
 //!   worlds.
-//! - [`run_landings`] is its landing experiment on four structures, beside planners without a wash model.
+//! - [`run_landings`] is its landing experiment on four structures, with baselines without a wash model.
 //! - [`Shard`] holds the results of a part (`--shard i/n`) of a run on several machines; [`merge_shards`] merges them.
 //!
 //! ```

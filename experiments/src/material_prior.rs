@@ -11,18 +11,18 @@ use sms_synth::{TruthObject, TruthScene};
 /// Standard deviation of the natural logarithm of a vision-language model's estimate of a mass (here: of the density, the
 /// volume being measured): a factor of two, as published tests of such models find.
 pub const DENSITY_LOG_SD: f64 = std::f64::consts::LN_2;
-/// The same of the rolling lever arm, of which nothing is published: no better known than a mass.
+/// The same for the rolling lever arm. No error is published; it is assumed to be as uncertain as a mass.
 pub const ROLLING_LOG_SD: f64 = std::f64::consts::LN_2;
 /// Half width of the interval that holds 90 % of the errors of friction.
 pub const FRICTION_ERROR: f64 = 0.2;
-/// The same of restitution, of which nothing is published: as for friction, in proportion to its smaller spread.
+/// The same for restitution. No error is published; it is scaled from friction by its smaller spread.
 pub const RESTITUTION_ERROR: f64 = 0.15;
 /// Standard deviations in that half width, for normal errors.
 const Z90: f64 = 1.645;
 /// Vertices of the hulls that bodies' volumes are compared with.
 const HULL_VERTICES: usize = 256;
-/// Shares of hulls that differ by less than this are the same: the convex parts of a statue stand out of it by 6 % of its hull,
-/// and hulls of so few corners leave as much open. A hollow that a scan closed, or gaps between legs, are far more.
+/// Tolerance when shares of hulls are compared. The convex parts of a statue exceed it by 6 % of its hull, and hulls with
+/// few corners have similar gaps; closed hollows and gaps between legs are far larger.
 const HULL_TOLERANCE: f64 = 0.15;
 
 /// The planner's knowledge of materials (every table names it).
@@ -58,10 +58,11 @@ impl MaterialPrior {
         }
     }
 
-    /// Returns the material of `body`, which stands for `object`. The errors of `noisy` depend on the seed and the object's name alone.
+    /// Returns the material of `body`, the reconstruction of `object`. The errors of `noisy` depend on the seed and the object's
+    /// name only.
     ///
     /// The fill factor of a hollow object is relative to its convex hull. The body of a bin encloses all of the hull if its inside
-    /// was not seen, and its walls alone if it was.
+    /// was not observed, and only its walls if it was.
     pub fn of_object(self, object: &TruthObject, body: &Body, seed: Seed) -> Material {
         let form = Form::of(body);
         let query = ObjectQuery {
@@ -113,7 +114,7 @@ impl MaterialPrior {
     }
 }
 
-/// Tells the planner's `scene`, whose bodies have the names and volumes of the truth's, the materials; masses follow the
+/// Sets the materials of the planner's `scene`, whose bodies have the names and volumes of the truth's, and masses by the
 /// effective densities.
 pub fn apply_material_prior(
     scene: &mut Scene,
@@ -269,7 +270,7 @@ mod tests {
         }
     }
 
-    /// The ladder's profiles are hollow, the bin's inside may be hidden by what stands on it.
+    /// The ladder's profiles are hollow, and a body on the bin may hide its inside.
     #[test]
     fn masses_of_hollow_things_hold_the_truth_however_much_of_the_hollow_was_seen() {
         for structure in LandingStructure::ALL {
@@ -293,7 +294,7 @@ mod tests {
                 let closed = hull_of(&object.mesh.vertices).unwrap().volume() / object.mesh.volume();
                 for volumes in [1.0, closed] {
                     let [best, low, high] = masses(MaterialPrior::Class, volumes);
-                    // Of solid things the handbook's interval of the density is all that there is.
+                    // For solid objects only the handbook's density interval matters.
                     let is_in =
                         (low..high).contains(&true_kg) || object.hollow == Hollow::Solid && closed < 1.1;
                     assert!(

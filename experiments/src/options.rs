@@ -32,7 +32,7 @@ pub struct BenchOptions {
     pub entities: EntitiesConfig,
     /// Frames that are recorded of a generated scene.
     pub frames: usize,
-    /// Where the camera goes in generated billiards scenes.
+    /// Camera path in generated billiards scenes.
     pub path: CameraPath,
     /// Disturbance of the frames.
     pub disturbance: Disturbance,

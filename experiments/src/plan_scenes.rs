@@ -65,7 +65,7 @@ pub struct PlanScene {
     pub truth: TruthScene,
     /// Its task, executed by a kinematic finger.
     pub task: ResolvedTask,
-    /// The robot that stands before it.
+    /// The robot in front of it.
     pub robot: RobotConfig,
 }
 

@@ -1,4 +1,4 @@
-//! `sms-experiments plan`: how fast shots are simulated and planned, and where the time goes.
+//! `sms-experiments plan`: time of simulated shots and of plans, by part.
 
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;
@@ -8,7 +8,7 @@ use sms_sim::{RapierFactory, Simulation, Striker, StrikerMotion};
 use sms_task::Action;
 use std::time::Instant;
 
-/// Shots of each scene that are timed, and the most that are tried to find them among those that the arm can make.
+/// Timed shots of each scene, and the largest number of strikes tried to find feasible ones.
 const SHOTS: usize = 64;
 const MOST_SHOTS: usize = 512;
 
@@ -16,10 +16,10 @@ const MOST_SHOTS: usize = 512;
 /// threads of rayon's pool. Keys, means over the scenes:
 /// `bench.plan.{evaluation_s, evaluations_per_s, finger_evaluation_s, sweep_plan_s, refusal_s, refused, shots, steps, splits,
 /// engine_share, impacts_share, arm_share, sweep_plan_share, restore_share, other_share, prepare_s, paper_scene_s, scene_s,
-/// robust_scene_s, threads}`. An evaluation is of a strike that the arm can make: its sweep is planned (`sweep_plan_s`), and
-/// the world simulated with the arm under torque control; `finger_evaluation_s` is the same strike with a kinematic
-/// finger. `refused` is the share of strikes that the arm cannot make, `refusal_s` the time to refuse one. Plans are
-/// with the arm, too. `scene_s` is planning for the scanned world alone with
+/// robust_scene_s, threads}`. An evaluation is a feasible strike: its sweep is planned (`sweep_plan_s`), and
+/// the world is simulated with the arm under torque control; `finger_evaluation_s` is the same strike with a kinematic
+/// finger. `refused` is the share of strikes that the arm cannot make, `refusal_s` the time to refuse one. Plans
+/// use the arm. `scene_s` is planning for the scanned world alone with
 /// the default method, `robust_scene_s` with `config`'s perturbed worlds, `paper_scene_s` the paper's 30 searches of 30
 /// iterations.
 ///

@@ -46,7 +46,7 @@ impl Default for ReachabilityBench {
     }
 }
 
-/// Result of one scene. Distances to the goal in metres, infinite where there is no shot.
+/// Result of one scene. Distances to the goal in metres, infinite without a shot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reachability {
     /// 1 to 18.
@@ -197,7 +197,7 @@ struct Court<'a> {
 }
 
 impl Court<'_> {
-    /// Distance to the goal; infinite where the arm refuses or the engine spoils it.
+    /// Distance to the goal; infinite if the arm refuses or the engine cannot finish it.
     fn shoot(&mut self, unit: &[f64]) -> Result<f64, BenchError> {
         self.cancel.check()?;
         let outcome = self.table.shoot(self.simulation, self.table.action_at(unit))?;

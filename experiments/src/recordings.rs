@@ -75,7 +75,7 @@ fn skins_hash(skins: &[Option<Skin>]) -> String {
     hasher.finish().0
 }
 
-/// Where the recording of a scene lies, rendering it first if need be; `None` for a real recording
+/// Returns the folder of a scene's recording, rendering it first if necessary; `None` for a real recording
 /// or a model that is not there.
 ///
 /// # Errors

@@ -57,18 +57,18 @@ pub enum BenchScene {
     Billiards(u64),
     /// A real recording's folder name (`seq_tabletop_bin`).
     Real(String),
-    /// Two balls and eight obstacles of this seed (`scene_1001`): ten objects, where the billiards scenes have seven.
+    /// Two balls and eight obstacles of this seed (`scene_1001`): ten objects instead of seven.
     Ten(u64),
-    /// A scanned model alone on a floor, seen from an orbit; its folder name (`ycb_025_mug`).
+    /// A scanned model on a floor, filmed from an orbit; its folder name (`ycb_025_mug`).
     Model(String),
     /// One of the eighteen fixed billiards scenes (`fixed_08`), or a drawn one (`fixed_1003`), by its number.
     Fixed(usize),
-    /// Things that stand on each other or touch (`stacked_box_on_stool`), seen from an orbit.
+    /// Stacked or touching objects (`stacked_box_on_stool`), filmed from an orbit.
     Stacked(Structure),
-    /// One of the four fixed landing structures, by its number from 1 (`landing_1`), seen from a helix; other numbers are seeds of drawn
-    /// ones (`landing_1001`).
+    /// One of the four fixed landing structures, by its number from 1 (`landing_1`), filmed from a helix; other numbers are seeds
+    /// of drawn ones (`landing_1001`).
     Landing(usize),
-    /// The same with scanned models where there are such (`landing_scanned_1`).
+    /// The same with scanned models, if they are present (`landing_scanned_1`).
     ScannedLanding(usize),
 }
 
@@ -106,8 +106,8 @@ impl FromStr for BenchScene {
     }
 }
 
-/// The scenes that a list names: `all` (the ten seeds and the real recordings), `real`, a number up to ten (the first
-/// so many seeds), or ids separated by commas.
+/// The scenes of a list: `all` (the ten seeds and the real recordings), `real`, a number n up to ten (the first n seeds),
+/// or ids separated by commas.
 ///
 /// # Errors
 /// [`InputError`] naming the part that does not name a scene.
@@ -204,7 +204,7 @@ pub(crate) fn no_scene(which: &BenchScene) -> InputError {
     InputError::new(
         format!("there is no generated scene {which}"),
         "--scenes",
-        "give numbers of scenes that there are; scanned models are looked for in meshes/ of SMS_TEST_DATA",
+        "give numbers of existing scenes; scanned models are looked for in meshes/ of SMS_TEST_DATA",
     )
 }
 

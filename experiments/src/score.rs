@@ -12,20 +12,20 @@ use sms_eval::{LabelledPoint, SceneScores, UNMATCHED, score_cropped, score_label
 use sms_eval::{align_cameras, refine_on_surfaces};
 use std::path::Path;
 
-/// Points per square metre that a mesh is sampled with: as ours are.
+/// Points per square metre of sampled meshes, the same as for ours.
 const DENSITY_PER_M2: f64 = 1e6;
 
 /// Scores a reconstruction of the scene that was exported to `dir`; keys are `bench.score.…`, named as those of
 /// `bench.scan.{scene}.…`.
 ///
 /// - `surface`: a PLY of points in the exported world (sample meshes evenly; faces are ignored), with a column `label`
-///   (label of the masks) where there are labels; or an OBJ, which is sampled at 1 point a mm². With labels, points are
-///   measured against the object that their label stands for. Always, they are also measured cropped: without their
+///   (label of the masks), if there are labels; or an OBJ, which is sampled at 1 point per mm². Labelled points are measured
+///   against the object of their label. All points are also measured cropped, without their
 ///   labels (`cropped_…`, see [`score_cropped`]).
-/// - `views`: a folder with `color/NNNNNN.png` (8 bits), `depth/NNNNNN.png` (16 bits, 0.1 mm, 0 where nothing is shown),
-///   `label/NNNNNN.png` (labels of the masks) of the held-out frames; a kind of which nothing is there is not measured.
+/// - `views`: a folder with `color/NNNNNN.png` (8 bits), `depth/NNNNNN.png` (16 bits, 0.1 mm, 0 for no depth),
+///   `label/NNNNNN.png` (labels of the masks) of the held-out frames; a missing kind is not measured.
 ///
-/// Where the exported poses were disturbed, points are aligned to the truth first; views cannot be scored then.
+/// If the exported poses were disturbed, points are aligned to the truth first, and views cannot be scored.
 ///
 /// # Errors
 /// [`InputError`] naming the file that is missing or does not fit.

@@ -23,12 +23,12 @@ pub struct Shard {
     version: u32,
     /// Version of the program that wrote it.
     pub program: String,
-    /// Which build of it: a hash of the executable; empty in files of before and where it cannot be read.
+    /// Build of the program: a hash of the executable; empty in older files or if it cannot be read.
     #[serde(default)]
     pub build: String,
     /// The benchmark: `robust`, `billiards`, …
     pub bench: String,
-    /// Which part of how many, from 1; after merging 1 of 1 where nothing is missing.
+    /// Part and number of parts, from 1; 1 of 1 after a complete merge.
     pub part: (usize, usize),
     /// Settings that the figures depend on, besides the items.
     pub settings: Map<String, Value>,
@@ -88,7 +88,7 @@ impl Shard {
             .collect()
     }
 
-    /// The figures of an item; empty where there are none.
+    /// The figures of an item; empty if it has none.
     pub fn figures(&self, item: &str) -> Metrics {
         let mut metrics = Metrics::new();
         if let Some(Value::Object(map)) = self.items.get(item) {
@@ -102,19 +102,19 @@ impl Shard {
     /// A setting, read as the type it was written from.
     ///
     /// # Errors
-    /// [`InputError`] where there is none of that name and kind.
+    /// [`InputError`] if there is no such setting of this type.
     pub fn setting<T: serde::de::DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
         let value = self.settings.get(name).cloned().unwrap_or(Value::Null);
         serde_json::from_value(value).map_err(|e| {
             InputError::new(
-                format!("a part of `bench {}` has no usable setting `{name}`: {e}", self.bench),
+                format!("a part of `sms-experiments {}` has no usable setting `{name}`: {e}", self.bench),
                 "merge",
                 "run the parts again with this version",
             )
         })
     }
 
-    /// Path of a part's file beside its results `out` (`part2.json`: `part2.shard.json`).
+    /// Path of a part's file for its results `out` (`part2.json`: `part2.shard.json`).
     pub fn path_beside(out: &Path) -> PathBuf {
         out.with_extension("shard.json")
     }
@@ -177,11 +177,11 @@ pub struct Merged {
     pub builds: usize,
 }
 
-/// The parts in files and folders (all `*.shard.json` in them), put together.
+/// Merges the parts in files and folders (all `*.shard.json` in them).
 ///
 /// # Errors
-/// [`InputError`] where there is none, where they are of different benchmarks, programs or settings (it says which), or
-/// where two parts hold the same item with different results; [`CoreError`] of a file that cannot be read.
+/// [`InputError`] without parts, for parts of different benchmarks, programs or settings (which it names), or if two parts
+/// hold different results for one item; [`CoreError`] for unreadable files.
 pub fn merge_shards(paths: &[PathBuf]) -> Result<Merged, CoreError> {
     let mut files = Vec::new();
     for path in paths {

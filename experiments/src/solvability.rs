@@ -131,7 +131,7 @@ impl Table {
         Action(unit.iter().zip(&parameters).map(|(t, p)| p.low + t * (p.high - p.low)).collect())
     }
 
-    /// Carries a shot out. `Err(SimError::Refused)` inside where the arm cannot make it; other invalid rollouts likewise.
+    /// Executes a shot. Invalid rollouts are `Err` inside, `SimError::Refused` if the arm cannot make the strike.
     pub(crate) fn shoot(
         &self,
         simulation: &mut Simulation,

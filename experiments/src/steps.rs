@@ -9,8 +9,8 @@ use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer, WALL_CLASSES, f
 pub const STEP_GAUSSIANS: usize = 20_000;
 
 /// CPU milliseconds of one full training step with [`STEP_GAUSSIANS`] Gaussians at `width` × `height`, summed over
-/// threads: the median of several short batches. The scene is [`fill_wall`]'s. `None` where the system
-/// does not tell CPU times.
+/// threads: the median of several short batches. The scene is [`fill_wall`]'s. `None` if the system
+/// does not report CPU times.
 pub fn fixed_step_cpu_ms(train: &TrainConfig, width: usize, height: usize) -> Option<f64> {
     const BATCHES: usize = 7;
     const STEPS: usize = 4;

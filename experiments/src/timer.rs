@@ -11,7 +11,7 @@ impl Timer {
         Self(Instant::now(), process::cpu_seconds())
     }
 
-    /// Seconds and CPU seconds (not a number where the system does not tell).
+    /// Seconds and CPU seconds (NaN if the system does not report them).
     pub(crate) fn seconds(&self) -> (f64, f64) {
         let cpu = self.1.zip(process::cpu_seconds()).map_or(f64::NAN, |(from, to)| to - from);
         (self.0.elapsed().as_secs_f64(), cpu)

@@ -10,11 +10,11 @@ use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions
 use sms_synth::redraw_materials;
 use sms_task::{Action, ResolvedTask};
 
-/// Half width of the perturbations that measure chaos alone, metres.
+/// Half width of the perturbations that measure chaos, metres.
 const CHAOS_M: f64 = 1e-6;
 
-/// True worlds of a scene: the materials of every object drawn from the ranges of its class, bodies and strike off by what
-/// scan and robot are off by; simulated by the planner's engine, or another. The planner was told other materials, and that the bodies are where the scene says.
+/// True worlds of a scene, simulated by the planner's engine or another. Materials are drawn from the ranges of each object's
+/// class; bodies and strike differ from the planner's scene by the errors of scan and robot.
 pub struct TrueWorlds<'a> {
     task: &'a ResolvedTask,
     factory: &'a dyn WorldFactory,
@@ -70,8 +70,8 @@ impl<'a> TrueWorlds<'a> {
         self.scenes.par_iter().enumerate().map(run).collect()
     }
 
-    /// How far the objective of an action in the first world is from itself when the bodies stand a micrometre
-    /// elsewhere: the mean over `runs`. `None` when no run can be believed.
+    /// Mean change, over `runs`, of an action's objective in the first world when the bodies move by a micrometre. `None` if no
+    /// run is valid.
     ///
     /// # Errors
     /// As [`TrueWorlds::realise`].

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 pub enum Replaced {
     /// Nothing: the same starts as the others, for comparison.
     None,
-    /// Which bodies there are and their shapes, orientation included (a reconstruction has none of its own), at the
-    /// reconstructed places; masses by the material prior.
+    /// The set of bodies and their shapes, including orientation (a reconstruction has none of its own), at the reconstructed
+    /// places; masses by the material prior.
     Geometry,
     /// Places of reconstructed objects, and the floor's height and slope.
     Poses,
@@ -46,9 +46,9 @@ impl Replaced {
 pub struct Ablated {
     /// Objectives in the world that the planner was given, metres.
     pub predicted_m: Vec<f64>,
-    /// Objectives realised, metres; `None` where the engine could not finish the shot.
+    /// Realised objectives, metres; `None` if the engine could not finish the shot.
     pub realised_m: Vec<Option<f64>>,
-    /// Why not.
+    /// Reasons of unfinished shots.
     #[serde(default)]
     pub unfinished: Unfinished,
 }
@@ -67,8 +67,7 @@ pub struct Ablation {
     pub judge: String,
     /// Starts of row `ours`: the first ones.
     pub starts: usize,
-    /// Largest change of the robust plan's objective in the judge when everything stands up to a millimetre elsewhere,
-    /// metres.
+    /// Largest change of the robust plan's objective in the judging engine when all bodies move by up to a millimetre, metres.
     pub sensitivity_m: Option<f64>,
     /// By replaced input and by row.
     pub rows: BTreeMap<Replaced, BTreeMap<Row, Ablated>>,

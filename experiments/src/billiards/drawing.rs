@@ -14,7 +14,7 @@ const RESOLUTION_M: f64 = 1e-4;
 /// Motion below this is rest in a picture, metres.
 const STILL_M: f64 = 3e-3;
 
-/// The way of one body, seen from above.
+/// The path of one body, from above.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Way {
     /// The body; `striker` is the finger.

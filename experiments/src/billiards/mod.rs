@@ -1,10 +1,9 @@
 //! The paper's billiards experiment (section "Experiments", Table 1) on the eighteen fixed scenes: scan, materialize, plan
-//! from many starts, and carry every plan out in the target worlds.
+//! from many starts, and execute every plan in the target worlds.
 //!
-//! `planner_view.rs` builds the planner's view from the recording and the material prior; plans in `rows.rs` are made
-//! of that alone. `realise.rs` and `ablation.rs` are the only places where the truth decides anything. Every scene is a file that is written
-//! when its plans are made and after every engine, so that an interrupted run resumes, and shards of a run meet
-//! in one folder.
+//! `planner_view.rs` builds the planner's view from the recording and the material prior; plans in `rows.rs` use
+//! only that. Only `realise.rs` and `ablation.rs` read the truth. Each scene is a file, written after planning and after
+//! every engine, so that interrupted runs resume and shards share one folder.
 
 mod ablated;
 mod ablation;

@@ -20,11 +20,11 @@ pub(super) const ENGINES: [TargetEngine; 4] =
 /// Version of the kept files; incremented when their content or its computation changes.
 const VERSION: u32 = 7;
 
-/// The paper's way from Gaussians to bodies (section "Physics-ready scene"; where it is silent, its released code): discs
-/// sampled evenly and not moved to the measured depth, tetrahedra pruned by edge length, spheres as exact bodies and nothing
-/// else, convex parts at CoACD's threshold of 0.075. Hulls have at most 64 corners, not 256, as the engines here allow,
-/// and objects at most 32 hulls: bumpy as pruned tetrahedra are, they would have sixty, and rollouts take twice as long.
-/// Stacks and things that do not rest are repaired as in our own way: the paper speaks of post-processing without saying how.
+/// The paper's way from Gaussians to bodies (section "Physics-ready scene" and its released code): discs sampled evenly and
+/// not moved to the measured depth, tetrahedra pruned by edge length, spheres as the only exact bodies, convex parts at
+/// CoACD's threshold of 0.075. Hulls have at most 64 corners instead of 256, a limit of the engines here, and objects at most
+/// 32 hulls: the bumpy pruned meshes would need sixty, and rollouts would take twice as long. Stacks and bodies that do not
+/// rest are repaired as in our own bodies, since the paper does not describe its post-processing.
 pub fn paper_entities() -> EntitiesConfig {
     let own = EntitiesConfig::default();
     EntitiesConfig {

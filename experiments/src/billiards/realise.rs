@@ -24,20 +24,20 @@ fn key(row: Row, shot: &Shot) -> Option<Key> {
 
 /// Outcomes of plans in one target.
 pub(super) struct Realised {
-    /// Objectives, metres; `None` where the engine could not finish the shot.
+    /// Objectives, metres; `None` if the engine could not finish the shot.
     pub(super) rows: BTreeMap<Row, Vec<Option<f64>>>,
-    /// Why not, of rows that have such shots.
+    /// Reasons, for rows with unfinished shots.
     pub(super) unfinished: BTreeMap<Row, Unfinished>,
     /// Motion of the robust plan.
     pub(super) motion: Option<Trajectory>,
 }
 
-/// Carries shots out in a target world.
+/// Executes shots in a target world.
 pub(super) struct Table<'a> {
     pub(super) target: &'a dyn Target,
     pub(super) truth: &'a TruthScene,
     pub(super) robot: &'a RobotConfig,
-    /// Objective of doing nothing, metres.
+    /// Objective without an action, metres.
     pub(super) idle_m: f64,
 }
 
@@ -66,7 +66,7 @@ impl Table<'_> {
         }
     }
 
-    /// Largest change of a shot's objective when every body of the truth stands up to `nudge_m` elsewhere, metres.
+    /// Largest change of a shot's objective when every true body moves by up to `nudge_m`, metres.
     pub(super) fn sensitivity_m(
         &self,
         view: View<'_>,

@@ -13,11 +13,11 @@ use std::path::Path;
 /// One plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
-    /// The strike; `None` if the planner found none that the robot can make. Nothing is done then.
+    /// The strike; `None` if the planner found none that the robot can make. The shot then does nothing.
     pub action: Option<Action>,
-    /// Objective in the scanned world, metres; the distance of target ball and goal in it where nothing is done.
+    /// Objective in the scanned world, metres; without an action, the distance of target ball and goal.
     pub predicted_m: f64,
-    /// Mean over worlds that played no part in the choice, where the plan has one.
+    /// Mean over worlds that were not used to choose it, if the plan has one.
     pub predicted_mean_m: Option<f64>,
     /// Rollouts.
     pub evaluations: usize,
@@ -28,7 +28,7 @@ pub struct Shot {
 }
 
 impl Shot {
-    /// Nothing is done, and the target ball stays so far from the goal.
+    /// The shot that does nothing: the target ball stays `idle_m` from the goal.
     pub(super) fn nothing(idle_m: f64) -> Self {
         Self {
             action: None,
@@ -40,7 +40,7 @@ impl Shot {
         }
     }
 
-    /// Predicted objective, metres: the mean over perturbed worlds where there is one, else the nominal one.
+    /// Predicted objective, metres: the mean over perturbed worlds if there is one, else the nominal one.
     pub(super) fn expected_m(&self) -> f64 {
         self.predicted_mean_m.unwrap_or(self.predicted_m)
     }
@@ -60,7 +60,7 @@ pub struct BilliardsScene {
     pub material_prior: MaterialPrior,
     /// Source of its geometry.
     pub geometry: BilliardsGeometry,
-    /// Distance of the target ball from the goal when nothing is done, metres (truth).
+    /// Distance of the target ball from the goal without an action, metres (truth).
     pub idle_m: f64,
     /// Objects of the true scene.
     pub objects: usize,
@@ -104,7 +104,7 @@ impl BilliardsScene {
         Some(values.iter().map(|v| v.unwrap_or(self.idle_m)).collect())
     }
 
-    /// Why the engine could not finish a shot; `None` where it could, or where the file does not tell (of an earlier version).
+    /// Reason that the engine could not finish a shot; `None` if it could, or in files of earlier versions.
     pub fn why_unfinished(&self, engine: &str, row: Row, start: usize) -> Option<&str> {
         self.unfinished.get(engine)?.get(&row)?.get(&start).map(String::as_str)
     }

@@ -1,4 +1,4 @@
-//! The paper's Table 1 with ours beside it.
+//! The paper's Table 1 and ours.
 
 use super::options::ENGINES;
 use super::{BilliardsScene, Replaced, Row, Shot, billiards_metrics};
@@ -130,7 +130,7 @@ fn unfinished(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
 fn per_scene(text: &mut String, scenes: &[&BilliardsScene], engine: &str) {
     let of = |s: &BilliardsScene, row: Row| s.realised_m(engine, row).unwrap_or_default();
     let single = |s: &BilliardsScene| of(s, Row::Robust).first().copied().unwrap_or(f64::NAN);
-    // Rows that were not asked for have nothing.
+    // Rows that were not requested are absent.
     let cm = |m: f64| if m.is_finite() { format!("{:.1}", 1e2 * m) } else { "-".to_owned() };
     let mut order = scenes.to_vec();
     order.sort_by(|a, b| single(b).total_cmp(&single(a)).then(a.number.cmp(&b.number)));
@@ -196,7 +196,7 @@ fn ablation(text: &mut String, scenes: &[&BilliardsScene]) {
     }
 }
 
-/// Where the time goes.
+/// CPU time by part.
 fn time(text: &mut String, scenes: &[&BilliardsScene]) {
     let mut parts: BTreeMap<&str, (f64, f64)> = BTreeMap::new();
     for (part, &seconds) in scenes.iter().flat_map(|s| &s.cpu_s) {

@@ -1,7 +1,7 @@
 //! Materials `vlm`: estimates of a vision-language model for the objects of a scan.
 //!
-//! The views that a model is shown are kept beside the scanned scene, so that it can be asked later, and on another machine than the
-//! one that scanned. They hold nothing of the truth except the camera's view.
+//! The views for the model are kept with the scanned scene, so that it can be asked later and on another machine. They contain
+//! nothing of the truth except the camera's view.
 
 use crate::BenchError;
 use serde::{Deserialize, Serialize};
@@ -62,8 +62,8 @@ pub(crate) fn keep_questions(
     atomic::write_json(&dir.join(QUESTIONS), &Kept { queries, questions })
 }
 
-/// Asks about the objects of the scene that is kept in `dir`, and tells `scene` what their materials are; of what the model does not
-/// answer the prior stays. Replies are kept in `cache`.
+/// Asks about the objects of the scene kept in `dir` and sets the materials of `scene`. Unanswered properties keep the prior.
+/// Replies are kept in `cache`.
 ///
 /// # Errors
 /// [`BenchError::Input`] where the scene was kept without views; [`BenchError::Unanswered`] where the server stops answering;
@@ -190,7 +190,7 @@ mod tests {
         for answers in [0, 1] {
             let Err(BenchError::Unanswered(why)) = tell(&mut scene, answers) else { panic!("it stops") };
             assert!(why.to_string().contains("http://server"), "{why}");
-            assert_eq!(scene, before, "what failed changes nothing");
+            assert_eq!(scene, before, "a failure changes nothing");
         }
         tell(&mut scene, 9).unwrap();
         assert_eq!(scene.bodies[2..], before.bodies[2..]);

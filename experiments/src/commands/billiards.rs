@@ -31,7 +31,7 @@ pub(crate) struct BilliardsArguments {
     /// The planner's knowledge of the true materials, one value after another.
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', default_value = "class")]
     pub materials: Vec<PriorName>,
-    /// Where the planner's geometry comes from.
+    /// Source of the planner's geometry.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
     /// Masks that the scans are given.
@@ -43,7 +43,7 @@ pub(crate) struct BilliardsArguments {
     /// Frames that are recorded of each scene (default: 60, with --quick 24).
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
-    /// Where the camera goes in the recordings.
+    /// Heights of the camera's path in the recordings.
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,
     /// Target engines (default: all that are built in).
@@ -55,8 +55,8 @@ pub(crate) struct BilliardsArguments {
     /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 6).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
-    /// Tell where the loss between predicted and realised comes from: shapes, poses, materials and engine are replaced by
-    /// the truth one at a time, and as many starts (default: 8) are planned again with each.
+    /// Attribute the loss between predicted and realised: shapes, poses, materials and engine are replaced by the truth one at a
+    /// time, and STARTS starts (default: 8) are planned again with each.
     #[arg(long, value_name = "STARTS", num_args = 0..=1, default_missing_value = "8")]
     pub ablation: Option<usize>,
     /// Seed of all plans.
@@ -80,7 +80,7 @@ pub(crate) struct BilliardsArguments {
     /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
-    /// Run nothing: print the results in the folder.
+    /// Only print the results in the folder.
     #[arg(long)]
     pub table: bool,
 }

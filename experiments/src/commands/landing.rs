@@ -45,11 +45,11 @@ pub(crate) struct LandingArguments {
     /// Also let a vision-language model choose (the paper's visual prompting); server and model by SMS_VLM_URL and SMS_VLM_MODEL.
     #[arg(long)]
     pub visual_prompting: bool,
-    /// Only every n-th flight, from the i-th (i/n, from 1). Shards meet in the folder of the results where they share it, else with
-    /// `sms-experiments merge`.
+    /// Only every n-th flight, from the i-th (i/n, from 1). Shards may share the folder of the results; otherwise merge
+    /// them with `sms-experiments merge`.
     #[arg(long, value_name = "I/N")]
     pub shard: Option<String>,
-    /// Where the planner's geometry comes from.
+    /// Source of the planner's geometry.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
     /// Masks that the scans are given.
@@ -85,7 +85,7 @@ pub(crate) struct LandingArguments {
     /// Only scan and make the bodies. Another run, also on another machine, resumes from the folder of --keep.
     #[arg(long, conflicts_with = "table")]
     pub scans_only: bool,
-    /// Run nothing: print the results in the folder.
+    /// Only print the results in the folder.
     #[arg(long)]
     pub table: bool,
 }

@@ -8,7 +8,7 @@ use sms_sim::WorldFactory;
 use sms_target::engine_factories;
 
 /// The planner's engine: its figures must be within the limits. Those of the targets are shown as they are
-/// (experiments/studies/target.md says why which is missed).
+/// (experiments/studies/target.md explains the misses).
 const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]

@@ -30,7 +30,7 @@ pub(crate) struct RobustArguments {
     #[arg(long, value_name = "N", default_value_t = 4000)]
     pub oracle: usize,
     /// Robust planners to compare: a TOML file with one table a planner, each with keys of `[plan]` (default: the
-    /// planner's settings). Planning for the scanned world alone costs as much as the first.
+    /// planner's settings). Nominal planning costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
     /// Let the arm strike, in planning and in the true worlds, in place of a kinematic finger.
@@ -134,7 +134,7 @@ fn robust_settings(bench: &RobustBench) -> Map<String, Value> {
     ])
 }
 
-/// Figures and table of merged parts of `sms-experiments robust`: all is known, and nothing runs.
+/// Figures and table of merged parts of `sms-experiments robust`, without new runs.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let engine: Option<String> = whole.setting("engine")?;
     let bench = RobustBench {

@@ -1,5 +1,5 @@
 //! The paper's landing experiment (section "Quadrotor Landing Scenario") on the four fixed structures, or on drawn ones: scan,
-//! materialize, plan from ten starts, and fly every plan in the target world; beside it, baselines that know nothing of wash.
+//! materialize, plan from ten starts, and fly every plan in the target world, together with baselines without a wash model.
 //!
 //! Plans use the scan and the material prior; only `run.rs` reads the truth: for the starts, for the prior of
 //! materials, and to fly plans. Every flight is a file,

@@ -15,8 +15,7 @@ use std::path::{Path, PathBuf};
 /// Version of the kept files; incremented when their content or its computation changes.
 const VERSION: u32 = 9;
 
-/// Platforms of scanned models are at least this high, metres: bin and table are 0.34 and 0.40 m high, lower than what is landed on
-/// else.
+/// Smallest height of platforms of scanned models, metres: bin and table are only 0.34 and 0.40 m high.
 const SCANNED_HEIGHT_M: f64 = 0.3;
 
 /// Distance of the planner's particles in the quick run, metres.
@@ -44,7 +43,7 @@ pub struct LandingPart {
     pub start: usize,
     /// The planner's knowledge of materials.
     pub material_prior: MaterialPrior,
-    /// Which draw of the noise; 0 where there is none.
+    /// Draw of the noise; 0 without noise.
     pub draw: usize,
 }
 
@@ -70,7 +69,7 @@ pub struct LandingBench<'a> {
     pub engine: TargetEngine,
     /// The planner.
     pub settings: LandingSettings,
-    /// Planners to compare with; they fly with materials `class` alone.
+    /// Planners to compare with; they use materials `class` only.
     pub baselines: Vec<LandingBaseline<'a>>,
     /// Seed of all plans.
     pub seed: Seed,
@@ -192,8 +191,8 @@ impl LandingBench<'_> {
     }
 }
 
-/// Name of a scene in keys: its structure's word, of drawn ones with their number, prefixed by `scanned_` where scanned models
-/// stand in it.
+/// Name of a scene in keys: the word of its structure, with the number for drawn ones, prefixed by `scanned_` for scanned
+/// models.
 pub(super) fn word(number: usize, scanned: bool) -> String {
     let structure = landing_structure(number as u64).as_str();
     let scanned = if scanned { "scanned_" } else { "" };

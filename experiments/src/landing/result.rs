@@ -14,12 +14,12 @@ pub struct LandingPlanned {
     pub action: Option<LandingAction>,
     /// Why nothing was planned.
     pub problem: Option<String>,
-    /// Which of the choosers of its name chose it (the model that was asked); empty where there is one.
+    /// Variant of the chooser (the model that was asked); empty if there is only one.
     #[serde(default)]
     pub variant: String,
-    /// Share of the planner's worlds in which it succeeds, where it has such.
+    /// Share of the planner's worlds in which it succeeds, if it has any.
     pub predicted_share: Option<f64>,
-    /// Objective in the planner's own world, where it has one.
+    /// Objective in the planner's own world, if it has one.
     pub predicted: Option<f64>,
     /// Whether it succeeds in the target.
     pub success: bool,
@@ -31,7 +31,7 @@ pub struct LandingPlanned {
     pub in_the_air: bool,
     /// Objective in the target (large ones are cut short).
     pub realised: Option<f64>,
-    /// Whether it succeeds where the target's wash is a turbulent jet.
+    /// Whether it succeeds with a turbulent jet as the target's wash.
     pub jet_success: Option<bool>,
     /// CPU seconds of planning.
     pub plan_cpu_s: f64,
@@ -46,7 +46,7 @@ pub struct LandingFlight {
     pub key: Hash,
     /// Number of the scene.
     pub scene: usize,
-    /// Whether scanned models stand in it, as far as there are such.
+    /// Whether scanned models replace shapes made in code, if they are present.
     pub scanned: bool,
     /// Engine of the target, with its label.
     pub engine: String,

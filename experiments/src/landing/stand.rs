@@ -9,12 +9,12 @@ use sms_sim::{LoadTest, RapierFactory, resting_drift, tipping_load_n};
 use sms_synth::{LandingTruth, TruthScene};
 use sms_target::{TargetError, match_bodies, scene_from_truth};
 
-/// Time that the structure is left alone, seconds.
+/// Time without a load, seconds.
 const STANDS_S: f64 = 2.0;
-/// Loads above this do not tell of a landing: three quadrotors, newtons.
+/// Largest load of interest for a landing: three quadrotors, newtons.
 const MOST_N: f64 = 35.0;
 
-/// The least load straight down at a point of the platform that topples the structure, newtons; infinite where none does.
+/// Smallest load straight down at a point of the platform that topples the structure, newtons; infinite if none does.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EdgeLoad {
     /// The point, in the world of the truth, metres.
@@ -27,29 +27,29 @@ pub struct EdgeLoad {
     pub true_masses_n: f64,
 }
 
-/// How a scanned structure stands.
+/// Stability of a scanned structure.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Standing {
     /// Largest drift of a body in 2 s without a load, metres.
     pub drift_m: f64,
     /// Largest turn of a body in 2 s without a load, radians.
     pub drift_rad: f64,
-    /// The load at the overhang's end, where less than three quadrotors tip the platform there in truth.
+    /// Load at the overhang's end, if less than three quadrotors tip the true platform there.
     pub end: Option<EdgeLoad>,
-    /// Loads at corners of the platform and in the middles of its edges, as far as less than that tips it there in truth.
+    /// Loads at the platform's corners and edge midpoints where less than that tips the true platform.
     pub edges: Vec<EdgeLoad>,
     /// Bodies of the structure that match no true object: they keep the prior's masses in [`EdgeLoad::true_masses_n`], too.
     pub unmatched: Vec<String>,
 }
 
 impl Standing {
-    /// Relative error of the load at the overhang's end, with the prior's masses and with the true ones; infinite where
-    /// no load tips it.
+    /// Relative error of the load at the overhang's end, with the prior's masses and with the true ones; infinite if no load
+    /// tips it.
     pub fn end_errors(&self) -> Option<[f64; 2]> {
         self.end.as_ref().map(EdgeLoad::errors)
     }
 
-    /// The largest such shares of all points.
+    /// The largest such errors of all points.
     pub fn worst_errors(&self) -> Option<[f64; 2]> {
         let worst = |a: [f64; 2], b: [f64; 2]| {
             let larger = |i: usize| if b[i].abs() > a[i].abs() { b[i] } else { a[i] };
@@ -68,7 +68,7 @@ impl Standing {
         };
         set("drift_m", self.drift_m);
         set("drift_rad", self.drift_rad);
-        // JSON has no infinity: where nothing tips the scanned structure its error is null, and counted here.
+        // JSON has no infinity: if nothing tips the scanned structure, the error is null and is counted here.
         set("tipping_points", self.loads().count() as f64);
         let held = |of: fn(&EdgeLoad) -> f64| self.loads().filter(|l| of(l).is_infinite()).count() as f64;
         set("tipping_points_held", held(|l| l.planner_n));
@@ -90,7 +90,7 @@ impl EdgeLoad {
     }
 }
 
-/// Lets the planner's structure stand, and loads its platform.
+/// Simulates the planner's structure without a load, then loads its platform.
 pub(super) fn standing(
     scene: &Scene,
     truth: &TruthScene,
@@ -126,7 +126,7 @@ pub(super) fn standing(
     Ok(found)
 }
 
-/// Corners and middles of the platform's edges but for the overhang's end.
+/// Corners and edge midpoints of the platform except for the overhang's end.
 fn edge_points(landing: &LandingTruth) -> Vec<DVec2> {
     let corners: Vec<DVec2> = landing.outline_w.iter().map(|&q| q.into()).collect();
     let with_middle = |i: usize| [corners[i], corners[i].midpoint(corners[(i + 1) % corners.len()])];
@@ -134,7 +134,7 @@ fn edge_points(landing: &LandingTruth) -> Vec<DVec2> {
     points.filter(|p| p.distance(landing.end_w.into()) > 1e-6).collect()
 }
 
-/// The scene with the masses of the truth where a body is in a true one's place, and the names of these bodies.
+/// Returns the scene with true masses for bodies that match a true one, and the names of these bodies.
 fn with_true_masses(scene: &Scene, truth: &TruthScene) -> Result<(Scene, Vec<String>), BenchError> {
     let mut there = scene_from_truth(truth).map_err(TargetError::from)?;
     for body in &mut there.bodies {

@@ -1,4 +1,4 @@
-//! The table beside the paper's, and the metrics.
+//! The table with the paper's figures, and the metrics.
 
 use super::options::word;
 use super::result::OURS;
@@ -118,7 +118,7 @@ fn scenes(flights: &[LandingFlight]) -> BTreeSet<usize> {
     flights.iter().map(|f| f.scene).collect()
 }
 
-/// Success by scene, beside the paper's (its four scenes differ: compare the means only).
+/// Success by scene with the paper's (its four scenes differ: compare means only).
 pub fn landing_table(flights: &[LandingFlight]) -> String {
     let mut text = String::new();
     let percent = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.0} %", 100.0 * v));

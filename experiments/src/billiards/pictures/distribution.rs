@@ -146,7 +146,7 @@ impl Axis {
             x + 9.0
         );
         for (k, &v) in values.iter().enumerate() {
-            // Beside each other by the golden ratio, so that equal values are seen as several.
+            // Offsets by the golden ratio keep equal values apart.
             let offset = 14.0 * ((k as f64 * 0.618_034).fract() - 0.5);
             let _ = write!(
                 svg,

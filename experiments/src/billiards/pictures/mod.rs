@@ -109,7 +109,7 @@ fn gallery(pictures: &[Picture]) -> Option<String> {
     })
 }
 
-/// Text as it may stand in HTML and SVG.
+/// Escapes text for HTML and SVG.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
