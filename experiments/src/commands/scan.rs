@@ -164,7 +164,7 @@ fn part_of_scans(
     shard
 }
 
-/// Figures and table of parts of `bench scan`.
+/// Figures and table of merged parts.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let scenes = whole.items.keys().map(|id| id.parse()).collect::<Result<Vec<BenchScene>, _>>()?;
     let mut metrics = Metrics::new();
