@@ -5,8 +5,8 @@
     python scripts/ray_shards.py --parts 8 --results RESULTS robust --seeds 1001..1032
     python scripts/ray_shards.py --parts 18 --results RESULTS --address auto billiards
 
-Without --address a Ray of this machine's cores is started. RESULTS is a folder that all nodes see; the program (--sms) lies
-in the same place on all of them. A part that fails is started again up to --retries times; billiards and landing resume.
+Without --address, Ray starts on this machine. All nodes must see the folder RESULTS and have the program (--sms) at the same
+path. A failed part is restarted up to --retries times; billiards and landing resume.
 """
 
 import argparse
@@ -22,7 +22,7 @@ def command(options: argparse.Namespace, part: int) -> list[str]:
     """The command of one part, counted from 1."""
     results = pathlib.Path(options.results).resolve()
     parts = results / "parts"
-    # Their results are folders, which parts may share: no two have the same scene or flight.
+    # Results in folders, which parts may share: no two parts have the same scene or flight.
     folder = options.bench in ("billiards", "landing", "masks", "scan")
     out = [str(parts)] if folder else [str(parts / f"{options.bench}-{part}.json")]
     keep = ["--keep", str(results / "scans")] if options.bench in ("billiards", "landing", "materialize") else []
@@ -32,7 +32,7 @@ def command(options: argparse.Namespace, part: int) -> list[str]:
 
 @ray.remote
 def run(arguments: list[str], threads: int) -> tuple[int, str]:
-    """Exit code and the end of the output."""
+    """Returns the exit code and the end of the output."""
     environment = {**os.environ, "RAYON_NUM_THREADS": str(threads)}
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
     return done.returncode, (done.stdout + done.stderr)[-2000:]
@@ -41,7 +41,7 @@ def run(arguments: list[str], threads: int) -> tuple[int, str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", type=int, required=True, help="number of parts")
-    parser.add_argument("--results", required=True, help="folder that all nodes see")
+    parser.add_argument("--results", required=True, help="folder visible to all nodes")
     parser.add_argument("--sms", default="sms-experiments", help="the program")
     parser.add_argument("--threads", type=int, default=2, help="cores of each part")
     parser.add_argument("--retries", type=int, default=1)
@@ -66,7 +66,7 @@ def main() -> int:
         if code == 0:
             print(f"part {part}/{options.parts} is done", flush=True)
         elif tries < options.retries:
-            print(f"part {part}/{options.parts} failed and is started again", flush=True)
+            print(f"part {part}/{options.parts} failed and is restarted", flush=True)
             running[task.remote(command(options, part), options.threads)] = (part, tries + 1)
         else:
             print(f"part {part}/{options.parts} failed:\n{said}", file=sys.stderr, flush=True)

@@ -6,8 +6,8 @@
 #
 # To run parts 7 and 9 of 18 again: PARTS=18 sbatch --array=7,9 scripts/slurm_array.sh RESULTS billiards
 #
-# RESULTS is a folder that all nodes see. SMS names the program (default: sms-experiments). Everything after the experiment's
-# name is passed on to it. Afterwards: sms-experiments merge RESULTS/parts --out RESULTS/merged
+# All nodes must see the folder RESULTS. SMS names the program (default: sms-experiments). Arguments after the experiment's name
+# are passed to it. Afterwards: sms-experiments merge RESULTS/parts --out RESULTS/merged
 #SBATCH --job-name=sms-experiments
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=6G
@@ -27,7 +27,7 @@ mkdir -p "$parts"
 export RAYON_NUM_THREADS="${SLURM_CPUS_PER_TASK:-2}"
 
 case "$bench" in
-# Results in folders: each scene or flight is in one part only, so all parts may share them.
+# Results in folders, which parts may share: no two parts have the same scene or flight.
 billiards | landing) out=(--out "$parts" --keep "$results/scans") ;;
 masks | scan) out=(--out "$parts") ;;
 materialize) out=(--out "$parts/$bench-$SLURM_ARRAY_TASK_ID.json" --keep "$results/scans") ;;

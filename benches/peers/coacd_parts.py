@@ -3,9 +3,9 @@
     cargo build --release -p sms-mesh --examples
     python benches/peers/coacd_parts.py MESH.obj ... [--threshold 0.05] [--max-vertices 64] [--out runs/parts] [--reuse]
 
-Each method decomposes each mesh in a process of its own, with two threads; timed is the decomposition alone, CPU seconds
-over all its threads. coacd's parts limit is off, its hulls get the same vertex limit (`decimate`), all else is its
-default. `--reuse` takes coacd's parts of an earlier run from OUT. Writes OUT/table.md and OUT/results.json.
+Each method decomposes each mesh in its own process with two threads. Times are of the decomposition only, CPU seconds over all
+threads. coacd has no limit on parts and the same vertex limit on hulls (`decimate`); its other settings are defaults.
+`--reuse` takes coacd's parts of an earlier run from OUT. Writes OUT/table.md and OUT/results.json.
 
 Union IoU: columns along z, jittered on a grid of GRID x GRID over the object's box. On each, the solid is where the
 mesh's signed crossings do not cancel, and the union where any hull is: lengths of overlap are exact along the column.
@@ -29,7 +29,7 @@ ENV = {"OMP_NUM_THREADS": str(THREADS), "OMP_WAIT_POLICY": "passive", "RAYON_NUM
 
 
 def read_obj(path: Path) -> tuple[list, list]:
-    """Vertices (merged where they are the same) and triangles (fans of polygons, degenerate ones left out)."""
+    """Returns vertices (duplicates merged) and triangles (fans of polygons, without degenerate ones)."""
     ids: dict[tuple, int] = {}
     index, triangles = [], []
     for line in path.read_text().splitlines():
@@ -185,7 +185,7 @@ class Estimator:
         self.solid = solid_columns(vertices, triangles, self.columns)
 
     def score(self, parts: list) -> dict:
-        """IoU of the union, and the shares of the solid that are missed and that are added around it."""
+        """IoU of the union, and the missed and added shares of the solid."""
         hulls: list[list] = [[] for _ in self.solid]
         for index, low, high in hull_columns(parts, self.columns):
             for i, a, b in zip(index.tolist(), low.tolist(), high.tolist()):
@@ -236,7 +236,7 @@ def table(rows: list[dict]) -> str:
 
 
 def decompose(command: list[str], folder: Path, timeout_s: float) -> dict | None:
-    """Runs one method; its figures, or None with the reason on stderr."""
+    """Runs one method; returns its figures, or None with the reason on stderr."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*.obj"):
         old.unlink()

@@ -4,7 +4,7 @@
     benches/peers/delaunay_qhull.py [--points N ...] [--repeats N]
 
 Points in general position (near a sphere, as scans give them): the time of each and whether the sets of tetrahedra are
-the same. Degenerate sets (grid, box, duplicates, cospherical, coplanar), where many answers are right: no point strictly
+the same. Degenerate sets (grid, box, duplicates, cospherical, coplanar) have several valid answers: no point strictly
 inside the circumsphere of one of 400 tetrahedra, by exact rational arithmetic, and the hull's volume. Fails when a set
 differs or a sphere is not empty. Needs numpy and scipy.
 """
@@ -33,7 +33,7 @@ def ours(first, out):
 
 
 def qhull(points, repeats):
-    """The least of the wall times, and the tetrahedra."""
+    """The smallest wall time, and the tetrahedra."""
     seconds = float("inf")
     for _ in range(repeats):
         began = time.perf_counter()
@@ -64,7 +64,7 @@ def is_inside_exactly(corners, p):
 
 
 def check_predicate():
-    """The judge itself: both orders of corners; inside, outside, and on the sphere."""
+    """Checks the predicate: both orders of corners; inside, outside, and on the sphere."""
     corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     for order in ([0, 1, 2, 3], [1, 0, 2, 3]):
         found = [is_inside_exactly([corners[k] for k in order], [x] * 3) for x in (0.25, 1.01, 1.0, 0.999)]
@@ -72,7 +72,7 @@ def check_predicate():
 
 
 def violations(points, tetrahedra, rng):
-    """Sampled circumspheres that hold a point; floating point finds the suspects, exact arithmetic judges."""
+    """Sampled circumspheres that contain a point: floating point finds candidates, exact arithmetic decides."""
     chosen = rng.permutation(len(tetrahedra))[:SAMPLED]
     held = 0
     for t in chosen:

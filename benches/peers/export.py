@@ -50,7 +50,7 @@ class Export:
         )
 
     def _backdrop(self) -> np.ndarray:
-        """Mean colour where the training frames have no depth, shown where nothing is reconstructed (as ours is)."""
+        """Mean colour of training pixels without depth, the colour of unreconstructed pixels (as in ours)."""
         total, count = np.zeros(3), 0
         for frame in self.training():
             empty = frame.depth == 0
@@ -68,7 +68,7 @@ class Export:
 
 def edge_mask(depth: np.ndarray, pixels: int, relative: float = 0.02) -> np.ndarray:
     """Pixels within `pixels` of a depth edge. Inverse depth is linear over the image of a plane, so that its second
-    difference tells an edge from a slant."""
+    difference separates edges from slanted surfaces."""
     inverse = np.where(depth > 0, 1.0 / np.maximum(depth, 1e-6), np.nan)
     edge = np.zeros(depth.shape, bool)
     with np.errstate(invalid="ignore"):
@@ -82,7 +82,7 @@ def edge_mask(depth: np.ndarray, pixels: int, relative: float = 0.02) -> np.ndar
 
 
 def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
-    """A mask and what is within so many steps of it."""
+    """Dilates a mask by `steps` pixels."""
     for _ in range(pixels):
         more = mask.copy()
         more[1:] |= mask[:-1]
@@ -94,7 +94,7 @@ def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def write_points(path: Path, points: np.ndarray, labels: np.ndarray, room_m: float = 0.03) -> None:
-    """A binary PLY of points with labels (0: background). Of the background only what lies in the box around all
+    """A binary PLY of points with labels (0: background). Background points are kept only in the box around all
     objects is kept, `room_m` wider: the rest is scored nowhere and would be most of the file."""
     on = labels > 0
     if on.any():
@@ -110,7 +110,7 @@ def write_points(path: Path, points: np.ndarray, labels: np.ndarray, room_m: flo
 
 
 def write_view(folder: Path, frame: Frame, color: np.ndarray, depth: np.ndarray, label: np.ndarray | None) -> None:
-    """A held-out view as a reconstruction shows it: depth in tenths of millimetres, 0 where nothing is shown."""
+    """Writes a rendered held-out view: depth in tenths of millimetres, 0 for no depth."""
     for kind in ("color", "depth", "label"):
         (folder / kind).mkdir(parents=True, exist_ok=True)
     Image.fromarray((color.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(folder / "color" / f"{frame.name}.png")

@@ -1,13 +1,12 @@
-"""One evaluation of a landing by particles in Genesis and in ours: five seconds of flight of a quadrotor over a platform that
-hangs over a box, the same emitters, particles of the same size, sound speed and step, two threads each, in the same run.
+"""One evaluation of a landing with particles in Genesis and in ours: five seconds of flight of a quadrotor over an overhanging
+platform, with the same emitters, particle size, sound speed and step, two threads each, in the same run.
 
     python benches/peers/genesis_wash.py --out runs/genesis
 
-`cargo bench -p sms-sim --bench wash` times ours and writes where the propellers were in every step; Genesis (`pip install torch
-genesis-world`) plays them. Times are those of the steps: building the scene, which compiles Genesis's kernels, is not in them, nor
-are its first ten steps with particles, in which it compiles more. Genesis keeps particles until their places are needed for new
-ones; it is given as many places as ours has particles at most, once, and four times as many. `--seconds` ends the flight earlier
-for a quick look.
+`cargo bench -p sms-sim --bench wash` times ours and writes the propellers' positions in every step; Genesis (`pip install torch
+genesis-world`) replays them. Times exclude building the scene and Genesis's first ten steps with particles, in which it compiles
+kernels. Genesis keeps particles until their slots are needed; it gets as many slots as ours has particles at most, then four
+times as many. `--seconds` shortens the flight.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def read_job(path: Path) -> dict:
 
 
 def run_ours(out: Path, spacing: float) -> dict:
-    """Seconds of our evaluation, and how many particles it had at most; leaves the propellers' places in `out`."""
+    """Seconds of our evaluation and its largest number of particles; writes the propellers' positions to `out`."""
     command = ["cargo", "bench", "-q", "-p", "sms-sim", "--bench", "wash", "--", str(spacing), f"emitters={out}"]
     env = {**os.environ, "RAYON_NUM_THREADS": str(THREADS)}
     done = subprocess.run(command, cwd=ROOT, env=env, check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -145,7 +144,7 @@ class Flight:
 
 
 def genesis_in_own_process(job: Path, places: int, seconds: float | None) -> dict:
-    """Genesis can be set up once in a process."""
+    """Runs Genesis in its own process: it can be set up only once in a process."""
     command = [sys.executable, __file__, "--job", str(job), "--places", str(places)]
     if seconds is not None:
         command += ["--seconds", str(seconds)]

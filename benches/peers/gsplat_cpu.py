@@ -1,8 +1,8 @@
 """gsplat's pure PyTorch rasteriser, made to run without a GPU.
 
-`gsplat.cuda._torch_impl` holds a PyTorch version of everything but two things, for which it calls CUDA: which
-Gaussians touch which pixel (`rasterize_to_indices_in_range`), and the transmittance along a pixel
-(`nerfacc.render_weight_from_alpha`). Both are supplied here in vectorised PyTorch, with a gradient by one suffix sum;
+`gsplat.cuda._torch_impl` is in PyTorch except for two functions that call CUDA: the list of Gaussians by
+pixel (`rasterize_to_indices_in_range`), and the transmittance along a
+pixel (`nerfacc.render_weight_from_alpha`). Both are implemented here in vectorised PyTorch, with a gradient by one suffix sum;
 projection and compositing (`_fully_fused_projection`, `accumulate`) are gsplat's own. Its `_isect_tiles`, a Python
 loop over Gaussians that only the first of the two needs, is not used; `gsplat_step.py` can time it.
 """
@@ -91,8 +91,8 @@ def _ranges(low, high, size):
 def list_pairs(means2d, conics, opacities, depths, radii, width, height):
     """(Gaussian, pixel) pairs that contribute, pixel by pixel and front to back within each.
 
-    The box of a Gaussian is where its alpha can reach 1/255, which is what gsplat's CUDA kernels use too; pairs below
-    that and those behind a transmittance of 1e-4 are left out, as there. Returns two int64 tensors.
+    As in gsplat's CUDA kernels, the box of a Gaussian is where its alpha can reach 1/255, and pairs below that or behind a
+    transmittance of 1e-4 are left out. Returns two int64 tensors.
     """
     visible = (radii > 0).all(-1) & (opacities > ALPHA_MIN)
     ids = torch.nonzero(visible)[:, 0]
@@ -156,7 +156,7 @@ def rasterise_cuda(means, quats, scales, opacities, features, viewmat, K, width,
 
 
 def best_rasteriser():
-    """The CUDA rasteriser where there is a GPU, else the PyTorch one; with its name."""
+    """The CUDA rasteriser if there is a GPU, else the PyTorch one; with its name."""
     if torch.cuda.is_available():
         return rasterise_cuda, "cuda"
     return rasterise, "torch-cpu"

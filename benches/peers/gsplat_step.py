@@ -3,14 +3,14 @@
     python gsplat_step.py EXPORT SCENE.ply [--channels 3] [--ours RESULTS.json] [--limit N] [--as-shipped]
 
 EXPORT is what `sms-experiments scan --export` wrote of the scene, SCENE.ply what `--out DIR` left in DIR/SCENE/scan, and
-RESULTS.json the results.json there, whose step is printed beside (`--device gpu`: the step on the first frame).
+RESULTS.json its results.json, whose step is printed for comparison (`--device gpu`: the step on the first frame).
 
 A step is forward and backward of L1 + SSIM on colour and L1 on depth for one training view of the export, and Adam. With
-22 channels it also composites what ours does (normals and 16 affinities, with an L1 loss). Ours does more: the classifier
-with its cross-entropy, and regularisers. Prints JSON.
+22 channels it also composites normals and 16 affinities, with an L1 loss. Ours also computes the classifier with its
+cross-entropy, and regularisers. Prints JSON.
 
-On a GPU, Adam is PyTorch's fused one, and times are of submissions of 20 steps without waiting, as ours are; beside them
-stands the sum of the kernels' own times, without what PyTorch takes to launch them. On the CPU, `--as-shipped` also times
+On a GPU, Adam is PyTorch's fused one, and times are of submissions of 20 steps without waiting, as ours; the sum of kernel
+times without launches is printed too. On the CPU, `--as-shipped` also times
 gsplat's own listing of tiles (`_isect_tiles`, a Python loop), which is measured on a share of the Gaussians and scaled up.
 """
 
@@ -123,7 +123,7 @@ def time_on_gpu(step, views, steps: int = 20, batches: int = 9) -> dict:
     with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profiler:
         batch_ms(first)
     kernels_us = sum(e.self_device_time_total for e in profiler.key_averages())
-    if kernels_us > 0.0:  # some drivers tell nothing
+    if kernels_us > 0.0:  # some drivers report nothing
         result["step_kernels_ms"] = 1e-3 * kernels_us / steps
     result["step_views_ms"] = statistics.median(batch_ms(views) for _ in range(3))
     result["device_bytes"] = torch.cuda.max_memory_allocated()

@@ -1,18 +1,18 @@
-"""Trains gsplat on an exported scan within a limit of CPU time, and writes what is scored.
+"""Trains gsplat on an exported scan within a limit of CPU time, and writes the files that are scored.
 
     python gsplat_train.py EXPORT --out DIR [--cpu-seconds 100] [--steps 7000] [--gaussians 30000]
 
 Writes DIR/surface.ply (points sampled on the Gaussians' discs, with labels), DIR/rendered.ply (points of the depth
 rendered at every fourth training view, with labels) and DIR/views/ (rendered held-out views), and prints its time,
-memory and the schedule that it got as JSON. The rasteriser is gsplat's own: on CUDA where there
-is a GPU, else its PyTorch functions (see gsplat_cpu.py).
+memory and the schedule that it got as JSON. The rasteriser is gsplat's own: CUDA if there is a
+GPU, else its PyTorch functions (see gsplat_cpu.py).
 
 The recipe is that of gsplat's `simple_trainer.py`: (1 - 0.2) L1 + 0.2 (1 - SSIM) on colour and its learning rates, plus
 L1 on depth normalised by opacity, since the peers are given depth. Gaussians start from the depth images: points of
 all training frames, averaged in cells, as discs along the normal of their neighbourhood. Their number is fixed;
-densification is for scans without depth. Centres thus start on measured surfaces, so that their learning rate is lower
-than there (1.6e-4 of the scene's extent would carry them off by millimetres). Labels are not learnt: each Gaussian
-keeps the label that most of its cell's points have, and labels of views are composited from those.
+densification is for scans without depth. Centres start on measured surfaces, so their learning rate is lower than
+gsplat's (1.6e-4 of the scene's extent would move them by millimetres). Labels are not learnt: each Gaussian keeps the
+most frequent label of its cell, and labels of views are composited from those.
 """
 
 import argparse
@@ -128,7 +128,7 @@ class Model:
         self.opacities, self.colors = tensor(opacity), tensor(rgb)
 
     def optimiser(self, position_rate: float) -> torch.optim.Adam:
-        """gsplat's `simple_trainer` defaults but for the centres'; colours directly, not by the constant harmonic."""
+        """gsplat's `simple_trainer` defaults except for the centres; colours directly instead of by the constant harmonic."""
         rates = [(self.means, position_rate), (self.scales, 5e-3), (self.quats, 1e-3)]
         rates += [(self.opacities, 5e-2), (self.colors, 2.5e-3)]
         return torch.optim.Adam([{"params": [p], "lr": lr} for p, lr in rates], eps=1e-15)

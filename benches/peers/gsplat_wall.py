@@ -1,10 +1,10 @@
-"""Times gsplat's training step on the fixed wall that our GPU benchmark takes, on a CUDA device.
+"""Times gsplat's training step on the fixed wall of our GPU benchmark, on a CUDA device.
 
     cargo run --release -p sms-gaussians-gpu --example step_times -- 50000 640 400 --export DIR
     python gsplat_wall.py DIR [--repeats 50]
 
-A step is forward and backward of L1 on 22 channels (colour 3, normal 3, affinity 16) and depth, and fused Adam. Ours
-does more in its step: SSIM, the classifier with cross-entropy, and regularisers. Prints JSON.
+A step is forward and backward of L1 on 22 channels (colour 3, normal 3, affinity 16) and depth, and fused Adam. Our
+step also computes SSIM, the classifier with cross-entropy, and regularisers. Prints JSON.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Time and memory of work, inside a process and of a whole one. Standard library only."""
+"""Time and memory of a block and of a whole process. Standard library only."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Finished:
     timed_out: bool
 
     def json(self) -> dict:
-        """The JSON object that the child printed last; raises ValueError when there is none."""
+        """The last JSON object that the child printed; raises ValueError if there is none."""
         text = self.stdout
         start = 0 if text.lstrip().startswith("{") else text.rfind("\n{") + 1
         found = json.loads(text[start:])
@@ -62,7 +62,7 @@ class Finished:
         return found
 
     def why(self) -> str:
-        """One line that says why it failed."""
+        """One line with the reason of the failure."""
         if self.timed_out:
             return f"stopped after {self.wall_s:.0f} s"
         lines = [line.strip() for line in self.stderr.splitlines() if line.strip()]
@@ -70,7 +70,7 @@ class Finished:
 
 
 def run(command: list[str], timeout_s: float, env: dict | None = None, cwd: Path | None = None) -> Finished:
-    """Runs a command and measures that process alone (its children's CPU included once it has waited for them)."""
+    """Runs a command and measures its process (with the CPU time of children it has waited for)."""
     began = time.perf_counter()
     try:
         child = subprocess.Popen(
@@ -82,7 +82,7 @@ def run(command: list[str], timeout_s: float, env: dict | None = None, cwd: Path
         )
     except OSError as error:
         return Finished(127, "", str(error), 0.0, 0.0, 0, False)
-    # Both pipes are drained by threads, so that wait4, which alone tells the usage of one child, can block here.
+    # Threads drain both pipes, so that wait4, the only call that reports the usage of one child, can block here.
     texts = {}
 
     def drain(name, pipe):

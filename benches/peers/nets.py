@@ -3,8 +3,8 @@
     cargo build --release -p sms-nets --example speed
     python benches/peers/nets.py [--repeats 3] [--ours target/release/examples/speed]
 
-Needs torch and transformers==5.23.0. Each runs in a process of its own with two threads; weights do not matter for time.
-The best of the repeats counts. On a busy machine compare CPU seconds, of the repeats alone and of all threads.
+Needs torch and transformers==5.23.0. Each runs in its own process with two threads; weights do not affect time. The best
+of the repeats counts. On a busy machine compare CPU seconds, which are of the repeats and of all threads.
 """
 
 from __future__ import annotations

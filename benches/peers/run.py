@@ -1,9 +1,9 @@
-"""sms, open3d's TSDF fusion and gsplat side by side, on the same frames and scored by the same program.
+"""Compares sms, open3d's TSDF fusion and gsplat on the same frames, scored by the same program.
 
     python3 benches/peers/run.py [--scenes 3] [--preset standard] [--gsplat-cpu-seconds 100] [--out runs/peers]
 
-Run it from the repository's root after `cargo build --release`. It needs the standard library alone; the peers run in
-the environment that --python names (see README.md). A peer that cannot run gets a row that says why. Writes
+Run it from the repository's root after `cargo build --release`. It needs only the standard library; the peers run in
+the environment of --python (see README.md). A peer that cannot run gets a row with the reason. Writes
 OUT/table.md and OUT/results.json and prints the table.
 """
 
@@ -42,7 +42,7 @@ PEER_ENV = {"OMP_WAIT_POLICY": "passive"}
 
 @dataclass
 class Row:
-    """One method on one scene. `figures` has the keys of COSTS and SCORED; what is missing is not applicable."""
+    """One method on one scene. `figures` has the keys of COSTS and SCORED; missing keys are not applicable."""
 
     method: str
     scene: str
@@ -60,7 +60,7 @@ TSDF = {
 
 
 def run_json(command: list, timeout_s: float, env: dict | None = None):
-    """The JSON that a command prints, and how it went; None with the reason when it failed."""
+    """Returns the JSON that a command prints and its process; None with the reason if it failed."""
     done = measure.run([str(c) for c in command], timeout_s, env, ROOT)
     if done.code != 0:
         return None, done, done.why()
@@ -82,7 +82,7 @@ def scored(args, export: Path, surface: Path | None, views: Path | None) -> tupl
 
 
 def pick(metrics: dict, prefix: str, names: dict | None = None) -> dict:
-    """Columns of flat metrics, those that are there and are numbers."""
+    """The columns of flat metrics that exist and are numbers."""
     names = names or {column: spec[0] for column, spec in SCORED.items()}
     found = {column: metrics.get(prefix + key) for column, key in names.items()}
     return {k: float(v) for k, v in found.items() if isinstance(v, (int, float))}
@@ -125,7 +125,7 @@ def tsdf(args, scene: str, name: str, options: str) -> Row:
     found, _, why = run_json(command, args.timeout, PEER_ENV)
     if found is None:
         return Row(name, scene, {}, f"did not run: {why}")
-    # Fused from object pixels alone, it shows no whole view.
+    # Fused from object pixels only, it has no whole view.
     views = None if "--objects" in options else out / "views"
     figures, note = scored(args, export, out / "surface.ply", views)
     figures |= {k: found[k] for k in COSTS}
@@ -153,7 +153,7 @@ def gsplat(args, scene: str, name: str) -> Row:
 
 
 def step(args, scene: str, folder: Path) -> dict | str:
-    """gsplat's step on the Gaussians of our scan, beside ours in that same scan."""
+    """gsplat's step on the Gaussians of our scan, and ours in the same scan."""
     model = folder / scene / "scan" / "scene.ply"
     if not model.is_file():
         return f"no {model.name} of our scan"
@@ -163,7 +163,7 @@ def step(args, scene: str, folder: Path) -> dict | str:
 
 
 def average(rows: list[Row]) -> Row:
-    """Means over scenes of what all of them have."""
+    """Means over scenes of the figures that all of them have."""
     done = [r for r in rows if r.figures]
     if not done:
         return Row(rows[0].method, "mean", {}, rows[0].notes)
@@ -263,7 +263,7 @@ def main() -> int:
             steps[scene] = step(args, scene, args.ours or args.out / "sms")
         rows = (ours(args, scenes) if args.ours else own) + peers
         text = table(rows) + (steps_text(steps, rows) if steps else "")
-        # After every scene: a run that is cut short leaves what it has.
+        # After every scene, so that an interrupted run leaves its results.
         (args.out / "table.md").write_text(text)
         record = {"preset": args.preset, "rows": [vars(r) for r in rows], "steps": steps, "cores": os.cpu_count()}
         (args.out / "results.json").write_text(json.dumps(record, indent=1) + "\n")

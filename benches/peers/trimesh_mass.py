@@ -4,7 +4,7 @@
     benches/peers/trimesh_mass.py [OBJ ...] [--write-reference]
 
 Compares `polyhedron_mass_properties` with trimesh on the shapes of crates/sms-core/tests/shapes and on further OBJ files
-that are closed (those that are not are named and left out), and fails when they differ by more than 1e-6, relative.
+that are closed (open meshes are named and left out), and fails if they differ by more than 1e-6, relative.
 --write-reference renews crates/sms-core/tests/trimesh_mass.json, which the test of the same name reads.
 Needs trimesh and numpy.
 """
@@ -24,7 +24,7 @@ LIMIT = 1e-6
 
 
 def load(path):
-    """The mesh with equal vertices joined, whatever texture coordinates they had."""
+    """The mesh with equal vertices joined, regardless of texture coordinates."""
     mesh = trimesh.load(path, force="mesh", process=False)
     vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]

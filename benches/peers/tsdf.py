@@ -1,14 +1,13 @@
-"""Fuses an exported scan by open3d's TSDF (`t.geometry.VoxelBlockGrid`, on the CPU) and writes what is scored.
+"""Fuses an exported scan by open3d's TSDF (`t.geometry.VoxelBlockGrid`, on the CPU) and writes the files that are scored.
 
     python tsdf.py EXPORT --out DIR [--voxel-mm 1.5] [--truncation 8] [--weight 3] [--edge 1]
 
 Writes DIR/surface.ply (points sampled on the mesh, with labels) and DIR/views/ (held-out views ray cast from the
-mesh), and prints its time, memory and settings as JSON. Timed is the fusion and the extraction of the mesh, with the
-frames already in memory, as the scan's own time is.
+mesh), and prints its time, memory and settings as JSON. Times are of fusion and mesh extraction with the frames in
+memory, as for our scan.
 
-Colour comes from the fused colour at the vertices. Labels are no part of TSDF fusion; so that it can be scored by
-object like the others, each vertex takes the vote of the training frames' masks in which it is seen at the surface.
-That is done outside the timed part.
+Colour comes from the fused colour at the vertices. TSDF fusion has no labels; to score it by object, each
+vertex takes the vote of the masks of the training frames that see it on the surface, outside the timed part.
 """
 
 import argparse
@@ -52,7 +51,7 @@ def fuse(scan: Export, frames, voxel_m: float, truncation_voxels: float, weight:
 
 
 def vote_labels(scan: Export, frames, vertices: np.ndarray, tolerance_m: float) -> np.ndarray:
-    """For each vertex the label that most frames' masks give it where their depth agrees that it is the surface."""
+    """For each vertex the most frequent label in the masks of frames whose depth shows it on the surface."""
     count = max((int(f.label[f.label < 65535].max(initial=0)) for f in frames if f.label is not None), default=0) + 1
     votes = np.zeros((len(vertices), count), np.uint16)
     height, width = frames[0].depth.shape

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Checks the GLB files of an export by the rules of glTF 2.0 that writers break (needs nothing but Python), and where trimesh
-is installed loads them with it.
+"""Checks the GLB files of an export by the rules of glTF 2.0 that writers often break (needs only Python), and loads them with
+trimesh if it is installed.
 
 usage: check_glb.py DIR
 
-One JSON object on standard output. Exit code 0 when it passed, 1 when not.
+One JSON object on standard output. Exit code 0 if it passed, else 1.
 """
 
 import json

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Loads an MJCF export into MuJoCo, leaves it alone for a second and compares it with its bodies.json.
+"""Loads an MJCF export into MuJoCo, simulates it for a second and compares it with its bodies.json.
 
 usage: check_mujoco.py DIR [--drift-mm 1] [--turn-deg 0.5]
 
 One JSON object on standard output: bodies, the worst drift and turn with their bodies, the largest relative error of
-masses and principal inertias, `passed`. Exit code 0 when it passed, 1 when not, 3 when MuJoCo is missing.
+masses and principal inertias, `passed`. Exit code 0 if it passed, 1 if not, 3 if MuJoCo is missing.
 """
 
 import sys
@@ -31,7 +31,7 @@ def main():
         errors.append(float("inf"))
 
     def poses():
-        # xipos is the mass centre, which is where a moving body's frame has its origin.
+        # xipos is the mass centre, the origin of a moving body's frame.
         return {b["name"]: (data.xipos[index[b["name"]]].copy(), data.xquat[index[b["name"]]].copy()) for b in moving}
 
     began = poses()

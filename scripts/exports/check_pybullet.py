@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Loads a URDF export into PyBullet with its own loader, leaves it alone for a second and compares it with bodies.json.
+"""Loads a URDF export into PyBullet with its own loader, simulates it for a second and compares it with bodies.json.
 
 usage: check_pybullet.py DIR [--drift-mm 1] [--turn-deg 0.5]
 
 One JSON object on standard output: bodies, the worst drift and turn with their bodies, the largest relative error of
-masses and principal inertias, `passed`. Exit code 0 when it passed, 1 when not, 3 when PyBullet is missing.
+masses and principal inertias, `passed`. Exit code 0 if it passed, 1 if not, 3 if PyBullet is missing.
 """
 
 import sys

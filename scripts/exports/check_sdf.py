@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Checks an SDFormat export: well-formed XML, the elements that the specification requires where it requires them, resources
-that are there, poses, masses and inertias as bodies.json has them. Needs nothing but Python.
+"""Checks an SDFormat export: well-formed XML, required elements in their places, existing resources, and poses, masses and inertias
+equal to bodies.json. Needs only Python.
 
 usage: check_sdf.py DIR
 
-One JSON object on standard output. Exit code 0 when it passed, 1 when not.
+One JSON object on standard output. Exit code 0 if it passed, else 1.
 """
 
 import json

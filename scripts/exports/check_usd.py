@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Opens a USD export, runs USD's own validators over it, lets UsdPhysics parse it and compares what it found with
+"""Opens a USD export, runs USD's own validators over it, parses it with UsdPhysics and compares the result with
 bodies.json.
 
 usage: check_usd.py DIR
 
-One JSON object on standard output. Exit code 0 when it passed, 1 when not, 3 when usd-core is missing.
+One JSON object on standard output. Exit code 0 if it passed, 1 if not, 3 if usd-core is missing.
 """
 
 import json
@@ -103,7 +103,7 @@ def inertia_error(body, axes, diagonal):
 
 
 def validators(stage):
-    """What USD's registered validators object to."""
+    """Errors of USD's registered validators."""
     from pxr import UsdValidation
 
     registry = UsdValidation.ValidationRegistry()

@@ -1,4 +1,4 @@
-"""What the checks of exports share."""
+"""Functions shared by the checks of exports."""
 
 import argparse
 import importlib
@@ -20,7 +20,7 @@ def arguments(doc, drift=True):
 
 
 def need(module):
-    """Leaves with code 3 where a module has no wheel for this Python."""
+    """Exits with code 3 if a module has no wheel for this Python."""
     try:
         importlib.import_module(module)
     except ImportError as error:
@@ -29,7 +29,7 @@ def need(module):
 
 
 def bodies(folder):
-    """bodies.json, and of its bodies those that move."""
+    """bodies.json, and its moving bodies."""
     scene = json.loads((folder / "bodies.json").read_text())
     return scene, [b for b in scene["bodies"] if b["kind"] == "dynamic"]
 
@@ -59,7 +59,7 @@ def mass_errors(body, mass, principal):
 
 
 def turn_deg(a, b):
-    """Angle between two unit quaternions, degrees; exact also where it is small."""
+    """Angle between two unit quaternions, degrees; exact for small angles too."""
     def product(p, q):
         return [p[0] * q[0] - sum(p[i] * q[i] for i in (1, 2, 3)),
                 p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -75,7 +75,7 @@ def moved(before, after):
 
 
 def start_errors(moving, began):
-    """How far bodies begin from where bodies.json has them: (mm, degrees), the largest of each."""
+    """Largest offsets of initial poses from bodies.json: (mm, degrees)."""
     def said(body):
         pose = body["pose_world"]
         return pose["position_m"], pose["quaternion_wxyz"]
@@ -84,7 +84,7 @@ def start_errors(moving, began):
 
 
 def finish(arguments, simulator, version, moving, began, ended, mass_error, start):
-    """Prints the result and leaves with 0 or 1."""
+    """Prints the result and exits with 0 or 1."""
     rows = {b["name"]: moved(began[b["name"]], ended[b["name"]]) for b in moving}
     nothing = ("", (0.0, 0.0))
     drift = max(rows.items(), key=lambda r: r[1][0], default=nothing)

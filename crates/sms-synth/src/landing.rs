@@ -65,7 +65,7 @@ impl LandingStructure {
     }
 
     /// Load at the end of the overhang that topples the fixed structure, newtons: such that a quadrotor that flies straight over
-    /// the overhang at 0.5 m/s topples it (docs/landing.md). Short overhangs are passed in less time, and need less.
+    /// the overhang at 0.5 m/s topples it. Short overhangs are passed in less time, and need less.
     pub fn fixed_end_load_n(self) -> f64 {
         match self {
             Self::BoxOnLadder => 1.75,
