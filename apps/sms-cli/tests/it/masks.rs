@@ -1,8 +1,6 @@
 //! What edits of `masks/labels.json` have done again, and what `sms masks --preview` shows.
 
-mod common;
-
-use common::{done, sms};
+use crate::common::{done, sms};
 use std::fs;
 use std::path::{Path, PathBuf};
 

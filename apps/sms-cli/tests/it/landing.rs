@@ -1,9 +1,7 @@
 //! A landing from a recording to the target world, and one that cannot be planned: the reason is told, stands in the report, and no
 //! earlier plan is taken for it.
 
-mod common;
-
-use common::{done, said, sms};
+use crate::common::{done, said, sms};
 use std::fs;
 
 #[test]

@@ -1,7 +1,5 @@
 //! `sms materials`: lists what objects are made of, keeps edits in the run, refuses what is wrong with exit code 2.
 
-mod common;
-
 use serde_json::Value;
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::{Entity, EntityKind, EntityShape, Hash, Mesh, PointCloud, RunFolder, StageState, Warnings};
@@ -10,7 +8,7 @@ use std::path::Path;
 use std::process::Output;
 
 fn materials(run: &Path, arguments: &[&str]) -> Output {
-    common::sms(&[&["materials", run.to_str().unwrap()], arguments].concat())
+    crate::common::sms(&[&["materials", run.to_str().unwrap()], arguments].concat())
 }
 
 fn text(output: &Output) -> String {

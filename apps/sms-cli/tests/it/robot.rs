@@ -1,8 +1,6 @@
 //! A plan for the robot is one that the robot can carry out: `sms plan`, then `sms robot`, on the sample scene.
 
-mod common;
-
-use common::{done, said, sms};
+use crate::common::{done, said, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;

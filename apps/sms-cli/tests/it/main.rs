@@ -1,0 +1,8 @@
+//! The commands of `sms`, started as a user starts them.
+
+mod common;
+mod faults;
+mod landing;
+mod masks;
+mod materials;
+mod robot;
