@@ -1,14 +1,13 @@
 //! Seeded billiards scenes (paper, appendix "Scene Generation").
 
 use crate::assets::{AssetKind, make_asset, make_pool_ball};
-use crate::materials::draw_material;
-use crate::scene::{TRUTH_VERSION, TruthFloor, TruthObject, TruthScene};
-use crate::texture::{Pattern, Texture};
+use crate::floor::draw_floor;
+use crate::random::uniform;
+use crate::scene::{TruthFloor, TruthObject, TruthScene, name_uniquely};
 use glamx::{DVec2, DVec3};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{Seed, StageRng};
-use std::collections::BTreeMap;
 
 /// How billiards scenes are generated. Lengths in metres, angles in radians.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -63,8 +62,6 @@ pub(crate) const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
 /// robot's base (see `CameraPath` and `RecordingSettings::fov_x`).
 pub(crate) const FRONTAL_SLOPE: f64 = 0.66;
 pub(crate) const FRONTAL_DISTANCE_M: f64 = 0.15;
-/// Half size of the floor.
-const FLOOR_HALF_SIZE_M: f64 = 1.5;
 /// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
 pub(crate) const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
 
@@ -76,46 +73,48 @@ pub(crate) const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
 pub fn generate_billiards(seed: Seed, settings: &BilliardsSettings) -> TruthScene {
     let scene_seed = seed;
     let seed = seed.derive("billiards scene v1");
-    let shot = draw_shot(seed, settings);
+    let balls = draw_positions(seed, settings);
     let mut rng = seed.derive("balls").rng();
     let mut objects =
-        vec![make_pool_ball(true, shot.cue, &mut rng), make_pool_ball(false, shot.target, &mut rng)];
+        vec![make_pool_ball(true, balls.cue, &mut rng), make_pool_ball(false, balls.target, &mut rng)];
     let kinds = choose_kinds(seed, settings);
     for (index, kind) in kinds.into_iter().enumerate() {
         let own = seed.derive_index("obstacle", index as u64);
-        if let Some(object) = place_obstacle(own, kind, settings, &shot, &objects) {
+        if let Some(object) = place_obstacle(own, kind, settings, &balls, &objects) {
             objects.push(object);
         }
     }
     name_uniquely(&mut objects);
+    let name = format!("billiards, seed {}", scene_seed.0);
+    billiards_truth(name, scene_seed, objects, draw_floor(scene_seed, seed), balls.goal)
+}
+
+/// The scene of a cue ball, a target ball and obstacles, in this order.
+pub(crate) fn billiards_truth(
+    name: String,
+    seed: Seed,
+    objects: Vec<TruthObject>,
+    floor: TruthFloor,
+    goal_w: DVec2,
+) -> TruthScene {
     TruthScene {
-        version: TRUTH_VERSION,
-        name: format!("billiards, seed {}", scene_seed.0),
-        seed: scene_seed,
         cue: objects[0].name.clone(),
         target: objects[1].name.clone(),
-        objects,
-        floor: draw_floor(scene_seed, seed),
-        goal_w: shot.goal.to_array(),
-        robot_base_w: DVec3::ZERO,
+        goal_w: goal_w.to_array(),
         workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
-        landing: None,
+        ..TruthScene::of_objects(name, seed, objects, floor)
     }
 }
 
-/// Places of the balls and the goal on the floor.
+/// Positions of the balls and the goal on the floor.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Shot {
+pub(crate) struct BallPositions {
     pub(crate) cue: DVec2,
     pub(crate) target: DVec2,
     pub(crate) goal: DVec2,
 }
 
-pub(crate) fn uniform(rng: &mut StageRng, [low, high]: [f64; 2]) -> f64 {
-    low + (high - low) * rng.random::<f64>()
-}
-
-fn draw_shot(seed: Seed, settings: &BilliardsSettings) -> Shot {
+fn draw_positions(seed: Seed, settings: &BilliardsSettings) -> BallPositions {
     let mut rng = seed.derive("shot").rng();
     // Shots straight ahead always fit, so that narrowing the spread ends the search whatever the settings.
     let mut spread = 1.0;
@@ -133,7 +132,7 @@ fn draw_shot(seed: Seed, settings: &BilliardsSettings) -> Shot {
             && target.y.abs() < 0.28
             && goal.y.abs() < 0.36;
         if fits || spread < 1e-3 {
-            return Shot { cue, target, goal };
+            return BallPositions { cue, target, goal };
         }
         spread *= 0.995;
     }
@@ -156,7 +155,7 @@ fn place_obstacle(
     seed: Seed,
     kind: AssetKind,
     settings: &BilliardsSettings,
-    shot: &Shot,
+    balls: &BallPositions,
     placed: &[TruthObject],
 ) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
@@ -167,7 +166,7 @@ fn place_obstacle(
         let size = settings.object_size * shrink;
         let mut object = make_asset(kind, DVec2::ZERO, yaw, size, &mut seed.derive("asset").rng());
         let radius = footprint_radius(&object);
-        if let Some(p) = find_place(&mut rng, radius, settings, shot, &others) {
+        if let Some(p) = find_place(&mut rng, radius, settings, balls, &others) {
             object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
             return Some(object);
         }
@@ -180,19 +179,19 @@ pub(crate) fn find_place(
     rng: &mut StageRng,
     radius: f64,
     settings: &BilliardsSettings,
-    shot: &Shot,
+    balls: &BallPositions,
     others: &[(DVec2, f64)],
 ) -> Option<DVec2> {
-    let behind = shot.cue - (shot.target - shot.cue).normalize() * SWEEP_M;
+    let behind = balls.cue - (balls.target - balls.cue).normalize() * SWEEP_M;
     for _ in 0..3000 {
         let p = DVec2::new(uniform(rng, [0.2, settings.reach_m]), uniform(rng, [-0.4, 0.4]));
         let half_width = WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M));
         let free = p.length() + radius <= settings.reach_m + 0.02
             && p.x - radius >= 0.16
             && p.y.abs() + radius <= half_width
-            && distance_to_segment(p, shot.cue, shot.target) >= radius + settings.corridor_half_width_m
-            && distance_to_segment(p, shot.target, shot.goal) >= radius + settings.corridor_half_width_m
-            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && distance_to_segment(p, balls.cue, balls.target) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, balls.target, balls.goal) >= radius + settings.corridor_half_width_m
+            && distance_to_segment(p, behind, balls.cue) >= radius + SWEEP_HALF_WIDTH_M
             && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
         if free {
             return Some(p);
@@ -227,39 +226,6 @@ pub(crate) fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
     let along = b - a;
     let t = ((p - a).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
     p.distance(a + along * t)
-}
-
-/// `mug`, `mug_2`, `mug_3` …
-pub(crate) fn name_uniquely(objects: &mut [TruthObject]) {
-    let mut used: BTreeMap<String, usize> = BTreeMap::new();
-    for object in objects {
-        let count = used.entry(object.name.clone()).or_default();
-        *count += 1;
-        if *count > 1 {
-            object.name = format!("{}_{count}", object.name);
-        }
-    }
-}
-
-/// Kinds of floor take turns with the seed's number, so that a few seeds show them all.
-pub(crate) fn draw_floor(scene_seed: Seed, seed: Seed) -> TruthFloor {
-    let mut rng = seed.derive("floor").rng();
-    let (class, pattern, color, accent, scale_m, gloss) = match scene_seed.0 % 3 {
-        1 => ("wood_floor", Pattern::Planks, [176, 132, 86], [120, 80, 46], 0.085, 0.5),
-        2 => ("tile_floor", Pattern::Tiles, [158, 164, 160], [92, 90, 86], 0.24, 0.6),
-        _ => ("stone_floor", Pattern::Terrazzo, [150, 146, 138], [222, 214, 198], 0.09, 0.55),
-    };
-    let texture = Texture {
-        pattern,
-        color,
-        accent,
-        scale_m,
-        seed: rng.random::<u32>(),
-        gloss,
-        metalness: 0.0,
-        spots: Vec::new(),
-    };
-    TruthFloor { half_size_m: FLOOR_HALF_SIZE_M, material: draw_material(class, &mut rng), texture }
 }
 
 #[cfg(test)]

@@ -4,10 +4,12 @@
 
 use crate::assets::{AssetKind, make_asset, make_pool_ball};
 use crate::billiards::{
-    FRONTAL_DISTANCE_M, FRONTAL_SLOPE, WORKSPACE_CENTER, WORKSPACE_HALF_WIDTH_M, distance_to_segment,
-    draw_floor, footprint, footprint_radius, name_uniquely, uniform,
+    FRONTAL_DISTANCE_M, FRONTAL_SLOPE, WORKSPACE_HALF_WIDTH_M, billiards_truth, distance_to_segment,
+    footprint, footprint_radius,
 };
-use crate::scene::{TRUTH_VERSION, TruthObject, TruthScene};
+use crate::floor::draw_floor;
+use crate::random::{pick, uniform};
+use crate::scene::{TruthObject, TruthScene, name_uniquely};
 use crate::{BALL_RADIUS_M, BilliardsSettings};
 use glamx::{DVec2, DVec3};
 use rand::RngExt;
@@ -85,7 +87,7 @@ const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 const GAP_M: f64 = 0.02;
 
 /// A shot as it is meant: places of the balls and the goal, the polyline of ways, and what stands where for it.
-struct Shot {
+struct PlannedShot {
     cue: DVec2,
     target: DVec2,
     goal: DVec2,
@@ -129,29 +131,18 @@ pub fn generate_challenge(layout: Layout, scene_seed: Seed, obstacles: usize) ->
         objects.extend(scatter(kind, &shot, &objects, seed.derive_index("obstacle", index as u64)));
     }
     name_uniquely(&mut objects);
-    Some(TruthScene {
-        version: TRUTH_VERSION,
-        name: format!("billiards, {}, seed {}", layout.as_str(), scene_seed.0),
-        seed: scene_seed,
-        cue: objects[0].name.clone(),
-        target: objects[1].name.clone(),
-        objects,
-        floor: draw_floor(scene_seed, seed),
-        goal_w: shot.goal.to_array(),
-        robot_base_w: DVec3::ZERO,
-        workspace_center_w: DVec3::from_array(WORKSPACE_CENTER),
-        landing: None,
-    })
+    let name = format!("billiards, {}, seed {}", layout.as_str(), scene_seed.0);
+    Some(billiards_truth(name, scene_seed, objects, draw_floor(scene_seed, seed), shot.goal))
 }
 
 /// Draws a shot; `None` where it leaves the workspace.
-fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
+fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
     let cue = DVec2::new(uniform(rng, [0.30, 0.42]), uniform(rng, [-0.12, 0.12]));
     let heading = uniform(rng, [-0.6, 0.6]);
     let side = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let along = |from: DVec2, angle: f64, by: f64| from + DVec2::from_angle(angle) * by;
-    let heavy = |rng: &mut StageRng| HEAVY[rng.random_range(0..HEAVY.len())];
-    let screen = |rng: &mut StageRng| SCREENS[rng.random_range(0..SCREENS.len())];
+    let heavy = |rng: &mut StageRng| pick(rng, &HEAVY);
+    let screen = |rng: &mut StageRng| pick(rng, &SCREENS);
     // A ball that comes along `from` and leaves along `to` turns at a surface that faces their difference.
     let facing = |from: f64, to: f64| (DVec2::from_angle(to) - DVec2::from_angle(from)).normalize();
     let target = match layout {
@@ -169,7 +160,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
                 let beyond = along(target, heading - 0.4 * side, uniform(rng, [0.16, 0.24]));
                 props.push(Prop { kind: AssetKind::CardboardBox, at: beyond, facing: None });
             }
-            Shot { cue, target, goal, ways: vec![(cue, target), (target, goal)], props }
+            PlannedShot { cue, target, goal, ways: vec![(cue, target), (target, goal)], props }
         }
         Layout::Backstop | Layout::TwoWays => {
             let first = heading + side * uniform(rng, [-0.3, 0.7]);
@@ -184,7 +175,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
             if far {
                 ways.push((target, goal));
             }
-            Shot { cue, target, goal, ways, props: vec![prop] }
+            PlannedShot { cue, target, goal, ways, props: vec![prop] }
         }
         Layout::Screened => {
             let cut = side * uniform(rng, [0.0, 0.5]);
@@ -197,7 +188,13 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
                 Prop { kind: screen(rng), at: between, facing: None },
                 Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
             ];
-            Shot { cue, target, goal, ways: vec![(cue, target), (target, aside), (aside, goal)], props }
+            PlannedShot {
+                cue,
+                target,
+                goal,
+                ways: vec![(cue, target), (target, aside), (aside, goal)],
+                props,
+            }
         }
         Layout::CueBank => {
             let between = cue.lerp(target, uniform(rng, [0.48, 0.60]));
@@ -209,7 +206,13 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
                 Prop { kind: screen(rng), at: between, facing: None },
                 Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
             ];
-            Shot { cue, target, goal, ways: vec![(cue, aside), (aside, target), (target, goal)], props }
+            PlannedShot {
+                cue,
+                target,
+                goal,
+                ways: vec![(cue, aside), (aside, target), (target, goal)],
+                props,
+            }
         }
         Layout::Chain => {
             let first = heading + side * uniform(rng, [-0.2, 0.5]);
@@ -226,7 +229,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<Shot> {
                 Prop { kind: AssetKind::PoolBall, at: at_ball, facing: Some(-line) },
             ];
             let ways = vec![(cue, target), (target, turn), (turn, at_ball), (at_ball, goal)];
-            Shot { cue, target, goal, ways, props }
+            PlannedShot { cue, target, goal, ways, props }
         }
     };
     let reach = BilliardsSettings::default().reach_m;
@@ -288,7 +291,7 @@ fn apart(a: &TruthObject, b: &TruthObject) -> f64 {
 }
 
 /// Whether a prop stands in a way that it is not meant to touch, or in the finger's.
-fn crosses(object: &TruthObject, shot: &Shot, prop: &Prop) -> bool {
+fn crosses(object: &TruthObject, shot: &PlannedShot, prop: &Prop) -> bool {
     let (center, radius) = footprint(object);
     let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
     let turns = |p: DVec2| prop.facing.is_some() && p.distance(prop.at) < 1e-9;
@@ -302,7 +305,7 @@ fn crosses(object: &TruthObject, shot: &Shot, prop: &Prop) -> bool {
 }
 
 /// Places one more obstacle where it leaves all ways free.
-fn scatter(kind: AssetKind, shot: &Shot, placed: &[TruthObject], seed: Seed) -> Option<TruthObject> {
+fn scatter(kind: AssetKind, shot: &PlannedShot, placed: &[TruthObject], seed: Seed) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
     let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
     let mut object = make_asset(kind, DVec2::ZERO, yaw, 1.0, &mut seed.derive("asset").rng());

@@ -1,11 +1,12 @@
 //! Structures on which a quadrotor lands, and which its wash or its weight could topple (paper, appendix on the quadrotor).
 
 use crate::assets::{Household, make_household};
-use crate::billiards::{draw_floor, uniform};
-use crate::scene::{TruthObject, TruthScene};
+use crate::floor::draw_floor;
+use crate::random::uniform;
+use crate::scene::{LandingTruth, TruthObject, TruthScene};
 use crate::stacked::{bounds_w, on_top};
-use crate::tipping::{Support, convex_hull, support};
-use glamx::{DVec2, DVec3};
+use crate::tipping::{convex_hull, support};
+use glamx::DVec2;
 use serde::{Deserialize, Serialize};
 use sms_core::Seed;
 
@@ -86,25 +87,6 @@ impl LandingStructure {
         scene.name = format!("landing scene {number} of 4 ({})", self.as_str());
         scene
     }
-}
-
-/// What is true of a landing structure besides its objects.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct LandingTruth {
-    /// Name of the object to land on.
-    pub platform: String,
-    /// Height of its top, metres.
-    pub top_m: f64,
-    /// Outline of its top, counterclockwise in the world's x and y, metres.
-    pub outline_w: Vec<[f64; 2]>,
-    /// Unit vector in the world's x and y from the base to the overhang's end.
-    pub overhang_w: [f64; 2],
-    /// The middle of the overhang's end, in the world's x and y, metres.
-    pub end_w: [f64; 2],
-    /// The levels at which the stack could come apart; see [`TruthScene::tipping_load_n`].
-    pub supports: Vec<Support>,
-    /// Where flights of the benchmark start: on a circle of 2 m around the structure, 0.35 m above the platform.
-    pub starts_w: Vec<DVec3>,
 }
 
 /// A structure whose sizes, colours, materials, turns and overhang follow from the seed; its base stands at the world's

@@ -1,8 +1,8 @@
 //! Scanned models as scenes: a mesh from files, standing on a floor, and an orbit of cameras scaled to its size.
 
-use crate::billiards::draw_floor;
+use crate::floor::draw_floor;
 use crate::materials::draw_material;
-use crate::scene::{Hollow, TRUTH_VERSION, TruthObject, TruthScene};
+use crate::scene::{Hollow, TruthObject, TruthScene};
 use crate::skin::Skin;
 use crate::texture::{Pattern, Texture};
 use glamx::{DPose3, DQuat, DVec3};
@@ -180,19 +180,8 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
     let density = material.density.value.best;
     let (object, skin) = standing(name, model, turn, material, density, rng.random::<u32>());
     let bounds = object.aabb_w();
-    let scene = TruthScene {
-        version: TRUTH_VERSION,
-        name: name.to_owned(),
-        seed,
-        cue: String::new(),
-        target: String::new(),
-        workspace_center_w: bounds.center(),
-        objects: vec![object],
-        floor: draw_floor(seed, seed),
-        goal_w: [0.0; 2],
-        robot_base_w: DVec3::ZERO,
-        landing: None,
-    };
+    let mut scene = TruthScene::of_objects(name.to_owned(), seed, vec![object], draw_floor(seed, seed));
+    scene.workspace_center_w = bounds.center();
     ModelScene { scene, skins: vec![skin] }
 }
 

@@ -1,9 +1,9 @@
 //! Scanned models among the obstacles of generated billiards scenes.
 
-use crate::billiards::{BilliardsSettings, Shot, find_place, footprint, generate_billiards, name_uniquely};
+use crate::billiards::{BallPositions, BilliardsSettings, find_place, footprint, generate_billiards};
 use crate::materials::{draw_material, with_effective_density};
 use crate::model::{Model, ModelScene, read_model, standing};
-use crate::scene::{Hollow, TruthObject};
+use crate::scene::{Hollow, TruthObject, name_uniquely};
 use crate::skin::Skin;
 use glamx::{DQuat, DVec2, DVec3};
 use rand::RngExt;
@@ -77,7 +77,11 @@ pub fn generate_billiards_among(
     let mut deck: Vec<&NamedModel> = models.iter().filter(|m| is_of_household_size(&m.model.mesh)).collect();
     let mut rng = seed.derive("kinds").rng();
     let at = |name: &str| scene.object(name).map(|o| o.x_wb.translation.truncate()).unwrap_or_default();
-    let shot = Shot { cue: at(&scene.cue), target: at(&scene.target), goal: DVec2::from_array(scene.goal_w) };
+    let balls = BallPositions {
+        cue: at(&scene.cue),
+        target: at(&scene.target),
+        goal: DVec2::from_array(scene.goal_w),
+    };
     for index in 0..scanned {
         if deck.is_empty() {
             break;
@@ -87,7 +91,7 @@ pub fn generate_billiards_among(
         let (mut object, skin) = make(chosen, own);
         let others: Vec<(DVec2, f64)> = scene.objects.iter().map(footprint).collect();
         let (center, radius) = footprint(&object);
-        if let Some(p) = find_place(&mut own.derive("place").rng(), radius, settings, &shot, &others) {
+        if let Some(p) = find_place(&mut own.derive("place").rng(), radius, settings, &balls, &others) {
             let p = p - center;
             object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);
             scene.objects.push(object);

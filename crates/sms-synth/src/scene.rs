@@ -1,14 +1,14 @@
 //! The truth of a generated scene. The planner never reads it: `execute`, `evaluate` and benchmarks do.
 
-use crate::landing::LandingTruth;
 use crate::texture::Texture;
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, CoreError, InputError, MassProperties, Material, Mesh, Seed, atomic};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Version of `truth.json`; readers refuse newer ones. 2: textures have `metalness`.
-pub const TRUTH_VERSION: u32 = 2;
+const TRUTH_VERSION: u32 = 2;
 
 /// A generated scene with everything that is true of it. World: metres, z up, floor at z = 0, robot base at the
 /// origin, the robot facing +x.
@@ -102,6 +102,38 @@ pub struct TruthFloor {
     pub texture: Texture,
 }
 
+/// What is true of a landing structure besides its objects.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandingTruth {
+    /// Name of the object to land on.
+    pub platform: String,
+    /// Height of its top, metres.
+    pub top_m: f64,
+    /// Outline of its top, counterclockwise in the world's x and y, metres.
+    pub outline_w: Vec<[f64; 2]>,
+    /// Unit vector in the world's x and y from the base to the overhang's end.
+    pub overhang_w: [f64; 2],
+    /// The middle of the overhang's end, in the world's x and y, metres.
+    pub end_w: [f64; 2],
+    /// The levels at which the stack could come apart; see [`TruthScene::tipping_load_n`].
+    pub supports: Vec<SupportLevel>,
+    /// Where flights of the benchmark start: on a circle of 2 m around the structure, 0.35 m above the platform.
+    pub starts_w: Vec<DVec3>,
+}
+
+/// A level at which a stack stands on what is below.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SupportLevel {
+    /// The objects above the level: the one that stands on it, and all that it carries.
+    pub above: Vec<String>,
+    /// What they stand on; `None` is the floor.
+    pub below: Option<String>,
+    /// Height of the level, metres.
+    pub height_m: f64,
+    /// Convex hull of the contact, counterclockwise in the world's x and y, metres.
+    pub footprint_w: Vec<[f64; 2]>,
+}
+
 impl TruthScene {
     /// Objects on a floor, without balls, goal or robot; the workspace's centre is the origin.
     pub(crate) fn of_objects(name: String, seed: Seed, objects: Vec<TruthObject>, floor: TruthFloor) -> Self {
@@ -138,6 +170,18 @@ impl TruthObject {
         match self.sphere_radius {
             Some(r) => Aabb { min: center - DVec3::splat(r), max: center + DVec3::splat(r) },
             None => self.mesh_w().aabb().unwrap_or(Aabb { min: center, max: center }),
+        }
+    }
+}
+
+/// Makes names unique by numbering repeated ones: `mug`, `mug_2`, `mug_3` …
+pub(crate) fn name_uniquely(objects: &mut [TruthObject]) {
+    let mut used: BTreeMap<String, usize> = BTreeMap::new();
+    for object in objects {
+        let count = used.entry(object.name.clone()).or_default();
+        *count += 1;
+        if *count > 1 {
+            object.name = format!("{}_{count}", object.name);
         }
     }
 }

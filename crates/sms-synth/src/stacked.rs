@@ -1,10 +1,10 @@
 //! Structures of things that stand on each other or touch, for masks: what a connected surface does not tell apart.
 
 use crate::assets::{AssetKind, Furniture, make_asset, make_furniture, make_pool_ball};
-use crate::billiards::{draw_floor, name_uniquely};
-use crate::scene::{TruthObject, TruthScene};
+use crate::floor::draw_floor;
+use crate::random::uniform;
+use crate::scene::{TruthObject, TruthScene, name_uniquely};
 use glamx::{DPose3, DVec2, DVec3};
-use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Seed};
 
@@ -43,7 +43,7 @@ impl Structure {
 pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
     let seed = scene_seed.derive("stacked v1").derive(structure.as_str());
     let mut rng = seed.derive("layout").rng();
-    let mut draw = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+    let mut draw = |low: f64, high: f64| uniform(&mut rng, [low, high]);
     let yaw = draw(0.0, std::f64::consts::TAU);
     let along = DVec2::from_angle(yaw);
     let furniture = |kind: Furniture, p_w: DVec2, yaw: f64| {

@@ -1,8 +1,7 @@
 //! When a stack topples: closed forms of statics.
 
-use crate::scene::{TruthObject, TruthScene};
+use crate::scene::{SupportLevel, TruthObject, TruthScene};
 use glamx::DVec2;
-use serde::{Deserialize, Serialize};
 use sms_core::Mesh;
 
 /// Acceleration of gravity, m/s².
@@ -12,20 +11,7 @@ const TOUCH_M: f64 = 1e-6;
 /// The same of scanned models, whose faces are less level.
 const SCANNED_TOUCH_M: f64 = 1e-4;
 
-/// A level at which a stack stands on what is below.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Support {
-    /// The objects above the level: the one that stands on it, and all that it carries.
-    pub above: Vec<String>,
-    /// What they stand on; `None` is the floor.
-    pub below: Option<String>,
-    /// Height of the level, metres.
-    pub height_m: f64,
-    /// Convex hull of the contact, counterclockwise in the world's x and y, metres.
-    pub footprint_w: Vec<[f64; 2]>,
-}
-
-impl Support {
+impl SupportLevel {
     /// The smallest force straight down at `p_w` (metres) that tips what is above, of the given mass (kg) and centre of mass,
     /// over an edge of the contact, newtons. Infinite where no force does, 0 where it topples without one.
     ///
@@ -62,7 +48,7 @@ impl TruthScene {
     }
 
     /// As [`TruthScene::tipping_load_n`], of one level; the point may lie on anything above it.
-    pub fn support_load_n(&self, support: &Support, p_w: DVec2) -> f64 {
+    pub fn support_load_n(&self, support: &SupportLevel, p_w: DVec2) -> f64 {
         let above = || self.objects.iter().filter(|o| support.above.contains(&o.name));
         let mass: f64 = above().map(|o| o.mass.mass()).sum();
         let moment: DVec2 = above().map(|o| o.x_wb.translation.truncate() * o.mass.mass()).sum();
@@ -71,7 +57,11 @@ impl TruthScene {
 }
 
 /// The level at which `upper` stands on `lower` (the floor: `None`): the convex hull of where its lowest faces meet upper faces.
-pub(crate) fn support(upper: &TruthObject, lower: Option<&TruthObject>, carried: &[&TruthObject]) -> Support {
+pub(crate) fn support(
+    upper: &TruthObject,
+    lower: Option<&TruthObject>,
+    carried: &[&TruthObject],
+) -> SupportLevel {
     let height = upper.aabb_w().min.z;
     let feet = level(upper, height, false);
     let points: Vec<DVec2> = match lower {
@@ -83,7 +73,7 @@ pub(crate) fn support(upper: &TruthObject, lower: Option<&TruthObject>, carried:
         }
     };
     let names = std::iter::once(upper).chain(carried.iter().copied()).map(|o| o.name.clone());
-    Support {
+    SupportLevel {
         above: names.collect(),
         below: lower.map(|o| o.name.clone()),
         height_m: height,
@@ -197,9 +187,9 @@ fn common(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
 mod tests {
     use super::*;
 
-    fn square(half: f64) -> Support {
+    fn square(half: f64) -> SupportLevel {
         let footprint_w = vec![[-half, -half], [half, -half], [half, half], [-half, half]];
-        Support { above: vec![], below: None, height_m: 0.0, footprint_w }
+        SupportLevel { above: vec![], below: None, height_m: 0.0, footprint_w }
     }
 
     #[test]

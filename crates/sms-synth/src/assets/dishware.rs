@@ -1,6 +1,7 @@
 //! Turned dishware: vessels with true walls and cavities, and a bottle.
 
-use super::{Blueprint, HollowKind, SEGMENTS, pick, texture, uniform};
+use super::blueprint::{Blueprint, HollowKind, SEGMENTS, texture};
+use crate::random::{pick, uniform};
 use crate::shapes::{Handle, lathe_solid, lathe_vessel};
 use crate::texture::{Pattern, Spot};
 use glamx::DVec2;
@@ -18,8 +19,8 @@ const GLAZES: [([u8; 3], [u8; 3]); 5] = [
 ];
 
 pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
-    let (rim, height) = (uniform(rng, 0.065, 0.08) * size, uniform(rng, 0.05, 0.06) * size);
-    let wall = uniform(rng, 0.0045, 0.0055);
+    let (rim, height) = (uniform(rng, [0.065, 0.08]) * size, uniform(rng, [0.05, 0.06]) * size);
+    let wall = uniform(rng, [0.0045, 0.0055]);
     let (base, floor) = (0.45 * rim, 0.008);
     // Outside: a quarter of an ellipse from the foot to the rim. Inside: its parallel curve, from where the wall has
     // its full thickness at the height of the cavity's flat bottom.
@@ -54,8 +55,8 @@ pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn plate(rng: &mut StageRng, size: f64) -> Blueprint {
-    let rim = uniform(rng, 0.075, 0.09) * size;
-    let (height, wall, floor) = (uniform(rng, 0.020, 0.026), 0.005, 0.006);
+    let rim = uniform(rng, [0.075, 0.09]) * size;
+    let (height, wall, floor) = (uniform(rng, [0.020, 0.026]), 0.005, 0.006);
     let outer = [(0.58 * rim, 0.0), (0.64 * rim, floor), (0.84 * rim, 0.62 * height), (rim, height)];
     let inner = [(0.50 * rim, floor), (0.82 * rim, 0.62 * height + wall), (rim - 0.002, height + 0.8 * wall)];
     let glaze = pick(rng, &GLAZES);
@@ -72,18 +73,18 @@ pub(super) fn plate(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
-    let (radius, height) = (uniform(rng, 0.038, 0.044) * size, uniform(rng, 0.085, 0.10) * size);
-    let (wall, floor) = (uniform(rng, 0.0042, 0.005), 0.007);
+    let (radius, height) = (uniform(rng, [0.038, 0.044]) * size, uniform(rng, [0.085, 0.10]) * size);
+    let (wall, floor) = (uniform(rng, [0.0042, 0.005]), 0.007);
     let band = 0.1 * height;
-    let low = uniform(rng, 0.2, 0.26) * height;
-    let high = uniform(rng, 0.68, 0.74) * height;
+    let low = uniform(rng, [0.2, 0.26]) * height;
+    let high = uniform(rng, [0.68, 0.74]) * height;
     let z = [0.003, floor, low, low + band, high, high + band, height - 0.002];
     let mut outer: Vec<_> = z.iter().map(|&z| (radius, z)).collect();
     outer[0] = (radius - 0.002, 0.0);
     let mut inner: Vec<_> = z[1..].iter().map(|&z| (radius - wall, z)).collect();
     outer.push((radius - 0.001, height));
     inner.push((radius - wall + 0.001, height));
-    let handle = Handle { low_band: 2, high_band: 4, reach: uniform(rng, 0.026, 0.032), thickness: 0.0085 };
+    let handle = Handle { low_band: 2, high_band: 4, reach: uniform(rng, [0.026, 0.032]), thickness: 0.0085 };
     let glaze = pick(rng, &GLAZES);
     Blueprint {
         name: "mug",
@@ -98,8 +99,8 @@ pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
-    let (height, belly) = (uniform(rng, 0.14, 0.19) * size, uniform(rng, 0.042, 0.052) * size);
-    let (neck, wall, floor) = (uniform(rng, 0.018, 0.024) * size, 0.005, 0.010);
+    let (height, belly) = (uniform(rng, [0.14, 0.19]) * size, uniform(rng, [0.042, 0.052]) * size);
+    let (neck, wall, floor) = (uniform(rng, [0.018, 0.024]) * size, 0.005, 0.010);
     let base = 0.7 * belly;
     let bands = 8;
     let mut outer = vec![(base, 0.0)];
@@ -132,7 +133,7 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
 
 /// A full food can: what it holds and its steel are one substance of their mean density.
 pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
-    let (radius, height) = (uniform(rng, 0.032, 0.037) * size, uniform(rng, 0.09, 0.11) * size);
+    let (radius, height) = (uniform(rng, [0.032, 0.037]) * size, uniform(rng, [0.09, 0.11]) * size);
     let rim = 0.0015;
     let profile = [
         (radius - 0.002, 0.0),
@@ -161,7 +162,7 @@ pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
-    let (radius, height) = (uniform(rng, 0.030, 0.037) * size, uniform(rng, 0.15, 0.19) * size);
+    let (radius, height) = (uniform(rng, [0.030, 0.037]) * size, uniform(rng, [0.15, 0.19]) * size);
     let (neck, cap) = (0.42 * radius, 0.52 * radius);
     let mut profile =
         vec![(radius - 0.003, 0.0), (radius, 0.004), (radius, 0.30 * height), (radius, 0.60 * height)];
@@ -177,7 +178,7 @@ pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
         (cap, 0.985 * height),
         (0.85 * cap, height),
     ]);
-    let wall = uniform(rng, 0.0014, 0.0022);
+    let wall = uniform(rng, [0.0014, 0.0022]);
     let inner: Vec<_> = profile.iter().map(|&(r, z)| (r - wall, z.clamp(wall, height - wall))).collect();
     let mut void = vec![inner[0]];
     void.extend(inner.windows(2).filter(|w| w[1].1 > w[0].1).map(|w| w[1]));

@@ -1,6 +1,7 @@
 //! Statues and toys.
 
-use super::{Blueprint, HollowKind, SEGMENTS, brass, pick, texture, uniform};
+use super::blueprint::{Blueprint, HollowKind, SEGMENTS, brass, texture};
+use crate::random::{pick, uniform};
 use crate::shapes::{Cuboid, Ellipsoid, cuboid_union, ellipsoid_union, lathe_solid};
 use crate::texture::{Pattern, Spot};
 use glamx::DVec3;
@@ -10,8 +11,8 @@ use sms_core::StageRng;
 const FIGURE_CELL_M: f64 = 0.005;
 
 pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> Blueprint {
-    let (height, base) = (uniform(rng, 0.11, 0.16) * size, uniform(rng, 0.034, 0.042) * size);
-    let head = uniform(rng, 0.52, 0.62) * base;
+    let (height, base) = (uniform(rng, [0.11, 0.16]) * size, uniform(rng, [0.034, 0.042]) * size);
+    let head = uniform(rng, [0.52, 0.62]) * base;
     // A chess pawn: stepped base, waist, collar, round head.
     let mut profile = vec![
         (base - 0.002, 0.0),
@@ -71,7 +72,7 @@ fn spots(list: &[([f64; 3], [f64; 3], [u8; 3])], s: f64) -> Vec<Spot> {
 }
 
 pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
-    let s = uniform(rng, 0.95, 1.2) * size;
+    let s = uniform(rng, [0.95, 1.2]) * size;
     let blobs = scaled(
         &[
             ([0.0, 0.0, 0.030], [0.052, 0.040, 0.036]),
@@ -105,7 +106,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
-    let s = uniform(rng, 0.95, 1.15) * size;
+    let s = uniform(rng, [0.95, 1.15]) * size;
     let blobs = scaled(
         &[
             ([0.0, 0.0, 0.038], [0.036, 0.040, 0.042]),
@@ -146,7 +147,7 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
 
 /// A figure that sits with crossed legs, its hands in its lap.
 pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
-    let s = uniform(rng, 0.95, 1.15) * size;
+    let s = uniform(rng, [0.95, 1.15]) * size;
     let blobs = scaled(
         &[
             ([0.010, 0.0, 0.016], [0.046, 0.058, 0.020]),
@@ -174,7 +175,7 @@ pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
-    let s = uniform(rng, 0.9, 1.15) * size;
+    let s = uniform(rng, [0.9, 1.15]) * size;
     let block =
         |min: [f64; 3], max: [f64; 3]| Cuboid::new(DVec3::from_array(min) * s, DVec3::from_array(max) * s);
     let boxes = [

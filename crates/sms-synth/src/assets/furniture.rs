@@ -1,6 +1,7 @@
 //! What structures are stacked of: a stool, a low table, a crate, a plank, a flat box and a tote.
 
-use super::{Blueprint, HollowKind, pick, texture, uniform};
+use super::blueprint::{Blueprint, HollowKind, texture};
+use crate::random::{pick, uniform};
 use crate::shapes::{Cuboid, Solid, cuboid_union, gridded_cuboid};
 use crate::texture::Pattern;
 use glamx::DVec3;
@@ -43,20 +44,29 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
     let board = pick(rng, &BOARDS);
     let (class, material, solid, look) = match kind {
         Furniture::Stool => {
-            let top =
-                DVec3::new(uniform(rng, 0.27, 0.32), uniform(rng, 0.24, 0.28), uniform(rng, 0.025, 0.035));
-            let solid = on_legs(top, uniform(rng, 0.36, 0.42), uniform(rng, 0.026, 0.034), 0.012);
+            let top = DVec3::new(
+                uniform(rng, [0.27, 0.32]),
+                uniform(rng, [0.24, 0.28]),
+                uniform(rng, [0.025, 0.035]),
+            );
+            let solid = on_legs(top, uniform(rng, [0.36, 0.42]), uniform(rng, [0.026, 0.034]), 0.012);
             ("wooden stool", "wood", solid, (Pattern::Wood, wood, 0.03, 0.15))
         }
         Furniture::Table => {
-            let top =
-                DVec3::new(uniform(rng, 0.46, 0.54), uniform(rng, 0.34, 0.40), uniform(rng, 0.02, 0.03));
-            let solid = on_legs(top, uniform(rng, 0.26, 0.32), uniform(rng, 0.03, 0.04), 0.02);
+            let top = DVec3::new(
+                uniform(rng, [0.46, 0.54]),
+                uniform(rng, [0.34, 0.40]),
+                uniform(rng, [0.02, 0.03]),
+            );
+            let solid = on_legs(top, uniform(rng, [0.26, 0.32]), uniform(rng, [0.03, 0.04]), 0.02);
             ("low table", "wood", solid, (Pattern::Plain, ([226, 222, 214], [190, 186, 176]), 0.03, 0.3))
         }
         Furniture::Crate => {
-            let size =
-                DVec3::new(uniform(rng, 0.20, 0.26), uniform(rng, 0.20, 0.24), uniform(rng, 0.24, 0.32));
+            let size = DVec3::new(
+                uniform(rng, [0.20, 0.26]),
+                uniform(rng, [0.20, 0.24]),
+                uniform(rng, [0.24, 0.32]),
+            );
             (
                 "plastic crate",
                 "plastic",
@@ -65,13 +75,19 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
             )
         }
         Furniture::Plank => {
-            let size =
-                DVec3::new(uniform(rng, 0.52, 0.62), uniform(rng, 0.15, 0.19), uniform(rng, 0.02, 0.03));
+            let size = DVec3::new(
+                uniform(rng, [0.52, 0.62]),
+                uniform(rng, [0.15, 0.19]),
+                uniform(rng, [0.02, 0.03]),
+            );
             ("wooden plank", "wood", gridded_cuboid(size, CELL_M), (Pattern::Wood, wood, 0.03, 0.12))
         }
         Furniture::FlatBox => {
-            let size =
-                DVec3::new(uniform(rng, 0.30, 0.38), uniform(rng, 0.22, 0.28), uniform(rng, 0.08, 0.12));
+            let size = DVec3::new(
+                uniform(rng, [0.30, 0.38]),
+                uniform(rng, [0.22, 0.28]),
+                uniform(rng, [0.08, 0.12]),
+            );
             let scale = 0.3 * size.z as f32;
             (
                 "cardboard box",
@@ -81,8 +97,11 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
             )
         }
         Furniture::Tote => {
-            let size =
-                DVec3::new(uniform(rng, 0.34, 0.40), uniform(rng, 0.24, 0.28), uniform(rng, 0.12, 0.16));
+            let size = DVec3::new(
+                uniform(rng, [0.34, 0.40]),
+                uniform(rng, [0.24, 0.28]),
+                uniform(rng, [0.12, 0.16]),
+            );
             (
                 "plastic tote",
                 "plastic",

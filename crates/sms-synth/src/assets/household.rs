@@ -10,7 +10,8 @@
 //! - box: flat, of double-wall corrugated board of 6.5 mm (B and C flute). About 0.9 kg.
 //! - board: a shelf of 90 × 40 cm, 12 mm thick. About 2.7 kg.
 
-use super::{Blueprint, HollowKind, pick, texture, uniform};
+use super::blueprint::{Blueprint, HollowKind, brass, texture};
+use crate::random::{pick, uniform};
 use crate::shapes::{Cuboid, Solid, chamfered_cuboid, cuboid_union, gridded_cuboid};
 use crate::texture::{Pattern, Spot};
 use glamx::{DVec2, DVec3};
@@ -59,7 +60,8 @@ const PLASTICS: [[u8; 3]; 3] = [[120, 124, 128], [42, 120, 74], [178, 52, 40]];
 
 /// A thing whose sizes differ from the usual ones by up to this share. Its longer side lies along x, as overhangs do.
 pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> Blueprint {
-    let mut size = |usual: [f64; 3]| DVec3::from(usual.map(|m| m * uniform(rng, 1.0 - spread, 1.0 + spread)));
+    let mut size =
+        |usual: [f64; 3]| DVec3::from(usual.map(|m| m * uniform(rng, [1.0 - spread, 1.0 + spread])));
     match kind {
         Household::StepLadder => step_ladder(size([0.22, 0.34, 0.63]), rng),
         Household::Stool => stool(kind.as_str(), size([0.34, 0.34, 0.45]), 0.10, rng),
@@ -91,7 +93,7 @@ pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> Blu
         Household::BrassBar => {
             let size = size([0.05, 0.15, 0.06]);
             let look = texture(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9);
-            ballast("brass_bar", "brass bar", "brass", size, super::brass(look))
+            ballast("brass_bar", "brass bar", "brass", size, brass(look))
         }
         Household::MarbleSlab => {
             let size = size([0.08, 0.28, 0.05]);

@@ -1,5 +1,6 @@
 //! The asset catalogue: household objects generated in code, each with seeded proportions, colours and material.
 
+mod blueprint;
 mod dishware;
 mod figures;
 mod furniture;
@@ -8,12 +9,13 @@ mod household;
 pub(crate) use furniture::Furniture;
 pub(crate) use household::Household;
 
+use self::blueprint::{Blueprint, HollowKind, brass, texture};
 use crate::materials::{draw_material, with_effective_density};
+use crate::random::{pick, uniform};
 use crate::scene::{Hollow, TruthObject};
 use crate::shapes::{Solid, chamfered_cuboid, gridded_cuboid};
 use crate::texture::{Pattern, Spot, Texture};
 use glamx::{DMat3, DPose3, DQuat, DVec2, DVec3};
-use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{
     InertiaError, MassProperties, Mesh, StageRng, polyhedron_mass_properties, sphere_mass_properties,
@@ -21,9 +23,6 @@ use sms_core::{
 
 /// Radius of a pool ball, metres (57.15 mm diameter).
 pub const BALL_RADIUS_M: f64 = 0.028575;
-
-/// Facets around a turned object.
-const SEGMENTS: usize = 32;
 
 /// The kinds of obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -98,60 +97,6 @@ impl AssetKind {
     };
 }
 
-/// An asset in its frame `A`: standing on z = 0, axis at x = y = 0.
-#[derive(Debug, Clone)]
-struct Blueprint {
-    name: &'static str,
-    class: &'static str,
-    material: &'static str,
-    solid: Solid,
-    /// The air inside a closed shell.
-    void: Option<Mesh>,
-    hollow: HollowKind,
-    sphere_radius: Option<f64>,
-    texture: Texture,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum HollowKind {
-    Solid,
-    Vessel(f64),
-    Shell(f64),
-}
-
-fn uniform(rng: &mut StageRng, low: f64, high: f64) -> f64 {
-    low + (high - low) * rng.random::<f64>()
-}
-
-fn pick<T: Copy>(rng: &mut StageRng, of: &[T]) -> T {
-    of[rng.random_range(0..of.len())]
-}
-
-fn texture(
-    rng: &mut StageRng,
-    pattern: Pattern,
-    colors: ([u8; 3], [u8; 3]),
-    scale_m: f32,
-    gloss: f32,
-) -> Texture {
-    let seed = rng.random::<u32>();
-    Texture {
-        pattern,
-        color: colors.0,
-        accent: colors.1,
-        scale_m,
-        seed,
-        gloss,
-        metalness: 0.0,
-        spots: Vec::new(),
-    }
-}
-
-/// Bare brass, filed and a little tarnished.
-fn brass(texture: Texture) -> Texture {
-    Texture { metalness: 0.95, gloss: 0.62, ..texture }
-}
-
 /// Makes an obstacle standing at `p_w` on the floor, turned by `yaw` radians about z.
 pub(crate) fn make_asset(
     kind: AssetKind,
@@ -219,7 +164,7 @@ pub(crate) fn make_pool_ball(cue: bool, p_w: DVec2, rng: &mut StageRng) -> Truth
             blueprint.texture.spots.push(Spot { center, radii: [0.010; 3], color: [235, 235, 225] });
         }
     }
-    place(blueprint, p_w, uniform(rng, 0.0, std::f64::consts::TAU), rng)
+    place(blueprint, p_w, uniform(rng, [0.0, std::f64::consts::TAU]), rng)
 }
 
 fn ball(
@@ -244,18 +189,18 @@ fn ball(
 }
 
 fn soccer_ball(rng: &mut StageRng, size: f64) -> Blueprint {
-    let radius = uniform(rng, 0.058, 0.072) * size;
+    let radius = uniform(rng, [0.058, 0.072]) * size;
     let colors = ([236, 236, 232], pick(rng, &[[24, 24, 28], [150, 20, 30], [16, 70, 60]]));
     let texture = texture(rng, Pattern::Soccer, colors, radius as f32, 0.45);
     let mut blueprint = ball(radius, texture, "soccer_ball", "small soccer ball", "synthetic_leather");
-    blueprint.hollow = HollowKind::Shell(uniform(rng, 0.0025, 0.004));
+    blueprint.hollow = HollowKind::Shell(uniform(rng, [0.0025, 0.004]));
     blueprint
 }
 
 fn cardboard_box(rng: &mut StageRng, size: f64) -> Blueprint {
     let extents =
-        DVec3::new(uniform(rng, 0.11, 0.16), uniform(rng, 0.08, 0.11), uniform(rng, 0.07, 0.13)) * size;
-    let wall = uniform(rng, 0.003, 0.004);
+        DVec3::new(uniform(rng, [0.11, 0.16]), uniform(rng, [0.08, 0.11]), uniform(rng, [0.07, 0.13])) * size;
+    let wall = uniform(rng, [0.003, 0.004]);
     let mut void = Mesh::cuboid(0.5 * extents - DVec3::splat(wall));
     void.vertices.iter_mut().for_each(|v| v.z += 0.5 * extents.z);
     let colors = (pick(rng, &[[186, 140, 92], [172, 126, 82], [198, 156, 106]]), [70, 46, 30]);
@@ -273,7 +218,7 @@ fn cardboard_box(rng: &mut StageRng, size: f64) -> Blueprint {
 
 fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
     let extents =
-        DVec3::new(uniform(rng, 0.09, 0.15), uniform(rng, 0.06, 0.09), uniform(rng, 0.05, 0.09)) * size;
+        DVec3::new(uniform(rng, [0.09, 0.15]), uniform(rng, [0.06, 0.09]), uniform(rng, [0.05, 0.09])) * size;
     let colors = pick(rng, &[([206, 160, 104], [150, 98, 52]), ([172, 112, 66], [112, 64, 34])]);
     Blueprint {
         name: "wood_block",
@@ -289,7 +234,8 @@ fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
 
 fn brass_block(rng: &mut StageRng, size: f64) -> Blueprint {
     let extents =
-        DVec3::new(uniform(rng, 0.11, 0.15), uniform(rng, 0.04, 0.055), uniform(rng, 0.055, 0.08)) * size;
+        DVec3::new(uniform(rng, [0.11, 0.15]), uniform(rng, [0.04, 0.055]), uniform(rng, [0.055, 0.08]))
+            * size;
     Blueprint {
         name: "brass_block",
         class: "brass block",
