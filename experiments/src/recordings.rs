@@ -5,7 +5,8 @@ use crate::options::BenchOptions;
 use crate::scenes::{BenchScene, generated, real_data_dir};
 use sms_core::{Cancel, CoreError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    HelicalPath, ModelScene, RecordingSettings, Skin, bounds_w, orbit_poses, record_views, write_recording,
+    HelicalPath, ModelScene, RecordingSettings, SceneViews, Skin, bounds_w, orbit_poses, record_views,
+    write_recording,
 };
 use std::path::PathBuf;
 
@@ -52,7 +53,8 @@ pub fn recording(
     match &orbit {
         None => write_recording(truth, &settings, &aside, progress, cancel)?,
         Some(poses) => {
-            record_views(truth, &made.skins, poses, &pictures, &settings, &aside, progress, cancel)?
+            let views = SceneViews { scene: truth, skins: &made.skins, poses, source: &pictures };
+            record_views(&views, &settings, &aside, progress, cancel)?
         }
     };
     match std::fs::rename(&aside, &dir) {

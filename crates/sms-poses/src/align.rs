@@ -4,26 +4,26 @@ use crate::linear::{Block, Six};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Cholesky;
 
-/// Errors of poses after the rigid motion that fits them best to the truth has been taken away.
+/// Errors of poses after rigid alignment with the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseErrors {
-    /// Root mean square distance of a point that the cameras look at from where it is, metres.
+    /// Root mean square error of the positions of points that the cameras look at, metres.
     pub point_rms_m: f64,
     /// Root mean square error of the camera positions, metres.
     pub position_rms_m: f64,
     /// Root mean square error of the camera rotations, radians.
     pub rotation_rms_rad: f64,
-    /// Carries the given poses' world to the truth's.
+    /// Carries points of the given poses' world to the truth's.
     pub x_true_given: DPose3,
 }
 
 /// Compares camera poses `X_WC` with the true ones of the same frames. The two worlds are aligned rigidly by points
-/// that the cameras see at 0.6 to 1.4 of the distance `at_m`, up to 20° beside the axis: there errors matter.
+/// that the cameras see at 0.6 to 1.4 of the distance `at_m`, up to 20° beside the axis.
 ///
 /// # Panics
 /// If the numbers of poses differ.
 pub fn compare_poses(given: &[DPose3], truth: &[DPose3], at_m: f64) -> PoseErrors {
-    assert_eq!(given.len(), truth.len(), "one pose a frame");
+    assert_eq!(given.len(), truth.len(), "one pose per frame");
     let probes: [DVec3; 8] = std::array::from_fn(|i| {
         let side = |bit: usize| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
         let z = 1.0 + 0.4 * side(2);
@@ -54,8 +54,8 @@ pub fn compare_poses(given: &[DPose3], truth: &[DPose3], at_m: f64) -> PoseError
     }
 }
 
-/// The rigid motion that carries `from` to `to` with the least squares, by Gauss-Newton from the identity: meant for
-/// motions well below half a turn.
+/// Returns the least-squares rigid motion that carries `from` to `to`, by Gauss-Newton from the identity: for motions
+/// well below half a turn.
 pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
     let mut x = DPose3::identity();
     let n = from.len().min(to.len());
@@ -80,7 +80,7 @@ pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
                 }
             }
         }
-        // Points on a line leave a turn open: it stays as it is.
+        // Points on a line leave one rotation undetermined: the damping keeps it.
         (0..3).for_each(|i| h[i][i] += 1e-12 * n as f64);
         let Some(l) = Cholesky::<6>::new(&h, 6) else { break };
         let mut step = g.map(|v| -v);
@@ -93,7 +93,7 @@ pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
     x
 }
 
-/// The motion that turns by `step[0..3]` about `center` and shifts by `step[3..6]`.
+/// Returns the motion that turns by `step[0..3]` about `center` and shifts by `step[3..6]`.
 pub(crate) fn moved_about(center: DVec3, step: &Six) -> DPose3 {
     let rotation = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
     let shift = DVec3::new(step[3], step[4], step[5]);

@@ -4,22 +4,22 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use sms_frames::DepthNoise;
 
-/// Whether poses are refined.
+/// When refined poses are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PosesMode {
     /// The given poses are used as they are.
     #[default]
     Off,
-    /// Refined poses are used wherever the refinement could be computed.
+    /// Refined poses are used whenever they could be computed.
     On,
-    /// Refined poses are used only where they make pairs of frames that were kept out of the refinement agree
-    /// significantly better than the given ones.
+    /// Refined poses are used only if held-out pairs of frames agree significantly better with them than with the given
+    /// ones.
     Auto,
 }
 
-/// How poses are refined. Lengths in metres, angles in radians, colours in 8-bit levels, pixels at loaded size unless
-/// said otherwise.
+/// Settings of the refinement. Lengths in metres, angles in radians, colours in 8-bit levels, pixels at loaded size
+/// unless stated otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PosesConfig {
@@ -28,11 +28,11 @@ pub struct PosesConfig {
     /// Depth noise of the sensor: it weighs depth against colour, and both against the given poses.
     pub noise: DepthNoise,
     /// Standard deviation of the given camera positions per axis. It pulls the result to the given poses where the
-    /// images say nothing.
+    /// images do not determine it.
     pub prior_position_m: f64,
     /// Standard deviation of the given camera rotations per axis.
     pub prior_rotation_rad: f64,
-    /// Partners of each frame: those that see most of what it sees from a similar side.
+    /// Partners of each frame: those with the most overlap from a similar side.
     pub neighbours: usize,
     /// Partners of each frame that look from farther around, so that small errors do not add up along the path.
     pub far_neighbours: usize,
@@ -40,7 +40,7 @@ pub struct PosesConfig {
     pub color_sigma: f64,
     /// Error of colour per gradient: how far the images of one point may slip against each other, pixels of the level.
     pub color_slip_px: f64,
-    /// Least gradient of a point that is compared by colour, levels per pixel. Below it, noise looks like texture.
+    /// Minimum gradient of a point that is compared by colour, levels per pixel. Below it, noise looks like texture.
     pub min_gradient: f64,
     /// Standard deviation of the shift of colour against depth that is estimated along with the poses, pixels at loaded
     /// size; 0 takes both for registered exactly.
@@ -51,9 +51,9 @@ pub struct PosesConfig {
     pub use_depth: bool,
     /// Whether colour is compared.
     pub use_color: bool,
-    /// Longest side of the images that are compared last, pixels; each coarser level has half of it.
+    /// Longest side of the finest images that are compared, pixels; each coarser level has half of it.
     pub finest_long_side: usize,
-    /// Most iterations of the levels, the finest first; their number is the number of levels.
+    /// Maximum iterations of each level, the finest first; the length is the number of levels.
     pub iterations: Vec<usize>,
     /// Distance of the compared points, pixels of the level.
     pub point_stride: f64,
@@ -83,10 +83,10 @@ impl Default for PosesConfig {
 }
 
 impl PosesConfig {
-    /// The first value that is out of its range.
+    /// Checks that all values are in range.
     ///
     /// # Errors
-    /// [`InputError`] that names the key and what is allowed.
+    /// [`InputError`] that names the first key out of range and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("poses");
         self.noise.validate("poses", "noise.")?;

@@ -1,47 +1,47 @@
-//! Which frames are compared with which.
+//! Selection of the pairs of frames to compare.
 
 use crate::PosesConfig;
-use crate::views::{Point, View};
+use crate::views::{Point, PreparedFrame};
 use glamx::DPose3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Points of a frame that are carried into the others to measure what both see.
+/// Points of a frame that are carried into the others to measure their overlap.
 const SAMPLES: usize = 150;
-/// Least share of a frame's points that another must see.
+/// Minimum overlap of a pair.
 const LEAST_OVERLAP: f64 = 0.2;
-/// How far in depth a carried point may lie from what the other frame measured there, as a share of the depth: given
-/// poses may be wrong by centimetres.
+/// Largest difference between a carried point's depth and the measured one on the same surface, as a share of the depth:
+/// given poses may be wrong by centimetres.
 const SAME_SURFACE: f64 = 0.06;
-/// Fewest carried points that meet a measured pixel.
+/// Minimum number of carried points that land on a measured pixel.
 const LEAST_MEASURED: usize = 8;
-/// Angle between viewing directions up to which frames see the same side of things.
+/// Largest angle between viewing directions of frames that see the same side of the objects.
 const NEAR_ANGLE_RAD: f64 = 0.7;
-/// And up to which they are compared at all.
+/// Largest angle between viewing directions of frames that are compared at all.
 const FAR_ANGLE_RAD: f64 = 1.4;
 
 /// Pairs of frames (i, j), i < j.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Graph {
-    /// For the refinement.
+    /// Pairs that the refinement uses.
     pub(crate) pairs: Vec<(usize, usize)>,
-    /// Kept out of it, to judge it.
+    /// Pairs held out for the judgement.
     pub(crate) held_out: Vec<(usize, usize)>,
 }
 
-/// Overlap of two frames.
+/// FrameOverlap of two frames.
 #[derive(Debug, Clone, Copy)]
-struct Overlap {
+struct FrameOverlap {
     other: usize,
     share: f64,
     angle: f64,
 }
 
-/// Chooses pairs by what both frames see: for each frame its best partners from a similar side, some from farther
-/// around, and the next best of both kinds to judge by.
-pub(crate) fn choose_pairs(views: &[View], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
+/// Chooses pairs by overlap: for each frame its best partners from a similar side, some from farther around, and the next
+/// best of both kinds for the judgement.
+pub(crate) fn choose_pairs(views: &[PreparedFrame], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
     let samples: Vec<Vec<Point>> = views.iter().map(|v| sampled_points(v, config)).collect();
-    let overlaps: Vec<Vec<Overlap>> = (0..views.len())
+    let overlaps: Vec<Vec<FrameOverlap>> = (0..views.len())
         .into_par_iter()
         .map(|i| {
             (0..views.len())
@@ -54,15 +54,15 @@ pub(crate) fn choose_pairs(views: &[View], x_wc: &[DPose3], config: &PosesConfig
     let mut others = BTreeSet::new();
     for (i, all) in overlaps.iter().enumerate() {
         let ordered = |near: bool| {
-            let mut list: Vec<Overlap> =
+            let mut list: Vec<FrameOverlap> =
                 all.iter().copied().filter(|o| (o.angle <= NEAR_ANGLE_RAD) == near).collect();
-            let rank = |o: &Overlap| o.share * if near { o.angle.cos() } else { 1.0 };
+            let rank = |o: &FrameOverlap| o.share * if near { o.angle.cos() } else { 1.0 };
             list.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.other.cmp(&b.other)));
             list
         };
         for (list, wanted) in [(ordered(true), config.neighbours), (ordered(false), config.far_neighbours)] {
             let held = (wanted / 4).max(usize::from(wanted > 0));
-            // Where there are few partners, all but one are needed.
+            // With few partners, all but one are used.
             let used = wanted.min(list.len().saturating_sub(1).max(1));
             for (rank, o) in list.iter().take(used + held).enumerate() {
                 let pair = (i.min(o.other), i.max(o.other));
@@ -78,7 +78,7 @@ pub(crate) fn choose_pairs(views: &[View], x_wc: &[DPose3], config: &PosesConfig
     Graph { pairs: pairs.into_iter().collect(), held_out }
 }
 
-fn sampled_points(view: &View, config: &PosesConfig) -> Vec<Point> {
+fn sampled_points(view: &PreparedFrame, config: &PosesConfig) -> Vec<Point> {
     let k = &view.intrinsics;
     let stride = ((k.width * k.height) as f64 / (4 * SAMPLES) as f64).sqrt() / view.scale(0);
     let all = view.points(0, stride.max(1.0), [0.5, 0.5], [0.0; 2], config);
@@ -86,15 +86,15 @@ fn sampled_points(view: &View, config: &PosesConfig) -> Vec<Point> {
     all.into_iter().step_by(step).collect()
 }
 
-/// What frames i and j both see: the lesser of the shares of either's points that the other sees.
+/// Computes the overlap of frames i and j: the smaller of the shares of either's points that the other sees.
 fn overlap(
     i: usize,
     j: usize,
     points_i: &[Point],
     points_j: &[Point],
-    views: &[View],
+    views: &[PreparedFrame],
     x_wc: &[DPose3],
-) -> Option<Overlap> {
+) -> Option<FrameOverlap> {
     let axis = |k: usize| x_wc[k].rotation * glamx::DVec3::Z;
     let angle = axis(i).dot(axis(j)).clamp(-1.0, 1.0).acos();
     if angle > FAR_ANGLE_RAD {
@@ -103,7 +103,7 @@ fn overlap(
     let seen = |points: &[Point], from: usize, to: usize| {
         let x = x_wc[to].inverse() * x_wc[from];
         let k = &views[to].intrinsics;
-        // Landed in the image, on a measured pixel of it, and there on the same surface.
+        // Points in the image, those of them on a measured pixel, and those of them on the same surface.
         let (mut landed, mut measured, mut met) = (0usize, 0usize, 0usize);
         for p in points {
             let q = x.transform_point(p.p_c);
@@ -116,10 +116,10 @@ fn overlap(
                 }
             }
         }
-        // Holes in the depth take away measurements, not overlap; but a handful tells nothing.
+        // Holes in the depth do not reduce the overlap, but a handful of measurements is no evidence.
         let share = |n: usize, of: usize| n as f64 / of.max(1) as f64;
         if measured < LEAST_MEASURED { 0.0 } else { share(landed, points.len()) * share(met, measured) }
     };
     let share = seen(points_i, i, j).min(seen(points_j, j, i));
-    (share >= LEAST_OVERLAP).then_some(Overlap { other: j, share, angle })
+    (share >= LEAST_OVERLAP).then_some(FrameOverlap { other: j, share, angle })
 }

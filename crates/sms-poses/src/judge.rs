@@ -1,7 +1,7 @@
-//! Whether refined poses are better than the given ones, by pairs of frames and points that had no part in them.
+//! Comparison of refined with given poses on pairs of frames and points that the refinement did not use.
 
-use crate::refine::{Problem, arcs};
-use crate::residual::{PairSums, Seen, Weighing};
+use crate::refine::{BundleAdjustment, LinearisationPoint, arcs};
+use crate::residual::{PairSums, ResidualStats, Weighing};
 use crate::views::Point;
 use glamx::DPose3;
 use rayon::prelude::*;
@@ -10,17 +10,17 @@ use serde::{Deserialize, Serialize};
 /// Residuals of the held-out pairs under one set of poses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Consistency {
-    /// Median distance of a frame's points to the surface that another frame measured, metres; `None` of no pairs.
+    /// Median distance of a frame's points to the surface that another frame measured, metres; `None` without pairs.
     pub depth_median_m: Option<f64>,
     /// Median difference of brightness, 8-bit levels.
     pub color_median: Option<f64>,
     /// Points that were compared by depth.
     pub depth_points: u64,
-    /// And by colour.
+    /// Points that were compared by colour.
     pub color_points: u64,
 }
 
-/// By how much one kind of residual shrank.
+/// Reduction of one kind of residual.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gain {
     /// Reduction of the mean residual, as a share of it.
@@ -30,7 +30,7 @@ pub struct Gain {
 }
 
 impl Gain {
-    /// Beyond chance and worth acting on.
+    /// Thresholds of significance and of size.
     const LEAST_T: f64 = 4.0;
     const LEAST_SHARE: f64 = 0.03;
 
@@ -59,24 +59,24 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    /// Whether the refined poses are significantly better by depth or by colour and worse by neither.
+    /// Returns whether the refined poses are significantly better by depth or by colour, and worse by neither.
     pub fn improved(&self) -> bool {
         (self.depth.better() || self.color.better()) && !self.depth.worse() && !self.color.worse()
     }
 }
 
-/// Residuals beyond this many σ count as this many: they met another surface.
+/// Residuals are clipped at this many σ: larger ones come from another surface.
 const MOST_SIGMA: f64 = 6.0;
-/// Fewest points of a pair that count.
+/// Minimum number of points of a pair.
 const LEAST_POINTS: u32 = 100;
-/// Fewest pairs that make a judgement.
+/// Minimum number of pairs for a judgement.
 const LEAST_PAIRS: usize = 4;
 
-/// Compares both sets of poses on the held-out pairs (the used ones, with other points, where none could be spared).
-pub(crate) fn judge(problem: &Problem<'_>, refined: &[DPose3], color_shift: [f64; 2]) -> Judgement {
+/// Compares both sets of poses on the held-out pairs, or on the used pairs with other points if too few are held out.
+pub(crate) fn judge(problem: &BundleAdjustment<'_>, refined: &[DPose3], color_shift: [f64; 2]) -> Judgement {
     let pairs = &problem.graph.held_out;
     let pairs = if pairs.len() < LEAST_PAIRS { &problem.graph.pairs } else { pairs };
-    // The refinement used the grid that begins at half a step.
+    // The refinement uses the grid that begins at half a step.
     let points: Vec<Vec<Point>> = problem
         .views
         .par_iter()
@@ -87,7 +87,7 @@ pub(crate) fn judge(problem: &Problem<'_>, refined: &[DPose3], color_shift: [f64
         .collect();
     let before = residuals(problem, pairs, &points, problem.given, color_shift);
     let after = residuals(problem, pairs, &points, refined, color_shift);
-    let gain = |kind: fn(&Seen) -> &crate::residual::Histogram| {
+    let gain = |kind: fn(&ResidualStats) -> &crate::residual::Histogram| {
         let differences: Vec<(f64, f64)> = before
             .iter()
             .zip(&after)
@@ -116,19 +116,24 @@ fn paired_gain(differences: &[(f64, f64)]) -> Gain {
     Gain { share: mean / base.max(1e-12), t: mean / (variance / n).sqrt().max(1e-12) }
 }
 
-/// Residuals of each pair, both ways together, with the brightness fitted.
+/// Computes the residuals of each pair, both directions together, with the brightness fitted.
 fn residuals(
-    problem: &Problem<'_>,
+    problem: &BundleAdjustment<'_>,
     pairs: &[(usize, usize)],
     points: &[Vec<Point>],
     poses: &[DPose3],
     color_shift: [f64; 2],
-) -> Vec<Seen> {
+) -> Vec<ResidualStats> {
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(&arcs, points, 0, poses, color_shift, &weighing);
+        sums = problem.linearise_all(
+            &arcs,
+            points,
+            LinearisationPoint { level: 0, poses, color_shift },
+            &weighing,
+        );
         for (arc, pair) in arcs.iter_mut().zip(&sums) {
             arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
         }
@@ -142,8 +147,8 @@ fn residuals(
         .collect()
 }
 
-fn consistency(pairs: &[Seen]) -> Consistency {
-    let mut all = Seen::default();
+fn consistency(pairs: &[ResidualStats]) -> Consistency {
+    let mut all = ResidualStats::default();
     pairs.iter().for_each(|s| all.merge(s));
     Consistency {
         depth_median_m: all.depth_mm.median().map(|mm| 1e-3 * mm),

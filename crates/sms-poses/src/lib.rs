@@ -3,32 +3,32 @@
 //! Camera poses from motion capture, a phone or a robot's arm are off by millimetres to centimetres, and every surface
 //! that is fused from them is smeared by as much. [`refine_poses`] corrects all of them at once, before masks and scan:
 //!
-//! - each frame is compared with the frames that see most of what it sees, and with some from farther around;
+//! - each frame is compared with the frames that overlap most with it, and with some from farther around;
 //! - points of one frame are carried into the other, where their distance to the measured surface (point to plane) and
-//!   their difference in brightness are residuals, each weighed by its noise; a plane such as a table top fixes three
+//!   their difference in brightness are residuals, each weighted by its noise; a plane such as a table top fixes three
 //!   directions by depth and the others by its texture;
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients over
-//!   6 × 6 blocks), with a weak pull to the given poses. No single frame is held fixed: at the end all cameras together
+//!   6 × 6 blocks), with a weak prior at the given poses. No single frame is held fixed: at the end all cameras together
 //!   are moved so that the measured points lie, in the least-squares sense, where the given poses put them;
 //! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
-//!   frames: without it, colour that is off by a few pixels would pull all poses to one side.
+//!   frames: without it, colour that is off by a few pixels would bias all poses to one side.
 //!
-//! [`PosesMode::Auto`] then judges: pairs of frames and points that had no part in the refinement must agree
-//! significantly better than before, otherwise the given poses stay.
+//! [`PosesMode::Auto`] then compares: pairs of frames and points that the refinement did not use must agree
+//! significantly better than before; otherwise the given poses are kept.
 //!
 //! The direct alignment follows Kerl, Sturm and Cremers, "Dense visual SLAM for RGB-D cameras" (IROS 2013), and Whelan
 //! et al., "Robust real-time visual odometry for dense RGB-D mapping" (ICRA 2013); adjusting all poses at once with
-//! eliminated pair terms is the pose-graph form of it. Results do not depend on the number of threads.
+//! eliminated pair terms is its pose-graph form. Results do not depend on the number of threads.
 //!
 //! ```
 //! use sms_core::{Cancel, StageContext, Warnings};
-//! use sms_poses::{PosesConfig, PosesMode, Verdict, refine_poses};
+//! use sms_poses::{PosesConfig, PosesMode, PoseVerdict, refine_poses};
 //! # let sequence = sms_frames::Sequence {
 //! #     frames: Vec::new(), x_world_recording: glamx::DPose3::identity(), source: "here".into() };
 //! let config = PosesConfig { mode: PosesMode::Auto, ..PosesConfig::default() };
 //! let refined = refine_poses(&sequence, &config, StageContext::quiet(&Cancel::new(), &Warnings::new()))?;
-//! // This sequence has no frames, so that there was nothing to refine.
-//! assert_eq!(refined.report.verdict, Verdict::NotPossible);
+//! // This sequence has no frames, so nothing can be refined.
+//! assert_eq!(refined.report.verdict, PoseVerdict::NotPossible);
 //! # Ok::<(), sms_core::CoreError>(())
 //! ```
 
@@ -46,27 +46,26 @@ mod views;
 pub use align::{PoseErrors, align_rigidly, compare_poses};
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
-pub use report::{PoseCorrection, PoseReport, Verdict};
+pub use report::{PoseCorrection, PoseReport, PoseVerdict};
 
 use glamx::DPose3;
-use refine::Problem;
+use refine::BundleAdjustment;
 use sms_core::{CoreError, StageContext, Warnings};
 use sms_frames::Sequence;
 
-/// A sequence with the poses to use, and how they came about.
+/// A sequence with the poses to use, and the report on them.
 #[derive(Debug, Clone)]
 pub struct PoseRefinement {
     /// The sequence; only `camera.x_wc` of its frames may differ from the given one's.
     pub sequence: Sequence,
-    /// What was done.
+    /// The report.
     pub report: PoseReport,
 }
 
 /// Refines the poses `X_WC` of all frames of a sequence.
 ///
-/// Where nothing can be refined (one frame, no overlap, no depth), where the result is not finite, or where `auto` sees
-/// no improvement, the given poses are returned, and a warning says so (in `auto` without improvement: none, as nothing
-/// is wrong).
+/// Returns the given poses if nothing can be refined (one frame, no overlap, no depth), if the result is not finite, or
+/// if [`PosesMode::Auto`] finds no improvement. The first two cases add a warning.
 ///
 /// # Errors
 /// [`CoreError::Interrupted`] when cancelled; [`CoreError::Input`] for settings that are out of range.
@@ -78,20 +77,20 @@ pub fn refine_poses(
     let StageContext { progress, cancel, warnings, .. } = context;
     let keep = |report| Ok(PoseRefinement { sequence: sequence.clone(), report });
     if config.mode == PosesMode::Off {
-        return keep(PoseReport::without_refinement(Verdict::Off));
+        return keep(PoseReport::without_refinement(PoseVerdict::Off));
     }
     config.validate()?;
     let given: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
     let views = views::views(sequence, config);
-    let problem = Problem::new(&views, &given, config);
+    let problem = BundleAdjustment::new(&views, &given, config);
     if problem.graph.pairs.is_empty() {
         warnings.add(
             "poses",
             "poses_not_refined",
-            "the poses could not be refined: no two frames see enough of the same surfaces",
+            "the poses could not be refined: no two frames overlap enough",
             "record with more overlap, or leave the poses as they are (--refine-poses off)",
         );
-        return keep(PoseReport::without_refinement(Verdict::NotPossible));
+        return keep(PoseReport::without_refinement(PoseVerdict::NotPossible));
     }
     let (poses, color_shift_px, iterations) = problem.run(progress, cancel)?;
     let judgement = judge::judge(&problem, &poses, color_shift_px);
@@ -107,7 +106,7 @@ pub fn refine_poses(
         .collect();
     let finite = corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
     let mut report = PoseReport {
-        verdict: Verdict::Refined,
+        verdict: PoseVerdict::Refined,
         pairs: problem.graph.pairs.len(),
         iterations,
         color_shift_px,
@@ -115,15 +114,15 @@ pub fn refine_poses(
         judgement,
     };
     if !finite {
-        report.verdict = Verdict::NotPossible;
+        report.verdict = PoseVerdict::NotPossible;
         report.corrections.clear();
     } else if config.mode == PosesMode::Auto && !judgement.improved() {
-        report.verdict = Verdict::GivenAreAsGood;
+        report.verdict = PoseVerdict::GivenAreAsGood;
     }
     progress.end(&report.summary());
     warn(&report, config, &problem, warnings);
     let mut sequence = sequence.clone();
-    if report.verdict == Verdict::Refined {
+    if report.verdict == PoseVerdict::Refined {
         for (frame, pose) in sequence.frames.iter_mut().zip(poses) {
             frame.camera.x_wc = pose;
         }
@@ -131,8 +130,8 @@ pub fn refine_poses(
     Ok(PoseRefinement { sequence, report })
 }
 
-fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnings: &Warnings) {
-    if report.verdict == Verdict::NotPossible {
+fn warn(report: &PoseReport, config: &PosesConfig, problem: &BundleAdjustment<'_>, warnings: &Warnings) {
+    if report.verdict == PoseVerdict::NotPossible {
         warnings.add(
             "poses",
             "poses_not_refined",
@@ -140,7 +139,7 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
             "check the depth and the poses with `sms check`",
         );
     }
-    if report.verdict != Verdict::Refined {
+    if report.verdict != PoseVerdict::Refined {
         return;
     }
     let judged = &report.judgement;
@@ -149,7 +148,7 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
             "poses",
             "poses_no_better",
             format!(
-                "refined poses are used although held-out frames agree no better with them (depth {:+.1} %, colour {:+.1} %)",
+                "refined poses are used although held-out frames do not agree better with them (depth {:+.1} %, colour {:+.1} %)",
                 -100.0 * judged.depth.share,
                 -100.0 * judged.color.share
             ),
@@ -161,8 +160,8 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
         warnings.add(
             "poses",
             "color_shifted",
-            format!("colour lies {du:+.1}, {dv:+.1} pixels (right, down) beside the depth"),
-            "register the depth to the colour camera again; surfaces' colours and mask edges suffer",
+            format!("the colour is shifted by {du:+.1}, {dv:+.1} pixels (right, down) against the depth"),
+            "register the depth to the colour camera again: surface colours and mask edges are affected",
         );
     }
     let lonely: Vec<String> =
@@ -172,7 +171,7 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
             "poses",
             "poses_of_some_frames_kept",
             format!(
-                "frames {} see too little of what others see; their poses are as given",
+                "frames {} overlap too little with the others; their poses are kept as given",
                 lonely.join(", ")
             ),
             "",
@@ -189,8 +188,8 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &Problem<'_>, warnin
         warnings.add(
             "poses",
             "poses_far_off",
-            format!("the poses of frames {} were corrected by more than given poses are usually off", far.join(", ")),
-            "look at these frames; raise prior_position_m and prior_rotation_rad in [poses] if the poses are that poor",
+            format!("the poses of frames {} were corrected by more than five standard deviations of the given poses", far.join(", ")),
+            "inspect these frames; raise prior_position_m and prior_rotation_rad in [poses] if the given poses are that inaccurate",
         );
     }
 }

@@ -33,7 +33,7 @@ impl System {
         }
     }
 
-    /// Adds what a pair says about δᵢ − δⱼ and the colour shift.
+    /// Adds the terms of a pair: δᵢ − δⱼ and the colour shift.
     pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, shift: &ShiftSums) {
         for a in 0..6 {
             self.gradient[i][a] += g[a];
@@ -49,7 +49,7 @@ impl System {
         self.pairs.push((i, j, *h));
     }
 
-    /// Adds what is known of the colour shift alone.
+    /// Adds the prior of the colour shift.
     pub(crate) fn add_shift(&mut self, h: &[[f64; 2]; 2], g: &[f64; 2]) {
         for k in 0..2 {
             self.shift_g[k] += g[k];
@@ -59,7 +59,7 @@ impl System {
         }
     }
 
-    /// Adds what is known of one frame alone.
+    /// Adds the prior of one frame.
     pub(crate) fn add_own(&mut self, i: usize, h: &Block, g: &Six) {
         for a in 0..6 {
             self.gradient[i][a] += g[a];
@@ -82,9 +82,8 @@ impl System {
         y
     }
 
-    /// The minimiser: corrections of the poses and of the colour shift. The latter's two columns are eliminated by
-    /// solutions of their own, and count only where they are determined. `None` where a diagonal block is not positive
-    /// definite.
+    /// Returns the minimiser: corrections of the poses and of the colour shift. The shift's two columns are eliminated by
+    /// separate solutions and used only if they are determined. `None` if a diagonal block is not positive definite.
     pub(crate) fn solve(&self) -> Option<(Vec<Six>, [f64; 2])> {
         let factors = self.diagonal_factors()?;
         let without = self.conjugate_gradients(&factors, &self.gradient);

@@ -5,7 +5,7 @@ use sms_core::{ColorImage, Image};
 /// A brightness image, 8-bit levels.
 pub(crate) type Luma = Image<f32>;
 
-/// Brightness (Rec. 601 weights of the stored sRGB values), smoothed by [1 2 1] / 4 both ways: bilinear interpolation of
+/// Computes the brightness (Rec. 601 weights of the stored sRGB values), smoothed by [1 2 1] / 4 both ways: bilinear interpolation of
 /// an unsmoothed image changes its sharpness with the sub-pixel position, which pulls matches to pixel centres.
 pub(crate) fn luma(color: &ColorImage) -> Luma {
     smooth(&color.map(|&[r, g, b]| 0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)))
@@ -30,7 +30,7 @@ fn smooth(image: &Luma) -> Luma {
     out
 }
 
-/// Half the size: means of 2 × 2 blocks, so that image-plane coordinates halve exactly.
+/// Halves the size by means of 2 × 2 blocks, so that image-plane coordinates halve exactly.
 pub(crate) fn half(image: &Luma) -> Luma {
     let (w, h) = (image.width / 2, image.height / 2);
     let mut out = Image::filled(w, h, 0.0);
@@ -44,7 +44,7 @@ pub(crate) fn half(image: &Luma) -> Luma {
     out
 }
 
-/// Bilinear value at image-plane coordinates (u, v) with its exact derivative by u and v; `None` within half a pixel
+/// Returns the bilinear value at image-plane coordinates (u, v) with its exact derivative by u and v; `None` within half a pixel
 /// of the border and beyond.
 pub(crate) fn sample(image: &Luma, u: f64, v: f64) -> Option<(f64, f64, f64)> {
     let (x, y) = (u - 0.5, v - 0.5);

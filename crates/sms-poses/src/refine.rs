@@ -1,24 +1,45 @@
-//! The refinement: coarse to fine, all poses at once.
+//! The refinement: all poses at once, from coarse to fine images.
 
 use crate::PosesConfig;
 use crate::align::{align_rigidly, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
-use crate::residual::{Brightness, Histogram, PairSums, Seen, ShiftSums, Weighing, linearise};
-use crate::views::{Point, View};
+use crate::residual::{
+    Brightness, CarriedPoints, Histogram, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
+};
+use crate::views::{Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, Progress};
 use std::collections::BTreeSet;
 
-/// Everything that stays the same during the refinement.
-pub(crate) struct Problem<'a> {
-    pub(crate) views: &'a [View],
+/// The inputs of the refinement, which stay constant during it.
+pub(crate) struct BundleAdjustment<'a> {
+    pub(crate) views: &'a [PreparedFrame],
     pub(crate) given: &'a [DPose3],
     pub(crate) graph: Graph,
     pub(crate) config: &'a PosesConfig,
     /// Corrections turn about this point.
     pub(crate) center_w: DVec3,
+}
+
+/// The values that the refinement estimates, and the weights of its next iteration.
+struct Estimate {
+    poses: Vec<DPose3>,
+    /// Shift of the colour against the depth, pixels at loaded size.
+    color_shift: [f64; 2],
+    arcs: Vec<Arc>,
+    weighing: Weighing,
+}
+
+/// The point at which all residuals are linearised.
+#[derive(Clone, Copy)]
+pub(crate) struct LinearisationPoint<'a> {
+    /// Level of the brightness images.
+    pub(crate) level: usize,
+    pub(crate) poses: &'a [DPose3],
+    /// Shift of the colour against the depth, pixels at loaded size.
+    pub(crate) color_shift: [f64; 2],
 }
 
 /// One direction of a pair: points of `from` are carried into `to`.
@@ -37,8 +58,8 @@ pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
         .collect()
 }
 
-impl<'a> Problem<'a> {
-    pub(crate) fn new(views: &'a [View], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
+impl<'a> BundleAdjustment<'a> {
+    pub(crate) fn new(views: &'a [PreparedFrame], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
         let mut sum = DVec3::ZERO;
         let mut count = 0usize;
         for (view, x) in views.iter().zip(given) {
@@ -51,13 +72,13 @@ impl<'a> Problem<'a> {
         Self { views, given, graph: choose_pairs(views, given, config), config, center_w }
     }
 
-    /// Frames that no pair names; the prior alone speaks of them.
+    /// Returns the frames without a pair, which only the prior constrains.
     pub(crate) fn frames_without_pairs(&self) -> Vec<usize> {
         let paired: BTreeSet<usize> = self.graph.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
         (0..self.given.len()).filter(|i| !paired.contains(i)).collect()
     }
 
-    /// Carried points may be off by this much at first: the given poses' errors at the scene's distance.
+    /// Returns the first gate for carried points, metres: the errors of the given poses at the scene's distance.
     pub(crate) fn widest_gate_m(&self) -> f64 {
         let distance =
             self.given.iter().map(|x| (x.translation - self.center_w).length()).fold(0.0, f64::max).min(10.0);
@@ -68,24 +89,21 @@ impl<'a> Problem<'a> {
         &self,
         arcs: &[Arc],
         points: &[Vec<Point>],
-        level: usize,
-        poses: &[DPose3],
-        color_shift: [f64; 2],
+        at: LinearisationPoint<'_>,
         weighing: &Weighing,
     ) -> Vec<PairSums> {
         arcs.par_iter()
             .map(|arc| {
-                linearise(
-                    &points[arc.from],
-                    &self.views[arc.to],
-                    level,
-                    (&poses[arc.from], &poses[arc.to]),
-                    self.center_w,
-                    arc.brightness,
-                    color_shift,
-                    weighing,
-                    self.config,
-                )
+                let carried = CarriedPoints {
+                    points: &points[arc.from],
+                    into: &self.views[arc.to],
+                    level: at.level,
+                    x_wi: &at.poses[arc.from],
+                    x_wj: &at.poses[arc.to],
+                    brightness: arc.brightness,
+                    color_shift: at.color_shift,
+                };
+                linearise(&carried, self.center_w, weighing, self.config)
             })
             .collect()
     }
@@ -114,18 +132,16 @@ impl<'a> Problem<'a> {
         system.add_own(frame, &h, &g);
     }
 
-    /// Gauss-Newton with robust weights at one level. Returns the number of iterations.
+    /// Runs Gauss-Newton with robust weights at one level. Returns the number of iterations.
     fn refine_level(
         &self,
         level: usize,
-        poses: &mut [DPose3],
-        color_shift: &mut [f64; 2],
+        estimate: &mut Estimate,
         shift_is_free: bool,
-        arcs: &mut [Arc],
-        weighing: &mut Weighing,
         cancel: &Cancel,
         mut tick: impl FnMut(&str),
     ) -> Result<usize, CoreError> {
+        let Estimate { poses, color_shift, arcs, weighing } = estimate;
         let config = self.config;
         let pixel_m = self.pixel_at_scene_m(level);
         for iteration in 0..config.iterations[level] {
@@ -135,7 +151,8 @@ impl<'a> Problem<'a> {
                 .par_iter()
                 .map(|v| v.points(level, config.point_stride, [0.5, 0.5], *color_shift, config))
                 .collect();
-            let sums = self.linearise_all(arcs, &points, level, poses, *color_shift, weighing);
+            let at = LinearisationPoint { level, poses, color_shift: *color_shift };
+            let sums = self.linearise_all(arcs, &points, at, weighing);
             let mut system = System::new(poses.len());
             let share = config.independent_share;
             for (arc, pair) in arcs.iter().zip(&sums) {
@@ -148,7 +165,7 @@ impl<'a> Problem<'a> {
                 };
                 system.add_pair(arc.from, arc.to, &h.map(scaled), &scaled(g), &shift);
             }
-            // Without a shift it is held where it is.
+            // A shift that is not estimated is held constant.
             let w = if shift_is_free { config.prior_color_shift_px.powi(-2) } else { 1e12 };
             system.add_shift(&[[w, 0.0], [0.0, w]], &color_shift.map(|d| w * d));
             for (frame, pose) in poses.iter().enumerate() {
@@ -169,7 +186,7 @@ impl<'a> Problem<'a> {
             }
             *weighing = self.weighing_after(&sums, weighing);
             tick(&format!("step {:.2} mm", 1e3 * largest));
-            // A fiftieth of a pixel changes no association.
+            // Smaller steps change no association.
             if largest < 0.02 * pixel_m {
                 return Ok(iteration + 1);
             }
@@ -177,7 +194,7 @@ impl<'a> Problem<'a> {
         Ok(config.iterations[level])
     }
 
-    /// Metres across one pixel of a level at the scene.
+    /// Returns the metres across one pixel of a level at the scene.
     fn pixel_at_scene_m(&self, level: usize) -> f64 {
         let (mut sum, n) = (0.0, self.views.len().max(1));
         for (view, x) in self.views.iter().zip(self.given) {
@@ -187,9 +204,9 @@ impl<'a> Problem<'a> {
         sum / n as f64
     }
 
-    /// Typical residuals from the last pass; never below what noise explains.
+    /// Returns the robust scales after a pass: its typical residuals, but at least the noise.
     pub(crate) fn weighing_after(&self, sums: &[PairSums], before: &Weighing) -> Weighing {
-        let mut seen = Seen::default();
+        let mut seen = ResidualStats::default();
         sums.iter().for_each(|pair| seen.merge(&pair.seen));
         let scale = |h: &Histogram| h.median().map_or(1.0, |m| (1.4826 * m).max(1.0));
         let depth_scale = scale(&seen.depth);
@@ -217,55 +234,39 @@ impl<'a> Problem<'a> {
         let levels = self.views.first().map_or(0, |v| v.luma.len());
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
-        let mut poses = self.given.to_vec();
-        let mut color_shift = [0.0; 2];
-        let mut arcs = arcs(&self.graph.pairs);
-        let mut weighing = Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() };
+        let mut estimate = Estimate {
+            poses: self.given.to_vec(),
+            color_shift: [0.0; 2],
+            arcs: arcs(&self.graph.pairs),
+            weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
+        };
         let (mut done, mut iterations) = (0, 0);
         let free = self.config.prior_color_shift_px > 0.0;
         for level in (0..levels).rev() {
             let mut at = done;
-            let tick = |what: &str| {
+            let tick = |message: &str| {
                 at += 1;
-                progress.update(at as u64, what);
+                progress.update(at as u64, message);
             };
-            iterations += self.refine_level(
-                level,
-                &mut poses,
-                &mut color_shift,
-                free,
-                &mut arcs,
-                &mut weighing,
-                cancel,
-                tick,
-            )?;
+            iterations += self.refine_level(level, &mut estimate, free, cancel, tick)?;
             done += self.config.iterations[level];
         }
-        // Depth and colour of a registered camera give a shift of some tenths of a pixel, too; taking that for true
-        // costs more than it gives.
+        // Registered cameras also yield a shift of some tenths of a pixel. Applying it does more harm than good.
         const LEAST_SHIFT_PX: f64 = 0.75;
-        if free && color_shift[0].hypot(color_shift[1]) < LEAST_SHIFT_PX {
-            color_shift = [0.0; 2];
+        let [du, dv] = estimate.color_shift;
+        if free && du.hypot(dv) < LEAST_SHIFT_PX {
+            estimate.color_shift = [0.0; 2];
             for level in (0..levels.min(2)).rev() {
-                let tick = |what: &str| progress.update(done as u64, what);
-                iterations += self.refine_level(
-                    level,
-                    &mut poses,
-                    &mut color_shift,
-                    false,
-                    &mut arcs,
-                    &mut weighing,
-                    cancel,
-                    tick,
-                )?;
+                let tick = |message: &str| progress.update(done as u64, message);
+                iterations += self.refine_level(level, &mut estimate, false, cancel, tick)?;
             }
-            color_shift = [0.0; 2];
+            estimate.color_shift = [0.0; 2];
         }
-        Ok((self.in_place(&poses), color_shift, iterations))
+        Ok((self.in_place(&estimate.poses), estimate.color_shift, iterations))
     }
 
-    /// The same poses after the common rigid motion that moves the measured points least from where the given poses
-    /// put them: masks, models and directions that are known in the given world stay valid.
+    /// Removes the common rigid motion: aligns the measured points with their positions under the given poses, so that
+    /// masks, models and directions known in the given world stay valid.
     fn in_place(&self, poses: &[DPose3]) -> Vec<DPose3> {
         let (mut from, mut to) = (Vec::new(), Vec::new());
         for ((view, given), refined) in self.views.iter().zip(self.given).zip(poses) {

@@ -1,4 +1,4 @@
-//! What the refinement did.
+//! The report of a refinement.
 
 use crate::Judgement;
 use serde::{Deserialize, Serialize};
@@ -9,45 +9,45 @@ use sms_core::metrics::Metrics;
 pub struct PoseCorrection {
     /// Position in the sequence.
     pub frame: usize,
-    /// How far the camera was moved, metres.
+    /// Distance by which the camera was moved, metres.
     pub shift_m: f64,
-    /// How far it was turned, radians.
+    /// Angle by which it was turned, radians.
     pub turn_rad: f64,
 }
 
-/// What was decided.
+/// The decision on the poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// Refinement was not asked for.
+pub enum PoseVerdict {
+    /// Refinement was not requested.
     Off,
     /// The refined poses are used.
     Refined,
     /// They were no significant improvement (`auto`), so the given poses are used.
     GivenAreAsGood,
-    /// Nothing could be refined: too few frames, or none that see the same things.
+    /// Nothing could be refined: too few frames, or no overlap.
     NotPossible,
 }
 
-/// What the refinement did; corrections and judgement are told even where the given poses were kept.
+/// Report of a refinement. Corrections and judgement are present even if the given poses were kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PoseReport {
-    /// What was decided.
-    pub verdict: Verdict,
+    /// The decision on the poses.
+    pub verdict: PoseVerdict,
     /// Pairs of frames that were compared.
     pub pairs: usize,
     /// Iterations of all levels.
     pub iterations: usize,
-    /// How far colour lies beside the depth, pixels at loaded size (right, down), as estimated along with the poses.
+    /// Estimated shift of the colour against the depth, pixels at loaded size (right, down).
     pub color_shift_px: [f64; 2],
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
-    /// Given against refined on what was kept out.
+    /// Given against refined poses on held-out pairs.
     pub judgement: Judgement,
 }
 
 impl PoseReport {
-    pub(crate) fn without_refinement(verdict: Verdict) -> Self {
+    pub(crate) fn without_refinement(verdict: PoseVerdict) -> Self {
         Self {
             verdict,
             pairs: 0,
@@ -58,7 +58,7 @@ impl PoseReport {
         }
     }
 
-    /// Median over frames of the corrections' lengths (metres) and angles (radians).
+    /// Returns the median over frames of the corrections' lengths (metres) and angles (radians).
     pub fn median_correction(&self) -> Option<(f64, f64)> {
         let median = |mut values: Vec<f64>| {
             values.sort_by(f64::total_cmp);
@@ -69,21 +69,21 @@ impl PoseReport {
         Some((shift, turn))
     }
 
-    /// Largest correction: metres and radians.
+    /// Returns the largest correction: metres and radians.
     pub fn largest_correction(&self) -> (f64, f64) {
         self.corrections
             .iter()
             .fold((0.0, 0.0), |(s, t), c| (f64::max(s, c.shift_m), f64::max(t, c.turn_rad)))
     }
 
-    /// The figures for `metrics.json`.
+    /// Returns the figures for `metrics.json`.
     pub fn metrics(&self) -> Metrics {
         let mut m = Metrics::new();
-        if self.verdict == Verdict::Off {
+        if self.verdict == PoseVerdict::Off {
             return m;
         }
         let j = &self.judgement;
-        m.set("poses.refined", self.verdict == Verdict::Refined);
+        m.set("poses.refined", self.verdict == PoseVerdict::Refined);
         m.set("poses.pairs", self.pairs).set("poses.held_out_pairs", j.pairs);
         m.set("poses.iterations", self.iterations);
         if let Some((shift, turn)) = self.median_correction() {
@@ -101,12 +101,12 @@ impl PoseReport {
         m
     }
 
-    /// One line for people.
+    /// Returns a summary in one line.
     pub fn summary(&self) -> String {
         let Some((shift, turn)) = self.median_correction() else {
             return match self.verdict {
-                Verdict::Off => "poses as given".to_owned(),
-                _ => "poses as given: frames see too little in common to refine them".to_owned(),
+                PoseVerdict::Off => "poses as given".to_owned(),
+                _ => "poses as given: the frames overlap too little to refine them".to_owned(),
             };
         };
         let (j, mm) =
@@ -120,7 +120,7 @@ impl PoseReport {
         );
         let by = format!("{:.1} mm and {:.2}° (median)", 1e3 * shift, turn.to_degrees());
         match self.verdict {
-            Verdict::Refined => format!("poses refined by {by}: {residuals}"),
+            PoseVerdict::Refined => format!("poses refined by {by}: {residuals}"),
             _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
         }
     }

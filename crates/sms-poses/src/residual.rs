@@ -1,8 +1,8 @@
-//! What one pair of frames says about their relative pose.
+//! Residuals of one pair of frames and their normal equations.
 //!
-//! A point of frame i is carried into camera j by `X_ji`. Two residuals compare it with what j measured where it lands:
+//! A point of frame i is carried into camera j by `X_ji`. Two residuals compare it with j's measurement there:
 //! - depth: its distance to the plane through j's measured point (point to plane, projective association);
-//! - colour: j's brightness there, less i's brightness at the point after the pair's gain and offset.
+//! - colour: j's brightness, less i's brightness at the point after the pair's gain and offset.
 //!
 //! Both depend on the pose through the carried point alone, so that with ∂r/∂p = a the derivative by a turn ω and a
 //! shift v of frame i about the centre c is (q × a, a), q = p − c; by those of frame j it is the negative.
@@ -10,18 +10,18 @@
 use crate::PosesConfig;
 use crate::linear::{Block, Six};
 use crate::luma::sample;
-use crate::views::{Point, View, sigma_along_normal};
+use crate::views::{Point, PreparedFrame, sigma_along_normal};
 use glamx::{DMat3, DPose3, DVec3};
 use sms_core::Intrinsics;
 
 /// A residual and its gradient by the carried point.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Linear {
+pub(crate) struct LinearResidual {
     pub(crate) residual: f64,
     pub(crate) by_point: DVec3,
 }
 
-impl Linear {
+impl LinearResidual {
     /// Derivative by (turn, shift) of the carried frame about `center`.
     pub(crate) fn jacobian(&self, p: DVec3, center: DVec3) -> Six {
         let turn = (p - center).cross(self.by_point);
@@ -31,20 +31,20 @@ impl Linear {
 }
 
 /// Distance of `p` to the plane through `q` with normal `n`.
-pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> Linear {
-    Linear { residual: n.dot(p - q), by_point: n }
+pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> LinearResidual {
+    LinearResidual { residual: n.dot(p - q), by_point: n }
 }
 
 /// Brightness of `view` where `p` lands, at a level, less `expected`; `None` outside.
 ///
-/// Colour lies `shift` pixels of the loaded size beside the depth. Also returns its slope along the image.
+/// `shift` is the shift of the colour against the depth, pixels at loaded size. Also returns the slope along the image.
 pub(crate) fn color_residual(
     p: DVec3,
-    view: &View,
+    view: &PreparedFrame,
     level: usize,
     shift: [f64; 2],
     expected: f64,
-) -> Option<(Linear, [f64; 2])> {
+) -> Option<(LinearResidual, [f64; 2])> {
     let k = &view.intrinsics;
     let scale = 1.0 / view.scale(level);
     let (x, y) = (p.x / p.z, p.y / p.z);
@@ -55,7 +55,7 @@ pub(crate) fn color_residual(
     )?;
     let (ax, ay) = (du * k.fx * scale / p.z, dv * k.fy * scale / p.z);
     let by_point = DVec3::new(ax, ay, -(ax * x + ay * y));
-    Some((Linear { residual: value - expected, by_point }, [du, dv]))
+    Some((LinearResidual { residual: value - expected, by_point }, [du, dv]))
 }
 
 /// Gain and offset of a pair's brightness, in levels: i's brightness I counts as I + gain · (I − 128) / 64 + offset.
@@ -83,7 +83,7 @@ impl Brightness {
 const BINS: usize = 160;
 const BIN: f64 = 0.1;
 
-/// Counts of absolute values up to 16: medians of them do not depend on the order in which threads finish.
+/// Counts of absolute values up to 16. Their medians do not depend on the order in which threads finish.
 #[derive(Debug, Clone)]
 pub(crate) struct Histogram {
     counts: Vec<u32>,
@@ -111,7 +111,7 @@ impl Histogram {
         self.total
     }
 
-    /// The median, interpolated within its bin; `None` of nothing.
+    /// Returns the median, interpolated within its bin; `None` without values.
     pub(crate) fn median(&self) -> Option<f64> {
         let mut before = 0u32;
         let half = 0.5 * f64::from(self.total);
@@ -123,7 +123,7 @@ impl Histogram {
         })
     }
 
-    /// Mean of min(value, `most`); `None` of nothing.
+    /// Returns the mean of min(value, `most`); `None` without values.
     pub(crate) fn mean_up_to(&self, most: f64) -> Option<f64> {
         let sum: f64 = self
             .counts
@@ -137,18 +137,18 @@ impl Histogram {
 
 /// Residuals of a pair.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Seen {
+pub(crate) struct ResidualStats {
     /// Depth residuals in standard deviations of the noise.
     pub(crate) depth: Histogram,
-    /// And in millimetres.
+    /// Depth residuals in millimetres.
     pub(crate) depth_mm: Histogram,
     /// Colour residuals in their standard deviations.
     pub(crate) color: Histogram,
-    /// And in levels.
+    /// Colour residuals in levels.
     pub(crate) color_levels: Histogram,
 }
 
-impl Seen {
+impl ResidualStats {
     pub(crate) fn merge(&mut self, other: &Self) {
         self.depth.merge(&other.depth);
         self.depth_mm.merge(&other.depth_mm);
@@ -157,18 +157,18 @@ impl Seen {
     }
 }
 
-/// How residuals are weighed in one iteration.
+/// Robust scales of the residuals in one iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Weighing {
     /// Depth residuals of this many σ are typical.
     pub(crate) depth_scale: f64,
     /// Colour residuals of this many σ are typical.
     pub(crate) color_scale: f64,
-    /// Carried points farther than this from the surface that they meet are taken for hidden, metres.
+    /// Carried points farther than this from the surface there count as occluded, metres.
     pub(crate) gate_m: f64,
 }
 
-/// What a pair says: ½ δᵀ H δ + gᵀ δ of δ = δᵢ − δⱼ about the world's `center`, in world axes.
+/// The quadratic form of a pair: ½ δᵀ H δ + gᵀ δ with δ = δᵢ − δⱼ about the world's `center`, in world axes.
 #[derive(Debug, Clone)]
 pub(crate) struct PairSums {
     pub(crate) h: Block,
@@ -177,7 +177,7 @@ pub(crate) struct PairSums {
     by_extra: [Six; EXTRA],
     extra_h: [[f64; EXTRA]; EXTRA],
     extra_g: [f64; EXTRA],
-    pub(crate) seen: Seen,
+    pub(crate) seen: ResidualStats,
 }
 
 /// Tukey's weight of a residual of `e` σ where `scale` σ are typical.
@@ -189,7 +189,7 @@ fn tukey(e: f64, scale: f64) -> f64 {
 /// Unknowns besides the poses: the pair's gain and offset, then the colour shift of all frames (x, y).
 const EXTRA: usize = 4;
 
-/// What a pair says about the colour shift, gain and offset eliminated: its coupling with δ, and its own part.
+/// The colour shift's part of a pair with gain and offset eliminated: its coupling with δ, and its own block.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ShiftSums {
     pub(crate) by: [Six; 2],
@@ -233,26 +233,35 @@ impl Sums {
     }
 }
 
-/// Carries the points of frame i into frame j.
+/// The points of frame i and the frame j that they are carried into.
+pub(crate) struct CarriedPoints<'a> {
+    pub(crate) points: &'a [Point],
+    pub(crate) into: &'a PreparedFrame,
+    /// Level of the brightness images.
+    pub(crate) level: usize,
+    pub(crate) x_wi: &'a DPose3,
+    pub(crate) x_wj: &'a DPose3,
+    pub(crate) brightness: Brightness,
+    /// Shift of the colour against the depth, pixels at loaded size.
+    pub(crate) color_shift: [f64; 2],
+}
+
+/// Carries the points of frame i into frame j and sums up their linearised residuals.
 pub(crate) fn linearise(
-    points: &[Point],
-    view_j: &View,
-    level: usize,
-    poses: (&DPose3, &DPose3),
+    carried: &CarriedPoints<'_>,
     center_w: DVec3,
-    brightness: Brightness,
-    color_shift: [f64; 2],
     weighing: &Weighing,
     config: &PosesConfig,
 ) -> PairSums {
-    let x_ji = poses.1.inverse() * *poses.0;
-    let center = poses.1.inverse_transform_point(center_w);
+    let CarriedPoints { points, into: view_j, level, x_wi, x_wj, brightness, color_shift } = *carried;
+    let x_ji = x_wj.inverse() * *x_wi;
+    let center = x_wj.inverse_transform_point(center_w);
     let turn = DMat3::from_quat(x_ji.rotation);
     let k: &Intrinsics = &view_j.intrinsics;
     let mut sums =
         Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
-    let mut seen = Seen::default();
-    // Surfaces that face apart by more than 60° are not the same.
+    let mut seen = ResidualStats::default();
+    // Normals that differ by more than 60° belong to different surfaces.
     const LEAST_COSINE: f64 = 0.5;
     let per_pixel = 1.0 / view_j.scale(level);
     for point in points {
@@ -305,11 +314,11 @@ pub(crate) fn linearise(
         sums.bh[k][k] += sigma.powi(-2);
         sums.bg[k] += value * sigma.powi(-2);
     }
-    in_world(sums, &DMat3::from_quat(poses.1.rotation), seen)
+    in_world(sums, &DMat3::from_quat(x_wj.rotation), seen)
 }
 
 /// Turns sums from camera axes to world axes.
-fn in_world(sums: Sums, r_wj: &DMat3, seen: Seen) -> PairSums {
+fn in_world(sums: Sums, r_wj: &DMat3, seen: ResidualStats) -> PairSums {
     let rotated = |s: &Six| -> Six {
         let (a, b) = (*r_wj * DVec3::new(s[0], s[1], s[2]), *r_wj * DVec3::new(s[3], s[4], s[5]));
         [a.x, a.y, a.z, b.x, b.y, b.z]
@@ -343,15 +352,15 @@ fn in_world(sums: Sums, r_wj: &DMat3, seen: Seen) -> PairSums {
 }
 
 impl PairSums {
-    /// Inverse of the part of gain and offset.
+    /// Returns the inverse of the block of gain and offset.
     fn brightness_inverse(&self) -> [[f64; 2]; 2] {
         let ([a, b, ..], d) = (self.extra_h[0], self.extra_h[1][1]);
         let det = (a * d - b * b).max(1e-300);
         [[d / det, -b / det], [-b / det, a / det]]
     }
 
-    /// H, g and what goes with the colour shift, once gain and offset have been eliminated, so that they follow every
-    /// correction at their best.
+    /// Returns H, g and the colour shift's part with gain and offset eliminated, so that these stay optimal for every
+    /// correction.
     pub(crate) fn reduced(&self) -> (Block, Six, ShiftSums) {
         let inverse = self.brightness_inverse();
         let (mut h, mut g) = (self.h, self.g);
@@ -385,7 +394,7 @@ impl PairSums {
         (h, g, shift)
     }
 
-    /// Gain and offset that go with a correction δ = δᵢ − δⱼ and a change of the colour shift.
+    /// Returns the optimal gain and offset for a correction δ = δᵢ − δⱼ and a change of the colour shift.
     pub(crate) fn brightness_after(&self, delta: &Six, shift: [f64; 2], before: Brightness) -> Brightness {
         let inverse = self.brightness_inverse();
         let right: [f64; 2] = std::array::from_fn(|k| {
@@ -404,20 +413,25 @@ impl PairSums {
 mod tests {
     use super::*;
     use crate::align::moved_about;
-    use crate::views::Surface;
+    use crate::views::SurfaceSample;
     use proptest::prelude::*;
     use sms_core::Image;
 
     const CENTER_W: DVec3 = DVec3::new(0.3, -0.1, 0.2);
 
-    fn view() -> View {
+    fn view() -> PreparedFrame {
         let intrinsics = Intrinsics { width: 48, height: 32, fx: 41.0, fy: 43.0, cx: 23.4, cy: 16.7 };
         let wave = |i: usize| {
             let (x, y) = ((i % 48) as f32, (i / 48) as f32);
             120.0 + 60.0 * (0.21 * x + 0.1 * y).sin() * (0.3 * y - 0.05 * x).cos()
         };
         let luma = vec![Image::from_vec(48, 32, (0..48 * 32).map(wave).collect())];
-        View { intrinsics, surface: vec![Surface::default(); 48 * 32], luma, finest_scale: 1.0 }
+        PreparedFrame {
+            intrinsics,
+            surface: vec![SurfaceSample::default(); 48 * 32],
+            luma,
+            finest_scale: 1.0,
+        }
     }
 
     fn pose(v: [f64; 6]) -> DPose3 {
@@ -504,7 +518,7 @@ mod tests {
                     }
                 }
             }
-            let found = in_world(sums, &r_wj, Seen::default());
+            let found = in_world(sums, &r_wj, ResidualStats::default());
             for a in 0..6 {
                 prop_assert!((found.g[a] - g[a]).abs() < 1e-9);
                 for b in 0..6 {
@@ -533,7 +547,7 @@ mod tests {
             sums.add(j, *r, 1.0);
             sums.add_extra(j, *r, *c, 1.0);
         }
-        let pair = in_world(sums, &DMat3::IDENTITY, Seen::default());
+        let pair = in_world(sums, &DMat3::IDENTITY, ResidualStats::default());
         let (h, g, shift) = pair.reduced();
         // Frame 0 against a frame that is held by a very strong prior.
         let mut system = crate::linear::System::new(2);

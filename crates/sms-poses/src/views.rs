@@ -1,4 +1,4 @@
-//! What of a frame is compared: points to carry into other frames, and the images that they land in.
+//! Frames prepared for comparison: points to carry into other frames, and the images to compare them with.
 
 use crate::PosesConfig;
 use crate::luma::{Luma, half, luma, sample};
@@ -9,17 +9,17 @@ use sms_frames::{DepthNoise, Frame, Sequence};
 
 /// Depth and surface direction at one pixel; `z` is 0 where there is no measurement, `n` where there is no direction.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Surface {
+pub(crate) struct SurfaceSample {
     pub(crate) z: f32,
     pub(crate) n: [f32; 3],
 }
 
-/// One frame as it is compared.
+/// One frame prepared for comparison.
 #[derive(Debug)]
-pub(crate) struct View {
+pub(crate) struct PreparedFrame {
     pub(crate) intrinsics: Intrinsics,
-    /// At the loaded size.
-    pub(crate) surface: Vec<Surface>,
+    /// SurfaceSample at each pixel of the loaded size.
+    pub(crate) surface: Vec<SurfaceSample>,
     /// Brightness, the finest level first.
     pub(crate) luma: Vec<Luma>,
     /// Pixels of the loaded size per pixel of the finest level.
@@ -31,22 +31,22 @@ pub(crate) struct View {
 pub(crate) struct Point {
     /// Position in the frame's camera, metres.
     pub(crate) p_c: DVec3,
-    /// Surface normal in the frame's camera; zero where unknown.
+    /// SurfaceSample normal in the frame's camera; zero where unknown.
     pub(crate) n_c: DVec3,
     /// Standard deviation of the position along the normal, metres.
     pub(crate) sigma_m: f64,
     /// Brightness at the level.
     pub(crate) luma: f64,
-    /// Its derivative along the image, levels per pixel of the level.
+    /// Derivative of the brightness along the image, levels per pixel of the level.
     pub(crate) slope: [f64; 2],
     /// Whether its surroundings have enough gradient to be compared by colour.
     pub(crate) textured: bool,
 }
 
-impl View {
+impl PreparedFrame {
     fn new(frame: &Frame, levels: usize, halvings: usize) -> Self {
-        // What is not finite is not measured.
-        let surface = |(&z, &n): (&f32, &[f32; 3])| Surface {
+        // Values that are not finite count as not measured.
+        let surface = |(&z, &n): (&f32, &[f32; 3])| SurfaceSample {
             z: if z.is_finite() { z.max(0.0) } else { 0.0 },
             n: if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] },
         };
@@ -62,13 +62,13 @@ impl View {
         Self { intrinsics: frame.camera.intrinsics, surface, luma, finest_scale: 2f64.powi(halvings as i32) }
     }
 
-    /// Pixels of the loaded size per pixel of a level.
+    /// Returns the pixels of the loaded size per pixel of a level.
     pub(crate) fn scale(&self, level: usize) -> f64 {
         self.finest_scale * 2f64.powi(level as i32)
     }
 
-    /// The surface at the pixel that holds (u, v).
-    pub(crate) fn surface_at(&self, u: f64, v: f64) -> Option<(usize, usize, Surface)> {
+    /// Returns the pixel that contains (u, v) and its surface; `None` outside or without depth.
+    pub(crate) fn surface_at(&self, u: f64, v: f64) -> Option<(usize, usize, SurfaceSample)> {
         let (w, h) = (self.intrinsics.width, self.intrinsics.height);
         if !(u >= 0.0 && v >= 0.0 && u < w as f64 && v < h as f64) {
             return None;
@@ -78,8 +78,8 @@ impl View {
         (surface.z > 0.0).then_some((x, y, surface))
     }
 
-    /// Points on a grid of `stride` pixels of a level, begun at `offset` of it, that have a depth. Their colour lies
-    /// `color_shift` pixels of the loaded size beside it.
+    /// Returns the points with a depth on a grid of `stride` pixels of a level that begins at `offset` strides. Their
+    /// colour is read `color_shift` pixels of the loaded size beside the depth.
     pub(crate) fn points(
         &self,
         level: usize,
@@ -120,19 +120,19 @@ impl View {
     }
 }
 
-/// Depth is wrong along the ray; what counts is how far that moves the point along the normal. Surfaces seen at less
-/// than about 12° count as seen at 12°: other errors than noise dominate there.
+/// Returns the standard deviation of a point along its normal, from depth noise along the ray. Surfaces viewed at less
+/// than about 12° count as viewed at 12°: other errors than noise dominate there.
 pub(crate) fn sigma_along_normal(noise: &DepthNoise, p_c: DVec3, n_c: DVec3) -> f64 {
     noise.sigma_m(p_c.z) * (n_c.dot(p_c) / p_c.z).abs().max(0.2)
 }
 
-/// All frames as they are compared, with as many levels as their size allows (at most as configured).
-pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<View> {
+/// Prepares all frames, with as many levels as their size allows, at most as configured.
+pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<PreparedFrame> {
     const LEAST_SIDE: usize = 12;
     let long = sequence.frames.iter().map(|f| f.color.width.max(f.color.height)).max().unwrap_or(1);
     let short = sequence.frames.iter().map(|f| f.color.width.min(f.color.height)).min().unwrap_or(1);
     let halvings = (0..8usize).find(|h| long >> h <= config.finest_long_side.max(16)).unwrap_or(8);
     let fitting =
         (1..config.iterations.len().max(1)).take_while(|l| short >> (halvings + l) >= LEAST_SIDE).count();
-    sequence.frames.par_iter().map(|f| View::new(f, 1 + fitting, halvings)).collect()
+    sequence.frames.par_iter().map(|f| PreparedFrame::new(f, 1 + fitting, halvings)).collect()
 }

@@ -3,7 +3,7 @@
 use crate::assets::Household;
 use crate::landing::{household, landing_scene_of};
 use crate::model::{Model, ModelScene};
-use crate::scanned::{NamedModel, made_of};
+use crate::scanned::{NamedModel, Substance, made_of};
 use crate::scene::TruthObject;
 use crate::skin::Skin;
 use glamx::{DQuat, DVec2, DVec3};
@@ -74,7 +74,8 @@ fn stand(
     let fill = wall_m.map_or(1.0, |wall| (wall * mesh.area() / mesh.volume().abs().max(1e-9)).min(1.0));
     let long_in_y = mesh.aabb().is_some_and(|b| b.extents().y > LONGER * b.extents().x);
     let turn = DQuat::from_axis_angle(DVec3::Z, if long_in_y { yaw - FRAC_PI_2 } else { yaw });
-    made_of(&named.name, &model, turn, class, fill, |_| wall_m, &mut seed.derive("scanned model v1").rng())
+    let mut rng = seed.derive("scanned model v1").rng();
+    made_of(&named.name, &model, turn, &Substance { class, fill }, |_| wall_m, &mut rng)
 }
 
 /// The model with its holes closed, each by a fan of triangles about its middle: a column that is open where it meets a table's top

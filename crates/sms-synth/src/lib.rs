@@ -63,7 +63,7 @@ pub use landing_models::landing_scene_among;
 pub use materials::redraw_materials;
 pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, HelicalPath, paper_billiards_path};
-pub use recording::{RecordingSettings, RecordingSummary, record_views, write_recording};
+pub use recording::{RecordingSettings, RecordingSummary, SceneViews, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};
 pub use scanned::{NamedModel, generate_billiards_among, read_models};
 pub use scene::{Hollow, LandingTruth, SupportLevel, TruthFloor, TruthObject, TruthScene, read_truth};

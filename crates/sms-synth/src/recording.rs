@@ -188,40 +188,48 @@ pub fn write_recording(
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
     let poses = settings.path.poses(scene, settings.frames);
-    let key = hash_serializable(scene).0;
-    record(scene, &[], &poses, key, settings, dir, progress, cancel)
+    let views = SceneViews { scene, skins: &[], poses: &poses, source: "" };
+    record(&views, hash_serializable(scene).0, settings, dir, progress, cancel)
 }
 
-/// Records a scene, some of whose objects may have pictures (see [`Renderer::with_skins`]), from given camera poses `X_WC`
-/// (OpenCV axes), whatever `settings` say of frames and path. `source` names what the pictures were made from.
+/// A scene, textured or not, and the cameras that record it.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneViews<'a> {
+    /// The scene.
+    pub scene: &'a TruthScene,
+    /// Image textures of the objects, see [`Renderer::with_skins`].
+    pub skins: &'a [Option<Skin>],
+    /// Camera poses `X_WC` (OpenCV axes), one per frame.
+    pub poses: &'a [DPose3],
+    /// Identifies the source of the image textures: recordings of different sources do not mix in one folder.
+    pub source: &'a str,
+}
+
+/// Records a scene from given camera poses. `settings.frames` and `settings.path` are ignored.
 ///
 /// # Errors
 /// As [`write_recording`].
 pub fn record_views(
-    scene: &TruthScene,
-    skins: &[Option<Skin>],
-    poses: &[DPose3],
-    source: &str,
+    views: &SceneViews<'_>,
     settings: &RecordingSettings,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
-    let key = hash_serializable(&(scene, poses, source)).0;
-    let settings = RecordingSettings { frames: poses.len(), ..settings.clone() };
-    record(scene, skins, poses, key, &settings, dir, progress, cancel)
+    let key = hash_serializable(&(views.scene, views.poses, views.source)).0;
+    let settings = RecordingSettings { frames: views.poses.len(), ..settings.clone() };
+    record(views, key, &settings, dir, progress, cancel)
 }
 
 fn record(
-    scene: &TruthScene,
-    skins: &[Option<Skin>],
-    poses: &[DPose3],
+    views: &SceneViews<'_>,
     key: String,
     settings: &RecordingSettings,
     dir: &Path,
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
+    let SceneViews { scene, skins, poses, .. } = *views;
     settings.check(dir)?;
     claim_folder(key, settings, dir)?;
     write_truth(scene, dir)?;

@@ -117,20 +117,28 @@ fn make(named: &NamedModel, seed: Seed) -> (TruthObject, Option<Skin>) {
     let (_, class, fill) =
         MADE_OF.iter().find(|(word, ..)| named.name.contains(word)).copied().unwrap_or(MADE_OF[11]);
     let wall_m = |mesh: &Mesh| (fill < 1.0).then(|| fill * mesh.volume().abs() / mesh.area().max(1e-6));
-    made_of(&named.name, &named.model, turn, class, fill, wall_m, &mut rng)
+    made_of(&named.name, &named.model, turn, &Substance { class, fill }, wall_m, &mut rng)
 }
 
-/// A model at the origin, turned, with a material of this class drawn for it, which fills this share of what it encloses; `wall_m` says
-/// how thick the walls of its placed mesh are where there is air within them.
+/// The material of a scanned model.
+pub(crate) struct Substance<'a> {
+    /// Key of the table of true materials.
+    pub(crate) class: &'a str,
+    /// Share of the enclosed volume that is material.
+    pub(crate) fill: f64,
+}
+
+/// Places a model at the origin, turned, and draws its material. `wall_m` returns the wall thickness of the placed mesh if it
+/// is hollow.
 pub(crate) fn made_of(
     name: &str,
     model: &Model,
     turn: DQuat,
-    class: &str,
-    fill: f64,
+    substance: &Substance<'_>,
     wall_m: impl FnOnce(&Mesh) -> Option<f64>,
     rng: &mut StageRng,
 ) -> (TruthObject, Option<Skin>) {
+    let Substance { class, fill } = *substance;
     let material = draw_material(class, rng);
     let wall_density = material.density.value.best;
     let material = with_effective_density(material, fill * wall_density);

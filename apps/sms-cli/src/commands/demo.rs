@@ -11,7 +11,8 @@ use sms_core::{InputError, Seed};
 use sms_landing::LandingSettings;
 use sms_plan::PlanConfig;
 use sms_synth::{
-    BilliardsSettings, HelicalPath, RecordingSettings, generate_billiards, landing_scene, record_views,
+    BilliardsSettings, HelicalPath, RecordingSettings, SceneViews, generate_billiards, landing_scene,
+    record_views,
 };
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -117,7 +118,8 @@ fn run_landing(console: &Console, a: &Demo) -> anyhow::Result<()> {
     let settings = RecordingSettings { seed: Seed(a.seed), ..base };
     let poses = HelicalPath::default().poses(&truth, settings.frames);
     let (progress, cancel) = (console.context.progress.as_ref(), &console.context.cancel);
-    record_views(&truth, &[], &poses, "0", &settings, &recording, progress, cancel)?;
+    let views = SceneViews { scene: &truth, skins: &[], poses: &poses, source: "0" };
+    record_views(&views, &settings, &recording, progress, cancel)?;
     sample::write_beside(&truth, &recording)?;
     scan_and_materialize(console, a, &root, &recording, 2.0)?;
     let config = if a.quick { LandingSettings::draft() } else { LandingSettings::default() };

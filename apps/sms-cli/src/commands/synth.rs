@@ -5,8 +5,9 @@ use crate::cli::{FamilyName, Synth};
 use sms_cli::front::Console;
 use sms_core::{InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, generate_billiards,
-    generate_billiards_among, generate_challenge, landing_scene_among, read_models, record_views,
+    BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, SceneViews,
+    generate_billiards, generate_billiards_among, generate_challenge, landing_scene_among, read_models,
+    record_views,
 };
 
 pub(crate) fn run(console: &Console, a: &Synth) -> anyhow::Result<()> {
@@ -28,10 +29,7 @@ pub(crate) fn run(console: &Console, a: &Synth) -> anyhow::Result<()> {
     };
     let source = made.skins.iter().filter(|s| s.is_some()).count().to_string();
     record_views(
-        truth,
-        &made.skins,
-        &poses,
-        &source,
+        &SceneViews { scene: truth, skins: &made.skins, poses: &poses, source: &source },
         &settings,
         &a.folder,
         console.context.progress.as_ref(),

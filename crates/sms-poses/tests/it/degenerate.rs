@@ -1,12 +1,10 @@
-//! Scenes that say little about the poses leave them as they are given.
+//! Input that does not determine the poses.
 
-mod common;
-
-use common::{bare_floor, billiards, disturbed, poses, sequence};
+use crate::common::{bare_floor, billiards, disturbed, poses, sequence};
 use glamx::{DQuat, DVec3};
 use sms_core::{Cancel, CoreError, Image, StageContext, Warnings};
 use sms_frames::Sequence;
-use sms_poses::{PoseRefinement, PosesConfig, PosesMode, Verdict, compare_poses, refine_poses};
+use sms_poses::{PoseRefinement, PoseVerdict, PosesConfig, PosesMode, compare_poses, refine_poses};
 
 fn refine(sequence: &Sequence) -> (PoseRefinement, Vec<String>) {
     let config = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };
@@ -17,7 +15,7 @@ fn refine(sequence: &Sequence) -> (PoseRefinement, Vec<String>) {
 
 fn is_kept_with_a_warning(given: &Sequence) {
     let (result, warnings) = refine(given);
-    assert_eq!(result.report.verdict, Verdict::NotPossible);
+    assert_eq!(result.report.verdict, PoseVerdict::NotPossible);
     assert_eq!(poses(&result.sequence), poses(given));
     assert_eq!(warnings, ["poses_not_refined"]);
 }
@@ -59,7 +57,7 @@ fn a_frame_that_sees_nothing_in_common_keeps_its_pose_relative_to_the_others() {
     let (result, warnings) = refine(&given);
     assert!(warnings.contains(&"poses_of_some_frames_kept".to_owned()), "{warnings:?}");
     let (after, before) = (poses(&result.sequence), poses(&given));
-    // The others are refined all the same; this one moves with the world at most.
+    // The others are still refined; this one moves with the world at most.
     let errors = compare_poses(&after[..12], &poses(&truth), 0.8);
     assert!(errors.point_rms_m < 0.003, "{errors:?}");
     assert!((after[12].translation - before[12].translation).length() < 0.1);
@@ -71,11 +69,11 @@ fn a_floor_without_texture_corrects_only_what_it_determines() {
     let truth = bare_floor(12);
     let given = disturbed(&truth, 0.01, 0.5);
     let (result, _) = refine(&given);
-    // Height and tilt above the floor are determined: what is left is noise (1 mm uniform, so 0.5 mm median).
+    // Height and tilt above the floor are determined: noise remains (1 mm uniform, so 0.5 mm median).
     let judged = result.report.judgement;
     assert!(judged.before.depth_median_m.unwrap() > 0.003, "{judged:?}");
     assert!(judged.after.depth_median_m.unwrap() < 0.0007, "{judged:?}");
-    // Place and heading are not; they must not run away from where they were given.
+    // Position and heading are not determined; they must stay near the given ones.
     for (refined, given) in poses(&result.sequence).iter().zip(poses(&given)) {
         assert!((refined.translation - given.translation).length() < 0.05);
         assert!(refined.rotation.angle_between(given.rotation) < 3f64.to_radians());
@@ -100,6 +98,7 @@ fn absurd_input_stays_finite() {
         frame.normal_c.data.iter_mut().step_by(5).for_each(|n| *n = [f32::NAN; 3]);
     }
     let (result, _) = refine(&given);
+    assert_eq!(result.report.verdict, PoseVerdict::Refined);
     for x in poses(&result.sequence) {
         assert!(x.translation.is_finite() && x.rotation.is_finite());
     }
@@ -115,5 +114,6 @@ fn interruption_and_settings_out_of_range_are_errors() {
     assert!(matches!(interrupted, Err(CoreError::Interrupted)));
     let wrong = PosesConfig { prior_position_m: 0.0, ..on };
     let refused = refine_poses(&given, &wrong, StageContext::quiet(&Cancel::new(), &Warnings::new()));
-    assert!(refused.unwrap_err().to_string().contains("prior_position_m"));
+    let Err(CoreError::Input(refused)) = refused else { panic!("{refused:?}") };
+    assert_eq!(refused.key.as_deref(), Some("poses.prior_position_m"));
 }

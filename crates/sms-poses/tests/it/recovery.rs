@@ -1,12 +1,10 @@
-//! Known disturbances are found again, and good poses are left alone.
+//! Known perturbations are recovered, and good poses are kept.
 
-mod common;
-
-use common::{billiards, disturbed, poses};
+use crate::common::{billiards, disturbed, poses};
 use sms_core::{Cancel, StageContext, Warnings};
 use sms_frames::Sequence;
 use sms_poses::{
-    PoseRefinement, PosesConfig, PosesMode, Verdict, align_rigidly, compare_poses, refine_poses,
+    PoseRefinement, PoseVerdict, PosesConfig, PosesMode, align_rigidly, compare_poses, refine_poses,
 };
 
 fn refine(sequence: &Sequence, mode: PosesMode) -> PoseRefinement {
@@ -23,7 +21,7 @@ fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
         let truth = billiards(seed, 20);
         let given = disturbed(&truth, 0.010, 0.5);
         let result = refine(&given, PosesMode::Auto);
-        assert_eq!(result.report.verdict, Verdict::Refined);
+        assert_eq!(result.report.verdict, PoseVerdict::Refined);
         let before = compare_poses(&poses(&given), &poses(&truth), AT_M);
         let after = compare_poses(&poses(&result.sequence), &poses(&truth), AT_M);
         assert!(before.point_rms_m > 0.015, "{before:?}");
@@ -35,7 +33,7 @@ fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
         );
         assert!(after.point_rms_m < 0.0015, "{after:?}");
         assert!(after.position_rms_m < 0.0025 && after.rotation_rms_rad < 0.2f64.to_radians(), "{after:?}");
-        // With the true poses given, `before` is what noise alone leaves on held-out pairs.
+        // With the true poses given, `before` is the effect of noise alone on held-out pairs.
         let floor = refine(&truth, PosesMode::On).report.judgement.before.depth_median_m.unwrap();
         let reached = result.report.judgement.after.depth_median_m.unwrap();
         assert!(reached < 1.15 * floor, "{reached} against {floor}");
@@ -51,7 +49,7 @@ fn exact_poses_with_noise_are_hardly_moved_and_auto_keeps_them() {
         eprintln!("seed {seed}: {:.3} mm at {AT_M} m", 1e3 * errors.point_rms_m);
         assert!(errors.point_rms_m < 0.0015, "{errors:?}");
         let auto = refine(&truth, PosesMode::Auto);
-        assert_eq!(auto.report.verdict, Verdict::GivenAreAsGood, "{}", auto.report.summary());
+        assert_eq!(auto.report.verdict, PoseVerdict::GivenAreAsGood, "{}", auto.report.summary());
         assert_eq!(poses(&auto.sequence), poses(&truth));
     }
 }

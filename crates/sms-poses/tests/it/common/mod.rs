@@ -8,7 +8,7 @@ use sms_synth::{
     BilliardsSettings, CameraModel, CameraPath, RecordingSettings, Renderer, generate_billiards,
 };
 
-/// A frame from what a camera saw.
+/// Returns a frame of the given images.
 pub(crate) fn frame(index: usize, camera: Camera, color: ColorImage, depth: DepthImage) -> Frame {
     let normal_c = normals_from_depth(&depth, &camera.intrinsics, &DepthNoise::default(), 2);
     Frame { index, time_s: None, camera, color, depth, normal_c, color_path: "none".into(), mask_path: None }
@@ -18,7 +18,7 @@ pub(crate) fn sequence(frames: Vec<Frame>) -> Sequence {
     Sequence { frames, x_world_recording: DPose3::identity(), source: "rendered".into() }
 }
 
-/// Billiards seen once around by a noisy depth camera (1 to 2 mm at these distances), at 160 × 100.
+/// A billiards scene, filmed once around by a noisy depth camera (1 to 2 mm at these distances), at 160 × 100.
 pub(crate) fn billiards(seed: u64, frames: usize) -> Sequence {
     let scene = generate_billiards(Seed(seed), &BilliardsSettings::default());
     let k = RecordingSettings::default().intrinsics().scaled_to(160, 100);
@@ -34,8 +34,7 @@ pub(crate) fn billiards(seed: u64, frames: usize) -> Sequence {
     sequence(path.poses(&scene, frames).into_iter().enumerate().map(render).collect())
 }
 
-/// A sequence of a floor without any texture, seen from around.
-#[allow(dead_code, reason = "not every test file needs it")]
+/// A floor without texture, filmed from around.
 pub(crate) fn bare_floor(frames: usize) -> Sequence {
     let k = RecordingSettings::default().intrinsics().scaled_to(160, 100);
     let mut rng = Seed(5).rng();
@@ -46,7 +45,7 @@ pub(crate) fn bare_floor(frames: usize) -> Sequence {
         let mut depth = Image::filled(k.width, k.height, 0.0f32);
         for y in 0..k.height {
             for x in 0..k.width {
-                // The ray has depth 1.
+                // Scaled to depth 1.
                 let ray = camera.unproject_pixel(x, y, 1.0) - eye;
                 if ray.z < -0.2 {
                     depth[(x, y)] = (-eye.z / ray.z + 0.001 * (2.0 * rng.random::<f64>() - 1.0)) as f32;

@@ -1,0 +1,5 @@
+//! Integration tests.
+
+mod common;
+mod degenerate;
+mod recovery;
