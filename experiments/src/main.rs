@@ -14,7 +14,7 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     match Console::new(&arguments.common, false).and_then(|console| run(&console, &arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => failure::report(&error),
+        Err(error) => failure::report::<sms_experiments::BenchError>(&error),
     }
 }
 

@@ -1,7 +1,9 @@
 //! The command line's shape.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sms_cli::front::{Common, Device, EngineName, PathName, PresetName, RefinePoses};
+use sms_cli::front::{Common, EngineName, PathName, PresetName, RefinePoses};
+use sms_pipeline::stages::LandingChooser;
+use sms_pipeline::{Device, Format, MasksSource, NetworksRequest, TrackMode, VlmMode};
 use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
@@ -17,48 +19,48 @@ pub(crate) struct Arguments {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Check a recording: sizes, poses, units, overlap; says what to change when another reading fits better.
-    Check(Check),
+    Check(CheckArguments),
     /// Reconstruct a recording as 3D Gaussians with object labels.
-    Scan(Scan),
+    Scan(ScanArguments),
     /// Turn a scan into closed meshes, spheres, convex parts and materials: a simulation-ready scene.
-    Materialize(Materialize),
+    Materialize(MaterializeArguments),
     /// List what the objects are made of, with intervals and sources, and change it.
-    Materials(Materials),
+    Materials(MaterialsArguments),
     /// Put the scene into the physics engine and see whether it rests.
-    Simulate(Simulate),
+    Simulate(SimulateArguments),
     /// Search the best action for a task.
-    Plan(Plan),
+    Plan(PlanArguments),
     /// Plan the arm's motion for the planned strike, check it, and write it for the robot.
-    Robot(Robot),
+    Robot(RobotArguments),
     /// Carry the plan out in an independent target world.
-    Execute(Execute),
+    Execute(ExecuteArguments),
     /// Measure the reconstruction against known models.
-    Evaluate(Evaluate),
+    Evaluate(EvaluateArguments),
     /// Write the report page.
-    Report(Report),
+    Report(ReportArguments),
     /// Write the scene for another simulator.
-    Export(Export),
+    Export(ExportArguments),
     /// Open the report in a browser.
-    View(View),
+    View(ViewArguments),
     /// The whole flow on a generated scene.
-    Demo(Demo),
+    Demo(DemoArguments),
     /// Write a small generated recording to try the commands on.
-    Sample(Sample),
+    Sample(SampleArguments),
     /// Write a full-size generated recording: any scene of a family, as the simulated camera sees it.
-    Synth(Synth),
+    Synth(SynthArguments),
     /// List what can compute a scan, with the result of each one's self-check.
     Devices,
     /// Look at a run's masks: its objects, and with --preview the annotated first frame; or at what the networks would find.
-    Masks(Masks),
+    Masks(MasksArguments),
     /// List or fetch the weights of the networks.
     #[command(subcommand)]
-    Models(Models),
+    Models(ModelsArguments),
     /// Print every setting that would be in force, as a file for `--settings`.
     Settings(SettingsArguments),
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct Masks {
+pub(crate) struct MasksArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Write preview.png into the run's folder: the first frame with its masks, and the boxes and scores of what the networks
@@ -70,7 +72,7 @@ pub(crate) struct Masks {
 }
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Models {
+pub(crate) enum ModelsArguments {
     /// The models there are, and where those that were fetched lie.
     List,
     /// Fetch models into the Hugging Face cache.
@@ -81,7 +83,7 @@ pub(crate) enum Models {
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct Check {
+pub(crate) struct CheckArguments {
     /// Folder of the recording (nerfstudio transforms.json with depth, or TUM RGB-D).
     pub recording: PathBuf,
 }
@@ -96,6 +98,18 @@ pub(crate) enum MasksName {
     Truth,
     /// OWLv2 finds what --objects names in the first frame, SAM 2.1 tracks it. Needs a build with the feature `nets`.
     Sam2,
+}
+
+impl MasksName {
+    /// The library's source; `nets` are the choices for networks.
+    pub(crate) fn source(self, nets: &NetsArguments) -> MasksSource {
+        match self {
+            Self::Geometry => MasksSource::Geometry,
+            Self::Files => MasksSource::Files,
+            Self::Truth => MasksSource::Truth,
+            Self::Sam2 => MasksSource::Networks(nets.request()),
+        }
+    }
 }
 
 /// How SAM 2 follows objects.
@@ -134,10 +148,21 @@ pub(crate) struct NetsArguments {
 }
 
 impl NetsArguments {
-    /// Whether they say what to look for.
-    pub(crate) fn ask(&self) -> bool {
-        let Self { objects, boxes, threshold, max_overlap, .. } = self;
-        objects.is_some() || !boxes.is_empty() || threshold.is_some() || max_overlap.is_some()
+    /// The library's choices.
+    pub(crate) fn request(&self) -> NetworksRequest {
+        let a = self.clone();
+        NetworksRequest {
+            objects: a.objects,
+            boxes: a.boxes,
+            threshold: a.threshold,
+            max_overlap: a.max_overlap,
+            tracking: a.track.map(|track| match track {
+                TrackName::Memory => TrackMode::Memory,
+                TrackName::Reprompt => TrackMode::Reprompt,
+            }),
+            sam2: a.sam2,
+            weights: a.weights,
+        }
     }
 }
 
@@ -149,7 +174,7 @@ pub(crate) struct SettingsArguments {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Scan {
+pub(crate) struct ScanArguments {
     /// Folder of the recording.
     pub recording: PathBuf,
     /// Folder of the run (made where it is missing; an interrupted run is resumed).
@@ -189,7 +214,7 @@ pub(crate) struct Scan {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Materialize {
+pub(crate) struct MaterializeArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// A TOML file with your own material values (`[object.NAME] class = "ceramic"`).
@@ -197,11 +222,11 @@ pub(crate) struct Materialize {
     pub materials: Option<PathBuf>,
     /// Whether a vision-language model is asked about the objects (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
     #[arg(long, value_enum, value_name = "MODE", default_value = "auto")]
-    pub vlm: VlmMode,
+    pub vlm: VlmName,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum VlmMode {
+pub(crate) enum VlmName {
     /// Ask no model.
     Off,
     /// Ask where a server is named; go on without where it does not answer.
@@ -213,8 +238,20 @@ pub(crate) enum VlmMode {
     CacheOnly,
 }
 
+impl VlmName {
+    /// The library's mode.
+    pub(crate) fn mode(self) -> VlmMode {
+        match self {
+            Self::Off => VlmMode::Off,
+            Self::Auto => VlmMode::Auto,
+            Self::On => VlmMode::On,
+            Self::CacheOnly => VlmMode::CacheOnly,
+        }
+    }
+}
+
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Materials {
+pub(crate) struct MaterialsArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Values to set, OBJECT.KEY=VALUE or OBJECT.KEY=BEST,LOW,HIGH: here `--set` means these.
@@ -226,7 +263,7 @@ pub(crate) struct Materials {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Simulate {
+pub(crate) struct SimulateArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Seconds to simulate.
@@ -235,7 +272,7 @@ pub(crate) struct Simulate {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Plan {
+pub(crate) struct PlanArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// The task (TOML).
@@ -266,19 +303,19 @@ pub(crate) enum ChooserName {
 }
 
 impl ChooserName {
-    /// As metrics name it.
-    pub(crate) fn name(self) -> &'static str {
+    /// The library's chooser.
+    pub(crate) fn chooser(self) -> LandingChooser {
         match self {
-            Self::Ours => "ours",
-            Self::Geometric => "geometric",
-            Self::Random => "random",
-            Self::Visual => "visual prompting",
+            Self::Ours => LandingChooser::Search,
+            Self::Geometric => LandingChooser::Geometric,
+            Self::Random => LandingChooser::Random,
+            Self::Visual => LandingChooser::Visual,
         }
     }
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Execute {
+pub(crate) struct ExecuteArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// The world to execute in (default: physx where it is built in, else rapier, which is the planner's own engine).
@@ -298,7 +335,7 @@ pub(crate) enum ArmName {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Evaluate {
+pub(crate) struct EvaluateArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// `objects.json` of known models; by default the truth of a generated recording.
@@ -307,7 +344,7 @@ pub(crate) struct Evaluate {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Report {
+pub(crate) struct ReportArguments {
     /// Folder of the run.
     pub run: PathBuf,
 }
@@ -330,8 +367,23 @@ pub(crate) enum FormatName {
     All,
 }
 
+impl FormatName {
+    /// Whether the name includes a format.
+    pub(crate) fn includes(self, format: Format) -> bool {
+        match self {
+            Self::Mjcf => format == Format::Mjcf,
+            Self::Urdf => format == Format::Urdf,
+            Self::Sdf => format == Format::Sdf,
+            Self::Usd => format == Format::Usd,
+            Self::Glb => format == Format::Glb,
+            Self::Obj => format == Format::Obj,
+            Self::All => true,
+        }
+    }
+}
+
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Robot {
+pub(crate) struct RobotArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Where the base stands in the run's world: x, y, z in metres and the yaw in degrees, such as 0,0,0,0. Without it
@@ -344,7 +396,7 @@ pub(crate) struct Robot {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Export {
+pub(crate) struct ExportArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Formats, separated by commas or given again.
@@ -357,7 +409,7 @@ pub(crate) struct Export {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct View {
+pub(crate) struct ViewArguments {
     /// Folder of the run.
     pub run: PathBuf,
 }
@@ -371,7 +423,7 @@ pub(crate) enum DemoName {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Demo {
+pub(crate) struct DemoArguments {
     /// Which demo.
     #[arg(value_enum)]
     pub name: DemoName,
@@ -396,7 +448,7 @@ pub(crate) struct Demo {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Sample {
+pub(crate) struct SampleArguments {
     /// Folder to write (must be missing or empty).
     pub folder: PathBuf,
     /// Seed of the scene.
@@ -418,7 +470,7 @@ pub(crate) enum FamilyName {
 }
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct Synth {
+pub(crate) struct SynthArguments {
     /// Folder to write (must be missing or empty, or hold the same recording unfinished).
     pub folder: PathBuf,
     /// Family of scenes.

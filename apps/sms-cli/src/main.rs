@@ -1,13 +1,11 @@
 //! The command `sms`: from a posed RGB-D recording to a simulated scene, a plan, an execution and a report.
 //!
-//! One file per command; each only wires stages together. Exit codes: 0 done, 2 bad input, 130
-//! interrupted (run the same command again to resume), 1 any other failure, and `sms check` found a fault.
+//! One file per command: each calls [`sms_pipeline`] and prints the outcome. Exit codes: 0 done, 2 bad input, 130
+//! interrupted (run the same command again to resume), 1 any other failure, and a fault that `sms check` found.
 
 mod cli;
 mod commands;
-mod device;
 mod live;
-mod picture;
 
 use clap::Parser;
 use cli::{Arguments, Command};
@@ -22,18 +20,18 @@ fn main() -> ExitCode {
     }
     let console = match Console::new(&arguments.common, matches!(arguments.command, Command::Demo(_))) {
         Ok(console) => console,
-        Err(error) => return failure::report(&error),
+        Err(error) => return failure::report::<sms_pipeline::Error>(&error),
     };
     match run(&console, arguments.command) {
         Ok(code) => code,
-        Err(error) => failure::report(&error),
+        Err(error) => failure::report::<sms_pipeline::Error>(&error),
     }
 }
 
 fn run(console: &Console, command: Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Check(a) => return commands::check::run(console, &a),
-        Command::Scan(a) => commands::scan::run(console, &a).map(drop),
+        Command::Scan(a) => commands::scan::run(console, &a),
         Command::Materialize(a) => commands::materialize::run(console, &a),
         Command::Materials(a) => commands::materials::run(console, &a),
         Command::Simulate(a) => commands::simulate::run(console, &a),

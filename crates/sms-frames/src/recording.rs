@@ -28,7 +28,7 @@ impl RecordingFormat {
 }
 
 /// One frame of a recording, before its images are read.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordedFrame {
     /// Colour image, PNG or JPEG.
     pub color_path: PathBuf,

@@ -47,9 +47,19 @@ impl Sequence {
         self.frames.is_empty()
     }
 
+    /// Returns the indices of the frames trained on when every `holdout`-th frame is held out.
+    pub fn trained(&self, holdout: usize) -> Vec<usize> {
+        (0..self.len()).filter(|&i| !Self::is_held_out(i, holdout)).collect()
+    }
+
+    /// Returns the indices of the held-out frames.
+    pub fn held_out(&self, holdout: usize) -> Vec<usize> {
+        (0..self.len()).filter(|&i| Self::is_held_out(i, holdout)).collect()
+    }
+
     /// Whether frame `index` is kept out of training when every `holdout`-th frame is (0: none is). The first frame
     /// is always trained on.
     pub fn is_held_out(index: usize, holdout: usize) -> bool {
-        holdout > 0 && index % holdout == holdout - 1
+        index > 0 && holdout > 0 && index % holdout == holdout - 1
     }
 }

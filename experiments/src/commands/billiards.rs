@@ -5,12 +5,13 @@ use super::shared::{Geometry, Masks, PriorName, finish, nothing_there, parse_sha
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value};
-use sms_cli::front::{Console, Device, EngineName, PathName, PresetName};
+use sms_cli::front::{Console, EngineName, PathName, PresetName};
 use sms_core::{InputError, Seed, length_text};
 use sms_experiments::{
     BenchOptions, BilliardsBench, BilliardsScene, FRAMES, Row, Shard, billiards_metrics, billiards_table,
     part_of, read_billiards, run_billiards, scan_billiards, write_pictures, write_shots,
 };
+use sms_pipeline::Device;
 use sms_plan::PlanConfig;
 use sms_synth::{FIXED_SCENES, FixedScene, billiards_scene};
 use sms_vlm::{ApiKey, Client};
@@ -190,7 +191,7 @@ fn bench(console: &Console, a: &BilliardsArguments) -> anyhow::Result<BilliardsB
     bench.geometry = a.geometry.choice();
     bench.material_prior = a.materials.iter().map(|t| t.prior()).collect();
     if a.materials.contains(&PriorName::Vlm) {
-        let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
+        let config = console.context.settings.section("vlm", sms_pipeline::settings::vlm_defaults())?;
         let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
         bench.vlm = Some(Arc::new(Client::new(&config, key, bench.seed.derive("vlm"))?));
     }

@@ -1,12 +1,13 @@
 //! `sms-experiments scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
 
-use sms_cli::front::{Console, Device};
+use sms_cli::front::Console;
 #[cfg(feature = "gpu")]
 use sms_core::Seed;
 use sms_core::Warnings;
 use sms_experiments::{BenchOptions, BenchScene, TrainerMaker};
 #[cfg(feature = "gpu")]
 use sms_gaussians::TrainConfig;
+use sms_pipeline::Device;
 use std::path::Path;
 
 /// Scans a scene on a GPU and measures it; never on the CPU instead.
@@ -83,7 +84,7 @@ pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
 pub(crate) fn trainer_maker(device: Device) -> anyhow::Result<TrainerMaker> {
     match device {
         Device::Auto | Device::Cpu => Ok(TrainerMaker::default()),
-        Device::Gpu(_) => Err(sms_cli::front::without_gpu().into()),
+        Device::Gpu(_) => Err(sms_pipeline::without_gpu().into()),
     }
 }
 
@@ -112,5 +113,5 @@ pub(crate) fn run(
     _: &Path,
     _: &Warnings,
 ) -> anyhow::Result<()> {
-    Err(sms_cli::front::without_gpu().into())
+    Err(sms_pipeline::without_gpu().into())
 }

@@ -4,7 +4,7 @@ use super::gpu;
 use super::shared::{Geometry, Masks, finish, nothing_there, parse_shard, with_settings};
 use anyhow::Context as _;
 use clap::Args;
-use sms_cli::front::{Console, Device, EngineName, PresetName};
+use sms_cli::front::{Console, EngineName, PresetName};
 use sms_core::{InputError, Seed, Warnings, length_text};
 use sms_experiments::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
@@ -13,6 +13,7 @@ use sms_experiments::{
 };
 use sms_frames::Frame;
 use sms_landing::{LandingAction, Stuck};
+use sms_pipeline::Device;
 use sms_prompting::{
     ApproachSettings, Choice, Observation, SiteSettings, Sites, best_view, geometric, landing_sites, random,
     surfaces_of, visual_prompting,
@@ -264,7 +265,7 @@ fn baseline(
 
 /// A vision-language model that is shown the candidates. Its replies are kept beside the scans.
 fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<LandingBaseline<'static>> {
-    let config = console.context.settings.section("vlm", sms_cli::settings::vlm_defaults())?;
+    let config = console.context.settings.section("vlm", sms_pipeline::settings::vlm_defaults())?;
     let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
     let client = Client::new(&config, key, seed.derive("visual prompting"))?;
     let (cache, cancel) = (Cache::new(&keep.join(REPLIES)), console.context.cancel.clone());

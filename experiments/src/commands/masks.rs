@@ -59,7 +59,7 @@ pub(crate) fn run(console: &Console, a: &MasksArguments) -> anyhow::Result<()> {
             Some((score, seconds)) => scores.push((scene, score, seconds)),
             None => console.say(format!("skipped: {scene} is absent (SMS_TEST_DATA names its folder)")),
         }
-        console.tell(&warnings);
+        console.context.warn(&warnings);
     }
     let only_real = |s: &BenchScene| matches!(s, BenchScene::Real(name) if REAL.contains(&name.as_str()));
     let none_generated = scores.len() > 1 && scores.iter().all(|s| only_real(&s.0)) && a.scenes == "all";

@@ -3,13 +3,14 @@
 use super::gpu;
 use super::shared::{finish, parse_shard, read_baseline, with_settings};
 use clap::{Args, ValueEnum};
-use sms_cli::front::{Console, Device, PresetName};
+use sms_cli::front::{Console, PresetName};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, FRAMES, HOLDOUT, MODELS, MaskChoice, MaterializeOptions, Shard,
     add_materialize_means, materialize_markdown, materialize_table, model_path, part_of, run_materialize,
 };
+use sms_pipeline::Device;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]

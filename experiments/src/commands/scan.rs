@@ -5,15 +5,15 @@ use super::shared::{finish, parse_shard, read_baseline, settings, with_settings}
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
-use sms_cli::front::{Console, Device, PresetName, RefinePoses};
-use sms_cli::settings::poses_defaults;
+use sms_cli::front::{Console, PresetName, RefinePoses};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext, Warnings};
 use sms_experiments::{
     BenchOptions, BenchScene, Disturbance, FRAMES, HOLDOUT, Shard, add_means, export_scene, locate,
     parse_length_m, parse_pose_noise, part_of, prepare, run_scene, select_scenes, table,
 };
-use sms_poses::PosesMode;
+use sms_pipeline::Device;
+use sms_pipeline::settings::poses_defaults;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -240,11 +240,7 @@ fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions>
     let base = with_settings(console, base)?;
     let mut poses = console.context.settings.section("poses", poses_defaults(&base.load))?;
     if let Some(mode) = a.refine_poses {
-        poses.mode = match mode {
-            RefinePoses::Off => PosesMode::Off,
-            RefinePoses::On => PosesMode::On,
-            RefinePoses::Auto => PosesMode::Auto,
-        };
+        poses.mode = mode.mode();
     }
     Ok(BenchOptions {
         poses,

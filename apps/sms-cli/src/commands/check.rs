@@ -1,11 +1,11 @@
-//! `sms check`: is this recording what it says?
+//! `sms check`: does the recording agree with its own statements?
 
-use crate::cli::Check;
+use crate::cli::CheckArguments;
 use sms_cli::front::Console;
 use sms_frames::{ReadOptions, Recording, check};
 use std::process::ExitCode;
 
-pub(crate) fn run(console: &Console, a: &Check) -> anyhow::Result<ExitCode> {
+pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitCode> {
     let options = console.context.settings.section("read", ReadOptions::default())?;
     let recording = Recording::open(&a.recording, &options)?;
     let report = check(&recording, console.context.progress.as_ref(), &console.context.cancel)?;
@@ -17,6 +17,6 @@ pub(crate) fn run(console: &Console, a: &Check) -> anyhow::Result<ExitCode> {
     } else {
         console.say(report.to_text());
     }
-    // 2 is a recording that cannot be read; one that was read and is wrong is neither that nor done.
+    // 2 means that the recording cannot be read; a fault in its content is 1.
     Ok(if report.approved() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }

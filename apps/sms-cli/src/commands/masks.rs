@@ -1,183 +1,36 @@
-//! `sms masks`: what a run's masks show, and what the networks find in its first frame.
+//! `sms masks`: the masks of a run, and detections in its first frame.
 
-use super::{models, shown};
-use crate::cli::Masks;
-use crate::picture::{draw_box, draw_text, enlarged};
-use serde::{Deserialize, Serialize};
+use crate::cli::MasksArguments;
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
-use sms_core::{BACKGROUND, ColorImage, InputError, LabelMap, Labels, atomic, write_png_color};
-use sms_frames::{Frame, Sequence};
-use sms_masks::{label_color, load_labels};
-use std::path::Path;
+use sms_pipeline::Run;
 
-/// What the networks found in the first frame, beside the masks that were made of it.
-pub(crate) const FOUND: &str = "found.json";
-/// The annotated first frame, in the run's folder.
-const PREVIEW: &str = "preview.png";
-/// Least width of the annotated frame, for its letters.
-const WIDE_PX: usize = 800;
-
-/// A detection: the label that it becomes, its name and score, and where it is in pixels of the first frame (left, top, right,
-/// bottom).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct FoundBox {
-    pub(crate) id: u16,
-    pub(crate) name: String,
-    pub(crate) score: f64,
-    pub(crate) box_px: [f64; 4],
-}
-
-pub(crate) fn run(console: &Console, a: &Masks) -> anyhow::Result<()> {
-    let (frames, masks) = (a.run.join("frames"), a.run.join("masks"));
-    if a.nets.ask() {
-        return models::preview(console, &a.nets, &Sequence::load(&frames)?, &a.run);
+pub(crate) fn run(console: &Console, a: &MasksArguments) -> anyhow::Result<()> {
+    let run = Run::new(&a.run, &console.context);
+    let request = a.nets.request();
+    if request.is_question() {
+        return Ok(run.preview_detections(&request)?);
     }
-    if !masks.join("labels.json").is_file() {
-        let cure = "give the folder of a run: `sms scan RECORDING --out RUN` makes one";
-        return Err(InputError::new("there are no masks here", &a.run, cure).into());
-    }
-    let labels = load_labels(&masks)?;
-    let mut metrics = Metrics::new();
-    metrics.set("masks.objects", labels.objects.len()).set("masks.frames", labels.maps.len());
+    let labels = run.masks()?;
+    let count = labels.maps.len();
     for object in &labels.objects {
         let frames = labels.maps.iter().filter(|m| m.data.contains(&object.id)).count();
         let pixels = labels.maps.first().map_or(0, |m| m.data.iter().filter(|l| **l == object.id).count());
         console.say(format!(
-            "{:3} {:24} in {frames} of {} frames, {pixels} pixels in the first{}",
+            "{:3} {:24} in {frames} of {count} frames, {pixels} pixels in the first{}",
             object.id,
             object.name,
-            labels.maps.len(),
             if object.description.is_empty() { String::new() } else { format!(" ({})", object.description) }
         ));
     }
     if a.preview {
-        let sequence = Sequence::load(&frames)?;
-        let path = masks.join(FOUND);
-        let found = if path.is_file() { atomic::read_json(&path)? } else { Vec::new() };
-        let path = write_preview(&a.run, first(&sequence)?, Some(&labels), &found)?;
-        console.say(format!("the first frame with its masks: {path}"));
+        let picture = run.preview_masks(&labels)?;
+        console.say(format!("the first frame with its masks: {}", picture.display()));
     }
     if console.json {
+        let mut metrics = Metrics::new();
+        metrics.set("masks.objects", labels.objects.len()).set("masks.frames", count);
         console.print_json(&metrics)?;
     }
     Ok(())
-}
-
-/// Tells and draws what the networks found in the first frame, in the form in which `--box` takes it back.
-#[cfg(feature = "nets")]
-pub(crate) fn tell_found(
-    console: &Console,
-    run: &Path,
-    sequence: &Sequence,
-    found: &[FoundBox],
-) -> anyhow::Result<()> {
-    for f in found {
-        let [x0, y0, x1, y1] = f.box_px;
-        console.say(format!(
-            "{:.2} {:24} --box \"{}={x0:.0},{y0:.0},{x1:.0},{y1:.0}\"",
-            f.score, f.name, f.name
-        ));
-    }
-    let path = write_preview(run, first(sequence)?, None, found)?;
-    console.say(format!("{} found in the first frame: {path}", found.len()));
-    Ok(())
-}
-
-fn first(sequence: &Sequence) -> Result<&Frame, InputError> {
-    let none = || InputError::new("this run has no frames", &sequence.source, "scan a recording");
-    sequence.frames.first().ok_or_else(none)
-}
-
-/// Writes the annotated frame into the run's folder; returns where it is.
-fn write_preview(
-    run: &Path,
-    frame: &Frame,
-    labels: Option<&Labels>,
-    found: &[FoundBox],
-) -> anyhow::Result<String> {
-    let path = run.join(PREVIEW);
-    write_png_color(&path, &annotated(&frame.color, labels, found))?;
-    Ok(shown(&path))
-}
-
-/// The image, enlarged where it is small, with each label tinted in its colour and outlined, and the boxes, names and scores of
-/// detections over it.
-fn annotated(image: &ColorImage, labels: Option<&Labels>, found: &[FoundBox]) -> ColorImage {
-    let map = labels.and_then(|l| l.maps.first()).filter(|m| m.size() == image.size());
-    let tinted = map.map(|map| tinted(image, map));
-    let factor = WIDE_PX.div_ceil(image.width.max(1)).clamp(1, 8);
-    let mut out = enlarged(tinted.as_ref().unwrap_or(image), factor);
-    let at = |v: f64| (v.max(0.0) * factor as f64).round() as usize;
-    for f in found {
-        let [x0, y0, x1, y1] = f.box_px.map(at);
-        draw_box(&mut out, (x0, y0), (x1, y1), 2, label_color(f.id));
-    }
-    // Over all boxes, so that none hides a name.
-    for f in found {
-        let [x0, y0, ..] = f.box_px.map(at);
-        // What a user called it since counts.
-        let name = labels.and_then(|l| l.object(f.id)).map_or(&f.name, |o| &o.name);
-        let text = format!("{name} {:.2}", f.score);
-        draw_text(&mut out, (x0, y0.saturating_sub(18)), &text, 2, label_color(f.id));
-    }
-    out
-}
-
-/// The image with each label's pixels tinted in its colour, and its outline in full.
-fn tinted(image: &ColorImage, map: &LabelMap) -> ColorImage {
-    let mut out = image.clone();
-    for y in 0..map.height {
-        for x in 0..map.width {
-            let label = map[(x, y)];
-            if label == BACKGROUND {
-                continue;
-            }
-            let (x_px, y_px) = (x as i64, y as i64);
-            let beside = [(-1, 0), (1, 0), (0, -1), (0, 1)];
-            let is_edge = beside.iter().any(|(dx, dy)| map.get(x_px + dx, y_px + dy) != Some(&label));
-            let color = label_color(label);
-            let pixel = &mut out[(x, y)];
-            for (value, tint) in pixel.iter_mut().zip(color) {
-                *value = if is_edge { tint } else { ((u16::from(*value) + u16::from(tint)) / 2) as u8 };
-            }
-        }
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use sms_core::{LabelInfo, MaskSource};
-
-    #[test]
-    fn boxes_stand_where_they_were_found_and_labels_are_tinted() {
-        let image = ColorImage::filled(400, 250, [10; 3]);
-        let mut map = LabelMap::filled(400, 250, BACKGROUND);
-        for y in 60..100 {
-            (60..120).for_each(|x| map[(x, y)] = 1);
-        }
-        let objects = vec![LabelInfo { id: 1, name: "mug".into(), description: String::new() }];
-        let labels = Labels { maps: vec![map], objects, source: MaskSource::Foundation };
-        let found = [FoundBox { id: 1, name: "cup".into(), score: 0.83, box_px: [50.0, 55.0, 130.0, 110.0] }];
-        let color = label_color(1);
-        let out = annotated(&image, Some(&labels), &found);
-        assert_eq!(out.size(), (800, 500));
-        // The box, the mask's outline, the mask, beside both.
-        assert_eq!((out[(259, 150)], out[(120, 150)]), (color, color));
-        let tint = color.map(|c| ((10 + u16::from(c)) / 2) as u8);
-        assert_eq!((out[(160, 160)], out[(110, 150)], out[(300, 150)]), (tint, [10; 3], [10; 3]));
-        // The plate with the name and the score stands over the box.
-        let plate = |out: &ColorImage| -> Vec<[u8; 3]> {
-            (92..110).flat_map(|y| (100..196).map(move |x| (x, y))).map(|at| out[at]).collect()
-        };
-        assert!(plate(&out).iter().all(|c| *c == color || *c == [0; 3] || *c == [255; 3]));
-        // Without detections: labels alone; without labels: detections, by their own name.
-        let alone = annotated(&image, Some(&labels), &[]);
-        assert_eq!((alone[(259, 150)], alone[(160, 160)]), ([10; 3], tint));
-        let before = annotated(&image, None, &found);
-        assert_eq!((before[(259, 150)], before[(160, 160)]), (color, [10; 3]));
-        assert_ne!(plate(&before), plate(&out), "cup, not mug");
-    }
 }

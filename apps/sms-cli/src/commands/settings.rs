@@ -1,8 +1,8 @@
-//! `sms settings`: every setting that would be in force, as a file for `--settings`.
+//! `sms settings`: all settings in force, as a file for `--settings`.
 
 use crate::cli::SettingsArguments;
 use sms_cli::front::{Console, PresetName};
-use sms_cli::settings::text;
+use sms_pipeline::settings::text;
 
 pub(crate) fn run(console: &Console, a: &SettingsArguments) -> anyhow::Result<()> {
     let preset = a.preset.unwrap_or(PresetName::Standard);

@@ -1,16 +1,16 @@
 //! `sms synth`: a generated recording of any scene.
 
-use super::{sample, shown};
-use crate::cli::{FamilyName, Synth};
+use crate::cli::{FamilyName, SynthArguments};
 use sms_cli::front::Console;
 use sms_core::{InputError, Seed};
+use sms_pipeline::write_task_files;
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, SceneViews,
     generate_billiards, generate_billiards_among, generate_challenge, landing_scene_among, read_models,
     record_views,
 };
 
-pub(crate) fn run(console: &Console, a: &Synth) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &SynthArguments) -> anyhow::Result<()> {
     let made = scene(console, a)?;
     let truth = &made.scene;
     let settings = RecordingSettings {
@@ -35,12 +35,12 @@ pub(crate) fn run(console: &Console, a: &Synth) -> anyhow::Result<()> {
         console.context.progress.as_ref(),
         &console.context.cancel,
     )?;
-    sample::write_beside(truth, &a.folder)?;
-    console.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), shown(&a.folder)));
+    write_task_files(truth, &a.folder)?;
+    console.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), a.folder.display()));
     Ok(())
 }
 
-fn scene(console: &Console, a: &Synth) -> anyhow::Result<ModelScene> {
+fn scene(console: &Console, a: &SynthArguments) -> anyhow::Result<ModelScene> {
     let plain = |scene| ModelScene { scene, skins: Vec::new() };
     if a.meshes.is_some() && !matches!(a.family, FamilyName::Billiards | FamilyName::Landing) {
         let what = "scanned models stand in scenes of the families billiards and landing only";
@@ -50,10 +50,7 @@ fn scene(console: &Console, a: &Synth) -> anyhow::Result<ModelScene> {
     let models = match &a.meshes {
         Some(dir) if dir.is_dir() => read_models(dir)?,
         Some(dir) => {
-            console.say(format!(
-                "there is no folder {}: without scanned models, everything is made in code",
-                shown(dir)
-            ));
+            console.say(format!("there is no folder {}: every object is generated", dir.display()));
             Vec::new()
         }
         None => Vec::new(),

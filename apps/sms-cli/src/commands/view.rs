@@ -1,16 +1,16 @@
 //! `sms view`: opens the report.
 
-use super::{report, shown};
-use crate::cli::{Report, View};
+use super::report;
+use crate::cli::{ReportArguments, ViewArguments};
 use sms_cli::front::Console;
 use std::process::{Command, Stdio};
 
-pub(crate) fn run(console: &Console, a: &View) -> anyhow::Result<()> {
-    let page = report::run(console, &Report { run: a.run.clone() })?;
+pub(crate) fn run(console: &Console, a: &ViewArguments) -> anyhow::Result<()> {
+    let page = report::run(console, &ReportArguments { run: a.run.clone() })?;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let opened = Command::new(opener).arg(&page).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
     if opened.is_err() {
-        console.say(format!("no browser could be started; open {} yourself", shown(&page)));
+        console.say(format!("no browser could be started; open {} yourself", page.display()));
     }
     Ok(())
 }

@@ -2,27 +2,15 @@
 
 use super::arguments::{Common, ProgressKind};
 use super::bars::Bars;
-use crate::settings::Settings;
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress, RunFolder, Warnings};
+use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress};
+use sms_pipeline::{Context, Event, EventSink, Run, Settings};
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
 /// Least time between two updates of `--progress json`.
 const JSON_EVERY: Duration = Duration::from_millis(100);
-
-/// Progress, interruption and settings of one invocation.
-pub struct Context {
-    /// Shows progress.
-    pub progress: Box<dyn Progress>,
-    /// Set by Ctrl-C.
-    pub cancel: Cancel,
-    /// Settings of all stages.
-    pub settings: Settings,
-    /// Redo stages even where nothing has changed.
-    pub force: bool,
-}
 
 /// One invocation of a program: its context, and how it prints.
 pub struct Console {
@@ -69,64 +57,31 @@ impl Console {
             ProgressKind::None => Box::new(NoProgress),
         };
         let settings = Settings::read(common.settings.as_deref(), &common.assignments)?;
-        let context = Context { progress, cancel, settings, force: common.force };
+        let events = Box::new(Printer { json: common.json });
+        let context = Context { progress, cancel, settings, force: common.force, events };
         Ok(Self { context, part_of_a_flow, json: common.json })
     }
 
-    /// A line for people; nothing with `--json`.
+    /// Prints a line for people; nothing with `--json`.
     pub fn say(&self, line: impl std::fmt::Display) {
         if !self.json {
-            // Whoever closed the pipe has read enough.
-            let _ = writeln!(std::io::stdout(), "{line}");
+            self.print(line);
         }
     }
 
-    /// What a command was asked to print.
+    /// Prints the text that a command was asked for.
     pub fn print(&self, text: impl std::fmt::Display) {
+        // Whoever closed the pipe has read enough.
         let _ = writeln!(std::io::stdout(), "{text}");
-    }
-
-    /// Merges metrics into the run's (keys that start with one of `prefixes` are replaced as a whole), saves the
-    /// warnings as those of `stage`, and shows them.
-    ///
-    /// # Errors
-    /// When a file cannot be read or written.
-    pub fn finish(
-        &self,
-        run: &RunFolder,
-        stage: &str,
-        prefixes: &[&str],
-        metrics: Metrics,
-        warnings: &Warnings,
-    ) -> anyhow::Result<()> {
-        let path = run.metrics_path();
-        let mut all = Metrics::load(&path)?;
-        for prefix in prefixes {
-            all.remove_prefix(prefix);
-        }
-        all.merge(metrics);
-        all.save(&path)?;
-        warnings.save_as(&run.warnings_path(), stage)?;
-        self.tell(warnings);
-        Ok(())
-    }
-
-    /// Shows warnings.
-    pub fn tell(&self, warnings: &Warnings) {
-        for w in warnings.snapshot() {
-            let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
-            eprintln!("warning: {}{times}{}{}", w.message, if w.cure.is_empty() { "" } else { "; " }, w.cure);
-        }
     }
 
     /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).
     ///
     /// # Errors
-    /// When a file cannot be read or written.
-    pub fn print_metrics(&self, run: &RunFolder) -> anyhow::Result<()> {
+    /// When they cannot be read.
+    pub fn print_metrics(&self, run: &Run<'_>) -> anyhow::Result<()> {
         if self.json && !self.part_of_a_flow {
-            let all = Metrics::load(&run.metrics_path())?;
-            self.print_json(&all)?;
+            self.print_json(&run.metrics()?)?;
         }
         Ok(())
     }
@@ -142,9 +97,22 @@ impl Console {
     }
 }
 
-/// Peak resident memory of this process in bytes, where the system tells.
-pub fn peak_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+/// Prints the pipeline's events: messages on standard output, warnings on standard error.
+struct Printer {
+    json: bool,
+}
+
+impl EventSink for Printer {
+    fn event(&self, event: &Event<'_>) {
+        match event {
+            Event::Message(text) if !self.json => drop(writeln!(std::io::stdout(), "{text}")),
+            Event::Alert(text) if !self.json => eprintln!("warning: {text}"),
+            Event::Warning(w) => {
+                let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
+                let cure = if w.cure.is_empty() { String::new() } else { format!("; {}", w.cure) };
+                eprintln!("warning: {}{times}{cure}", w.message);
+            }
+            Event::Message(_) | Event::Alert(_) | Event::Stage { .. } => {}
+        }
+    }
 }

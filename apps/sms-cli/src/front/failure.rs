@@ -3,36 +3,20 @@
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use std::process::ExitCode;
 
-/// Prints the error and returns its exit code.
-pub fn report(error: &anyhow::Error) -> ExitCode {
+/// Prints the error and returns its exit code. `E` is the program's own error type.
+pub fn report<E: StageError + Send + Sync + 'static>(error: &anyhow::Error) -> ExitCode {
     eprintln!("error: {error:#}");
-    ExitCode::from(match kind(error) {
+    ExitCode::from(match kind::<E>(error) {
         ErrorKind::Input(_) | ErrorKind::DiskFull => 2,
         ErrorKind::Interrupted => 130,
         ErrorKind::Other => 1,
     })
 }
 
-/// Returns the kind of the stage's error inside.
-fn kind(error: &anyhow::Error) -> ErrorKind<'_> {
-    macro_rules! first_of {
-        ($($kind:ty),* $(,)?) => {
-            $(if let Some(error) = error.downcast_ref::<$kind>() { return error.kind(); })*
-        };
-    }
-    first_of!(
-        InputError,
-        CoreError,
-        sms_masks::MasksError,
-        sms_gaussians::ScanError,
-        sms_entities::EntitiesError,
-        sms_scene::SceneError,
-        sms_task::TaskError,
-        sms_plan::PlanError,
-        sms_landing::LandingError,
-        sms_target::TargetError,
-        sms_eval::EvaluateError,
-        sms_report::ReportError,
-    );
-    ErrorKind::Other
+fn kind<E: StageError + Send + Sync + 'static>(error: &anyhow::Error) -> ErrorKind<'_> {
+    let own = error.downcast_ref::<E>().map(E::kind);
+    own.or_else(|| error.downcast_ref::<sms_pipeline::Error>().map(StageError::kind))
+        .or_else(|| error.downcast_ref::<CoreError>().map(StageError::kind))
+        .or_else(|| error.downcast_ref::<InputError>().map(StageError::kind))
+        .unwrap_or(ErrorKind::Other)
 }

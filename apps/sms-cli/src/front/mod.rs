@@ -17,7 +17,7 @@
 //!             console.say("ready");
 //!             ExitCode::SUCCESS
 //!         }
-//!         Err(error) => failure::report(&error),
+//!         Err(error) => failure::report::<sms_pipeline::Error>(&error),
 //!     }
 //! }
 //! ```
@@ -25,11 +25,9 @@
 mod arguments;
 mod bars;
 mod console;
-mod device;
 pub mod failure;
 mod values;
 
 pub use arguments::{Common, ProgressKind};
-pub use console::{Console, Context, peak_bytes};
-pub use device::{Device, without_gpu};
+pub use console::Console;
 pub use values::{EngineName, PathName, PresetName, RefinePoses};

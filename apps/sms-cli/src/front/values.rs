@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use sms_gaussians::Preset;
+use sms_poses::PosesMode;
 use sms_synth::CameraPath;
 use sms_target::TargetEngine;
 
@@ -25,15 +26,6 @@ impl PresetName {
             Self::Fine => Preset::Fine,
         }
     }
-
-    /// As it is written on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Draft => "draft",
-            Self::Standard => "standard",
-            Self::Fine => "fine",
-        }
-    }
 }
 
 /// Whether camera poses are refined.
@@ -45,6 +37,17 @@ pub enum RefinePoses {
     On,
     /// Use refined poses where held-out frames agree significantly better with them.
     Auto,
+}
+
+impl RefinePoses {
+    /// The library's mode.
+    pub fn mode(self) -> PosesMode {
+        match self {
+            Self::Off => PosesMode::Off,
+            Self::On => PosesMode::On,
+            Self::Auto => PosesMode::Auto,
+        }
+    }
 }
 
 /// Target engine.

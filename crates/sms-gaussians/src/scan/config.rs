@@ -26,6 +26,15 @@ impl Preset {
             Self::Fine => 640,
         }
     }
+
+    /// Returns the name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::Fine => "fine",
+        }
+    }
 }
 
 impl std::str::FromStr for Preset {

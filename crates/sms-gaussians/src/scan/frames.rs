@@ -19,16 +19,6 @@ pub(crate) fn train_frame(frame: &Frame, labels: &LabelMap) -> TrainFrame {
     }
 }
 
-/// Indices of the frames trained on, in order.
-pub(crate) fn trained_frames(sequence: &Sequence, holdout: usize) -> Vec<usize> {
-    (0..sequence.len()).filter(|&i| i == 0 || !Sequence::is_held_out(i, holdout)).collect()
-}
-
-/// Indices of the frames kept out.
-pub(crate) fn held_out_frames(sequence: &Sequence, holdout: usize) -> Vec<usize> {
-    (1..sequence.len()).filter(|&i| Sequence::is_held_out(i, holdout)).collect()
-}
-
 /// What must hold before a scan can start.
 pub(crate) fn check_inputs(sequence: &Sequence, labels: &Labels, holdout: usize) -> Result<(), InputError> {
     let refuse = |what: String, cure: &str| Err(InputError::new(what, &sequence.source, cure));
@@ -51,7 +41,7 @@ pub(crate) fn check_inputs(sequence: &Sequence, labels: &Labels, holdout: usize)
             );
         }
     }
-    let trained = trained_frames(sequence, holdout);
+    let trained = sequence.trained(holdout);
     if !trained.iter().any(|&i| sequence.frames[i].depth.data.iter().any(|&z| z > 0.0)) {
         return refuse(
             "no frame that is trained on has any depth".into(),

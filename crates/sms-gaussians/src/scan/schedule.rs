@@ -7,7 +7,7 @@ use super::checkpoint::{self, Found, Place};
 use super::config::{ScanConfig, StopConfig};
 use super::consensus::correct_labels;
 use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
-use super::frames::{check_inputs, held_out_frames, train_frame, trained_frames};
+use super::frames::{check_inputs, train_frame};
 use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
 use super::observer::{BatchDone, ScanObserver, SlotDone};
@@ -90,7 +90,7 @@ pub fn scan_observed(
     let StageContext { progress, cancel, warnings, seed } = context;
     config.validate()?;
     check_inputs(sequence, labels, config.holdout)?;
-    let trained = trained_frames(sequence, config.holdout);
+    let trained = sequence.trained(config.holdout);
     let began = Instant::now();
     let background = background_color(&trained.iter().map(|&i| &sequence.frames[i]).collect::<Vec<_>>());
     trainer.set_background(background);
@@ -555,7 +555,7 @@ impl Schedule<'_> {
     /// Measures the result and writes it.
     fn finish(mut self, work_dir: &Path) -> Result<ScanResult, ScanError> {
         let trained = self.trained.clone();
-        let held_out = held_out_frames(self.sequence, self.config.holdout);
+        let held_out = self.sequence.held_out(self.config.holdout);
         let (mut train_views, train_miou) = self.measure(&trained, false)?;
         let (held_out_views, held_out_miou) = self.measure(&held_out, true)?;
         let mut metrics = Metrics::new();

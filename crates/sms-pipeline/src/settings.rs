@@ -1,5 +1,6 @@
 //! Settings of all stages: defaults or a preset's, then `--settings FILE`, then every `--set section.key=value`.
 
+use crate::Error;
 use serde::{Serialize, de::DeserializeOwned};
 use sms_core::{InputError, atomic, toml_value};
 use sms_entities::EntitiesConfig;
@@ -13,7 +14,6 @@ use sms_poses::PosesConfig;
 use sms_robots::RobotConfig;
 use sms_robots::autopilot::FlightFiles;
 use sms_vlm::VlmConfig;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Settings of one stage: what a section of the file may hold.
@@ -31,7 +31,7 @@ macro_rules! sections {
 
         impl Settings {
             /// Whether a section's keys exist and hold values of their kind and range.
-            fn check(&self, name: &str) -> anyhow::Result<()> {
+            fn check(&self, name: &str) -> Result<(), Error> {
                 match name {
                     $($name => self.section(name, <$kind>::default()).map(drop),)*
                     _ => Err(self.unknown_section(name).into()),
@@ -113,7 +113,7 @@ pub struct Settings {
 impl Settings {
     /// Reads the file and the assignments and checks every key of every section, so that a mistake is found before
     /// any work.
-    pub fn read(path: Option<&Path>, assignments: &[String]) -> anyhow::Result<Self> {
+    pub fn read(path: Option<&Path>, assignments: &[String]) -> Result<Self, Error> {
         let mut settings = Self::default();
         if let Some(path) = path {
             settings.table = atomic::read_toml(path)?;
@@ -132,7 +132,7 @@ impl Settings {
     }
 
     /// `base` with the file's and the assignments' values of a section in place of its own.
-    pub fn section<T: Section>(&self, name: &str, base: T) -> anyhow::Result<T> {
+    pub fn section<T: Section>(&self, name: &str, base: T) -> Result<T, Error> {
         let assigned: Vec<&Assignment> = self.assignments.iter().filter(|a| a.section == name).collect();
         let overrides = self.table.get(name);
         if overrides.is_none() && assigned.is_empty() {
@@ -284,7 +284,7 @@ pub fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
 }
 
 /// All sections as TOML, with the overrides applied to the preset's values.
-pub fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String> {
+pub fn text(settings: &Settings, preset: Preset) -> Result<String, Error> {
     let frames = LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() };
     let mut out = String::from(
         "# Settings of all stages. Keep what you change and give the file with --settings FILE, or single values with\n\
@@ -307,7 +307,7 @@ pub fn text(settings: &Settings, preset: Preset) -> anyhow::Result<String> {
         };
         let mut table = toml::Table::new();
         table.extend(toml_value(&value).map(|v| ((*name).to_owned(), v)));
-        write!(out, "\n# {about}\n{table}")?;
+        out += &format!("\n# {about}\n{table}");
     }
     Ok(out)
 }
@@ -321,19 +321,20 @@ pub fn vlm_defaults() -> VlmConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sms_core::StageError;
 
-    fn settings(text: &str, assignments: &[&str]) -> anyhow::Result<Settings> {
-        let dir = tempfile::tempdir()?;
+    fn settings(text: &str, assignments: &[&str]) -> Result<Settings, Error> {
+        let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mine.toml");
-        std::fs::write(&path, text)?;
+        std::fs::write(&path, text).unwrap();
         let assignments: Vec<String> = assignments.iter().map(|s| (*s).to_owned()).collect();
         Settings::read(Some(&path), &assignments)
     }
 
     fn refusal(text: &str, assignments: &[&str]) -> String {
         let error = settings(text, assignments).unwrap_err();
-        assert!(error.downcast_ref::<InputError>().is_some(), "{error:#}");
-        format!("{error:#}")
+        assert!(error.input().is_some(), "{error}");
+        error.to_string()
     }
 
     #[test]
@@ -428,7 +429,7 @@ mod tests {
                 let Err(error) = Settings::read(None, std::slice::from_ref(&given)) else {
                     panic!("{given} is accepted");
                 };
-                let message = format!("{error:#}");
+                let message = error.to_string();
                 assert!(message.contains(&format!("--set {given}")), "{message}");
                 assert!(message.contains(key.rsplit('.').next().unwrap()), "{message}");
             }

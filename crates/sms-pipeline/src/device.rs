@@ -1,0 +1,124 @@
+//! The device that computes a scan: the CPU, or a GPU in a build with the feature `gpu`.
+
+#[cfg(feature = "gpu")]
+use crate::Event;
+use crate::EventSink;
+use sms_core::{InputError, StageContext};
+use sms_gaussians::{CpuTrainer, TrainConfig, Trainer};
+
+/// Device of a scan; from text, `auto`, `cpu`, `gpu` or `gpu:N`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Device {
+    /// A GPU where there is one and the build knows of GPUs, else the CPU.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// A GPU: the best one, or that of this index in `sms devices`.
+    Gpu(Option<usize>),
+}
+
+impl std::str::FromStr for Device {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "auto" => Ok(Self::Auto),
+            None if text == "cpu" => Ok(Self::Cpu),
+            None if text == "gpu" => Ok(Self::Gpu(None)),
+            Some(("gpu", index)) => match index.parse() {
+                Ok(index) => Ok(Self::Gpu(Some(index))),
+                Err(_) => Err(format!("{index:?} is not an index; `sms devices` lists them")),
+            },
+            _ => Err("give auto, cpu, gpu or gpu:N".to_owned()),
+        }
+    }
+}
+
+/// The refusal of a GPU by a program that was built without GPUs.
+pub fn without_gpu() -> InputError {
+    InputError::new(
+        "this program was built without GPUs",
+        "--device",
+        "build it with `--features gpu`, or give --device cpu",
+    )
+}
+
+/// Returns the trainer of a scan and the value of the metric `scan.device`. A GPU that cannot be used is reported, and
+/// the CPU takes its place.
+#[cfg(feature = "gpu")]
+pub(crate) fn trainer(
+    device: Device,
+    train: &TrainConfig,
+    classes: usize,
+    events: &dyn EventSink,
+    context: StageContext<'_>,
+) -> Result<(Box<dyn Trainer>, String), InputError> {
+    use sms_gaussians_gpu::{Choice, GpuError, checked_trainer};
+    let cpu = || Box::new(CpuTrainer::new(train, classes, context.seed));
+    let choice = match device {
+        Device::Cpu => return Ok((cpu(), "cpu".to_owned())),
+        Device::Gpu(Some(index)) => Choice::Index(index),
+        Device::Auto | Device::Gpu(None) => Choice::Best,
+    };
+    match checked_trainer(train, classes, context.seed, choice) {
+        Ok(trainer) => {
+            let name = trainer.adapter().name.clone();
+            events.event(&Event::Message(&format!("scanning on {name}")));
+            Ok((Box::new(trainer), format!("gpu: {name}")))
+        }
+        Err(GpuError::NoSuchAdapter { index, count }) => Err(InputError::new(
+            format!("there is no GPU {index}: there are {count}"),
+            "--device",
+            "`sms devices` lists them",
+        )),
+        Err(GpuError::NoAdapter(_)) if device == Device::Auto => Ok((cpu(), "cpu".to_owned())),
+        Err(error) => {
+            events.event(&Event::Alert(&format!("{error}: scanning on the CPU instead")));
+            context.warnings.add(
+                "scan",
+                "gpu_not_used",
+                format!("{error}; the CPU scanned instead"),
+                "`sms devices` shows the GPUs and their faults; --device cpu asks for no GPU",
+            );
+            Ok((cpu(), "cpu".to_owned()))
+        }
+    }
+}
+
+/// Returns the trainer of a scan and the value of the metric `scan.device`.
+#[cfg(not(feature = "gpu"))]
+pub(crate) fn trainer(
+    device: Device,
+    train: &TrainConfig,
+    classes: usize,
+    _: &dyn EventSink,
+    context: StageContext<'_>,
+) -> Result<(Box<dyn Trainer>, String), InputError> {
+    match device {
+        Device::Gpu(_) => Err(without_gpu()),
+        Device::Auto | Device::Cpu => {
+            Ok((Box::new(CpuTrainer::new(train, classes, context.seed)), "cpu".to_owned()))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Device;
+
+    #[test]
+    fn devices_are_named_as_the_help_says() {
+        for (text, device) in [
+            ("auto", Device::Auto),
+            ("cpu", Device::Cpu),
+            ("gpu", Device::Gpu(None)),
+            ("gpu:3", Device::Gpu(Some(3))),
+        ] {
+            assert_eq!(text.parse(), Ok(device));
+        }
+        for text in ["", "gpu:", "gpu:-1", "cpu:0", "cuda", "gpu:a"] {
+            assert!(text.parse::<Device>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! Masks by OWLv2 and SAM 2.1.
+
+use super::{ModelEntry, NetworksRequest, TrackMode};
+use crate::preview::{FOUND, FoundBox, show_found};
+use crate::{Context, Device as Asked, Error};
+use sms_core::metrics::Metrics;
+use sms_core::{Labels, StageContext, Warnings, atomic};
+use sms_frames::{ReadOptions, Sequence};
+use sms_masks::{MasksError, Segmenter};
+use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
+use sms_nets::{Device, Found, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+const DETECTOR: &str = "owlv2";
+const TRACKER: &str = "sam2-tiny";
+
+/// The networks of a request, with their device.
+pub(crate) struct Networks {
+    config: NetsConfig,
+    boxes: Vec<NamedBox>,
+    tracker: Model,
+    weights: Option<PathBuf>,
+    device: Device,
+    /// Why the CPU computes although a GPU was expected.
+    without_gpu: Option<String>,
+    read: ReadOptions,
+}
+
+impl Networks {
+    /// Checks the request; nothing is fetched yet.
+    pub(crate) fn new(a: &NetworksRequest, asked: Asked, read: &ReadOptions) -> Result<Self, Error> {
+        let mut config = NetsConfig::default();
+        config.threshold = a.threshold.unwrap_or(config.threshold);
+        config.max_overlap = a.max_overlap.unwrap_or(config.max_overlap);
+        config.validate()?;
+        let boxes: Vec<NamedBox> = a.boxes.iter().map(|b| b.parse()).collect::<Result<_, _>>()?;
+        match &a.objects {
+            Some(list) => config.objects = parse_objects(list).map_err(MasksError::from)?,
+            None if !boxes.is_empty() => config.objects = Vec::new(),
+            None => {}
+        }
+        let (device, without_gpu) = device(asked);
+        match a.tracking {
+            Some(TrackMode::Memory) => config.track = Track::Memory,
+            Some(TrackMode::Reprompt) => config.track = Track::Reprompt,
+            None if device.is_cpu() => config.track = Track::Reprompt,
+            None => {}
+        }
+        let tracker = known(a.sam2.as_deref().unwrap_or(TRACKER))?;
+        Ok(Self {
+            config,
+            boxes,
+            tracker,
+            weights: a.weights.clone(),
+            device,
+            without_gpu,
+            read: read.clone(),
+        })
+    }
+
+    /// Returns everything that the masks depend on, for the stage's hash. Local weights count by their files' sizes and
+    /// times: reading half a gigabyte would take as long as some of the work.
+    pub(crate) fn settings(&self) -> Result<String, Error> {
+        let Model { repository, revision, .. } = self.tracker;
+        let boxes: Vec<_> =
+            self.boxes.iter().map(|b| (&b.name, [b.bbox.x0, b.bbox.y0, b.bbox.x1, b.bbox.y1])).collect();
+        let files = self.weights.as_deref().map(files_of).unwrap_or_default();
+        Ok(serde_json::to_string(&(&self.config, boxes, repository, revision, &self.weights, files))?)
+    }
+
+    /// Adds the metrics that name the networks and the device.
+    pub(crate) fn describe(&self, metrics: &mut Metrics) {
+        let track = match self.config.track {
+            Track::Memory => "with memory",
+            Track::Reprompt => "prompted anew in each frame",
+        };
+        let device = if self.device.is_cpu() { "cpu" } else { "gpu" };
+        metrics.set("masks.model", self.tracker.repository).set("masks.track", track);
+        metrics.set("masks.device", device);
+        if self.weights.is_none() {
+            metrics.set("masks.model_commit", self.tracker.revision);
+        }
+    }
+
+    /// Returns a segmenter that shows the detections of the first frame before it tracks them, which takes minutes.
+    pub(crate) fn segmenter<'a>(
+        &'a self,
+        context: &'a Context,
+        dir: &'a Path,
+        run: &'a Path,
+    ) -> ShownSegmenter<'a> {
+        ShownSegmenter { networks: self, context, dir, run }
+    }
+
+    /// Shows the detections in the first frame of a run; no mask is changed.
+    pub(crate) fn preview(&self, context: &Context, sequence: &Sequence, run: &Path) -> Result<(), Error> {
+        let hub = HubConfig::from_environment();
+        let folder = |model: Model| {
+            model.folder(self.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
+        };
+        let owlv2 = self.detector()?.map(folder).transpose().map_err(MasksError::from)?;
+        // The tracker is not used.
+        let networks = self.masks(ModelFolders { owlv2, sam2: PathBuf::new() });
+        let warnings = Warnings::new();
+        self.warn(&warnings);
+        let found = networks.find_first(sequence, &context.cancel, &warnings)?;
+        context.warn(&warnings);
+        show_found(context, run, sequence, &boxes_of(&found))
+    }
+
+    /// Warns where the CPU computes although a GPU was expected.
+    fn warn(&self, warnings: &Warnings) {
+        if let Some(why) = &self.without_gpu {
+            warnings.add(
+                "masks",
+                "gpu_not_used",
+                format!("{why}; the networks compute on the CPU"),
+                "build with `--features cuda` or `metal`; --device cpu asks for no GPU",
+            );
+        }
+    }
+
+    fn detector(&self) -> Result<Option<Model>, MasksError> {
+        (!self.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()
+    }
+
+    fn masks(&self, models: ModelFolders) -> NetsMasks {
+        NetsMasks {
+            config: self.config.clone(),
+            boxes: self.boxes.clone(),
+            models,
+            device: self.device.clone(),
+            read: self.read.clone(),
+        }
+    }
+}
+
+/// A segmenter that keeps the detections of the first frame with the masks (`found.json`) and shows them.
+pub(crate) struct ShownSegmenter<'a> {
+    networks: &'a Networks,
+    context: &'a Context,
+    dir: &'a Path,
+    run: &'a Path,
+}
+
+impl Segmenter for ShownSegmenter<'_> {
+    fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
+        let Self { networks, dir, run, .. } = self;
+        networks.warn(context.warnings);
+        let models = model_folders(
+            networks.detector()?,
+            networks.tracker,
+            networks.weights.as_deref(),
+            &HubConfig::from_environment(),
+            context.progress,
+            context.cancel,
+        )?;
+        let masks = networks.masks(models);
+        let found = masks.find_first(sequence, context.cancel, context.warnings)?;
+        let boxes = boxes_of(&found);
+        atomic::write_json(&dir.join(FOUND), &boxes)?;
+        show_found(self.context, run, sequence, &boxes).map_err(|error| match error {
+            Error::Core(core) => MasksError::from(core),
+            Error::Input(input) => input.into(),
+            other => MasksError::Input(sms_core::InputError::new(other.to_string(), run, "")),
+        })?;
+        masks.follow(sequence, &found, context.progress, context.cancel, context.warnings)
+    }
+}
+
+/// Names, sizes and times (seconds since 1970) of the weights in a folder and its subfolders, sorted.
+fn files_of(folder: &Path) -> Vec<(PathBuf, u64, Option<f64>)> {
+    let entries = |dir: &Path| -> Vec<PathBuf> {
+        std::fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path()).collect()
+    };
+    let (folders, mut paths): (Vec<_>, Vec<_>) = entries(folder).into_iter().partition(|p| p.is_dir());
+    paths.extend(folders.iter().flat_map(|f| entries(f)));
+    paths.sort();
+    let seconds = |time: SystemTime| time.duration_since(UNIX_EPOCH).ok().map(|d| d.as_secs_f64());
+    let of = |path: PathBuf| {
+        let about = std::fs::metadata(&path).ok().filter(|m| m.is_file())?;
+        Some((path, about.len(), about.modified().ok().and_then(seconds)))
+    };
+    paths.into_iter().filter_map(of).collect()
+}
+
+/// Returns the device, and why it is not a GPU where one was asked for or the build is for one. Of several GPUs it is the first
+/// that CUDA or Metal names: the numbers of `sms devices` are those of another interface.
+fn device(asked: Asked) -> (Device, Option<String>) {
+    let is_for_gpu = cfg!(any(feature = "cuda", feature = "metal"));
+    match asked {
+        Asked::Cpu => (Device::Cpu, None),
+        Asked::Auto if !is_for_gpu => (Device::Cpu, None),
+        Asked::Auto | Asked::Gpu(_) => match gpu() {
+            Ok(device) => (device, None),
+            Err(why) => (Device::Cpu, Some(why)),
+        },
+    }
+}
+
+#[cfg(feature = "cuda")]
+fn gpu() -> Result<Device, String> {
+    Device::new_cuda(0).map_err(|e| format!("CUDA cannot be used: {}", first_line(&e)))
+}
+
+#[cfg(all(feature = "metal", not(feature = "cuda")))]
+fn gpu() -> Result<Device, String> {
+    Device::new_metal(0).map_err(|e| format!("Metal cannot be used: {}", first_line(&e)))
+}
+
+/// Returns the message without the backtrace that candle appends under `RUST_BACKTRACE`.
+#[cfg(any(feature = "cuda", feature = "metal"))]
+fn first_line(error: &impl std::fmt::Display) -> String {
+    error.to_string().lines().next().unwrap_or_default().to_owned()
+}
+
+#[cfg(not(any(feature = "cuda", feature = "metal")))]
+fn gpu() -> Result<Device, String> {
+    Err("this program was built without the features `cuda` and `metal`".into())
+}
+
+/// Boxes with the ids that their labels get.
+fn boxes_of(found: &[Found]) -> Vec<FoundBox> {
+    let of = |(i, f): (usize, &Found)| FoundBox {
+        id: i as u16 + 1,
+        name: f.name.clone(),
+        score: f.score,
+        box_px: [f.bbox.x0, f.bbox.y0, f.bbox.x1, f.bbox.y1],
+    };
+    found.iter().enumerate().map(of).collect()
+}
+
+/// Finds a model by name. Errors of the networks go on as those of masks, which have their exit codes.
+fn known(name: &str) -> Result<Model, MasksError> {
+    Ok(model(name)?)
+}
+
+/// Lists the networks.
+///
+/// # Errors
+/// None in this build.
+pub fn list_models() -> Result<Vec<ModelEntry>, Error> {
+    let hub = HubConfig::from_environment();
+    let entry = |m: &Model| ModelEntry {
+        name: m.name,
+        repository: m.repository,
+        about: m.about,
+        cached: hub.cached(m).map(|c| (c.folder, c.commit)),
+    };
+    Ok(MODELS.iter().map(entry).collect())
+}
+
+/// Fetches networks into the Hugging Face cache, by default the two that masks need; returns names and folders.
+///
+/// # Errors
+/// [`Error::Masks`] for unknown names and failed downloads.
+pub fn fetch_models(names: &[String], context: &Context) -> Result<Vec<(String, PathBuf)>, Error> {
+    let hub = HubConfig::from_environment();
+    let names: Vec<&str> =
+        if names.is_empty() { vec![DETECTOR, TRACKER] } else { names.iter().map(String::as_str).collect() };
+    let mut fetched = Vec::new();
+    for name in names {
+        let folder =
+            hub.fetch(&known(name)?, context.progress.as_ref(), &context.cancel).map_err(MasksError::from)?;
+        context.message(format!("{name}: {}", folder.display()));
+        fetched.push((name.to_owned(), folder));
+    }
+    Ok(fetched)
+}

@@ -1,0 +1,100 @@
+//! The reconstruction compared with known models or with the truth.
+
+use super::{Run, RunSettings};
+use crate::Error;
+use crate::cache::record;
+use crate::stages::{Comparison, MetricNames, add_drifts, evaluate, known_models, known_truth};
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, RunFolder, Warnings};
+use sms_entities::load_entities;
+use sms_eval::EvaluateSettings;
+use sms_frames::Sequence;
+use sms_scene::load_scene;
+use sms_sim::{RapierFactory, RestingDrift, resting_drift};
+use sms_synth::{TruthScene, read_truth};
+use std::path::Path;
+
+/// How long the scene is left alone to see whether it rests, seconds.
+const REST_S: f64 = 1.0;
+
+/// Result of [`Run::evaluate`].
+#[derive(Debug, Clone)]
+pub struct EvaluateOutcome {
+    /// The pairs, in the order of the known objects.
+    pub comparisons: Vec<Comparison>,
+    /// Whether the known objects are the truth of a generated recording.
+    pub is_truth: bool,
+    /// Largest drift of a body that is left alone (metres, radians), and for how many seconds; `None` where the scene
+    /// cannot be simulated.
+    pub drift: Option<(f64, f64, f64)>,
+}
+
+impl Run<'_> {
+    /// Compares the entities with the models of an `objects.json`, or with the truth of a generated recording.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there is nothing to compare with.
+    pub fn evaluate(&self, objects: Option<&Path>) -> Result<EvaluateOutcome, Error> {
+        let run = self.open()?;
+        let set = load_entities(&run.stage_dir("entities", "materialize")?)?;
+        let settings = self.context.settings.section("evaluate", EvaluateSettings::default())?;
+        let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
+        let scan = RunSettings::of(&run)?;
+        let warnings = Warnings::new();
+        let drifts = contact_drift(&run, &warnings)?;
+        let (known, truth) = match objects {
+            Some(path) => (known_models(path, &x_wr, scan.masks == "files")?, None),
+            None => {
+                let truth = truth_of(Path::new(&scan.recording))?;
+                (known_truth(&truth, &x_wr), Some(truth))
+            }
+        };
+        let names = if truth.is_some() { MetricNames::Entity } else { MetricNames::Known };
+        let mut metrics = Metrics::new();
+        let comparisons = evaluate(&known, &set.entities, &settings, names, &mut metrics, &warnings)?;
+        add_drifts(&comparisons, names, &drifts, &mut metrics);
+        if let Some(truth) = &truth {
+            add_found(&comparisons, truth, &mut metrics);
+            metrics.set("evaluate.objects", known.len());
+        }
+        let worst = |f: fn(&RestingDrift) -> f64| drifts.iter().map(f).fold(0.0, f64::max);
+        let drift = (!drifts.is_empty()).then(|| (worst(|d| d.moved_m), worst(|d| d.turned_rad), REST_S));
+        if let Some((moved, turned, _)) = drift {
+            metrics.set("evaluate.drift_m", moved).set("evaluate.turn_rad", turned);
+        }
+        record(self.context, &run, "evaluate", &["evaluate."], metrics, &warnings)?;
+        Ok(EvaluateOutcome { comparisons, is_truth: truth.is_some(), drift })
+    }
+}
+
+fn truth_of(recording: &Path) -> Result<TruthScene, Error> {
+    if !recording.join("truth").join("truth.json").is_file() {
+        let cure = "give known models with --objects FILE (see docs/objects.md)";
+        return Err(InputError::new("there is nothing to compare with", recording, cure).into());
+    }
+    Ok(read_truth(recording)?)
+}
+
+/// Adds which objects and balls of the truth were found.
+fn add_found(comparisons: &[Comparison], truth: &TruthScene, metrics: &mut Metrics) {
+    for c in comparisons {
+        metrics.set(format!("evaluate.{}.truth", c.entity), c.known.clone());
+    }
+    let is_ball = |c: &&Comparison| c.sphere.is_some() && [&truth.cue, &truth.target].contains(&&c.known);
+    metrics.set("evaluate.balls_found", comparisons.iter().filter(is_ball).count());
+    metrics.set("evaluate.objects_found", comparisons.len());
+}
+
+/// Returns how far each body moves when the scene is left alone. A scene that cannot be simulated becomes a warning.
+fn contact_drift(run: &RunFolder, warnings: &Warnings) -> Result<Vec<RestingDrift>, Error> {
+    let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
+    Ok(resting_drift(&RapierFactory, &scene, REST_S).unwrap_or_else(|error| {
+        warnings.add(
+            "evaluate",
+            "not_simulated",
+            format!("the scene cannot be simulated, so its contact drift is not known: {error}"),
+            "look at the objects in the report",
+        );
+        Vec::new()
+    }))
+}

@@ -1,0 +1,28 @@
+//! The scene for another simulator.
+
+use super::Run;
+use crate::Error;
+use sms_export::{Format, Sources, export};
+use sms_scene::load_scene;
+use std::path::{Path, PathBuf};
+
+impl Run<'_> {
+    /// Writes the scene in these formats and returns the main file of each. Without `out` each goes to
+    /// `export/FORMAT` in the run; several formats share `out`, each in a folder of its own below it.
+    ///
+    /// # Errors
+    /// [`Error::Core`] when there is no scene or a file cannot be written.
+    pub fn export(&self, formats: &[Format], out: Option<&Path>) -> Result<Vec<PathBuf>, Error> {
+        let run = self.open_to_read()?;
+        let dir = run.stage_dir("scene", "materialize")?;
+        let scene = load_scene(&dir)?;
+        let sources = Sources { gaussians: Some(dir.join("gaussians")) };
+        let target = |format: Format| match out {
+            Some(out) if formats.len() > 1 => out.join(format.name()),
+            Some(out) => out.to_owned(),
+            None => run.root().join("export").join(format.name()),
+        };
+        let written = formats.iter().map(|&f| export(&scene, f, &sources, &target(f)));
+        Ok(written.collect::<Result<_, _>>()?)
+    }
+}

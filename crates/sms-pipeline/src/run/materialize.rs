@@ -1,0 +1,145 @@
+//! Gaussians → entities → materials → scene.
+
+use super::Run;
+use super::settings::{RunSettings, regions_hash};
+use crate::Error;
+use crate::cache::{inputs_hash, run_stage};
+use crate::material_edits::{EDITS, QUERIES};
+use crate::stages::{SceneRequest, entities, entity_metrics, scene, trained_only};
+use crate::vlm::{VlmMode, cached_estimates};
+use sms_core::metrics::Metrics;
+use sms_core::{Hash, InputError, Labels, MaskSource, RunFolder, Seed, atomic};
+use sms_entities::{EntitiesConfig, EntitySet, load_entities, material_queries, save_entities};
+use sms_export::mjcf_text;
+use sms_frames::{ReadOptions, Sequence};
+use sms_gaussians::{read_ply, write_ply};
+use sms_masks::load_labels;
+use sms_materials::{MaterialTable, ObjectQuery, Overrides, save_queries};
+use sms_scene::{Scene, save_scene};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// File of an entity's own Gaussians, in its folder.
+const GAUSSIANS: &str = "gaussians.ply";
+
+/// Choices of [`Run::materialize`].
+#[derive(Debug, Clone, Default)]
+pub struct MaterializeRequest {
+    /// A TOML file with material values of the user (`[object.NAME] class = "ceramic"`).
+    pub materials: Option<PathBuf>,
+    /// Whether a vision-language model is asked about the objects.
+    pub vlm: VlmMode,
+}
+
+/// Result of [`Run::materialize`].
+#[derive(Debug, Clone)]
+pub struct MaterializeOutcome {
+    /// The entities.
+    pub entities: EntitySet,
+    /// Folder of the scene.
+    pub scene_dir: PathBuf,
+}
+
+impl Run<'_> {
+    /// Turns the scan into a scene: entities with meshes, materials, bodies.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there is no scan or its objects were edited since; else the error of the stage that failed.
+    pub fn materialize(&self, request: &MaterializeRequest) -> Result<MaterializeOutcome, Error> {
+        let run = self.open()?;
+        let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
+        let frames_dir = run.stage_dir("frames", "scan DIR --out")?;
+        let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
+        let settings = RunSettings::of(&run)?;
+        let mut config = self.context.settings.section("entities", EntitiesConfig::default())?;
+        run.record_settings("entities", &config)?;
+        // Unfinished stages are redone from the start, but not the convex decompositions.
+        config.parts_cache = Some(run.root().join("cache").join("parts"));
+        let read = self.context.settings.section("read", ReadOptions::default())?;
+        let labels = load_labels(&masks_dir)?;
+        refuse_other_objects(&settings, &labels, &masks_dir)?;
+        let seed = Seed(settings.seed);
+
+        let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
+        // Names and descriptions may be edited without another scan.
+        let names: Vec<_> = labels.objects.iter().map(|o| (o.id, &o.name, &o.description)).collect();
+        let hash = inputs_hash(&[&before], &(&config, seed, &read, names))?;
+        let (sequence, mut labels) = trained_only(Sequence::load(&frames_dir)?, labels, settings.holdout);
+        let entities_dir = run_stage(self.context, &run, "entities", &hash, |stage, warnings| {
+            let began = Instant::now();
+            let model = read_ply(&gaussians_dir.join("scene.ply"))?;
+            let context = self.context.stage(warnings, seed);
+            let made = entities(model, &sequence, &labels, &config, &read, context)?;
+            save_entities(stage.dir(), &made.set)?;
+            for (name, gaussians) in &made.gaussians {
+                write_ply(gaussians, &stage.dir().join(name).join(GAUSSIANS))?;
+            }
+            let mut metrics = entity_metrics(&made.set);
+            metrics.set("materialize.seconds", began.elapsed().as_secs_f64());
+            Ok(metrics)
+        })?;
+        let set = load_entities(&entities_dir)?;
+        set.relabel(&mut labels);
+
+        let mut queries = material_queries(&set);
+        let estimates =
+            cached_estimates(self.context, &run, request.vlm, &set, &queries, (&sequence, &labels), seed)?;
+        for (query, estimate) in queries.iter_mut().zip(estimates) {
+            query.estimate = estimate;
+        }
+        let overrides = overrides(&run, request, &queries)?;
+        let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, MaterialTable::builtin()))?;
+        let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
+            save_queries(&stage.dir().join(QUERIES), &queries)?;
+            let name = settings.recording_name();
+            let request = SceneRequest {
+                name: &name,
+                queries: &queries,
+                overrides: Some(&overrides),
+                x_world_recording: sequence.x_world_recording,
+                fix_restless: labels.source == MaskSource::Geometry,
+            };
+            let scene = scene(&set, &request, self.context.stage(warnings, seed))?;
+            write_scene(&scene, stage.dir(), &entities_dir)?;
+            Ok(Metrics::new())
+        })?;
+        Ok(MaterializeOutcome { entities: set, scene_dir })
+    }
+}
+
+/// Refuses labels that the Gaussians were not trained with.
+fn refuse_other_objects(settings: &RunSettings, labels: &Labels, masks_dir: &Path) -> Result<(), Error> {
+    let Some(trained) = &settings.regions else { return Ok(()) };
+    if *trained == regions_hash(labels)?.0 {
+        return Ok(());
+    }
+    let what = "the scan was made with other objects than these";
+    let cure = "scan again into this run, which trains objects that were merged or separated";
+    Err(InputError::new(what, masks_dir.join("labels.json"), cure).into())
+}
+
+/// Returns the material values of the user: the edits of the run under those of the file.
+fn overrides(
+    run: &RunFolder,
+    request: &MaterializeRequest,
+    queries: &[ObjectQuery],
+) -> Result<Overrides, Error> {
+    let edits = Overrides::read_optional(&run.root().join(EDITS))?;
+    let Some(path) = request.materials.as_deref() else { return Ok(edits) };
+    // Each file answers for its own mistakes.
+    edits.check(queries, &MaterialTable::builtin())?;
+    Ok(edits.under(Overrides::read(path)?))
+}
+
+/// Writes the scene with its MJCF form and the Gaussians of its bodies.
+fn write_scene(scene: &Scene, dir: &Path, entities_dir: &Path) -> Result<(), Error> {
+    save_scene(dir, scene)?;
+    for body in &scene.bodies {
+        let of_entity = entities_dir.join(&body.name).join(GAUSSIANS);
+        if of_entity.exists() {
+            let in_body = read_ply(&of_entity)?.transformed(&body.x_wb.inverse());
+            write_ply(&in_body, &dir.join("gaussians").join(format!("{}.ply", body.name)))?;
+        }
+    }
+    Ok(atomic::write_bytes(&dir.join("scene.xml"), mjcf_text(scene).as_bytes())?)
+}

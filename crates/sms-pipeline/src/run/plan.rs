@@ -1,0 +1,289 @@
+//! Scene and task → plan.
+
+use super::{Run, RunSettings};
+use crate::cache::{inputs_hash, record, run_stage};
+use crate::settings::vlm_defaults;
+use crate::stages::{ChosenLanding, LandingChooser, LandingProblem, StrikeProblem, choose_landing};
+use crate::vlm::{REPLIES, client};
+use crate::{Error, RobotPlace};
+use sms_core::metrics::Metrics;
+use sms_core::write_png_color;
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, StageContext, StageError, Warnings, atomic};
+use sms_frames::{FloorAt, Sequence, floor_at, load_depths};
+use sms_landing::{CarriedOut, LandingPlan, LandingPlanOutcome, LandingSettings, LandingTask};
+use sms_plan::{Plan, PlanConfig, load_plan, save_plan, write_trials};
+use sms_robots::autopilot::{FlightFiles, write_flight};
+use sms_scene::load_scene;
+use sms_task::{ResolvedTask, Task};
+use sms_vlm::Cache;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Frames in which the floor is looked for at the task's places.
+const FLOOR_FRAMES: usize = 24;
+/// A baseline's choice, beside its plan.
+pub(super) const CHOICE_FILE: &str = "choice.json";
+/// Pictures of the candidates, with their captions.
+pub(super) const PICTURES: [(&str, &str); 2] = [
+    ("choice_sites.png", "landing sites, the chosen one in green"),
+    ("choice_approaches.png", "approaches to it, the chosen one in colour"),
+];
+
+/// Choices of [`Run::plan`].
+#[derive(Debug, Clone, Default)]
+pub struct PlanRequest {
+    /// The task file (TOML), of a strike or a landing.
+    pub task: PathBuf,
+    /// Seed of the search; by default the scan's.
+    pub seed: Option<Seed>,
+    /// Number of perturbed worlds in which actions are compared; 0 plans for the scanned world alone.
+    pub robust: Option<usize>,
+    /// LandingChooser of a landing.
+    pub chooser: LandingChooser,
+    /// Whether the settings start from those of a quick search.
+    pub draft: bool,
+}
+
+impl PlanRequest {
+    /// A plan for a task file with default choices.
+    pub fn new(task: impl Into<PathBuf>) -> Self {
+        Self { task: task.into(), ..Self::default() }
+    }
+}
+
+/// Result of [`Run::plan`].
+#[derive(Debug, Clone)]
+pub enum PlannedTask {
+    /// A strike.
+    Strike {
+        /// The plan.
+        plan: Box<Plan>,
+        /// Names of the ball that is struck and of the target.
+        bodies: [String; 2],
+        /// Folder of the plan.
+        dir: PathBuf,
+    },
+    /// A landing.
+    Landing {
+        /// The plan.
+        plan: Box<LandingPlan>,
+        /// Folder of the plan and of the files to fly.
+        dir: PathBuf,
+    },
+}
+
+impl Run<'_> {
+    /// Plans the best action for a task.
+    ///
+    /// # Errors
+    /// [`Error::Input`], [`Error::Task`] or [`Error::Landing`] when the task does not fit the scene; else that of the planner.
+    pub fn plan(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
+        if LandingTask::is_landing(&request.task) {
+            return self.plan_landing(request);
+        }
+        if request.chooser != LandingChooser::Search {
+            let what = "only landings have other choosers";
+            return Err(InputError::new(what, "--chooser", "leave `--chooser` out").into());
+        }
+        let task = Task::read(&request.task)?;
+        let base = if request.draft { PlanConfig::draft() } else { PlanConfig::default() };
+        let usual = base.evaluations;
+        let mut config = self.context.settings.section("plan", base)?;
+        let is_evaluations_set = config.evaluations != usual;
+        config.perturbation.worlds = request.robust.unwrap_or(config.perturbation.worlds);
+
+        let run = self.open()?;
+        let scene_dir = run.stage_dir("scene", "materialize")?;
+        let scene = load_scene(&scene_dir)?;
+        let seed = seed(request, &run)?;
+        let scan = RunSettings::of(&run).ok();
+        let robot = RobotPlace::of(&self.context.settings, scan.as_ref())?;
+        let strike = StrikeProblem::new(&task, &scene, &robot)?;
+        let out_of_view = refuse_places_off_the_floor(&run, &strike.task, &request.task)?;
+        run.record_settings("plan", &config)?;
+        let urdf = robot.config.urdf.as_deref();
+        let hash = inputs_hash(&[&manifest_hash(&scene_dir, urdf)?], &(&task, &config, seed, &robot.config))?;
+        let dir = run_stage(self.context, &run, "plan", &hash, |stage, warnings| {
+            let began = Instant::now();
+            warn_out_of_view(&out_of_view, warnings);
+            if config.perturbation.worlds > 0 && is_evaluations_set {
+                warnings.add(
+                    "plan",
+                    "evaluations_unused",
+                    "`plan.evaluations` has no effect where perturbed worlds are compared",
+                    "set `plan.robust_evaluations`, or plan with --robust 0",
+                );
+            }
+            let outcome = strike.plan(&scene, &config, self.context.stage(warnings, seed))?;
+            save_plan(stage.dir(), &outcome)?;
+            task.write(&stage.dir().join("task.toml"))?;
+            let mut metrics = outcome.metrics();
+            metrics.set("plan.seconds", began.elapsed().as_secs_f64());
+            Ok(metrics)
+        })?;
+        let bodies = [strike.task.cue(), strike.task.target()].map(|b| b.name.clone());
+        Ok(PlannedTask::Strike { plan: Box::new(load_plan(&dir)?), bodies, dir })
+    }
+
+    /// Plans a landing. A refusal of the task is also kept as a warning, so that the report shows it, and no earlier plan
+    /// stays that would be flown in its place.
+    fn plan_landing(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
+        let run = self.open()?;
+        let error = match self.landing_stage(request, &run) {
+            Ok(planned) => return Ok(planned),
+            Err(error) => error,
+        };
+        let Some(refused) = error.input().cloned() else { return Err(error) };
+        for stage in ["target", "plan"] {
+            run.discard(stage)?;
+        }
+        let warnings = Warnings::new();
+        let what = format!("no landing was planned: {}", refused.what);
+        warnings.add("plan", "landing_refused", what, refused.cure.clone());
+        record(self.context, &run, "plan", &["plan."], Metrics::new(), &warnings)?;
+        Err(refused.into())
+    }
+
+    fn landing_stage(&self, request: &PlanRequest, run: &RunFolder) -> Result<PlannedTask, Error> {
+        let task = LandingTask::read(&request.task)?;
+        let scene_dir = run.stage_dir("scene", "materialize")?;
+        let scene = load_scene(&scene_dir)?;
+        let seed = seed(request, run)?;
+        let base = if request.draft { LandingSettings::draft() } else { LandingSettings::default() };
+        let mut settings = self.context.settings.section("landing", base)?;
+        settings.worlds = request.robust.unwrap_or(settings.worlds);
+        let files = self.context.settings.section("flight", FlightFiles::default())?;
+        let landing = LandingProblem::new(&task, scene, &settings, seed)?;
+        run.record_settings("landing", &settings)?;
+        run.record_settings("flight", &files)?;
+        let vehicle = landing.task.vehicle();
+        let chooser = request.chooser.name();
+        let inputs = (&task, vehicle, settings, files, seed, chooser);
+        let hash = inputs_hash(&[&manifest_hash(&scene_dir, None)?], &inputs)?;
+        let dir = run_stage(self.context, run, "plan", &hash, |stage, warnings| {
+            let began = Instant::now();
+            landing.warn(warnings);
+            let context = self.context.stage(warnings, seed);
+            let outcome = match request.chooser {
+                LandingChooser::Search => landing.plan(&settings, context)?,
+                chooser => self.baseline(chooser, run, &landing, &settings, stage.dir(), context)?,
+            };
+            let plan = &outcome.plan;
+            plan.save(stage.dir())?;
+            write_trials(&stage.dir().join("trials.parquet"), &plan.parameters, &outcome.trials)?;
+            task.write(&stage.dir().join("task.toml"))?;
+            let flight = landing.task.flight(&plan.action, &CarriedOut::default())?;
+            write_flight(stage.dir(), &flight, vehicle, &files)?;
+            let mut metrics = landing_metrics(plan, chooser);
+            metrics.set("plan.seconds", began.elapsed().as_secs_f64());
+            Ok(metrics)
+        })?;
+        Ok(PlannedTask::Landing { plan: Box::new(LandingPlan::load(&dir)?), dir })
+    }
+
+    /// The plan of a baseline, with its choice and pictures in the stage's folder.
+    fn baseline(
+        &self,
+        chooser: LandingChooser,
+        run: &RunFolder,
+        landing: &LandingProblem,
+        settings: &LandingSettings,
+        dir: &Path,
+        context: StageContext<'_>,
+    ) -> Result<LandingPlanOutcome, Error> {
+        let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
+        let model = if chooser == LandingChooser::Visual {
+            let config = self.context.settings.section("vlm", vlm_defaults())?;
+            run.record_settings("vlm", &config)?;
+            let client = client(&config, context.seed.derive("visual prompting"))?;
+            Some((client, Cache::new(&run.root().join(REPLIES))))
+        } else {
+            None
+        };
+        let model = model.as_ref().map(|(client, cache)| (client, cache));
+        let chosen = choose_landing(landing, chooser, &sequence.frames, settings, model, context)?;
+        let ChosenLanding { outcome, record, pictures, candidates } = chosen;
+        for ((file, _), image) in PICTURES.iter().zip(&pictures) {
+            write_png_color(&dir.join(file), image)?;
+        }
+        atomic::write_json(&dir.join(CHOICE_FILE), &record)?;
+        self.context.message(format!(
+            "{}: site {} of {}, approach {} of {}",
+            record.chooser, record.site, candidates.0, record.approach, candidates.1
+        ));
+        Ok(outcome)
+    }
+}
+
+fn seed(request: &PlanRequest, run: &RunFolder) -> Result<Seed, Error> {
+    match request.seed {
+        Some(seed) => Ok(seed),
+        None => Ok(Seed(RunSettings::of(run)?.seed)),
+    }
+}
+
+/// Hashes the scene as it is now, since a user may have edited a mass or a friction, and the robot's URDF.
+fn manifest_hash(scene_dir: &Path, urdf: Option<&Path>) -> Result<Hash, Error> {
+    let mut manifest = Hasher::new();
+    manifest.file(&scene_dir.join("scene.json"))?;
+    if let Some(urdf) = urdf {
+        manifest.file(urdf)?;
+    }
+    Ok(manifest.finish())
+}
+
+/// Refuses places where the recording shows something lower: in the simulation the floor has no end. Returns those
+/// that no frame shows.
+fn refuse_places_off_the_floor(
+    run: &RunFolder,
+    task: &ResolvedTask,
+    file: &Path,
+) -> Result<Vec<String>, Error> {
+    let places = task.floor_places();
+    let Some(frames) = run.stage_dir("frames", "scan DIR --out").ok().filter(|_| !places.is_empty()) else {
+        return Ok(Vec::new());
+    };
+    let frames = load_depths(&frames, FLOOR_FRAMES)?;
+    let mut out_of_view = Vec::new();
+    for (what, place_w) in places {
+        let what = format!("{what}, at [{:.3}, {:.3}]", place_w.x, place_w.y);
+        match floor_at(frames.iter().map(|(camera, depth)| (camera, depth)), place_w) {
+            FloorAt::Missing => {
+                return Err(InputError::new(
+                    format!("{what}, is off the floor: the recording shows nothing at its height there"),
+                    file,
+                    "choose a place on the recorded floor (the report's 3-D view shows it, and prints the line to paste)",
+                )
+                .into());
+            }
+            FloorAt::OutOfView => out_of_view.push(what),
+            FloorAt::Seen | FloorAt::Hidden => {}
+        }
+    }
+    Ok(out_of_view)
+}
+
+fn warn_out_of_view(places: &[String], warnings: &Warnings) {
+    for place in places {
+        warnings.add(
+            "plan",
+            "place_not_recorded",
+            format!("no frame of the recording shows {place}; the floor is assumed to continue there"),
+            "make sure that it does, or choose a place that was recorded",
+        );
+    }
+}
+
+fn landing_metrics(plan: &LandingPlan, chooser: &str) -> Metrics {
+    let mut m = Metrics::new();
+    m.set("plan.chooser", chooser);
+    m.set("plan.success", plan.nominal.is_success());
+    if let Some(objective) = plan.nominal.objective {
+        m.set("plan.objective", objective);
+    }
+    if let Some(p) = &plan.predicted {
+        m.set("plan.success_share", p.success_share).set("plan.predicted_mean", p.mean);
+    }
+    m.set("plan.evaluations_jet", plan.evaluations.jet).set("plan.evaluations_sph", plan.evaluations.sph);
+    m
+}

@@ -1,0 +1,155 @@
+//! The arm's motion for a planned strike.
+
+use super::{Run, RunSettings};
+use crate::cache::{inputs_hash, run_stage};
+use crate::robot_place::no_place;
+use crate::{Error, RobotPlace};
+use glamx::DPose3;
+use sms_core::metrics::Metrics;
+use sms_core::{Hasher, InputError, atomic};
+use sms_plan::{Plan, load_plan};
+use sms_robots::{
+    JointProgram, RobotConfig, RobotModel, StrikeCheck, Sweep, Workspace, check_strike, obstacles,
+    plan_strike,
+};
+use sms_scene::{Scene, load_scene};
+use sms_task::{ResolvedTask, Task};
+use std::path::{Path, PathBuf};
+
+/// Choices of [`Run::robot`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RobotRequest {
+    /// Pose of the robot's base in the run's world; by default that of the plan or the settings.
+    pub x_world_robot: Option<DPose3>,
+    /// Whether a motion that fails a check is written, too, under another name.
+    pub keep_failed: bool,
+}
+
+/// Result of [`Run::robot`].
+#[derive(Debug, Clone)]
+pub struct RobotOutcome {
+    /// Name of the robot.
+    pub robot: String,
+    /// Name of the ball that it strikes.
+    pub cue: String,
+    /// The checks.
+    pub check: StrikeCheck,
+    /// File of the motion, where one was written.
+    pub program: Option<PathBuf>,
+    /// The striker that the plan's prediction is for, where that is not this robot at this place.
+    pub predicted_for: Option<String>,
+    /// Whether the settings place the robot elsewhere than the plan does.
+    pub is_elsewhere_in_settings: bool,
+}
+
+impl Run<'_> {
+    /// Plans the arm's motion for the planned strike, checks it, and writes it for the robot.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the robot's place is not known or the arm cannot make the strike.
+    pub fn robot(&self, request: &RobotRequest) -> Result<RobotOutcome, Error> {
+        let run = self.open()?;
+        let scene_dir = run.stage_dir("scene", "materialize")?;
+        let plan_dir = run.stage_dir("plan", "plan")?;
+        let scene = load_scene(&scene_dir)?;
+        let scan = RunSettings::of(&run).ok();
+        let stated = RobotPlace::of(&self.context.settings, scan.as_ref())?;
+        let plan = load_plan(&plan_dir)?;
+        // The planned robot is the one that is checked.
+        let config = match &plan.robot {
+            Some(planned) => RobotConfig { period_s: stated.config.period_s, ..planned.clone() },
+            None => stated.config.clone(),
+        };
+        let x_wr = match request.x_world_robot {
+            Some(x_wr) => x_wr,
+            None => config.x_wr(&scene.x_world_recording).ok_or_else(no_place)?,
+        };
+        let robot = config.model()?.with_base(x_wr);
+        let task = Task::read(&plan_dir.join("task.toml"))?.resolve(&scene)?;
+        run.record_settings("robot", &config)?;
+
+        let mut read = Hasher::new();
+        read.file(&plan_dir.join("plan.json"))?
+            .file(&plan_dir.join("task.toml"))?
+            .file(&scene_dir.join("scene.json"))?;
+        // Everything that was read of the robot counts: its URDF, and the meshes and packages that this names.
+        let robot_text = format!("{robot:?}");
+        let hash = inputs_hash(&[&read.finish()], &(&config, robot_text, request.keep_failed))?;
+        let dir = run_stage(self.context, &run, "robot", &hash, |stage, _| {
+            write_motion(&robot, &config, &task, &scene, &plan, request.keep_failed, stage.dir())
+        })?;
+        let check: StrikeCheck = atomic::read_json(&dir.join("check.json"))?;
+        let is_other = |place: &DPose3| place.translation.distance(x_wr.translation) > 1e-6;
+        let planned_at = plan.robot.as_ref().and_then(|r| r.x_wr(&scene.x_world_recording));
+        let stated_at = stated.config.x_wr(&scene.x_world_recording);
+        Ok(RobotOutcome {
+            robot: robot.name().to_owned(),
+            cue: task.cue().name.clone(),
+            program: program_name(&check, request.keep_failed).map(|name| dir.join(format!("{name}.json"))),
+            predicted_for: planned_at.as_ref().is_none_or(is_other).then(|| striker_of(&plan)),
+            is_elsewhere_in_settings: plan.robot.is_some()
+                && request.x_world_robot.is_none()
+                && !stated.is_from_recording
+                && stated_at.as_ref().is_some_and(is_other),
+            check,
+        })
+    }
+}
+
+/// Plans and checks the motion and writes it into `dir`; returns the metrics.
+fn write_motion(
+    robot: &RobotModel,
+    config: &RobotConfig,
+    task: &ResolvedTask,
+    scene: &Scene,
+    plan: &Plan,
+    keep_failed: bool,
+    dir: &Path,
+) -> Result<Metrics, Error> {
+    let motion = task.strike(&plan.action);
+    let sweep =
+        Sweep::of_ball(motion.contact_w, motion.ball_radius, motion.angle, motion.speed, config.half_m().x);
+    let settings = config.strike_config();
+    let mut ws = Workspace::default();
+    let around = obstacles(scene, task.cue().index);
+    let strike = plan_strike(robot, &sweep, &around, &settings, &mut ws).map_err(|e| {
+        let cure = format!(
+            "{}; then plan again, so that only strikes within the arm's reach are compared",
+            e.cure()
+        );
+        InputError::new(format!("the arm cannot make this strike: {e}"), "[robot]", cure)
+    })?;
+    let check = check_strike(robot, &strike, &around, &settings, &mut ws);
+    let program = JointProgram::of_strike(robot, &strike, config.period_s, &mut ws).checked(&check);
+    atomic::write_json(&dir.join("check.json"), &check)?;
+    if let Some(name) = program_name(&check, keep_failed) {
+        program.write_json(&dir.join(format!("{name}.json")))?;
+        program.write_parquet(&dir.join(format!("{name}.parquet")))?;
+    }
+    let mut m = Metrics::new();
+    m.set("robot.executable", check.executable());
+    if let Some(contact) = &check.tracking.contact {
+        m.set("robot.contact_speed", contact.speed);
+        m.set("robot.direction_error_rad", contact.direction_error_rad);
+    }
+    m.set("robot.contact_s", program.contact_s);
+    Ok(m)
+}
+
+/// Returns the name of the program's files, without extension; `None` where none is written: a robot's own program that
+/// looks for `program.json` must never find a motion that failed.
+fn program_name(check: &StrikeCheck, keep_failed: bool) -> Option<&'static str> {
+    match (check.executable(), keep_failed) {
+        (true, _) => Some("program"),
+        (false, true) => Some("program.not-executable"),
+        (false, false) => None,
+    }
+}
+
+fn striker_of(plan: &Plan) -> String {
+    let name = if plan.striker.is_empty() { "a finger that gives no way" } else { &plan.striker };
+    match &plan.robot {
+        Some(_) => format!("{name}, standing elsewhere"),
+        None => name.to_owned(),
+    }
+}

@@ -1,0 +1,297 @@
+//! Recording → frames → masks → Gaussians.
+
+use super::Run;
+use super::settings::{RunSettings, SETTINGS, regions_hash};
+use crate::cache::{inputs_hash, run_stage};
+use crate::networks::Networks;
+use crate::settings::poses_defaults;
+use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
+use crate::{Device, Error, MasksSource, device};
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, atomic};
+use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence};
+use sms_gaussians::{Preset, ScanConfig, ScanObserver};
+use sms_masks::{
+    FileMasks, GeometryConfig, GeometryMasks, Labels, Segmenter, TruthMasks, load_labels, save_labels,
+};
+use sms_poses::{PosesConfig, PosesMode};
+use std::path::{Path, PathBuf};
+
+/// Choices of a scan that are not settings of a stage, or that go before these.
+#[derive(Debug, Clone, Default)]
+pub struct ScanRequest {
+    /// How much work to spend.
+    pub preset: Preset,
+    /// Source of the object masks.
+    pub masks: MasksSource,
+    /// Whether poses are refined; by default as the settings say.
+    pub refine_poses: Option<PosesMode>,
+    /// Keeps every N-th frame out of training (0: none); by default as the settings say.
+    pub holdout: Option<usize>,
+    /// Device that computes.
+    pub device: Device,
+    /// Seed of everything random; by default 0.
+    pub seed: Option<Seed>,
+    /// The recording's up direction in its own world.
+    pub up: Option<[f64; 3]>,
+    /// Whether to scan although the check finds a fault.
+    pub accept_faults: bool,
+}
+
+impl ScanRequest {
+    fn seed(&self) -> Seed {
+        self.seed.unwrap_or(Seed(0))
+    }
+}
+
+/// Result of a scan.
+#[derive(Debug, Clone)]
+pub struct ScanOutcome {
+    /// Number of objects in the masks.
+    pub objects: usize,
+    /// File of the Gaussians.
+    pub gaussians: PathBuf,
+}
+
+/// The settings of a scan, complete and valid.
+struct ScanSettings {
+    read: ReadOptions,
+    frames: FramesRequest,
+    geometry: GeometryConfig,
+    scan: ScanConfig,
+}
+
+impl Run<'_> {
+    /// Scans a recording into the run: loads its frames, segments objects and trains Gaussians. An interrupted scan is
+    /// resumed.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a bad recording or setting, before an earlier run in this folder is changed; else the error
+    /// of the stage that failed.
+    pub fn scan(&self, recording: &Path, request: &ScanRequest) -> Result<ScanOutcome, Error> {
+        self.scan_observed(recording, request, &mut ())
+    }
+
+    /// [`Run::scan`] with an observer of the training.
+    ///
+    /// # Errors
+    /// As [`Run::scan`].
+    pub fn scan_observed(
+        &self,
+        recording: &Path,
+        request: &ScanRequest,
+        observer: &mut dyn ScanObserver,
+    ) -> Result<ScanOutcome, Error> {
+        let settings = self.scan_settings(request)?;
+        let opened = Recording::open(recording, &settings.read)?;
+        let run = RunFolder::create(&self.folder)?;
+        let (frames_hash, sequence) = self.frames_stage(&run, &opened, request, &settings)?;
+        // Not before the recording was accepted: a refused one must leave an earlier run as it was.
+        let recorded = RunSettings {
+            recording: std::path::absolute(recording).map_err(unusable(recording))?.display().to_string(),
+            seed: request.seed().0,
+            preset: request.preset.name().into(),
+            masks: request.masks.name().into(),
+            holdout: settings.scan.holdout,
+            regions: None,
+        };
+        run.record_settings("run", &recorded)?;
+        run.record_settings("read", &settings.read)?;
+        run.record_settings("frames", &settings.frames.load)?;
+        run.record_settings("poses", &settings.frames.poses)?;
+        run.record_settings("scan", &settings.scan)?;
+        let labels = self.masks_stage(&run, &opened, &sequence, &frames_hash, request, &settings)?;
+        self.gaussians_stage(
+            &run,
+            (&sequence, &labels),
+            &frames_hash,
+            request,
+            &settings,
+            recorded,
+            observer,
+        )?;
+        let gaussians = run.root().join("gaussians").join("scene.ply");
+        Ok(ScanOutcome { objects: labels.objects.len(), gaussians })
+    }
+
+    /// Collects and checks the settings before anything is written: a refused setting must leave an earlier run as it
+    /// was.
+    fn scan_settings(&self, request: &ScanRequest) -> Result<ScanSettings, Error> {
+        let given = &self.context.settings;
+        let read = given.section("read", ReadOptions::default())?;
+        let defaults = LoadSettings { long_side: request.preset.long_side(), ..LoadSettings::default() };
+        let mut load = given.section("frames", defaults)?;
+        if let Some(up) = request.up {
+            load.align = Align::Up(up_direction(up)?);
+        }
+        let mut poses = given.section("poses", poses_defaults(&load))?;
+        poses.mode = request.refine_poses.unwrap_or(poses.mode);
+        let mut scan = given.section("scan", ScanConfig::preset(request.preset))?;
+        scan.holdout = request.holdout.unwrap_or(scan.holdout);
+        load.validate()?;
+        scan.validate()?;
+        let geometry = given.section("masks", GeometryConfig::default())?;
+        let frames = FramesRequest { load, poses, accept_faults: request.accept_faults };
+        Ok(ScanSettings { read, frames, geometry, scan })
+    }
+
+    fn frames_stage(
+        &self,
+        run: &RunFolder,
+        recording: &Recording,
+        request: &ScanRequest,
+        settings: &ScanSettings,
+    ) -> Result<(Hash, Sequence), Error> {
+        let FramesRequest { load, poses, .. } = &settings.frames;
+        // Without refinement, its settings change nothing.
+        let refinement: Option<&PosesConfig> = (poses.mode != PosesMode::Off).then_some(poses);
+        let hash = inputs_hash(&[&fingerprint(recording)?], &(&settings.read, load, refinement))?;
+        let dir = run_stage(self.context, run, "frames", &hash, |stage, warnings| {
+            let made = frames(recording, &settings.frames, self.context.stage(warnings, request.seed()))?;
+            if let Some(report) = &made.poses {
+                atomic::write_json(&stage.dir().join("poses.json"), report)?;
+                self.context.message(report.summary());
+            }
+            made.sequence.save_with_settings(stage.dir(), load)?;
+            Ok(made.metrics)
+        })?;
+        Ok((hash, Sequence::load(&dir)?))
+    }
+
+    fn masks_stage(
+        &self,
+        run: &RunFolder,
+        recording: &Recording,
+        sequence: &Sequence,
+        frames_hash: &Hash,
+        request: &ScanRequest,
+        settings: &ScanSettings,
+    ) -> Result<Labels, Error> {
+        let (source, geometry) = (&request.masks, &settings.geometry);
+        let networks = match source {
+            MasksSource::Networks(asked) => Some(Networks::new(asked, request.device, &settings.read)?),
+            _ => None,
+        };
+        let kind = match &networks {
+            Some(networks) => networks.settings()?,
+            None => source.name().to_owned(),
+        };
+        // Geometry finds objects, or those that the other sources missed; the truth it leaves alone.
+        let by_geometry = !matches!(source, MasksSource::Truth);
+        let hashed = (kind, by_geometry.then_some(geometry));
+        let hash = inputs_hash(&[frames_hash, &mask_names_hash(recording, source)?], &hashed)?;
+        if by_geometry {
+            run.record_settings("masks", geometry)?;
+        }
+        let dir = run_stage(self.context, run, "masks", &hash, |stage, warnings| {
+            let found;
+            let segmenter: &dyn Segmenter = match (source, &networks) {
+                (_, Some(networks)) => {
+                    found = networks.segmenter(self.context, stage.dir(), run.root());
+                    &found
+                }
+                (MasksSource::Files, _) => &FileMasks::default(),
+                (MasksSource::Truth, _) => &TruthMasks,
+                _ => &GeometryMasks { config: geometry.clone() },
+            };
+            let made = masks(sequence, segmenter, geometry, self.context.stage(warnings, request.seed()))?;
+            save_labels(stage.dir(), &made.labels)?;
+            let mut metrics = made.metrics(source.name());
+            if let Some(networks) = &networks {
+                networks.describe(&mut metrics);
+            }
+            self.context.message(made.summary(source.name()));
+            Ok(metrics)
+        })?;
+        Ok(load_labels(&dir)?)
+    }
+
+    fn gaussians_stage(
+        &self,
+        run: &RunFolder,
+        (sequence, labels): (&Sequence, &Labels),
+        frames_hash: &Hash,
+        request: &ScanRequest,
+        settings: &ScanSettings,
+        recorded: RunSettings,
+        observer: &mut dyn ScanObserver,
+    ) -> Result<(), Error> {
+        // A user may have edited labels.json: objects that were merged there are trained again, other names change nothing.
+        let regions = regions_hash(labels)?;
+        let recorded = RunSettings { regions: Some(regions.0.clone()), ..recorded };
+        // How often checkpoints are written changes nothing.
+        let hashed = ScanConfig { checkpoint_seconds: 0.0, ..settings.scan.clone() };
+        let hash = inputs_hash(&[frames_hash, &regions], &(&hashed, request.seed()))?;
+        run_stage(self.context, run, "gaussians", &hash, |stage, warnings| {
+            let context = self.context.stage(warnings, request.seed());
+            let (train, classes) = (&settings.scan.train, labels.class_count());
+            let (mut trainer, device) =
+                device::trainer(request.device, train, classes, self.context.events.as_ref(), context)?;
+            let work = GaussiansRequest { config: &settings.scan, work_dir: stage.dir() };
+            let result = gaussians(sequence, labels, &work, trainer.as_mut(), observer, context)?;
+            let mut metrics = result.metrics;
+            metrics.set("scan.device", device);
+            atomic::write_json(&stage.dir().join(SETTINGS), &recorded)?;
+            Ok(metrics)
+        })?;
+        Ok(())
+    }
+}
+
+fn up_direction(up: [f64; 3]) -> Result<[f64; 3], InputError> {
+    if up.iter().all(|v| v.is_finite()) && up.iter().map(|v| v * v).sum::<f64>() > 1e-12 {
+        return Ok(up);
+    }
+    let what = format!("{up:?} is not a direction");
+    Err(InputError::new(what, "--up", "give three numbers that are not all zero, such as --up 0,0,1"))
+}
+
+/// Returns the content hash of everything that the recording's frames consist of.
+fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
+    let mut hasher = Hasher::new();
+    let root = std::path::absolute(&recording.root).map_err(unusable(&recording.root))?;
+    hasher.text(&root.display().to_string());
+    let statements = (
+        recording.depth_unit_m,
+        recording.axes,
+        recording.poses,
+        recording.pixel_center,
+        recording.world_up_r,
+        recording.world_is_aligned,
+    );
+    hasher.text(&serde_json::to_string(&statements)?);
+    for frame in &recording.frames {
+        hasher.text(&serde_json::to_string(frame)?);
+        let files = [Some(&frame.color_path), Some(&frame.depth_path), frame.mask_path.as_ref()];
+        for path in files.into_iter().flatten() {
+            hash_file(&mut hasher, path)?;
+        }
+    }
+    Ok(hasher.finish())
+}
+
+/// Returns the content hash of the file that names the objects of masks from files, or of the truth.
+fn mask_names_hash(recording: &Recording, masks: &MasksSource) -> Result<Hash, Error> {
+    let file = match masks {
+        MasksSource::Geometry | MasksSource::Networks(_) => None,
+        MasksSource::Files => Some(recording.root.join("objects.json")),
+        MasksSource::Truth => Some(recording.root.join("truth").join("truth.json")),
+    };
+    let mut hasher = Hasher::new();
+    if let Some(path) = file {
+        hash_file(&mut hasher, &path)?;
+    }
+    Ok(hasher.finish())
+}
+
+/// Adds a file, if it can be found: the reader reports a missing image with its cure.
+fn hash_file(hasher: &mut Hasher, path: &Path) -> Result<(), Error> {
+    hasher.text(&path.display().to_string());
+    if path.is_file() {
+        hasher.file(path)?;
+    }
+    Ok(())
+}
+
+fn unusable(path: &Path) -> impl FnOnce(std::io::Error) -> Error + '_ {
+    move |source| sms_core::CoreError::read(path)(source).into()
+}

@@ -1,0 +1,273 @@
+//! The reconstruction compared with known models, or with the truth of a generated recording.
+
+use crate::Error;
+use glamx::{DPose3, DVec3};
+use sms_core::metrics::Metrics;
+use sms_core::{
+    Aabb, Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings,
+};
+use sms_eval::{
+    EvaluateSettings, KnownSurface, MatchSurface, ObjectScores, SolidScores, compare_sphere, entity_solid,
+    evaluate_object, known_solid, match_objects, read_known_objects,
+};
+use sms_sim::RestingDrift;
+use sms_synth::TruthScene;
+use std::path::Path;
+
+/// Mean distance between surfaces beyond which a reconstruction does not match a scanned model, metres.
+const REACH_M: f64 = 0.1;
+
+/// A known object in the scene's world.
+#[derive(Debug, Clone)]
+pub struct KnownBody {
+    /// Its name in metrics of models.
+    pub name: String,
+    /// Its name in messages.
+    pub description: String,
+    /// The name of its label, where the masks came with the recording.
+    label_name: Option<String>,
+    cloud: PointCloud,
+    mesh: Option<Mesh>,
+    /// Centre and radius, where it is a sphere.
+    sphere: Option<(DVec3, f64)>,
+    reach_m: f64,
+}
+
+impl KnownBody {
+    fn surface(&self) -> KnownSurface<'_> {
+        self.mesh.as_ref().map_or(KnownSurface::Cloud(&self.cloud), KnownSurface::Mesh)
+    }
+
+    fn match_surface(&self) -> MatchSurface<'_> {
+        self.mesh.as_ref().map_or(MatchSurface::Points(&self.cloud.points_w), MatchSurface::Mesh)
+    }
+
+    fn solid(&self) -> Option<MassProperties> {
+        known_solid(self.mesh.as_ref()?, self.sphere)
+    }
+}
+
+/// The comparison of a known object with its reconstruction.
+#[derive(Debug, Clone)]
+pub struct Comparison {
+    /// Name of the known object.
+    pub known: String,
+    /// Name of the known object for messages.
+    pub description: String,
+    /// Name of the entity.
+    pub entity: String,
+    /// Distances between the surfaces.
+    pub scores: ObjectScores,
+    /// Errors of volume, mass centre and inertia, where both are solids.
+    pub solid: Option<SolidScores>,
+    /// Errors of centre and radius in metres, where both are spheres.
+    pub sphere: Option<(f64, f64)>,
+}
+
+/// Names the metrics of a comparison: by the known object, or by the entity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MetricNames {
+    /// Names of the known objects.
+    Known,
+    /// Names of the reconstruction.
+    Entity,
+}
+
+/// Reads scanned models with poses. `x_wr` carries the recording's world to the scene's; with `by_label`, an object is
+/// matched with the entity of its label before shapes are compared.
+///
+/// # Errors
+/// [`Error::Input`] when the file is missing or has no model with a pose.
+pub fn known_models(path: &Path, x_wr: &DPose3, by_label: bool) -> Result<Vec<KnownBody>, Error> {
+    if !path.is_file() {
+        let cure = "give the recording's objects.json";
+        return Err(InputError::new("there is no such file", path, cure).into());
+    }
+    let known = read_known_objects(path)?;
+    if known.is_empty() {
+        let what = "no object in this file has a model with a pose";
+        return Err(InputError::new(what, path, "add `model` and `model_to_world` to an object").into());
+    }
+    let carried = |object: sms_eval::KnownObject| KnownBody {
+        cloud: PointCloud {
+            points_w: object.model_r.points_w.iter().map(|&p| x_wr.transform_point(p)).collect(),
+            ..PointCloud::default()
+        },
+        mesh: object.mesh_r.map(|m| m.transformed(x_wr)),
+        description: object.name.clone(),
+        label_name: by_label.then(|| object.name.clone()),
+        name: object.name,
+        sphere: None,
+        reach_m: REACH_M,
+    };
+    Ok(known.into_iter().map(carried).collect())
+}
+
+/// Returns the objects of a generated scene, carried by `x_wr`.
+pub fn known_truth(truth: &TruthScene, x_wr: &DPose3) -> Vec<KnownBody> {
+    let carried = |object: &sms_synth::TruthObject| KnownBody {
+        name: object.name.clone(),
+        description: format!("{} ({})", object.name, object.class),
+        label_name: None,
+        cloud: PointCloud::default(),
+        mesh: Some(object.mesh_w().transformed(x_wr)),
+        sphere: object.sphere_radius.map(|r| (x_wr.transform_point(object.x_wb.translation), r)),
+        reach_m: half_diagonal(&object.aabb_w()),
+    };
+    truth.objects.iter().map(carried).collect()
+}
+
+fn half_diagonal(bounds: &Aabb) -> f64 {
+    0.5 * bounds.extents().length()
+}
+
+/// Matches the dynamic entities with the known objects and measures each pair. Objects without a match become warnings;
+/// metrics are added to `metrics`.
+///
+/// # Errors
+/// As [`evaluate_object`].
+pub fn evaluate(
+    known: &[KnownBody],
+    entities: &[Entity],
+    settings: &EvaluateSettings,
+    names: MetricNames,
+    metrics: &mut Metrics,
+    warnings: &Warnings,
+) -> Result<Vec<Comparison>, Error> {
+    let dynamic: Vec<&Entity> = entities.iter().filter(|e| e.kind == EntityKind::Dynamic).collect();
+    let mut comparisons = Vec::new();
+    for (object, entity) in known.iter().zip(pairs(known, &dynamic)) {
+        let Some(entity) = entity else {
+            let message = format!("`{}` was not reconstructed", object.description);
+            warnings.add("evaluate", "not_found", message, "look at the masks in the report");
+            continue;
+        };
+        let name = if names == MetricNames::Known { &object.name } else { &entity.name };
+        comparisons.push(compare(name, entity, object, settings, metrics)?);
+    }
+    Ok(comparisons)
+}
+
+/// Adds the drift of each compared entity to the metrics.
+pub(crate) fn add_drifts(
+    comparisons: &[Comparison],
+    names: MetricNames,
+    drifts: &[RestingDrift],
+    metrics: &mut Metrics,
+) {
+    for c in comparisons {
+        let name = if names == MetricNames::Known { &c.known } else { &c.entity };
+        if let Some(drift) = drifts.iter().find(|d| d.body == c.entity) {
+            metrics.set(format!("evaluate.{name}.drift_m"), drift.moved_m);
+            metrics.set(format!("evaluate.{name}.turn_rad"), drift.turned_rad);
+        }
+    }
+}
+
+/// Returns the entity of each known object, each at most once: the one whose label has the object's name, else by the
+/// distances between the surfaces.
+///
+/// Labels match by name, not by value: masks that came with the recording are renumbered from 1 when they are read, and
+/// labels take the names that `objects.json` gives to the values.
+fn pairs<'a>(known: &[KnownBody], dynamic: &[&'a Entity]) -> Vec<Option<&'a Entity>> {
+    let plain = |name: &str| -> String {
+        name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+    };
+    let mut given = Vec::new();
+    for (k, object) in known.iter().enumerate() {
+        let Some(label) = object.label_name.as_deref().map(plain) else { continue };
+        given.extend(dynamic.iter().position(|e| plain(&e.name) == label).map(|f| (k, f)));
+    }
+    let surfaces: Vec<MatchSurface<'_>> = known.iter().map(KnownBody::match_surface).collect();
+    let found: Vec<MatchSurface<'_>> = dynamic.iter().map(|e| MatchSurface::Mesh(&e.mesh)).collect();
+    let reach: Vec<f64> = known.iter().map(|k| k.reach_m).collect();
+    let matched = match_objects(&surfaces, &found, &given, &reach);
+    matched.into_iter().map(|m| m.map(|f| dynamic[f])).collect()
+}
+
+/// Measures one pair; the metrics have `name` in their keys.
+fn compare(
+    name: &str,
+    entity: &Entity,
+    known: &KnownBody,
+    settings: &EvaluateSettings,
+    metrics: &mut Metrics,
+) -> Result<Comparison, Error> {
+    let scores = evaluate_object(&entity.mesh, known.surface(), settings)?;
+    metrics.merge(scores.metrics(name));
+    let solid = known.solid().zip(entity_solid(entity).ok());
+    let solid = solid.map(|(truth, found)| SolidScores::new(&found, &truth));
+    if let Some(solid) = &solid {
+        metrics.merge(solid.metrics(name));
+    }
+    let mut sphere = None;
+    if let (EntityShape::Sphere { center_w, radius }, Some((center, true_radius))) =
+        (&entity.shape, known.sphere)
+    {
+        metrics.merge(compare_sphere(name, (*center_w, *radius), (center, true_radius)));
+        sphere = Some(((*center_w - center).length(), (radius - true_radius).abs()));
+    }
+    Ok(Comparison {
+        known: known.name.clone(),
+        description: known.description.clone(),
+        entity: entity.name.clone(),
+        scores,
+        solid,
+        sphere,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ball(x: f64) -> Mesh {
+        Mesh::icosphere(0.03, 2).transformed(&DPose3::from_translation(DVec3::X * x))
+    }
+
+    fn known(name: &str, x: f64, by_label: bool) -> KnownBody {
+        KnownBody {
+            name: name.into(),
+            description: name.into(),
+            label_name: by_label.then(|| name.into()),
+            cloud: PointCloud::default(),
+            mesh: Some(ball(x)),
+            sphere: None,
+            reach_m: REACH_M,
+        }
+    }
+
+    fn entity(label: u16, name: &str, x: f64) -> Entity {
+        Entity {
+            label,
+            name: name.into(),
+            description: String::new(),
+            kind: EntityKind::Dynamic,
+            shape: EntityShape::Convex,
+            cloud: PointCloud::default(),
+            mesh: ball(x),
+            texture: None,
+            parts: Vec::new(),
+            observed_share: 1.0,
+            residual_m: 0.0,
+            mean_color: [0; 3],
+        }
+    }
+
+    #[test]
+    fn labels_go_by_name_whatever_they_were_numbered() {
+        // In the recording the tray has value 3 and the glue bottle 7; read, they are 1 and 2.
+        let (tray, glue) = (entity(1, "tray", 0.05), entity(2, "glue_bottle", 0.0));
+        let found = [&tray, &glue];
+        let names = |known: &[KnownBody]| -> Vec<Option<String>> {
+            pairs(known, &found).into_iter().map(|e| e.map(|e| e.name.clone())).collect()
+        };
+        // The bottle's model stands where the tray was reconstructed: its label says what it is nevertheless.
+        let labelled = [known("Glue bottle", 0.05, true), known("tray", 0.0, true)];
+        assert_eq!(names(&labelled), [Some("glue_bottle".into()), Some("tray".into())]);
+        // Without labels, the nearest, each once.
+        let unlabelled = [known("a", 0.03, false), known("b", 0.06, false)];
+        assert_eq!(names(&unlabelled), [Some("glue_bottle".into()), Some("tray".into())]);
+        assert_eq!(names(&[known("far", 1.0, false)]), [None]);
+    }
+}

@@ -1,0 +1,77 @@
+//! Recording → frames.
+
+use crate::Error;
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, StageContext};
+use sms_frames::{LoadSettings, Recording, Sequence, Severity, check, load};
+use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
+use std::time::Instant;
+
+/// Settings of [`frames`].
+#[derive(Debug, Clone)]
+pub struct FramesRequest {
+    /// How images are loaded.
+    pub load: LoadSettings,
+    /// How camera poses are refined, if they are.
+    pub poses: PosesConfig,
+    /// Whether the recording is used although its check finds a fault.
+    pub accept_faults: bool,
+}
+
+/// Frames of a recording.
+#[derive(Debug, Clone)]
+pub struct Frames {
+    /// The frames with the poses to use.
+    pub sequence: Sequence,
+    /// How the poses were refined; `None` where they are the recorded ones.
+    pub poses: Option<PoseReport>,
+    /// Metrics `check.*` and `poses.*`.
+    pub metrics: Metrics,
+}
+
+/// Checks a recording, loads its frames and refines their poses.
+///
+/// # Errors
+/// [`Error::Input`] naming the fault of the recording; else the error of the step that failed.
+pub fn frames(
+    recording: &Recording,
+    request: &FramesRequest,
+    context: StageContext<'_>,
+) -> Result<Frames, Error> {
+    let checked = checked(recording, request.accept_faults, context)?;
+    let sequence = load(recording, &request.load, context)?;
+    let mut frames = refined(sequence, &request.poses, context)?;
+    frames.metrics.merge(checked);
+    Ok(frames)
+}
+
+/// Refines the poses of loaded frames, unless the mode is `off`.
+///
+/// # Errors
+/// As [`refine_poses`].
+pub fn refined(sequence: Sequence, config: &PosesConfig, context: StageContext<'_>) -> Result<Frames, Error> {
+    let mut metrics = Metrics::new();
+    if config.mode == PosesMode::Off {
+        return Ok(Frames { sequence, poses: None, metrics });
+    }
+    let began = Instant::now();
+    let refined = refine_poses(&sequence, config, context)?;
+    metrics.merge(refined.report.metrics());
+    metrics.set("poses.seconds", began.elapsed().as_secs_f64());
+    Ok(Frames { sequence: refined.sequence, poses: Some(refined.report), metrics })
+}
+
+/// Checks the recording: a fault is an error unless it is accepted, other findings become warnings.
+fn checked(recording: &Recording, accept_faults: bool, context: StageContext<'_>) -> Result<Metrics, Error> {
+    let report = check(recording, context.progress, context.cancel)?;
+    for finding in &report.findings {
+        if finding.severity == Severity::Fault && !accept_faults {
+            let cure = format!("{}; or scan as it is with --no-check", finding.cure);
+            return Err(InputError::new(finding.what.clone(), &recording.root, cure).into());
+        }
+        if finding.severity != Severity::Info {
+            context.warnings.add("frames", finding.code, finding.what.clone(), finding.cure.clone());
+        }
+    }
+    Ok(report.metrics())
+}

@@ -1,0 +1,64 @@
+//! Frames → object masks.
+
+use crate::Error;
+use sms_core::metrics::Metrics;
+use sms_core::{Labels, StageContext};
+use sms_frames::Sequence;
+use sms_masks::{Completed, GeometryConfig, Segmenter, complete};
+
+/// Object masks of a sequence.
+#[derive(Debug, Clone)]
+pub struct ObjectMasks {
+    /// The masks and the objects that they show.
+    pub labels: Labels,
+    /// The corrections that geometry made to them.
+    pub completed: Completed,
+    /// Pixels of all frames.
+    pub pixels: usize,
+}
+
+/// Segments the frames, then lets geometry correct borders and add missed objects as far as `geometry` asks for it.
+///
+/// # Errors
+/// As [`Segmenter::segment`].
+pub fn masks(
+    sequence: &Sequence,
+    segmenter: &dyn Segmenter,
+    geometry: &GeometryConfig,
+    context: StageContext<'_>,
+) -> Result<ObjectMasks, Error> {
+    let labels = segmenter.segment(sequence, context)?;
+    let pixels = labels.maps.iter().map(|m| m.data.len()).sum();
+    let (labels, completed) = complete(labels, sequence, geometry, context.progress, context.cancel)?;
+    Ok(ObjectMasks { labels, completed, pixels })
+}
+
+impl ObjectMasks {
+    /// Returns the metrics `masks.*`; `source` names the segmenter.
+    pub fn metrics(&self, source: &str) -> Metrics {
+        let mut metrics = Metrics::new();
+        metrics.set("masks.objects", self.labels.objects.len()).set("masks.source", source);
+        if let Some(moved) = self.completed.moved_pixels {
+            metrics.set("masks.refined_share", moved as f64 / self.pixels.max(1) as f64);
+        }
+        if let Some(unknown) = self.completed.unknown {
+            metrics.set("masks.unknown", unknown);
+        }
+        metrics
+    }
+
+    /// Returns one line with the number of objects, their source and the corrections.
+    pub fn summary(&self, source: &str) -> String {
+        let mut line = format!("masks: {} objects from {source}", self.labels.objects.len());
+        if let Some(unknown @ 1..) = self.completed.unknown {
+            line += &format!(", {unknown} of them unknown to it (masks.add_unknown)");
+        }
+        if let Some(moved) = self.completed.moved_pixels {
+            let percent = 100.0 * moved as f64 / self.pixels.max(1) as f64;
+            line += &format!(
+                "; borders refined in 3-D, {percent:.2} % of the pixels changed (masks.refine_edges)"
+            );
+        }
+        line
+    }
+}

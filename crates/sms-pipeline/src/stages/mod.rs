@@ -1,0 +1,24 @@
+//! The stages as functions: one typed result from typed inputs, without folders or caches.
+
+mod chooser;
+mod entities;
+mod evaluate;
+mod frames;
+mod gaussians;
+mod landing;
+mod masks;
+mod scene;
+mod strike;
+
+pub use chooser::{ChoiceRecord, ChosenLanding, LandingChooser, action_of, choose_landing, observation};
+pub use entities::{Entities, entities, entity_metrics};
+pub use evaluate::{Comparison, KnownBody, MetricNames, evaluate, known_models, known_truth};
+pub use frames::{Frames, FramesRequest, frames, refined};
+pub use gaussians::{GaussiansRequest, gaussians, trained_only};
+pub use landing::{LandingProblem, stuck_text};
+pub use masks::{ObjectMasks, masks};
+pub use scene::{SceneRequest, drift_text, scene};
+pub use strike::StrikeProblem;
+
+pub(crate) use chooser::recording;
+pub(crate) use evaluate::add_drifts;

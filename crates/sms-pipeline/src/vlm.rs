@@ -1,0 +1,175 @@
+//! Material estimates of a vision-language model.
+
+use crate::cache::record;
+use crate::settings::vlm_defaults;
+use crate::{Context, Error};
+use sms_core::Warnings;
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, Labels, RunFolder, Seed, StageContext};
+use sms_entities::EntitySet;
+use sms_frames::Sequence;
+use sms_materials::{Estimate, ObjectQuery};
+use sms_vlm::{ApiKey, Asked, Cache, Client, VlmConfig, ask, question_about};
+use std::time::Instant;
+
+/// Folder of the stored replies in a run. It is not a stage: replies stay when the scene is made again.
+pub(crate) const REPLIES: &str = "vlm";
+
+/// Whether a vision-language model is asked about materials.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum VlmMode {
+    /// Ask no model.
+    Off,
+    /// Ask where a server is named; go on without estimates where it does not answer.
+    #[default]
+    Auto,
+    /// Ask, and fail where the server cannot be used.
+    On,
+    /// Use the replies of earlier runs of this command and make no requests.
+    CacheOnly,
+}
+
+/// Estimates for queries, and how they were obtained.
+#[derive(Debug)]
+pub struct Estimates {
+    /// One per query; `None` where the model was not asked or did not answer.
+    pub estimates: Vec<Option<Estimate>>,
+    /// The replies in detail.
+    pub asked: Asked,
+}
+
+/// Asks a model about each of `queries` (the entities of `set`, then the floor). `labels` has the entities' labels.
+///
+/// # Errors
+/// [`Error::Core`] when interrupted, or when a reply cannot be stored.
+pub fn estimates(
+    set: &EntitySet,
+    queries: &[ObjectQuery],
+    (sequence, labels): (&Sequence, &Labels),
+    client: &Client,
+    cache: &Cache,
+    context: StageContext<'_>,
+) -> Result<Estimates, Error> {
+    let mut indices = Vec::new();
+    let mut questions = Vec::new();
+    for (i, query) in queries.iter().enumerate() {
+        let entity = set.entities.get(i);
+        match question_about(query, entity, set.support_height, sequence, labels, client.config()) {
+            Some(question) => {
+                indices.push(i);
+                questions.push(question);
+            }
+            None => context.warnings.add(
+                "vlm",
+                "vlm_not_seen",
+                format!(
+                    "no view shows enough of {} to ask about it; the table or a prior stands in",
+                    query.name
+                ),
+                "set its values with `sms materials RUN --set`",
+            ),
+        }
+    }
+    let asked = ask(&questions, client, cache, context.progress, context.cancel, context.warnings)?;
+    let mut estimates = vec![None; queries.len()];
+    for (i, outcome) in indices.into_iter().zip(&asked.outcomes) {
+        estimates[i] = outcome.estimate().cloned();
+    }
+    Ok(Estimates { estimates, asked })
+}
+
+/// [`estimates`] with the replies that the run has stored.
+pub(crate) fn cached_estimates(
+    context: &Context,
+    run: &RunFolder,
+    mode: VlmMode,
+    set: &EntitySet,
+    queries: &[ObjectQuery],
+    views: (&Sequence, &Labels),
+    seed: Seed,
+) -> Result<Vec<Option<Estimate>>, Error> {
+    let mut config = context.settings.section("vlm", vlm_defaults())?;
+    let is_wanted = match mode {
+        VlmMode::Off => false,
+        VlmMode::Auto => !config.url.trim().is_empty(),
+        VlmMode::On | VlmMode::CacheOnly => true,
+    };
+    let warnings = Warnings::new();
+    if !is_wanted {
+        // An earlier run of the command may have left figures.
+        record(context, run, "vlm", &["vlm."], Metrics::new(), &warnings)?;
+        return Ok(vec![None; queries.len()]);
+    }
+    config.cache_only |= mode == VlmMode::CacheOnly;
+    run.record_settings("vlm", &config)?;
+    let began = Instant::now();
+    let client = client(&config, seed.derive("vlm"))?;
+    let cache = Cache::new(&run.root().join(REPLIES));
+    let found = estimates(set, queries, views, &client, &cache, context.stage(&warnings, seed))?;
+    let asked = &found.asked;
+    let mut metrics = metrics(asked, queries.len(), &config);
+    metrics.set("vlm.seconds", began.elapsed().as_secs_f64());
+    record(context, run, "vlm", &["vlm."], metrics, &warnings)?;
+    context.message(summary(asked, queries.len(), &config));
+    if mode == VlmMode::On {
+        if let Some(given_up) = &asked.given_up {
+            return Err(InputError::new(given_up.what.clone(), config.url, given_up.cure.clone()).into());
+        }
+        if !asked.outcomes.is_empty() && asked.outcomes.iter().all(|o| o.estimate().is_none()) {
+            let what = "the vision-language model answered about none of the objects";
+            let cure = "see the warnings above; or use --vlm auto, and the table or a prior stands in";
+            return Err(InputError::new(what, config.url, cure).into());
+        }
+    }
+    Ok(found.estimates)
+}
+
+/// Returns a client with the environment's key.
+pub(crate) fn client(config: &VlmConfig, seed: Seed) -> Result<Client, InputError> {
+    let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
+    Client::new(config, key, seed)
+}
+
+fn metrics(asked: &Asked, objects: usize, config: &VlmConfig) -> Metrics {
+    let usage = asked.usage;
+    let mut metrics = Metrics::new();
+    metrics
+        .set("vlm.objects", objects)
+        .set("vlm.answered", asked.answered())
+        .set("vlm.cached", asked.cached())
+        .set("vlm.fallbacks", objects - asked.answered())
+        .set("vlm.requests", usage.requests)
+        .set("vlm.prompt_tokens", usage.prompt_tokens)
+        .set("vlm.completion_tokens", usage.completion_tokens);
+    if let Some(cost) = config.cost(usage.prompt_tokens, usage.completion_tokens) {
+        metrics.set("vlm.cost", cost);
+    }
+    metrics
+}
+
+fn summary(asked: &Asked, objects: usize, config: &VlmConfig) -> String {
+    let usage = asked.usage;
+    if usage.requests == 0 {
+        let all = asked.cached();
+        return format!(
+            "{:>16}: {all} of {objects} answered by {}, all stored before; no requests",
+            "vlm", config.model
+        );
+    }
+    let cost = match config.cost(usage.prompt_tokens, usage.completion_tokens) {
+        Some(cost) => format!("cost {cost:.4}"),
+        None => {
+            "cost unknown (set vlm.price_prompt_per_million and vlm.price_completion_per_million)".to_owned()
+        }
+    };
+    format!(
+        "{:>16}: {} of {objects} answered by {}, {} of these stored before; {} requests, {} + {} tokens, {cost}",
+        "vlm",
+        asked.answered(),
+        config.model,
+        asked.cached(),
+        usage.requests,
+        usage.prompt_tokens,
+        usage.completion_tokens,
+    )
+}

@@ -1,0 +1,3 @@
+//! Tests of the pipeline on a generated recording.
+
+mod flow;
