@@ -1,7 +1,7 @@
 //! Entities from what was found out about an object.
 
-use crate::build::{Draft, STAGE};
 use crate::config::EntitiesConfig;
+use crate::draft::{Draft, STAGE};
 use crate::mesher::{self, MeshInput, MeshPath};
 use crate::recognise::recognise_primitive;
 use crate::support::Carrier;

@@ -4,13 +4,15 @@ use crate::body;
 use crate::cloud::{self, Disc};
 use crate::config::EntitiesConfig;
 use crate::contact;
+use crate::draft::{Draft, STAGE, SceneInputs};
 use crate::environment;
 use crate::level;
 use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
+use crate::relabel::relabel;
 use crate::stack;
 use crate::support::{self, Carrier, Rest, Surroundings};
-use crate::underside::{is_over, outline_on_plane, return_sides, return_undersides};
+use crate::underside::{return_sides, return_undersides};
 use crate::views::Views;
 use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
@@ -21,27 +23,12 @@ use sms_core::{
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
 use sms_mesh::{
-    PointGrid, SphereFit,
+    PointGrid,
     cloud::{chosen, extend, retain, thin},
+    outline::{is_over, outline_on_plane},
     quantile,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
-
-pub(crate) const STAGE: &str = "materialize";
-
-/// What is known of an object before it is meshed.
-pub(crate) struct Draft {
-    pub(crate) info: LabelInfo,
-    pub(crate) cloud: PointCloud,
-    /// What has its label below the face that it stands on.
-    pub(crate) below: PointCloud,
-    /// Distance between neighbouring points of the cloud, metres.
-    pub(crate) spacing: f64,
-    pub(crate) rest: Rest,
-    pub(crate) sphere: Option<SphereFit>,
-    /// Whether it stays where it is: physics would drop what only seems to float.
-    pub(crate) fixed: bool,
-}
 
 /// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of
 /// everything that no label explains (paper, Section "Materialize").
@@ -72,6 +59,7 @@ pub fn build_entities(
         around.collect_own_sides(info.id, discs);
     }
     let support_height = support::support_height(&around);
+    let scene = SceneInputs { views: &views, around: &around, support_height, config };
     // Objects do not know of each other here; warnings are sorted when they are written.
     let done = AtomicU64::new(0);
     let drafts: Vec<Option<Draft>> = labels
@@ -81,7 +69,7 @@ pub fn build_entities(
         .map(|(info, discs)| {
             cancel.check()?;
             let object_seed = seed.derive_index("object", u64::from(info.id));
-            let draft = draft(discs, &views, &around, support_height, info, config, object_seed, warnings);
+            let draft = draft(discs, info, scene, object_seed, warnings);
             progress.update(done.fetch_add(1, Ordering::Relaxed) + 1, &info.name);
             Ok(draft)
         })
@@ -89,7 +77,7 @@ pub fn build_entities(
     let mut drafts: Vec<Draft> = drafts.into_iter().flatten().collect();
     let mut joined = Vec::new();
     if labels.source == MaskSource::Geometry {
-        joined = join_pieces(&mut drafts, &views, &around, config, seed, warnings);
+        joined = join_pieces(&mut drafts, scene, seed, warnings);
         fix_floating(&mut drafts, &around, warnings);
     }
     return_sides(&mut drafts);
@@ -200,14 +188,12 @@ const FEW_DISCS: usize = 40;
 
 fn draft(
     mut discs: Vec<Disc>,
-    views: &Views,
-    around: &Surroundings,
-    support_height: Option<f64>,
     info: &LabelInfo,
-    config: &EntitiesConfig,
+    scene: SceneInputs<'_>,
     seed: Seed,
     warnings: &Warnings,
 ) -> Option<Draft> {
+    let SceneInputs { views, around, support_height, config } = scene;
     let coarse = cloud::coarse_spacing(config);
     if discs.len() < FEW_DISCS {
         let from_model = discs.len();
@@ -260,7 +246,7 @@ fn draft(
         );
     }
     let below = drop_carrier_points(&mut cloud, &rest);
-    let sphere = recognise_sphere(&cloud, views, around, info.id, &rest, config, seed);
+    let sphere = recognise_sphere(&cloud, info.id, &rest, scene, seed);
     Some(Draft { info: info.clone(), cloud, below, spacing, rest, sphere, fixed: false })
 }
 
@@ -269,12 +255,11 @@ fn draft(
 /// For masks from geometry only: those of people and networks mean what they say.
 fn join_pieces(
     drafts: &mut Vec<Draft>,
-    views: &Views,
-    around: &Surroundings,
-    config: &EntitiesConfig,
+    scene: SceneInputs<'_>,
     seed: Seed,
     warnings: &Warnings,
 ) -> Vec<(u16, u16)> {
+    let SceneInputs { around, config, .. } = scene;
     let mut joined = Vec::new();
     let reach = 2.0 * cloud::coarse_spacing(config);
     let mut i = 0;
@@ -307,7 +292,7 @@ fn join_pieces(
         joined.push((piece.info.id, host.info.id));
         extend(&mut host.cloud, piece.cloud);
         host.spacing = host.spacing.max(piece.spacing);
-        host.sphere = recognise_sphere(&host.cloud, views, around, host.info.id, &host.rest, config, seed);
+        host.sphere = recognise_sphere(&host.cloud, host.info.id, &host.rest, scene, seed);
         let message = format!(
             "`{}` cannot stand by itself and touches `{}`: they were joined",
             piece.info.name, host.info.name
@@ -317,20 +302,6 @@ fn join_pieces(
         i = 0;
     }
     joined
-}
-
-/// Gives pixels of joined pieces the label of what they were joined to, in the order of joining.
-pub(crate) fn relabel(labels: &mut Labels, joined: &[(u16, u16)]) {
-    for map in &mut labels.maps {
-        for label in &mut map.data {
-            *label = host_of(*label, joined);
-        }
-    }
-}
-
-/// The label that stands for `label` after pieces were joined one after the other.
-pub(crate) fn host_of(label: u16, joined: &[(u16, u16)]) -> u16 {
-    joined.iter().fold(label, |l, &(piece, host)| if l == piece { host } else { l })
 }
 
 /// What is left without anything to stand on is part of something larger that was not seen whole (a shelf, a cable, a

@@ -2,10 +2,10 @@
 
 use crate::config::EntitiesConfig;
 use crate::support::{Carrier, Rest, Surroundings};
-use crate::underside::{is_over, outline_on_plane};
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
+use sms_mesh::outline::{is_over, outline_on_plane};
 use sms_mesh::{
     Plane, PointGrid, Tsdf, TsdfFrame, cloud::mean_color, colors_from, convex_hull, distances, median,
     simplify, taubin,

@@ -5,12 +5,12 @@
 //! the face itself is known, from the seen part of an overhanging underside, from where its carrier was seen to end, or because the object
 //! is an exact solid, what carries it ends there, and it is flat. What carries others stands on a flat foot itself.
 
-use crate::contact::{cut_to, is_exact, reaches_beside};
-use crate::stack::{
-    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
+use crate::piece::{cut_to, is_exact};
+use crate::standing::{
+    CLOSED_M, Column, LevelFace, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces,
+    reaches_beside, standing, under,
 };
-use crate::support::{Carrier, Rest};
-use crate::underside::SIDE;
+use crate::support::{Carrier, Rest, SIDE};
 use glamx::{DVec2, DVec3};
 use sms_core::{Entity, EntityShape, Mesh};
 use sms_mesh::{
@@ -48,13 +48,6 @@ const THICKNESS_SHARE: f64 = 0.35;
 
 /// Least share of a piece that is kept below a face: most of what was made up above a thin slab may be cut off.
 const LEAST_LEFT: f64 = 0.01;
-
-/// An object that stands with a level face, by its index, and that face's height, metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct LevelFace {
-    pub(crate) upper: usize,
-    pub(crate) height: f64,
-}
 
 /// Makes undersides flat whose height is known, and ends there what carries them. Gives these faces.
 pub(crate) fn level_faces(
@@ -232,7 +225,8 @@ fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f
 mod tests {
     use super::*;
     use crate::contact::part_objects;
-    use crate::stack::{close_gaps, tests::entity};
+    use crate::fixtures::entity;
+    use crate::stack::close_gaps;
     use sms_core::PointCloud;
     use sms_mesh::Plane;
 

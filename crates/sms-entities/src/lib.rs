@@ -21,17 +21,23 @@ mod build;
 mod cloud;
 mod config;
 mod contact;
+mod draft;
 mod environment;
 mod error;
+#[cfg(test)]
+mod fixtures;
 mod foot;
 mod hollow;
 mod level;
 mod lid;
 mod mesher;
+mod piece;
 mod queries;
 mod recognise;
+mod relabel;
 mod save;
 mod stack;
+mod standing;
 mod support;
 mod texture;
 mod underside;
@@ -65,13 +71,13 @@ pub struct EntitySet {
 impl EntitySet {
     /// Gives the pixels of joined pieces the label of the object they belong to now.
     pub fn relabel(&self, labels: &mut Labels) {
-        build::relabel(labels, &self.joined);
+        relabel::relabel(labels, &self.joined);
     }
 
     /// Gives the Gaussians of joined pieces the label of the object they belong to now.
     pub fn relabel_model(&self, model: &mut GaussianModel) {
         for label in &mut model.labels {
-            *label = build::host_of(*label, &self.joined);
+            *label = relabel::host_of(*label, &self.joined);
         }
     }
 }

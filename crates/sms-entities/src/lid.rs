@@ -2,8 +2,8 @@
 //! centimetres, and of an open bin, whose wall is thin, it ends millimetres too low, or nowhere. What stands there would tip at another
 //! edge than in truth. What was seen is the sides, up to millimetres below the face, and they say where its edge is.
 
-use crate::contact::{Piece, cut_to, is_exact, is_thick, pieces_near};
-use crate::stack::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
+use crate::piece::{CollisionPiece, cut_to, is_exact, is_thick, pieces_near};
+use crate::standing::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
 use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_core::{Aabb, Entity, Mesh};
@@ -105,7 +105,7 @@ fn touches(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
 
 /// Whether a piece is in none of the others.
 fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
-    let (Some(space), Some(lid)) = (lid.aabb(), Piece::of(lid)) else { return false };
+    let (Some(space), Some(lid)) = (lid.aabb(), CollisionPiece::of(lid)) else { return false };
     let others = (0..entities.len()).filter(|&i| i != own);
     others
         .flat_map(|i| pieces_near(&entities[i], &space))
@@ -242,7 +242,8 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     let beyond = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
     let beyond: Vec<DVec3> = upright.iter().map(|&i| cloud.points_w[i]).filter(|&p| beyond(p)).collect();
     let space = Aabb::of_points(beyond.iter().copied());
-    let inside: Vec<Piece> = space.iter().flat_map(|space| pieces_near(upper.entity, space)).collect();
+    let inside: Vec<CollisionPiece> =
+        space.iter().flat_map(|space| pieces_near(upper.entity, space)).collect();
     let goes_on = beyond.iter().filter(|p| !inside.iter().any(|piece| piece.holds(**p))).count();
     if goes_on > sides.len() / 10 {
         return None;
@@ -273,7 +274,7 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stack::tests::entity;
+    use crate::fixtures::entity;
     use glamx::DPose3;
     use sms_core::{BACKGROUND, EntityKind, EntityShape};
     use sms_mesh::Plane;

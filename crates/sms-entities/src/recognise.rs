@@ -1,7 +1,7 @@
 //! Which exact solid an object is, if it is one.
 
-use crate::build::Draft;
 use crate::config::EntitiesConfig;
+use crate::draft::{Draft, SceneInputs};
 use crate::support::{Carrier, Rest, Surroundings, height_below_ball};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use glamx::{DPose3, DQuat, DVec3};
@@ -42,15 +42,15 @@ fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
     rays.into_iter().step_by(stride).collect()
 }
 
+/// The sphere that an object's cloud lies on; `None` where it has another shape, or the frames contradict a sphere.
 pub(crate) fn recognise_sphere(
     cloud: &PointCloud,
-    views: &Views,
-    around: &Surroundings,
     label: u16,
     rest: &Rest,
-    config: &EntitiesConfig,
+    scene: SceneInputs<'_>,
     seed: Seed,
 ) -> Option<SphereFit> {
+    let SceneInputs { views, around, config, .. } = scene;
     let points = &cloud.points_w;
     let first = fit_sphere(points, &config.sphere, seed)?;
     if !first.explains(points, &config.sphere) {

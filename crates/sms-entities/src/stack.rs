@@ -1,27 +1,21 @@
 //! Faces on which objects stand on each other. No camera saw them: the lower one's surface is made up there and bulges into the
 //! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
 
-use crate::contact::{Piece, is_exact, pieces_near, translate};
+use crate::piece::{CollisionPiece, is_exact, pieces_near, translate};
+use crate::standing::{
+    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
+};
 use glamx::{DVec2, DVec3};
-use parry3d_f64::query::{Ray, RayCast};
-use parry3d_f64::shape::ConvexPolyhedron;
-use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+use sms_core::{Entity, Mesh};
 use sms_mesh::{
-    clip, convex_hull,
+    convex_hull,
     outline::{common, is_within, meet, outline_of, width},
 };
 
-/// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
-pub(crate) const REACH_M: f64 = 0.005;
-/// What carries another reaches down at least so far below the face, metres.
-pub(crate) const BELOW_M: f64 = 0.005;
 /// Faces that look up more than this (cosine) are the top of a hull: a ridge's two sides too.
 const UP: f64 = 0.1;
 /// What is narrower from above is a wall's ridge, metres.
 const WALL_M: f64 = 0.03;
-/// Gaps that physics engines do not notice, metres.
-pub(crate) const CLOSED_M: f64 = 1e-5;
-
 /// Closes what is left open between objects that stand on each other, from the lowest up: tops of a carrier's convex pieces that end
 /// below the other's bottom are brought up to it; what stands on an exact solid, or in the middle of a wide top, is put down on it.
 pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usize) {
@@ -62,39 +56,6 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
     }
 }
 
-/// Objects that stand on others and not on the floor, the lowest first. Balls touch at a point, which is seen to elsewhere.
-pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
-    let can_stand = |e: &Entity| {
-        let is_ball = matches!(e.shape, EntityShape::Sphere { .. });
-        e.kind == EntityKind::Dynamic && !is_ball && bottom(e) > floor + BELOW_M + REACH_M
-    };
-    let mut order: Vec<usize> = (0..entities.len()).filter(|&i| can_stand(&entities[i])).collect();
-    order.sort_by(|&a, &b| bottom(&entities[a]).total_cmp(&bottom(&entities[b])));
-    order
-}
-
-/// Whether an object may carry what ends at a height.
-pub(crate) fn can_carry(entity: &Entity, height: f64) -> bool {
-    entity.kind == EntityKind::Dynamic && bottom(entity) < height - BELOW_M
-}
-
-fn vertices(entity: &Entity) -> Box<dyn Iterator<Item = DVec3> + '_> {
-    if is_exact(entity) {
-        return Box::new(entity.mesh.vertices.iter().copied());
-    }
-    Box::new(entity.parts.iter().flat_map(|p| p.vertices.iter().copied()))
-}
-
-pub(crate) fn bottom(entity: &Entity) -> f64 {
-    vertices(entity).map(|v| v.z).fold(f64::INFINITY, f64::min)
-}
-
-/// Convex outline of an object's bottom from above, counterclockwise.
-pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
-    let low = bottom(entity) + REACH_M;
-    outline_of(vertices(entity).filter(|v| v.z < low))
-}
-
 /// Whether a point lies under an outline, or beside it by no more than a scan may err.
 fn is_under(outline: &[DVec2], p: DVec2) -> bool {
     is_within(outline, p, REACH_M)
@@ -116,20 +77,10 @@ fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> 
     Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
 }
 
-/// Corners of what of a piece's surface is over or under an outline.
-pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
-    let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
-    for i in 0..outline.len() {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        let outward = DVec2::new(b.y - a.y, a.x - b.x).normalize_or_zero();
-        under = clip(&under, outward.extend(0.0), outward.dot(a)).0;
-    }
-    under.into_flattened()
-}
-
 /// Whether a piece that was raised is in no other object's that it was not in before.
 fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) -> bool {
-    let (Some(space), Some(raised), Some(before)) = (raised.aabb(), Piece::of(raised), Piece::of(before))
+    let (Some(space), Some(raised), Some(before)) =
+        (raised.aabb(), CollisionPiece::of(raised), CollisionPiece::of(before))
     else {
         return false;
     };
@@ -137,36 +88,6 @@ fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) ->
     others
         .flat_map(|i| pieces_near(&entities[i], &space))
         .all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
-}
-
-/// Which corners of a hull belong to a face whose normal's upward component is as wanted.
-pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec<bool> {
-    let mut is = vec![false; part.vertices.len()];
-    for (t, corners) in part.triangles.iter().enumerate() {
-        let [a, b, c] = part.corners(t);
-        let faces = wanted((b - a).cross(c - a).normalize_or_zero().z);
-        corners.iter().for_each(|&k| is[k as usize] |= faces);
-    }
-    is
-}
-
-/// Where a vertical line meets a convex piece.
-pub(crate) struct Column(ConvexPolyhedron);
-
-impl Column {
-    pub(crate) fn of(part: &Mesh) -> Option<Self> {
-        ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles).map(Self)
-    }
-
-    /// Height of the top at a place, looked for from `above` down to a metre lower.
-    fn top(&self, p: DVec2, above: f64) -> Option<f64> {
-        self.0.cast_local_ray(&Ray::new(p.extend(above), DVec3::NEG_Z), 2.0, true).map(|t| above - t)
-    }
-
-    /// Height of the underside at a place, looked for from `below` up.
-    pub(crate) fn underside(&self, p: DVec2, below: f64) -> Option<f64> {
-        self.0.cast_local_ray(&Ray::new(p.extend(below), DVec3::Z), 2.0, true).map(|t| below + t)
-    }
 }
 
 /// Brings what of a piece's top lies under the outline, and at most [`REACH_M`] below `height`, up to it: its corners there, and
@@ -199,28 +120,11 @@ fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
+    use crate::fixtures::entity;
     use glamx::DPose3;
-    use sms_core::PointCloud;
-
-    pub(crate) fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
-        let parts = if shape.is_primitive() { Vec::new() } else { vec![mesh.clone()] };
-        Entity {
-            label: 1,
-            name: name.into(),
-            description: String::new(),
-            kind: EntityKind::Dynamic,
-            shape,
-            cloud: PointCloud::default(),
-            mesh,
-            texture: None,
-            parts,
-            observed_share: 1.0,
-            residual_m: 0.0,
-            mean_color: [0; 3],
-        }
-    }
+    use sms_core::EntityShape;
 
     fn cuboid(name: &str, half: DVec3, center: DVec3, exact: bool) -> Entity {
         let x_ws = DPose3::from_translation(center);

@@ -311,6 +311,8 @@ const ENDS_M: f64 = 0.005;
 const WIDER: f64 = 1.5;
 /// What looks up or down by less than this (cosine of the angle to the vertical) may be a side: a level surface is the table beside an object, or the underside of what stands on it.
 pub(crate) const UPRIGHT: f64 = 0.7;
+/// Sides look up or down by less than this (cosine of the angle to the vertical).
+pub(crate) const SIDE: f64 = 0.5;
 /// Unlabelled sides this near to an object's, metres, are its own.
 const CONTINUES_M: f64 = 0.03;
 

@@ -124,7 +124,7 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
             }
         }
     }
-    let normals = mesh.vertex_normals();
+    let baker = Baker { entity, normals: mesh.vertex_normals(), views, images, config };
     let pixels: Vec<Vec<[u8; 3]>> = squares
         .par_iter()
         .map(|square| {
@@ -136,7 +136,7 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
                 let at = [square.x as f64 + x as f64 + 0.5, square.y as f64 + y as f64 + 0.5];
                 let weights =
                     barycentric(at, square.corners(if square.triangles[half].is_some() { half } else { 0 }));
-                color_at(entity, &normals, t, weights, views, images, config)
+                baker.color_at(t, weights)
             };
             (0..square.side * square.side).map(texel).collect()
         })
@@ -162,61 +162,67 @@ fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
     weights.map(|k| k / sum)
 }
 
-/// Colour of a place on triangle `t`: the mean of the views that see it most squarely and from nearest.
-fn color_at(
-    entity: &Entity,
-    normals: &[DVec3],
-    t: usize,
-    weights: [f64; 3],
-    views: &Views,
-    images: &[&ColorImage],
-    config: &TextureConfig,
-) -> [u8; 3] {
-    let triangle = entity.mesh.triangles[t];
-    let corners = entity.mesh.corners(t);
-    let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
-    let smooth =
-        (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
-    let flat = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
-    // At a sharp edge the mean of both faces would choose views of the other one.
-    let n = if smooth.dot(flat) < SHARP { flat } else { smooth };
-    // The few best: quality and colour, best first.
-    const MOST: usize = 8;
-    let keep = config.views.clamp(1, MOST);
-    let mut best = [(0.0f64, [0.0f64; 3]); MOST];
-    for (f, frame) in views.sequence.frames.iter().enumerate() {
-        let towards = frame.camera.center_w() - p;
-        let distance = towards.length();
-        let facing = n.dot(towards) / distance;
-        if facing < LEAST_FACING {
-            continue;
+/// Inputs of an object's picture.
+struct Baker<'a> {
+    entity: &'a Entity,
+    /// Normals of the mesh's vertices.
+    normals: Vec<DVec3>,
+    views: &'a Views<'a>,
+    images: &'a [&'a ColorImage],
+    config: &'a TextureConfig,
+}
+
+impl Baker<'_> {
+    /// Colour of a place on triangle `t`: the mean of the views that see it most squarely and from nearest.
+    fn color_at(&self, t: usize, weights: [f64; 3]) -> [u8; 3] {
+        let Self { entity, normals, views, images, config } = self;
+        let triangle = entity.mesh.triangles[t];
+        let corners = entity.mesh.corners(t);
+        let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
+        let smooth =
+            (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
+        let flat = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+        // At a sharp edge the mean of both faces would choose views of the other one.
+        let n = if smooth.dot(flat) < SHARP { flat } else { smooth };
+        // The few best: quality and colour, best first.
+        const MOST: usize = 8;
+        let keep = config.views.clamp(1, MOST);
+        let mut best = [(0.0f64, [0.0f64; 3]); MOST];
+        for (f, frame) in views.sequence.frames.iter().enumerate() {
+            let towards = frame.camera.center_w() - p;
+            let distance = towards.length();
+            let facing = n.dot(towards) / distance;
+            if facing < LEAST_FACING {
+                continue;
+            }
+            let quality = facing * facing / (distance * distance);
+            if quality <= best[keep - 1].0 || views.sight(f, p, 0.0) != Sight::Surface(entity.label) {
+                continue;
+            }
+            let Some((u, v, _)) = frame.camera.project(p) else { continue };
+            let k = &frame.camera.intrinsics;
+            let image = images[f];
+            let scale = [image.width as f64 / k.width as f64, image.height as f64 / k.height as f64];
+            let color = sample(image, u * scale[0], v * scale[1]);
+            let at = (0..keep).find(|&i| quality > best[i].0).unwrap_or(keep - 1);
+            best[at..keep].rotate_right(1);
+            best[at] = (quality, color);
         }
-        let quality = facing * facing / (distance * distance);
-        if quality <= best[keep - 1].0 || views.sight(f, p, 0.0) != Sight::Surface(entity.label) {
-            continue;
+        let total: f64 = best[..keep].iter().map(|b| b.0).sum();
+        if total > 0.0 {
+            return std::array::from_fn(|c| {
+                (best[..keep].iter().map(|b| b.0 * b.1[c]).sum::<f64>() / total).round().clamp(0.0, 255.0)
+                    as u8
+            });
         }
-        let Some((u, v, _)) = frame.camera.project(p) else { continue };
-        let k = &frame.camera.intrinsics;
-        let image = images[f];
-        let scale = [image.width as f64 / k.width as f64, image.height as f64 / k.height as f64];
-        let color = sample(image, u * scale[0], v * scale[1]);
-        let at = (0..keep).find(|&i| quality > best[i].0).unwrap_or(keep - 1);
-        best[at..keep].rotate_right(1);
-        best[at] = (quality, color);
+        if entity.mesh.colors.len() != entity.mesh.vertices.len() {
+            return entity.mean_color;
+        }
+        std::array::from_fn(|c| {
+            let of = |k: usize| f64::from(entity.mesh.colors[triangle[k] as usize][c]) * weights[k];
+            (0..3).map(of).sum::<f64>().round() as u8
+        })
     }
-    let total: f64 = best[..keep].iter().map(|b| b.0).sum();
-    if total > 0.0 {
-        return std::array::from_fn(|c| {
-            (best[..keep].iter().map(|b| b.0 * b.1[c]).sum::<f64>() / total).round().clamp(0.0, 255.0) as u8
-        });
-    }
-    if entity.mesh.colors.len() != entity.mesh.vertices.len() {
-        return entity.mean_color;
-    }
-    std::array::from_fn(|c| {
-        let of = |k: usize| f64::from(entity.mesh.colors[triangle[k] as usize][c]) * weights[k];
-        (0..3).map(of).sum::<f64>().round() as u8
-    })
 }
 
 /// Bilinear sample at pixel coordinates (centres at half integers).

@@ -1,8 +1,8 @@
 //! Faces that look down: closing what no camera saw, the contact area on the surface below, and giving what was seen of it to whom it
 //! belongs.
 
-use crate::build::Draft;
-use crate::support::{Carrier, Rest};
+use crate::draft::Draft;
+use crate::support::{Carrier, Rest, SIDE};
 use crate::views::{Sight, Views};
 use glamx::{DVec2, DVec3};
 use sms_core::PointCloud;
@@ -85,8 +85,6 @@ pub(crate) fn contact_points(
     points
 }
 
-/// Sides look up or down by less than this (cosine of the angle to the vertical).
-pub(crate) const SIDE: f64 = 0.5;
 /// They continue others within this distance, metres, that look the same way within 60°.
 const CONTINUES_M: f64 = 0.02;
 
@@ -154,31 +152,6 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
         cloud::extend(&mut drafts[upper].cloud, moved);
         cloud::retain(&mut drafts[lower].cloud, &stays);
     }
-}
-
-/// The convex outline, grown by `margin`, of the points less than `band` above a plane: on the plane, counter-clockwise
-/// seen from its normal.
-pub(crate) fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
-    let u = plane.normal.any_orthonormal_vector();
-    let v = plane.normal.cross(u);
-    let near = points.iter().filter(|&&p| plane.height(p) < band);
-    let grown: Vec<DVec2> = near
-        .flat_map(|p| {
-            (0..8).map(move |k| {
-                let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
-                DVec2::new(p.dot(u), p.dot(v)) + margin * DVec2::new(cos, sin)
-            })
-        })
-        .collect();
-    convex_outline(&grown).iter().map(|p| u * p.x + v * p.y + plane.normal * plane.offset).collect()
-}
-
-/// Whether `p` lies over the convex outline, seen along the plane's normal.
-pub(crate) fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
-    (0..outline.len()).all(|i| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).cross(p - a).dot(plane.normal) >= 0.0
-    })
 }
 
 /// Heights over a possible contact point, as shares of the object's height, that cameras may look through.

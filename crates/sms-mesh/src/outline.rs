@@ -1,5 +1,6 @@
 //! Convex outlines in a plane, counter-clockwise: of what stands on what, seen from above.
 
+use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 
 /// Convex outline, counter-clockwise (Andrew's monotone chain). Fewer than three corners where points lie on a line.
@@ -93,6 +94,31 @@ pub fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
         left = cut;
     }
     left
+}
+
+/// The convex outline, grown by `margin`, of the points less than `band` above a plane: on the plane, counter-clockwise
+/// seen from its normal.
+pub fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
+    let u = plane.normal.any_orthonormal_vector();
+    let v = plane.normal.cross(u);
+    let near = points.iter().filter(|&&p| plane.height(p) < band);
+    let grown: Vec<DVec2> = near
+        .flat_map(|p| {
+            (0..8).map(move |k| {
+                let (sin, cos) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
+                DVec2::new(p.dot(u), p.dot(v)) + margin * DVec2::new(cos, sin)
+            })
+        })
+        .collect();
+    convex_outline(&grown).iter().map(|p| u * p.x + v * p.y + plane.normal * plane.offset).collect()
+}
+
+/// Whether `p` lies over the convex outline, seen along the plane's normal.
+pub fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
+    (0..outline.len()).all(|i| {
+        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
+        (b - a).cross(p - a).dot(plane.normal) >= 0.0
+    })
 }
 
 #[cfg(test)]
