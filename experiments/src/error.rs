@@ -14,21 +14,15 @@ pub enum BenchError {
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),
-    /// The masks failed.
+    /// The masks cannot be made or read.
     #[error(transparent)]
     Masks(#[from] sms_masks::MasksError),
-    /// The scan failed.
+    /// A stage of the pipeline failed.
     #[error(transparent)]
-    Scan(#[from] sms_gaussians::ScanError),
-    /// The meshes failed.
-    #[error(transparent)]
-    Entities(#[from] sms_entities::EntitiesError),
+    Pipeline(#[from] sms_pipeline::Error),
     /// The planner failed.
     #[error(transparent)]
     Plan(#[from] sms_plan::PlanError),
-    /// The entities make no scene.
-    #[error(transparent)]
-    Build(#[from] sms_scene::BuildError),
     /// A scene could not be kept.
     #[error(transparent)]
     Scene(#[from] sms_scene::SceneError),
@@ -49,14 +43,12 @@ impl StageError for BenchError {
             Self::Input(e) | Self::Unanswered(e) => e.kind(),
             Self::Core(e) => e.kind(),
             Self::Masks(e) => e.kind(),
-            Self::Scan(e) => e.kind(),
-            Self::Entities(e) => e.kind(),
+            Self::Pipeline(e) => e.kind(),
             Self::Plan(e) => e.kind(),
             Self::Scene(e) => e.kind(),
             Self::Landing(e) => e.kind(),
             Self::Target(e) => e.kind(),
             Self::Evaluate(e) => e.kind(),
-            Self::Build(_) => ErrorKind::Other,
         }
     }
 }

@@ -4,8 +4,10 @@ use crate::{BenchError, BenchOptions, BenchScene, locate};
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, Image, Labels, StageContext, write_png_color};
 use sms_eval::{MaskScores, score_masks};
-use sms_frames::{Recording, Sequence, load};
-use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, complete, label_color};
+use sms_frames::{Recording, Sequence};
+use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, label_color};
+use sms_pipeline::stages::{self, FramesRequest};
+use sms_poses::{PosesConfig, PosesMode};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
@@ -25,15 +27,19 @@ pub fn run_masks(
     let StageContext { progress, cancel, .. } = context;
     let Some(folder) = locate(scene, options, progress, cancel)? else { return Ok(None) };
     let recording = Recording::open(&folder, &options.read)?;
-    let sequence = load(&recording, &options.load, context)?;
+    let request = FramesRequest {
+        load: options.load.clone(),
+        poses: PosesConfig { mode: PosesMode::Off, ..PosesConfig::default() },
+        accept_faults: true,
+    };
+    let sequence = stages::frames(&recording, &request, context)?.sequence;
     let is_real = matches!(scene, BenchScene::Real(_));
     let given = FileMasks::default();
     let truth: &dyn Segmenter = if is_real { &given } else { &TruthMasks };
     let truth = truth.segment(&sequence, context)?;
     let began = Instant::now();
     let geometry = GeometryMasks { config: options.masks.clone() };
-    let found = geometry.segment(&sequence, context)?;
-    let (found, _) = complete(found, &sequence, &options.masks, progress, cancel)?;
+    let found = stages::masks(&sequence, &geometry, &options.masks, context)?.labels;
     let seconds = began.elapsed().as_secs_f64();
     if let Some(dir) = dir {
         write_masks_panel(&dir.join(format!("{scene}.png")), &sequence, &truth, &found)?;

@@ -7,9 +7,10 @@ use crate::scenes::{BenchScene, generated};
 use crate::timer::Timer;
 use glamx::DPose3;
 use sms_core::{Camera, InputError, Labels, Seed, StageContext};
-use sms_frames::{Recording, Sequence, load};
-use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks, complete};
-use sms_poses::{PosesMode, refine_poses};
+use sms_frames::{Recording, Sequence};
+use sms_masks::{FileMasks, GeometryMasks, Segmenter, TruthMasks};
+use sms_pipeline::stages::{self, FramesRequest};
+use sms_poses::{PosesConfig, PosesMode};
 use sms_synth::TruthScene;
 use std::path::PathBuf;
 
@@ -47,19 +48,12 @@ impl Prepared {
 
     /// The frames trained on with their label maps: entities must not use held-out frames either.
     pub fn trained_only(&self, holdout: usize) -> (Sequence, Labels) {
-        let trained = self.trained(holdout);
-        let sequence = Sequence {
-            frames: trained.iter().map(|&i| self.sequence.frames[i].clone()).collect(),
-            x_world_recording: self.sequence.x_world_recording,
-            source: self.sequence.source.clone(),
-        };
-        let maps = trained.iter().map(|&i| self.labels.maps[i].clone()).collect();
-        (sequence, Labels { maps, ..self.labels.clone() })
+        stages::trained_only(self.sequence.clone(), self.labels.clone(), holdout)
     }
 
     /// Indices of the frames trained on.
     pub fn trained(&self, holdout: usize) -> Vec<usize> {
-        (0..self.sequence.len()).filter(|&i| i == 0 || !Sequence::is_held_out(i, holdout)).collect()
+        (0..self.sequence.len()).filter(|&i| !Sequence::is_held_out(i, holdout)).collect()
     }
 }
 
@@ -76,7 +70,13 @@ pub fn prepare(
     let StageContext { progress, cancel, .. } = context;
     let Some(dir) = locate(scene, options, progress, cancel)? else { return Ok(None) };
     let timer = Timer::start();
-    let mut sequence = load(&Recording::open(&dir, &options.read)?, &options.load, context)?;
+    let recording = Recording::open(&dir, &options.read)?;
+    let as_recorded = FramesRequest {
+        load: options.load.clone(),
+        poses: PosesConfig { mode: PosesMode::Off, ..options.poses.clone() },
+        accept_faults: true,
+    };
+    let mut sequence = stages::frames(&recording, &as_recorded, context)?.sequence;
     let load_seconds = timer.seconds();
     if !(1..sequence.len()).any(|i| Sequence::is_held_out(i, options.scan.holdout)) {
         return Err(InputError::new(
@@ -98,9 +98,7 @@ pub fn prepare(
     };
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();
-    if options.poses.mode != PosesMode::Off {
-        sequence = refine_poses(&sequence, &options.poses, context)?.sequence;
-    }
+    let sequence = stages::refined(sequence, &options.poses, context)?.sequence;
     let poses_seconds = timer.seconds();
     let timer = Timer::start();
     let truth = generated(scene)?.map(|made| made.scene);
@@ -110,8 +108,7 @@ pub fn prepare(
         Some(_) if options.true_masks => &TruthMasks,
         Some(_) => &geometry,
     };
-    let labels = masks.segment(&sequence, context)?;
-    let (labels, _) = complete(labels, &sequence, &options.masks, progress, cancel)?;
+    let labels = stages::masks(&sequence, masks, &options.masks, context)?.labels;
     let masks_seconds = timer.seconds();
     let real = truth.is_none().then_some(dir);
     Ok(Some(Prepared {

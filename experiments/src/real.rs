@@ -6,12 +6,12 @@ use crate::run::ScannedScene;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, EntityKind, Image, PointCloud, StageContext, Warnings};
-use sms_entities::build_entities;
 use sms_eval::TrueView;
 use sms_eval::{DepthErrors, ShownView, psnr_db};
 use sms_eval::{DiscSampling, disc_points, score_surface};
 use sms_eval::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
 use sms_gaussians::Trainer;
+use sms_pipeline::stages;
 
 /// Held-out colour and depth against the frames, and each object that has a scanned model against it: points on its
 /// Gaussians' discs, and the default mesh.
@@ -93,11 +93,8 @@ fn entities(
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
     // Problems in the rest of a real scene are not measured here.
     let warnings = Warnings::new();
-    Ok(build_entities(
-        model,
-        &sequence,
-        &labels,
-        &options.entities,
-        StageContext { warnings: &warnings, ..context },
-    )?)
+    let context = StageContext { warnings: &warnings, ..context };
+    let made =
+        stages::entities(model.clone(), &sequence, &labels, &options.entities, &options.read, context)?;
+    Ok(made.set)
 }

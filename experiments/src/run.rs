@@ -14,7 +14,6 @@ use serde::Serialize;
 use sms_core::metrics::Metrics;
 use sms_core::process;
 use sms_core::{Camera, CoreError, EntityKind, Seed, StageContext, atomic};
-use sms_entities::build_entities;
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
 use sms_eval::{
@@ -24,7 +23,8 @@ use sms_eval::{
 use sms_eval::{Overlaps, match_labels};
 use sms_eval::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
 use sms_eval::{align_cameras, pose_difference, refine_on_surfaces};
-use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer, scan};
+use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer};
+use sms_pipeline::stages::{self, GaussiansRequest};
 use std::path::Path;
 
 /// The scan's seed; `sms scan` has the same default.
@@ -82,12 +82,12 @@ pub fn run_scene_with<T: Trainer>(
 
     let mut trainer = make(&options.scan.train, prepared.labels.class_count(), SCAN_SEED)?;
     let timer = Timer::start();
-    let result = scan(
+    let result = stages::gaussians(
         &prepared.sequence,
         &prepared.labels,
-        &options.scan,
-        &work,
+        &GaussiansRequest { config: &options.scan, work_dir: &work },
         &mut trainer,
+        &mut (),
         context.with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.seconds();
@@ -372,10 +372,17 @@ fn mesh_scores(
     let &ScannedScene { prepared, options, model, .. } = scanned;
     let timer = Timer::start();
     let (sequence, labels) = prepared.trained_only(options.scan.holdout);
-    let set = build_entities(model, &sequence, &labels, &options.entities, context.with_seed(SCAN_SEED))?;
+    let made = stages::entities(
+        model.clone(),
+        &sequence,
+        &labels,
+        &options.entities,
+        &options.read,
+        context.with_seed(SCAN_SEED),
+    )?;
     let seconds = timer.seconds().0;
     let (mut mesh, mut cloud) = (Vec::new(), Vec::new());
-    for entity in set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic) {
+    for entity in made.set.entities.iter().filter(|e| e.kind == EntityKind::Dynamic) {
         let label = entity.label;
         let labelled = |p: DVec3| LabelledPoint { point: x_tw.transform_point(p), label };
         let count = (entity.mesh.area() * 1e6).ceil() as usize;

@@ -10,14 +10,12 @@ use crate::{
 };
 use glamx::DMat3;
 use sms_core::{
-    Cancel, EntityShape, MaskSource, MassProperties, Progress, Seed, StageContext, Warnings,
-    hash_serializable,
+    Cancel, MaskSource, MassProperties, Progress, Seed, StageContext, Warnings, hash_serializable,
 };
-use sms_entities::{EntitiesConfig, build_entities};
-use sms_materials::MaterialTable;
-use sms_plan::PlanError;
-use sms_scene::{Body, BodyShape, Scene, build_scene, load_scene, loose_mass, save_scene};
-use sms_sim::{RapierFactory, RestLimits, fix_restless};
+use sms_entities::{EntitiesConfig, material_queries};
+use sms_materials::{MaterialTable, ObjectQuery};
+use sms_pipeline::stages::{self, SceneRequest};
+use sms_scene::{Body, BodyShape, Scene, load_scene, loose_mass, save_scene};
 use sms_synth::{FixedScene, TruthScene};
 use sms_target::{match_bodies, scene_from_truth};
 use sms_task::{Billiards, Selector, Task};
@@ -155,22 +153,27 @@ pub(crate) fn scanned(
     let warnings = Warnings::new();
     let trained =
         train(which, scan, StageContext::new(progress, cancel, &warnings))?.ok_or_else(|| no_scene(which))?;
-    let set = build_entities(
-        &trained.model,
+    let context = StageContext::new(progress, cancel, &warnings).with_seed(SEED);
+    let set = stages::entities(
+        trained.model,
         &trained.sequence,
         &trained.labels,
         entities,
-        StageContext::new(progress, cancel, &warnings).with_seed(SEED),
-    )?;
-    let table = MaterialTable::builtin();
-    let materials: Vec<_> =
-        set.entities.iter().map(|e| table.prior(matches!(e.shape, EntityShape::Sphere { .. }))).collect();
-    let support = set.support_height.map(|z_w| (z_w, table.prior(false)));
-    let x_world_recording = trained.sequence.x_world_recording;
-    let mut scene = build_scene(&which.to_string(), &set.entities, &materials, support, x_world_recording)?;
-    if trained.labels.source == MaskSource::Geometry {
-        fix_restless(&RapierFactory, &mut scene, &RestLimits::default()).map_err(PlanError::from)?;
-    }
+        &scan.bench.read,
+        context,
+    )?
+    .set;
+    // The experiment applies its own material prior, so names must not choose a material here.
+    let nameless = |query| ObjectQuery { name: String::new(), description: String::new(), ..query };
+    let queries: Vec<ObjectQuery> = material_queries(&set).into_iter().map(nameless).collect();
+    let request = SceneRequest {
+        name: &which.to_string(),
+        queries: &queries,
+        overrides: None,
+        x_world_recording: trained.sequence.x_world_recording,
+        fix_restless: trained.labels.source == MaskSource::Geometry,
+    };
+    let scene = stages::scene(&set, &request, context)?;
     keep_questions(&dir, &set, &trained.sequence, &trained.labels)?;
     save_scene(&dir, &scene)?;
     Ok(scene)

@@ -7,11 +7,12 @@ use crate::scenes::BenchScene;
 use crate::timer::Timer;
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, EntityKind, EntityShape, Mesh, Seed, StageContext};
-use sms_entities::{EntitySet, build_entities};
+use sms_entities::EntitySet;
 use sms_eval::{
     SURFACE_SAMPLES, TrueSurface, UNMATCHED, collision_solids, observed_surface_at_most, placed_figures,
     solid_figures, surface_figures,
 };
+use sms_pipeline::stages;
 use std::path::Path;
 
 /// The entities stage's seed; `sms materialize` has the same default.
@@ -31,8 +32,15 @@ pub fn run_materialize(
     let Some(trained) = train(scene, options, context)? else { return Ok(None) };
     let config = &options.bench.entities;
     let timer = Timer::start();
-    let set =
-        build_entities(&trained.model, &trained.sequence, &trained.labels, config, context.with_seed(SEED))?;
+    let set = stages::entities(
+        trained.model.clone(),
+        &trained.sequence,
+        &trained.labels,
+        config,
+        &options.bench.read,
+        context.with_seed(SEED),
+    )?
+    .set;
     let (seconds, cpu_seconds) = timer.seconds();
 
     let measured = measure(&trained, &set);

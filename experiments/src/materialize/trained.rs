@@ -15,8 +15,9 @@ use sms_eval::{
     observed_surface_at_most, score_labelled, true_surfaces, true_views,
 };
 use sms_frames::Sequence;
-use sms_gaussians::{GaussianModel, read_ply, scan, write_ply};
+use sms_gaussians::{GaussianModel, read_ply, write_ply};
 use sms_masks::{load_labels, save_labels};
+use sms_pipeline::stages::{self, GaussiansRequest};
 use sms_synth::TruthObject;
 use std::path::{Path, PathBuf};
 
@@ -160,12 +161,12 @@ fn make(
     std::fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
     let mut trainer = maker.make(&bench.scan.train, prepared.labels.class_count(), SCAN_SEED)?;
     let timer = std::time::Instant::now();
-    let result = scan(
+    let result = stages::gaussians(
         &prepared.sequence,
         &prepared.labels,
-        &bench.scan,
-        &work,
+        &GaussiansRequest { config: &bench.scan, work_dir: &work },
         trainer.as_mut(),
+        &mut (),
         context.with_seed(SCAN_SEED),
     )?;
     let scan_seconds = timer.elapsed().as_secs_f64();
