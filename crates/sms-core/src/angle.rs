@@ -1,8 +1,8 @@
-//! Equivalent angles.
+//! Angles that mean the same.
 
 use std::f64::consts::TAU;
 
-/// Returns the equivalent angle in (−π, π], radians.
+/// The same angle in (−π, π], radians.
 pub fn wrapped_angle(angle: f64) -> f64 {
     let turned = angle.rem_euclid(TAU);
     if turned > 0.5 * TAU { turned - TAU } else { turned }

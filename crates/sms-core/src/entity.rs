@@ -4,17 +4,17 @@ use crate::{Mesh, MeshTexture};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Whether an entity is dynamic or static.
+/// Whether physics moves it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EntityKind {
     /// A free rigid body.
     Dynamic,
-    /// A fixed collider: floor, bin, wall, everything without a label.
+    /// A fixed collider: floor, bin, wall, everything that no label explains.
     Static,
 }
 
-/// The collision shape, in the world frame.
+/// The shape that physics uses, in the world frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum EntityShape {
@@ -48,7 +48,7 @@ pub enum EntityShape {
 }
 
 impl EntityShape {
-    /// Returns whether the shape is one exact solid (sphere, box or cylinder).
+    /// Whether one exact solid (sphere, box or cylinder) stands for the whole object.
     pub fn is_primitive(&self) -> bool {
         matches!(self, Self::Sphere { .. } | Self::Box { .. } | Self::Cylinder { .. })
     }
@@ -72,17 +72,17 @@ pub struct Entity {
     pub label: u16,
     /// Unique name, usable as a file name.
     pub name: String,
-    /// The labeller's description; may be empty.
+    /// What the labeller called it; may be empty.
     pub description: String,
-    /// Whether it is dynamic or static.
+    /// Whether physics moves it.
     pub kind: EntityKind,
-    /// Collision shape.
+    /// The shape that physics uses.
     pub shape: EntityShape,
     /// Densified surface points.
     pub cloud: PointCloud,
     /// Closed surface (for dynamic entities) or open surface (for static ones), world frame.
     pub mesh: Mesh,
-    /// Texture of the mesh, baked from the frames; `None` if it has vertex colours only.
+    /// Picture on the mesh, baked from the frames; `None` where vertex colours have to do.
     pub texture: Option<MeshTexture>,
     /// Convex parts, world frame; empty for spheres, boxes, cylinders and static triangle meshes.
     pub parts: Vec<Mesh>,

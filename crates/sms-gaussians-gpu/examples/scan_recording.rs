@@ -1,8 +1,8 @@
-//! A whole scan of a recording on the CPU or a GPU, with its time and quality:
-//! `scan_recording RECORDING cpu|gpu[:N] [draft|standard|fine] [--steps-frame N] [--paper]`.
+//! Scans a recording on the CPU or a GPU and prints time and quality: `scan_recording RECORDING cpu|gpu[:N]
+//! [draft|standard|fine] [--steps-frame N] [--paper]`.
 //!
 //! Masks come from geometry, every eighth frame is held out, and frames are loaded at 640 pixels, the paper's half
-//! resolution, whatever the preset.
+//! resolution, for all presets.
 
 use sms_core::glamx::Vec3;
 use sms_core::{Camera, Cancel, Seed, StageContext, Warnings};
@@ -12,7 +12,7 @@ use sms_gaussians::{
     Classifier, CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig,
     Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
 };
-use sms_gaussians_gpu::{Choice, checked_trainer};
+use sms_gaussians_gpu::{AdapterChoice, checked_trainer};
 use sms_masks::{GeometryMasks, Segmenter};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         config.steps_frame = options.get(at + 1).ok_or("--steps-frame takes a number")?.parse()?;
     }
     if options.iter().any(|o| o == "--paper") {
-        // The paper's number of steps, none of them saved.
+        // The paper's number of steps, without early stopping.
         (config.steps_first, config.steps_frame) = (1000, 100);
         config.stop.enabled = false;
     }
@@ -46,9 +46,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             &config.train,
             labels.class_count(),
             seed,
-            Choice::Index(index.parse()?),
+            AdapterChoice::Index(index.parse()?),
         )?),
-        _ => Box::new(checked_trainer(&config.train, labels.class_count(), seed, Choice::Best)?),
+        _ => Box::new(checked_trainer(&config.train, labels.class_count(), seed, AdapterChoice::Best)?),
     };
     let mut trainer = Timed { trainer, times: RefCell::default() };
     let opened_s = began.elapsed().as_secs_f64();
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("  {key} {value}");
     }
     if device != "cpu" {
-        // On a wall no splat is close to the camera; here some are.
+        // The wall has no splats close to the camera; a scan has some.
         let mut batches: Vec<f64> = (0..7)
             .map(|_| {
                 let began = Instant::now();
@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A trainer that notes how long each kind of call takes: what a scan spends beside its steps.
+/// A trainer that times each kind of call, for the scan's time besides its steps.
 struct Timed {
     trainer: Box<dyn Trainer>,
     times: RefCell<BTreeMap<&'static str, (f64, usize)>>,

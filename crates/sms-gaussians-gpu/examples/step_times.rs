@@ -1,19 +1,19 @@
-//! Milliseconds of training steps of the fixed scene, and of each kernel:
-//! `step_times GAUSSIANS WIDTH HEIGHT [--adapter N] [--export DIR]`.
+//! Times training steps of a fixed scene, and each kernel, in milliseconds: `step_times GAUSSIANS WIDTH HEIGHT
+//! [--adapter N] [--export DIR]`.
 //!
-//! The wall of discs of [`fill_wall`] as the CPU's benchmark takes it, so that figures can be compared. `--export` also
-//! writes it for `benches/peers/gsplat_wall.py`.
+//! The scene is the wall of discs of [`fill_wall`], as in the CPU's benchmark. `--export` also writes it for
+//! `benches/peers/gsplat_wall.py`.
 
 use sms_core::glamx::{DMat4, DVec3};
 use sms_core::{Camera, Intrinsics, Seed};
 use sms_gaussians::{GaussianModel, TrainConfig, Trainer, WALL_CLASSES, fill_wall, write_ply};
-use sms_gaussians_gpu::{Choice, GpuTrainer};
+use sms_gaussians_gpu::{AdapterChoice, GpuTrainer};
 use std::path::Path;
 use std::time::Instant;
 
 /// Steps of one timed submission.
 const STEPS: usize = 50;
-/// Timed submissions, of which the median counts.
+/// Number of timed submissions; the median is reported.
 const BATCHES: usize = 9;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (Some(count), Some(width), Some(height)) = (number(0), number(1), number(2)) else {
         return Err("give GAUSSIANS WIDTH HEIGHT [--adapter N] [--export DIR]".into());
     };
-    let choice = option("--adapter").map(str::parse).transpose()?.map_or(Choice::Best, Choice::Index);
+    let choice =
+        option("--adapter").map(str::parse).transpose()?.map_or(AdapterChoice::Best, AdapterChoice::Index);
     let mut trainer = GpuTrainer::new(&TrainConfig::default(), WALL_CLASSES, Seed(3), choice)?;
     let frame = fill_wall(&mut trainer, (width, height), count);
     if let Some(folder) = option("--export") {

@@ -1,20 +1,20 @@
-//! The self-check: the kernels against the CPU's on a small scene, before anything is entrusted to them. Drivers have
-//! bugs, and a scan that is subtly wrong is worse than one that is slow.
+//! Self-check: compares the kernels with the CPU's on a small scene before use. Drivers have bugs, and a scan that
+//! is subtly wrong is worse than a slow one.
 
-use crate::compare::{Spread, first_moments, images};
-use crate::gpu::{Choice, GpuError};
+use crate::compare::{ErrorSpread, first_moments, images};
+use crate::gpu::{AdapterChoice, GpuError};
 use crate::probe::{CLASSES, camera, fill};
 use crate::trainer::GpuTrainer;
 use sms_core::Seed;
 use sms_gaussians::{CpuTrainer, LearningRates, TrainConfig, Trainer};
 
-/// What the self-check measured.
+/// Result of the self-check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SelfCheck {
     /// Differences of colours, opacities and normals.
-    pub image: Spread,
+    pub image: ErrorSpread,
     /// Differences of gradients, as shares of the largest of their group; the worst group.
-    pub gradient: Spread,
+    pub gradient: ErrorSpread,
     /// Difference of the loss after a few steps, as a share of it.
     pub loss: f64,
 }
@@ -28,11 +28,11 @@ const LOSS_MOST: f64 = 1e-2;
 
 const SIZE: (usize, usize) = (70, 45);
 const COUNT: usize = 400;
-/// Steps after which losses are compared.
+/// Number of steps before losses are compared.
 const STEPS: usize = 10;
 
 impl SelfCheck {
-    /// Why the device must not be used; `None` when all is well.
+    /// Returns the reason why the device must not be used; `None` if it passed.
     pub fn fault(&self) -> Option<String> {
         if self.image.p999 > IMAGE_MOST {
             return Some(format!("the image: {}", self.image));
@@ -56,9 +56,9 @@ impl std::fmt::Display for SelfCheck {
 /// Compares an adapter with the CPU on a small random scene.
 ///
 /// # Errors
-/// [`GpuError`] when the adapter cannot be opened, cannot run the kernels, or is lost on the way. That it disagrees is no
+/// [`GpuError`] if the adapter cannot be opened, cannot run the kernels, or is lost. Wrong results are not an
 /// error: see [`SelfCheck::fault`].
-pub fn self_check(choice: Choice) -> Result<SelfCheck, GpuError> {
+pub fn self_check(choice: AdapterChoice) -> Result<SelfCheck, GpuError> {
     let still = TrainConfig { rates: LearningRates::default().scaled(0.0), ..TrainConfig::default() };
     let (mut cpu, mut gpu) =
         (CpuTrainer::new(&still, CLASSES, Seed(2)), GpuTrainer::new(&still, CLASSES, Seed(2), choice)?);
@@ -70,11 +70,11 @@ pub fn self_check(choice: Choice) -> Result<SelfCheck, GpuError> {
     gpu.steps(&[0]);
     cpu.steps(&[0]);
     let groups = first_moments(&gpu.snapshot(), &cpu.snapshot()).unwrap_or_default();
-    let worst = Spread { p999: f64::INFINITY, max: f64::INFINITY };
+    let worst = ErrorSpread { p999: f64::INFINITY, max: f64::INFINITY };
     let gradient = groups
         .into_iter()
         .map(|(_, spread)| spread)
-        .reduce(|a, b| Spread { p999: a.p999.max(b.p999), max: a.max.max(b.max) })
+        .reduce(|a, b| ErrorSpread { p999: a.p999.max(b.p999), max: a.max.max(b.max) })
         .unwrap_or(worst);
     let rates = LearningRates::default();
     gpu.set_rates(&rates);
@@ -92,12 +92,12 @@ pub fn self_check(choice: Choice) -> Result<SelfCheck, GpuError> {
 /// [`GpuTrainer::new`] on an adapter that has just passed [`self_check`].
 ///
 /// # Errors
-/// [`GpuError`], [`GpuError::SelfCheck`] among them.
+/// [`GpuError`], including [`GpuError::SelfCheck`].
 pub fn checked_trainer(
     config: &TrainConfig,
     classes: usize,
     seed: Seed,
-    choice: Choice,
+    choice: AdapterChoice,
 ) -> Result<GpuTrainer, GpuError> {
     let trainer = GpuTrainer::new(config, classes, seed, choice)?;
     match self_check(choice)?.fault() {

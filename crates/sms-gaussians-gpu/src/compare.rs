@@ -1,4 +1,4 @@
-//! How far two back ends are apart.
+//! Comparison of two back ends.
 
 use sms_gaussians::parameters::{
     AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
@@ -7,15 +7,15 @@ use sms_gaussians::{RenderedMaps, TrainState, TrainerError};
 
 /// 99.9th percentile and largest of a set of differences; NaN counts as infinite.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Spread {
+pub struct ErrorSpread {
     /// 99.9th percentile.
     pub p999: f64,
     /// Largest.
     pub max: f64,
 }
 
-impl Spread {
-    /// Of differences in any order.
+impl ErrorSpread {
+    /// The spread of differences in any order.
     pub(crate) fn of(differences: impl Iterator<Item = f64>) -> Self {
         let mut all: Vec<f64> =
             differences.map(|d| if d.is_nan() { f64::INFINITY } else { d.abs() }).collect();
@@ -27,14 +27,14 @@ impl Spread {
     }
 }
 
-impl std::fmt::Display for Spread {
+impl std::fmt::Display for ErrorSpread {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "p99.9 {:.1e}, largest {:.1e}", self.p999, self.max)
     }
 }
 
 /// Colours, opacities and normals of two renderings of one view.
-pub(crate) fn images(a: &RenderedMaps, b: &RenderedMaps) -> Spread {
+pub(crate) fn images(a: &RenderedMaps, b: &RenderedMaps) -> ErrorSpread {
     let values = |m: &RenderedMaps| {
         let mut values: Vec<f32> = m.color.as_flattened().to_vec();
         values.extend_from_slice(m.normal_w.as_flattened());
@@ -43,9 +43,9 @@ pub(crate) fn images(a: &RenderedMaps, b: &RenderedMaps) -> Spread {
     };
     let (a, b) = (values(a), values(b));
     if a.len() != b.len() {
-        return Spread { p999: f64::INFINITY, max: f64::INFINITY };
+        return ErrorSpread { p999: f64::INFINITY, max: f64::INFINITY };
     }
-    Spread::of(a.iter().zip(&b).map(|(a, b)| f64::from(*a) - f64::from(*b)))
+    ErrorSpread::of(a.iter().zip(&b).map(|(a, b)| f64::from(*a) - f64::from(*b)))
 }
 
 /// The groups of parameters: name, first index, one past the last.
@@ -58,15 +58,15 @@ pub(crate) const GROUPS: [(&str, usize, usize); 6] = [
     ("affinity", AFFINITY, PARAMETERS),
 ];
 
-/// Adam's first moments of two states, each group's differences as shares of the larger state's largest moment: after
-/// one step from zero moments that compares gradients.
+/// Compares Adam's first moments of two states, each group relative to the larger state's largest moment: after one
+/// step from zero moments, this compares gradients.
 ///
 /// # Errors
-/// [`TrainerError::BadState`] when a state cannot be read or they hold different numbers of Gaussians.
+/// [`TrainerError::BadState`] if a state cannot be read or the numbers of Gaussians differ.
 pub(crate) fn first_moments(
     a: &TrainState,
     b: &TrainState,
-) -> Result<Vec<(&'static str, Spread)>, TrainerError> {
+) -> Result<Vec<(&'static str, ErrorSpread)>, TrainerError> {
     let (a, b) = (Parameters::decode(a)?, Parameters::decode(b)?);
     if a.rows.len() != b.rows.len() || a.classifier.first.len() != b.classifier.first.len() {
         return Err(TrainerError::BadState("the states differ in size".to_owned()));
@@ -84,7 +84,7 @@ pub(crate) fn first_moments(
 }
 
 /// Differences as shares of the largest value of `b`.
-pub(crate) fn relative(a: &[f64], b: &[f64]) -> Spread {
+pub(crate) fn relative(a: &[f64], b: &[f64]) -> ErrorSpread {
     let largest = b.iter().fold(1e-30f64, |m, v| m.max(v.abs()));
-    Spread::of(a.iter().zip(b).map(|(a, b)| (a - b) / largest))
+    ErrorSpread::of(a.iter().zip(b).map(|(a, b)| (a - b) / largest))
 }

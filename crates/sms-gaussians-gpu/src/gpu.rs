@@ -1,19 +1,19 @@
-//! Adapters, the device, and moving bytes to and from it.
+//! Adapters, the device, and transfers to and from it.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 
 /// Errors of finding and opening a device.
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
-    /// There is no adapter at all, or none that is a GPU.
+    /// There is no adapter, or none that is a GPU.
     #[error("no GPU was found{0}")]
     NoAdapter(String),
     /// The adapter named does not exist.
-    #[error("there is no adapter {index}: there are {count}")]
+    #[error("there is no adapter {index} among {count}")]
     NoSuchAdapter {
-        /// The index asked for.
+        /// The requested index.
         index: usize,
-        /// How many there are.
+        /// Number of adapters.
         count: usize,
     },
     /// The adapter cannot run the kernels.
@@ -21,19 +21,19 @@ pub enum GpuError {
     Unsuitable {
         /// The adapter.
         name: String,
-        /// What it lacks.
+        /// The missing feature.
         reason: String,
     },
     /// The kernels disagree with the CPU.
-    #[error("{name} computes something else than the CPU: {difference}")]
+    #[error("the results of {name} differ from the CPU's: {difference}")]
     SelfCheck {
         /// The adapter.
         name: String,
-        /// What differs and by how much.
+        /// The difference and its size.
         difference: String,
     },
     /// The scan has more classes than the kernels are made for.
-    #[error("{classes} classes are more than the {most} that the GPU's kernels take")]
+    #[error("{classes} classes exceed the limit of the GPU's kernels, {most}")]
     TooManyClasses {
         /// Classes of the scan.
         classes: usize,
@@ -44,7 +44,7 @@ pub enum GpuError {
 
 /// Which adapter to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Choice {
+pub enum AdapterChoice {
     /// The first discrete GPU, else the first integrated or virtual one; never software on the CPU.
     #[default]
     Best,
@@ -55,7 +55,7 @@ pub enum Choice {
 /// One adapter of this machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AdapterSummary {
-    /// Its place in the list: what [`Choice::Index`] takes.
+    /// Its index, for [`AdapterChoice::Index`].
     pub index: usize,
     /// Its name, such as `NVIDIA H200`.
     pub name: String,
@@ -110,7 +110,7 @@ pub(crate) struct Gpu {
     /// Nanoseconds of a timestamp's unit, where the device has timestamps.
     pub(crate) timestamp_ns: Option<f32>,
     failure: Failure,
-    /// What the host reads through, kept: its pages are mapped once.
+    /// Reused staging buffer: its pages are mapped once.
     reading: Mutex<Option<wgpu::Buffer>>,
 }
 
@@ -125,7 +125,7 @@ const WORKGROUP_BYTES: u32 = 32_768;
 
 impl Gpu {
     /// Opens an adapter.
-    pub(crate) fn open(choice: Choice) -> Result<Self, GpuError> {
+    pub(crate) fn open(choice: AdapterChoice) -> Result<Self, GpuError> {
         let adapters = all_adapters();
         let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
             wgpu::DeviceType::DiscreteGpu => Some(0),
@@ -135,9 +135,9 @@ impl Gpu {
         };
         let count = adapters.len();
         let index = match choice {
-            Choice::Index(index) if index < count => index,
-            Choice::Index(index) => return Err(GpuError::NoSuchAdapter { index, count }),
-            Choice::Best => {
+            AdapterChoice::Index(index) if index < count => index,
+            AdapterChoice::Index(index) => return Err(GpuError::NoSuchAdapter { index, count }),
+            AdapterChoice::Best => {
                 let ranked = (0..count).filter_map(|i| rank(&adapters[i]).map(|rank| (rank, i)));
                 let none = if count == 0 { "" } else { ", only software on the CPU" };
                 ranked.min().ok_or_else(|| GpuError::NoAdapter(none.to_owned()))?.1
@@ -152,7 +152,7 @@ impl Gpu {
         let limits = adapter.limits();
         if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
             return Err(unsuitable(format!(
-                "it binds {} buffers at once, {STORAGE_BUFFERS} are needed",
+                "it binds {} buffers at once, but {STORAGE_BUFFERS} are needed",
                 limits.max_storage_buffers_per_shader_stage
             )));
         }
@@ -180,7 +180,7 @@ impl Gpu {
         Ok(Self { device, queue, summary, limits, timestamp_ns, failure, reading: Mutex::default() })
     }
 
-    /// What went wrong first, if anything did. Nothing that the device holds is to be believed afterwards.
+    /// Returns the first failure, if any. The contents of the device are invalid afterwards.
     pub(crate) fn failure(&self) -> Option<String> {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -229,7 +229,8 @@ impl Gpu {
         })
     }
 
-    /// What `see` makes of the first `bytes` of a staging buffer once all work submitted is done; `None` after a failure.
+    /// Applies `see` to the first `bytes` of a staging buffer once all submitted work is done; `None` after a
+    /// failure.
     pub(crate) fn read_staging<T>(
         &self,
         staging: &wgpu::Buffer,
@@ -253,8 +254,8 @@ impl Gpu {
         Some(seen)
     }
 
-    /// What `see` makes of the first `bytes` of each buffer, a multiple of four each; `None` after a failure. It sees
-    /// them where the device left them: a copy of the state takes as long as several steps.
+    /// Applies `see` to the first `bytes` of each buffer, a multiple of four each, without copying them: a copy of
+    /// the state takes as long as several steps. `None` after a failure.
     pub(crate) fn read_with<T, const N: usize>(
         &self,
         parts: [(&wgpu::Buffer, u64); N],

@@ -42,7 +42,7 @@ fn split_of(classes: usize) -> u32 {
 }
 
 /// A compute pipeline and the layout of its own buffers (group 0).
-pub(crate) struct Kernel {
+pub(crate) struct ComputeKernel {
     pub(crate) name: &'static str,
     pub(crate) pipeline: wgpu::ComputePipeline,
     pub(crate) layout: wgpu::BindGroupLayout,
@@ -52,27 +52,27 @@ pub(crate) struct Kernel {
 pub(crate) struct Kernels {
     /// Layout of group 1: the step's numbers at a dynamic offset, and the observed view.
     pub(crate) step_layout: wgpu::BindGroupLayout,
-    pub(crate) project: Kernel,
-    pub(crate) visit: Kernel,
-    pub(crate) visit_large: Kernel,
-    pub(crate) place: Kernel,
-    pub(crate) sort: Kernel,
-    pub(crate) forward: Kernel,
-    pub(crate) ssim: Kernel,
-    pub(crate) loss: Kernel,
-    pub(crate) segment: Kernel,
-    pub(crate) backward: Kernel,
-    pub(crate) reduce: Kernel,
-    pub(crate) update: Kernel,
-    pub(crate) finish: Kernel,
-    pub(crate) maps: Kernel,
-    pub(crate) compact: Kernel,
-    pub(crate) places: Kernel,
+    pub(crate) project: ComputeKernel,
+    pub(crate) visit: ComputeKernel,
+    pub(crate) visit_large: ComputeKernel,
+    pub(crate) place: ComputeKernel,
+    pub(crate) sort: ComputeKernel,
+    pub(crate) forward: ComputeKernel,
+    pub(crate) ssim: ComputeKernel,
+    pub(crate) loss: ComputeKernel,
+    pub(crate) segment: ComputeKernel,
+    pub(crate) backward: ComputeKernel,
+    pub(crate) reduce: ComputeKernel,
+    pub(crate) update: ComputeKernel,
+    pub(crate) finish: ComputeKernel,
+    pub(crate) maps: ComputeKernel,
+    pub(crate) compact: ComputeKernel,
+    pub(crate) places: ComputeKernel,
     /// Workgroups that end a step.
     pub(crate) finish_groups: u32,
 }
 
-/// What a binding of group 0 is.
+/// Kind of a binding of group 0.
 #[derive(Clone, Copy)]
 enum Slot {
     Read,
@@ -204,14 +204,14 @@ impl Kernels {
                 layout: Some(&pipeline_layout),
                 module: &module,
                 entry_point: Some("main"),
-                // Every kernel writes what it reads.
+                // Every kernel writes its memory before reading it.
                 compilation_options: wgpu::PipelineCompilationOptions {
                     zero_initialize_workgroup_memory: false,
                     ..Default::default()
                 },
                 cache: None,
             });
-            Kernel { name, pipeline, layout }
+            ComputeKernel { name, pipeline, layout }
         };
         let gaussian = include_str!("shaders/gaussian.wgsl");
         let alpha = include_str!("shaders/alpha.wgsl");

@@ -1,22 +1,23 @@
-//! The scan's back end on a GPU: whole training steps in WGSL through `wgpu`.
+//! GPU back end of the scan: whole training steps in WGSL through `wgpu`.
 //!
-//! [`GpuTrainer`] implements [`sms_gaussians::Trainer`] with the state, settings and semantics of the CPU's: the schedule
-//! cannot tell them apart but by time and rounding, and a checkpoint of one is continued by the other. Parameters and
-//! moments live on the device; up to 64 steps go to it at once, and only their losses come back. The kernels lie under
-//! `shaders/`, in the order of a step: `project`, `visit` (twice), `place`, `sort`, `forward`, `ssim`, `loss`, `segment`,
-//! `backward`, `reduce`, `update`, `finish`. What they cost, and what was tried, is in `experiments/studies/gpu.md`.
+//! [`GpuTrainer`] implements [`sms_gaussians::Trainer`] with the state, settings and semantics of the CPU's: they
+//! differ only in time and rounding, and a checkpoint of one can be continued by the other. Parameters and moments
+//! live on the device; up to 64 steps are submitted at once, and only their losses are read back. The kernels are
+//! in `shaders/`, in the order of a step: `project`, `visit` (twice), `place`, `sort`, `forward`, `ssim`, `loss`,
+//! `segment`, `backward`, `reduce`, `update`, `finish`. Their cost, and rejected variants, are in
+//! `experiments/studies/gpu.md`.
 //!
 //! [`checked_trainer`] first compares the adapter with the CPU on a small scene ([`self_check`]).
 //!
 //! ```no_run
 //! use sms_core::Seed;
 //! use sms_gaussians::{TrainConfig, Trainer, WALL_CLASSES, fill_wall};
-//! use sms_gaussians_gpu::{Choice, adapters, checked_trainer};
+//! use sms_gaussians_gpu::{AdapterChoice, adapters, checked_trainer};
 //!
 //! for adapter in adapters() {
 //!     println!("{}: {} ({})", adapter.index, adapter.name, adapter.driver);
 //! }
-//! let mut trainer = checked_trainer(&TrainConfig::default(), WALL_CLASSES, Seed(1), Choice::Best)?;
+//! let mut trainer = checked_trainer(&TrainConfig::default(), WALL_CLASSES, Seed(1), AdapterChoice::Best)?;
 //! let frame = fill_wall(&mut trainer, (64, 40), 500);
 //! println!("loss {}", trainer.steps(&[frame; 20]).loss.total);
 //! # Ok::<(), sms_gaussians_gpu::GpuError>(())
@@ -38,8 +39,8 @@ mod unroll;
 mod work;
 
 pub use check::{SelfCheck, checked_trainer, self_check};
-pub use compare::Spread;
-pub use gpu::{AdapterSummary, Choice, GpuError, adapters};
+pub use compare::ErrorSpread;
+pub use gpu::{AdapterChoice, AdapterSummary, GpuError, adapters};
 pub use kernels::KernelForm;
 pub use trainer::{GpuTrainer, MAX_CLASSES};
 

@@ -1,10 +1,10 @@
-//! Rendered maps from what the device returns.
+//! Conversion of the device's output to rendered maps.
 
 use rayon::prelude::*;
 use sms_gaussians::RenderedMaps;
 
-/// Nine values per pixel, row by row, as the kernel `maps` leaves them. `maps` may be any: their memory is used again, since
-/// fresh memory costs more than filling it.
+/// Converts nine values per pixel, row by row, as written by the kernel `maps`. The memory of `maps` is reused,
+/// since fresh memory costs more than filling it.
 pub(crate) fn maps_of(values: &[f32], width: usize, mut maps: RenderedMaps) -> RenderedMaps {
     let pixels = values.len() / 9;
     (maps.width, maps.height) = (width, pixels / width);

@@ -1,4 +1,4 @@
-//! A small random scene with observed views: what the self-check and the tests compare back ends on.
+//! A small random scene with observed views, for the self-check and the tests.
 
 use glamx::{DPose3, DQuat, DVec3, EulerRot, Quat, Vec3};
 use rand::RngExt;

@@ -1,5 +1,5 @@
-//! A Gaussian's parameters as the kernels read them: eight vectors of four, so that none straddles two. Position and
-//! logit of the opacity; rotation; logarithms of the scales; colour; affinity.
+//! Layout of a Gaussian's parameters in the kernels: eight vectors of four, so that none straddles two. Position
+//! and logit of the opacity; rotation; logarithms of the scales; colour; affinity.
 
 use sms_gaussians::parameters::{
     AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,

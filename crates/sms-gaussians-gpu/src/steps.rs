@@ -1,14 +1,14 @@
-//! What a step, or a rendered view, dispatches, and how it is recorded.
+//! Dispatches of a step or a rendered view, and their recording.
 
 use crate::gpu::Gpu;
-use crate::kernels::{BLOCK, GAUSSIANS, Kernel, Kernels, LARGE_GROUPS, SEGMENT_GROUPS};
+use crate::kernels::{BLOCK, ComputeKernel, GAUSSIANS, Kernels, LARGE_GROUPS, SEGMENT_GROUPS};
 use crate::uniforms::{STRIDE, Step};
 use crate::work::{Bindings, spread};
 
 /// One dispatch.
 pub(crate) struct Dispatch<'a> {
     pub(crate) name: &'static str,
-    kernel: &'a Kernel,
+    kernel: &'a ComputeKernel,
     buffers: &'a wgpu::BindGroup,
     groups: [u32; 2],
 }
@@ -18,12 +18,12 @@ pub(crate) fn segment_groups(step: &Step) -> u32 {
     step.tiles().clamp(1, SEGMENT_GROUPS)
 }
 
-/// Projection and lists: what training and rendering share.
+/// Projection and lists, shared by training and rendering.
 fn listed<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) -> Vec<Dispatch<'a>> {
     let gaussians = [step.counts[0].div_ceil(GAUSSIANS), 1];
     let tiles = spread(step.tiles());
     let dispatch = |name, kernel, buffers, groups| Dispatch { name, kernel, buffers, groups };
-    // Projection also clears the counters, so that it always runs.
+    // Projection also clears the counters, so it always runs.
     let projected = [gaussians[0].max(1), 1];
     vec![
         dispatch("project", &kernels.project, &b.project, projected),
@@ -69,7 +69,7 @@ pub(crate) fn of_view<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) ->
     all
 }
 
-/// Puts the dispatches of the step with this index in its batch into a pass.
+/// Records the dispatches of the step with this index in its batch.
 pub(crate) fn record(
     pass: &mut wgpu::ComputePass<'_>,
     dispatches: &[Dispatch<'_>],
@@ -84,7 +84,7 @@ pub(crate) fn record(
     }
 }
 
-/// Runs dispatches one by one, each between two timestamps, and returns their times in milliseconds; `None` where the
+/// Runs dispatches one by one, each between two timestamps, and returns their times in milliseconds; `None` if the
 /// device has no timestamps or failed.
 pub(crate) fn timed(
     gpu: &Gpu,

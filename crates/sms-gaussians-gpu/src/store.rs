@@ -1,4 +1,4 @@
-//! The state on the device: parameters, moments, step counts, classifier. It outlives every change of size.
+//! The state on the device: parameters, moments, step counts, classifier. It survives every resize.
 
 use crate::gpu::Gpu;
 use crate::kernels::{CORRECTIONS, classifier_vectors};
@@ -20,15 +20,15 @@ const CLASSIFIER_STEPS_NEXT: usize = 7;
 pub(crate) const ROW_BYTES: u64 = 4 * ROW as u64;
 
 pub(crate) struct Store {
-    /// Gaussians there are.
+    /// Number of Gaussians.
     pub(crate) count: usize,
-    /// Gaussians there is room for.
+    /// Capacity in Gaussians.
     pub(crate) capacity: usize,
     pub(crate) rows: wgpu::Buffer,
-    /// Of each Gaussian first moments, then second.
+    /// For each Gaussian, first moments, then second.
     pub(crate) moments: wgpu::Buffer,
     pub(crate) steps: wgpu::Buffer,
-    /// Where the Gaussians that are kept go next: rows, moments, steps with the same room.
+    /// Targets of the next compaction: rows, moments, steps of the same capacity.
     spare: Option<[wgpu::Buffer; 3]>,
     pub(crate) classes: usize,
     pub(crate) classifier: wgpu::Buffer,
@@ -42,7 +42,7 @@ pub(crate) struct Store {
 fn corrections() -> Vec<[f32; 2]> {
     let of = |t: u32| [0.9f32, 0.999].map(|beta| 1.0 / (1.0 - beta.powi(t as i32)));
     let mut table: Vec<_> = (0..CORRECTIONS).map(of).collect();
-    // Nobody has taken no step.
+    // Unused: step counts start at 1.
     table[0] = [1.0; 2];
     table
 }
@@ -80,7 +80,7 @@ impl Store {
         ]
     }
 
-    /// Buffers with the room of the present ones; what they hold means nothing.
+    /// Returns buffers with the capacity of the present ones and undefined contents.
     pub(crate) fn take_spare(&mut self, gpu: &Gpu) -> [wgpu::Buffer; 3] {
         self.spare.take().unwrap_or_else(|| Self::fresh(gpu, self.capacity))
     }
@@ -94,7 +94,7 @@ impl Store {
         self.count = count;
     }
 
-    /// Makes room for `capacity` Gaussians and keeps those that there are.
+    /// Grows to `capacity` Gaussians and keeps the present ones.
     pub(crate) fn reserve(&mut self, gpu: &Gpu, capacity: usize) {
         if capacity <= self.capacity {
             return;
@@ -113,7 +113,7 @@ impl Store {
         (self.rows, self.moments, self.steps, self.capacity) = (rows, moments, steps, capacity);
     }
 
-    /// Appends Gaussians with zeroed moments; there must be room for them.
+    /// Appends Gaussians with zeroed moments; the capacity must suffice.
     pub(crate) fn append(&mut self, gpu: &Gpu, rows: &[Row]) {
         let words: Vec<_> = rows.par_iter().map(to_device).collect();
         let (at, n) = (self.count as u64, rows.len() as u64);

@@ -1,23 +1,23 @@
-//! An observed view on the device: eight words per pixel, unusable values marked as on the CPU.
+//! An observed view on the device: eight words per pixel, invalid values marked as on the CPU.
 
 use crate::gpu::Gpu;
 use crate::uniforms::{Step, UsedPixels};
 use rayon::prelude::*;
 use sms_gaussians::TrainFrame;
 
-/// Measured depths beyond this are not believed, metres.
+/// Greatest valid depth, metres.
 const DEPTH_MAX: f32 = 1e3;
-/// Colours far outside 0..1 can only be damage.
+/// Greatest valid colour.
 const COLOR_MAX: f32 = 1e3;
-/// Set in the word of the label where the colour may be used.
+/// Flag in the word of the label for valid colour.
 const COLORED: u32 = 0x1_0000;
 
 /// The label of a pixel without one.
 const UNLABELLED: u32 = 0xffff;
 
 /// A view to train on.
-pub(crate) struct Target {
-    /// What depends on the camera alone.
+pub(crate) struct DeviceTarget {
+    /// The camera-dependent part of the uniforms.
     pub(crate) camera: Step,
     pub(crate) pixels: UsedPixels,
     /// Colour 3, depth, normal 3, label with [`COLORED`]; row by row.
@@ -25,8 +25,8 @@ pub(crate) struct Target {
     pub(crate) bytes: u64,
 }
 
-/// The words of a frame. A pixel whose colour, depth or normal is not finite is left out of that term, and a label that
-/// is not below `classes` out of the segmentation.
+/// Returns the words of a frame. Pixels with a colour, depth or normal that is not finite are excluded from that
+/// term, and labels not below `classes` from the segmentation.
 pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, UsedPixels) {
     let pixels = frame.color.par_iter().zip(&frame.depth).zip(&frame.normal_w).zip(&frame.label);
     let words: Vec<[u32; 8]> = pixels
@@ -55,16 +55,16 @@ pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, Us
     for words in &words {
         used.colored += usize::from(words[7] & COLORED != 0);
         used.deep += usize::from(words[3] != 0);
-        // A normal is marked as unknown by zeros.
+        // Unknown normals are zero.
         used.oriented += usize::from(words[4..7] != [0; 3]);
         used.labelled += usize::from(words[7] & UNLABELLED != UNLABELLED);
     }
     (words, used)
 }
 
-impl Target {
+impl DeviceTarget {
     /// # Panics
-    /// When a buffer has another size than the camera's image.
+    /// If a buffer has another size than the camera's image.
     pub(crate) fn new(gpu: &Gpu, frame: &TrainFrame, classes: usize) -> Self {
         let count = frame.camera.intrinsics.width * frame.camera.intrinsics.height;
         let sizes = [frame.color.len(), frame.depth.len(), frame.normal_w.len(), frame.label.len()];

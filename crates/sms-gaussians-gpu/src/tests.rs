@@ -1,9 +1,9 @@
-//! The GPU's kernels against the CPU's and against the double-precision oracle, on whatever adapter there is: Mesa's
-//! lavapipe in continuous integration. Without any adapter the tests say so and pass.
+//! The GPU's kernels against the CPU's and against the double-precision oracle, on any adapter: Mesa's lavapipe in
+//! continuous integration. Without an adapter the tests print this and pass.
 
-use crate::compare::{GROUPS, Spread, first_moments, images, relative};
+use crate::compare::{ErrorSpread, GROUPS, first_moments, images, relative};
 use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
-use crate::{Choice, GpuTrainer, KernelForm, adapters};
+use crate::{AdapterChoice, GpuTrainer, KernelForm, SelfCheck, adapters};
 use sms_core::{Camera, Seed};
 use sms_gaussians::oracle::Oracle;
 use sms_gaussians::parameters::Parameters;
@@ -16,11 +16,11 @@ const COUNT: usize = 150;
 const SEED: Seed = Seed(2);
 const FAST: KernelForm = KernelForm { checked: false };
 
-/// The adapter to test, or a line that says that there is none. `SMS_TEST_ADAPTER` names another than the first.
-pub(crate) fn adapter() -> Option<Choice> {
+/// The adapter to test, or `None` with a printed line. `SMS_TEST_ADAPTER` selects another than the first.
+pub(crate) fn adapter() -> Option<AdapterChoice> {
     let index = std::env::var("SMS_TEST_ADAPTER").ok().and_then(|v| v.parse().ok()).unwrap_or(0);
     if index < adapters().len() {
-        return Some(Choice::Index(index));
+        return Some(AdapterChoice::Index(index));
     }
     println!("skipped: there is no adapter {index} (install mesa-vulkan-drivers for a software one)");
     None
@@ -56,14 +56,14 @@ fn images_equal_the_cpu_and_the_oracle() {
     assert!(spread.p999 <= 1e-5 && spread.max < 5e-3, "{spread}");
     let truth = oracle(&cpu, &TrainConfig::default()).render(&camera);
     let channels = a.color.iter().zip(&a.normal_w).zip(&a.alpha).zip(&truth.pixels);
-    let spread = Spread::of(channels.flat_map(|(((color, normal), alpha), truth)| {
+    let spread = ErrorSpread::of(channels.flat_map(|(((color, normal), alpha), truth)| {
         let all = [color[0], color[1], color[2], normal[0], normal[1], normal[2], *alpha].map(f64::from);
         let truth = [truth[0], truth[1], truth[2], truth[3], truth[4], truth[5], truth[23]];
         std::array::from_fn::<f64, 7, _>(|k| all[k] - truth[k])
     }));
     println!("{}: image against the oracle {spread}", gpu.adapter().name);
     assert!(spread.p999 <= 1e-5 && spread.max < 5e-3, "{spread}");
-    // The median jumps from one splat to the next; a rounding error near one half may choose another.
+    // The median jumps from one splat to the next; a rounding error near one half may select another.
     let other_depth = a.depth.iter().zip(&b.depth).filter(|(a, b)| (**a - **b).abs() > 1e-4).count();
     let other_label = a.label.iter().zip(&b.label).filter(|(a, b)| a != b).count();
     println!("pixels with another median depth {other_depth}, another label {other_label}");
@@ -71,7 +71,7 @@ fn images_equal_the_cpu_and_the_oracle() {
     assert!(b.depth.iter().filter(|z| **z > 0.0).count() > SIZE.0 * SIZE.1 / 2, "depths were compared");
 }
 
-/// Gradients of one step: Adam's first moments after a step that moves nothing.
+/// Gradients of one step: Adam's first moments after a step with zero learning rates.
 fn compare_gradients(config: &TrainConfig, form: KernelForm) -> Option<f64> {
     let still = LearningRates::default().scaled(0.0);
     let config = TrainConfig { rates: still, ..*config };
@@ -228,7 +228,7 @@ fn a_state_continues_on_the_other_back_end() {
     gpu.restore(&state).unwrap();
     assert_eq!(gpu.snapshot(), state, "a state goes through the device unchanged");
     assert_eq!(gpu.len(), cpu.len());
-    // Three steps on the other side; the classifier's count goes on.
+    // Three steps on the other back end; the classifier's count continues.
     let (a, b) = (gpu.steps(&[1, 0, 1]).loss.total, cpu.steps(&[1, 0, 1]).loss.total);
     assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
     let (ours, theirs) = (gpu.snapshot(), cpu.snapshot());
@@ -299,7 +299,7 @@ fn long_lists_are_sorted_too() {
     else {
         return;
     };
-    // Thousands of faint discs over a few tiles: lists beyond what workgroup memory sorts.
+    // Thousands of faint discs over a few tiles: lists too long for sorting in workgroup memory.
     let camera = camera((24, 16));
     let mut seedlings = crate::probe::seedlings(&camera, 3000, Seed(8));
     for s in &mut seedlings {
@@ -309,7 +309,8 @@ fn long_lists_are_sorted_too() {
     agree_on("long lists", &mut gpu, &mut cpu, &camera, &seedlings);
 }
 
-/// Both show these Gaussians alike and have the same gradients after a step on one frame; returns the pairs of the view.
+/// Asserts that both back ends agree on the rendering and on the gradients of a step on one frame; returns the
+/// pairs of the view.
 fn agree_on(
     what: &str,
     gpu: &mut GpuTrainer,
@@ -340,8 +341,8 @@ fn splats_over_many_tiles_are_listed_whole() {
     else {
         return;
     };
-    // More rows of tiles than a workgroup has lanes, more tiles than all lanes that visit a splat, and more such splats than
-    // are visited at once.
+    // More rows of tiles than a workgroup has lanes, more tiles than all lanes that visit a splat, and more such
+    // splats than are visited at once.
     let camera = camera((64, 1100));
     let mut seedlings = crate::probe::seedlings(&camera, 300, Seed(8));
     for s in &mut seedlings {
@@ -362,7 +363,7 @@ fn a_lost_device_is_told_and_nothing_panics() {
     assert_eq!(gpu.failure(), None);
     gpu.lose_device();
     gpu.steps(&[0, 1]);
-    let failure = gpu.failure().expect("the loss is noticed");
+    let failure = gpu.failure().expect("the loss is detected");
     println!("after the loss: {failure}");
     assert_eq!(gpu.len(), COUNT);
     let maps = gpu.render(&camera(SIZE));
@@ -376,20 +377,21 @@ fn a_lost_device_is_told_and_nothing_panics() {
 }
 
 #[test]
-fn the_self_check_passes_here_and_finds_faults() {
+fn the_self_check_passes_and_finds_faults() {
     let Some(choice) = adapter() else {
         return;
     };
     let check = crate::self_check(choice).unwrap();
     println!("self-check: {check}");
     assert_eq!(check.fault(), None);
-    let far = Spread { p999: 0.1, max: 1.0 };
-    assert!(crate::SelfCheck { image: far, ..check }.fault().unwrap().contains("image"));
-    assert!(crate::SelfCheck { gradient: far, ..check }.fault().unwrap().contains("gradients"));
-    assert!(crate::SelfCheck { loss: f64::NAN, ..check }.fault().unwrap().contains("loss"));
+    let far = ErrorSpread { p999: 0.1, max: 1.0 };
+    let [image, gradient] = [SelfCheck { image: far, ..check }, SelfCheck { gradient: far, ..check }];
+    let loss = SelfCheck { loss: f64::NAN, ..check };
+    let faults = [image, gradient, loss].map(|c| c.fault().unwrap());
+    assert!(faults[0] != faults[1] && faults[1] != faults[2] && faults[2] != faults[0], "{faults:?}");
     assert!(crate::checked_trainer(&TrainConfig::default(), 3, SEED, choice).is_ok());
     assert!(matches!(
-        crate::checked_trainer(&TrainConfig::default(), 3, SEED, Choice::Index(99)),
+        crate::checked_trainer(&TrainConfig::default(), 3, SEED, AdapterChoice::Index(99)),
         Err(crate::GpuError::NoSuchAdapter { index: 99, .. })
     ));
     assert!(matches!(

@@ -1,13 +1,13 @@
 //! [`GpuTrainer`]: the back end of the scan on a GPU.
 
-use crate::gpu::{AdapterSummary, Choice, Gpu, GpuError};
-use crate::kernels::{GAUSSIANS, Kernel, KernelForm, Kernels};
+use crate::gpu::{AdapterChoice, AdapterSummary, Gpu, GpuError};
+use crate::kernels::{ComputeKernel, GAUSSIANS, KernelForm, Kernels};
 use crate::maps::maps_of;
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
-use crate::target::Target;
+use crate::target::DeviceTarget;
 use crate::uniforms::{STRIDE, Step};
-use crate::work::{BATCH, Room, STATS, Work, bind};
+use crate::work::{BATCH, Room, STATS, StepBuffers, bind};
 use glamx::Vec3;
 use rayon::prelude::*;
 use sms_core::{Camera, Seed};
@@ -17,56 +17,61 @@ use sms_gaussians::{
     StepStats, TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
 
-/// Most classes that the kernels take.
+/// Greatest number of classes supported by the kernels.
 pub const MAX_CLASSES: usize = 48;
 
-/// Pairs of splat and tile per Gaussian that there is room for at first.
+/// Initial capacity in pairs of splat and tile per Gaussian.
 const PAIRS_PER_GAUSSIAN: u32 = 12;
-/// Steps that are recorded and submitted together.
+/// Number of steps recorded and submitted together.
 const TOGETHER: usize = 8;
-/// Maps that are kept for their memory, at most.
+/// Greatest number of maps kept for reuse.
 const SPARE_MAPS: usize = 16;
-/// Room for pairs is at least this.
+/// Least capacity in pairs.
 const PAIRS_MIN: u32 = 1 << 14;
 
-/// [`Trainer`] on a GPU: whole training steps on the device, up to 64 to a submission, and nothing read back between
+/// [`Trainer`] on a GPU: whole training steps on the device, up to 64 per submission, and nothing read back between
 /// them but the losses at the end.
 ///
-/// It has the state, the settings and the semantics of [`sms_gaussians::CpuTrainer`]; results differ by rounding. After a
-/// failure of the device (see [`Trainer::failure`]) every call returns quickly and means nothing.
+/// It has the state, the settings and the semantics of [`sms_gaussians::CpuTrainer`]; results differ by rounding.
+/// After a failure of the device (see [`Trainer::failure`]) every call returns quickly with meaningless results.
 pub struct GpuTrainer {
     gpu: Gpu,
     kernels: Kernels,
     config: TrainConfig,
     background: [f32; 3],
     store: Store,
-    work: Work,
-    targets: Vec<Target>,
-    /// Bind group of each target, `None` where it must be made again.
+    work: StepBuffers,
+    targets: Vec<DeviceTarget>,
+    /// Bind group of each target, `None` if outdated.
     views: Vec<Option<wgpu::BindGroup>>,
-    /// In place of an observed view when one is only rendered.
+    /// Replaces the observed view when a view is only rendered.
     nothing: wgpu::Buffer,
     staging: wgpu::Buffer,
-    /// Room for pairs that the last batches asked for.
+    /// Capacity in pairs needed by the last batches.
     pairs_wanted: u32,
     /// Pairs of the last step.
     last_pairs: u32,
-    /// Maps for their memory.
+    /// Maps for reuse.
     spare_maps: Vec<RenderedMaps>,
 }
 
 impl GpuTrainer {
-    /// A trainer without Gaussians for `classes` classes, the background included; the classifier starts from `seed`, as
-    /// [`sms_gaussians::CpuTrainer::new`]'s. The kernels are not compared with the CPU's here: see
+    /// A trainer without Gaussians for `classes` classes, the background included; the classifier starts from
+    /// `seed`, as in [`sms_gaussians::CpuTrainer::new`]. The kernels are not checked: see
     /// [`crate::checked_trainer`].
     ///
     /// # Errors
-    /// [`GpuError`] when the adapter cannot be opened or cannot run the kernels.
-    pub fn new(config: &TrainConfig, classes: usize, seed: Seed, choice: Choice) -> Result<Self, GpuError> {
+    /// [`GpuError`] if the adapter cannot be opened or cannot run the kernels.
+    pub fn new(
+        config: &TrainConfig,
+        classes: usize,
+        seed: Seed,
+        choice: AdapterChoice,
+    ) -> Result<Self, GpuError> {
         Self::with_form(config, classes, seed, choice, KernelForm::default())
     }
 
-    /// The same with kernels of a given form, to compare with.
+    /// The same with kernels of a given form, for comparison.
     ///
     /// # Errors
     /// As [`GpuTrainer::new`].
@@ -74,7 +79,7 @@ impl GpuTrainer {
         config: &TrainConfig,
         classes: usize,
         seed: Seed,
-        choice: Choice,
+        choice: AdapterChoice,
         form: KernelForm,
     ) -> Result<Self, GpuError> {
         let classes = classes.max(1);
@@ -88,7 +93,7 @@ impl GpuTrainer {
         }
         let store = Store::new(&gpu, classes);
         store.set_classifier(&gpu, &Parameters::new(classes, seed).classifier);
-        let work = Work::new(&gpu, classes);
+        let work = StepBuffers::new(&gpu, classes);
         let nothing = gpu.upload("nothing", &[], wgpu::BufferUsages::STORAGE);
         let staging = gpu.staging(4 * (CONTROL_WORDS + STATS * BATCH) as u64);
         Ok(Self {
@@ -108,26 +113,27 @@ impl GpuTrainer {
         })
     }
 
-    /// The adapter that computes.
+    /// Returns the adapter in use.
     pub fn adapter(&self) -> &AdapterSummary {
         &self.gpu.summary
     }
 
-    /// Bytes of the buffers on the device now: the state, what steps work on, and the observed views.
+    /// Returns the bytes of all buffers on the device: the state, the buffers of steps, and the observed views.
     pub fn device_bytes(&self) -> u64 {
         self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.bytes).sum::<u64>()
     }
 
-    /// Pairs of splat and tile in the last step or rendered view: the number that most of a step's time grows with.
+    /// Returns the pairs of splat and tile in the last step or rendered view, which determine most of a step's
+    /// time.
     pub fn last_pairs(&self) -> u32 {
         self.last_pairs
     }
 
-    /// Takes one step on `frame`, kernel by kernel, and returns each one's milliseconds in the order of a step; `None`
-    /// without timestamps on the device.
+    /// Takes one step on `frame`, kernel by kernel, and returns each one's milliseconds in the order of a step;
+    /// `None` without timestamps on the device.
     ///
     /// # Panics
-    /// When the frame was not added.
+    /// If the frame was not added.
     pub fn timed_step(&mut self, frame: FrameId) -> Option<Vec<(&'static str, f64)>> {
         self.prepare(&[frame]);
         let step = self.step_of(frame, &self.config.rates, 0);
@@ -139,27 +145,27 @@ impl GpuTrainer {
         times
     }
 
-    /// Destroys the device under the trainer, as a fault or an unplugged GPU would: for tests.
+    /// Destroys the device, as a fault or an unplugged GPU would: for tests.
     #[doc(hidden)]
     pub fn lose_device(&self) {
         self.gpu.device.destroy();
     }
 
-    /// Starts over with room for no more than this many pairs: for tests of growth.
+    /// Restarts with this capacity in pairs: for tests of growth.
     #[doc(hidden)]
     pub fn shrink_pairs(&mut self, pairs: u32) {
-        self.work = Work::new(&self.gpu, self.store.classes);
+        self.work = StepBuffers::new(&self.gpu, self.store.classes);
         self.views.iter_mut().for_each(|view| *view = None);
         self.pairs_wanted = pairs;
     }
 
-    /// Room for pairs of splat and tile, which grows as steps need it.
+    /// Returns the capacity in pairs of splat and tile, which grows on demand.
     #[doc(hidden)]
     pub fn pairs(&self) -> u32 {
         self.work.room.pairs
     }
 
-    /// Buffers and bind groups for steps on these frames.
+    /// Prepares buffers and bind groups for steps on these frames.
     fn prepare(&mut self, frames: &[FrameId]) {
         let mut room = self.room_for_gaussians();
         for &frame in frames {
@@ -184,7 +190,7 @@ impl GpuTrainer {
         Room { gaussians, pairs: self.pairs_wanted, ..Room::default() }
     }
 
-    /// The numbers of a step on `frame`, at `index` in its submission.
+    /// Returns the uniforms of a step on `frame`, at `index` in its submission.
     fn step_of(&self, frame: FrameId, rates: &LearningRates, index: usize) -> Step {
         let target = &self.targets[frame];
         let config = TrainConfig { rates: *rates, ..self.config };
@@ -202,9 +208,9 @@ impl GpuTrainer {
         step
     }
 
-    /// Submits steps, at most [`BATCH`], a few at a time so that the device begins while the rest is recorded. `None` after
-    /// a failure.
-    fn submit(&mut self, planned: &[Planned]) -> Option<()> {
+    /// Submits steps, at most [`BATCH`], a few at a time so that the device starts while the rest is recorded.
+    /// `None` after a failure.
+    fn submit(&mut self, planned: &[PlannedStep]) -> Option<()> {
         let frames: Vec<FrameId> = planned.iter().map(|p| p.frame).collect();
         self.prepare(&frames);
         let steps: Vec<Step> =
@@ -238,9 +244,9 @@ impl GpuTrainer {
         Some(())
     }
 
-    /// Waits for the steps that were submitted last, adds their terms to the sums and returns how many were taken: fewer
-    /// when the room for pairs was too little, which it is not any more then. `None` after a failure.
-    fn collect(&mut self, planned: &[Planned], sums: &mut [LossTerms]) -> Option<usize> {
+    /// Waits for the last submission, adds its terms to the sums and returns the number of steps taken: fewer if
+    /// the capacity in pairs was too small; it is then increased. `None` after a failure.
+    fn collect(&mut self, planned: &[PlannedStep], sums: &mut [LossTerms]) -> Option<usize> {
         let (control_bytes, stats_bytes) = result_bytes(planned.len());
         let (control, stats): (Vec<u32>, Vec<f32>) =
             self.gpu.read_staging(&self.staging, control_bytes + stats_bytes, |bytes| {
@@ -257,7 +263,7 @@ impl GpuTrainer {
         Some(done)
     }
 
-    /// Makes room for what a submission could not hold, and clears the control buffer's flags.
+    /// Grows the buffers that were too small, and clears the control buffer's flags.
     fn after(&mut self, control: &[u32]) {
         self.last_pairs = control[PAIRS];
         if control[OVERFLOWED] != 0 {
@@ -282,7 +288,7 @@ impl GpuTrainer {
         let similarity = mean(sums[3], 3 * target.camera.pixels());
         let mut terms = LossTerms {
             color_l1: mean(sums[0], 3 * used.colored),
-            // The CPU measures it where it has no weight; here it costs two kernels.
+            // The CPU computes it even without weight; here it costs two kernels.
             dssim: if step.other_weights[0] != 0.0 { 1.0 - similarity } else { 0.0 },
             depth: mean(sums[1], used.deep),
             normal: mean(sums[2], used.oriented),
@@ -300,7 +306,7 @@ impl GpuTrainer {
         terms
     }
 
-    /// Renders once; `Some(None)` when there was too little room for pairs, of which there is enough then; `None` after a
+    /// Renders once; `Some(None)` if the capacity in pairs was too small, which is then increased; `None` after a
     /// failure.
     fn try_render(&mut self, camera: &Step) -> Option<Option<RenderedMaps>> {
         let mut room = self.room_for_gaussians();
@@ -331,8 +337,8 @@ impl GpuTrainer {
         Some(maps)
     }
 
-    /// Runs a kernel over the Gaussians that there are, apart from any step.
-    fn run_over(&self, kernel: &Kernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
+    /// Runs a kernel over the present Gaussians, outside of any step.
+    fn run_over(&self, kernel: &ComputeKernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
         let Self { gpu, kernels, work, nothing, .. } = self;
         let buffers = bind(gpu, kernel, buffers);
         let view = work.bind_view(gpu, kernels, nothing);
@@ -349,8 +355,8 @@ impl GpuTrainer {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// What `see` makes of each Gaussian's position and logit of the opacity; of zeros after a failure.
-    fn seen_places<T: Send>(&self, see: impl Fn(&[f32; 4]) -> T + Sync) -> Vec<T> {
+    /// Applies `see` to each Gaussian's position and logit of the opacity; to zeros after a failure.
+    fn map_places<T: Send>(&self, see: impl Fn(&[f32; 4]) -> T + Sync) -> Vec<T> {
         let count = self.store.count;
         if count == 0 {
             return Vec::new();
@@ -379,16 +385,16 @@ impl GpuTrainer {
     }
 }
 
-/// Bytes of the control buffer and of the statistics of so many steps, as they are read back.
+/// Returns the bytes to read back: the control buffer and the statistics of some steps.
 fn result_bytes(steps: usize) -> (u64, u64) {
     (4 * CONTROL_WORDS as u64, 4 * (STATS * steps) as u64)
 }
 
-/// A step that is to be taken.
-struct Planned {
+/// A planned step.
+struct PlannedStep {
     frame: FrameId,
     rates: LearningRates,
-    /// The batch that reports its losses, if any does.
+    /// The batch that reports its losses, if any.
     batch: Option<usize>,
 }
 
@@ -421,9 +427,9 @@ fn averaged(sum: &LossTerms, count: usize) -> LossTerms {
 
 impl Trainer for GpuTrainer {
     /// # Panics
-    /// When a buffer of the frame has another size than the camera's image.
+    /// If a buffer of the frame has another size than the camera's image.
     fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
-        self.targets.push(Target::new(&self.gpu, &frame, self.store.classes));
+        self.targets.push(DeviceTarget::new(&self.gpu, &frame, self.store.classes));
         self.views.push(None);
         self.targets.len() - 1
     }
@@ -462,14 +468,14 @@ impl Trainer for GpuTrainer {
     }
 
     /// # Panics
-    /// When a frame was not added.
+    /// If a frame was not added.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats {
         let batch = StepBatch { rates: self.config.rates, own: frames.to_vec(), replayed: Vec::new() };
         self.batches(&[batch], &|| None).0.pop().unwrap_or_default()
     }
 
     /// # Panics
-    /// When a frame was not added.
+    /// If a frame was not added.
     fn batches(
         &mut self,
         batches: &[StepBatch],
@@ -480,9 +486,9 @@ impl Trainer for GpuTrainer {
             self.config.rates = batch.rates;
             let own = batch.own.iter().map(|&frame| (frame, Some(i)));
             let all = own.chain(batch.replayed.iter().map(|&frame| (frame, None)));
-            // A view without pixels teaches nothing, and no kernel need know of it.
+            // Views without pixels are skipped.
             let shown = all.filter(|(frame, _)| self.targets[*frame].camera.pixels() > 0);
-            planned.extend(shown.map(|(frame, batch_of)| Planned {
+            planned.extend(shown.map(|(frame, batch_of)| PlannedStep {
                 frame,
                 rates: batch.rates,
                 batch: batch_of,
@@ -543,15 +549,15 @@ impl Trainer for GpuTrainer {
     }
 
     fn opacities(&self) -> Vec<f32> {
-        self.seen_places(|place| sigmoid(place[3]))
+        self.map_places(|place| sigmoid(place[3]))
     }
 
     fn positions_w(&self) -> Vec<Vec3> {
-        self.seen_places(|place| Vec3::from_slice(&place[..3]))
+        self.map_places(|place| Vec3::from_slice(&place[..3]))
     }
 
     fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
-        self.seen_places(|place| (Vec3::from_slice(&place[..3]), sigmoid(place[3]))).into_iter().unzip()
+        self.map_places(|place| (Vec3::from_slice(&place[..3]), sigmoid(place[3]))).into_iter().unzip()
     }
 
     fn classifier(&self) -> Classifier {

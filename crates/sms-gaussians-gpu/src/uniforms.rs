@@ -1,11 +1,11 @@
-//! The numbers of one step as the kernels read them (`Step` in `shaders/common.wgsl`).
+//! Uniforms of one step in the kernels' layout (`Step` in `shaders/common.wgsl`).
 
 use glamx::Mat3;
 use sms_core::Camera;
 use sms_gaussians::limits::MARGIN;
 use sms_gaussians::{DepthTerm, TrainConfig};
 
-/// Distance between steps in the buffer of uniforms: what every device can be offset by.
+/// Distance between steps in the buffer of uniforms: an offset that every device supports.
 pub(crate) const STRIDE: u64 = 256;
 
 /// Flags of [`Step::counts`].
@@ -33,7 +33,7 @@ pub(crate) struct Step {
 
 const _: () = assert!(size_of::<Step>() as u64 <= STRIDE);
 
-/// Pixels of a view that each term of the loss counts.
+/// Number of pixels of a view in each term of the loss.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct UsedPixels {
     pub(crate) colored: usize,
@@ -43,7 +43,7 @@ pub(crate) struct UsedPixels {
 }
 
 impl Step {
-    /// What depends on the camera alone.
+    /// The camera-dependent part.
     pub(crate) fn of_camera(camera: &Camera) -> Self {
         let k = &camera.intrinsics;
         let x_cw = camera.x_wc.inverse();
@@ -65,7 +65,7 @@ impl Step {
         }
     }
 
-    /// Adds what a training step needs.
+    /// Adds the part of a training step.
     pub(crate) fn trained(mut self, config: &TrainConfig, pixels: &UsedPixels) -> Self {
         let w = &config.weights;
         let share = |weight: f32, count: usize| weight / count.max(1) as f32;

@@ -1,13 +1,13 @@
-//! Loops unrolled in the text of kernels: compilers that leave a loop over an array of registers rolled keep the array in
-//! memory, which costs the segmentation more than all its arithmetic.
+//! Unrolling of loops in the text of kernels: compilers that do not unroll a loop over an array of registers keep
+//! the array in memory, which costs the segmentation more than all its arithmetic.
 //!
-//! `//unroll k CLASSES` … `//end` repeats the lines between for k = 0, 1, …, with `$k` replaced by the number. The count
-//! is a number or one of the names given.
+//! `//unroll k CLASSES` … `//end` repeats the lines between for k = 0, 1, …, with `$k` replaced by the number. The
+//! count is a number or one of the given names.
 
 /// Expands all unrolled loops of a kernel.
 ///
 /// # Panics
-/// When a loop has no end, no count, or a count that is not known: the kernels are part of the program.
+/// If a loop has no end, no count, or an unknown count: the kernels are part of the program.
 pub(crate) fn unroll(text: &str, counts: &[(&str, usize)]) -> String {
     let mut lines = text.lines();
     let out = expand(&mut lines, counts, false);

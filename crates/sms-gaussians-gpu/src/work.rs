@@ -1,8 +1,8 @@
-//! Buffers that hold nothing beyond a step, and the kernels' bindings.
+//! Buffers without contents between steps, and the kernels' bindings.
 
 use crate::gpu::Gpu;
 use crate::kernels::{
-    GAUSSIANS, Kernel, Kernels, MAX_GROUPS, SEGMENT_GROUPS, TILE_PIXELS, classifier_vectors,
+    ComputeKernel, GAUSSIANS, Kernels, MAX_GROUPS, SEGMENT_GROUPS, TILE_PIXELS, classifier_vectors,
 };
 use crate::store::Store;
 use crate::uniforms::{STRIDE, Step};
@@ -13,10 +13,10 @@ pub(crate) const BATCH: usize = 64;
 /// Numbers of a step in the statistics: seven sums and the Gaussians in view.
 pub(crate) const STATS: usize = 8;
 
-/// With fewer Gaussians memory is not scarce.
+/// Below this number of Gaussians, memory is not scarce.
 const FEW: u32 = 100_000;
 
-/// What the buffers have room for.
+/// Capacities of the buffers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Room {
     pub(crate) gaussians: u32,
@@ -38,7 +38,7 @@ impl Room {
 }
 
 /// The buffers of a step.
-pub(crate) struct Work {
+pub(crate) struct StepBuffers {
     pub(crate) room: Room,
     pub(crate) uniforms: wgpu::Buffer,
     pub(crate) stats: wgpu::Buffer,
@@ -123,7 +123,7 @@ fn partial_stride(room: &Room) -> u32 {
     room.tiles.max(room.gaussians.div_ceil(GAUSSIANS)).max(SEGMENT_GROUPS)
 }
 
-impl Work {
+impl StepBuffers {
     pub(crate) fn new(gpu: &Gpu, classes: usize) -> Self {
         let room = Room::default();
         let mode = |m: u32| gpu.upload("mode", bytemuck::cast_slice(&[m, 0, 0, 0]), BufferUsages::UNIFORM);
@@ -139,13 +139,13 @@ impl Work {
         }
     }
 
-    /// Makes room; what the buffers held is lost where they grow.
+    /// Grows the buffers as needed; growing loses their contents.
     pub(crate) fn reserve(&mut self, gpu: &Gpu, classes: usize, wanted: &Room) {
         if self.room.covers(wanted) {
             return;
         }
         let (a, b) = (self.room, wanted);
-        // Gaussians and pairs grow little by little; while they are few, by half, since all buffers are made again.
+        // Gaussians and pairs grow gradually; while they are few, by half, since all buffers are recreated.
         let more = if b.gaussians < FEW { 2 } else { 4 };
         let grown = |has: u32, wants: u32| if wants > has { wants.saturating_add(wants / more) } else { has };
         let room = Room {
@@ -161,7 +161,7 @@ impl Work {
         self.forget_bindings();
     }
 
-    /// To be called when a buffer of the store was replaced.
+    /// Must be called when a buffer of the store was replaced.
     pub(crate) fn forget_bindings(&mut self) {
         self.bindings = None;
     }
@@ -260,7 +260,7 @@ impl Work {
         buffers.iter().map(|b| b.size()).sum()
     }
 
-    /// The bind group of a view: the uniforms of the steps and what was observed.
+    /// Returns the bind group of a view: the uniforms of the steps and the observations.
     pub(crate) fn bind_view(&self, gpu: &Gpu, kernels: &Kernels, observed: &wgpu::Buffer) -> wgpu::BindGroup {
         let window = wgpu::BufferBinding {
             buffer: &self.uniforms,
@@ -295,7 +295,7 @@ impl Buffers {
 }
 
 /// Binds buffers to a kernel in order.
-pub(crate) fn bind(gpu: &Gpu, kernel: &Kernel, buffers: &[&wgpu::Buffer]) -> wgpu::BindGroup {
+pub(crate) fn bind(gpu: &Gpu, kernel: &ComputeKernel, buffers: &[&wgpu::Buffer]) -> wgpu::BindGroup {
     let resources = buffers.iter().map(|b| b.as_entire_binding()).enumerate();
     let entries: Vec<_> =
         resources.map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource }).collect();
@@ -306,7 +306,7 @@ pub(crate) fn bind(gpu: &Gpu, kernel: &Kernel, buffers: &[&wgpu::Buffer]) -> wgp
     })
 }
 
-/// Workgroups in two dimensions for `groups` of them, which the kernel counts as x + y·[`MAX_GROUPS`].
+/// Returns workgroups in two dimensions for `groups` of them, which the kernel counts as x + y·[`MAX_GROUPS`].
 pub(crate) fn spread(groups: u32) -> [u32; 2] {
     if groups <= MAX_GROUPS { [groups, 1] } else { [MAX_GROUPS, groups.div_ceil(MAX_GROUPS)] }
 }

@@ -8,8 +8,8 @@ mod scene;
 use scene::trainer;
 use sms_gaussians::{CpuTrainer, SimdForm, StepTimes, TrainConfig, Trainer};
 
-/// CPU seconds of all threads of this process so far, where the system tells (Linux); less disturbed by other work
-/// than the clock on the wall.
+/// Returns the CPU seconds of all threads of this process so far, if available (Linux); less disturbed by other
+/// load than wall-clock time.
 fn cpu_seconds() -> Option<f64> {
     let mut nanoseconds = 0.0;
     for task in std::fs::read_dir("/proc/self/task").ok()? {
@@ -19,13 +19,13 @@ fn cpu_seconds() -> Option<f64> {
     Some(nanoseconds * 1e-9)
 }
 
-/// Steps whose CPU time is measured together.
+/// Number of steps per measurement of CPU time.
 const GROUP: usize = 10;
 
 /// The shortest step by the clock, the shortest of each part, and the CPU seconds of a step in the best
 /// group.
 fn measure(mut trainer: CpuTrainer, steps: usize) -> (f64, StepTimes, f64) {
-    // The best of several short runs: other work on the machine only ever adds time.
+    // The best of several short runs: other load only ever adds time.
     let mut best = (f64::INFINITY, StepTimes::from_parts([f64::INFINITY; StepTimes::PARTS]));
     let (mut least, mut cpu) = (f64::INFINITY, cpu_seconds());
     for step in 0..steps {

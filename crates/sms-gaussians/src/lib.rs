@@ -52,11 +52,12 @@ mod wall;
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
 pub use cpu::limits;
 pub use cpu::{CpuTrainer, SimdForm, StepTimes};
-pub use model::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM};
+pub(crate) use model::HIDDEN_DIM;
+pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
     BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
-    SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, classifier_path, read_ply,
-    render_views, render_views_with, scan, scan_observed, seedlings_of, state_of_model, write_ply,
+    SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply, render_views, scan,
+    scan_observed, write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,

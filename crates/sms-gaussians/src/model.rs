@@ -1,11 +1,11 @@
-//! The stage's result: Gaussians with what they belong to.
+//! The stage's result: labelled Gaussians.
 
 use glamx::{DPose3, Quat, Vec3};
 
 /// Width of the affinity feature (paper: d; released code: 16).
 pub const AFFINITY_DIM: usize = 16;
 /// Hidden width of the classifier.
-pub const HIDDEN_DIM: usize = 32;
+pub(crate) const HIDDEN_DIM: usize = 32;
 
 /// Gaussians as a structure of arrays, in natural units (not the optimiser's).
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -28,7 +28,7 @@ pub struct GaussianModel {
     pub label_confidence: Vec<f32>,
     /// The classifier.
     pub classifier: Classifier,
-    /// Colour behind all Gaussians, 0 to 1: what a pixel without any of them shows.
+    /// Colour behind all Gaussians, 0 to 1: the colour of empty pixels.
     pub background: [f32; 3],
 }
 
@@ -58,10 +58,10 @@ impl GaussianModel {
         self.positions_w.is_empty()
     }
 
-    /// The Gaussians with these indices, in their order.
+    /// Returns the Gaussians with these indices, in their order.
     ///
     /// # Panics
-    /// When an index is out of range.
+    /// If an index is out of range.
     pub fn subset(&self, indices: &[usize]) -> Self {
         fn pick<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
             indices.iter().map(|&i| values[i]).collect()
@@ -80,8 +80,8 @@ impl GaussianModel {
         }
     }
 
-    /// The model carried into another frame by `x_aw`: what was in the world is then in `A`. Colours do not depend on the
-    /// direction of view, so nothing else changes.
+    /// Transforms the model from the world to the frame `A` by `x_aw`. Colours do not depend on the direction of
+    /// view, so nothing else changes.
     pub fn transformed(&self, x_aw: &DPose3) -> Self {
         let rotation = x_aw.rotation.as_quat();
         Self {
@@ -118,7 +118,7 @@ impl Classifier {
         rows.map(|(row, bias)| row.iter().zip(&hidden).fold(*bias, |sum, (w, h)| sum + w * h)).collect()
     }
 
-    /// The most likely label of one affinity feature and its softmax probability; label 0 where there are no classes.
+    /// Returns the most likely label of one affinity feature and its softmax probability; label 0 without classes.
     pub fn classify(&self, affinity: &[f32; AFFINITY_DIM]) -> (u16, f32) {
         let logits = self.logits(affinity);
         let mut best = 0;

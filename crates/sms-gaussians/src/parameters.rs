@@ -1,5 +1,5 @@
-//! What training changes: parameters in the optimiser's own units with their Adam moments, and how they are written
-//! to a checkpoint. Every back end writes and reads this one layout.
+//! The state of training: parameters in the optimiser's own units with their Adam moments, and their encoding in a
+//! checkpoint. All back ends share this layout.
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling, TrainState, TrainerError};
 use glamx::{Quat, Vec3};
@@ -24,7 +24,7 @@ pub const PARAMETERS: usize = AFFINITY + AFFINITY_DIM;
 /// Length of a row: parameters padded to whole vectors of eight.
 pub const ROW: usize = 32;
 
-/// Smallest and largest standard deviation, metres: outside nothing useful can be rendered from a desk-size scan.
+/// Smallest and largest standard deviation, metres: the useful range for desk-size scans.
 pub const SCALE_RANGE: (f32, f32) = (1e-6, 10.0);
 /// Opacities are kept within this logit of one half.
 pub const LOGIT_LIMIT: f32 = 12.0;
@@ -54,7 +54,7 @@ pub struct ClassifierState {
     pub steps: u32,
 }
 
-/// The state that training changes.
+/// The state changed by training.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Parameters {
     /// Parameters, one row per Gaussian.
@@ -63,7 +63,7 @@ pub struct Parameters {
     pub first: Vec<Row>,
     /// Adam's second moments.
     pub second: Vec<Row>,
-    /// Adam steps that each Gaussian has taken: its own, so that a late one has its own bias correction.
+    /// Number of Adam steps of each Gaussian, for its own bias correction.
     pub steps: Vec<u32>,
     /// The classifier.
     pub classifier: ClassifierState,
@@ -98,7 +98,7 @@ impl ClassifierState {
     }
 }
 
-/// The row of a seedling; `None` where a number is not finite. Scales, opacity and rotation are brought into range.
+/// Returns the row of a seedling with scales, opacity and rotation in range, or `None` if a number is not finite.
 fn row_of(s: &Seedling) -> Option<Row> {
     let numbers = [s.opacity].into_iter().chain(s.color).chain(s.affinity);
     let finite = s.position_w.is_finite() && s.rotation_wg.is_finite() && s.scale.is_finite();
@@ -136,7 +136,7 @@ impl Parameters {
         Self { classifier: ClassifierState::new(classes, seed), ..Self::default() }
     }
 
-    /// Appends Gaussians with zeroed moments; seedlings with a number that is not finite are left out.
+    /// Appends Gaussians with zeroed moments, except seedlings with a number that is not finite.
     pub fn insert(&mut self, seedlings: &[Seedling]) {
         self.rows.extend(seedlings.iter().filter_map(row_of));
         self.first.resize(self.rows.len(), Row::ZERO);
@@ -147,7 +147,7 @@ impl Parameters {
     /// Keeps only Gaussians whose entry is true.
     ///
     /// # Panics
-    /// When the mask has another length than the parameters.
+    /// If the mask has another length than the parameters.
     pub fn retain(&mut self, mask: &[bool]) {
         assert_eq!(mask.len(), self.rows.len(), "one entry per Gaussian");
         keep(&mut self.rows, mask);
@@ -156,8 +156,8 @@ impl Parameters {
         keep(&mut self.steps, mask);
     }
 
-    /// The model in natural units before a black background, each Gaussian labelled by the classifier on its own
-    /// affinity.
+    /// Returns the model in natural units on a black background, each Gaussian labelled by the classifier on its
+    /// own affinity.
     pub fn model(&self) -> GaussianModel {
         let classifier = self.classifier.classifier();
         let rows = &self.rows;
@@ -214,10 +214,10 @@ impl Parameters {
         TrainState { bytes }
     }
 
-    /// Reads what [`Parameters::encode`] wrote.
+    /// Decodes the output of [`Parameters::encode`].
     ///
     /// # Errors
-    /// [`TrainerError::BadState`] when the version or the length is another, or a number is not finite.
+    /// [`TrainerError::BadState`] if the version or the length differs, or a number is not finite.
     pub fn decode(state: &TrainState) -> Result<Self, TrainerError> {
         let bad = |why: &str| TrainerError::BadState(why.to_owned());
         let (words, remainder) = state.bytes.as_chunks::<4>();

@@ -1,7 +1,7 @@
-//! The seam between the schedule and its back ends: a whole training step, not single operations.
+//! The interface between the schedule and its back ends: a whole training step, not single operations.
 //!
-//! Seeding, schedule, random state and early stopping live above this trait, once for every back end; parameters and
-//! Adam moments live below it, on the device.
+//! Seeding, schedule, random state and early stopping are above this trait, once for every back end; parameters and
+//! Adam moments are below it, on the device.
 
 use crate::parameters::Parameters;
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates};
@@ -16,11 +16,11 @@ pub struct TrainFrame {
     pub camera: Camera,
     /// Colour, sRGB values scaled to 0..1.
     pub color: Vec<[f32; 3]>,
-    /// Depth in metres, 0 where there is none.
+    /// Depth in metres, 0 where unknown.
     pub depth: Vec<f32>,
     /// Unit normals in the world facing the camera, zero where unknown.
     pub normal_w: Vec<[f32; 3]>,
-    /// Labels; `u16::MAX` where the pixel must not be used for segmentation.
+    /// Labels; `u16::MAX` for pixels excluded from segmentation.
     pub label: Vec<u16>,
 }
 
@@ -62,7 +62,7 @@ pub struct LossTerms {
     pub total: f32,
 }
 
-/// What a batch of steps reports: the terms averaged over the batch.
+/// Result of a batch of steps: the terms averaged over the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct StepStats {
     /// Mean loss terms.
@@ -71,12 +71,12 @@ pub struct StepStats {
     pub steps: u32,
 }
 
-/// Steps that are taken together: those whose losses are reported, then others.
+/// Steps taken together: those with reported losses, then others.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepBatch {
     /// Learning rates of all of them.
     pub rates: LearningRates,
-    /// Frames of the steps whose losses are reported, in order.
+    /// Frames of the steps with reported losses, in order.
     pub own: Vec<FrameId>,
     /// Frames of the steps after them.
     pub replayed: Vec<FrameId>,
@@ -94,8 +94,8 @@ pub struct RenderedMaps {
     /// Accumulated opacity, 0..1.
     pub alpha: Vec<f32>,
     /// Depth in metres of the splat at which half of the accumulated opacity is reached (the median); 0 where
-    /// nothing is seen. The mean that training descends lies between surfaces at silhouettes, and where a little
-    /// shines through: on held-out views of noisy billiards scans its mean absolute error was 2.9 and 2.5 mm, on
+    /// nothing is visible. The mean, which training minimizes, lies between surfaces at silhouettes and behind
+    /// faint splats: on held-out views of noisy billiards scans its mean absolute error was 2.9 and 2.5 mm, on
     /// objects 4.7 mm; the median's 2.3 and 2.1 mm, on objects 1.6 and 2.2 mm.
     pub depth: Vec<f32>,
     /// World normals, not normalised.
@@ -104,8 +104,8 @@ pub struct RenderedMaps {
     pub label: Vec<u16>,
 }
 
-/// Everything needed to continue training exactly: parameters in the optimiser's own units, moments, step counts.
-/// The layout is the back end's; every back end writes and reads the same one.
+/// The state needed to continue training exactly: parameters in the optimiser's own units, moments, step counts.
+/// All back ends share the same layout.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TrainState {
     /// Bytes of the state (little-endian, versioned by their first word).
@@ -118,7 +118,7 @@ pub enum TrainerError {
     /// The state was written by another version or is damaged.
     #[error("the checkpoint does not fit this program: {0}")]
     BadState(String),
-    /// The device that computes was lost or ran out of memory ([`Trainer::failure`]).
+    /// The device was lost or ran out of memory ([`Trainer::failure`]).
     #[error("the device failed ({0}); run again to go on from the last checkpoint, on any device")]
     Device(String),
     /// Files or interruption.
@@ -150,11 +150,11 @@ pub trait Trainer: Send {
     fn insert(&mut self, seedlings: &[Seedling]);
     /// Keeps only Gaussians whose entry is true; order is kept. `mask.len() == self.len()`.
     fn retain(&mut self, mask: &[bool]);
-    /// One step per entry, in order.
+    /// Takes one step per entry, in order.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats;
-    /// [`Trainer::set_rates`] and all steps of one batch after the other; returns what their own steps report. Also adds
-    /// the frame that `next` makes, if it makes one, and returns its id. A device need not tell of a batch before the
-    /// next one begins, and takes steps while the frame is made and added.
+    /// Calls [`Trainer::set_rates`] and takes all steps of one batch after the other; returns the statistics of
+    /// their own steps. Also adds the frame made by `next`, if any, and returns its id. A device may report a batch
+    /// only once the next one starts, and may take steps while the frame is made and added.
     fn batches(
         &mut self,
         batches: &[StepBatch],
@@ -171,15 +171,16 @@ pub trait Trainer: Send {
         let stats = batches.iter().map(take).collect();
         (stats, next().map(|frame| self.add_frame(frame)))
     }
-    /// The constant colour b behind all Gaussians (0 to 1; black until set): a pixel shows Σ c·α·T + T_final·b, in
-    /// training and rendering alike. It is not learnt and no part of the state: callers set it before anything else.
+    /// Sets the constant colour b behind all Gaussians (0 to 1; initially black): a pixel shows Σ c·α·T +
+    /// T_final·b, in training and rendering alike. It is neither learned nor part of the state: callers set it
+    /// first.
     fn set_background(&mut self, rgb: [f32; 3]);
-    /// Replaces the learning rates from the next step on: back ends start with those of their [`crate::TrainConfig`].
-    /// They are no part of the state.
+    /// Replaces the learning rates from the next step on; initially they are those of [`crate::TrainConfig`]. They
+    /// are not part of the state.
     fn set_rates(&mut self, rates: &LearningRates);
     /// Renders a view (no gradients).
     fn render(&mut self, camera: &Camera) -> RenderedMaps;
-    /// Takes back maps that nobody needs any more, for their memory.
+    /// Returns maps that are no longer needed, to reuse their memory.
     fn recycle(&mut self, maps: RenderedMaps) {
         drop(maps);
     }
@@ -202,17 +203,17 @@ pub trait Trainer: Send {
     /// # Errors
     /// [`TrainerError::BadState`].
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
-    /// Changes the state. The number of Gaussians must stay, and so must the number of classes.
+    /// Changes the state. The number of Gaussians and the number of classes must stay.
     ///
     /// # Errors
-    /// [`TrainerError::BadState`] when a number was made that is not finite.
+    /// [`TrainerError::BadState`] if a number becomes non-finite.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
         let mut parameters = Parameters::decode(&self.snapshot())?;
         change(&mut parameters);
         self.restore(&parameters.encode())
     }
-    /// What the device failed with, if it did: it was lost, or ran out of memory. Nothing that the trainer returns
-    /// afterwards means anything.
+    /// Returns the failure of the device, if any: it was lost, or ran out of memory. All results of the trainer are
+    /// invalid afterwards.
     fn failure(&self) -> Option<String> {
         None
     }

@@ -1,16 +1,16 @@
-//! A fixed scene to measure training steps on: a wall of discs about as dense as a scan leaves them, and a view of
-//! another such wall.
+//! A fixed scene for timing training steps: a wall of discs about as dense as in a scan, and a view of another such
+//! wall.
 
 use crate::{AFFINITY_DIM, FrameId, Seedling, TrainFrame, Trainer};
 use glamx::{DVec3, Quat, Vec3};
 use rand::RngExt;
 use sms_core::{Camera, Intrinsics, Seed};
 
-/// Classes of the wall's labels: what a trainer that is given a wall must have.
+/// Number of classes of the wall's labels.
 pub const WALL_CLASSES: usize = 8;
 
-/// Fills a trainer without Gaussians with a wall of `count` discs and a frame of `width` × `height` pixels that shows
-/// another, and takes three steps, so that buffers have grown. Returns the frame.
+/// Fills an empty trainer with a wall of `count` discs and a frame of `width` × `height` pixels of another wall,
+/// and takes three steps to grow the buffers. Returns the frame.
 pub fn fill_wall(trainer: &mut dyn Trainer, (width, height): (usize, usize), count: usize) -> FrameId {
     let camera = Camera::look_at(
         Intrinsics::from_fov(width, height, 1.1),

@@ -36,7 +36,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// A wall of discs before two cameras, and what they observe of it: a checkerboard.
+/// A wall of discs before two cameras, with a checkerboard as the observation.
 fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
     // Nothing moves, so that no list grows from one step to the next.
     let rates = LearningRates {

@@ -1,20 +1,20 @@
-//! Material estimates of a vision-language model.
+//! What someone who looked at an object says of it.
 
 use serde::{Deserialize, Serialize};
 use sms_core::Interval;
 
-/// The validated estimate of a vision-language model for one object, in SI units and in range. Missing or unusable values are
-/// `None` and come from the table or the prior.
+/// What a vision-language model says of one object, validated: every value is in SI units and in range. What it did not
+/// say, or said in a way that could not be used, is `None` and comes from the table or the prior.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Estimate {
-    /// Whether the given label is right.
+    /// Whether the label that it was given is right.
     pub label_is_right: Option<bool>,
-    /// Name of the object, in a few words.
+    /// What the object is, in a few words.
     pub label: String,
-    /// Its appearance and purpose.
+    /// What it looks like and what it is for.
     pub description: String,
-    /// Its main material; free text ("glazed ceramic").
+    /// What it is made of, mostly; free text ("glazed ceramic").
     pub material: String,
     /// Density of that material, kg/m³.
     pub density: Option<Interval>,
@@ -31,12 +31,12 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Returns the words for the look-up: material first, then label.
+    /// The words to look it up by: material first, then what it is.
     pub(crate) fn words(&self) -> String {
         format!("{} {}", self.material, self.label)
     }
 
-    /// Returns the material as a short word or phrase, or `None` if it is missing.
+    /// The material in one short word or phrase, or `None` when it said nothing.
     pub(crate) fn class(&self) -> Option<String> {
         let words: Vec<&str> = self.material.split_whitespace().take(4).collect();
         let class: String = words.join(" ").to_lowercase().chars().take(40).collect();

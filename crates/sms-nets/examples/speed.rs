@@ -1,22 +1,22 @@
-//! Times the full-size networks with random weights: `speed owlv2|encoder|track|reprompt [REPEATS] [OBJECTS] [--device
-//! cpu|cuda|metal]`. One JSON object is printed, with the time of every repeat and the peak of main memory;
-//! `benches/peers/nets.py` sets it beside PyTorch's. On a GPU the clock is read when it has finished, and the first repeats
-//! load its kernels.
+//! Times the full-size networks with random weights: `speed owlv2|encoder|track|reprompt [REPEATS] [OBJECTS]
+//! [--device cpu|cuda|metal]`. Prints one JSON object with the time of every repeat and the peak of main memory;
+//! `benches/peers/nets.py` compares it with PyTorch's. On a GPU the clock is read after synchronization, and the
+//! first repeats load its kernels.
 
 use candle_core::{Device, Tensor};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker};
-use sms_nets::{NetsError, Seams, Weights};
+use sms_nets::{NetsError, TensorObserver, Weights};
 use std::time::Instant;
 
-/// CPU seconds of all threads so far, where the system tells (Linux); else 0.
+/// Returns the CPU seconds of all threads so far, if available (Linux); else 0.
 fn cpu_seconds() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let times = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("schedstat")).ok());
     times.filter_map(|text| text.split_whitespace().next()?.parse::<f64>().ok()).sum::<f64>() * 1e-9
 }
 
-/// Largest resident memory so far in bytes, where the system tells (Linux); else 0.
+/// Returns the largest resident memory so far in bytes, if available (Linux); else 0.
 fn peak_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -53,7 +53,7 @@ fn main() -> Result<(), NetsError> {
                 let pixels = image(960, i)?;
                 device.synchronize()?;
                 let (start, cpu) = (Instant::now(), cpu_seconds());
-                model.image(&pixels, &mut Seams::none())?;
+                model.image(&pixels, &mut TensorObserver::none())?;
                 device.synchronize()?;
                 seconds.push(start.elapsed().as_secs_f64());
                 cpu_used.push(cpu_seconds() - cpu);
@@ -69,9 +69,9 @@ fn main() -> Result<(), NetsError> {
                 let pixels = image(1024, i)?;
                 device.synchronize()?;
                 let (start, cpu) = (Instant::now(), cpu_seconds());
-                let features = model.encode(&pixels, &mut Seams::none())?;
+                let features = model.encode(&pixels, &mut TensorObserver::none())?;
                 match what.as_str() {
-                    "track" => drop(tracker.next(&features, &mut Seams::none())?),
+                    "track" => drop(tracker.next(&features, &mut TensorObserver::none())?),
                     "reprompt" => {
                         for bbox in &boxes {
                             model.segment(&features, bbox, (640, 400))?;

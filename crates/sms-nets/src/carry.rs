@@ -4,27 +4,27 @@ use crate::owlv2::PixelBox;
 use sms_core::LabelMap;
 use sms_frames::Frame;
 
-/// Part of an object's pixels left out at each edge of its carried box: a few wrong depths at its border must not blow
-/// the box up.
+/// Share of an object's pixels ignored at each edge of its carried box, so that a few wrong depths at its border do
+/// not enlarge the box.
 const TRIM: f64 = 0.005;
-/// By how much a carried box is widened, in parts of its size: the border's pixels seldom have depth.
+/// Widening of a carried box, as a share of its size: the border's pixels seldom have depth.
 const WIDEN: f64 = 0.03;
-/// Fewer pixels with depth carry no box.
+/// Least number of pixels with depth that carry a box.
 const MIN_PIXELS: usize = 8;
 
-/// Where an object is expected.
+/// The expected position of an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Carried {
     /// In this box.
     At(PixelBox),
     /// Outside the picture.
     OutOfView,
-    /// Nobody knows: too few of its pixels have depth.
+    /// Unknown: too few of its pixels have depth.
     Unknown,
 }
 
-/// Where the object `id` of `map`, the labels of frame `from`, should be in frame `to`, if it stays where it is: the box
-/// of its pixels' points seen from there.
+/// Returns the expected box of object `id` of `map`, the labels of frame `from`, in frame `to`, if the object does
+/// not move: the box of its pixels' points, projected into `to`.
 pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> Carried {
     let (width, height) = to.color.size();
     let (mut us, mut vs) = (Vec::new(), Vec::new());
@@ -36,7 +36,7 @@ pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> 
             continue;
         }
         with_depth += 1;
-        // What is behind the camera is not seen.
+        // Points behind the camera have no projection.
         if let Some((u, v, _)) = to.camera.project(from.camera.unproject_pixel(x, y, z)) {
             us.push(u);
             vs.push(v);

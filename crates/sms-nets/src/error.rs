@@ -3,7 +3,7 @@
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_masks::MasksError;
 
-/// What can go wrong with the networks.
+/// An error of the networks.
 #[derive(Debug, thiserror::Error)]
 pub enum NetsError {
     /// Bad input by the user: the message names the file and the cure.
@@ -12,7 +12,7 @@ pub enum NetsError {
     /// A file could not be written or read, or the user asked to stop.
     #[error(transparent)]
     Core(CoreError),
-    /// A computation failed on the device: out of memory, a driver's fault, or a defect of ours.
+    /// A computation failed on the device: out of memory, a driver fault, or a bug.
     #[error("a network could not be computed: {0}")]
     Compute(#[from] candle_core::Error),
 }
@@ -28,7 +28,7 @@ impl StageError for NetsError {
 }
 
 impl From<CoreError> for NetsError {
-    /// Keeps bad input recognisable as such, whichever crate found it.
+    /// Keeps bad input recognizable, whichever crate found it.
     fn from(error: CoreError) -> Self {
         match error {
             CoreError::Input(input) => Self::Input(input),

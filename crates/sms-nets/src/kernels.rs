@@ -1,24 +1,24 @@
-//! Kernels of our own on the CPU, where candle's are slow.
+//! CPU kernels for operations that are slow in candle.
 //!
-//! Measured on two cores at the full sizes: candle computes the error function in double precision on one thread, the
-//! exponential of a softmax one value at a time, and a depthwise convolution as one matrix product a channel. Each has
-//! a plain twin in the tests.
+//! Measured on two cores at the full sizes: candle computes the error function in double precision on one thread,
+//! the exponential of a softmax one value at a time, and a depthwise convolution as one matrix product per channel.
+//! Each kernel has a plain twin in the tests.
 
 use candle_core::{CpuStorage, CustomOp3, Error, InplaceOp1, InplaceOp2, Layout, Result, Shape, Tensor};
 use pulp::Arch;
 use rayon::prelude::*;
 
-/// Values a task works on: large enough to outweigh handing it over.
+/// Values per task: enough to outweigh the overhead of scheduling.
 const CHUNK: usize = 1 << 14;
 
-/// `exp(x)` to a relative 2e-7, written so that the compiler makes vector code of a loop over it; 0 below −87.
+/// Returns `exp(x)` to a relative 2e-7, or 0 below −87; written so that loops over it vectorize.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
-    // Adding and taking away 1.5·2²³ rounds to the nearest whole number.
+    // Adding and subtracting 1.5·2²³ rounds to the nearest integer.
     const ROUND: f32 = 12_582_912.0;
     let clamped = x.clamp(-87.0, 88.0);
     let n = clamped * std::f32::consts::LOG2_E + ROUND - ROUND;
-    // ln 2 in two parts, so that r keeps its digits.
+    // ln 2 in two parts, to preserve the digits of r.
     let r = clamped - n * 0.693_359_4 + n * 2.121_944_4e-4;
     let p = 1.987_569_1e-4;
     let p = p * r + 1.398_199_9e-3;
@@ -31,7 +31,8 @@ fn exp(x: f32) -> f32 {
     if x < -87.0 { 0.0 } else { p * power }
 }
 
-/// `x · Φ(x)`, by the error function's approximation 7.1.26 of Abramowitz and Stegun (absolute error 1.5e-7).
+/// Returns `x · Φ(x)`, by approximation 7.1.26 of the error function in Abramowitz and Stegun (absolute error
+/// 1.5e-7).
 #[inline(always)]
 fn gelu(x: f32) -> f32 {
     let z = x.abs() * std::f32::consts::FRAC_1_SQRT_2;
@@ -41,32 +42,32 @@ fn gelu(x: f32) -> f32 {
     0.5 * x * (1.0 + if x < 0.0 { -erf } else { erf })
 }
 
-/// `x · σ(1.702 x)`.
+/// Returns `x · σ(1.702 x)`.
 #[inline(always)]
 fn quick_gelu(x: f32) -> f32 {
     x / (1.0 + exp(-1.702 * x))
 }
 
-/// The values of a contiguous tensor of 32-bit floats.
+/// Returns the values of a contiguous tensor of 32-bit floats.
 fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let (start, end) = layout
         .contiguous_offsets()
-        .ok_or_else(|| Error::Msg("a kernel of ours needs a contiguous tensor".into()))?;
+        .ok_or_else(|| Error::Msg("a CPU kernel requires a contiguous tensor".into()))?;
     Ok(&storage.as_slice::<f32>()?[start..end])
 }
 
-/// The values of a contiguous tensor of 32-bit floats, to be changed.
+/// Returns the values of a contiguous tensor of 32-bit floats, mutably.
 fn values_mut<'a>(storage: &'a mut CpuStorage, layout: &Layout) -> Result<&'a mut [f32]> {
     let (start, end) = layout
         .contiguous_offsets()
-        .ok_or_else(|| Error::Msg("a kernel of ours needs a contiguous tensor".into()))?;
+        .ok_or_else(|| Error::Msg("a CPU kernel requires a contiguous tensor".into()))?;
     match storage {
         CpuStorage::F32(all) => Ok(&mut all[start..end]),
-        _ => Err(Error::Msg("a kernel of ours needs 32-bit floats".into())),
+        _ => Err(Error::Msg("a CPU kernel requires 32-bit floats".into())),
     }
 }
 
-/// What follows a fully connected layer.
+/// Activation after a fully connected layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Activation {
     /// Nothing.
@@ -102,10 +103,10 @@ fn activate(activation: Activation, x: &mut [f32]) {
     }
 }
 
-/// A bias over the last dimension added in place, and an activation: one pass over what a matrix product has written.
-pub(crate) struct Finish(pub(crate) Activation);
+/// Adds a bias over the last dimension in place and applies an activation: one pass over a matrix product's output.
+pub(crate) struct BiasActivation(pub(crate) Activation);
 
-impl InplaceOp2 for Finish {
+impl InplaceOp2 for BiasActivation {
     fn name(&self) -> &'static str {
         "bias-and-activation"
     }
@@ -128,7 +129,7 @@ impl InplaceOp2 for Finish {
     }
 }
 
-/// The softmax of `scale · x` over the last dimension, in place.
+/// Softmax of `scale · x` over the last dimension, in place.
 pub(crate) struct ScaledSoftmax {
     pub(crate) scale: f32,
 }
@@ -152,7 +153,7 @@ impl InplaceOp1 for ScaledSoftmax {
     }
 }
 
-/// Lanes of the sums and maxima: the order of additions is part of the result, so it does not depend on the machine.
+/// Lanes of the sums and maxima: the order of additions affects the result, so it must not depend on the machine.
 const LANES: usize = 32;
 
 #[inline(always)]
@@ -185,7 +186,7 @@ fn softmax(row: &mut [f32], scale: f32) {
     }
 }
 
-/// A depthwise convolution of odd kernel, stride 1 and full padding over channels-last maps: input (n, height, width,
+/// Depthwise convolution of odd kernel, stride 1 and full padding over channels-last maps: input (n, height, width,
 /// channels), weight (kernel · kernel, channels), bias (channels).
 pub(crate) struct Depthwise {
     pub(crate) kernel: usize,
@@ -234,9 +235,9 @@ impl CustomOp3 for Depthwise {
     }
 }
 
-/// `x` resized bilinearly, corners not aligned, as PyTorch does without antialiasing: rows of `width` to rows of
+/// Resizes `x` bilinearly, corners not aligned, as PyTorch does without antialiasing: rows of `width` to rows of
 /// `out_width`.
-pub fn resize_bilinear(
+pub(crate) fn resize_bilinear(
     x: &[f32],
     (width, height): (usize, usize),
     (out_width, out_height): (usize, usize),
@@ -255,7 +256,7 @@ pub fn resize_bilinear(
     out
 }
 
-/// For each of `to` samples: the two of `from` samples that it lies between and how far from the first.
+/// For each of `to` samples, returns the two neighbours among `from` samples and the distance from the first.
 fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
     let scale = from as f32 / to as f32;
     (0..to)
@@ -267,7 +268,7 @@ fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
         .collect()
 }
 
-/// Whether the kernels of this module can take a tensor: it lies in main memory as 32-bit floats.
+/// Whether the kernels of this module accept a tensor: 32-bit floats in main memory.
 pub(crate) fn can_take(x: &Tensor) -> bool {
     x.device().is_cpu() && x.dtype() == candle_core::DType::F32
 }

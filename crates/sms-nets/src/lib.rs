@@ -1,14 +1,14 @@
 //! OWLv2 and SAM 2.1 on candle: text-prompted detection and video masks, from their official weights.
 //!
-//! - [`owlv2`]: boxes round what text queries name (Minderer et al. 2023).
-//! - [`sam2`]: masks of what boxes show, in an image or through a video with memories (Ravi et al. 2024).
-//! - [`NetsMasks`]: both as one [`sms_masks::Segmenter`]: detect in the first frame, track through the rest, as the paper
-//!   does.
+//! - [`owlv2`]: boxes around objects named by text queries (Minderer et al. 2023).
+//! - [`sam2`]: masks of boxed objects, in an image or through a video with memories (Ravi et al. 2024).
+//! - [`NetsMasks`]: both as one [`sms_masks::Segmenter`]: detection in the first frame and tracking through the
+//!   rest, as in the paper.
 //! - [`hub`]: their weights, from the Hugging Face hub or a folder.
 //!
-//! Every seam is compared with the reference implementation's tensors (`tests/`), to 1e-4 at most. The networks compute
-//! in 32-bit floats, memories included (the library rounds those to bfloat16). The same input gives the same bytes,
-//! whatever the number of threads.
+//! Intermediate tensors are compared with the reference implementation's (`tests/`), to 1e-4 at most. The networks
+//! compute in 32-bit floats, memories included (the library rounds those to bfloat16). The same input gives the
+//! same bytes, whatever the number of threads.
 //!
 //! ```
 //! use sms_nets::owlv2::{Detection, PixelBox, suppressed};
@@ -32,9 +32,8 @@ pub mod sam2;
 
 pub use candle_core::Device;
 pub use error::NetsError;
-pub use kernels::resize_bilinear;
-pub use objects::{HOUSEHOLD, NamedBox, foreign, parse_objects};
-pub use ops::Seams;
+pub use objects::{NamedBox, foreign, parse_objects};
+pub use ops::TensorObserver;
 pub use safetensors::SafetensorsFile;
-pub use segmenter::{Found, ModelFolders, NetsConfig, NetsMasks, Track};
+pub use segmenter::{DetectedObject, ModelFolders, NetsConfig, NetsMasks, Track};
 pub use weights::{Shapes, Weights};

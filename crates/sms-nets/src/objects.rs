@@ -1,11 +1,11 @@
-//! What the user asks for: names to look for, boxes given by hand.
+//! The user's requests: object names and boxes.
 
 use crate::NetsError;
 use crate::owlv2::PixelBox;
 use sms_core::{InputError, LabelInfo};
 
-/// Looked for where the user names nothing: things that stand on tables.
-pub const HOUSEHOLD: [&str; 32] = [
+/// Default queries: things found on tables.
+pub(crate) const HOUSEHOLD: [&str; 32] = [
     "mug",
     "cup",
     "glass",
@@ -40,10 +40,10 @@ pub const HOUSEHOLD: [&str; 32] = [
     "plank",
 ];
 
-/// The queries in a list such as `mug, toy duck`: blanks trimmed, empty and repeated ones left out.
+/// Parses a list of queries such as `mug, toy duck`: blanks are trimmed, empty and repeated ones dropped.
 ///
 /// # Errors
-/// [`NetsError::Input`] when nothing is left.
+/// [`NetsError::Input`] if no query is left.
 pub fn parse_objects(list: &str) -> Result<Vec<String>, NetsError> {
     let mut queries: Vec<String> = Vec::new();
     for query in list.split([',', ';', '\n']) {
@@ -53,31 +53,31 @@ pub fn parse_objects(list: &str) -> Result<Vec<String>, NetsError> {
         }
     }
     if queries.is_empty() {
-        let cure = "name what to look for, such as --objects \"mug, toy duck, cue ball\"";
-        return Err(InputError::new("no object is named", "--objects", cure).into());
+        let cure = "name the objects to find, such as --objects \"mug, toy duck, cue ball\"";
+        return Err(InputError::new("no object is given", "--objects", cure).into());
     }
     Ok(queries)
 }
 
-/// Names of `queries` that hold letters other than Latin ones: the network was trained on English.
+/// Returns the queries with other than Latin letters: the network was trained on English.
 pub fn foreign(queries: &[String]) -> Vec<&str> {
     let is_foreign = |c: char| c.is_alphabetic() && !('\0'..='\u{24f}').contains(&c);
     queries.iter().filter(|q| q.chars().any(is_foreign)).map(String::as_str).collect()
 }
 
-/// A box given by hand.
+/// A box given by the user.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NamedBox {
-    /// What it shows.
+    /// Name of its content.
     pub name: String,
-    /// Where, in pixels of the first frame.
+    /// The box in pixels of the first frame.
     pub bbox: PixelBox,
 }
 
 impl std::str::FromStr for NamedBox {
     type Err = InputError;
 
-    /// Reads `mug=x0,y0,x1,y1`.
+    /// Parses `mug=x0,y0,x1,y1`.
     fn from_str(text: &str) -> Result<Self, InputError> {
         let bad = |what: String| {
             InputError::new(what, "--box", "give --box \"mug=x0,y0,x1,y1\" in pixels of the first frame")
@@ -88,7 +88,7 @@ impl std::str::FromStr for NamedBox {
             .split(',')
             .map(|n| n.trim().parse::<f64>().ok().filter(|v| v.is_finite()))
             .collect::<Option<_>>()
-            .ok_or_else(|| bad(format!("`{numbers}` are no numbers")))?;
+            .ok_or_else(|| bad(format!("`{numbers}` are not numbers")))?;
         let &[x0, y0, x1, y1] = &values[..] else {
             return Err(bad(format!("`{numbers}` are {} numbers, not four", values.len())));
         };
@@ -105,7 +105,8 @@ impl std::str::FromStr for NamedBox {
     }
 }
 
-/// Ids from 1 and names that are unique and usable as file names, for things called `descriptions`.
+/// Returns labels with ids from 1 and names that are unique and usable as file names, for objects called
+/// `descriptions`.
 pub(crate) fn label_infos(descriptions: &[String]) -> Vec<LabelInfo> {
     let mut infos: Vec<LabelInfo> = Vec::new();
     for (i, description) in descriptions.iter().enumerate() {
@@ -120,7 +121,7 @@ pub(crate) fn label_infos(descriptions: &[String]) -> Vec<LabelInfo> {
         base.truncate(48);
         let base = match base.trim_end_matches('_') {
             "" => "object".to_owned(),
-            // Bodies that every scene may have besides its objects.
+            // Names of bodies that every scene may have besides its objects.
             reserved @ ("floor" | "environment" | "world") => format!("{reserved}_object"),
             base => base.to_owned(),
         };
@@ -141,7 +142,7 @@ mod tests {
     #[test]
     fn lists_are_read_as_people_write_them() {
         assert_eq!(parse_objects(" mug,toy  duck ,, mug;cue ball").unwrap(), ["mug", "toy duck", "cue ball"]);
-        assert!(parse_objects(" , ").unwrap_err().to_string().contains("--objects"));
+        assert!(matches!(parse_objects(" , "), Err(NetsError::Input(_))));
         let queries = vec!["tasse à café".to_owned(), "杯子".to_owned(), "кружка".to_owned()];
         assert_eq!(foreign(&queries), ["杯子", "кружка"]);
     }

@@ -1,31 +1,31 @@
-//! Operations that both networks are made of.
+//! Operations shared by both networks.
 
-use crate::kernels::{Activation, Depthwise, Finish, ScaledSoftmax, can_take};
+use crate::kernels::{Activation, BiasActivation, Depthwise, ScaledSoftmax, can_take};
 use candle_core::{D, Result, Tensor};
 use candle_nn::ops;
 
-/// Shows intermediate tensors by name to whoever wants to see them: the parity tests. What is shown is computed only
-/// where somebody looks.
+/// Observer of intermediate tensors by name, for the parity tests. Tensors that are only observed are computed only
+/// with an observer.
 #[derive(Default)]
-pub struct Seams<'a> {
+pub struct TensorObserver<'a> {
     look: Option<Box<dyn FnMut(&str, &Tensor) + 'a>>,
-    /// Put before every name.
+    /// Prefix of every name.
     pub prefix: String,
 }
 
-impl std::fmt::Debug for Seams<'_> {
+impl std::fmt::Debug for TensorObserver<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Seams").field("looks", &self.look.is_some()).finish_non_exhaustive()
+        f.debug_struct("TensorObserver").field("looks", &self.look.is_some()).finish_non_exhaustive()
     }
 }
 
-impl<'a> Seams<'a> {
-    /// Nobody looks.
+impl<'a> TensorObserver<'a> {
+    /// No observer.
     pub fn none() -> Self {
         Self::default()
     }
 
-    /// Each tensor is given to `look`.
+    /// Calls `look` with each tensor.
     pub fn new(look: impl FnMut(&str, &Tensor) + 'a) -> Self {
         Self { look: Some(Box::new(look)), prefix: String::new() }
     }
@@ -38,7 +38,7 @@ impl<'a> Seams<'a> {
     }
 }
 
-/// Queries a block of the attention. A block's scores, 128 × 4096 floats, stay in a core's cache; measured on two
+/// Queries per block of the attention. A block's scores, 128 × 4096 floats, fit in a core's cache; measured on two
 /// cores this is twice as fast as all scores at once.
 const QUERY_BLOCK: usize = 128;
 /// Scores (queries · keys) up to which whole windows go through one batched product.
@@ -61,17 +61,17 @@ impl Linear {
         self.then(x, Activation::Identity)
     }
 
-    /// The layer and an activation.
+    /// Applies the layer and an activation.
     pub(crate) fn then(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
         let (outputs, inputs) = self.weight.dims2()?;
         let mut shape = x.dims().to_vec();
         shape.pop();
         shape.push(outputs);
         let y = x.reshape(((), inputs))?.matmul(&self.weight.t()?)?;
-        // `y` is fresh, so that it may be changed in place.
+        // `y` is a fresh tensor, so it may be changed in place.
         let y = match &self.bias {
             Some(bias) if can_take(&y) => {
-                y.inplace_op2(bias, &Finish(activation))?;
+                y.inplace_op2(bias, &BiasActivation(activation))?;
                 y
             }
             Some(bias) => activated(y.broadcast_add(bias)?, activation)?,
@@ -81,7 +81,7 @@ impl Linear {
     }
 }
 
-/// An activation of a fresh tensor, which is spoilt.
+/// Applies an activation to a fresh tensor, which it may overwrite.
 pub(crate) fn activated(x: Tensor, activation: Activation) -> Result<Tensor> {
     if can_take(&x) && x.is_contiguous() {
         x.inplace_op1(&activation)?;
@@ -95,14 +95,14 @@ pub(crate) fn activated(x: Tensor, activation: Activation) -> Result<Tensor> {
     }
 }
 
-/// The softmax of `scale · scores` over the last dimension; `scores` must be fresh, contiguous and such as our kernels
-/// take, and are spoilt.
+/// Returns the softmax of `scale · scores` over the last dimension; `scores` must be fresh, contiguous and accepted
+/// by the CPU kernels, and is overwritten.
 fn softmax(scores: Tensor, scale: f64) -> Result<Tensor> {
     scores.inplace_op1(&ScaledSoftmax { scale: scale as f32 })?;
     Ok(scores)
 }
 
-/// `softmax(q kᵀ · scale) v` for each of `heads` equal parts of the channels: `q` (b, n, c), `k` (b, m, c),
+/// Returns `softmax(q kᵀ · scale) v` for each of `heads` equal parts of the channels: `q` (b, n, c), `k` (b, m, c),
 /// `v` (b, m, e) give (b, n, e).
 pub(crate) fn attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize, scale: f64) -> Result<Tensor> {
     let (b, n, c) = q.dims3()?;
@@ -115,7 +115,7 @@ pub(crate) fn attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize, scale:
         let shares = if can_take(&q) {
             softmax(q.matmul(&k.transpose(2, 3)?)?, scale)?
         } else {
-            // The queries are few beside the scores, and scaling them instead saves a pass.
+            // Scaling the queries, which are fewer than the scores, saves a pass.
             ops::softmax_last_dim(&(q * scale)?.matmul(&k.transpose(2, 3)?)?)?
         };
         return shares.matmul(&v)?.transpose(1, 2)?.reshape((b, n, e));
@@ -155,13 +155,13 @@ pub(crate) fn masked_attention(
     ops::softmax_last_dim(&scores)?.matmul(&v)?.transpose(1, 2)?.reshape((b, n, c))
 }
 
-/// A depthwise convolution over channels-last maps `x` (n, h, w, c); `taps` (kernel · kernel, c), `bias` (c).
+/// Depthwise convolution over channels-last maps `x` (n, h, w, c); `taps` (kernel · kernel, c), `bias` (c).
 pub(crate) fn depthwise(x: &Tensor, taps: &Tensor, bias: &Tensor, kernel: usize) -> Result<Tensor> {
     if can_take(x) {
         return x.contiguous()?.apply_op3_no_bwd(taps, bias, &Depthwise { kernel });
     }
-    // candle convolves each group by itself, 256 of them one after the other; a sum over the taps is one pass over all
-    // channels for each of 49.
+    // candle convolves each of 256 groups separately; a sum over the 49 taps needs one pass over all channels for
+    // each.
     let (_, h, w, _) = x.dims4()?;
     let pad = kernel / 2;
     let padded = x.pad_with_zeros(1, pad, pad)?.pad_with_zeros(2, pad, pad)?;
@@ -173,7 +173,7 @@ pub(crate) fn depthwise(x: &Tensor, taps: &Tensor, bias: &Tensor, kernel: usize)
     Ok(sum)
 }
 
-/// Several fully connected layers with `activation` between them.
+/// Applies several fully connected layers with `activation` between them.
 pub(crate) fn mlp(x: &Tensor, layers: &[Linear], activation: Activation) -> Result<Tensor> {
     let mut x = x.clone();
     for (i, layer) in layers.iter().enumerate() {
@@ -183,7 +183,7 @@ pub(crate) fn mlp(x: &Tensor, layers: &[Linear], activation: Activation) -> Resu
     Ok(x)
 }
 
-/// The norm of the last dimension made 1; `eps` is added to it.
+/// Normalizes the last dimension to length 1; `eps` is added to its norm.
 pub(crate) fn normalized(x: &Tensor, eps: f64) -> Result<Tensor> {
     x.broadcast_div(&(x.sqr()?.sum_keepdim(D::Minus1)?.sqrt()? + eps)?)
 }
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn attention_by_blocks_equals_attention_at_once() {
         let at = |n, c| Tensor::randn(0f32, 1.0, (2, n, c), &Device::Cpu).unwrap();
-        // 300 · 257 scores are above the limit, and neither divides the block.
+        // 300 · 257 scores exceed the limit, and neither is a multiple of the block.
         let (q, k, v) = (at(300, 12), at(257, 12), at(257, 6));
         let blocked = attention(&q, &k, &v, 3, 0.7).unwrap();
         let split = |x: &Tensor| {
@@ -210,7 +210,8 @@ mod tests {
         assert!(gap < 1e-5, "{gap}");
     }
 
-    /// What GPUs compute, candle's own operations, on the CPU: in double precision, which our kernels leave to them.
+    /// candle's own operations, which GPUs use, on the CPU: in double precision, which the CPU kernels do not
+    /// accept.
     #[test]
     fn without_our_kernels_the_same_comes_out() {
         let at = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();

@@ -1,11 +1,11 @@
-//! Masks of a sequence by the two networks: what to look for is found in the first frame and tracked through the rest
+//! Masks of a sequence by the two networks: objects are detected in the first frame and tracked through the rest
 //! (paper, "Object detection and segmentation").
 
 use crate::carry::{Carried, carried_box};
 use crate::objects::{NamedBox, foreign, label_infos};
 use crate::owlv2::{ClipTokenizer, Detection, Owlv2, Owlv2Config, PixelBox, detections, suppressed};
 use crate::sam2::{ObjectMask, Sam2, Sam2Config, Tracker};
-use crate::{NetsError, Seams, Weights, owlv2, sam2};
+use crate::{NetsError, TensorObserver, Weights, owlv2, sam2};
 use candle_core::Device;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -18,45 +18,45 @@ use sms_masks::{MasksError, Segmenter};
 use std::path::{Path, PathBuf};
 
 const STAGE: &str = "masks";
-/// The longest side that either network looks at.
+/// Longest side of the images that the networks use.
 const LONG_SIDE_PX: usize = 1024;
 /// Frames whose recorded pictures are in memory at once.
 const FRAMES_AT_ONCE: usize = 16;
 
-/// How objects are followed from frame to frame.
+/// Method of tracking objects from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Track {
     /// SAM 2's memory, as in the paper.
     #[default]
     Memory,
-    /// SAM 2 in each image anew, prompted with the box of the last mask carried by pose and depth; several times
-    /// cheaper.
+    /// SAM 2 on each image separately, prompted with the box of the last mask carried by pose and depth; several
+    /// times cheaper.
     Reprompt,
 }
 
-/// What to find and how.
+/// Settings of detection and tracking.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetsConfig {
-    /// Queries, most of them nouns in English.
+    /// Queries, usually nouns in English.
     pub objects: Vec<String>,
-    /// Score above which a detection counts. OWLv2's scores are low; its authors' examples use 0.1 to 0.3.
+    /// Least score of a detection. OWLv2's scores are low; its authors' examples use 0.1 to 0.3.
     pub threshold: f64,
-    /// Share of overlap from which the lesser of two detections is dropped.
+    /// Overlap from which the lower-scoring of two detections is dropped.
     pub max_overlap: f64,
-    /// Share of the image from which a detection is the scene, not a thing in it.
+    /// Share of the image from which a detection is the scene, not an object in it.
     pub max_area_share: f64,
-    /// Objects at most, the surest first.
+    /// Greatest number of objects; the highest scores are kept.
     pub max_objects: usize,
-    /// How objects are followed.
+    /// Method of tracking.
     pub track: Track,
 }
 
 impl Default for NetsConfig {
     fn default() -> Self {
         Self {
-            objects: crate::HOUSEHOLD.map(str::to_owned).to_vec(),
+            objects: crate::objects::HOUSEHOLD.map(str::to_owned).to_vec(),
             threshold: 0.2,
             max_overlap: 0.5,
             max_area_share: 0.6,
@@ -67,8 +67,10 @@ impl Default for NetsConfig {
 }
 
 impl NetsConfig {
+    /// Validates all settings.
+    ///
     /// # Errors
-    /// [`InputError`] naming the first setting out of range.
+    /// [`InputError`] with the first setting out of range.
     pub fn validate(&self) -> Result<(), InputError> {
         let shares = [
             ("threshold", self.threshold),
@@ -88,10 +90,10 @@ impl NetsConfig {
     }
 }
 
-/// Folders with the files of the two models, as their repositories have them.
+/// Folders with the files of the two models, with the layout of their repositories.
 #[derive(Debug, Clone)]
 pub struct ModelFolders {
-    /// OWLv2: `config.json`, `model.safetensors`, `vocab.json`, `merges.txt`. Not needed where boxes are given.
+    /// OWLv2: `config.json`, `model.safetensors`, `vocab.json`, `merges.txt`. Not needed if boxes are given.
     pub owlv2: Option<PathBuf>,
     /// SAM 2.1: `config.json`, `model.safetensors`.
     pub sam2: PathBuf,
@@ -100,38 +102,36 @@ pub struct ModelFolders {
 /// Masks by OWLv2 and SAM 2.1.
 #[derive(Debug, Clone)]
 pub struct NetsMasks {
-    /// What to find and how.
+    /// Settings of detection and tracking.
     pub config: NetsConfig,
-    /// Boxes in the first frame given by hand, which replace detections that they overlap, and those of their name that they hold or lie
-    /// in. Where `config.objects` is
-    /// empty there are no others.
+    /// Boxes in the first frame given by the user. They replace overlapping detections, and detections of the same
+    /// name that contain them or lie in them. If `config.objects` is empty, nothing else is detected.
     pub boxes: Vec<NamedBox>,
-    /// Where the models are.
+    /// Folders of the models.
     pub models: ModelFolders,
-    /// Where to compute.
+    /// Device of the computation.
     pub device: Device,
-    /// How the recording was read: the networks look at its pictures as they were recorded, not as the scan resampled
-    /// them.
+    /// How the recording was read: the networks use its original images, not those resampled by the scan.
     pub read: ReadOptions,
 }
 
-/// A box of which this share lies in another lies inside of it.
+/// Share of a box within another from which it counts as inside.
 const INSIDE: f64 = 0.8;
 
-/// Something found in the first frame.
+/// An object in the first frame.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
-    /// The query, or the name given by hand.
+pub struct DetectedObject {
+    /// The query, or the name given by the user.
     pub name: String,
-    /// How sure the detector is; 1 for what was given by hand.
+    /// Score of the detector; 1 for the user's boxes.
     pub score: f64,
-    /// Where.
+    /// Its box.
     pub bbox: PixelBox,
 }
 
-impl Found {
-    /// Whether this, given by hand, stands for a detection: their boxes overlap, or they have one name and one lies in the other. A
-    /// detection that a user corrects is often half or twice as large as the thing.
+impl DetectedObject {
+    /// Whether this box, given by the user, replaces a detection: the boxes overlap, or they have the same name and
+    /// one lies in the other. A detection that a user corrects is often half or twice as large as the object.
     fn replaces(&self, detected: &Self, max_overlap: f64) -> bool {
         let holds = |a: &PixelBox, b: &PixelBox| a.holds(b, INSIDE);
         self.bbox.overlap(&detected.bbox) > max_overlap
@@ -140,29 +140,31 @@ impl Found {
     }
 }
 
-/// A model's `config.json`, checked to be of the right kind.
+/// Reads a model's `config.json` and checks its kind.
 fn config<T: DeserializeOwned>(folder: &Path, kinds: &[&str]) -> Result<T, NetsError> {
     let path = folder.join("config.json");
     if !path.is_file() {
-        let cure =
-            format!("the folder needs config.json and model.safetensors of a model of the kind {}", kinds[0]);
-        return Err(InputError::new("this folder has no model", folder, cure).into());
+        let cure = format!(
+            "give a folder with config.json and model.safetensors of a model of the kind {}",
+            kinds[0]
+        );
+        return Err(InputError::new("this folder contains no model", folder, cure).into());
     }
     let unread = |e: serde_json::Error| {
         InputError::new("this config.json cannot be read", &path, "fetch the model again").because(e)
     };
-    // Read twice from the text: what is wrong then comes with its line.
+    // Parsed again from the text, so that errors have a line number.
     let text = std::fs::read_to_string(&path).map_err(CoreError::read(&path))?;
     let value: serde_json::Value = serde_json::from_str(&text).map_err(unread)?;
     let kind = value["model_type"].as_str().unwrap_or("none");
     if !kinds.contains(&kind) {
-        let cure = format!("a model of the kind {} is needed here", kinds[0]);
+        let cure = format!("give a model of the kind {}", kinds[0]);
         return Err(InputError::new(format!("this is a model of the kind `{kind}`"), &path, cure).into());
     }
     Ok(serde_json::from_str(&text).map_err(unread)?)
 }
 
-/// An error for a model whose `config.json` has a fault.
+/// Returns an error for a model with a fault in its `config.json`.
 fn refuse(folder: &Path, fault: Option<String>) -> Result<(), InputError> {
     let cure = "fetch the model again, or give the folder of another one";
     fault.map_or(Ok(()), |fault| {
@@ -172,18 +174,18 @@ fn refuse(folder: &Path, fault: Option<String>) -> Result<(), InputError> {
 }
 
 impl NetsMasks {
-    /// Finds objects in the first frame, `image` in any resolution: boxes given by hand first, then what the detector
-    /// finds elsewhere, the surest first. Boxes are in pixels of the frame, which has `size` (width, height).
+    /// Finds objects in the first frame, `image` in any resolution: the user's boxes first, then detections
+    /// elsewhere by decreasing score. Boxes are in pixels of the frame, which has `size` (width, height).
     ///
     /// # Errors
-    /// [`NetsError`] for models that cannot be used and boxes outside the frame.
+    /// [`NetsError`] for unusable models and boxes outside the frame.
     pub fn find(
         &self,
         image: &ColorImage,
         size: (usize, usize),
         cancel: &Cancel,
         warnings: &Warnings,
-    ) -> Result<Vec<Found>, NetsError> {
+    ) -> Result<Vec<DetectedObject>, NetsError> {
         self.config.validate()?;
         let (width, height) = size;
         let mut found = Vec::new();
@@ -194,7 +196,7 @@ impl NetsMasks {
                 let cure = format!("the frame has {width} × {height} pixels");
                 return Err(InputError::new(what, "--box", cure).into());
             }
-            found.push(Found { name: named.name.clone(), score: 1.0, bbox });
+            found.push(DetectedObject { name: named.name.clone(), score: 1.0, bbox });
         }
         if self.config.objects.is_empty() {
             return Ok(found);
@@ -204,7 +206,7 @@ impl NetsMasks {
             warnings.add(
                 STAGE,
                 "foreign_query",
-                format!("the detector knows English: it will hardly find {strange:?}"),
+                format!("the detector was trained on English and will hardly find {strange:?}"),
                 "name the objects in English",
             );
         }
@@ -214,7 +216,7 @@ impl NetsMasks {
         let all = suppressed(self.detect(image, size, warnings)?, self.config.max_overlap);
         for Detection { query, score, bbox } in all {
             let bbox = bbox.clipped(width, height);
-            let detected = Found { name: self.config.objects[query].clone(), score, bbox };
+            let detected = DetectedObject { name: self.config.objects[query].clone(), score, bbox };
             let is_taken = found[..by_hand].iter().any(|f| f.replaces(&detected, self.config.max_overlap));
             if !is_taken && bbox.area() >= 1.0 && bbox.area() <= self.config.max_area_share * area {
                 found.push(detected);
@@ -225,7 +227,7 @@ impl NetsMasks {
                 STAGE,
                 "too_many_objects",
                 format!(
-                    "{} objects were found; the surest {} are kept",
+                    "{} objects were found; those with the {} highest scores are kept",
                     found.len(),
                     self.config.max_objects
                 ),
@@ -239,16 +241,17 @@ impl NetsMasks {
                 STAGE,
                 "no_objects",
                 format!("the detector found nothing above {} in the first frame", self.config.threshold),
-                "lower `threshold`, name the objects otherwise with --objects, or give --box",
+                "lower `threshold`, use other names with --objects, or give --box",
             );
         }
         Ok(found)
     }
 
-    /// Says which of the objects that a user named are not among `found`. Of the default vocabulary most are never there.
-    fn warn_of_missing(&self, found: &[Found], warnings: &Warnings) {
+    /// Warns about objects named by the user that are not among `found`. Most objects of the default vocabulary are
+    /// absent.
+    fn warn_of_missing(&self, found: &[DetectedObject], warnings: &Warnings) {
         let objects = &self.config.objects;
-        if found.is_empty() || *objects == crate::HOUSEHOLD {
+        if found.is_empty() || *objects == crate::objects::HOUSEHOLD {
             return;
         }
         for name in objects.iter().filter(|o| found.iter().all(|f| f.name != **o)) {
@@ -256,12 +259,12 @@ impl NetsMasks {
                 STAGE,
                 "object_not_found",
                 format!("no `{name}` was found above {} in the first frame", self.config.threshold),
-                "lower `threshold`, name it otherwise with --objects, or give its --box",
+                "lower `threshold`, use another name with --objects, or give its --box",
             );
         }
     }
 
-    /// Everything above the threshold.
+    /// Returns all detections above the threshold.
     fn detect(
         &self,
         image: &ColorImage,
@@ -280,20 +283,20 @@ impl NetsMasks {
         for query in &self.config.objects {
             let encoded = tokenizer.encode(query)?;
             if encoded.is_cut {
-                let message = format!("`{query}` is too long for the detector: its end is not read");
+                let message = format!("`{query}` is too long for the detector and was cut");
                 warnings.add(STAGE, "long_query", message, "use fewer words");
             }
             tokens.push(encoded);
         }
-        let seams = &mut Seams::none();
+        let observer = &mut TensorObserver::none();
         let pixels = owlv2::pixel_values(image, config.vision_config.image_size, &self.device)?;
-        let features = model.image(&pixels, seams)?;
-        let heads = model.heads(&features, &model.text(&tokens, seams)?)?;
+        let features = model.image(&pixels, observer)?;
+        let heads = model.heads(&features, &model.text(&tokens, observer)?)?;
         Ok(detections(&heads.logits, &heads.boxes, size, self.config.threshold)?)
     }
 
-    /// The pictures of some frames as they were recorded, no larger than the networks look at; `None` where the
-    /// recording is gone.
+    /// Returns the original images of some frames, no larger than the networks need; `None` if the recording is
+    /// gone.
     fn recorded(
         &self,
         sequence: &Sequence,
@@ -311,7 +314,7 @@ impl NetsMasks {
     fn track(
         &self,
         sequence: &Sequence,
-        found: &[Found],
+        found: &[DetectedObject],
         progress: &dyn Progress,
         cancel: &Cancel,
         warnings: &Warnings,
@@ -336,12 +339,14 @@ impl NetsMasks {
             }
             let color = recorded[index % FRAMES_AT_ONCE].as_ref().unwrap_or(&frame.color);
             let pixels = sam2::pixel_values(color, config.image_size, &self.device)?;
-            let features = model.encode(&pixels, &mut Seams::none())?;
+            let features = model.encode(&pixels, &mut TensorObserver::none())?;
             let masks: Vec<Option<ObjectMask>> = match self.config.track {
-                Track::Memory => tracker.next(&features, &mut Seams::none())?.into_iter().map(Some).collect(),
+                Track::Memory => {
+                    tracker.next(&features, &mut TensorObserver::none())?.into_iter().map(Some).collect()
+                }
                 Track::Reprompt => {
                     for (i, bbox) in boxes.iter_mut().enumerate() {
-                        // From where it was last seen: it may come back into the picture.
+                        // From the frame where it was last visible: it may return.
                         let Some(last) = last_seen[i] else { continue };
                         match carried_box(&sequence.frames[last], &maps[last], i as u16 + 1, frame) {
                             Carried::At(carried) => *bbox = Some(carried),
@@ -371,18 +376,13 @@ impl NetsMasks {
                 Some(last) => ("object_lost", format!("`{}` is not seen after frame {last}", found.name)),
                 None => ("object_unseen", format!("of `{}` no frame shows a mask", found.name)),
             };
-            warnings.add(
-                STAGE,
-                code,
-                message,
-                "look at masks/, and correct its box with --box where it is wrong",
-            );
+            warnings.add(STAGE, code, message, "check masks/, and correct its box with --box if it is wrong");
         }
         Ok(maps)
     }
 }
 
-/// Each pixel gets the object whose logit is largest there, where one is above 0; the first of equals.
+/// Gives each pixel the object with the largest logit, if above 0; the first of equals.
 fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> LabelMap {
     let mut map = LabelMap::filled(width, height, BACKGROUND);
     let mut best = vec![0f32; width * height];
@@ -399,8 +399,8 @@ fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> La
 }
 
 impl NetsMasks {
-    /// What [`NetsMasks::find`] finds in the first frame of `sequence`, in the picture as it was recorded where that is still there. It
-    /// takes seconds, and to follow what was found takes minutes: whoever asks can be shown the one before the other.
+    /// Applies [`NetsMasks::find`] to the first frame of `sequence`, in its original image if it still exists. This
+    /// takes seconds, but tracking takes minutes: callers can show the detections first.
     ///
     /// # Errors
     /// As [`NetsMasks::find`].
@@ -409,22 +409,22 @@ impl NetsMasks {
         sequence: &Sequence,
         cancel: &Cancel,
         warnings: &Warnings,
-    ) -> Result<Vec<Found>, MasksError> {
+    ) -> Result<Vec<DetectedObject>, MasksError> {
         let Some(first) = sequence.frames.first() else { return Ok(Vec::new()) };
         let recorded = self.recorded(sequence, &sequence.frames[..1], cancel)?;
         let image = recorded[0].as_ref().unwrap_or(&first.color);
         Ok(self.find(image, first.color.size(), cancel, warnings)?)
     }
 
-    /// Labels of all frames for what was found in the first; the id of each is its place in `found`, from 1. Objects that never
-    /// get a pixel keep their id and are named in a warning.
+    /// Returns labels of all frames for the objects found in the first; the id of each is its index in `found`,
+    /// plus 1. Objects without pixels keep their id and cause a warning.
     ///
     /// # Errors
-    /// [`NetsError`] for a model that cannot be used, and interruption.
+    /// [`NetsError`] for an unusable model, and interruption.
     pub fn follow(
         &self,
         sequence: &Sequence,
-        found: &[Found],
+        found: &[DetectedObject],
         progress: &dyn Progress,
         cancel: &Cancel,
         warnings: &Warnings,
@@ -444,7 +444,8 @@ impl NetsMasks {
 }
 
 impl Segmenter for NetsMasks {
-    /// The networks' borders waver by some pixels: [`sms_masks::complete`] corrects them, as it does those of other sources.
+    /// The networks' borders are inexact by some pixels: [`sms_masks::complete`] corrects them, as for other
+    /// sources.
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
         let StageContext { progress, cancel, warnings, .. } = context;
         let found = self.find_first(sequence, cancel, warnings)?;
@@ -460,11 +461,11 @@ mod tests {
     fn a_box_by_hand_replaces_the_detection_that_it_corrects_and_no_other() {
         let found = |name: &str, x0: f64, x1: f64| {
             let bbox = PixelBox { x0, y0: 0.0, x1, y1: 10.0 };
-            Found { name: name.into(), score: 1.0, bbox }
+            DetectedObject { name: name.into(), score: 1.0, bbox }
         };
         let by_hand = found("mug", 10.0, 20.0);
         for (detected, expected) in [
-            // Almost the same box, whatever it is called.
+            // Almost the same box, with another name.
             (found("bowl", 11.0, 20.0), true),
             // Four times as wide, and a fifth.
             (found("mug", 0.0, 40.0), true),

@@ -1,4 +1,4 @@
-//! Parameters of a network by name: from a safetensors file, or made up for benchmarks and tests.
+//! Parameters of a network by name: from a safetensors file, or synthetic for benchmarks and tests.
 
 use crate::NetsError;
 use crate::ops::Linear;
@@ -9,92 +9,93 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// Names and shapes of the parameters that were asked for.
+/// Names and shapes of the requested parameters.
 pub type Shapes = BTreeMap<String, Vec<usize>>;
 
-/// A folder of a network's parameters, seen from one prefix of their names.
+/// Parameters of a network below one prefix of their names.
 #[derive(Debug, Clone)]
 pub struct Weights {
-    source: Source,
+    source: WeightsSource,
     prefix: String,
     device: Device,
-    asked: Arc<Mutex<Shapes>>,
+    requested: Arc<Mutex<Shapes>>,
 }
 
 #[derive(Debug, Clone)]
-enum Source {
+enum WeightsSource {
     File(Arc<SafetensorsFile>),
     Zeros,
     Random(u64),
 }
 
 impl Weights {
-    /// The parameters of a safetensors file; each is read when it is asked for.
+    /// Opens the parameters of a safetensors file; each is read on request.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when the file is no safetensors file or is cut off, [`NetsError::Core`] when it cannot be
-    /// read.
+    /// [`NetsError::Input`] if the file is not a safetensors file or is cut off, [`NetsError::Core`] if it cannot
+    /// be read.
     pub fn open(path: &Path, device: &Device) -> Result<Self, NetsError> {
-        Ok(Self::from(Source::File(Arc::new(SafetensorsFile::open(path)?)), device))
+        Ok(Self::from(WeightsSource::File(Arc::new(SafetensorsFile::open(path)?)), device))
     }
 
-    /// Zeros under every name: to learn what a network asks for.
+    /// Zeros under every name, to record the parameters that a network requests.
     pub fn zeros() -> Self {
-        Self::from(Source::Zeros, &Device::Cpu)
+        Self::from(WeightsSource::Zeros, &Device::Cpu)
     }
 
-    /// Pseudo-random values under every name, of variance one over the number of inputs, so that a network computes
-    /// ordinary numbers: for measuring time. The same seed gives the same values.
+    /// Pseudo-random values under every name, of variance one over the number of inputs, so that activations stay
+    /// in the normal range: for benchmarks. The same seed gives the same values.
     pub fn random(seed: u64, device: &Device) -> Self {
-        Self::from(Source::Random(seed), device)
+        Self::from(WeightsSource::Random(seed), device)
     }
 
-    fn from(source: Source, device: &Device) -> Self {
-        Self { source, prefix: String::new(), device: device.clone(), asked: Arc::default() }
+    fn from(source: WeightsSource, device: &Device) -> Self {
+        Self { source, prefix: String::new(), device: device.clone(), requested: Arc::default() }
     }
 
-    /// The device that parameters are put on.
+    /// Returns the device of the parameters.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// The same parameters, with `name.` before every name asked for.
+    /// The same parameters with the prefix `name.`.
     pub fn at(&self, name: impl std::fmt::Display) -> Self {
         Self { prefix: format!("{}{name}.", self.prefix), ..self.clone() }
     }
 
-    /// What was asked for so far, through this or any other prefix.
-    pub fn asked(&self) -> Shapes {
-        self.asked.lock().map(|asked| asked.clone()).unwrap_or_default()
+    /// Returns the parameters requested so far, through this or any other prefix.
+    pub fn requested(&self) -> Shapes {
+        self.requested.lock().map(|requested| requested.clone()).unwrap_or_default()
     }
 
-    /// The parameter `name` of this shape, as 32-bit floats.
+    /// Returns the parameter `name` of this shape, as 32-bit floats.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when the file has no such parameter or it has another shape: another model's weights.
+    /// [`NetsError::Input`] if the file has no such parameter or it has another shape, as in another model's
+    /// weights.
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor, NetsError> {
         let name = format!("{}{name}", self.prefix);
-        if let Ok(mut asked) = self.asked.lock() {
-            asked.insert(name.clone(), shape.to_vec());
+        if let Ok(mut requested) = self.requested.lock() {
+            requested.insert(name.clone(), shape.to_vec());
         }
         match &self.source {
-            Source::File(file) => file.tensor(&name, shape, &self.device),
-            Source::Zeros => Ok(Tensor::zeros(shape, candle_core::DType::F32, &self.device)?),
-            Source::Random(seed) => {
+            WeightsSource::File(file) => file.tensor(&name, shape, &self.device),
+            WeightsSource::Zeros => Ok(Tensor::zeros(shape, candle_core::DType::F32, &self.device)?),
+            WeightsSource::Random(seed) => {
                 let values = random_values(&name, shape, *seed);
                 Ok(Tensor::from_vec(values, shape, &self.device)?)
             }
         }
     }
 
-    /// The parameter `name`, or where the file leaves it out, `other`, which it is tied to.
+    /// Returns the parameter `name`, or the tied parameter `other` if the file omits it.
     ///
     /// # Errors
     /// As [`Weights::tensor`].
     pub fn tensor_or(&self, name: &str, shape: &[usize], other: &Tensor) -> Result<Tensor, NetsError> {
         let full = format!("{}{name}", self.prefix);
         match &self.source {
-            Source::File(file) if !file.holds(&full) => Ok(other.clone()),
+            WeightsSource::File(file) if !file.holds(&full) => Ok(other.clone()),
             _ => self.tensor(name, shape),
         }
     }
@@ -115,7 +116,7 @@ impl Weights {
         Ok(Linear::new(self.at(name).tensor("weight", &[outputs, inputs])?, None))
     }
 
-    /// A 1 × 1 convolution, as the fully connected layer over channels that it is.
+    /// A 1 × 1 convolution, as an equivalent fully connected layer over channels.
     pub(crate) fn pointwise(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, NetsError> {
         let at = self.at(name);
         let weight = at.tensor("weight", &[outputs, inputs, 1, 1])?.reshape((outputs, inputs))?;
@@ -129,7 +130,8 @@ impl Weights {
     }
 }
 
-/// Uniform values of variance one over the number of inputs, from the SplitMix64 sequence that the name starts.
+/// Returns uniform values of variance one over the number of inputs, from the SplitMix64 sequence seeded by the
+/// name.
 fn random_values(name: &str, shape: &[usize], seed: u64) -> Vec<f32> {
     let start = name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
@@ -176,6 +178,6 @@ mod tests {
         weights.at("a").at(3).linear("fc", 2, 5).unwrap();
         let expected: Shapes =
             [("a.3.fc.weight".into(), vec![5, 2]), ("a.3.fc.bias".into(), vec![5])].into_iter().collect();
-        assert_eq!(weights.asked(), expected);
+        assert_eq!(weights.requested(), expected);
     }
 }

@@ -54,12 +54,12 @@ pub(crate) fn trainer(
     events: &dyn EventSink,
     context: StageContext<'_>,
 ) -> Result<(Box<dyn Trainer>, String), InputError> {
-    use sms_gaussians_gpu::{Choice, GpuError, checked_trainer};
+    use sms_gaussians_gpu::{AdapterChoice, GpuError, checked_trainer};
     let cpu = || Box::new(CpuTrainer::new(train, classes, context.seed));
     let choice = match device {
         Device::Cpu => return Ok((cpu(), "cpu".to_owned())),
-        Device::Gpu(Some(index)) => Choice::Index(index),
-        Device::Auto | Device::Gpu(None) => Choice::Best,
+        Device::Gpu(Some(index)) => AdapterChoice::Index(index),
+        Device::Auto | Device::Gpu(None) => AdapterChoice::Best,
     };
     match checked_trainer(train, classes, context.seed, choice) {
         Ok(trainer) => {

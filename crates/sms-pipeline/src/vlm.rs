@@ -9,7 +9,7 @@ use sms_core::{InputError, Labels, RunFolder, Seed, StageContext};
 use sms_entities::EntitySet;
 use sms_frames::Sequence;
 use sms_materials::{Estimate, ObjectQuery};
-use sms_vlm::{ApiKey, Asked, Cache, Client, VlmConfig, ask, question_about};
+use sms_vlm::{Answers, ApiKey, Cache, Client, VlmConfig, ask, question_about};
 use std::time::Instant;
 
 /// Folder of the stored replies in a run. It is not a stage: replies stay when the scene is made again.
@@ -35,7 +35,7 @@ pub struct Estimates {
     /// One per query; `None` where the model was not asked or did not answer.
     pub estimates: Vec<Option<Estimate>>,
     /// The replies in detail.
-    pub asked: Asked,
+    pub answers: Answers,
 }
 
 /// Asks a model about each of `queries` (the entities of `set`, then the floor). `labels` has the entities' labels.
@@ -70,12 +70,12 @@ pub fn estimates(
             ),
         }
     }
-    let asked = ask(&questions, client, cache, context.progress, context.cancel, context.warnings)?;
+    let answers = ask(&questions, client, cache, context)?;
     let mut estimates = vec![None; queries.len()];
-    for (i, outcome) in indices.into_iter().zip(&asked.outcomes) {
+    for (i, outcome) in indices.into_iter().zip(&answers.outcomes) {
         estimates[i] = outcome.estimate().cloned();
     }
-    Ok(Estimates { estimates, asked })
+    Ok(Estimates { estimates, answers })
 }
 
 /// [`estimates`] with the replies that the run has stored.
@@ -106,16 +106,16 @@ pub(crate) fn cached_estimates(
     let client = client(&config, seed.derive("vlm"))?;
     let cache = Cache::new(&run.root().join(REPLIES));
     let found = estimates(set, queries, views, &client, &cache, context.stage(&warnings, seed))?;
-    let asked = &found.asked;
-    let mut metrics = metrics(asked, queries.len(), &config);
+    let answers = &found.answers;
+    let mut metrics = metrics(answers, queries.len(), &config);
     metrics.set("vlm.seconds", began.elapsed().as_secs_f64());
     record(context, run, "vlm", &["vlm."], metrics, &warnings)?;
-    context.message(summary(asked, queries.len(), &config));
+    context.message(summary(answers, queries.len(), &config));
     if mode == VlmMode::On {
-        if let Some(given_up) = &asked.given_up {
+        if let Some(given_up) = &answers.given_up {
             return Err(InputError::new(given_up.what.clone(), config.url, given_up.cure.clone()).into());
         }
-        if !asked.outcomes.is_empty() && asked.outcomes.iter().all(|o| o.estimate().is_none()) {
+        if !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.estimate().is_none()) {
             let what = "the vision-language model answered about none of the objects";
             let cure = "see the warnings above; or use --vlm auto, and the table or a prior stands in";
             return Err(InputError::new(what, config.url, cure).into());
@@ -130,14 +130,14 @@ pub(crate) fn client(config: &VlmConfig, seed: Seed) -> Result<Client, InputErro
     Client::new(config, key, seed)
 }
 
-fn metrics(asked: &Asked, objects: usize, config: &VlmConfig) -> Metrics {
-    let usage = asked.usage;
+fn metrics(answers: &Answers, objects: usize, config: &VlmConfig) -> Metrics {
+    let usage = answers.usage;
     let mut metrics = Metrics::new();
     metrics
         .set("vlm.objects", objects)
-        .set("vlm.answered", asked.answered())
-        .set("vlm.cached", asked.cached())
-        .set("vlm.fallbacks", objects - asked.answered())
+        .set("vlm.answered", answers.answered())
+        .set("vlm.cached", answers.cached())
+        .set("vlm.fallbacks", objects - answers.answered())
         .set("vlm.requests", usage.requests)
         .set("vlm.prompt_tokens", usage.prompt_tokens)
         .set("vlm.completion_tokens", usage.completion_tokens);
@@ -147,10 +147,10 @@ fn metrics(asked: &Asked, objects: usize, config: &VlmConfig) -> Metrics {
     metrics
 }
 
-fn summary(asked: &Asked, objects: usize, config: &VlmConfig) -> String {
-    let usage = asked.usage;
+fn summary(answers: &Answers, objects: usize, config: &VlmConfig) -> String {
+    let usage = answers.usage;
     if usage.requests == 0 {
-        let all = asked.cached();
+        let all = answers.cached();
         return format!(
             "{:>16}: {all} of {objects} answered by {}, all stored before; no requests",
             "vlm", config.model
@@ -165,9 +165,9 @@ fn summary(asked: &Asked, objects: usize, config: &VlmConfig) -> String {
     format!(
         "{:>16}: {} of {objects} answered by {}, {} of these stored before; {} requests, {} + {} tokens, {cost}",
         "vlm",
-        asked.answered(),
+        answers.answered(),
         config.model,
-        asked.cached(),
+        answers.cached(),
         usage.requests,
         usage.prompt_tokens,
         usage.completion_tokens,

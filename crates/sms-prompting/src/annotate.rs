@@ -7,7 +7,7 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use sms_core::{Camera, ColorImage};
 
-/// Colours of curves, told apart also by the colour-blind (after Okabe and Ito 2008).
+/// Colours of curves, distinguishable by the colour-blind (after Okabe and Ito 2008).
 const COLORS: [[u8; 3]; 9] = [
     [230, 159, 0],
     [86, 180, 233],
@@ -23,24 +23,24 @@ const SITE: [u8; 3] = [200, 30, 40];
 const CHOSEN: [u8; 3] = [0, 160, 60];
 const WHITE: [u8; 3] = [255; 3];
 const BLACK: [u8; 3] = [0; 3];
-/// Corners of a circle's picture.
+/// Number of corners of a drawn circle.
 const CORNERS: usize = 40;
-/// Pieces of a curve's picture.
+/// Number of pieces of a drawn curve.
 const PIECES: usize = 80;
-/// What is nearer to the camera than this is not drawn, metres.
+/// Nearest drawn distance from the camera, metres.
 const NEAR_M: f64 = 0.05;
 
-/// A picture with marks and where they are: their numbers and the pixels of their labels' centres.
+/// A picture with marks: their numbers and the pixels of their labels' centres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Annotated {
     /// The picture.
     pub image: ColorImage,
-    /// Labels that are in the picture.
+    /// Labels within the picture.
     pub labels: Vec<(u32, [f64; 2])>,
 }
 
-/// The view in which the sites are seen best: most of them, and of those views the one that looks down most steeply. `None`
-/// where no view shows any.
+/// Returns the index of the view with most sites in the picture; of equal ones, the one that looks down most
+/// steeply. `None` if no view shows any.
 pub fn best_view<'a>(cameras: impl IntoIterator<Item = &'a Camera>, sites: &[LandingSite]) -> Option<usize> {
     let score = |camera: &Camera| -> f64 {
         sites
@@ -53,7 +53,7 @@ pub fn best_view<'a>(cameras: impl IntoIterator<Item = &'a Camera>, sites: &[Lan
                 let inside = camera.project(site.p_w).is_some_and(|(u, v, _)| {
                     u > margin && v > margin && u < k.width as f64 - margin && v < k.height as f64 - margin
                 });
-                // To be in the picture at all counts for more than to be seen steeply.
+                // Being in the picture counts more than being seen steeply.
                 if inside && steepness > 0.1 { 2.0 + steepness } else { 0.0 }
             })
             .sum()
@@ -68,7 +68,8 @@ pub fn best_view<'a>(cameras: impl IntoIterator<Item = &'a Camera>, sites: &[Lan
     best.map(|b| b.0)
 }
 
-/// The picture with a longer side of `long_side` pixels, and its camera: labels must be legible, and servers refuse large ones.
+/// Resizes the picture to a longer side of `long_side` pixels, with its camera: labels must be legible, and servers
+/// refuse large images.
 pub fn resized(image: &ColorImage, camera: &Camera, long_side: usize) -> (ColorImage, Camera) {
     let scale = long_side as f64 / image.width.max(image.height).max(1) as f64;
     let to = |n: usize| ((n as f64 * scale).round() as usize).max(1);
@@ -89,7 +90,7 @@ fn label_height(image: &ColorImage) -> f64 {
     image.width.max(image.height) as f64 / 70.0
 }
 
-/// A horizontal circle as it is seen; `None` when a part of it is behind the camera.
+/// Projects a horizontal circle; `None` if a part of it is behind the camera.
 fn circle(camera: &Camera, center_w: DVec3, radius: f64) -> Option<Vec<DVec2>> {
     let corner = |k: usize| {
         let angle = std::f64::consts::TAU * k as f64 / CORNERS as f64;
@@ -98,7 +99,7 @@ fn circle(camera: &Camera, center_w: DVec3, radius: f64) -> Option<Vec<DVec2>> {
     (0..CORNERS).map(corner).collect()
 }
 
-/// The sites as numbered circles on the picture of a camera; the one numbered `chosen` in another colour.
+/// Draws the sites as numbered circles on the picture of a camera, the site `chosen` in another colour.
 pub fn sites_picture(image: &ColorImage, camera: &Camera, sites: &Sites, chosen: Option<u32>) -> Annotated {
     let mut canvas = Canvas { image: image.clone() };
     let height = label_height(image);
@@ -123,8 +124,8 @@ fn is_in(image: &ColorImage, p: DVec2, margin: f64) -> bool {
     p.min_element() > margin && p.x < image.width as f64 - margin && p.y < image.height as f64 - margin
 }
 
-/// The approaches as numbered curves of different colours, at the height of the landing point (as in the paper); the one
-/// numbered `chosen` alone is drawn in full colour where one is.
+/// Draws the approaches as numbered curves of different colours, at the height of the landing point (as in the
+/// paper). With `chosen`, only that one has its full colour.
 pub fn paths_picture(
     image: &ColorImage,
     camera: &Camera,
@@ -147,7 +148,7 @@ pub fn paths_picture(
         Some(id) if id != a.id => [150; 3],
         _ => COLORS[(a.id as usize + COLORS.len() - 1) % COLORS.len()],
     };
-    // The chosen one above the others.
+    // The chosen one on top.
     let mut order: Vec<usize> = (0..approaches.len()).collect();
     order.sort_by_key(|&i| chosen == Some(approaches[i].id));
     for &i in &order {
@@ -169,8 +170,8 @@ pub fn paths_picture(
     Annotated { image: canvas.image, labels }
 }
 
-/// A label's place on its curve: where it is seen, as far from the landing point as the picture reaches, and clear of labels that
-/// are there.
+/// Returns a label's place on its curve: visible, as far from the landing point as the picture reaches, and clear
+/// of other labels.
 fn label_place(
     image: &ColorImage,
     line: &[Option<DVec2>],

@@ -8,7 +8,7 @@ use sms_robots::BezierPath;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ApproachSettings {
-    /// How many (paper: 9). Odd, so that the one in the middle is straight.
+    /// Number of approaches (paper: 9). Odd, so that the middle one is straight.
     pub count: usize,
     /// Distance of the approach point from the landing point, metres.
     pub radius: f64,
@@ -36,11 +36,12 @@ pub struct Approach {
     pub path: BezierPath,
 }
 
-/// Curves from the start to above the landing point whose approach points lie in directions on both sides of the start's.
+/// Returns curves from the start to a point above the landing point, with approach points in directions on both
+/// sides of the start's direction.
 pub fn approaches(start_w: DVec3, landing_w: DVec3, settings: &ApproachSettings) -> Vec<Approach> {
     let back = (start_w - landing_w).truncate();
     let straight = back.to_angle();
-    // An approach point beyond the start would have the vehicle fly away first.
+    // The vehicle would fly away from an approach point beyond the start first.
     let radius = settings.radius.min(back.length());
     let middle = 0.5 * (settings.count.max(1) - 1) as f64;
     let step = if settings.count > 1 { settings.spread / (2.0 * middle) } else { 0.0 };

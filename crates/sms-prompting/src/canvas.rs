@@ -3,7 +3,7 @@
 use glamx::DVec2;
 use sms_core::ColorImage;
 
-/// Digits, 5 × 7, a row a number, the leftmost pixel in bit 4.
+/// Digits, 5 × 7, one row per number, the leftmost pixel in bit 4.
 const DIGITS: [[u8; 7]; 10] = [
     [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e],
     [0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e],
@@ -19,13 +19,14 @@ const DIGITS: [[u8; 7]; 10] = [
 /// Columns from one digit to the next.
 const ADVANCE: usize = 6;
 
-/// A picture to draw on. Coordinates are those of the image plane: pixel (i, j) has its centre at (i + 0.5, j + 0.5).
+/// A picture to draw on, in coordinates of the image plane: pixel (i, j) has its centre at (i + 0.5, j + 0.5).
 pub(crate) struct Canvas {
     pub(crate) image: ColorImage,
 }
 
 impl Canvas {
-    /// Mixes `color` into the pixels whose `coverage` (of the centre's position, 0 to 1) is not zero, within a box.
+    /// Mixes `color` into the pixels with non-zero `coverage` (a function of the centre's position, 0 to 1) within
+    /// a box.
     fn paint(&mut self, low: DVec2, high: DVec2, color: [u8; 3], coverage: impl Fn(DVec2) -> f64) {
         let size = DVec2::new(self.image.width as f64, self.image.height as f64);
         let (low, high) = (low.floor().max(DVec2::ZERO), high.ceil().min(size));
@@ -40,7 +41,7 @@ impl Canvas {
         }
     }
 
-    /// A filled disc.
+    /// Draws a filled disc.
     pub(crate) fn disc(&mut self, center: DVec2, radius: f64, color: [u8; 3], opacity: f64) {
         let reach = DVec2::splat(radius + 1.0);
         self.paint(center - reach, center + reach, color, |p| {
@@ -48,7 +49,7 @@ impl Canvas {
         });
     }
 
-    /// A filled convex polygon, whatever its sense.
+    /// Draws a filled convex polygon of either orientation.
     pub(crate) fn polygon(&mut self, corners: &[DVec2], color: [u8; 3], opacity: f64) {
         let area: f64 =
             (0..corners.len()).map(|i| corners[i].perp_dot(corners[(i + 1) % corners.len()])).sum();
@@ -66,11 +67,11 @@ impl Canvas {
         });
     }
 
-    /// A line through points; `None` interrupts it.
+    /// Draws a line through points; `None` interrupts it.
     pub(crate) fn line(&mut self, points: &[Option<DVec2>], width: f64, color: [u8; 3]) {
         for pair in points.windows(2) {
             let [Some(a), Some(b)] = *pair else { continue };
-            // Far outside nothing is seen, and long pieces cost.
+            // Points far outside are invisible, and long pieces are slow.
             let size = DVec2::new(self.image.width as f64, self.image.height as f64);
             if a.max(b).min_element() < -width || (a.min(b) - size).max_element() > width {
                 continue;
@@ -85,7 +86,7 @@ impl Canvas {
         }
     }
 
-    /// A number centred at a point, its digits `height` pixels high, with an outline of another colour.
+    /// Draws a number centred at a point, its digits `height` pixels high, with an outline of another colour.
     pub(crate) fn number(
         &mut self,
         number: u32,

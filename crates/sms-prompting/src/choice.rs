@@ -1,4 +1,4 @@
-//! Who chooses, and what.
+//! Choosers and their choices.
 
 use crate::{Approach, ApproachSettings, LandingSite, Sites, approaches};
 use glamx::DVec3;
@@ -6,20 +6,20 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::Seed;
 
-/// Who chooses among the candidates. The name is in every table.
+/// A method of choosing among the candidates. Its name is a key in tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Chooser {
-    /// A vision-language model that sees the candidates drawn on a picture.
+    /// A vision-language model that is shown the candidates on a picture.
     VisualPrompting,
-    /// The centre of the top face, and straight there.
+    /// The centre of the top face, and a straight approach.
     Geometric,
-    /// Any site and any approach, each as likely as the others.
+    /// Any site and any approach, with equal probability.
     Random,
 }
 
 impl Chooser {
-    /// As tables name it.
+    /// Returns the name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::VisualPrompting => "visual prompting",
@@ -32,20 +32,20 @@ impl Chooser {
 /// A site and an approach to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
-    /// Whose choice it is.
+    /// The method of the choice.
     pub chooser: Chooser,
-    /// Where to land.
+    /// The landing site.
     pub site: LandingSite,
-    /// How to get there.
+    /// The approach to it.
     pub approach: Approach,
-    /// Why this site and this approach; empty where no reason is given.
+    /// Reasons for the site and for the approach; may be empty.
     pub reasons: [String; 2],
 }
 
-/// The site nearest to the centre of the platform's top face, and the straight approach.
+/// Returns the site nearest to the centre of the platform's top face, and the straight approach.
 ///
 /// # Panics
-/// When there is no site, which [`crate::landing_sites`] never returns.
+/// If there is no site, which [`crate::landing_sites`] never returns.
 pub fn geometric(sites: &Sites, start_w: DVec3, settings: &ApproachSettings) -> Choice {
     let off = |s: &LandingSite| s.p_w.distance(sites.center_w);
     let site =
@@ -57,10 +57,10 @@ pub fn geometric(sites: &Sites, start_w: DVec3, settings: &ApproachSettings) -> 
     Choice { chooser: Chooser::Geometric, site, approach, reasons }
 }
 
-/// Any site and any approach. The same seed chooses the same.
+/// Returns a random site and approach. The same seed gives the same choice.
 ///
 /// # Panics
-/// When there is no site, which [`crate::landing_sites`] never returns.
+/// If there is no site, which [`crate::landing_sites`] never returns.
 pub fn random(sites: &Sites, start_w: DVec3, settings: &ApproachSettings, seed: Seed) -> Choice {
     let mut rng = seed.derive("random chooser").rng();
     let site = sites.sites[rng.random_range(0..sites.sites.len())].clone();

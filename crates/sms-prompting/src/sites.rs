@@ -1,6 +1,6 @@
-//! Where a vehicle could stand, by geometry alone.
+//! Candidate landing sites, by geometry alone.
 
-use crate::top_map::{Surface, TopMap};
+use crate::top_map::{ObjectSurface, TopMap};
 use glamx::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::length_text;
@@ -14,15 +14,16 @@ const WINDOW_HALF_M: f64 = 0.03;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SiteSettings {
-    /// The most sites (paper: 15).
+    /// Greatest number of sites (paper: 15).
     pub most: usize,
     /// Least height above the ground, metres (paper: 0.5).
     pub min_height: f64,
     /// Greatest angle between a surface's normal and the vertical, radians.
     pub max_tilt: f64,
-    /// Least distance between sites, metres. Marks in the picture are as wide, so they do not overlap.
+    /// Least distance between sites, metres. Also the diameter of marks in the picture, so that they do not
+    /// overlap.
     pub spacing: f64,
-    /// How far what is below a foot may be above or below the site, metres.
+    /// Greatest height difference between the surface below a foot and the site, metres.
     pub foot_tolerance: f64,
     /// Side of the grid's cells, metres.
     pub cell: f64,
@@ -38,11 +39,11 @@ impl Default for SiteSettings {
 /// A place to land on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingSite {
-    /// Its number in pictures, from 1.
+    /// Number in pictures, from 1.
     pub id: u32,
     /// The point on the surface, metres.
     pub p_w: DVec3,
-    /// The object that it is on.
+    /// The object that contains it.
     pub surface: String,
 }
 
@@ -59,18 +60,18 @@ pub struct Sites {
     pub spacing: f64,
 }
 
-/// Why there is no site.
+/// Reason why there is no site.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoSite {
     /// No surface is both high and level enough.
     #[error("there is nothing to land on: no level surface is {} or more above the ground (the highest level one is at {})", length_text(*.min_height), length_text(*.highest))]
     NoSurface {
-        /// What was asked for, metres.
+        /// The least height, metres.
         min_height: f64,
-        /// Height of the highest level surface, metres; 0 where there is none.
+        /// Height of the highest level surface, metres; 0 if there is none.
         highest: f64,
     },
-    /// There are surfaces, but the vehicle's feet find no place on them.
+    /// There are surfaces, but no room for the vehicle's feet on them.
     #[error("the quadrotor is too wide: on {surface}, the largest level surface, there is no place for its feet, which stand {} apart", length_text(*.feet))]
     TooNarrow {
         /// The object with the most level surface.
@@ -80,14 +81,14 @@ pub enum NoSite {
     },
 }
 
-/// Finds up to [`SiteSettings::most`] places on level surfaces where the vehicle's feet all stand and nothing within its reach
-/// rises above them. The first is the nearest to the centre of the platform's top face, each further one the farthest from
-/// those before (Gonzalez 1985), so that they are spread over it up to its edges.
+/// Finds up to [`SiteSettings::most`] places on level surfaces where all of the vehicle's feet are supported and
+/// nothing within its reach rises above them. The first is the nearest to the centre of the platform's top face,
+/// each further one the farthest from all before (Gonzalez 1985), so that they cover it up to its edges.
 ///
 /// # Errors
 /// [`NoSite`] with the reason.
 pub fn landing_sites(
-    surfaces: &[Surface],
+    surfaces: &[ObjectSurface],
     vehicle: &Quadrotor,
     settings: &SiteSettings,
 ) -> Result<Sites, NoSite> {
@@ -119,7 +120,7 @@ pub fn landing_sites(
     Ok(Sites { sites, platform, center_w, spacing: settings.spacing })
 }
 
-/// Cells whose surroundings are level, with the surface's index and the point.
+/// Returns cells with level surroundings, as the surface's index and the point.
 fn level_cells(map: &TopMap, settings: &SiteSettings) -> Vec<(usize, DVec3)> {
     let (width, height) = map.size();
     let least_cos = settings.max_tilt.cos();
@@ -139,7 +140,7 @@ fn level_cells(map: &TopMap, settings: &SiteSettings) -> Vec<(usize, DVec3)> {
     cells
 }
 
-/// Whether the vehicle can stand at a point: surface below each foot, and nothing higher within its reach.
+/// Whether the vehicle fits at a point: a surface below each foot, and nothing higher within its reach.
 fn fits(map: &TopMap, p_w: DVec3, vehicle: &Quadrotor, settings: &SiteSettings) -> bool {
     let center = p_w.truncate();
     let stands = vehicle.feet.iter().all(|foot| {
@@ -153,12 +154,12 @@ fn fits(map: &TopMap, p_w: DVec3, vehicle: &Quadrotor, settings: &SiteSettings) 
         })
 }
 
-/// Farthest-point sampling from the point of the platform nearest to its centre.
+/// Samples farthest points, from the point of the platform nearest to its centre.
 fn spread(
     fitting: &[(usize, DVec3)],
     platform: &str,
     center_w: DVec3,
-    surfaces: &[Surface],
+    surfaces: &[ObjectSurface],
     settings: &SiteSettings,
 ) -> Vec<LandingSite> {
     let from_center = |p: &DVec3| p.truncate().distance(center_w.truncate());
@@ -188,12 +189,12 @@ mod tests {
     use glamx::{DPose3, DQuat};
     use sms_core::Mesh;
 
-    fn cuboid(name: &str, half: DVec3, center: DVec3, yaw: f64) -> Surface {
+    fn cuboid(name: &str, half: DVec3, center: DVec3, yaw: f64) -> ObjectSurface {
         let x_wb = DPose3::from_parts(center, DQuat::from_rotation_z(yaw));
-        Surface { name: name.into(), mesh_w: Mesh::cuboid(half).transformed(&x_wb) }
+        ObjectSurface { name: name.into(), mesh_w: Mesh::cuboid(half).transformed(&x_wb) }
     }
 
-    fn found(surfaces: &[Surface]) -> Result<Sites, NoSite> {
+    fn found(surfaces: &[ObjectSurface]) -> Result<Sites, NoSite> {
         landing_sites(surfaces, &Quadrotor::default(), &SiteSettings::default())
     }
 
@@ -230,26 +231,24 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_can_be_landed_on_the_reason_is_given() {
+    fn scenes_without_a_site_are_explained() {
         let low = cuboid("crate", DVec3::new(0.5, 0.5, 0.1), DVec3::Z * 0.2, 0.0);
-        let error = found(std::slice::from_ref(&low)).unwrap_err().to_string();
-        assert!(error.contains("50.00 cm") && error.contains("30.00 cm"), "{error}");
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-4;
+        assert!(matches!(found(std::slice::from_ref(&low)),
+            Err(NoSite::NoSurface { min_height, highest }) if close(min_height, 0.5) && close(highest, 0.3)));
         let mut slope = low.clone();
         let tilted = DPose3::from_parts(DVec3::Z, DQuat::from_rotation_x(0.4));
         slope.mesh_w = Mesh::cuboid(DVec3::new(0.5, 0.5, 0.001)).transformed(&tilted);
         assert!(matches!(found(&[slope]), Err(NoSite::NoSurface { .. })));
         let post = cuboid("post", DVec3::new(0.08, 0.5, 0.4), DVec3::Z * 0.4, 0.0);
-        let error = found(&[post]).unwrap_err().to_string();
-        assert!(
-            error.contains("too wide") && error.contains("post") && error.contains("28.28 cm"),
-            "{error}"
-        );
+        assert!(matches!(found(&[post]),
+            Err(NoSite::TooNarrow { surface, feet }) if surface == "post" && close(feet, 0.2828)));
         assert!(matches!(found(&[]), Err(NoSite::NoSurface { .. })));
     }
 
     #[test]
     fn a_rough_surface_is_level_where_its_slope_is_on_average() {
-        // A lattice of 1 cm whose heights differ by up to 2 mm: single triangles lean by 15°.
+        // A lattice of 1 cm with heights that differ by up to 2 mm: single triangles lean by 15°.
         let mut mesh = Mesh::default();
         let n = 60u32;
         for y in 0..=n {
@@ -265,7 +264,7 @@ mod tests {
                 mesh.triangles.push([at(x, y), at(x + 1, y + 1), at(x, y + 1)]);
             }
         }
-        let sites = found(&[Surface { name: "sheet".into(), mesh_w: mesh }]).unwrap();
+        let sites = found(&[ObjectSurface { name: "sheet".into(), mesh_w: mesh }]).unwrap();
         assert_eq!(sites.sites.len(), 15);
     }
 }

@@ -1,4 +1,4 @@
-//! What is seen of surfaces from straight above, on a grid.
+//! Height map of surfaces, from above.
 
 use glamx::{DVec2, DVec3};
 use sms_core::Mesh;
@@ -6,20 +6,21 @@ use sms_scene::{BodyKind, Scene};
 
 /// The surface of an object in the world.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Surface {
-    /// The object's name.
+pub struct ObjectSurface {
+    /// Name of the object.
     pub name: String,
     /// Its surface, metres, in the world.
     pub mesh_w: Mesh,
 }
 
-/// The surfaces of what a scene's physics moves; the floor and walls are no places to land on.
-pub fn surfaces_of(scene: &Scene) -> Vec<Surface> {
+/// Returns the surfaces of the scene's movable bodies; the floor and walls are not landing targets.
+pub fn surfaces_of(scene: &Scene) -> Vec<ObjectSurface> {
     let bodies = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
     bodies
         .flat_map(|b| {
             let seen = if b.visual.triangles.is_empty() { b.shape.meshes() } else { vec![b.visual.clone()] };
-            seen.into_iter().map(|mesh| Surface { name: b.name.clone(), mesh_w: mesh.transformed(&b.x_wb) })
+            seen.into_iter()
+                .map(|mesh| ObjectSurface { name: b.name.clone(), mesh_w: mesh.transformed(&b.x_wb) })
         })
         .collect()
 }
@@ -46,11 +47,11 @@ pub(crate) struct TopMap {
 
 /// Cells around the surfaces, so that windows stay inside.
 const MARGIN: f64 = 0.05;
-/// The most cells on a side: larger scenes get larger cells.
+/// Greatest number of cells on a side: larger scenes get larger cells.
 const MOST_CELLS: f64 = 2000.0;
 
 impl TopMap {
-    pub(crate) fn new(surfaces: &[Surface], cell: f64) -> Self {
+    pub(crate) fn new(surfaces: &[ObjectSurface], cell: f64) -> Self {
         let vertices = || surfaces.iter().flat_map(|s| &s.mesh_w.vertices).map(|v| v.truncate());
         let low = vertices().reduce(DVec2::min).unwrap_or_default() - MARGIN;
         let high = vertices().reduce(DVec2::max).unwrap_or_default() + MARGIN;
@@ -73,7 +74,7 @@ impl TopMap {
             return;
         }
         let (low, high) = (a.min(b).min(c).ceil(), a.max(b).max(c).floor());
-        // The map holds all vertices, with a margin: every cell is inside.
+        // The map contains all vertices, with a margin: every cell is inside.
         for y in low.y as i64..=high.y as i64 {
             for x in low.x as i64..=high.x as i64 {
                 let p = DVec2::new(x as f64, y as f64);
@@ -92,22 +93,22 @@ impl TopMap {
         }
     }
 
-    /// Number of cells along x and y.
+    /// Returns the number of cells along x and y.
     pub(crate) fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// The centre of a cell.
+    /// Returns the centre of a cell.
     pub(crate) fn center_w(&self, x: usize, y: usize) -> DVec2 {
         self.origin_w + self.cell * DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
     }
 
-    /// What is highest at a cell.
+    /// Returns the top at a cell.
     pub(crate) fn top(&self, x: usize, y: usize) -> Option<Top> {
         self.tops[y * self.width + x]
     }
 
-    /// Cells whose centres lie within `half` metres of `p_w` along x and y; `None` for each beyond the grid.
+    /// Returns the cells with centres within `half` metres of `p_w` along x and y; `None` for each beyond the grid.
     pub(crate) fn square(&self, p_w: DVec2, half: f64) -> impl Iterator<Item = (DVec2, Option<Top>)> + '_ {
         let low = ((p_w - half - self.origin_w) / self.cell - 0.5).ceil();
         let high = ((p_w + half - self.origin_w) / self.cell - 0.5).floor();
@@ -119,8 +120,8 @@ impl TopMap {
         })
     }
 
-    /// The plane through the tops of one surface around a cell, by least squares: its height at the cell (metres) and its upward
-    /// unit normal. `None` where fewer than half of the cells are that surface's.
+    /// Fits a plane to the tops of one surface around a cell, by least squares. Returns its height at the cell
+    /// (metres) and its upward unit normal, or `None` if fewer than half of the cells belong to that surface.
     pub(crate) fn plane(&self, p_w: DVec2, half: f64, surface: usize) -> Option<(f64, DVec3)> {
         let (mut n, mut all) = (0.0, 0.0);
         let (mut sum, mut moment) = (DVec3::ZERO, [0.0; 5]);
@@ -166,8 +167,8 @@ mod tests {
         let board = board.transformed(&DPose3::from_parts(DVec3::Z, tilt));
         let block =
             Mesh::cuboid(DVec3::new(0.05, 0.05, 0.05)).transformed(&DPose3::from_translation(DVec3::Z));
-        let surfaces =
-            [("board", board), ("block", block)].map(|(name, mesh_w)| Surface { name: name.into(), mesh_w });
+        let surfaces = [("board", board), ("block", block)]
+            .map(|(name, mesh_w)| ObjectSurface { name: name.into(), mesh_w });
         let map = TopMap::new(&surfaces, 0.01);
         let (height, normal) = map.plane(DVec2::new(0.3, 0.1), 0.03, 0).unwrap();
         let expected = 1.0 + 0.01 / 0.1f64.cos() - 0.3 * 0.1f64.tan();

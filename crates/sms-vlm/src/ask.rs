@@ -1,56 +1,51 @@
-//! One question an object, all objects.
+//! Asking about all objects, one question per object.
 
 use crate::answer::{Fault, Reading, read_reply};
-use crate::cache::{Cache, Entry};
+use crate::cache::{Cache, CachedReply};
 use crate::client::{CallError, Client, Usage};
-use crate::prompt::{SYSTEM, form, question, repair};
-use crate::quantity::shortened;
-use base64::Engine;
+use crate::prompt::{SYSTEM, form, picture_part, question, quoted, repair};
 use serde_json::{Value, json};
-use sms_core::{Cancel, CoreError, Hash, Progress, Warnings};
+use sms_core::{Cancel, CoreError, Hash, Progress, StageContext, Warnings};
 use sms_materials::Estimate;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// The stage's name in warnings.
 const STAGE: &str = "vlm";
-/// After so many failures in a row the server is left alone.
+/// Number of consecutive failures after which the server is given up.
 const FAILURES_IN_A_ROW: usize = 3;
-/// So much of a reply is quoted back to the model that is to put it right.
-const QUOTED_CHARS: usize = 6000;
 
 /// A question about one object.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Question {
-    /// The object's name in the scene; for messages.
+    /// Name of the object in the scene, for messages.
     pub name: String,
-    /// What it is called so far; may be empty.
+    /// Current label of the object; may be empty.
     pub annotation: String,
-    /// Whether it is the floor, a wall or another fixed thing.
+    /// Whether it is the floor, a wall or another fixed part.
     pub is_surface: bool,
     /// The picture with its box, JPEG (see [`crate::annotated`]).
     pub jpeg: Vec<u8>,
 }
 
-/// How a question ended.
+/// The outcome of a question.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// With values that are in range and in SI units. What the model did not say in a usable way is in `faults` and is
-    /// `None` in the estimate.
+    /// Values in range and in SI units. Unusable fields are listed in `faults` and are `None` in the estimate.
     Answered {
         /// The values.
         estimate: Box<Estimate>,
-        /// What is missing from them, and why.
+        /// The missing values, with reasons.
         faults: Vec<Fault>,
         /// Whether it came from the cache.
         is_cached: bool,
     },
-    /// Without any: the table or the prior has to stand in. The reason is a warning too.
+    /// No values: the table or the prior is used instead. Contains the reason, which is also a warning.
     Fallback(String),
 }
 
 impl Outcome {
-    /// The values, where there are any.
+    /// Returns the values, if any.
     pub fn estimate(&self) -> Option<&Estimate> {
         match self {
             Self::Answered { estimate, .. } => Some(estimate),
@@ -59,58 +54,57 @@ impl Outcome {
     }
 }
 
-/// All that was asked.
+/// Outcomes of all questions.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Asked {
-    /// One outcome a question, in their order.
+pub struct Answers {
+    /// One outcome per question, in order.
     pub outcomes: Vec<Outcome>,
-    /// Requests and tokens of this time; what came from the cache cost nothing.
+    /// Requests and tokens of this call; cached replies cost nothing.
     pub usage: Usage,
-    /// Why the server was not asked any more, and what can be done, where it was given up.
+    /// The reason, if the server was given up.
     pub given_up: Option<GivenUp>,
 }
 
-/// A trouble that every question has: a wrong key, no server, no such model.
+/// A failure that affects every question: a wrong key, no server, no such model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GivenUp {
-    /// What is wrong.
+    /// The failure.
     pub what: String,
-    /// What can be done.
+    /// Its remedy.
     pub cure: String,
 }
 
-impl Asked {
-    /// Questions with an answer.
+impl Answers {
+    /// Returns the number of questions with an answer.
     pub fn answered(&self) -> usize {
         self.outcomes.iter().filter(|o| o.estimate().is_some()).count()
     }
 
-    /// Answers that came from the cache.
+    /// Returns the number of answers from the cache.
     pub fn cached(&self) -> usize {
         self.outcomes.iter().filter(|o| matches!(o, Outcome::Answered { is_cached: true, .. })).count()
     }
 }
 
-/// Asks about every object, from the cache where that has the reply. Every question ends as values that were checked or
-/// as a fallback that is named in `warnings`.
+/// Asks about every object, or takes the reply from the cache. Every question ends with validated values or with a
+/// fallback reported in the warnings.
 ///
 /// # Errors
-/// [`CoreError::Interrupted`]; [`CoreError::Write`] when the cache cannot be written.
+/// [`CoreError::Interrupted`]; [`CoreError::Write`] if the cache cannot be written.
 pub fn ask(
     questions: &[Question],
     client: &Client,
     cache: &Cache,
-    progress: &dyn Progress,
-    cancel: &Cancel,
-    warnings: &Warnings,
-) -> Result<Asked, CoreError> {
+    context: StageContext<'_>,
+) -> Result<Answers, CoreError> {
+    let StageContext { progress, cancel, warnings, .. } = context;
     progress.begin("vlm", questions.len() as u64);
     let keys: Vec<Hash> = questions.iter().map(|q| key(q, client)).collect();
     let stored: Vec<Option<Outcome>> =
         questions.iter().zip(&keys).map(|(q, k)| from_cache(q, k, cache, warnings)).collect();
     let pending: Vec<usize> = (0..questions.len()).filter(|&i| stored[i].is_none()).collect();
     let slots: Vec<Mutex<Option<Outcome>>> = stored.into_iter().map(Mutex::new).collect();
-    let session = Session {
+    let session = AskSession {
         questions,
         keys: &keys,
         slots: &slots,
@@ -131,7 +125,7 @@ pub fn ask(
             );
         }
     } else if let Some((&first, rest)) = pending.split_first() {
-        // The first one finds out what the server takes, and whether it answers at all.
+        // The first question finds out which features the server supports, and whether it answers at all.
         session.work(first);
         let next = AtomicUsize::new(0);
         std::thread::scope(|scope| {
@@ -154,11 +148,14 @@ pub fn ask(
         .map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner))
         .map(|slot| slot.unwrap_or_else(|| Outcome::Fallback("it was not asked".to_owned())))
         .collect();
-    let asked =
-        Asked { outcomes, usage: client.usage(), given_up: given_up.unwrap_or_else(PoisonError::into_inner) };
-    warn(questions, &asked, warnings);
-    progress.end(&format!("{} of {} answered", asked.answered(), questions.len()));
-    Ok(asked)
+    let answers = Answers {
+        outcomes,
+        usage: client.usage(),
+        given_up: given_up.unwrap_or_else(PoisonError::into_inner),
+    };
+    warn(questions, &answers, warnings);
+    progress.end(&format!("{} of {} answered", answers.answered(), questions.len()));
+    Ok(answers)
 }
 
 fn key(q: &Question, client: &Client) -> Hash {
@@ -172,7 +169,7 @@ fn from_cache(q: &Question, key: &Hash, cache: &Cache, warnings: &Warnings) -> O
     Some(Outcome::Answered { estimate: Box::new(reading.estimate), faults: reading.faults, is_cached: true })
 }
 
-struct Session<'a> {
+struct AskSession<'a> {
     questions: &'a [Question],
     keys: &'a [Hash],
     slots: &'a [Mutex<Option<Outcome>>],
@@ -186,7 +183,7 @@ struct Session<'a> {
     error: Mutex<Option<CoreError>>,
 }
 
-impl Session<'_> {
+impl AskSession<'_> {
     fn work(&self, i: usize) {
         if lock(&self.error).is_some() {
             return;
@@ -207,10 +204,7 @@ impl Session<'_> {
                 Err(e @ CallError::Declined(_)) => Outcome::Fallback(e.to_string()),
                 Err(CallError::Failed(what)) => {
                     if self.failures.fetch_add(1, Ordering::Relaxed) + 1 >= FAILURES_IN_A_ROW {
-                        self.give_up(
-                            what,
-                            "see whether the server is well, and run the command again".to_owned(),
-                        )
+                        self.give_up(what, "check the server, and run the command again".to_owned())
                     } else {
                         Outcome::Fallback(what)
                     }
@@ -231,8 +225,8 @@ impl Session<'_> {
         self.progress.update(done, &self.questions[i].name);
     }
 
-    /// The question, and at most `max_repairs` times what was wrong with the answer. The best answer counts; a server
-    /// that fails in between takes nothing away from it.
+    /// Asks one question, and requests at most `max_repairs` repairs. The best answer counts, even if the server
+    /// fails later.
     fn converse(&self, i: usize) -> Result<Outcome, CallError> {
         let q = &self.questions[i];
         let mut messages = opening(q);
@@ -271,16 +265,14 @@ impl Session<'_> {
             }
             complaint = faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
             if round < repairs {
-                let said = shortened(&completion.text, QUOTED_CHARS);
-                let said = if said.is_empty() { "(nothing)".to_owned() } else { said };
-                messages.push(json!({"role": "assistant", "content": said}));
+                messages.push(quoted(&completion.text));
                 messages.push(json!({"role": "user", "content": repair(&faults)}));
             }
         }
         let Some((reading, text)) = best else {
             return Ok(Outcome::Fallback(format!("its reply cannot be used ({complaint})")));
         };
-        let entry = Entry::new(&self.client.config().model, &q.name, &text, tokens);
+        let entry = CachedReply::new(&self.client.config().model, &q.name, &text, tokens);
         self.cache.put(&self.keys[i], &entry)?;
         Ok(Outcome::Answered {
             estimate: Box::new(reading.estimate),
@@ -295,48 +287,47 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 fn opening(q: &Question) -> Vec<Value> {
-    let picture = base64::engine::general_purpose::STANDARD.encode(&q.jpeg);
     vec![
         json!({"role": "system", "content": SYSTEM}),
         json!({"role": "user", "content": [
             {"type": "text", "text": question(&q.annotation, q.is_surface)},
-            {"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{picture}")}},
+            picture_part(&q.jpeg),
         ]}),
     ]
 }
 
-/// Names every object whose values are not all the model's, once, with the reason.
-fn warn(questions: &[Question], asked: &Asked, warnings: &Warnings) {
-    if let Some(given_up) = &asked.given_up {
+/// Warns about every object with missing values, once, with the reason.
+fn warn(questions: &[Question], answers: &Answers, warnings: &Warnings) {
+    if let Some(given_up) = &answers.given_up {
         let without: Vec<&str> = questions
             .iter()
-            .zip(&asked.outcomes)
+            .zip(&answers.outcomes)
             .filter(|(_, o)| matches!(o, Outcome::Fallback(what) if *what == given_up.what))
             .map(|(q, _)| q.name.as_str())
             .collect();
         warnings.add(
             STAGE,
             "vlm_given_up",
-            format!("{}; the table or a prior stands in for {}", given_up.what, without.join(", ")),
+            format!("{}; the table or a prior is used for {}", given_up.what, without.join(", ")),
             given_up.cure.clone(),
         );
     }
-    for (q, outcome) in questions.iter().zip(&asked.outcomes) {
+    for (q, outcome) in questions.iter().zip(&answers.outcomes) {
         match outcome {
-            Outcome::Fallback(what) if asked.given_up.as_ref().is_some_and(|g| g.what == *what) => {}
+            Outcome::Fallback(what) if answers.given_up.as_ref().is_some_and(|g| g.what == *what) => {}
             Outcome::Fallback(what) => warnings.add(
                 STAGE,
                 "vlm_fallback",
-                format!("the model's word on {} is missing: {what}; the table or a prior stands in", q.name),
-                "run the command again to ask again, or set its values with `sms materials RUN --set`",
+                format!("the model gave no estimate for {}: {what}; the table or a prior is used", q.name),
+                "run the command again, or set its values with `sms materials RUN --set`",
             ),
             Outcome::Answered { faults, .. } if !faults.is_empty() => {
                 let list: Vec<String> = faults.iter().map(ToString::to_string).collect();
                 warnings.add(
                     STAGE,
                     "vlm_partial",
-                    format!("of the model's word on {} a part is left out ({})", q.name, list.join("; ")),
-                    "the table or a prior stands in for that; set it with `sms materials RUN --set` where you know better",
+                    format!("a part of the model's estimate for {} was unusable ({})", q.name, list.join("; ")),
+                    "the table or a prior is used for that part; set better values with `sms materials RUN --set`",
                 );
             }
             Outcome::Answered { .. } => {}

@@ -1,29 +1,29 @@
-//! Replies on disk, by what was asked.
+//! Cache of replies on disk, by question.
 
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, Hash, Hasher, Warnings, atomic};
 use std::path::{Path, PathBuf};
 
-/// Changes when replies of before can no longer be used.
+/// Version of the format; a new number invalidates old replies.
 const VERSION: u32 = 1;
 
-/// One question's last reply.
+/// The last reply to one question.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Entry {
+pub(crate) struct CachedReply {
     version: u32,
     pub model: String,
-    /// Name of the object, for people who look into the folder.
+    /// Name of the object, for readers of the folder.
     pub object: String,
-    /// The reply as it came.
+    /// The raw reply.
     pub reply: String,
     pub prompt_tokens: u64,
     pub completion_tokens: u64,
-    /// Hash of all of the above: a file that was damaged or edited is not used.
+    /// Hash of all fields above: damaged or edited files are not used.
     check: Hash,
 }
 
-impl Entry {
+impl CachedReply {
     pub(crate) fn new(model: &str, object: &str, reply: &str, tokens: (u64, u64)) -> Self {
         let mut entry = Self {
             version: VERSION,
@@ -53,12 +53,12 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// Replies in this folder; it is made with the first reply.
+    /// A cache in this folder, which is created with the first reply.
     pub fn new(dir: &Path) -> Self {
         Self { dir: dir.to_owned() }
     }
 
-    /// The key of a question: image, prompt and model.
+    /// Returns the key of a question: a hash of image, prompt and model.
     pub(crate) fn key(image: &[u8], prompt: &str, model: &str) -> Hash {
         Hasher::new().text("vlm 1").bytes(image).text(prompt).text(model).finish()
     }
@@ -67,30 +67,31 @@ impl Cache {
         self.dir.join(format!("{}.json", key.0))
     }
 
-    /// What was replied, where that is there and whole; what is damaged is a warning, and as good as not there.
-    pub(crate) fn get(&self, key: &Hash, object: &str, warnings: &Warnings) -> Option<Entry> {
+    /// Returns the stored reply if it exists and is intact. Damage causes a warning.
+    pub(crate) fn get(&self, key: &Hash, object: &str, warnings: &Warnings) -> Option<CachedReply> {
         let path = self.path(key);
         if !path.exists() {
             return None;
         }
-        let entry =
-            atomic::read_json::<Entry>(&path).ok().filter(|e| e.version == VERSION && e.check == e.hash());
+        let entry = atomic::read_json::<CachedReply>(&path)
+            .ok()
+            .filter(|e| e.version == VERSION && e.check == e.hash());
         if entry.is_none() {
             warnings.add(
                 "vlm",
                 "vlm_cache_damaged",
                 format!("the stored reply about {object} is damaged and is not used ({})", path.display()),
-                "the model is asked again where requests are allowed; delete the file to be rid of this",
+                "the model is asked again if requests are allowed; delete the file to silence this warning",
             );
         }
         entry
     }
 
-    /// Keeps a reply.
+    /// Stores a reply.
     ///
     /// # Errors
     /// [`CoreError::Write`].
-    pub(crate) fn put(&self, key: &Hash, entry: &Entry) -> Result<(), CoreError> {
+    pub(crate) fn put(&self, key: &Hash, entry: &CachedReply) -> Result<(), CoreError> {
         atomic::write_json(&self.path(key), entry)
     }
 }
@@ -106,7 +107,7 @@ mod tests {
         let key = Cache::key(b"image", "prompt", "model");
         let warnings = Warnings::new();
         assert_eq!(cache.get(&key, "mug", &warnings), None);
-        let entry = Entry::new("model", "mug", "{\"a\": 1}", (7, 9));
+        let entry = CachedReply::new("model", "mug", "{\"a\": 1}", (7, 9));
         cache.put(&key, &entry).unwrap();
         assert_eq!(cache.get(&key, "mug", &warnings), Some(entry));
         assert!(warnings.snapshot().is_empty());

@@ -1,26 +1,22 @@
-//! One of several marks in a picture, chosen by the model (visual prompting: Nasiriany et al. 2024, PIVOT).
+//! Choice of one of several marks in a picture by the model (visual prompting: Nasiriany et al. 2024, PIVOT).
 
-use crate::cache::{Cache, Entry};
+use crate::cache::{Cache, CachedReply};
 use crate::client::{CallError, Client};
-use crate::dialect::Form;
-use crate::node::{NoObject, Node, objects};
-use crate::prompt::object;
+use crate::dialect::ReplyForm;
+use crate::node::{NoObject, ReplyNode, objects};
+use crate::prompt::{object, picture_part, quoted};
 use crate::quantity::{plain, shortened};
-use base64::Engine;
 use serde_json::{Value, json};
-use sms_core::{Cancel, CoreError, InputError, Warnings};
+use sms_core::{CoreError, InputError, StageContext};
 
-/// So much of a reply is quoted back to the model that is to put it right.
-const QUOTED_CHARS: usize = 6000;
-
-/// A picture with numbered marks, of which one is to be chosen.
+/// A picture with numbered marks to choose from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChoiceQuestion {
-    /// What is chosen ("landing site"); for messages.
+    /// Name of the choice ("landing site"), for messages.
     pub name: String,
     /// The system message.
     pub system: String,
-    /// The question. The form of the answer is added to it.
+    /// The question, without the form of the answer.
     pub text: String,
     /// The picture with its marks, JPEG.
     pub jpeg: Vec<u8>,
@@ -30,62 +26,62 @@ pub struct ChoiceQuestion {
 
 const UNDECIDED_CURE: &str = "use a model that reads numbers in pictures, or another chooser";
 
-/// What the model chose.
+/// The model's choice.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Chosen {
+pub struct ChosenMark {
     /// One of [`ChoiceQuestion::ids`].
     pub id: u32,
-    /// Why, in its words; empty where it gave no reason.
+    /// The model's reasons; may be empty.
     pub reasoning: String,
     /// Whether it came from the cache.
     pub is_cached: bool,
 }
 
-/// Why nothing was chosen.
+/// A failed choice.
 #[derive(Debug, thiserror::Error)]
 pub enum ChooseError {
-    /// The server cannot be used, or there is nothing to ask about.
+    /// The server cannot be used, or there is nothing to ask.
     #[error("no {name} was chosen: {what}\n  cure: {cure}")]
     NoAnswer {
-        /// What should have been chosen.
+        /// Name of the choice.
         name: String,
-        /// Why it was not.
+        /// The reason.
         what: String,
-        /// What can be done.
+        /// Its remedy.
         cure: String,
     },
-    /// The model answers, and names none of the marks however often it is asked: another run will hardly do better.
+    /// The model answers, but repeatedly names none of the marks: another run will hardly help.
     #[error("no {name} was chosen: {what}\n  cure: {UNDECIDED_CURE}")]
     Undecided {
-        /// What should have been chosen.
+        /// Name of the choice.
         name: String,
-        /// What is wrong with the last answer.
+        /// The problem with the last answer.
         what: String,
     },
-    /// A stop was asked for, or the cache cannot be written.
+    /// The user asked to stop, or the cache cannot be written.
     #[error(transparent)]
     Core(#[from] CoreError),
 }
 
 impl ChooseError {
-    /// What happened and what can be done, where that is the user's; `at` says whose server it is.
+    /// Converts failures that the user can fix; `at` identifies the server.
     ///
     /// # Errors
-    /// The rest.
+    /// All others.
     pub fn input(self, at: &str) -> Result<InputError, CoreError> {
-        let said = |name: &str, what: &str, cure: &str| {
+        let error = |name: &str, what: &str, cure: &str| {
             InputError::new(format!("no {name} was chosen: {what}"), at, cure)
         };
         match self {
-            Self::NoAnswer { name, what, cure } => Ok(said(&name, &what, &cure)),
-            Self::Undecided { name, what } => Ok(said(&name, &what, UNDECIDED_CURE)),
+            Self::NoAnswer { name, what, cure } => Ok(error(&name, &what, &cure)),
+            Self::Undecided { name, what } => Ok(error(&name, &what, UNDECIDED_CURE)),
             Self::Core(e) => Err(e),
         }
     }
 }
 
-/// Asks which mark to take, from the cache where that has the reply. A reply that names none of them is told so and asked
-/// again, at most `max_repairs` times.
+/// Asks which mark to choose, or takes the reply from the cache. If a reply names none of the marks, a repair is
+/// requested, at most `max_repairs` times.
 ///
 /// # Errors
 /// [`ChooseError`].
@@ -93,16 +89,15 @@ pub fn choose(
     question: &ChoiceQuestion,
     client: &Client,
     cache: &Cache,
-    cancel: &Cancel,
-    warnings: &Warnings,
-) -> Result<Chosen, ChooseError> {
+    context: StageContext<'_>,
+) -> Result<ChosenMark, ChooseError> {
     let text = format!("{}\n\n{}", question.text, form_of_answer(&question.ids));
     let config = client.config();
     let key = Cache::key(&question.jpeg, &format!("{}\n\n{text}", question.system), &config.model);
-    if let Some(entry) = cache.get(&key, &question.name, warnings)
+    if let Some(entry) = cache.get(&key, &question.name, context.warnings)
         && let Ok((id, reasoning)) = read_choice(&entry.reply, &question.ids)
     {
-        return Ok(Chosen { id, reasoning, is_cached: true });
+        return Ok(ChosenMark { id, reasoning, is_cached: true });
     }
     let no_answer = |what: String, cure: &str| ChooseError::NoAnswer {
         name: question.name.clone(),
@@ -113,37 +108,34 @@ pub fn choose(
         let what = "its reply is not in the cache, and no requests are allowed".to_owned();
         return Err(no_answer(what, "allow requests, or use another chooser"));
     }
-    let picture = base64::engine::general_purpose::STANDARD.encode(&question.jpeg);
     let mut messages = vec![
         json!({"role": "system", "content": question.system}),
         json!({"role": "user", "content": [
-            {"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{picture}")}},
+            picture_part(&question.jpeg),
             {"type": "text", "text": text},
         ]}),
     ];
     let schema = schema(&question.ids);
-    let form = Form { name: "choice", nested: schema.clone(), flat: schema };
+    let form = ReplyForm { name: "choice", nested: schema.clone(), flat: schema };
     let (mut tokens, mut complaint) = ((0, 0), String::new());
     for _ in 0..=config.max_repairs {
-        let completion = match client.complete(&question.name, &form, &messages, cancel) {
+        let completion = match client.complete(&question.name, &form, &messages, context.cancel) {
             Ok(completion) => completion,
             Err(CallError::Core(e)) => return Err(e.into()),
             Err(CallError::Fatal { what, cure }) => return Err(no_answer(what, &cure)),
-            Err(e) => return Err(no_answer(e.to_string(), "see whether the server is well, and ask again")),
+            Err(e) => return Err(no_answer(e.to_string(), "check the server, and ask again")),
         };
         tokens.0 += completion.prompt_tokens;
         tokens.1 += completion.completion_tokens;
         match read_choice(&completion.text, &question.ids) {
             Ok((id, reasoning)) => {
-                let entry = Entry::new(&config.model, &question.name, &completion.text, tokens);
+                let entry = CachedReply::new(&config.model, &question.name, &completion.text, tokens);
                 cache.put(&key, &entry)?;
-                return Ok(Chosen { id, reasoning, is_cached: false });
+                return Ok(ChosenMark { id, reasoning, is_cached: false });
             }
             Err(what) => complaint = what,
         }
-        let said = shortened(&completion.text, QUOTED_CHARS);
-        let said = if said.is_empty() { "(nothing)".to_owned() } else { said };
-        messages.push(json!({"role": "assistant", "content": said}));
+        messages.push(quoted(&completion.text));
         let again = format!("Your answer cannot be used: {complaint}. {}", form_of_answer(&question.ids));
         messages.push(json!({"role": "user", "content": again}));
     }
@@ -166,17 +158,17 @@ fn schema(ids: &[u32]) -> Value {
     object([("reasoning", json!({"type": "string"})), ("decision", json!({"type": "integer", "enum": ids}))])
 }
 
-/// The mark that a reply names, and its reasons: of the last JSON object with a decision, else of the last line that begins with
-/// "Decision:".
+/// Parses the chosen mark and the reasons: from the last JSON object with a decision, else from the last line that
+/// begins with "Decision:".
 ///
 /// # Errors
-/// What to tell the model when there is none, or it is none of `ids`.
-pub fn read_choice(text: &str, ids: &[u32]) -> Result<(u32, String), String> {
+/// The complaint to send to the model if there is no decision, or it is not one of `ids`.
+fn read_choice(text: &str, ids: &[u32]) -> Result<(u32, String), String> {
     let (decision, reasoning) = match objects(text) {
         Ok(found) => found.maps.iter().rev().find_map(|map| {
             let field = |names: &[&str]| map.iter().find(|(k, _)| names.contains(&plain(k).as_str()));
-            let words = |node: &Node| match node {
-                Node::Number(t) | Node::Text(t) => Some(t.trim().to_owned()),
+            let words = |node: &ReplyNode| match node {
+                ReplyNode::Number(t) | ReplyNode::Text(t) => Some(t.trim().to_owned()),
                 _ => None,
             };
             let (_, decision) = field(&["decision", "id", "choice", "answer"])?;
@@ -202,7 +194,7 @@ pub fn read_choice(text: &str, ids: &[u32]) -> Result<(u32, String), String> {
     }
 }
 
-/// The paper's own form: "Reasoning: …" and "Decision: 3", each on a line.
+/// Parses the paper's format: "Reasoning: …" and "Decision: 3", each on a line.
 fn decision_line(text: &str) -> Option<(String, String)> {
     let stripped = |line: &str| line.trim().trim_start_matches(['*', '#', '-', ' ']).to_owned();
     let lines: Vec<String> = text.lines().map(stripped).collect();

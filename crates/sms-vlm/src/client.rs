@@ -1,7 +1,7 @@
-//! A conversation with a server: retries, what it refuses, when to give up.
+//! Conversation with a server: retries, refusals, fatal failures.
 
 use crate::VlmConfig;
-use crate::dialect::{Completion, Dialect, Form, NoReply, Rung, completion, words_of_error};
+use crate::dialect::{Completion, Dialect, Enforcement, NoReply, ReplyForm, completion, words_of_error};
 use crate::pause::{Pause, STEP, Sleep, retry_after, seconds_before};
 use crate::transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
 use serde_json::Value;
@@ -10,13 +10,13 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
-/// Why a question has no reply.
+/// Failure of a request.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
-    /// No other question will have one either: a wrong key, no such model, no server.
+    /// All other questions fail, too: a wrong key, no such model, no server.
     #[error("{what}")]
     Fatal { what: String, cure: String },
-    /// This one failed; others may not.
+    /// This request failed; others may not.
     #[error("{0}")]
     Failed(String),
     /// The model declined to answer.
@@ -26,18 +26,19 @@ pub(crate) enum CallError {
     Core(#[from] CoreError),
 }
 
-/// What was used.
+/// Requests and tokens used.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// Requests that were made, refused and repeated ones included.
+    /// Number of requests, including refused and repeated ones.
     pub requests: u64,
-    /// Tokens of prompts, images included, as the server counts them.
+    /// Tokens of prompts, images included, as counted by the server.
     pub prompt_tokens: u64,
     /// Tokens of replies.
     pub completion_tokens: u64,
 }
 
-/// A client of one OpenAI-compatible chat-completions server. It finds out what the server takes, and remembers it.
+/// A client of one OpenAI-compatible chat-completions server. It finds out and remembers which features the server
+/// supports.
 pub struct Client {
     config: VlmConfig,
     endpoint: String,
@@ -59,15 +60,15 @@ impl std::fmt::Debug for Client {
 }
 
 impl Client {
-    /// A client over HTTP. `seed` is of the pauses between attempts.
+    /// A client over HTTP. `seed` randomizes the pauses between attempts.
     ///
     /// # Errors
-    /// [`InputError`] when a setting is out of range, or no server or model is named.
+    /// [`InputError`] if a setting is out of range, or no server or model is given.
     pub fn new(config: &VlmConfig, key: Option<ApiKey>, seed: Seed) -> Result<Self, InputError> {
         Self::with(config, key, seed, Arc::new(HttpTransport::new(config)), Arc::new(Sleep))
     }
 
-    /// A client over another transport, with another way to wait.
+    /// A client with its own transport and pauses.
     ///
     /// # Errors
     /// As [`Client::new`].
@@ -83,7 +84,7 @@ impl Client {
             "" if config.cache_only => String::new(),
             "" => {
                 return Err(InputError::new(
-                    "no server is named to ask about the objects",
+                    "no vision-language model server is set",
                     "`vlm.url` (SMS_VLM_URL)",
                     "give the server's base address, such as https://api.openai.com/v1 or http://localhost:8000/v1",
                 ));
@@ -92,9 +93,9 @@ impl Client {
         };
         if config.model.trim().is_empty() {
             return Err(InputError::new(
-                "no model is named",
+                "no vision-language model is set",
                 "`vlm.model` (SMS_VLM_MODEL)",
-                "give the name that the server has for a model that takes images",
+                "give the server's name of a model that accepts images",
             ));
         }
         Ok(Self {
@@ -114,25 +115,25 @@ impl Client {
         &self.config
     }
 
-    /// What was used so far.
+    /// Returns the usage so far.
     pub fn usage(&self) -> Usage {
         *self.usage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How the form of replies is asked for, as far as the server has been found to take it.
-    pub fn rung(&self) -> Rung {
-        self.current().rung
+    /// Returns how the form of replies is currently requested.
+    pub fn enforcement(&self) -> Enforcement {
+        self.current().enforcement
     }
 
     fn current(&self) -> Dialect {
         *self.dialect.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends a conversation and returns the model's reply. `name` is of the random pauses.
+    /// Sends a conversation and returns the model's reply. `name` seeds the random pauses.
     pub(crate) fn complete(
         &self,
         name: &str,
-        form: &Form,
+        form: &ReplyForm,
         messages: &[Value],
         cancel: &Cancel,
     ) -> Result<Completion, CallError> {
@@ -144,19 +145,19 @@ impl Client {
             let config = &self.config;
             let body = dialect.body(&config.model, config.max_tokens, config.temperature, form, messages);
             let reply = self.post(body.to_string().into_bytes(), cancel)?;
-            // A server that was silent for the whole time limit gets one more chance only: the limit is long.
+            // After a timeout, only one more attempt follows: the time limit is long.
             let is_silent = matches!(reply, Err(TransportError::Timeout(_)));
-            let (trouble, wait) = match self.judge(reply, dialect)? {
-                Verdict::Reply(completion) => return Ok(completion),
-                Verdict::AskDifferently => continue,
-                Verdict::Again { trouble, wait } => (trouble, wait),
+            let (trouble, wait) = match self.handle(reply, dialect)? {
+                Handling::Reply(completion) => return Ok(completion),
+                Handling::AskDifferently => continue,
+                Handling::Again { trouble, wait } => (trouble, wait),
             };
             attempt += 1;
             if attempt > self.config.max_retries || (is_silent && attempt > 1) {
                 return Err(trouble);
             }
             if wait.is_some_and(|w| w.as_secs_f64() > self.config.max_backoff_s) {
-                // It asks for more patience than is allowed: coming back earlier would only be refused again.
+                // The server requests a longer pause than allowed; an earlier attempt would only be refused again.
                 return Err(trouble);
             }
             let seconds =
@@ -165,14 +166,15 @@ impl Client {
         }
     }
 
-    /// Posts on a thread of its own, so that a stop is heard while the server thinks. The thread ends by its time limits.
+    /// Posts on its own thread, so that cancellation works while the server is busy. The thread ends by its time
+    /// limits.
     fn post(&self, body: Vec<u8>, cancel: &Cancel) -> Result<Result<Reply, TransportError>, CallError> {
         self.count(|u| u.requests += 1);
         let request = Request { url: self.endpoint.clone(), key: self.key.clone(), body };
         let transport = Arc::clone(&self.transport);
         let (sender, receiver) = channel();
         std::thread::spawn(move || {
-            // Nobody listens any more where a stop was asked for.
+            // The receiver is gone after cancellation.
             let _ = sender.send(transport.post(&request));
         });
         loop {
@@ -186,8 +188,8 @@ impl Client {
         }
     }
 
-    fn judge(&self, reply: Result<Reply, TransportError>, sent: Dialect) -> Result<Verdict, CallError> {
-        let again = |trouble| Ok(Verdict::Again { trouble, wait: None });
+    fn handle(&self, reply: Result<Reply, TransportError>, sent: Dialect) -> Result<Handling, CallError> {
+        let again = |trouble| Ok(Handling::Again { trouble, wait: None });
         let reply = match reply {
             Ok(reply) => reply,
             Err(e @ TransportError::Unreachable(_)) => {
@@ -200,15 +202,15 @@ impl Client {
             Err(e) => return again(CallError::Failed(format!("the server {e}"))),
         };
         if !(200..300).contains(&reply.status) {
-            return self.judge_status(reply.status, &reply, &words_of_error(&reply.body), sent);
+            return self.handle_status(reply.status, &reply, &words_of_error(&reply.body), sent);
         }
         match completion(&reply.body) {
             Ok(completion) => {
                 self.count_tokens(completion.prompt_tokens, completion.completion_tokens);
-                Ok(Verdict::Reply(completion))
+                Ok(Handling::Reply(completion))
             }
             Err(NoReply::Error { status: Some(status), words }) if (300..600).contains(&status) => {
-                self.judge_status(status, &reply, &words, sent)
+                self.handle_status(status, &reply, &words, sent)
             }
             Err(NoReply::Error { words, .. }) => {
                 again(CallError::Failed(format!("the server says: {words}")))
@@ -221,23 +223,23 @@ impl Client {
         }
     }
 
-    fn judge_status(
+    fn handle_status(
         &self,
         status: u16,
         reply: &Reply,
         words: &str,
         sent: Dialect,
-    ) -> Result<Verdict, CallError> {
+    ) -> Result<Handling, CallError> {
         let fatal = |what: String, cure: &str| Err(CallError::Fatal { what, cure: cure.to_owned() });
         let says = if words.is_empty() { String::new() } else { format!(": {words}") };
         match status {
             401 if self.key.is_none() => fatal(
-                format!("the server wants a key (401{says})"),
+                format!("the server requires a key (401{says})"),
                 "give it in the environment variable OPENAI_API_KEY",
             ),
             401 | 403 => fatal(
                 format!("the server refuses the key ({status}{says})"),
-                "check OPENAI_API_KEY and what the key may use",
+                "check OPENAI_API_KEY and the permissions of the key",
             ),
             402 => {
                 fatal(format!("the account has no credit (402{says})"), "add credit, or use another server")
@@ -255,28 +257,28 @@ impl Client {
                 "give the address that it redirects to as SMS_VLM_URL (`vlm.url`)",
             ),
             413 => Err(CallError::Failed(format!(
-                "the server finds the image too large (413{says}); lower `vlm.max_image_side`"
+                "the image is too large for the server (413{says}); lower `vlm.max_image_side`"
             ))),
             400 | 422 => self
                 .step_down(words, sent)
-                .map(|()| Verdict::AskDifferently)
+                .map(|()| Handling::AskDifferently)
                 .ok_or_else(|| CallError::Failed(format!("the server refuses the request ({status}{says})"))),
             408 | 409 | 425 | 429 | 500..=599 => {
-                // Some servers fail where they should refuse.
+                // Some servers fail instead of refusing.
                 let about_form =
                     ["response_format", "json_schema", "grammar"].iter().any(|w| words.contains(w));
                 if matches!(status, 500 | 501) && about_form && self.step_down(words, sent).is_some() {
-                    return Ok(Verdict::AskDifferently);
+                    return Ok(Handling::AskDifferently);
                 }
                 let wait = reply.retry_after.as_deref().and_then(|t| retry_after(t, SystemTime::now()));
-                let trouble = CallError::Failed(format!("the server is busy or fails ({status}{says})"));
-                Ok(Verdict::Again { trouble, wait })
+                let trouble = CallError::Failed(format!("the server is busy or failing ({status}{says})"));
+                Ok(Handling::Again { trouble, wait })
             }
             _ => Err(CallError::Failed(format!("the server answers with status {status}{says}"))),
         }
     }
 
-    /// Takes back what the server refused; another thread may have done so already.
+    /// Drops the refused feature, unless another thread already has.
     fn step_down(&self, words: &str, sent: Dialect) -> Option<()> {
         let mut dialect = self.dialect.lock().unwrap_or_else(PoisonError::into_inner);
         if *dialect == sent {
@@ -297,11 +299,11 @@ impl Client {
     }
 }
 
-enum Verdict {
+enum Handling {
     Reply(Completion),
-    /// The request was refused for its form; the dialect has changed.
+    /// The form of the request was refused; the dialect has changed.
     AskDifferently,
-    /// The trouble may pass.
+    /// The failure may be temporary.
     Again {
         trouble: CallError,
         wait: Option<std::time::Duration>,

@@ -1,55 +1,59 @@
-//! How servers differ: what they enforce, what they refuse, and where they put the reply.
+//! Differences between servers: enforced features, refused ones, and the place of the reply.
 
 use crate::quantity::shortened;
 use serde_json::{Map, Value, json};
 
-/// How the form of the reply is asked for, from the strictest down.
+/// How the form of the reply is requested, from the strictest down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Rung {
-    /// `json_schema` with objects in objects.
+pub enum Enforcement {
+    /// `json_schema` with nested objects.
     NestedSchema,
-    /// `json_schema` with plain keys only.
+    /// `json_schema` with a flat object.
     FlatSchema,
     /// `json_object`: any JSON object.
     JsonObject,
-    /// By the prompt alone.
+    /// Only by the prompt.
     Prompt,
 }
 
-/// The form that a reply is asked for in, where the server can enforce one.
+/// The form of a reply, for servers that can enforce one.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Form {
-    /// Its name, as servers want one.
+pub(crate) struct ReplyForm {
+    /// Its name, which servers require.
     pub name: &'static str,
-    /// With objects in objects.
+    /// Schema with nested objects.
     pub nested: Value,
-    /// With plain keys only.
+    /// Schema with a flat object.
     pub flat: Value,
 }
 
-/// What a server has been found to take.
+/// The features that a server supports, as far as known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Dialect {
-    pub rung: Rung,
-    /// The key for the length of the reply; newer models refuse the older one.
+    pub enforcement: Enforcement,
+    /// The key for the length of the reply; newer models refuse the older key.
     pub tokens_key: Option<&'static str>,
     pub sends_temperature: bool,
 }
 
 impl Default for Dialect {
     fn default() -> Self {
-        Self { rung: Rung::NestedSchema, tokens_key: Some("max_tokens"), sends_temperature: true }
+        Self {
+            enforcement: Enforcement::NestedSchema,
+            tokens_key: Some("max_tokens"),
+            sends_temperature: true,
+        }
     }
 }
 
 impl Dialect {
-    /// The body of a request.
+    /// Returns the body of a request.
     pub(crate) fn body(
         &self,
         model: &str,
         max_tokens: usize,
         temperature: f64,
-        form: &Form,
+        form: &ReplyForm,
         messages: &[Value],
     ) -> Value {
         let mut body = Map::new();
@@ -62,18 +66,18 @@ impl Dialect {
             body.insert("temperature".to_owned(), json!(temperature));
         }
         let schema = |schema: &Value| json!({"type": "json_schema", "json_schema": {"name": form.name, "strict": true, "schema": schema}});
-        let format = match self.rung {
-            Rung::NestedSchema => Some(schema(&form.nested)),
-            Rung::FlatSchema => Some(schema(&form.flat)),
-            Rung::JsonObject => Some(json!({"type": "json_object"})),
-            Rung::Prompt => None,
+        let format = match self.enforcement {
+            Enforcement::NestedSchema => Some(schema(&form.nested)),
+            Enforcement::FlatSchema => Some(schema(&form.flat)),
+            Enforcement::JsonObject => Some(json!({"type": "json_object"})),
+            Enforcement::Prompt => None,
         };
         body.extend(format.map(|f| ("response_format".to_owned(), f)));
         Value::Object(body)
     }
 
-    /// What to try after a request was refused as malformed, by the words of the refusal; `None` when it is about
-    /// something else or nothing is left to try.
+    /// Returns the dialect to try after a request was refused as malformed, by the words of the refusal; `None` if
+    /// the refusal has another reason or no simpler dialect is left.
     pub(crate) fn after_refusal(&self, words: &str) -> Option<Self> {
         let words = words.to_lowercase();
         let says = |list: &[&str]| list.iter().any(|w| words.contains(w));
@@ -92,44 +96,44 @@ impl Dialect {
         let about_image = says(&["image", "multimodal", "vision"]);
         let about_form =
             says(&["response_format", "json_schema", "schema", "json_object", "grammar", "structured"]);
-        // A bare "bad request" may be about anything: the form of the reply is the likeliest to be unknown to a server.
+        // A bare "bad request" has no reason; the form of the reply is the feature most likely unknown to a server.
         let says_nothing = words.split_whitespace().count() < 4;
         if !about_form && (about_image || !says_nothing) {
             return None;
         }
-        let rung = match self.rung {
-            Rung::NestedSchema => Rung::FlatSchema,
-            Rung::FlatSchema => Rung::JsonObject,
-            Rung::JsonObject => Rung::Prompt,
-            Rung::Prompt => return None,
+        let enforcement = match self.enforcement {
+            Enforcement::NestedSchema => Enforcement::FlatSchema,
+            Enforcement::FlatSchema => Enforcement::JsonObject,
+            Enforcement::JsonObject => Enforcement::Prompt,
+            Enforcement::Prompt => return None,
         };
-        Some(Self { rung, ..*self })
+        Some(Self { enforcement, ..*self })
     }
 }
 
-/// What a server answered.
+/// A reply.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Completion {
     pub text: String,
     pub prompt_tokens: u64,
     pub completion_tokens: u64,
-    /// Whether the reply ended because it was as long as allowed.
+    /// Whether the reply was cut at the allowed length.
     pub is_cut: bool,
 }
 
-/// Why a body with a good status holds no reply.
+/// Reason why a body with a good status contains no reply.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum NoReply {
-    /// It is no JSON, or JSON without a reply: the server, or something before it, is out of order.
+    /// It is not JSON, or JSON without a reply: the server, or a proxy, is out of order.
     Malformed(String),
-    /// An error in place of the reply, with its status where it has one.
+    /// An error instead of the reply, with its status if given.
     Error { status: Option<u16>, words: String },
     /// The model declined.
     Refused { words: String, prompt_tokens: u64, completion_tokens: u64 },
 }
 
-/// Finds the reply in a body: as text, as a list of parts, as the arguments of a tool call, as a parsed object, or in the
-/// form of the responses interface.
+/// Finds the reply in a body: as text, as a list of parts, as the arguments of a tool call, as a parsed object, or
+/// in the form of the responses interface.
 pub(crate) fn completion(body: &[u8]) -> Result<Completion, NoReply> {
     let text = String::from_utf8_lossy(body);
     let value: Value = serde_json::from_str(text.trim())
@@ -169,7 +173,7 @@ pub(crate) fn completion(body: &[u8]) -> Result<Completion, NoReply> {
         return Err(NoReply::Refused { words, prompt_tokens, completion_tokens });
     }
     if choice.is_object() {
-        // An empty reply is the model's, not the server's: it can be told so.
+        // An empty reply is the model's fault, not the server's; a repair can be requested.
         return Ok(Completion { text: String::new(), prompt_tokens, completion_tokens, is_cut });
     }
     Err(NoReply::Malformed(format!("the body has no choices: {}", excerpt(&value.to_string()))))
@@ -179,7 +183,7 @@ fn text_of(content: &Value) -> Option<String> {
     match content {
         Value::String(text) => Some(text.clone()),
         Value::Object(_) if content["text"].is_string() => content["text"].as_str().map(str::to_owned),
-        // An object in place of its text.
+        // An object instead of its text.
         Value::Object(_) => Some(content.to_string()),
         Value::Array(parts) => {
             let texts: Vec<&str> = parts
@@ -209,7 +213,7 @@ fn arguments(function: &Value) -> Option<String> {
     }
 }
 
-/// The words of an error's body: its message where it has one, else its beginning.
+/// Returns the text of an error's body: its message if it has one, else its beginning.
 pub(crate) fn words_of_error(body: &[u8]) -> String {
     let text = String::from_utf8_lossy(body);
     let Ok(value) = serde_json::from_str::<Value>(text.trim()) else { return excerpt(&text) };
@@ -225,7 +229,7 @@ pub(crate) fn words_of_error(body: &[u8]) -> String {
     excerpt(&if more.is_empty() { words } else { format!("{words} [{}]", more.join(", ")) })
 }
 
-/// The beginning of a text on one line, for messages.
+/// Returns the beginning of a text on one line, for messages.
 pub(crate) fn excerpt(text: &str) -> String {
     let line: String = text.chars().take(2000).map(|c| if c.is_control() { ' ' } else { c }).collect();
     shortened(&line.split_whitespace().collect::<Vec<_>>().join(" "), 240)
@@ -278,18 +282,18 @@ mod tests {
         let first = Dialect::default();
         let after = |d: Dialect, words: &str| d.after_refusal(words);
         let mut d = first;
-        for rung in [Rung::FlatSchema, Rung::JsonObject, Rung::Prompt] {
+        for enforcement in [Enforcement::FlatSchema, Enforcement::JsonObject, Enforcement::Prompt] {
             d = after(d, "Invalid parameter: 'response_format' of type 'json_schema' is not supported")
                 .unwrap();
-            assert_eq!(d.rung, rung);
+            assert_eq!(d.enforcement, enforcement);
         }
         assert_eq!(
             after(d, "response_format is not supported with this model at all"),
             None,
             "nothing is left"
         );
-        assert_eq!(after(first, "").unwrap().rung, Rung::FlatSchema);
-        assert_eq!(after(first, "Bad Request").unwrap().rung, Rung::FlatSchema);
+        assert_eq!(after(first, "").unwrap().enforcement, Enforcement::FlatSchema);
+        assert_eq!(after(first, "Bad Request").unwrap().enforcement, Enforcement::FlatSchema);
         assert_eq!(after(first, "This model does not support image input, use another model: error"), None);
         assert_eq!(
             after(first, "error: the messages are longer than the context length of this model"),
@@ -297,7 +301,10 @@ mod tests {
         );
         let other =
             after(first, "Unsupported parameter: 'max_tokens', use 'max_completion_tokens' instead").unwrap();
-        assert_eq!((other.rung, other.tokens_key), (Rung::NestedSchema, Some("max_completion_tokens")));
+        assert_eq!(
+            (other.enforcement, other.tokens_key),
+            (Enforcement::NestedSchema, Some("max_completion_tokens"))
+        );
         let none = after(other, "max_completion_tokens is unknown").unwrap();
         assert_eq!(none.tokens_key, None);
         assert!(

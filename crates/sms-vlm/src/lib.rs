@@ -1,18 +1,19 @@
-//! What a vision-language model says of the objects in a scene, validated.
+//! Validated estimates of objects in a scene by a vision-language model.
 //!
 //! The paper (section Materialize) shows a model each object in a picture with its box, and asks for its material,
-//! density, friction, restitution, Young's modulus and Poisson's ratio. This crate asks any server that speaks OpenAI's chat
-//! completions: it picks the view in which most of the object is seen ([`score_view`], [`best_view`]), draws the box
-//! ([`annotated`]), asks for JSON as strictly as the server can enforce it (a nested schema, a flat one, any object, the
-//! prompt alone), and checks whatever comes back ([`read_reply`]): units, ranges, order of intervals. What is wrong is told to
-//! the model at most twice. Every question ends as an [`Outcome`]: values that were checked, or a fallback that is named in
-//! the warnings. Replies are kept on disk by image, prompt and model ([`Cache`]).
+//! density, friction, restitution, Young's modulus and Poisson's ratio. This crate asks any server with OpenAI's
+//! chat completions: it picks the view that shows most of the object ([`score_view`], [`best_view`]), draws the box
+//! ([`annotated`]), requests JSON as strictly as the server can enforce it (a nested schema, a flat one, any
+//! object, the prompt alone), and validates the reply ([`read_reply`]): units, ranges, order of intervals. The
+//! model may repair its reply at most twice. Every question ends with an [`Outcome`]: validated values, or a
+//! fallback reported in the warnings. Replies are kept on disk by image, prompt and model ([`Cache`]).
 //!
 //! [`choose`] asks the same servers for one of several numbered marks in a picture (visual prompting).
 //!
 //! ```
 //! use sms_vlm::read_reply;
-//! let reading = read_reply("Sure: {\"material\": \"glass\", \"density\": \"2.5 g/cm3\", \"friction\": 40}").unwrap();
+//! let reading = read_reply("Sure: {\"material\": \"glass\", \"density\": \"2.5 g/cm3\", \"friction\":
+//! 40}").unwrap();
 //! assert_eq!(reading.estimate.density.unwrap().best, 2500.0);
 //! assert_eq!(reading.estimate.friction, None, "a friction of 40 is not possible");
 //! assert!(reading.faults.iter().any(|f| f.field == "friction"));
@@ -35,13 +36,13 @@ mod transport;
 mod view;
 
 pub use answer::{Fault, Reading, read_reply};
-pub use ask::{Asked, GivenUp, Outcome, Question, ask};
+pub use ask::{Answers, GivenUp, Outcome, Question, ask};
 pub use cache::Cache;
-pub use choose::{ChoiceQuestion, ChooseError, Chosen, choose, read_choice};
+pub use choose::{ChoiceQuestion, ChooseError, ChosenMark, choose};
 pub use client::{Client, Usage};
 pub use config::VlmConfig;
-pub use dialect::Rung;
+pub use dialect::Enforcement;
 pub use pause::{Pause, Sleep};
 pub use scene_view::question_about;
 pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
-pub use view::{PixelBox, ViewScore, annotated, best_view, jpeg, picture, score_view};
+pub use view::{ObjectViewScore, PixelBounds, annotated, best_view, jpeg, picture, score_view};

@@ -1,26 +1,27 @@
-//! JSON as language models write it: in prose, in fences, with trailing commas, comments, bare words and single quotes.
+//! Parser of JSON as language models write it: in prose, in fences, with trailing commas, comments, bare words and
+//! single quotes.
 
-/// The most levels of nesting that are read.
+/// Greatest depth of nesting.
 const MAX_DEPTH: usize = 32;
-/// The most objects that are looked for in one reply.
+/// Greatest number of objects searched in one reply.
 const MAX_OBJECTS: usize = 64;
-/// The most bytes that are read in looking for them, every reading counted.
+/// Greatest number of bytes read during the search, counting repeated reading.
 const MAX_READ: usize = 1 << 22;
 
-/// A value of a reply. Keys stay in order and may repeat, because a repeated key is a mistake to be told of.
+/// A value of a reply. Keys stay in order and may repeat, because a repeated key is a fault to report.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Node {
+pub(crate) enum ReplyNode {
     Null,
     Bool(bool),
-    /// A number as it was written.
+    /// A number as written.
     Number(String),
     Text(String),
-    List(Vec<Node>),
-    Map(Vec<(String, Node)>),
+    List(Vec<ReplyNode>),
+    Map(Vec<(String, ReplyNode)>),
 }
 
-impl Node {
-    /// In one or two words, for messages.
+impl ReplyNode {
+    /// Returns its kind in one or two words, for messages.
     pub(crate) fn kind(&self) -> &'static str {
         match self {
             Self::Null => "null",
@@ -33,26 +34,26 @@ impl Node {
     }
 }
 
-/// Why there is no object.
+/// Reason why a text contains no complete object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NoObject {
-    /// The text holds none.
+    /// It contains none.
     Missing,
-    /// One begins and does not end.
+    /// An object begins but does not end.
     CutOff,
 }
 
 /// The objects of a text.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Found {
-    /// Every whole object that is not part of another whole one, in order.
-    pub maps: Vec<Vec<(String, Node)>>,
-    /// Whether one begins and does not end; objects within it are found.
+pub(crate) struct FoundObjects {
+    /// Every complete object that is not part of another complete one, in order.
+    pub maps: Vec<Vec<(String, ReplyNode)>>,
+    /// Whether an object begins but does not end; complete objects within it are in `maps`.
     pub is_cut_off: bool,
 }
 
-/// Looks for JSON objects in a text.
-pub(crate) fn objects(text: &str) -> Result<Found, NoObject> {
+/// Finds JSON objects in a text.
+pub(crate) fn objects(text: &str) -> Result<FoundObjects, NoObject> {
     let text = without_thoughts(text);
     let mut found = Vec::new();
     let mut cut_off = false;
@@ -61,26 +62,26 @@ pub(crate) fn objects(text: &str) -> Result<Found, NoObject> {
         let start = at + offset;
         let mut parser = Parser { text, at: start };
         match parser.value(0) {
-            Ok(Node::Map(map)) => {
+            Ok(ReplyNode::Map(map)) => {
                 found.push(map);
                 at = parser.at;
             }
             Ok(_) => at = start + 1,
-            Err(Fault::End) => {
+            Err(ParseFault::End) => {
                 cut_off = true;
                 at = start + 1;
             }
-            Err(Fault::Malformed) => at = start + 1,
+            Err(ParseFault::Malformed) => at = start + 1,
         }
-        // Objects that never close are read to the end from each of their braces: that must not cost the square.
+        // Unclosed objects are read to the end from each of their braces; the limit prevents quadratic cost.
         spent += parser.at - start;
         if found.len() >= MAX_OBJECTS || spent > MAX_READ {
             break;
         }
     }
     match (found.is_empty(), cut_off) {
-        (false, is_cut_off) => Ok(Found { maps: found, is_cut_off }),
-        // An object as a JSON string: the whole text in quotes with its own quotes escaped.
+        (false, is_cut_off) => Ok(FoundObjects { maps: found, is_cut_off }),
+        // An object as a JSON string: the whole text in quotes with escaped inner quotes.
         (true, _) if text.trim_start().starts_with('"') => {
             match serde_json::from_str::<String>(text.trim()) {
                 Ok(inner) if inner.len() < text.len() => objects(&inner),
@@ -92,7 +93,7 @@ pub(crate) fn objects(text: &str) -> Result<Found, NoObject> {
     }
 }
 
-/// The text after the model's thoughts, where it shows them.
+/// Returns the text after the model's thoughts, if it shows them.
 fn without_thoughts(text: &str) -> &str {
     ["</think>", "</thinking>", "</reasoning>"]
         .iter()
@@ -101,10 +102,10 @@ fn without_thoughts(text: &str) -> &str {
         .map_or(text, |end| &text[end..])
 }
 
-enum Fault {
+enum ParseFault {
     /// The text ends within a value.
     End,
-    /// This is no value.
+    /// The text is not a value.
     Malformed,
 }
 
@@ -124,7 +125,7 @@ impl Parser<'_> {
         Some(c)
     }
 
-    fn skip_space(&mut self) -> Result<(), Fault> {
+    fn skip_space(&mut self) -> Result<(), ParseFault> {
         loop {
             let rest = &self.text[self.at..];
             let trimmed = rest.trim_start_matches(|c: char| c.is_whitespace() || c == '\u{feff}');
@@ -132,35 +133,35 @@ impl Parser<'_> {
             if trimmed.starts_with("//") {
                 self.at += trimmed.find('\n').unwrap_or(trimmed.len());
             } else if trimmed.starts_with("/*") {
-                self.at += trimmed.find("*/").ok_or(Fault::End)? + 2;
+                self.at += trimmed.find("*/").ok_or(ParseFault::End)? + 2;
             } else {
                 return Ok(());
             }
         }
     }
 
-    fn value(&mut self, depth: usize) -> Result<Node, Fault> {
+    fn value(&mut self, depth: usize) -> Result<ReplyNode, ParseFault> {
         if depth > MAX_DEPTH {
-            return Err(Fault::Malformed);
+            return Err(ParseFault::Malformed);
         }
         self.skip_space()?;
-        match self.peek().ok_or(Fault::End)? {
+        match self.peek().ok_or(ParseFault::End)? {
             '{' => self.map(depth),
             '[' => self.list(depth),
-            quote @ ('"' | '\'' | '“' | '‘') => self.quoted(closing(quote)).map(Node::Text),
+            quote @ ('"' | '\'' | '“' | '‘') => self.quoted(closing(quote)).map(ReplyNode::Text),
             _ => self.bare(),
         }
     }
 
-    fn map(&mut self, depth: usize) -> Result<Node, Fault> {
+    fn map(&mut self, depth: usize) -> Result<ReplyNode, ParseFault> {
         self.bump();
         let mut entries = Vec::new();
         loop {
             self.skip_space()?;
-            match self.peek().ok_or(Fault::End)? {
+            match self.peek().ok_or(ParseFault::End)? {
                 '}' => {
                     self.bump();
-                    return Ok(Node::Map(entries));
+                    return Ok(ReplyNode::Map(entries));
                 }
                 ',' | ';' => drop(self.bump()),
                 quote @ ('"' | '\'' | '“' | '‘') => {
@@ -170,51 +171,51 @@ impl Parser<'_> {
                 }
                 c if c.is_alphabetic() || c == '_' => {
                     let rest = &self.text[self.at..];
-                    let end = rest.find([':', '=', '{', '}', '\n', '"']).ok_or(Fault::End)?;
+                    let end = rest.find([':', '=', '{', '}', '\n', '"']).ok_or(ParseFault::End)?;
                     let key = rest[..end].trim().to_owned();
                     self.at += end;
                     self.colon()?;
                     entries.push((key, self.value(depth + 1)?));
                 }
-                _ => return Err(Fault::Malformed),
+                _ => return Err(ParseFault::Malformed),
             }
         }
     }
 
-    fn colon(&mut self) -> Result<(), Fault> {
+    fn colon(&mut self) -> Result<(), ParseFault> {
         self.skip_space()?;
         match self.bump() {
             Some(':' | '=' | '：') => Ok(()),
-            Some(_) => Err(Fault::Malformed),
-            None => Err(Fault::End),
+            Some(_) => Err(ParseFault::Malformed),
+            None => Err(ParseFault::End),
         }
     }
 
-    fn list(&mut self, depth: usize) -> Result<Node, Fault> {
+    fn list(&mut self, depth: usize) -> Result<ReplyNode, ParseFault> {
         self.bump();
         let mut items = Vec::new();
         loop {
             self.skip_space()?;
-            match self.peek().ok_or(Fault::End)? {
+            match self.peek().ok_or(ParseFault::End)? {
                 ']' => {
                     self.bump();
-                    return Ok(Node::List(items));
+                    return Ok(ReplyNode::List(items));
                 }
                 ',' => drop(self.bump()),
-                '}' => return Err(Fault::Malformed),
+                '}' => return Err(ParseFault::Malformed),
                 _ => items.push(self.value(depth + 1)?),
             }
         }
     }
 
     /// Text up to the closing quote. Line breaks within it are kept, as models leave them unescaped.
-    fn quoted(&mut self, close: char) -> Result<String, Fault> {
+    fn quoted(&mut self, close: char) -> Result<String, ParseFault> {
         self.bump();
         let mut out = String::new();
         loop {
-            match self.bump().ok_or(Fault::End)? {
+            match self.bump().ok_or(ParseFault::End)? {
                 c if c == close => return Ok(out),
-                '\\' => match self.bump().ok_or(Fault::End)? {
+                '\\' => match self.bump().ok_or(ParseFault::End)? {
                     'n' => out.push('\n'),
                     't' => out.push('\t'),
                     'r' | 'b' | 'f' => out.push(' '),
@@ -226,8 +227,8 @@ impl Parser<'_> {
         }
     }
 
-    /// The character of `\uXXXX`, of two such for one beyond the basic plane.
-    fn escaped(&mut self) -> Result<char, Fault> {
+    /// Parses the character of `\uXXXX`, or of two of them for one beyond the basic plane.
+    fn escaped(&mut self) -> Result<char, ParseFault> {
         let high = self.hex4()?;
         if (0xD800..0xDC00).contains(&high) && self.text[self.at..].starts_with("\\u") {
             self.at += 2;
@@ -241,35 +242,36 @@ impl Parser<'_> {
         Ok(char::from_u32(high).unwrap_or(char::REPLACEMENT_CHARACTER))
     }
 
-    fn hex4(&mut self) -> Result<u32, Fault> {
+    fn hex4(&mut self) -> Result<u32, ParseFault> {
         let mut code = 0;
         for _ in 0..4 {
-            let digit = self.bump().ok_or(Fault::End)?.to_digit(16).ok_or(Fault::Malformed)?;
+            let digit = self.bump().ok_or(ParseFault::End)?.to_digit(16).ok_or(ParseFault::Malformed)?;
             code = 16 * code + digit;
         }
         Ok(code)
     }
 
-    /// A word or number without quotes, up to the next comma, bracket or line: `true`, `1.5e9`, `2400 kg/m3`, `NaN`.
-    fn bare(&mut self) -> Result<Node, Fault> {
+    /// Parses an unquoted word or number up to the next comma, bracket or line: `true`, `1.5e9`, `2400 kg/m3`,
+    /// `NaN`.
+    fn bare(&mut self) -> Result<ReplyNode, ParseFault> {
         let rest = &self.text[self.at..];
-        let end = rest.find([',', '}', ']', '{', '[', '\n', '"', ':']).ok_or(Fault::End)?;
+        let end = rest.find([',', '}', ']', '{', '[', '\n', '"', ':']).ok_or(ParseFault::End)?;
         let word = rest[..end].split("//").next().unwrap_or_default();
         let word = word.split("/*").next().unwrap_or_default().trim();
         if word.is_empty() {
-            return Err(Fault::Malformed);
+            return Err(ParseFault::Malformed);
         }
         self.at += end;
         Ok(match word {
-            "true" | "True" | "TRUE" => Node::Bool(true),
-            "false" | "False" | "FALSE" => Node::Bool(false),
-            "null" | "None" | "NULL" | "undefined" => Node::Null,
+            "true" | "True" | "TRUE" => ReplyNode::Bool(true),
+            "false" | "False" | "FALSE" => ReplyNode::Bool(false),
+            "null" | "None" | "NULL" | "undefined" => ReplyNode::Null,
             _ if word.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '-' | '+' | '.'))
                 && word.parse::<f64>().is_ok() =>
             {
-                Node::Number(word.to_owned())
+                ReplyNode::Number(word.to_owned())
             }
-            _ => Node::Text(word.to_owned()),
+            _ => ReplyNode::Text(word.to_owned()),
         })
     }
 }
@@ -286,23 +288,23 @@ fn closing(quote: char) -> char {
 mod tests {
     use super::*;
 
-    fn one(text: &str) -> Vec<(String, Node)> {
+    fn one(text: &str) -> Vec<(String, ReplyNode)> {
         let mut all = objects(text).unwrap().maps;
         assert_eq!(all.len(), 1, "{text}");
         all.remove(0)
     }
 
-    fn number(text: &str) -> Node {
-        Node::Number(text.into())
+    fn number(text: &str) -> ReplyNode {
+        ReplyNode::Number(text.into())
     }
 
     #[test]
     fn plain_json_is_read_as_it_is() {
         let read = one(r#"{"a": 1.5e3, "b": [true, null, "x\n\u00e9\ud83d\ude00\"y"], "c": {"d": -2}}"#);
         assert_eq!(read[0], ("a".into(), number("1.5e3")));
-        let list = vec![Node::Bool(true), Node::Null, Node::Text("x\né😀\"y".into())];
-        assert_eq!(read[1], ("b".into(), Node::List(list)));
-        assert_eq!(read[2].1, Node::Map(vec![("d".into(), number("-2"))]));
+        let list = vec![ReplyNode::Bool(true), ReplyNode::Null, ReplyNode::Text("x\né😀\"y".into())];
+        assert_eq!(read[1], ("b".into(), ReplyNode::List(list)));
+        assert_eq!(read[2].1, ReplyNode::Map(vec![("d".into(), number("-2"))]));
     }
 
     #[test]
@@ -319,7 +321,7 @@ mod tests {
             let all = objects(text).unwrap().maps;
             assert_eq!(
                 all[0],
-                vec![("a".into(), number("1")), ("b".into(), Node::Text("x".into()))],
+                vec![("a".into(), number("1")), ("b".into(), ReplyNode::Text("x".into()))],
                 "{text}"
             );
         }
@@ -328,10 +330,10 @@ mod tests {
     #[test]
     fn bare_quantities_are_kept_as_text() {
         let read = one("{\"density\": 2400 kg/m3, \"e\": NaN, \"f\": 1e400, \"g\": Infinity}");
-        assert_eq!(read[0].1, Node::Text("2400 kg/m3".into()));
-        assert_eq!(read[1].1, Node::Text("NaN".into()));
+        assert_eq!(read[0].1, ReplyNode::Text("2400 kg/m3".into()));
+        assert_eq!(read[1].1, ReplyNode::Text("NaN".into()));
         assert_eq!(read[2].1, number("1e400"));
-        assert_eq!(read[3].1, Node::Text("Infinity".into()));
+        assert_eq!(read[3].1, ReplyNode::Text("Infinity".into()));
     }
 
     #[test]

@@ -1,23 +1,23 @@
-//! How long to wait before a request is made again.
+//! Pauses between attempts of a request.
 
 use rand::RngExt;
 use sms_core::{Cancel, CoreError, Seed};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// Waits. Tests bring their own, which only notes how long it should have been.
+/// A way to wait. Tests only record the duration.
 pub trait Pause: Send + Sync {
-    /// Waits so many seconds, or until a stop is asked for.
+    /// Waits for a time in seconds, or until cancellation.
     ///
     /// # Errors
     /// [`CoreError::Interrupted`].
     fn pause(&self, seconds: f64, cancel: &Cancel) -> Result<(), CoreError>;
 }
 
-/// Waits in small steps, so that Ctrl-C is heard.
+/// Waits in small steps, so that Ctrl-C takes effect.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Sleep;
 
-/// How long a stop may go unheard.
+/// Longest delay of a cancellation.
 pub(crate) const STEP: Duration = Duration::from_millis(25);
 
 impl Pause for Sleep {
@@ -34,8 +34,8 @@ impl Pause for Sleep {
     }
 }
 
-/// Seconds before attempt `attempt` (from 1): what the server says, else `first` doubled each time, less up to a half at
-/// random so that several clients do not come back together; at most `longest`.
+/// Returns the seconds before attempt `attempt` (from 1): the server's `Retry-After`, else `first` doubled each
+/// time, less a random part of up to a half so that several clients do not return at once; at most `longest`.
 pub(crate) fn seconds_before(
     attempt: usize,
     server: Option<Duration>,
@@ -46,13 +46,13 @@ pub(crate) fn seconds_before(
     let jitter: f64 = seed.derive_index("attempt", attempt as u64).rng().random();
     let own = first * 2f64.powi(attempt.saturating_sub(1).min(30) as i32) * (1.0 - 0.5 * jitter);
     match server {
-        // Never earlier than the server says.
+        // Never earlier than `Retry-After`.
         Some(wait) => (wait.as_secs_f64() + 0.1 * first * jitter).min(longest),
         None => own.min(longest),
     }
 }
 
-/// The header `Retry-After`: seconds, or a date. `None` where it is neither; a date that has passed is no wait.
+/// Parses the header `Retry-After`: seconds, or a date (0 if it has passed). `None` for anything else.
 pub(crate) fn retry_after(text: &str, now: SystemTime) -> Option<Duration> {
     let text = text.trim();
     if let Ok(seconds) = text.parse::<f64>() {
@@ -63,7 +63,7 @@ pub(crate) fn retry_after(text: &str, now: SystemTime) -> Option<Duration> {
     Some(Duration::from_secs_f64((then - now).clamp(0.0, 1e9)))
 }
 
-/// Seconds since 1970 of a date in one of the three forms of HTTP: `Sun, 06 Nov 1994 08:49:37 GMT`,
+/// Returns the seconds since 1970 of a date in one of the three forms of HTTP: `Sun, 06 Nov 1994 08:49:37 GMT`,
 /// `Sunday, 06-Nov-94 08:49:37 GMT`, `Sun Nov  6 08:49:37 1994`.
 fn http_date(text: &str) -> Option<f64> {
     const MONTHS: [&str; 12] =

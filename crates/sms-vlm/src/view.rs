@@ -1,4 +1,4 @@
-//! The picture that is sent: the view in which most of the object is seen, with its box in red.
+//! The picture of a question: the view that shows most of the object, with its box in red.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
@@ -6,18 +6,18 @@ use image::{ExtendedColorType, RgbImage};
 use sms_core::{ColorImage, DepthImage, Image};
 use std::path::Path;
 
-/// Fewer pixels than this tell nothing of an object.
+/// Least visible area of an object.
 const MIN_AREA_PX: usize = 30;
-/// The box is drawn so many pixels outside of the object, so that it hides nothing of it (released code: 5).
+/// Distance of the box from the object, so that it hides nothing of it (released code: 5).
 const BOX_GAP_PX: f64 = 5.0;
 const BOX_WIDTH_PX: i64 = 3;
-/// A crop smaller than this is enlarged: models see little in tiny images.
+/// Smaller crops are enlarged: models recognize little in tiny images.
 const MIN_SIDE_PX: f64 = 448.0;
 const JPEG_QUALITY: u8 = 92;
 
-/// A box in pixels; the ends are not part of it.
+/// A box in pixels; the ends are exclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PixelBox {
+pub struct PixelBounds {
     /// First column.
     pub x0: usize,
     /// First row.
@@ -28,22 +28,22 @@ pub struct PixelBox {
     pub y1: usize,
 }
 
-/// How well one view shows an object.
+/// Visibility of an object in one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ViewScore {
-    /// Pixels of the object that are not at the image's border.
+pub struct ObjectViewScore {
+    /// Number of pixels of the object off the image's border.
     pub area_px: usize,
-    /// Share of its outline that the image's border cuts.
+    /// Share of its outline cut by the image's border.
     pub border_share: f64,
-    /// Share of its outline beyond which something nearer lies.
+    /// Share of its outline beside a nearer surface.
     pub occluded_share: f64,
     /// The box around it.
-    pub bounds: PixelBox,
+    pub bounds: PixelBounds,
 }
 
-impl ViewScore {
-    /// Larger is better: the pixels, less for what the border or other things hide. Half of the outline hidden counts as
-    /// a quarter of the area, and to touch the border at all costs half.
+impl ObjectViewScore {
+    /// Returns the score: the number of pixels, reduced for hidden parts. Half of the outline hidden counts as a
+    /// quarter of the area, and touching the border at all halves the score.
     pub fn score(&self) -> f64 {
         let touches = if self.border_share > 0.0 { 0.5 } else { 1.0 };
         let seen = (1.0 - self.border_share) * (1.0 - self.occluded_share);
@@ -51,13 +51,13 @@ impl ViewScore {
     }
 }
 
-/// Looks at an object's mask in one view, with the view's depth in metres (0 where unknown) where there is one. `None`
-/// where too little is seen.
-pub fn score_view(mask: &Image<bool>, depth: Option<&DepthImage>) -> Option<ViewScore> {
+/// Scores an object's mask in one view; `depth` is the view's depth in metres (0 where unknown). Returns `None` if
+/// too little is visible.
+pub fn score_view(mask: &Image<bool>, depth: Option<&DepthImage>) -> Option<ObjectViewScore> {
     let (width, height) = mask.size();
     let depth = depth.filter(|d| d.size() == mask.size());
     let margin = (width.max(height) / 64).max(2);
-    let mut bounds: Option<PixelBox> = None;
+    let mut bounds: Option<PixelBounds> = None;
     let (mut all, mut area_px, mut outline, mut cut, mut occluded) = (0, 0, 0usize, 0usize, 0usize);
     for y in 0..height {
         for x in 0..width {
@@ -67,7 +67,7 @@ pub fn score_view(mask: &Image<bool>, depth: Option<&DepthImage>) -> Option<View
             all += 1;
             let inside = x >= margin && y >= margin && x + margin < width && y + margin < height;
             area_px += usize::from(inside);
-            let b = bounds.get_or_insert(PixelBox { x0: x, y0: y, x1: x + 1, y1: y + 1 });
+            let b = bounds.get_or_insert(PixelBounds { x0: x, y0: y, x1: x + 1, y1: y + 1 });
             (b.x0, b.x1, b.y1) = (b.x0.min(x), b.x1.max(x + 1), y + 1);
             let (xi, yi) = (x as i64, y as i64);
             let around = [(xi - 1, yi), (xi + 1, yi), (xi, yi - 1), (xi, yi + 1)];
@@ -89,12 +89,14 @@ pub fn score_view(mask: &Image<bool>, depth: Option<&DepthImage>) -> Option<View
     }
     let bounds = bounds.filter(|_| all >= MIN_AREA_PX)?;
     let share = |n: usize| n as f64 / outline.max(1) as f64;
-    Some(ViewScore { area_px, border_share: share(cut), occluded_share: share(occluded), bounds })
+    Some(ObjectViewScore { area_px, border_share: share(cut), occluded_share: share(occluded), bounds })
 }
 
-/// The view that shows most: its index and score; of equal ones the first.
-pub fn best_view(views: impl IntoIterator<Item = Option<ViewScore>>) -> Option<(usize, ViewScore)> {
-    let mut best: Option<(usize, ViewScore)> = None;
+/// Returns the index and score of the best view; the first of equal ones.
+pub fn best_view(
+    views: impl IntoIterator<Item = Option<ObjectViewScore>>,
+) -> Option<(usize, ObjectViewScore)> {
+    let mut best: Option<(usize, ObjectViewScore)> = None;
     for (index, view) in views.into_iter().enumerate() {
         let Some(view) = view else { continue };
         if best.is_none_or(|(_, b)| view.score() > b.score()) {
@@ -104,9 +106,9 @@ pub fn best_view(views: impl IntoIterator<Item = Option<ViewScore>>) -> Option<(
     best
 }
 
-/// The picture in a file, where it can be read and has the proportions of `like` (within 2 %): the recording's own image
-/// shows more than the frame that was made of it for the scan. A lens that was corrected in between moves things by a few
-/// pixels, which the box has room for.
+/// Reads the picture in a file, if it has the proportions of `like` (within 2 %): the recording's own image shows
+/// more than the scan's frame made of it. Lens correction between the two moves things by a few pixels, which fit
+/// into the box's gap.
 pub fn picture(path: &Path, like: (usize, usize)) -> Option<ColorImage> {
     let read = image::ImageReader::open(path).ok()?.with_guessed_format().ok()?.decode().ok()?.into_rgb8();
     let (width, height) = (read.width() as usize, read.height() as usize);
@@ -117,11 +119,11 @@ pub fn picture(path: &Path, like: (usize, usize)) -> Option<ColorImage> {
     Some(ColorImage::from_vec(width, height, read.pixels().map(|p| p.0).collect()))
 }
 
-/// The object with `context` sizes of its box around it, at most `max_side` pixels long, its box in red. `bounds` may be of
-/// the same view in another size, `size_of_bounds`.
+/// Returns the object with `context` sizes of its box around it, at most `max_side` pixels long, its box in red.
+/// `bounds` may refer to the same view in another size, `size_of_bounds`.
 pub fn annotated(
     color: &ColorImage,
-    bounds: PixelBox,
+    bounds: PixelBounds,
     size_of_bounds: (usize, usize),
     context: f64,
     max_side: usize,
@@ -167,7 +169,7 @@ pub fn annotated(
     out
 }
 
-/// A red frame whose inner edge is `[x0, y0, x1, y1]`, moved inside where it would leave the image.
+/// Draws a red frame with inner edge `[x0, y0, x1, y1]`, moved inside the image.
 fn draw_box(image: &mut ColorImage, [x0, y0, x1, y1]: [f64; 4]) {
     let (w, h) = (image.width as i64, image.height as i64);
     let low = |v: f64| (v.floor() as i64 - BOX_WIDTH_PX).max(0);
@@ -187,7 +189,7 @@ fn draw_box(image: &mut ColorImage, [x0, y0, x1, y1]: [f64; 4]) {
     }
 }
 
-/// The image as JPEG; the same image gives the same bytes.
+/// Encodes the image as JPEG; the same image gives the same bytes.
 pub fn jpeg(image: &ColorImage) -> Vec<u8> {
     let mut bytes = Vec::new();
     let encoded = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(
@@ -196,7 +198,7 @@ pub fn jpeg(image: &ColorImage) -> Vec<u8> {
         image.height as u32,
         ExtendedColorType::Rgb8,
     );
-    // Into memory, of a size that was checked: an empty picture is refused by every server.
+    // Encoding into memory cannot fail for a valid size; servers refuse an empty picture.
     if encoded.is_err() {
         bytes.clear();
     }
@@ -215,7 +217,7 @@ mod tests {
     fn the_box_and_the_outline_are_those_of_the_mask() {
         let m = mask(100, 80, |x, y| (20..40).contains(&x) && (30..60).contains(&y));
         let score = score_view(&m, None).unwrap();
-        assert_eq!(score.bounds, PixelBox { x0: 20, y0: 30, x1: 40, y1: 60 });
+        assert_eq!(score.bounds, PixelBounds { x0: 20, y0: 30, x1: 40, y1: 60 });
         assert_eq!((score.area_px, score.border_share, score.occluded_share), (600, 0.0, 0.0));
         assert_eq!(score.score(), 600.0);
         assert_eq!(score_view(&mask(100, 80, |x, y| x == 5 && y < 20), None), None, "too little");
@@ -227,7 +229,7 @@ mod tests {
         let whole = mask(100, 100, |x, y| (30..60).contains(&x) && (30..60).contains(&y));
         let cut = mask(100, 100, |x, y| x < 36 && (30..66).contains(&y));
         let larger = mask(100, 100, |x, y| (20..56).contains(&x) && (20..56).contains(&y));
-        // Something stands before the left half of the larger one's surroundings.
+        // An occluder in front of the left half of the larger one's surroundings.
         let depth = DepthImage::from_vec(
             100,
             100,
@@ -254,7 +256,7 @@ mod tests {
     fn the_red_frame_surrounds_the_object_at_every_size() {
         for (size, max_side) in [((100, 80), 1024), ((1000, 800), 256), ((100, 80), 64)] {
             let color = ColorImage::filled(size.0, size.1, [40, 80, 120]);
-            let bounds = PixelBox { x0: 40, y0: 30, x1: 60, y1: 50 };
+            let bounds = PixelBounds { x0: 40, y0: 30, x1: 60, y1: 50 };
             let image = annotated(&color, bounds, (100, 80), 1.0, max_side);
             assert!(image.width <= max_side && image.height <= max_side, "{:?}", image.size());
             let is_red = |p: &[u8; 3]| p[0] > 200 && p[1] < 60 && p[2] < 60;
@@ -287,9 +289,9 @@ mod tests {
     fn boxes_at_the_edge_and_whole_images_stay_inside() {
         let color = ColorImage::filled(50, 40, [9; 3]);
         for bounds in [
-            PixelBox { x0: 0, y0: 0, x1: 50, y1: 40 },
-            PixelBox { x0: 49, y0: 39, x1: 50, y1: 40 },
-            PixelBox { x0: 0, y0: 0, x1: 1, y1: 1 },
+            PixelBounds { x0: 0, y0: 0, x1: 50, y1: 40 },
+            PixelBounds { x0: 49, y0: 39, x1: 50, y1: 40 },
+            PixelBounds { x0: 0, y0: 0, x1: 1, y1: 1 },
         ] {
             for context in [0.0, 1.0, 100.0] {
                 let image = annotated(&color, bounds, (50, 40), context, 1024);

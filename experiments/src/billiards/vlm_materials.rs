@@ -5,7 +5,7 @@
 
 use crate::BenchError;
 use serde::{Deserialize, Serialize};
-use sms_core::{Cancel, CoreError, InputError, Labels, MaskSource, Progress, Warnings, atomic};
+use sms_core::{Cancel, CoreError, InputError, Labels, MaskSource, Progress, StageContext, Warnings, atomic};
 use sms_entities::{EntitySet, material_queries};
 use sms_frames::Sequence;
 use sms_materials::{MaterialTable, ObjectQuery, assign};
@@ -98,13 +98,14 @@ pub(super) fn apply_vlm_materials(
         })
         .collect::<Result<_, BenchError>>()?;
     let warnings = Warnings::new();
-    let asked = ask(&asked_about, client, &Cache::new(cache), progress, cancel, &warnings)?;
+    let context = StageContext::new(progress, cancel, &warnings);
+    let answers = ask(&asked_about, client, &Cache::new(cache), context)?;
     // An object that the model cannot answer keeps the prior: that is part of the model's quality. A model that was not asked has no figure.
-    if let Some(why) = &asked.given_up {
+    if let Some(why) = &answers.given_up {
         let at = client.config().url.clone();
         return Err(BenchError::Unanswered(InputError::new(why.what.clone(), at, why.cure.clone())));
     }
-    for (question, outcome) in questions.iter().zip(&asked.outcomes) {
+    for (question, outcome) in questions.iter().zip(&answers.outcomes) {
         queries[question.query].estimate = outcome.estimate().cloned();
     }
     let table = MaterialTable::builtin();

@@ -60,8 +60,8 @@ fn checked(
     seed: Seed,
     index: Option<usize>,
 ) -> Result<sms_gaussians_gpu::GpuTrainer, sms_experiments::BenchError> {
-    use sms_gaussians_gpu::{Choice, checked_trainer};
-    let choice = index.map_or(Choice::Best, Choice::Index);
+    use sms_gaussians_gpu::{AdapterChoice, checked_trainer};
+    let choice = index.map_or(AdapterChoice::Best, AdapterChoice::Index);
     checked_trainer(train, classes, seed, choice).map_err(|error| {
         let cure = "`sms devices` lists the devices";
         sms_core::InputError::new(error.to_string(), "--device", cure).into()

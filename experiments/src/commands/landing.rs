@@ -5,7 +5,7 @@ use super::shared::{Geometry, Masks, finish, nothing_there, parse_shard, with_se
 use anyhow::Context as _;
 use clap::Args;
 use sms_cli::front::{Console, EngineName, PresetName};
-use sms_core::{InputError, Seed, Warnings, length_text};
+use sms_core::{InputError, Seed, StageContext, Warnings, length_text};
 use sms_experiments::{
     BenchError, BenchOptions, FRAMES, LANDING_SCENES, LandingBaseline, LandingBench, LandingFlight,
     LandingScan, LandingSight, Shard, Standing, landing_metrics, landing_scan_metrics, landing_table,
@@ -15,8 +15,8 @@ use sms_frames::Frame;
 use sms_landing::{LandingAction, Stuck};
 use sms_pipeline::Device;
 use sms_prompting::{
-    ApproachSettings, Choice, Observation, SiteSettings, Sites, best_view, geometric, landing_sites, random,
-    surfaces_of, visual_prompting,
+    ApproachSettings, Choice, Observation, PromptingInputs, SiteSettings, Sites, best_view, geometric,
+    landing_sites, random, surfaces_of, visual_prompting,
 };
 use sms_scene::Scene;
 use sms_sim::RestingDrift;
@@ -275,7 +275,8 @@ fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<Landi
             return Ok(Err("no frame of the recording shows the landing sites from above".to_owned()));
         };
         let (start_w, warnings) = (sight.landing.start_w(), Warnings::new());
-        match visual_prompting(&seen, sites, start_w, ways, &client, &cache, &cancel, &warnings) {
+        let inputs = PromptingInputs { observation: &seen, sites, start_w, approaches: ways };
+        match visual_prompting(&inputs, &client, &cache, StageContext::quiet(&cancel, &warnings)) {
             Ok(prompted) => Ok(Ok(prompted.choice)),
             // The model failed at it; a server that does not answer says nothing of the model.
             Err(e @ ChooseError::Undecided { .. }) => Ok(Err(e.to_string())),

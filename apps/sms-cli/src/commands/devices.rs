@@ -18,11 +18,11 @@ pub(crate) fn run(console: &Console) -> anyhow::Result<()> {
 
 #[cfg(feature = "gpu")]
 fn gpus(console: &Console, metrics: &mut Metrics) {
-    use sms_gaussians_gpu::{Choice, adapters, self_check};
+    use sms_gaussians_gpu::{AdapterChoice, adapters, self_check};
     let adapters = adapters();
     metrics.set("devices.gpu.count", adapters.len());
     for adapter in &adapters {
-        let (sound, text) = match self_check(Choice::Index(adapter.index)) {
+        let (sound, text) = match self_check(AdapterChoice::Index(adapter.index)) {
             Err(error) => (false, error.to_string()),
             Ok(check) => match check.fault() {
                 Some(fault) => (false, format!("DIFFERS FROM THE CPU: {fault}")),

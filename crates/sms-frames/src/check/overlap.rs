@@ -2,13 +2,13 @@
 
 use crate::{Lens, Recording};
 use glamx::{DPose3, DVec3};
-use sms_core::{Image, QuantileRule, quantile};
+use sms_core::Image;
 
-/// Number of samples taken from a frame.
+/// Samples taken from a frame.
 const SAMPLES: usize = 6000;
 
-/// The depth of one frame, prepared for the checks.
-pub(super) struct DepthSamples {
+/// A frame's depth as the checks use it.
+pub(super) struct Probe {
     /// Index in the recording.
     pub(super) index: usize,
     /// Raw values.
@@ -18,18 +18,18 @@ pub(super) struct DepthSamples {
     samples: Vec<(f64, f64, f64)>,
 }
 
-/// One reading of the recording: depth unit and pixel centre.
+/// One way to read the recording.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hypothesis {
     /// Metres of one raw unit.
     pub(super) unit_m: f64,
-    /// Offset added to the principal points, pixels.
+    /// Added to the principal points.
     pub(super) center_shift: f64,
-    /// Stride of the samples that are used.
+    /// Every so many samples are used.
     pub(super) every: usize,
 }
 
-/// Depth differences of one pair of frames.
+/// Differences found for one pair of frames.
 pub(super) struct PairErrors {
     /// |Δdepth| in metres.
     pub(super) absolute: Vec<f64>,
@@ -39,10 +39,10 @@ pub(super) struct PairErrors {
     pub(super) tried: usize,
 }
 
-impl DepthSamples {
+impl Probe {
     pub(super) fn new(recording: &Recording, index: usize, raw: Image<u16>) -> Self {
         let valid = raw.data.iter().filter(|&&v| v > 0).count();
-        // An odd stride in row-major order is not aligned with a sensor's grid of holes.
+        // An odd stride in row-major order does not fall into step with a sensor's grid of holes.
         let stride = (valid / SAMPLES).max(1) | 1;
         let samples = raw
             .data
@@ -93,7 +93,19 @@ impl DepthSamples {
     }
 }
 
-/// Returns the upper median; `None` without values.
+/// The median, by selection; `None` of nothing.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    quantile(values, 0.5, QuantileRule::Nearest)
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn median_of_few() {
+        assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(&mut []), None);
+    }
 }

@@ -1,4 +1,4 @@
-//! The report of `check`.
+//! What `check` found.
 
 use crate::{Axes, Lens, PoseDirection, RecordingFormat};
 use serde::Serialize;
@@ -10,28 +10,28 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// For information.
+    /// Good to know.
     Info,
     /// The result will suffer.
     Warning,
-    /// The recording is misread; a scan would be useless.
+    /// The recording is read wrongly; a scan would be worthless.
     Fault,
 }
 
-/// One finding of a check, and its cure.
+/// Something that a check found, and what to do about it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// Its severity.
+    /// How much it matters.
     pub severity: Severity,
     /// Stable identifier, `snake_case`.
     pub code: &'static str,
-    /// The finding, with its figures.
+    /// What was found, with its figures.
     pub what: String,
-    /// The cure; may be empty.
+    /// What to do; may be empty.
     pub cure: String,
 }
 
-/// Overlap error of depth carried from frame i into frame i + n.
+/// Depth of frame i carried into frame i + n.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Overlap {
     /// Median |Δdepth|, metres.
@@ -42,7 +42,7 @@ pub struct Overlap {
     pub pairs: usize,
 }
 
-/// Fit of one pose and axis convention.
+/// How well one pose and axis convention fits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ReadingFit {
     /// Camera axes.
@@ -55,25 +55,25 @@ pub struct ReadingFit {
     pub share: f64,
 }
 
-/// Fit of one depth unit.
+/// How well one depth unit fits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct UnitFit {
-    /// Factor on the declared unit.
+    /// Times the declared unit.
     pub factor: f64,
     /// Median |Δdepth| / depth; `None` where too few samples meet.
     pub relative_error: Option<f64>,
 }
 
-/// Centre of pixel (0, 0) according to the data.
+/// Where pixel (0, 0) is centred, by the data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PixelCenterFit {
     /// The better of 0 and 0.5.
     pub better: f64,
-    /// Reduction of the overlap error, as a share.
+    /// By how much its overlap error is smaller, as a share.
     pub gain: f64,
     /// Mean over standard error of the difference between the two over pairs of frames.
     pub t: f64,
-    /// Whether the difference is significant and large enough to matter.
+    /// Whether the difference is beyond chance and worth acting on.
     pub significant: bool,
 }
 
@@ -118,21 +118,21 @@ pub struct CheckReport {
     pub readings: Vec<ReadingFit>,
     /// The ladder of depth units.
     pub units: Vec<UnitFit>,
-    /// The refined factor on the declared unit that fits best; `None` if the data does not determine it.
+    /// The factor on the declared unit that fits best, refined; `None` where the data cannot tell.
     pub best_unit_factor: Option<f64>,
     /// Pixel centre, where it could be compared.
     pub pixel_center_fit: Option<PixelCenterFit>,
-    /// The findings, the worst first.
+    /// What is wrong or worth knowing, the worst first.
     pub findings: Vec<Finding>,
 }
 
 impl CheckReport {
-    /// Returns whether there is no finding of [`Severity::Fault`].
+    /// Whether nothing was found that makes a scan worthless.
     pub fn approved(&self) -> bool {
         self.findings.iter().all(|f| f.severity < Severity::Fault)
     }
 
-    /// Returns the figures for `metrics.json`.
+    /// The figures for `metrics.json`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();
         metrics.set("check.frames", self.frames);
@@ -142,7 +142,7 @@ impl CheckReport {
         metrics
     }
 
-    /// Formats the report as text.
+    /// The report for people.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         // Writing to a string cannot fail.
@@ -217,7 +217,7 @@ impl CheckReport {
                 if fit.significant {
                     format!("{} fits better by {:.1} %", short(fit.better), 100.0 * fit.gain)
                 } else {
-                    format!("the data does not distinguish 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
+                    format!("the data cannot tell 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
                 }
             )?;
         }
@@ -233,7 +233,7 @@ impl CheckReport {
             }
         }
         if self.approved() {
-            writeln!(out, "The declared conventions fit the data.")?;
+            writeln!(out, "The recording is read as it should be.")?;
         }
         Ok(())
     }
@@ -252,7 +252,7 @@ fn error_text(error: Option<f64>, suffix: &str) -> String {
     }
 }
 
-/// Returns the names of a convention for messages.
+/// Names of a convention for messages.
 pub(super) fn reading_name(axes: Axes, poses: PoseDirection) -> String {
     format!("{} {}", direction_name(poses), axes_name(axes))
 }
@@ -271,7 +271,7 @@ pub(super) fn direction_name(poses: PoseDirection) -> &'static str {
     }
 }
 
-/// Formats a number without trailing zeros.
+/// A number without trailing zeros.
 pub(super) fn short(v: f64) -> String {
     let text = format!("{v:.6}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

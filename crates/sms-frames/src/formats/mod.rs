@@ -6,7 +6,7 @@ pub(crate) mod tum;
 use crate::{Axes, PoseDirection};
 use glamx::{DPose3, DQuat};
 
-/// Converts a pose matrix as written to the camera pose (OpenCV axes) in the recording's world.
+/// The camera pose (OpenCV axes) in the recording's world from a pose matrix as written.
 pub(crate) fn to_opencv(written: DPose3, axes: Axes, poses: PoseDirection) -> DPose3 {
     let x_rc = match poses {
         PoseDirection::CameraToWorld => written,

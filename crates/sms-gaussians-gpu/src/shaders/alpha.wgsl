@@ -1,4 +1,4 @@
-// What a splat does to one pixel before it is known how much light reaches it (sms-gaussians, cpu/tile.rs). A record is
+// Alpha of one splat at one pixel, before transmittance (sms-gaussians, cpu/tile.rs). A record is
 // mean 2, power 3, log2 opacity, slope of depth 2; then colour and depth; then normal and one.
 
 struct Alpha {

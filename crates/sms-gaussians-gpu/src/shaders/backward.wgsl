@@ -2,8 +2,8 @@
 // two passes. First each lane takes a pixel and replays the blending with two numbers, the transmittance and the
 // remainder Σ w·s of the splats still to come, and notes of each splat its weight w and v = ∂L/∂(ln α) there. Then the
 // sums over pixels are products of matrices: weights by the gradients of the pixel's channels, v by powers of the pixel's
-// coordinates; a lane sums one vector of two splats. Latency is what limits the first pass: it computes
-// what does not depend on the splats before for four splats at once, without a branch.
+// coordinates; a lane sums one vector of two splats. The first pass is limited by latency: it computes
+// everything independent of earlier splats for four splats at once, without a branch.
 //
 // Every pair of splat and tile writes its own slot: the moments of v about the splat's centre (1, x, y, x²; xy, y²) and
 // ∂L/∂(record's channels and affinity), with Σ w, which is positive where the splat reaches a pixel, in the place of
@@ -63,7 +63,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
     let p = vec2f(at) - 3.5;
     factors[6u * PIXEL_ROW + lane] = vec4f(1.0, p.x, p.y, p.x * p.x);
     factors[7u * PIXEL_ROW + lane] = vec4f(p.x * p.y, p.y * p.y, 0.0, 0.0);
-    // What this lane sums: a vector of the factors, for two splats. The last two are of v.
+    // Sum of this lane: a vector of the factors, for two splats. The last two are of v.
     let factor = lane % 8u;
     let two = lane / 8u;
     let noted = (two + select(0u, BATCH / 2u, factor >= 6u)) * PIXEL_ROW;
@@ -154,7 +154,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         }
         workgroupBarrier();
     }
-    // What lies beyond the last splat that reaches a pixel.
+    // Clears the slots beyond the last splat that reaches a pixel.
     let whole = lists[tile].y;
     for (var i = 8u * n + lane; i < 8u * whole; i += TILE_PIXELS) {
         slots[8u * pairs[list.x + i / 8u].y + i % 8u] = vec4f();

@@ -1,4 +1,4 @@
-// What `visit` and `visit_large` share: their buffers, and which tiles an ellipse meets.
+// Shared by `visit` and `visit_large`: their buffers, and the tiles that an ellipse meets.
 
 @group(0) @binding(0) var<storage, read> records: array<vec4f>;
 @group(0) @binding(1) var<storage, read> outlines: array<vec4f>;

@@ -7,7 +7,7 @@ alias vec2u = vec2<u32>;
 alias vec3u = vec3<u32>;
 alias vec4u = vec4<u32>;
 
-// What a step needs beside the buffers; see `uniforms.rs`, which has the same fields in the same order.
+// Inputs of a step besides the buffers; see `uniforms.rs`, which has the same fields in the same order.
 struct Step {
     // Rotation from the world to the camera row by row, translation in w.
     camera: array<vec4f, 3>,

@@ -1,5 +1,5 @@
 // Alpha blending of depth-ordered splats (Kerbl et al. 2023): one tile per workgroup, two pixels per lane, splats through
-// workgroup memory, whose reads are what limits this kernel: each serves both pixels. A pixel has six vectors: colour and
+// workgroup memory, whose reads limit this kernel: each serves both pixels. A pixel has six vectors: colour and
 // depth, normal and opacity, four of affinity.
 
 @group(0) @binding(0) var<storage, read> rows: array<vec4f>;

@@ -1,4 +1,4 @@
-// EWA projection of one Gaussian and what its gradient shares with it (sms-gaussians, cpu/project.rs).
+// EWA projection of one Gaussian, and intermediate results shared with its gradient (sms-gaussians, cpu/project.rs).
 
 struct Linearized {
     p_c: vec3f,

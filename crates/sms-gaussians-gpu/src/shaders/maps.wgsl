@@ -1,4 +1,4 @@
-// What a rendered view shows beside the blended channels: median depth and most likely label (sms-gaussians,
+// Rendered channels that are not blended: median depth and most likely label (sms-gaussians,
 // cpu/median.rs). Nine values per pixel, row by row: colour 3, opacity, depth, normal 3, label.
 
 @group(0) @binding(0) var<storage, read> records: array<vec4f>;

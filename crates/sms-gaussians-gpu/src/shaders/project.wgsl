@@ -1,4 +1,4 @@
-// Projects every Gaussian: what blending needs of it, and the ellipse in which its alpha is worth blending.
+// Projects every Gaussian: the inputs of blending, and the ellipse in which its alpha is above the minimum.
 
 @group(0) @binding(0) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> records: array<vec4f>;

@@ -1,4 +1,4 @@
-// What `visit` does, for the splats over many tiles: several workgroups to a splat, and its pairs dealt out to their lanes.
+// `visit` for the splats over many tiles: several workgroups to a splat, and its pairs distributed over their lanes.
 // They are few but crowd together, since they come from where the camera was close: a workgroup that took its own one
 // after the other needed 0.2 ms.
 

@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015), taken only by Gaussians that the step has seen, each with its own step count.
+//! Adam (Kingma and Ba 2015), applied only to Gaussians visible in the step, each with its own step count.
 
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
 use crate::LearningRates;
@@ -55,7 +55,7 @@ fn corrections(steps: u32) -> (f32, f32) {
     (1.0 / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)))
 }
 
-/// Takes one step with each of `rows` that was seen. A row whose gradient is not finite is left as it is.
+/// Takes one step with each visible row. A row with a gradient that is not finite remains unchanged.
 #[inline(always)]
 fn descend<L: Lanes>(
     rows: &mut [Row],
@@ -89,7 +89,7 @@ fn descend<L: Lanes>(
     }
 }
 
-/// Brings a row back to unit rotation and into range; false where it cannot be.
+/// Brings a row back to unit rotation and into range; returns false if this is impossible.
 fn constrain(row: &mut Row) -> bool {
     let row = &mut row.0;
     let squared: f32 = row[ROTATION..LOG_SCALE].iter().map(|v| v * v).sum();
@@ -112,7 +112,7 @@ by_simd! {
     )
 }
 
-/// One Adam step of the classifier; none where a gradient is not finite.
+/// One Adam step of the classifier; none if a gradient is not finite.
 pub(super) fn descend_classifier(state: &mut ClassifierState, gradient: &[f32], rate: f32) {
     if !gradient.iter().all(|g| g.is_finite()) {
         return;

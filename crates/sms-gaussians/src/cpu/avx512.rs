@@ -143,7 +143,7 @@ impl Lanes for Avx512 {
 
     #[inline(always)]
     fn exp2(self) -> Self {
-        // What is left of x after rounding to a whole number.
+        // The remainder of x after rounding to a whole number.
         let fraction = Self(unsafe { _mm512_reduce_ps::<0>(self.0) });
         Self(unsafe { _mm512_scalef_ps(exp2_fraction(fraction).0, (self - fraction).0) })
     }

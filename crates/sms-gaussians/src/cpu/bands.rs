@@ -10,7 +10,7 @@ use super::planes::Aligned;
 use super::prefetch::prefetch;
 use super::project::{Outline, Projected};
 use super::ssim::SsimScratch;
-use super::target::Grid;
+use super::target::TileGrid;
 use super::tile::{PATCH_ROWS, PATCHES, PatchGradient, Splat, SplatGradient, TILE};
 use super::times::StepTimes;
 use crate::parameters::Row;
@@ -22,7 +22,7 @@ pub(super) const BAND_ROWS: usize = BAND_TILES * TILE;
 /// Rows of patches in a band.
 pub(super) const BAND_PATCHES: usize = BAND_TILES * PATCHES;
 
-/// Bands that a Gaussian may touch, `first..end`; empty where it is not seen.
+/// Bands that a Gaussian may touch, `first..end`; empty if it is invisible.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Span {
     pub(super) first: u16,
@@ -83,7 +83,7 @@ impl Slots {
     }
 }
 
-/// What one band contributes to the loss: sums over its pixels.
+/// A band's part of the loss: sums over its pixels.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct BandSums {
     pub(super) color: f64,
@@ -100,7 +100,7 @@ pub(super) struct Band {
     /// Whether each reached a pixel.
     pub(super) reached: Vec<bool>,
     pub(super) gradients: Vec<SplatGradient>,
-    pub(super) perceptron: perceptron::Scratch,
+    pub(super) perceptron: perceptron::PerceptronScratch,
     pub(super) ssim: SsimScratch,
     pub(super) color_gradient: Aligned,
     pub(super) tile_gradient: [PatchGradient; PATCHES],
@@ -125,7 +125,7 @@ pub(super) struct Lists {
 }
 
 impl Lists {
-    /// The candidates of a patch, and where to note how many of them are used.
+    /// Returns the candidates of a patch, and the counter of those used.
     pub(super) fn candidates(&mut self, patch: usize) -> (&mut [u32], &mut u32) {
         let (first, end) = (self.starts[patch] as usize, self.starts[patch + 1] as usize);
         (&mut self.splats[first..end], &mut self.used[patch])
@@ -144,7 +144,7 @@ impl Band {
             splats: Vec::new(),
             reached: Vec::new(),
             gradients: Vec::new(),
-            perceptron: perceptron::Scratch::new(classes),
+            perceptron: perceptron::PerceptronScratch::new(classes),
             ssim: SsimScratch::default(),
             color_gradient: Aligned::default(),
             tile_gradient: [PatchGradient::ZERO; PATCHES],
@@ -165,7 +165,7 @@ fn bin<L: Lanes>(
     members: &[u32],
     projected: &[Projected],
     rows: &[Row],
-    grid: &Grid,
+    grid: &TileGrid,
     y: usize,
 ) {
     band.order.clear();
@@ -209,7 +209,7 @@ fn bin<L: Lanes>(
         let mut here = 0u32;
         for column in 0..grid.columns {
             here = here.wrapping_add(starts[row * stride + column]);
-            // Closes the gaps of the longer rows on the way: what is written has been read.
+            // Closes the gaps of the longer rows in place: overwritten entries have been read.
             starts[row * grid.columns + column] = total;
             total += here;
         }
@@ -234,7 +234,7 @@ fn bin<L: Lanes>(
     }
 }
 
-/// How many splats ahead memory is asked for.
+/// Distance of prefetching, in splats.
 const AHEAD: usize = 8;
 
 /// Tile columns in which the ellipses of two splats meet the pixel centres of each row of patches of the band that
@@ -290,7 +290,7 @@ const _: () = assert!(WIDTH == 2 * BAND_PATCHES);
 by_simd! {
     /// Collects a band's splats and lists them by patch.
     fn bin_band = bin(
-        band: &mut Band, members: &[u32], projected: &[Projected], rows: &[Row], grid: &Grid, y: usize,
+        band: &mut Band, members: &[u32], projected: &[Projected], rows: &[Row], grid: &TileGrid, y: usize,
     )
 }
 
@@ -312,7 +312,7 @@ fn sort(keys: &mut Vec<Key>, spare: &mut Vec<Key>) {
     spare.resize(keys.len(), Key::default());
     for (digit, counts) in counts.iter_mut().enumerate() {
         let byte = |key: &Key| usize::from(key.depth.to_le_bytes()[digit]);
-        // All of one kind: nothing to do. Mostly so for the highest byte.
+        // All equal: nothing to do. Usual for the highest byte.
         if keys.first().is_none_or(|key| counts[byte(key)] as usize == keys.len()) {
             continue;
         }

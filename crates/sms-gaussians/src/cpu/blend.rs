@@ -12,19 +12,19 @@ use super::tile::{
 
 /// Splats whose weights are known before channels are added.
 const BLOCK: usize = 32;
-/// How many splats ahead memory is asked for.
+/// Distance of prefetching, in splats.
 const AHEAD: usize = 8;
 
 /// Weights of some splats of a patch.
 #[repr(C, align(64))]
-struct Block {
+struct BlendBlock {
     weight: [Chunk; BLOCK],
     splat: [u32; BLOCK],
 }
 
-/// Blends the splats of `list` (indices into `splats`, nearest first) over the background. What is left of `list` at
-/// its front, as long as the result says, are the splats that reach a pixel; they are marked in `reached`. Without
-/// `affinity`, these channels are left zero.
+/// Blends the splats of `list` (indices into `splats`, nearest first) over the background. Compacts `list` to the
+/// splats that reach a pixel, returns their number, and marks them in `reached`. Without `affinity`, these channels
+/// are left zero.
 #[inline(always)]
 fn blend<L: Lanes>(
     splats: &[Splat],
@@ -41,7 +41,7 @@ fn blend<L: Lanes>(
     let least = L::splat(TRANSMITTANCE_MIN);
     let mut transmittance = place.inside::<L>();
     let mut depth = L::splat(0.0);
-    let mut block = Block { weight: [NONE; BLOCK], splat: [0; BLOCK] };
+    let mut block = BlendBlock { weight: [NONE; BLOCK], splat: [0; BLOCK] };
     let mut used = 0;
     for first in (0..list.len()).step_by(BLOCK) {
         if !L::any(transmittance.gt(least)) {
@@ -59,7 +59,7 @@ fn blend<L: Lanes>(
             let weight = alpha.value.keep(taken) * transmittance;
             transmittance = transmittance - weight;
             depth = weight.mul_add(alpha.depth, depth);
-            // Without a branch: whether a splat reaches the patch is hard to predict.
+            // Branchless: whether a splat reaches the patch is hard to predict.
             let any = L::any(taken);
             weight.store(&mut block.weight[n]);
             block.splat[n] = position;
@@ -85,7 +85,7 @@ fn blend<L: Lanes>(
         transmittance.mul_add(L::splat(b), L::load(channel)).store(channel);
     }
     depth.store(&mut channels[DEPTH_CHANNEL]);
-    // Pixels outside of the image count as transparent too, but nobody reads them.
+    // Pixels outside of the image count as transparent too, but are never read.
     (L::splat(1.0) - transmittance).store(&mut channels[OPACITY_CHANNEL]);
     used
 }
@@ -94,7 +94,7 @@ fn blend<L: Lanes>(
 #[inline(always)]
 fn accumulate<L: Lanes, const N: usize>(
     splats: &[Splat],
-    block: &Block,
+    block: &BlendBlock,
     n: usize,
     first: usize,
     channels: &mut [Chunk],

@@ -4,16 +4,16 @@ use super::bands::{BAND_ROWS, BAND_TILES, Band, BandSums, Slots, Span, bin_band}
 use super::blend::blend_patch;
 use super::lanes::Simd;
 use super::losses::{BandGradient, PixelWeights, tile_losses, tile_rows};
-use super::perceptron::{Sample, Weights, tile_cross_entropy};
-use super::planes::{Planes, RowLayout};
+use super::perceptron::{PaddedClassifier, PatchSample, tile_cross_entropy};
+use super::planes::{PaddedPlanes, RowLayout};
 use super::prefetch::prefetch;
-use super::project::{Projected, View, project_rows};
+use super::project::{CameraView, Projected, project_rows};
 use super::ssim::{DERIVATIVES, ssim_band, ssim_gradient_band};
-use super::target::{Grid, Target};
+use super::target::{TileGrid, TiledTarget};
 use super::tile::{PATCHES, PatchImage, SplatGradient, TILE, TileImage};
 use super::times::StepTimes;
 use super::unblend::unblend_patch;
-use super::unproject::{RegularizerSums, Shared, unproject_rows};
+use super::unproject::{GradientInputs, RegularizerSums, unproject_rows};
 use crate::parameters::{Parameters, Row};
 use crate::{LossTerms, LossWeights, TrainConfig};
 use rayon::prelude::*;
@@ -22,62 +22,62 @@ use std::time::Instant;
 /// Gaussians handled at once in the passes over Gaussians. A constant, because it shapes the order of sums.
 const GAUSSIANS: usize = 256;
 
-/// Buffers of a step, and what the last one left in them.
+/// Buffers of a step, with the results of the last one.
 pub(super) struct Engine {
     pub(super) simd: Simd,
-    pub(super) grid: Grid,
+    pub(super) grid: TileGrid,
     /// Colour behind all Gaussians.
     pub(super) background: [f32; 3],
     pub(super) bands: Vec<Band>,
     pub(super) tiles: Vec<TileImage>,
-    /// ∂L/∂parameters of the last step, zero where not seen.
+    /// ∂L/∂parameters of the last step, zero for invisible Gaussians.
     pub(super) gradients: Vec<Row>,
     /// Gaussians that reached a pixel in the last step.
     pub(super) seen: Vec<bool>,
     /// ∂L/∂classifier of the last step, flat.
     pub(super) classifier_gradient: Vec<f32>,
-    pub(super) classifier: Weights,
+    pub(super) classifier: PaddedClassifier,
     pub(super) times: StepTimes,
     classes: usize,
     projected: Vec<Projected>,
     slots: Slots,
     /// Rendered colours row by row.
-    rendered: Planes,
-    derivatives: Planes,
+    rendered: PaddedPlanes,
+    derivatives: PaddedPlanes,
     regularizers: Vec<RegularizerSums>,
 }
 
-/// What blending fills beside the image.
+/// Output of blending beside the image.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
-    target: &'a Target,
+    target: &'a TiledTarget,
     /// Patches whose affinities are blended.
-    sample: Option<Sample>,
+    sample: Option<PatchSample>,
 }
 
 impl Engine {
     pub(super) fn new(simd: Simd, classes: usize) -> Self {
         Self {
             simd,
-            grid: Grid::new(0, 0),
+            grid: TileGrid::new(0, 0),
             background: [0.0; 3],
             bands: Vec::new(),
             tiles: Vec::new(),
             gradients: Vec::new(),
             seen: Vec::new(),
             classifier_gradient: Vec::new(),
-            classifier: Weights::default(),
+            classifier: PaddedClassifier::default(),
             times: StepTimes::default(),
             classes,
             projected: Vec::new(),
             slots: Slots::default(),
-            rendered: Planes::default(),
-            derivatives: Planes::default(),
+            rendered: PaddedPlanes::default(),
+            derivatives: PaddedPlanes::default(),
             regularizers: Vec::new(),
         }
     }
 
-    fn resize(&mut self, grid: Grid) {
+    fn resize(&mut self, grid: TileGrid) {
         self.grid = grid;
         self.tiles.resize(grid.len(), [PatchImage::EMPTY; PATCHES]);
         let classes = self.classes;
@@ -87,9 +87,14 @@ impl Engine {
         self.derivatives.resize(3 * DERIVATIVES, columns, rows);
     }
 
-    /// Blends all tiles of a view; with a target also fills what SSIM reads.
-    pub(super) fn blend(&mut self, parameters: &Parameters, view: &View, observed: Option<Observed<'_>>) {
-        self.resize(Grid::new(view.width, view.height));
+    /// Blends all tiles of a view; with a target also fills the planes that SSIM reads.
+    pub(super) fn blend(
+        &mut self,
+        parameters: &Parameters,
+        view: &CameraView,
+        observed: Option<Observed<'_>>,
+    ) {
+        self.resize(TileGrid::new(view.width, view.height));
         let start = Instant::now();
         let (simd, bands) = (self.simd, self.bands.len());
         self.projected.resize(parameters.rows.len(), Projected::UNSEEN);
@@ -129,7 +134,7 @@ impl Engine {
                 for (i, image) in tiles.iter_mut().enumerate() {
                     let affinity = match observed {
                         Some(Observed { sample, .. }) => sample.map_or(0, |s| s.patches(first + i)),
-                        None => Sample::ALL.patches(first + i),
+                        None => PatchSample::ALL.patches(first + i),
                     };
                     let corner = grid.corner(first + i);
                     for (p, image) in image.iter_mut().enumerate() {
@@ -166,12 +171,13 @@ impl Engine {
     pub(super) fn differentiate(
         &mut self,
         parameters: &Parameters,
-        target: &Target,
+        target: &TiledTarget,
         config: &TrainConfig,
     ) -> LossTerms {
         self.times = StepTimes::default();
         let segmented = config.weights.segmentation > 0.0 && target.labelled > 0;
-        let sample = segmented.then(|| Sample::new(config.segmentation_share, parameters.classifier.steps));
+        let sample =
+            segmented.then(|| PatchSample::new(config.segmentation_share, parameters.classifier.steps));
         self.blend(parameters, &target.view, Some(Observed { target, sample }));
         self.similarities(target, &config.weights);
         self.pixels(parameters, target, config, sample);
@@ -183,7 +189,7 @@ impl Engine {
     }
 
     /// SSIM and its derivatives with respect to the window's moments.
-    fn similarities(&mut self, target: &Target, weights: &LossWeights) {
+    fn similarities(&mut self, target: &TiledTarget, weights: &LossWeights) {
         let Self { simd, rendered, derivatives, .. } = self;
         let (simd, rendered) = (*simd, &*rendered);
         let size = (target.grid.width, target.grid.height);
@@ -215,9 +221,9 @@ impl Engine {
     fn pixels(
         &mut self,
         parameters: &Parameters,
-        target: &Target,
+        target: &TiledTarget,
         config: &TrainConfig,
-        sample: Option<Sample>,
+        sample: Option<PatchSample>,
     ) {
         let Self { simd, grid, rendered, derivatives, tiles, classifier, .. } = self;
         let (simd, grid, rendered, derivatives) = (*simd, *grid, &*rendered, &*derivatives);
@@ -231,7 +237,8 @@ impl Engine {
             normal: share(weights.normal, target.oriented),
             depth_term: config.depth_term,
         };
-        let label_weight = share(weights.segmentation, target.labelled) / sample.map_or(1.0, Sample::share);
+        let label_weight =
+            share(weights.segmentation, target.labelled) / sample.map_or(1.0, PatchSample::share);
         let size = (grid.width, grid.height);
         let layout = RowLayout::new(3, grid.columns * TILE);
         self.bands.par_iter_mut().zip(tiles.par_chunks(BAND_TILES * grid.columns)).enumerate().for_each(
@@ -300,7 +307,7 @@ impl Engine {
                         times.segmentation += lap();
                     }
                     for p in 0..PATCHES {
-                        // The next tile's turn comes when this one's splats are done.
+                        // Prefetch for the next tile.
                         if let Some(next) = tiles.get(i + 1) {
                             prefetch(&next[p]);
                         }
@@ -328,7 +335,7 @@ impl Engine {
     }
 
     /// Gradients of all Gaussians, regularisers included; returns the isotropic and the flatness term.
-    fn gaussians(&mut self, parameters: &Parameters, view: &View, weights: &LossWeights) -> [f64; 2] {
+    fn gaussians(&mut self, parameters: &Parameters, view: &CameraView, weights: &LossWeights) -> [f64; 2] {
         let start = Instant::now();
         let count = parameters.rows.len();
         self.gradients.resize(count, Row::ZERO);
@@ -347,7 +354,7 @@ impl Engine {
                 seen.iter().filter(|s| **s).count()
             })
             .sum();
-        let shared = Shared { bands, slots, view, weights, share: 1.0 / in_view.max(1) as f32 };
+        let shared = GradientInputs { bands, slots, view, weights, share: 1.0 / in_view.max(1) as f32 };
         self.gradients
             .par_chunks_mut(GAUSSIANS)
             .zip(parameters.rows.par_chunks(GAUSSIANS))
@@ -368,9 +375,9 @@ impl Engine {
 
     fn terms(
         &self,
-        target: &Target,
+        target: &TiledTarget,
         weights: &LossWeights,
-        sample: Option<Sample>,
+        sample: Option<PatchSample>,
         [isotropic, flat]: [f64; 2],
     ) -> LossTerms {
         let mut sums = BandSums::default();
@@ -390,7 +397,7 @@ impl Engine {
             depth: mean(sums.depth, target.deep),
             normal: mean(sums.normal, target.oriented),
             flat: flat as f32,
-            segmentation: mean(sums.segmentation, target.labelled) / sample.map_or(1.0, Sample::share),
+            segmentation: mean(sums.segmentation, target.labelled) / sample.map_or(1.0, PatchSample::share),
             total: 0.0,
         };
         terms.total = total(&terms, weights);

@@ -157,7 +157,7 @@ impl SimdForm {
     }
 }
 
-/// Which compiled form of the kernels to use. Other than the portable one, a value is proof that the CPU has it.
+/// Selects a compiled form of the kernels. A value other than the portable one proves that the CPU supports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Simd {
     form: SimdForm,

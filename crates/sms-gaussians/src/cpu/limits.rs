@@ -1,4 +1,4 @@
-//! Constants of the rendering and the losses that every back end and the oracle share.
+//! Constants of rendering and losses, shared by every back end and the oracle.
 
 pub use super::losses::DEPTH_OPACITY_MIN;
 pub use super::planes::RADIUS as SSIM_RADIUS;

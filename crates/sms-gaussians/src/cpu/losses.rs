@@ -1,7 +1,7 @@
 //! The per-pixel losses of one tile and their gradients: colour, depth, normals (paper, Section "Scan").
 
 use super::lanes::{Lanes, array, by_simd};
-use super::planes::{Planes, RowLayout};
+use super::planes::{PaddedPlanes, RowLayout};
 use super::target::TargetTile;
 use super::tile::{
     COLOR_CHANNEL, DEPTH_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, PATCHES, PatchGradient, TILE,
@@ -9,10 +9,10 @@ use super::tile::{
 };
 use crate::DepthTerm;
 
-/// Depth is divided by no less than this opacity: below it a pixel says little about depth.
+/// Least opacity that depth is divided by: below it a pixel has little information on depth.
 pub const DEPTH_OPACITY_MIN: f64 = 0.05;
 
-/// What one pixel's absolute error counts in the total: weight over number of pixels.
+/// Weight of one pixel's absolute error in the total: the term's weight over the number of pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PixelWeights {
     /// Per colour value.
@@ -44,7 +44,7 @@ pub(super) struct BandGradient<'a> {
 fn pixel_losses<L: Lanes>(
     image: &TileImage,
     target: &TargetTile,
-    observed: &Planes,
+    observed: &PaddedPlanes,
     corner: (usize, usize),
     weights: PixelWeights,
     ssim: BandGradient<'_>,
@@ -103,7 +103,7 @@ fn pixel_losses<L: Lanes>(
 by_simd! {
     /// Colour, depth and normal terms of one tile.
     fn tile_losses = pixel_losses(
-        image: &TileImage, target: &TargetTile, observed: &Planes, corner: (usize, usize), weights: PixelWeights,
+        image: &TileImage, target: &TargetTile, observed: &PaddedPlanes, corner: (usize, usize), weights: PixelWeights,
         ssim: BandGradient<'_>, gradient: &mut [PatchGradient; PATCHES],
     ) -> PixelSums
 }

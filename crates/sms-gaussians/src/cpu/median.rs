@@ -1,13 +1,14 @@
-//! Median depth of a patch: that of the splat at which half of the light that a pixel loses is lost. For rendering only.
+//! Median depth of a patch: the depth of the splat at which the accumulated opacity reaches half of its final
+//! value. For rendering only.
 //!
-//! Expected depth lies between the surfaces wherever several contribute: at silhouettes, and where a little shines
-//! through. The median is the depth of one of them.
+//! Expected depth lies between the surfaces wherever several contribute: at silhouettes and behind faint splats.
+//! The median is the depth of one of them.
 
 use super::lanes::{Chunk, Lanes, by_simd};
 use super::tile::{OPACITY_CHANNEL, PatchImage, PatchPlace, Splat, TRANSMITTANCE_MIN, alpha};
 
-/// Replays the blending of `image` from the splats of `list` that reach a pixel and writes, at each pixel, the depth of
-/// the splat at which 1 − T reaches half of the accumulated opacity; 0 where nothing is seen.
+/// Replays the blending of `image` from the splats of `list` that reach a pixel and writes, at each pixel, the
+/// depth of the splat at which 1 − T reaches half of the accumulated opacity; 0 where nothing is visible.
 #[inline(always)]
 fn median<L: Lanes>(splats: &[Splat], list: &[u32], place: PatchPlace, image: &PatchImage, out: &mut Chunk) {
     let centers = place.centers::<L>();

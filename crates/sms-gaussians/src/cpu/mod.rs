@@ -38,12 +38,12 @@ use engine::Engine;
 use glamx::Vec3;
 use lanes::Simd;
 pub use lanes::SimdForm;
-use project::View;
+use project::CameraView;
 use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use std::time::Instant;
-use target::Target;
-use tile::{COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, Plane, TILE, TileImage};
+use target::TiledTarget;
+use tile::{COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage, TilePlane};
 pub use times::StepTimes;
 
 /// Gaussians handled at once by the optimiser.
@@ -84,7 +84,7 @@ const GAUSSIANS: usize = 256;
 pub struct CpuTrainer {
     config: TrainConfig,
     parameters: Parameters,
-    targets: Vec<Target>,
+    targets: Vec<TiledTarget>,
     engine: Engine,
     times: StepTimes,
 }
@@ -95,7 +95,7 @@ impl CpuTrainer {
         Self::with_simd(config, classes, seed, Simd::detect())
     }
 
-    /// The same with kernels of a given form, to compare with; `None` where this CPU cannot run it.
+    /// The same with kernels of a given form, for comparison; `None` if this CPU cannot run it.
     pub fn with_form(config: &TrainConfig, classes: usize, seed: Seed, form: SimdForm) -> Option<Self> {
         Simd::of(form).map(|simd| Self::with_simd(config, classes, seed, simd))
     }
@@ -163,9 +163,9 @@ fn add_share(sum: &mut LossTerms, terms: &LossTerms, count: usize) {
 
 impl Trainer for CpuTrainer {
     /// # Panics
-    /// When a buffer of the frame has another size than the camera's image.
+    /// If a buffer of the frame has another size than the camera's image.
     fn add_frame(&mut self, frame: TrainFrame) -> FrameId {
-        self.targets.push(Target::new(&frame, self.parameters.classifier.classes));
+        self.targets.push(TiledTarget::new(&frame, self.parameters.classifier.classes));
         self.targets.len() - 1
     }
 
@@ -182,7 +182,7 @@ impl Trainer for CpuTrainer {
     }
 
     /// # Panics
-    /// When a frame was not added.
+    /// If a frame was not added.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats {
         let mut stats = StepStats::default();
         for &frame in frames {
@@ -194,7 +194,7 @@ impl Trainer for CpuTrainer {
     }
 
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
-        let view = View::new(camera);
+        let view = CameraView::new(camera);
         if view.width * view.height == 0 {
             return RenderedMaps { width: view.width, height: view.height, ..RenderedMaps::default() };
         }
@@ -213,7 +213,7 @@ impl Trainer for CpuTrainer {
             normal_w: vec![[0.0; 3]; pixels],
             label: vec![0; pixels],
         };
-        let mut found = vec![([0u16; TILE * TILE], Plane::ZERO); tiles.len()];
+        let mut found = vec![([0u16; TILE * TILE], TilePlane::ZERO); tiles.len()];
         bands
             .par_iter_mut()
             .zip(tiles.par_chunks(BAND_TILES * grid.columns))

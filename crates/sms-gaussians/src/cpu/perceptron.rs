@@ -3,12 +3,12 @@
 //! A step may take a random share of the patches only: the estimate of the term and of its gradients is unbiased.
 
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, by_simd};
-use super::tile::{AFFINITY_CHANNEL, PATCHES, PatchGradient, Plane, TILE, TileImage};
+use super::tile::{AFFINITY_CHANNEL, PATCHES, PatchGradient, TILE, TileImage, TilePlane};
 use crate::{AFFINITY_DIM, HIDDEN_DIM};
 
 /// The classifier with its outputs padded to whole blocks of eight.
 #[derive(Default)]
-pub(super) struct Weights {
+pub(super) struct PaddedClassifier {
     classes: usize,
     w1: Vec<[f32; AFFINITY_DIM]>,
     b1: Vec<f32>,
@@ -19,7 +19,7 @@ pub(super) struct Weights {
 /// Outputs that are computed together.
 const OUTPUTS: usize = 8;
 
-impl Weights {
+impl PaddedClassifier {
     /// Takes over the flat array of [`crate::parameters::ClassifierState`].
     pub(super) fn set(&mut self, classes: usize, values: &[f32]) {
         let padded = classes.next_multiple_of(OUTPUTS);
@@ -38,30 +38,30 @@ impl Weights {
     }
 }
 
-/// Which patches of each tile a step's segmentation term takes: systematic sampling, each with the same probability
-/// and each tile with nearly the same number.
+/// The patches of each tile in a step's segmentation term: systematic sampling, each with the same probability and
+/// each tile with nearly the same number.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sample {
+pub(super) struct PatchSample {
     share: f32,
     seed: u64,
 }
 
-impl Sample {
+impl PatchSample {
     /// All patches.
     pub(super) const ALL: Self = Self { share: 1.0, seed: 0 };
 
-    /// A `share` of the patches, another for every `step`.
+    /// A `share` of the patches, different for every `step`.
     pub(super) fn new(share: f32, step: u32) -> Self {
         let share = if share.is_finite() { share.clamp(0.01, 1.0) } else { 1.0 };
         Self { share, seed: u64::from(step) }
     }
 
-    /// What the terms of the patches taken are divided by.
+    /// Returns the divisor of the sampled patches' terms.
     pub(super) fn share(self) -> f32 {
         self.share
     }
 
-    /// Bits of the patches taken of a tile.
+    /// Returns the sampled patches of a tile as bits.
     pub(super) fn patches(self, tile: usize) -> u8 {
         if self.share >= 1.0 {
             return (1 << PATCHES) - 1;
@@ -71,8 +71,8 @@ impl Sample {
         z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
         let z = z ^ z >> 31;
-        // Steps of `share` from a random start; a patch is taken where its step passes a whole number. Which patch the
-        // walk starts at is random as well.
+        // Steps of `share` from a random start; a patch is sampled where its step passes a whole number. The first
+        // patch of the walk is random as well.
         let start = (z >> 40) as f32 / (1u64 << 24) as f32;
         let first = z as usize % PATCHES;
         let mut bits = 0;
@@ -87,12 +87,12 @@ impl Sample {
 }
 
 /// Working memory of one band, and its share of the classifier's gradient.
-pub(super) struct Scratch {
-    hidden: [Plane; HIDDEN_DIM],
-    d_hidden: [Plane; HIDDEN_DIM],
-    logits: Vec<Plane>,
-    inputs_by_pixel: Factors<{ AFFINITY_DIM / WIDTH }>,
-    hidden_by_pixel: Factors<{ HIDDEN_DIM / WIDTH }>,
+pub(super) struct PerceptronScratch {
+    hidden: [TilePlane; HIDDEN_DIM],
+    d_hidden: [TilePlane; HIDDEN_DIM],
+    logits: Vec<TilePlane>,
+    inputs_by_pixel: PerceptronFactors<{ AFFINITY_DIM / WIDTH }>,
+    hidden_by_pixel: PerceptronFactors<{ HIDDEN_DIM / WIDTH }>,
     w1: [[Chunk; AFFINITY_DIM / WIDTH]; HIDDEN_DIM],
     b1: [Chunk; HIDDEN_DIM],
     w2: Vec<[Chunk; HIDDEN_DIM / WIDTH]>,
@@ -101,17 +101,17 @@ pub(super) struct Scratch {
 
 /// Values pixel by pixel.
 #[repr(C, align(64))]
-struct Factors<const N: usize>([[Chunk; N]; TILE * TILE]);
+struct PerceptronFactors<const N: usize>([[Chunk; N]; TILE * TILE]);
 
-impl Scratch {
+impl PerceptronScratch {
     pub(super) fn new(classes: usize) -> Self {
         let padded = classes.next_multiple_of(OUTPUTS);
         Self {
-            hidden: [Plane::ZERO; HIDDEN_DIM],
-            d_hidden: [Plane::ZERO; HIDDEN_DIM],
-            logits: vec![Plane::ZERO; padded],
-            inputs_by_pixel: Factors([[NONE; AFFINITY_DIM / WIDTH]; TILE * TILE]),
-            hidden_by_pixel: Factors([[NONE; HIDDEN_DIM / WIDTH]; TILE * TILE]),
+            hidden: [TilePlane::ZERO; HIDDEN_DIM],
+            d_hidden: [TilePlane::ZERO; HIDDEN_DIM],
+            logits: vec![TilePlane::ZERO; padded],
+            inputs_by_pixel: PerceptronFactors([[NONE; AFFINITY_DIM / WIDTH]; TILE * TILE]),
+            hidden_by_pixel: PerceptronFactors([[NONE; HIDDEN_DIM / WIDTH]; TILE * TILE]),
             w1: [[NONE; AFFINITY_DIM / WIDTH]; HIDDEN_DIM],
             b1: [NONE; HIDDEN_DIM],
             w2: vec![[NONE; HIDDEN_DIM / WIDTH]; padded],
@@ -119,7 +119,7 @@ impl Scratch {
         }
     }
 
-    /// Forgets the gradient.
+    /// Clears the gradient.
     pub(super) fn clear(&mut self) {
         self.w1.as_flattened_mut().fill(NONE);
         self.b1.fill(NONE);
@@ -145,7 +145,7 @@ fn layer<L: Lanes, const N: usize, const J: usize>(
     w: &[[f32; N]],
     bias: &[f32],
     x: &[Chunk; N],
-    out: &mut [Plane],
+    out: &mut [TilePlane],
     p: usize,
 ) {
     for ((w, bias), out) in w.chunks_exact(J).zip(bias.chunks_exact(J)).zip(out.chunks_exact_mut(J)) {
@@ -169,7 +169,7 @@ fn layer<L: Lanes, const N: usize, const J: usize>(
 #[inline(always)]
 fn layer_transposed<L: Lanes, const N: usize, const C: usize>(
     w: &[[f32; N]],
-    x: &[Plane],
+    x: &[TilePlane],
     first: usize,
     p: usize,
 ) -> [L; C] {
@@ -189,8 +189,8 @@ fn layer_transposed<L: Lanes, const N: usize, const C: usize>(
 #[inline(always)]
 fn layer_gradient<L: Lanes, const N: usize, const J: usize>(
     patches: u8,
-    d: &[Plane],
-    x: &Factors<N>,
+    d: &[TilePlane],
+    x: &PerceptronFactors<N>,
     sum: &mut [[Chunk; N]],
     bias: &mut [Chunk],
 ) {
@@ -235,9 +235,14 @@ fn inputs(image: &TileImage, p: usize) -> &[Chunk; AFFINITY_DIM] {
 
 /// Fills `scratch.hidden` and `scratch.logits` of one patch.
 #[inline(always)]
-fn forward<L: Lanes>(weights: &Weights, image: &TileImage, scratch: &mut Scratch, p: usize) {
+fn forward<L: Lanes>(
+    weights: &PaddedClassifier,
+    image: &TileImage,
+    scratch: &mut PerceptronScratch,
+    p: usize,
+) {
     let inputs = inputs(image, p);
-    let Scratch { hidden, logits, .. } = scratch;
+    let PerceptronScratch { hidden, logits, .. } = scratch;
     if L::MANY_REGISTERS {
         layer::<L, AFFINITY_DIM, 8>(&weights.w1, &weights.b1, inputs, hidden, p);
     } else {
@@ -259,7 +264,7 @@ fn forward<L: Lanes>(weights: &Weights, image: &TileImage, scratch: &mut Scratch
 /// Turns the logits of patch `p` into ∂L/∂logits = (softmax − one-hot)·scale, zero where there is no label; returns the
 /// cross-entropy summed over its pixels.
 #[inline(always)]
-fn softmax<L: Lanes>(logits: &mut [Plane], labels: &[u16; WIDTH], scale: f32, p: usize) -> f64 {
+fn softmax<L: Lanes>(logits: &mut [TilePlane], labels: &[u16; WIDTH], scale: f32, p: usize) -> f64 {
     let mut largest = L::load(&logits[0].0[p]);
     for plane in &logits[1..] {
         largest = largest.max(L::load(&plane.0[p]));
@@ -297,12 +302,12 @@ fn softmax<L: Lanes>(logits: &mut [Plane], labels: &[u16; WIDTH], scale: f32, p:
 /// `gradient` and adds to the classifier's gradient, both times `scale`.
 #[inline(always)]
 fn cross_entropy<L: Lanes>(
-    weights: &Weights,
+    weights: &PaddedClassifier,
     image: &TileImage,
     labels: &[u16; TILE * TILE],
     patches: u8,
     scale: f32,
-    scratch: &mut Scratch,
+    scratch: &mut PerceptronScratch,
     gradient: &mut [PatchGradient; PATCHES],
 ) -> f64 {
     if labels.iter().all(|&l| l == u16::MAX) {
@@ -319,7 +324,8 @@ fn cross_entropy<L: Lanes>(
         for plane in &mut scratch.logits[weights.classes..] {
             plane.0[p] = NONE;
         }
-        let Scratch { hidden, d_hidden, logits, inputs_by_pixel, hidden_by_pixel, .. } = &mut *scratch;
+        let PerceptronScratch { hidden, d_hidden, logits, inputs_by_pixel, hidden_by_pixel, .. } =
+            &mut *scratch;
         for first in (0..HIDDEN_DIM).step_by(4) {
             let d: [L; 4] = layer_transposed::<L, HIDDEN_DIM, 4>(&weights.w2, logits, first, p);
             for (k, d) in d.into_iter().enumerate() {
@@ -350,7 +356,8 @@ fn cross_entropy<L: Lanes>(
             }
         }
     }
-    let Scratch { d_hidden, logits, inputs_by_pixel, hidden_by_pixel, w1, b1, w2, b2, .. } = scratch;
+    let PerceptronScratch { d_hidden, logits, inputs_by_pixel, hidden_by_pixel, w1, b1, w2, b2, .. } =
+        scratch;
     if L::MANY_REGISTERS {
         layer_gradient::<L, _, 8>(patches, logits, hidden_by_pixel, w2, b2);
         layer_gradient::<L, _, 16>(patches, d_hidden, inputs_by_pixel, w1, b1);
@@ -366,16 +373,16 @@ const _: () = assert!(AFFINITY_DIM == WIDTH && HIDDEN_DIM.is_multiple_of(WIDTH))
 by_simd! {
     /// Segmentation term of one tile.
     fn tile_cross_entropy = cross_entropy(
-        weights: &Weights, image: &TileImage, labels: &[u16; TILE * TILE], patches: u8, scale: f32,
-        scratch: &mut Scratch, gradient: &mut [PatchGradient; PATCHES],
+        weights: &PaddedClassifier, image: &TileImage, labels: &[u16; TILE * TILE], patches: u8, scale: f32,
+        scratch: &mut PerceptronScratch, gradient: &mut [PatchGradient; PATCHES],
     ) -> f64
 }
 
 #[inline(always)]
 fn most_likely<L: Lanes>(
-    weights: &Weights,
+    weights: &PaddedClassifier,
     image: &TileImage,
-    scratch: &mut Scratch,
+    scratch: &mut PerceptronScratch,
     labels: &mut [u16; TILE * TILE],
 ) {
     for p in 0..PATCHES {
@@ -396,7 +403,7 @@ fn most_likely<L: Lanes>(
 by_simd! {
     /// The most likely label of each pixel of a tile.
     fn tile_labels = most_likely(
-        weights: &Weights, image: &TileImage, scratch: &mut Scratch, labels: &mut [u16; TILE * TILE],
+        weights: &PaddedClassifier, image: &TileImage, scratch: &mut PerceptronScratch, labels: &mut [u16; TILE * TILE],
     )
 }
 
@@ -411,7 +418,7 @@ mod tests {
             let steps = 4000;
             for step in 0..steps {
                 for (tile, taken) in taken.iter_mut().enumerate() {
-                    let bits = Sample::new(share, step).patches(tile);
+                    let bits = PatchSample::new(share, step).patches(tile);
                     let number = f64::from(bits.count_ones()) - f64::from(share) * PATCHES as f64;
                     assert!(number.abs() < 1.0, "nearly the same number in each tile");
                     (0..PATCHES).for_each(|p| taken[p] += u32::from(bits >> p & 1));
@@ -422,6 +429,6 @@ mod tests {
                 assert!(deviation.abs() < 0.04, "{share}: {deviation}");
             }
         }
-        assert_eq!(Sample::new(f32::NAN, 3).share(), 1.0);
+        assert_eq!(PatchSample::new(f32::NAN, 3).share(), 1.0);
     }
 }

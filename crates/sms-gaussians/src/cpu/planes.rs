@@ -1,4 +1,4 @@
-//! Images row by row, with zeros around: what the window of SSIM runs over.
+//! Images stored row by row with zero margins, for the window of SSIM.
 
 use super::lanes::{Chunk, WIDTH};
 use super::tile::TILE;
@@ -18,7 +18,7 @@ pub(super) struct Aligned {
 }
 
 impl Aligned {
-    /// Makes room for `length` numbers; all are zero when the length changes, and left as they are otherwise.
+    /// Resizes the buffer; the contents become zero if the length changes, and remain otherwise.
     pub(super) fn resize(&mut self, length: usize) {
         if self.data.len() != length + WIDTH {
             self.data.clear();
@@ -39,14 +39,14 @@ impl Aligned {
 
 /// Images of one size, interleaved row by row, with zeros around.
 #[derive(Default)]
-pub(super) struct Planes {
+pub(super) struct PaddedPlanes {
     layout: RowLayout,
     rows: usize,
     data: Aligned,
 }
 
-impl Planes {
-    /// Makes room for `planes` images of `columns × rows` pixels; contents are only cleared when the size changes.
+impl PaddedPlanes {
+    /// Resizes to `planes` images of `columns × rows` pixels; contents are only cleared when the size changes.
     pub(super) fn resize(&mut self, planes: usize, columns: usize, rows: usize) {
         let layout = RowLayout::new(planes, columns);
         if (layout, rows) != (self.layout, self.rows) {
@@ -104,7 +104,7 @@ fn join(first: &[f32], second: &[f32]) -> Chunk {
     chunk
 }
 
-/// How rows of several images follow each other.
+/// Layout of the rows of several images.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct RowLayout {
     planes: usize,

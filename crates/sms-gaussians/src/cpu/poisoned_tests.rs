@@ -1,4 +1,4 @@
-//! Ten thousand damaged inputs through real steps: whatever comes in, parameters, losses and images stay finite.
+//! Ten thousand damaged inputs through real steps: parameters, losses and images stay finite.
 
 use super::*;
 use crate::parameters::LOGIT_LIMIT;
@@ -13,7 +13,7 @@ const CLASSES: usize = 3;
 const SIZES: [(usize, usize); 10] =
     [(1, 1), (8, 8), (9, 17), (3, 5), (1, 23), (19, 1), (16, 9), (0, 0), (0, 5), (7, 0)];
 
-/// Numbers that no measurement gives.
+/// Invalid measurements.
 const POISON: [f32; 16] = [
     f32::NAN,
     f32::INFINITY,
@@ -33,7 +33,7 @@ const POISON: [f32; 16] = [
     1e-45,
 ];
 
-/// Draws sound numbers, and poison with a given probability.
+/// Draws valid numbers, and poison with a given probability.
 struct Draw {
     rng: StageRng,
     poison: f64,
@@ -72,7 +72,7 @@ impl Draw {
         Camera::new(k, pose)
     }
 
-    /// One Gaussian, mostly in view, often of a shape that makes trouble.
+    /// One Gaussian, mostly in view, often of a degenerate shape.
     fn seedling(&mut self) -> Seedling {
         let z = self.number(0.1, 2.0);
         let mut seedling = Seedling {
@@ -109,7 +109,7 @@ impl Draw {
         let count = self.rng.random_range(0..6);
         let mut seedlings: Vec<Seedling> = (0..count).map(|_| self.seedling()).collect();
         if self.chance(0.3) && !seedlings.is_empty() {
-            // Coincident ones, up to a pile that no light passes.
+            // Coincident ones, up to an opaque pile.
             let copies = *self.one_of(&[1, 3, 40]);
             seedlings.extend(vec![seedlings[0]; copies]);
         }
@@ -147,7 +147,7 @@ impl Draw {
     }
 }
 
-/// Whether every number that a step or a rendering leaves behind is finite, else what is not.
+/// Returns the first result of a step or a rendering that is not finite, if any.
 fn unsound(trainer: &mut CpuTrainer, stats: &StepStats, camera: &Camera) -> Option<&'static str> {
     let p = &trainer.parameters;
     let finite = |rows: &[crate::parameters::Row]| rows.iter().all(|r| r.0.iter().all(|v| v.is_finite()));

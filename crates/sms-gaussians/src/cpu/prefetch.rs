@@ -1,9 +1,9 @@
-//! Hints to the cache. The kernels read splats, gradients and images in an order that the hardware does not foresee.
+//! Prefetching. The kernels read splats, gradients and images in an order that the hardware does not predict.
 
-/// Bytes that a cache fetches together.
+/// Bytes of a cache line.
 const LINE: usize = 64;
 
-/// Asks for all of `value` to be in the cache soon.
+/// Prefetches all of `value`.
 #[inline(always)]
 #[cfg(target_arch = "x86_64")]
 pub(super) fn prefetch<T>(value: &T) {
@@ -18,7 +18,7 @@ pub(super) fn prefetch<T>(value: &T) {
     }
 }
 
-/// Asks for nothing: this target has no stable hint.
+/// Does nothing: this target has no stable hint.
 #[inline(always)]
 #[cfg(not(target_arch = "x86_64"))]
 pub(super) fn prefetch<T>(_value: &T) {}

@@ -15,25 +15,26 @@ use std::f32::consts::{LN_2, LOG2_E};
 /// al., Mip-Splatting, CVPR 2024): small discs would bleed over silhouettes otherwise. On four noisy billiards scans
 /// held-out mIoU rose from 0.906–0.925 to 0.961–0.968, PSNR by 0.4 to 1.0 dB, and depth errors fell by 0.3 to 0.5 mm.
 pub const LOW_PASS: f64 = 0.3;
-/// Added to det Σ in this ratio, pixels⁴, so that it has a gradient where a disc is seen edge-on.
+/// Share of pixels⁴ added to det Σ, so that it has a gradient for discs seen edge-on.
 pub const AREA_FLOOR: f64 = 1e-6;
-/// What takes the place of [`LOW_PASS`] in the slope of a splat's depth, pixels²: small, so that the slope of discs of
-/// few pixels is kept, and large enough to bound that of discs seen edge-on, by 1/(2√ε) standard deviations a pixel.
+/// Low-pass filter of the slope of a splat's depth, in place of [`LOW_PASS`], pixels²: small, to preserve the slope
+/// of discs of few pixels, and large enough to bound that of discs seen edge-on, by 1/(2√ε) standard deviations a
+/// pixel.
 ///
-/// On a noisy billiards scan the mean error of depth on surfaces at 53° to 66° to the ray was 2.5 mm with the centre's
-/// depth; 1.19 mm with ε = 0.3 (the low-pass filter's), 0.68 with 0.1, 0.50 with 0.05, 0.39 with 0.02, 0.35 with 0.01
-/// and 0.31 with 0.003.
+/// On a noisy billiards scan the mean error of depth on surfaces at 53° to 66° to the ray was 2.5 mm with the
+/// centre's depth; 1.19 mm with ε = 0.3 (the low-pass filter's), 0.68 with 0.1, 0.50 with 0.05, 0.39 with 0.02,
+/// 0.35 with 0.01 and 0.31 with 0.003.
 pub const SLOPE_LOW_PASS: f64 = 0.01;
-/// Gaussians nearer than this are not seen, metres.
+/// Least depth of visible Gaussians, metres.
 pub const NEAR: f64 = 0.02;
-/// Gaussians farther than this are not seen, metres: only damage puts one there, and its depth would overflow sums.
+/// Greatest depth of visible Gaussians, metres: only damaged data is farther, and its depth would overflow sums.
 pub const FAR: f64 = 1e6;
 /// The linearisation uses directions within the image and this share of its size beyond.
 pub const MARGIN: f64 = 0.15;
 
 /// A camera in single precision.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct View {
+pub(super) struct CameraView {
     /// Rotation from the world to the camera, row by row.
     pub(super) r_cw: [[f32; 3]; 3],
     pub(super) t_cw: [f32; 3],
@@ -47,7 +48,7 @@ pub(super) struct View {
     pub(super) height: usize,
 }
 
-impl View {
+impl CameraView {
     pub(super) fn new(camera: &Camera) -> Self {
         let k = &camera.intrinsics;
         let x_cw = camera.x_wc.inverse();
@@ -80,7 +81,7 @@ pub(super) fn rotated<L: Lanes>(rows: &[[f32; 3]; 3], v: Vectors<L>) -> Vectors<
     array!(3, |i| dot(array!(3, |j| L::splat(rows[i][j])), v))
 }
 
-/// What projection and its gradient share.
+/// Intermediate results shared by projection and its gradient.
 pub(super) struct Linearized<L: Lanes> {
     pub(super) p_c: Vectors<L>,
     /// 1/z.
@@ -122,7 +123,7 @@ pub(super) fn columns<L: Lanes>(rows: &[Row]) -> [L; WIDTH] {
 }
 
 #[inline(always)]
-pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &View) -> Linearized<L> {
+pub(super) fn linearize<L: Lanes>(columns: &[L; WIDTH], view: &CameraView) -> Linearized<L> {
     let one = L::splat(1.0);
     let p_w = [columns[POSITION], columns[POSITION + 1], columns[POSITION + 2]];
     let r_p = rotated(&view.r_cw, p_w);
@@ -213,9 +214,9 @@ fn crossed<L: Lanes>(axes: &[[L; 2]; 3]) -> L {
     a.mul_add(a, b.mul_add(b, c * c))
 }
 
-/// Change of depth per pixel within a splat, from its axes in the camera and in the image: given the pixel, depth under
-/// the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹ Cov(pixel, z). For a disc
-/// that is its plane.
+/// Returns the change of depth per pixel within a splat, from its axes in the camera and in the image: given the
+/// pixel, depth under the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹
+/// Cov(pixel, z). For a disc, this describes its plane.
 #[inline(always)]
 fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3], crossed: L) -> [L; 2] {
     let epsilon = L::splat(SLOPE_LOW_PASS as f32);
@@ -240,7 +241,7 @@ pub(super) fn conic<L: Lanes>([xx, xy, yy]: [L; 3]) -> [L; 3] {
     [yy * inverse, (xy * inverse).negated(), xx * inverse]
 }
 
-/// A Gaussian as a camera sees it: what its [`Splat`] needs beside its own parameters, and its outline.
+/// A projected Gaussian: the view-dependent part of its [`Splat`], and its outline.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Projected(Chunk);
@@ -254,7 +255,7 @@ pub(super) struct Outline {
     pub(super) half: [f32; 2],
     /// Half width of the row through the centre.
     pub(super) half_row: f32,
-    /// How far the middle of a row moves right per row.
+    /// Horizontal shift of the middle of a row, per row.
     pub(super) slant: f32,
 }
 
@@ -307,12 +308,12 @@ impl Projected {
     }
 }
 
-/// Projects `rows` and tells which of `bands` bands each touches: none where it cannot be seen
-/// (behind or at the camera, outside the image, too faint, or degenerate).
+/// Projects `rows` and returns the bands, of `bands`, that each touches: none if it is invisible (behind or at the
+/// camera, outside the image, too faint, or degenerate).
 #[inline(always)]
 fn project<L: Lanes>(
     rows: &[Row],
-    view: &View,
+    view: &CameraView,
     bands: usize,
     projected: &mut [Projected],
     spans: &mut [Span],
@@ -373,6 +374,6 @@ fn project<L: Lanes>(
 by_simd! {
     /// Projects Gaussians.
     fn project_rows = project(
-        rows: &[Row], view: &View, bands: usize, projected: &mut [Projected], spans: &mut [Span],
+        rows: &[Row], view: &CameraView, bands: usize, projected: &mut [Projected], spans: &mut [Span],
     )
 }

@@ -3,7 +3,7 @@
 //! each pixel read serves four rows, then along each row. Squares and products are formed on the way.
 
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
-use super::planes::{Aligned, MARGIN, Planes, RADIUS, RowLayout, TAPS};
+use super::planes::{Aligned, MARGIN, PaddedPlanes, RADIUS, RowLayout, TAPS};
 
 /// Stabiliser of SSIM's means for values in 0..1.
 pub const C1: f64 = 0.01 * 0.01;
@@ -36,9 +36,9 @@ fn row_of(image: &Aligned, row: usize, stride: usize) -> &[f32] {
     &image.get()[row * stride..][..stride]
 }
 
-/// What is convolved.
+/// Operand of a convolution.
 #[derive(Clone, Copy)]
-enum Image {
+enum SsimOperand {
     /// The first image.
     First,
     /// The second image.
@@ -52,9 +52,9 @@ enum Image {
 /// The window down the columns, for [`ROWS`] rows from row `first` on. Rows that reach beyond `planes` read its zeros.
 #[inline(always)]
 fn down<L: Lanes>(
-    image: Image,
-    (a, a_plane): (&Planes, usize),
-    (b, b_plane): (&Planes, usize),
+    image: SsimOperand,
+    (a, a_plane): (&PaddedPlanes, usize),
+    (b, b_plane): (&PaddedPlanes, usize),
     first: usize,
     weights: &[f32; TAPS],
     out: &mut Aligned,
@@ -68,13 +68,13 @@ fn down<L: Lanes>(
         let mut sums = [L::splat(0.0); ROWS];
         for j in 0..ROWS + TAPS - 1 {
             let value = match image {
-                Image::First => L::load(chunk(a[j], x)),
-                Image::Second => L::load(chunk(b[j], x)),
-                Image::Squares => {
+                SsimOperand::First => L::load(chunk(a[j], x)),
+                SsimOperand::Second => L::load(chunk(b[j], x)),
+                SsimOperand::Squares => {
                     let (a, b) = (L::load(chunk(a[j], x)), L::load(chunk(b[j], x)));
                     a.mul_add(a, b * b)
                 }
-                Image::Product => L::load(chunk(a[j], x)) * L::load(chunk(b[j], x)),
+                SsimOperand::Product => L::load(chunk(a[j], x)) * L::load(chunk(b[j], x)),
             };
             for (k, sum) in sums.iter_mut().enumerate() {
                 if j >= k && j - k < TAPS {
@@ -109,8 +109,8 @@ pub(super) const DERIVATIVES: usize = 3;
 /// Σ SSIM over the rows `first..first + rows` and its derivatives, scaled by `scale`, into `band`.
 #[inline(always)]
 fn similarity<L: Lanes>(
-    rendered: &Planes,
-    observed: &Planes,
+    rendered: &PaddedPlanes,
+    observed: &PaddedPlanes,
     first: usize,
     rows: usize,
     size: (usize, usize),
@@ -129,10 +129,10 @@ fn similarity<L: Lanes>(
         for color in 0..3 {
             let images = (&mut scratch.images, (rendered, color), (observed, color));
             let ([xs, ys, squares, products], a, b) = images;
-            down::<L>(Image::First, a, b, first + four, &weights, xs);
-            down::<L>(Image::Second, a, b, first + four, &weights, ys);
-            down::<L>(Image::Squares, a, b, first + four, &weights, squares);
-            down::<L>(Image::Product, a, b, first + four, &weights, products);
+            down::<L>(SsimOperand::First, a, b, first + four, &weights, xs);
+            down::<L>(SsimOperand::Second, a, b, first + four, &weights, ys);
+            down::<L>(SsimOperand::Squares, a, b, first + four, &weights, squares);
+            down::<L>(SsimOperand::Product, a, b, first + four, &weights, products);
             for row in four..rows.min(four + ROWS) {
                 let of = |image| row_of(image, row - four, stride);
                 let (xs, ys, squares, products) = (of(xs), of(ys), of(squares), of(products));
@@ -177,9 +177,9 @@ fn inside<L: Lanes>(columns: usize) -> L::Mask {
 /// ∂(scaled Σ SSIM)/∂x of the rows `first..first + rows`, one image per colour, into `band`.
 #[inline(always)]
 fn similarity_gradient<L: Lanes>(
-    rendered: &Planes,
-    observed: &Planes,
-    derivatives: &Planes,
+    rendered: &PaddedPlanes,
+    observed: &PaddedPlanes,
+    derivatives: &PaddedPlanes,
     first: usize,
     rows: usize,
     size: (usize, usize),
@@ -196,7 +196,7 @@ fn similarity_gradient<L: Lanes>(
             let [means, squares, products, _] = &mut scratch.images;
             for (k, out) in [&mut *means, &mut *squares, &mut *products].into_iter().enumerate() {
                 let plane = (derivatives, DERIVATIVES * color + k);
-                down::<L>(Image::First, plane, plane, first + four, &weights, out);
+                down::<L>(SsimOperand::First, plane, plane, first + four, &weights, out);
             }
             for row in four..rows.min(four + ROWS) {
                 let of = |image| row_of(image, row - four, stride);
@@ -217,7 +217,7 @@ fn similarity_gradient<L: Lanes>(
 by_simd! {
     /// The sum of SSIM over a band of rows and its derivatives with respect to the window's moments.
     fn ssim_band = similarity(
-        rendered: &Planes, observed: &Planes, first: usize, rows: usize, size: (usize, usize), scale: f32,
+        rendered: &PaddedPlanes, observed: &PaddedPlanes, first: usize, rows: usize, size: (usize, usize), scale: f32,
         layout: RowLayout, band: &mut [f32], scratch: &mut SsimScratch,
     ) -> f64
 }
@@ -225,7 +225,7 @@ by_simd! {
 by_simd! {
     /// The gradient of the scaled sum of SSIM over a band of rows.
     fn ssim_gradient_band = similarity_gradient(
-        rendered: &Planes, observed: &Planes, derivatives: &Planes, first: usize, rows: usize,
+        rendered: &PaddedPlanes, observed: &PaddedPlanes, derivatives: &PaddedPlanes, first: usize, rows: usize,
         size: (usize, usize), layout: RowLayout, band: &mut [f32], scratch: &mut SsimScratch,
     )
 }

@@ -1,20 +1,20 @@
 //! An observed view in the order the tile kernels read it, with unusable pixels marked.
 
-use super::planes::Planes;
-use super::project::View;
-use super::tile::{PATCH_ROWS, PATCHES, PatchPlace, Plane, TILE};
+use super::planes::PaddedPlanes;
+use super::project::CameraView;
+use super::tile::{PATCH_ROWS, PATCHES, PatchPlace, TILE, TilePlane};
 use crate::TrainFrame;
 
 /// Tiles of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Grid {
+pub(super) struct TileGrid {
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) columns: usize,
     pub(super) rows: usize,
 }
 
-impl Grid {
+impl TileGrid {
     pub(super) fn new(width: usize, height: usize) -> Self {
         Self { width, height, columns: width.div_ceil(TILE), rows: height.div_ceil(TILE) }
     }
@@ -45,26 +45,26 @@ impl Grid {
     }
 }
 
-/// What was observed in one tile.
+/// Observations of one tile.
 #[derive(Clone)]
 pub(super) struct TargetTile {
-    /// Pixels whose colour may be used, one bit per pixel of each patch.
+    /// Pixels with valid colour, one bit per pixel of each patch.
     pub(super) colored: [u16; PATCHES],
-    /// Depth in metres, 0 where it must not be used.
-    pub(super) depth: Plane,
-    /// Normals in the world, zero where they must not be used.
-    pub(super) normal: [Plane; 3],
-    /// Labels, `u16::MAX` where they must not be used.
+    /// Depth in metres, 0 where invalid.
+    pub(super) depth: TilePlane,
+    /// Normals in the world, zero where invalid.
+    pub(super) normal: [TilePlane; 3],
+    /// Labels, `u16::MAX` where invalid.
     pub(super) label: [u16; TILE * TILE],
 }
 
 /// An observed view.
-pub(super) struct Target {
-    pub(super) view: View,
-    pub(super) grid: Grid,
+pub(super) struct TiledTarget {
+    pub(super) view: CameraView,
+    pub(super) grid: TileGrid,
     pub(super) tiles: Vec<TargetTile>,
-    /// Colour row by row, zero where it must not be used.
-    pub(super) color: Planes,
+    /// Colour row by row, zero where invalid.
+    pub(super) color: PaddedPlanes,
     /// Pixels with colour.
     pub(super) colored: usize,
     /// Pixels with depth.
@@ -75,29 +75,29 @@ pub(super) struct Target {
     pub(super) labelled: usize,
 }
 
-/// Measured depths beyond this are not believed, metres.
+/// Greatest valid depth, metres.
 const DEPTH_MAX: f32 = 1e3;
 
-impl Target {
-    /// Orders a frame by tiles. A pixel whose colour, depth or normal is not finite is left out of that term, and a
-    /// label that is not below `classes` out of the segmentation.
+impl TiledTarget {
+    /// Reorders a frame by tiles. Pixels with a colour, depth or normal that is not finite are excluded from that
+    /// term, and labels not below `classes` from the segmentation.
     ///
     /// # Panics
-    /// When a buffer has another size than the camera's image.
+    /// If a buffer has another size than the camera's image.
     pub(super) fn new(frame: &TrainFrame, classes: usize) -> Self {
         let (width, height) = (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
         let pixels = width * height;
         let sizes = [frame.color.len(), frame.depth.len(), frame.normal_w.len(), frame.label.len()];
         assert_eq!(sizes, [pixels; 4], "every buffer has one entry per pixel of the camera");
-        let grid = Grid::new(width, height);
+        let grid = TileGrid::new(width, height);
         let unusable = TargetTile {
             colored: [0; PATCHES],
-            depth: Plane::ZERO,
-            normal: [Plane::ZERO; 3],
+            depth: TilePlane::ZERO,
+            normal: [TilePlane::ZERO; 3],
             label: [u16::MAX; TILE * TILE],
         };
         let mut tiles = vec![unusable; grid.len()];
-        let mut colors = Planes::default();
+        let mut colors = PaddedPlanes::default();
         colors.resize(3, grid.columns * TILE, grid.rows * TILE);
         let (mut colored, mut deep, mut oriented, mut labelled) = (0, 0, 0, 0);
         for y in 0..height {
@@ -127,7 +127,7 @@ impl Target {
                 }
             }
         }
-        let view = View::new(&frame.camera);
+        let view = CameraView::new(&frame.camera);
         Self { view, grid, tiles, color: colors, colored, deep, oriented, labelled }
     }
 }

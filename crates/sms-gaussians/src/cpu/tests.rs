@@ -50,7 +50,7 @@ fn one_gaussian_is_seen_where_it_is() {
     }]);
     let maps = trainer.render(&camera);
     let i = 20 * 64 + 30;
-    // The low-pass filter widens the splat and takes as much opacity away: nothing is added.
+    // The low-pass filter widens the splat and reduces its opacity accordingly, so the sum is unchanged.
     let [x, y] = [camera.intrinsics.fx, camera.intrinsics.fy].map(|f| (f * 0.02 / 1.2).powi(2));
     let alpha = (0.8 * (x * y / ((x + LOW_PASS) * (y + LOW_PASS))).sqrt()) as f32;
     assert!((maps.alpha[i] - alpha).abs() < 3e-3, "{} {alpha}", maps.alpha[i]);
@@ -159,7 +159,7 @@ fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> 
     assert_eq!(trainer.engine.seen, expected.seen);
     let pairs = [
         (terms.color_l1, expected.terms.color_l1),
-        // The oracle leaves it out where it has no weight.
+        // The oracle skips it if its weight is zero.
         if config.weights.color * config.weights.ssim > 0.0 {
             (terms.dssim, expected.terms.dssim)
         } else {
@@ -460,7 +460,7 @@ fn gaussians_out_of_view_are_left_alone() {
 #[test]
 fn fifty_steps_lower_every_observed_term() {
     let camera = camera(SIZE.0, SIZE.1);
-    // The observed view is a rendering of other Gaussians: something that can be reached.
+    // The observed view is a rendering of other Gaussians, so the optimum is known to be reachable.
     let mut truth = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(2));
     truth.insert(&seedlings(&camera, 400, Seed(31)));
     let maps = truth.render(&camera);
@@ -495,7 +495,7 @@ fn a_share_of_the_segmentation_estimates_the_whole() {
         let mut rows = vec![[0.0f64; PARAMETERS]; COUNT];
         let mut classifier = vec![0.0f64; part.engine.classifier_gradient.len().max(1000)];
         for step in 0..steps {
-            // The classifier's step count chooses the patches.
+            // The classifier's step count selects the patches.
             part.parameters.classifier.steps = step;
             let found = part.differentiate(0);
             assert_eq!((found.color_l1, found.depth), (expected.color_l1, expected.depth));

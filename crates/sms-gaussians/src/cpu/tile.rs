@@ -1,5 +1,5 @@
-//! What the raster kernels work on. The unit is a patch: two rows of eight pixels, one lane each, four patches to a
-//! tile of 8×8 pixels.
+//! Data of the raster kernels. The unit is a patch: two rows of eight pixels, one lane each, four patches to a tile
+//! of 8×8 pixels.
 
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array};
 use crate::AFFINITY_DIM;
@@ -27,19 +27,19 @@ pub(super) const CHANNELS: usize = OPACITY_CHANNEL + 1;
 /// that of a plane, opacity's feature is one.
 pub(super) const FLAT: usize = DEPTH_CHANNEL;
 
-/// A splat is skipped where its alpha is below this.
+/// Least alpha of a splat at a pixel; fainter contributions are skipped.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
-/// Alpha is cut off here, so that the division by 1 − α stays bounded.
+/// Greatest alpha, to bound the division by 1 − α.
 pub const ALPHA_MAX: f32 = 0.99;
-/// A pixel is finished when its transmittance is no more than this.
+/// A pixel is finished once its transmittance is at most this.
 pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// One value per pixel of a tile, patch by patch.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
-pub(super) struct Plane(pub(super) [Chunk; PATCHES]);
+pub(super) struct TilePlane(pub(super) [Chunk; PATCHES]);
 
-impl Plane {
+impl TilePlane {
     pub(super) const ZERO: Self = Self([NONE; PATCHES]);
 
     /// The value at a pixel of the tile.
@@ -48,7 +48,7 @@ impl Plane {
     }
 }
 
-/// A Gaussian as one camera sees it. Alpha is 2^t, t = log₂ o + p₀·dx² + p₁·dx·dy + p₂·dy² ≤ log₂ o.
+/// A Gaussian in the view of one camera. Alpha is 2^t, t = log₂ o + p₀·dx² + p₁·dx·dy + p₂·dy² ≤ log₂ o.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Splat {
@@ -64,7 +64,7 @@ pub(super) struct Splat {
     /// Change of depth per pixel to the right and down, metres.
     pub(super) depth_slope: [f32; 2],
     pub(super) _padding: f32,
-    /// What is blended, in the order of the channels.
+    /// Blended features, in the order of the channels.
     pub(super) features: [f32; FLAT],
 }
 
@@ -160,7 +160,7 @@ impl PatchPlace {
     }
 }
 
-/// What one splat does to the pixels of a patch before it is known how much light reaches it.
+/// The alpha of one splat at the pixels of a patch, before transmittance.
 pub(super) struct Alpha<L: Lanes> {
     /// Alpha, not yet zeroed where it is below [`ALPHA_MIN`].
     pub(super) value: L,

@@ -1,4 +1,4 @@
-//! Where the time of a step goes.
+//! Timing of the parts of a step.
 
 /// CPU seconds spent in each part of a step, over all threads.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -61,7 +61,7 @@ impl StepTimes {
         *self = self.combine(other, |a, b| a + b);
     }
 
-    /// What has been added since `earlier`.
+    /// Returns the time added since `earlier`.
     pub fn since(&self, earlier: &Self) -> Self {
         self.combine(earlier, |a, b| a - b)
     }

@@ -14,26 +14,26 @@ use super::tile::{
 };
 use crate::AFFINITY_DIM;
 
-/// Splats that go through the passes together.
+/// Splats per block of the passes.
 const BLOCK: usize = 16;
 
-/// What the passes hand on, per splat and pixel.
+/// Intermediate results per splat and pixel.
 #[repr(C, align(64))]
-struct Block {
+struct UnblendBlock {
     /// α·T.
     weight: [Chunk; BLOCK],
     /// The same, zero where alpha was cut off.
     free_weight: [Chunk; BLOCK],
     /// α/(1 − α), zero where alpha was cut off.
     ratio: [Chunk; BLOCK],
-    /// The part of s that depends on the pixel: depth and opacity.
+    /// The pixel-dependent part of s: depth and opacity.
     score: [Chunk; BLOCK],
     /// v.
     slope: [Chunk; BLOCK],
     splat: [u32; BLOCK],
 }
 
-const EMPTY: Block = Block {
+const EMPTY: UnblendBlock = UnblendBlock {
     weight: [NONE; BLOCK],
     free_weight: [NONE; BLOCK],
     ratio: [NONE; BLOCK],
@@ -44,7 +44,7 @@ const EMPTY: Block = Block {
 
 /// The factors of one pixel: its first row as [`SplatGradient::geometry`], then affinity.
 #[repr(C, align(64))]
-struct Factors {
+struct PixelFactors {
     geometry: [Chunk; WIDTH],
     affinity: [Chunk; WIDTH],
 }
@@ -117,7 +117,7 @@ const POWERS: [Chunk; 6] = {
 };
 
 #[inline(always)]
-fn factors<L: Lanes>(gradient: &PatchGradient, affinity: bool) -> Factors {
+fn factors<L: Lanes>(gradient: &PatchGradient, affinity: bool) -> PixelFactors {
     let mut rows = [L::splat(0.0); WIDTH];
     for c in 0..AFFINITY_CHANNEL {
         rows[c] = L::load(&gradient.channels[c]);
@@ -126,7 +126,7 @@ fn factors<L: Lanes>(gradient: &PatchGradient, affinity: bool) -> Factors {
     for k in 0..POWERS.len() {
         rows[MOMENTS + k] = L::load(&POWERS[k]);
     }
-    let mut factors = Factors { geometry: [NONE; WIDTH], affinity: [NONE; WIDTH] };
+    let mut factors = PixelFactors { geometry: [NONE; WIDTH], affinity: [NONE; WIDTH] };
     for (row, to) in L::transpose(rows).into_iter().zip(&mut factors.geometry) {
         row.store(to);
     }
@@ -141,7 +141,8 @@ fn factors<L: Lanes>(gradient: &PatchGradient, affinity: bool) -> Factors {
     factors
 }
 
-/// First pass: what the forward pass computed. Places beyond the list are cleared, so that whole groups can be computed.
+/// First pass: recomputes the forward pass. Entries beyond the list are cleared, so that whole groups can be
+/// computed.
 #[inline(always)]
 fn weights<L: Lanes>(
     splats: &[Splat],
@@ -149,7 +150,7 @@ fn weights<L: Lanes>(
     centers: (L, L),
     gradient: &PatchGradient,
     transmittance: &mut L,
-    block: &mut Block,
+    block: &mut UnblendBlock,
 ) {
     let (one, least) = (L::splat(1.0), L::splat(TRANSMITTANCE_MIN));
     let d_depth = L::load(&gradient.channels[DEPTH_CHANNEL]);
@@ -181,7 +182,7 @@ fn slopes<L: Lanes, const GROUP: usize, const COUNT: usize>(
     count: usize,
     gradient: &PatchGradient,
     remainder: &mut L,
-    block: &mut Block,
+    block: &mut UnblendBlock,
 ) {
     for first in (0..count).step_by(GROUP) {
         let features: [&[f32; COUNT]; GROUP] = std::array::from_fn(|i| {
@@ -213,8 +214,8 @@ fn sums<L: Lanes, const GROUP: usize, const PARTS: usize>(
     splats: &[Splat],
     count: usize,
     place: PatchPlace,
-    factors: &Factors,
-    block: &Block,
+    factors: &PixelFactors,
+    block: &UnblendBlock,
     gradients: &mut [SplatGradient],
 ) {
     for first in (0..count).step_by(GROUP) {

@@ -2,17 +2,17 @@
 
 use super::bands::{Band, Slots};
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
-use super::project::{Linearized, Vectors, View, columns, conic, cross, dot, linearize};
+use super::project::{CameraView, Linearized, Vectors, columns, conic, cross, dot, linearize};
 use super::tile::{COLOR_CHANNEL, DEPTH_COLUMN, MOMENTS, NORMAL_CHANNEL, SplatGradient};
 use crate::LossWeights;
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, Row};
 
-/// What the gradients of all Gaussians share.
+/// Inputs shared by the gradients of all Gaussians.
 #[derive(Clone, Copy)]
-pub(super) struct Shared<'a> {
+pub(super) struct GradientInputs<'a> {
     pub(super) bands: &'a [Band],
     pub(super) slots: &'a Slots,
-    pub(super) view: &'a View,
+    pub(super) view: &'a CameraView,
     pub(super) weights: &'a LossWeights,
     /// One over the number of Gaussians in view.
     pub(super) share: f32,
@@ -21,10 +21,10 @@ pub(super) struct Shared<'a> {
 /// Sums of the isotropic and the flatness term, metres.
 pub(super) type RegularizerSums = [f64; 2];
 
-/// Gradients of the Gaussians `first..`, whose parameters are `rows`; zero where not `seen`.
+/// Gradients of the Gaussians `first..`, with parameters `rows`; zero where not `seen`.
 #[inline(always)]
 fn unproject<L: Lanes>(
-    shared: Shared<'_>,
+    shared: GradientInputs<'_>,
     first: usize,
     rows: &[Row],
     seen: &[bool],
@@ -72,10 +72,11 @@ fn unproject<L: Lanes>(
     [f64::from(sums[0].sum()), f64::from(sums[1].sum())]
 }
 
-/// Carries the gradients of splats to the first parameters of their Gaussians. The slope of depth is held: to turn and
-/// stretch discs by noisy depth lowered the held-out PSNR by 0.15 dB and did not lower the depth error.
+/// Carries the gradients of splats to the first parameters of their Gaussians. The slope of depth is held constant:
+/// rotating and stretching discs by noisy depth lowered the held-out PSNR by 0.15 dB and did not lower the depth
+/// error.
 #[inline(always)]
-fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH] {
+fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &CameraView) -> [L; WIDTH] {
     let mut out = [L::splat(0.0); WIDTH];
     out[COLOR..COLOR + 3].copy_from_slice(&g[COLOR_CHANNEL..COLOR_CHANNEL + 3]);
     let [v, vx, vy, vxx, vxy, vyy] = array!(6, |k| g[MOMENTS + k]);
@@ -92,7 +93,7 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH]
     ];
     let (h00, h01) = (a * vxx + b * vxy, a * vxy + b * vyy);
     let (h10, h11) = (b * vxx + c * vxy, b * vxy + c * vyy);
-    // Twice ∂L/∂Σ; its last parts are those of the determinant that α is divided by the root of.
+    // Twice ∂L/∂Σ; its last parts are those of the determinant whose root divides α.
     let d_cov = [
         v.neg_mul_add(a, h00 * a + h01 * b),
         v.neg_mul_add(b, h00 * b + h01 * c),
@@ -110,7 +111,7 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH]
     for k in 0..3 {
         let (u, v_c) = (m.axes_i[k], m.axes_c[k]);
         let mut d_u = [d_cov[0] * u[0] + d_cov[1] * u[1], d_cov[1] * u[0] + d_cov[2] * u[1]];
-        // ∂(½ ln det Σ_j u_j u_jᵀ)/∂u_k, the filter left out: from the sum of squares (u_k × u_j)².
+        // ∂(½ ln det Σ_j u_j u_jᵀ)/∂u_k without the filter: from the sum of squares (u_k × u_j)².
         for j in 0..3 {
             let part = by_area * cross(u, m.axes_i[j]);
             d_u[0] = part.mul_add(m.axes_i[j][1], d_u[0]);
@@ -144,7 +145,7 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &View) -> [L; WIDTH]
 
 /// From the camera to the world.
 #[inline(always)]
-fn rotated_back<L: Lanes>(view: &View, v: Vectors<L>) -> Vectors<L> {
+fn rotated_back<L: Lanes>(view: &CameraView, v: Vectors<L>) -> Vectors<L> {
     array!(3, |i| dot(array!(3, |j| L::splat(view.r_cw[j][i])), v))
 }
 
@@ -202,6 +203,6 @@ const _: () = assert!(AFFINITY <= size_of::<Chunk>() / size_of::<f32>());
 by_simd! {
     /// Gradients of a chunk of Gaussians.
     fn unproject_rows = unproject(
-        shared: Shared<'_>, first: usize, rows: &[Row], seen: &[bool], gradients: &mut [Row],
+        shared: GradientInputs<'_>, first: usize, rows: &[Row], seen: &[bool], gradients: &mut [Row],
     ) -> RegularizerSums
 }

@@ -16,7 +16,7 @@ pub(super) const OPACITY: usize = 23;
 pub struct OracleTerms {
     /// Mean absolute colour error.
     pub color_l1: f64,
-    /// 1 − SSIM; not evaluated (zero) where it has no weight, since it is the slowest term.
+    /// 1 − SSIM; zero if it has no weight, since it is the slowest term.
     pub dssim: f64,
     /// Isotropic regulariser, metres.
     pub isotropic: f64,
@@ -55,7 +55,7 @@ fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// What depth is divided by at each pixel.
+/// Returns the divisor of depth at each pixel.
 pub(super) fn depth_divisors(image: &[[f64; CHANNELS]], term: DepthTerm) -> Vec<f64> {
     let divisor = |pixel: &[f64; CHANNELS]| match term {
         DepthTerm::Accumulated => 1.0,

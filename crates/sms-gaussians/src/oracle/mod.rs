@@ -1,5 +1,5 @@
 //! A scalar double-precision renderer with the whole loss and the gradient of every parameter, written for clarity:
-//! every back end is checked against it, and it against finite differences.
+//! every back end is tested against it, and it against finite differences.
 
 mod dual;
 mod loss;
@@ -25,11 +25,11 @@ pub struct Oracle {
     pub background: [f64; 3],
     /// Settings of the step.
     pub config: TrainConfig,
-    /// Whether faint alphas are dropped, strong ones cut off and finished pixels skipped, as the back ends do; without
-    /// it the loss has no jumps.
+    /// Whether faint alphas are dropped, strong ones limited and finished pixels skipped, as the back ends do;
+    /// without it the loss is continuous.
     pub cutoffs: bool,
-    /// Changes of depth per pixel that take the place of the Gaussians' own: for finite differences, because the
-    /// gradient holds them.
+    /// Changes of depth per pixel to use instead of the Gaussians' own: for finite differences, because the
+    /// gradient holds them constant.
     pub depth_slopes: Option<Vec<[f64; 2]>>,
 }
 
@@ -56,7 +56,7 @@ pub struct OracleGradient {
 }
 
 /// One splat's part in one pixel.
-struct Hit {
+struct SplatHit {
     gaussian: usize,
     alpha: f64,
     /// Whether alpha still depends on opacity and power.
@@ -65,8 +65,8 @@ struct Hit {
     offset: [f64; 2],
 }
 
-/// A Gaussian as the camera sees it.
-struct Splat {
+/// A Gaussian in the view of a camera.
+struct OracleSplat {
     projection: Projection,
     opacity: f64,
     depth_slope: [f64; 2],
@@ -74,8 +74,8 @@ struct Splat {
     features: [f64; CHANNELS],
 }
 
-impl Splat {
-    /// What is blended at a pixel this far from the centre.
+impl OracleSplat {
+    /// Returns the blended features at this offset from the centre.
     fn features_at(&self, [dx, dy]: [f64; 2]) -> [f64; CHANNELS] {
         let mut features = self.features;
         features[loss::DEPTH] += self.depth_slope[0] * dx + self.depth_slope[1] * dy;
@@ -88,7 +88,7 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 impl Oracle {
-    /// An exact copy of `parameters`, before black.
+    /// An exact copy of `parameters`, on black.
     pub fn new(parameters: &Parameters, config: &TrainConfig, cutoffs: bool) -> Self {
         Self {
             rows: parameters.rows.iter().map(|r| std::array::from_fn(|k| f64::from(r.0[k]))).collect(),
@@ -101,7 +101,7 @@ impl Oracle {
         }
     }
 
-    fn splats(&self, camera: &Camera) -> Vec<Option<Splat>> {
+    fn splats(&self, camera: &Camera) -> Vec<Option<OracleSplat>> {
         let splat = |(i, row): (usize, &[f64; PARAMETERS])| {
             let projection = project(row, camera)?;
             let mut features = [0.0; CHANNELS];
@@ -112,13 +112,13 @@ impl Oracle {
                 .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
             features[loss::OPACITY] = 1.0;
             let depth_slope = self.depth_slopes.as_ref().map_or(projection.depth_slope, |held| held[i]);
-            Some(Splat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), depth_slope, features })
+            Some(OracleSplat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), depth_slope, features })
         };
         self.rows.iter().enumerate().map(splat).collect()
     }
 
     /// Indices of visible splats, nearest first.
-    fn order(splats: &[Option<Splat>]) -> Vec<usize> {
+    fn order(splats: &[Option<OracleSplat>]) -> Vec<usize> {
         let depth = |i: usize| splats[i].as_ref().map_or(0.0, |s| s.projection.value(DEPTH));
         let mut order: Vec<usize> = (0..splats.len()).filter(|&i| splats[i].is_some()).collect();
         order.sort_by(|&a, &b| depth(a).total_cmp(&depth(b)));
@@ -126,7 +126,7 @@ impl Oracle {
     }
 
     /// The splats of one pixel, nearest first.
-    fn hits(&self, splats: &[Option<Splat>], order: &[usize], (x, y): (usize, usize)) -> Vec<Hit> {
+    fn hits(&self, splats: &[Option<OracleSplat>], order: &[usize], (x, y): (usize, usize)) -> Vec<SplatHit> {
         let mut hits = Vec::new();
         let mut transmittance = 1.0;
         for &gaussian in order {
@@ -150,14 +150,14 @@ impl Oracle {
                     (alpha, free) = (f64::from(ALPHA_MAX), false);
                 }
             }
-            hits.push(Hit { gaussian, alpha, free, transmittance, offset: [dx, dy] });
+            hits.push(SplatHit { gaussian, alpha, free, transmittance, offset: [dx, dy] });
             transmittance *= 1.0 - alpha;
         }
         hits
     }
 
-    /// What a pixel gets from behind its last splat.
-    fn background_share(&self, hits: &[Hit]) -> [f64; CHANNELS] {
+    /// Returns the background's contribution to a pixel.
+    fn background_share(&self, hits: &[SplatHit]) -> [f64; CHANNELS] {
         let left = hits.last().map_or(1.0, |hit| hit.transmittance * (1.0 - hit.alpha));
         let mut share = [0.0; CHANNELS];
         (0..3).for_each(|c| share[loss::COLOR + c] = left * self.background[c]);
@@ -186,14 +186,15 @@ impl Oracle {
         image
     }
 
-    /// What depth is divided by at each pixel, to be held by [`Oracle::terms`] in finite differences.
+    /// Returns the divisor of depth at each pixel, to be held by [`Oracle::terms`] in finite differences.
     pub fn depth_divisors(&self, camera: &Camera) -> Vec<f64> {
         loss::depth_divisors(&self.render(camera).pixels, self.config.depth_term)
     }
 
     /// The change of depth per pixel of every Gaussian, to be held in finite differences; zero where not in view.
     pub fn own_depth_slopes(&self, camera: &Camera) -> Vec<[f64; 2]> {
-        let slope = |splat: &Option<Splat>| splat.as_ref().map_or([0.0; 2], |s| s.projection.depth_slope);
+        let slope =
+            |splat: &Option<OracleSplat>| splat.as_ref().map_or([0.0; 2], |s| s.projection.depth_slope);
         self.splats(camera).iter().map(slope).collect()
     }
 
@@ -217,7 +218,7 @@ impl Oracle {
         let mut d_features = vec![[0.0; CHANNELS]; splats.len()];
         let mut d_logit = vec![0.0; splats.len()];
         for (i, g) in loss.d_image.iter().enumerate() {
-            // What lies behind each splat, channel by channel, from the last to the first.
+            // Radiance behind each splat, channel by channel, from the last to the first.
             let hits = self.hits(&splats, &order, (i % width, i / width));
             let mut behind = self.background_share(&hits);
             for hit in hits.iter().rev() {
@@ -269,7 +270,7 @@ impl Oracle {
         OracleGradient { terms, rows, classifier: loss.d_classifier, seen: image.seen }
     }
 
-    /// Isotropic and flatness terms over the Gaussians seen.
+    /// Isotropic and flatness terms over the visible Gaussians.
     fn regularizers(
         &self,
         seen: &[bool],

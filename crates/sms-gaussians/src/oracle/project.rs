@@ -5,11 +5,11 @@ use crate::cpu::limits::{AREA_FLOOR, FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS
 use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 use sms_core::Camera;
 
-/// What projection yields, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal;
-/// share of the opacity that is left by the low-pass filter.
+/// Outputs of projection, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal; share of
+/// the opacity left by the low-pass filter.
 pub(super) struct Projection {
     pub(super) outputs: [Dual; OUTPUTS],
-    /// Change of depth per pixel in x and y; without derivatives, since training holds it.
+    /// Change of depth per pixel in x and y; without derivatives, since training holds it constant.
     pub(super) depth_slope: [f64; 2],
 }
 
@@ -34,7 +34,7 @@ fn rotation(q: [Dual; 4]) -> Matrix {
     ]
 }
 
-/// Projects one Gaussian; `None` where it is nearer than the near plane or farther than the far one.
+/// Projects one Gaussian; `None` outside the near and far planes.
 pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projection> {
     let input = |i: usize| Dual::input(row[i], i);
     let k = &camera.intrinsics;

@@ -1,16 +1,16 @@
-//! The colour behind all Gaussians: that of the sky or a far backdrop, where no depth is measured and therefore no
-//! Gaussian is seeded.
+//! The colour behind all Gaussians: the colour of the sky or a far backdrop, where no depth is measured and
+//! therefore no Gaussian is seeded.
 
 use rayon::prelude::*;
 use sms_frames::Frame;
 
 /// Pixels this near to measured depth (in rows or columns) may be dropouts at the edge of an object.
 const CLEARANCE_PX: usize = 5;
-/// With less than this share of the pixels there is no backdrop to speak of.
+/// Least share of the pixels that counts as a backdrop.
 const LEAST_SHARE: f64 = 0.01;
 
-/// Mean colour (0 to 1) of the pixels that have no measured depth within [`CLEARANCE_PX`], over all frames; black where
-/// they are too few. The mean, because it is the constant of least squared error.
+/// Returns the mean colour (0 to 1) of the pixels without measured depth within [`CLEARANCE_PX`], over all frames;
+/// black if they are too few. The mean is the constant of least squared error.
 pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
     let each: Vec<([u64; 3], u64, u64)> = frames.par_iter().map(|frame| sum_of_frame(frame)).collect();
     let (mut sum, mut count, mut pixels) = ([0u64; 3], 0u64, 0u64);
@@ -25,7 +25,7 @@ pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
     sum.map(|s| (s as f64 / (255.0 * count as f64)) as f32)
 }
 
-/// Sum and number of the pixels of a frame that are clear of depth, and the number of all.
+/// Returns sum and number of the pixels of a frame that are clear of depth, and the number of all pixels.
 fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     let (width, height) = frame.depth.size();
     let measured: Vec<bool> = frame.depth.data.iter().map(|&z| z > 0.0).collect();
@@ -47,7 +47,7 @@ fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
 
 /// Marks the places of a line (its first index, step and length) with a set place of `from` within the clearance.
 fn spread(from: &[bool], to: &mut [bool], first: usize, step: usize, length: usize) {
-    // One past the last place that a set one reaches, forwards and then backwards.
+    // One past the last place reached by a set one, forwards and then backwards.
     let mut reach = 0;
     for k in 0..length {
         if from[first + k * step] {
@@ -87,7 +87,7 @@ mod tests {
         let (mut a, b) = (frame(30, [51, 102, 204]), frame(30, [51, 102, 0]));
         assert_eq!(background_color(&[&a]), [0.2, 0.4, 0.8]);
         assert_eq!(background_color(&[&a, &b]), [0.2, 0.4, 0.4]);
-        // Dropouts on an object, and what lies at an edge, are not counted: neither rows 25 to 29 nor a hole.
+        // Dropouts on an object, and pixels near an edge, are not counted: neither rows 25 to 29 nor a hole.
         for (x, y) in (40..50).flat_map(|x| (60..70).map(move |y| (x, y))) {
             a.depth[(x, y)] = 0.0;
             a.color[(x, y)] = [255, 0, 0];

@@ -1,6 +1,6 @@
-//! The checkpoint: where the schedule stands and the trainer's whole state, with a checksum.
+//! The checkpoint: the position in the schedule and the trainer's whole state, with a checksum.
 //!
-//! All randomness is derived from the seed and the place in the schedule, so the place is the random state.
+//! All randomness is derived from the seed and the position in the schedule, so the position is the random state.
 
 use super::losses::LossSample;
 use crate::TrainState;
@@ -12,11 +12,11 @@ const MAGIC: &[u8; 8] = b"SMSSCAN1";
 /// Hexadecimal digits of the checksum at the end.
 const CHECKSUM: usize = 32;
 
-/// Where the schedule stands.
+/// Position in the schedule.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Place {
-    /// Position in the list of trained frames; its length stands for the refinement over all of them, one more for
-    /// the end.
+pub(crate) struct SchedulePosition {
+    /// Position in the list of trained frames; its length denotes the refinement over all of them, one more the
+    /// end.
     pub(crate) slot: usize,
     /// Steps taken in this slot.
     pub(crate) step: usize,
@@ -35,21 +35,26 @@ pub(crate) struct Place {
 #[derive(Serialize, Deserialize)]
 struct Header {
     settings: Hash,
-    place: Place,
+    place: SchedulePosition,
 }
 
-/// What was found in the work folder.
-pub(crate) enum Found {
-    /// Nothing, or a checkpoint of other settings or data.
+/// The checkpoint in the work folder.
+pub(crate) enum FoundCheckpoint {
+    /// None, or one of other settings or data.
     Nothing,
-    /// A file that is not a whole checkpoint; the reason.
+    /// Not a whole checkpoint, with the reason.
     Damaged(String),
-    /// A checkpoint to continue from.
-    Resume(Place, TrainState),
+    /// A checkpoint to resume from.
+    Resume(SchedulePosition, TrainState),
 }
 
 /// Writes the checkpoint atomically.
-pub(crate) fn save(path: &Path, settings: &Hash, place: &Place, state: &TrainState) -> Result<(), CoreError> {
+pub(crate) fn save(
+    path: &Path,
+    settings: &Hash,
+    place: &SchedulePosition,
+    state: &TrainState,
+) -> Result<(), CoreError> {
     let header = serde_json::to_vec(&Header { settings: settings.clone(), place: place.clone() })
         .map_err(|e| CoreError::Write { path: path.to_owned(), source: std::io::Error::other(e) })?;
     let mut bytes = Vec::with_capacity(64 + header.len() + state.bytes.len());
@@ -64,16 +69,16 @@ pub(crate) fn save(path: &Path, settings: &Hash, place: &Place, state: &TrainSta
 }
 
 /// Reads the checkpoint.
-pub(crate) fn load(path: &Path, settings: &Hash) -> Found {
+pub(crate) fn load(path: &Path, settings: &Hash) -> FoundCheckpoint {
     let bytes = match std::fs::read(path) {
         Ok(bytes) => bytes,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Found::Nothing,
-        Err(e) => return Found::Damaged(e.to_string()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return FoundCheckpoint::Nothing,
+        Err(e) => return FoundCheckpoint::Damaged(e.to_string()),
     };
     match parse(&bytes) {
-        Err(reason) => Found::Damaged(reason),
-        Ok((header, _)) if header.settings != *settings => Found::Nothing,
-        Ok((header, state)) => Found::Resume(header.place, state),
+        Err(reason) => FoundCheckpoint::Damaged(reason),
+        Ok((header, _)) if header.settings != *settings => FoundCheckpoint::Nothing,
+        Ok((header, state)) => FoundCheckpoint::Resume(header.place, state),
     }
 }
 
@@ -107,20 +112,20 @@ mod tests {
     use super::*;
     use crate::LossTerms;
 
-    fn sample() -> (Place, TrainState) {
+    fn sample() -> (SchedulePosition, TrainState) {
         let losses = vec![LossSample {
             step: 7,
             frame: Some(3),
             loss: LossTerms { total: 0.1, depth: 1e-3, ..LossTerms::default() },
             gaussians: 11,
         }];
-        let place = Place {
+        let place = SchedulePosition {
             slot: 2,
             step: 30,
             seeded: true,
             batch_losses: vec![0.3, 0.1],
             losses,
-            ..Place::default()
+            ..SchedulePosition::default()
         };
         (place, TrainState { bytes: (0..200).collect() })
     }
@@ -131,13 +136,13 @@ mod tests {
         let path = dir.path().join("checkpoint.bin");
         let (place, state) = sample();
         let (ours, other) = (Hash("a".into()), Hash("b".into()));
-        assert!(matches!(load(&path, &ours), Found::Nothing));
+        assert!(matches!(load(&path, &ours), FoundCheckpoint::Nothing));
         save(&path, &ours, &place, &state).unwrap();
         match load(&path, &ours) {
-            Found::Resume(p, s) => assert_eq!((p, s), (place, state)),
+            FoundCheckpoint::Resume(p, s) => assert_eq!((p, s), (place, state)),
             _ => panic!("not resumed"),
         }
-        assert!(matches!(load(&path, &other), Found::Nothing));
+        assert!(matches!(load(&path, &other), FoundCheckpoint::Nothing));
     }
 
     #[test]
@@ -150,13 +155,13 @@ mod tests {
         let good = std::fs::read(&path).unwrap();
         for cut in (0..good.len()).step_by(13) {
             std::fs::write(&path, &good[..cut]).unwrap();
-            assert!(matches!(load(&path, &hash), Found::Damaged(_)), "cut at {cut}");
+            assert!(matches!(load(&path, &hash), FoundCheckpoint::Damaged(_)), "cut at {cut}");
         }
         for at in (0..good.len()).step_by(7) {
             let mut bad = good.clone();
             bad[at] ^= 0x10;
             std::fs::write(&path, &bad).unwrap();
-            assert!(matches!(load(&path, &hash), Found::Damaged(_)), "byte {at}");
+            assert!(matches!(load(&path, &hash), FoundCheckpoint::Damaged(_)), "byte {at}");
         }
     }
 }

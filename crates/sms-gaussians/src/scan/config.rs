@@ -4,11 +4,11 @@ use crate::{LearningRates, LossWeights, TrainConfig};
 use serde::{Deserialize, Serialize};
 use sms_frames::DepthNoise;
 
-/// How much time a scan may take.
+/// Trade-off between time and quality of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// For trying things out.
+    /// For experiments.
     Draft,
     /// The default: a quarter of the paper's camera.
     #[default]
@@ -45,12 +45,12 @@ impl std::str::FromStr for Preset {
             "draft" => Ok(Self::Draft),
             "standard" => Ok(Self::Standard),
             "fine" => Ok(Self::Fine),
-            other => Err(format!("no preset is called `{other}`; there are draft, standard and fine")),
+            other => Err(format!("unknown preset `{other}`; use draft, standard or fine")),
         }
     }
 }
 
-/// Where and how Gaussians are seeded (paper, Section "Scan").
+/// Settings of seeding (paper, Section "Scan").
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SeedingConfig {
@@ -60,11 +60,11 @@ pub struct SeedingConfig {
     pub edge_spacing: f64,
     /// Change of brightness (0..1, Sobel, per pixel) from which a pixel counts as an edge.
     pub edge_threshold: f32,
-    /// Frames after the first seed where the accumulated opacity is below this …
+    /// Later frames seed where the accumulated opacity is below this …
     pub alpha_below: f32,
     /// … or where the rendered depth is behind the measured one by more than this (metres) …
     pub min_tolerance_m: f64,
-    /// … and by more than so many standard deviations of the depth noise.
+    /// … and by more than this number of standard deviations of the depth noise.
     pub tolerance_sigmas: f64,
     /// No Gaussian is seeded within this radius (metres) of another one, nor within the spacing.
     pub radius_m: f64,
@@ -74,7 +74,7 @@ pub struct SeedingConfig {
     pub thickness: f64,
     /// Opacity of a new Gaussian.
     pub opacity: f32,
-    /// Surfaces seen at a smaller cosine between normal and ray are left to other frames.
+    /// Surfaces with a smaller cosine between normal and ray are left to other frames.
     pub min_cosine: f64,
 }
 
@@ -96,13 +96,13 @@ impl Default for SeedingConfig {
     }
 }
 
-/// Which Gaussians are removed.
+/// Settings of the removal of Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PruningConfig {
     /// Gaussians below this opacity are removed halfway through a frame and at its end.
     pub opacity_below: f32,
-    /// Remove Gaussians that stand in front of the measured depth by more than the seeding tolerance.
+    /// Whether to remove Gaussians in front of the measured depth by more than the seeding tolerance.
     pub floaters: bool,
 }
 
@@ -112,13 +112,13 @@ impl Default for PruningConfig {
     }
 }
 
-/// When a frame is done before its steps are used up.
+/// Settings of early stopping.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StopConfig {
-    /// Whether frames stop early at all.
+    /// Whether frames stop early.
     pub enabled: bool,
-    /// Batches whose mean losses are compared with those of as many batches before.
+    /// Number of batches in each of two consecutive windows whose mean losses are compared.
     pub window: usize,
     /// A frame is done when its loss falls by less than this share from one window to the next.
     pub min_gain: f32,
@@ -140,9 +140,9 @@ pub struct ScanConfig {
     pub steps_frame: usize,
     /// Most steps over all frames together at the end.
     pub final_steps: usize,
-    /// Learning rates fall over these last steps, exponentially, to this share of what they were.
+    /// Share to which learning rates fall exponentially over these last steps.
     pub final_decay: f32,
-    /// Steps between looks at the clock, at the losses and at requests to stop.
+    /// Steps between checks of the clock, the losses and cancellation.
     pub batch_steps: usize,
     /// Share of a frame's steps taken on the frame itself; the rest replays earlier ones.
     pub current_share: f64,
@@ -150,20 +150,20 @@ pub struct ScanConfig {
     pub seeding: SeedingConfig,
     /// Pruning.
     pub pruning: PruningConfig,
-    /// Bring the Gaussians onto the surface that all frames together measured, before and after the refinement.
+    /// Whether to move the Gaussians onto the fused surface of all frames, before and after the refinement.
     pub fuse_depth: bool,
-    /// Correct labels that the masks contradict, before and after the refinement.
+    /// Whether to correct labels that contradict the masks, before and after the refinement.
     pub correct_labels: bool,
     /// Early stopping.
     pub stop: StopConfig,
     /// Depth noise of the sensor.
     pub noise: DepthNoise,
-    /// No more Gaussians than this.
+    /// Greatest number of Gaussians.
     pub max_gaussians: usize,
-    /// Every `holdout`-th frame is kept out of training and seeding and used to measure quality; 0 for none.
+    /// Every `holdout`-th frame is excluded from training and seeding and used to measure quality; 0 for none.
     pub holdout: usize,
-    /// Seconds between checkpoints within a frame; there is one after every frame as well that comes no sooner after the
-    /// last than a second or a fifth of this, and one at the end.
+    /// Seconds between checkpoints within a frame. There is also one after each frame, unless the last is more
+    /// recent than a second or a fifth of this, and one at the end.
     pub checkpoint_seconds: f64,
     /// Losses and learning rates.
     pub train: TrainConfig,
@@ -205,14 +205,15 @@ fn training() -> TrainConfig {
 impl ScanConfig {
     /// The settings of a preset.
     pub fn preset(preset: Preset) -> Self {
-        // Measured on the test's recording at 320 × 200, 24 frames, 1 mm of noise: 900 steps (200, then 30 a frame)
-        // reach the surface error, label accuracy and, within 0.5 dB, the PSNR of 2700 steps.
+        // Measured on the test's recording at 320 × 200, 24 frames, 1 mm of noise: 900 steps (200, then 30 per
+        // frame) reach the surface error, label accuracy and, within 0.5 dB, the PSNR of 2700 steps.
         let standard = Self { steps_first: 200, steps_frame: 30, ..Self::default() };
         match preset {
             Preset::Draft => Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard },
             Preset::Standard => standard,
-            // Of three scenes at 640 × 400, with 60 steps a frame PSNR is 0.02 to 0.04 dB higher, but the depth of held-out
-            // views 3 to 5 % worse and F1 0.001 to 0.003 lower: the refinement makes up for them (experiments/studies/gpu.md).
+            // For three scenes at 640 × 400, 60 steps per frame raise PSNR by 0.02 to 0.04 dB, but the depth of
+            // held-out views is 3 to 5 % worse and F1 0.001 to 0.003 lower: the refinement makes up for fewer steps
+            // (experiments/studies/gpu.md).
             Preset::Fine => Self {
                 steps_first: 400,
                 final_steps: 1000,
@@ -223,7 +224,7 @@ impl ScanConfig {
         }
     }
 
-    /// Difference in depth at depth `z_m` beyond which two surfaces are told apart, metres.
+    /// Returns the least difference in depth at depth `z_m` that separates two surfaces, metres.
     pub fn tolerance_m(&self, z_m: f64) -> f64 {
         self.seeding.min_tolerance_m.max(self.seeding.tolerance_sigmas * self.noise.sigma_m(z_m))
     }

@@ -1,9 +1,10 @@
 //! Labels by consensus of the masks.
 //!
 //! Adam gives a Gaussian behind an object, which shines through by a thousandth, steps as long as one in front, so
-//! its affinity drifts towards the object's label. The masks know better: where a frame measures the Gaussian on the
-//! surface, the mask there is a vote. A Gaussian whose label a clear majority contradicts takes over the affinity
-//! of the surest Gaussian of the voted label, so that the classifier, the renders and the labels stay consistent.
+//! its affinity drifts towards the object's label. The masks are more reliable: if a frame measures the Gaussian on
+//! the surface, the mask there is a vote. A Gaussian with a label that a clear majority contradicts receives the
+//! affinity of the most confident Gaussian of the voted label, so that the classifier, the renders and the labels
+//! stay consistent.
 
 use super::config::ScanConfig;
 use super::nearby::map_nearby;
@@ -15,7 +16,7 @@ use sms_frames::Frame;
 /// Share of the votes that a label needs.
 const MAJORITY: f64 = 0.6;
 
-/// Corrects labels that the masks of `frames` contradict.
+/// Corrects labels that contradict the masks of `frames`.
 pub(crate) fn correct_labels(
     parameters: &mut Parameters,
     frames: &[(&Frame, &LabelMap)],
@@ -29,13 +30,13 @@ pub(crate) fn correct_labels(
         let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
         if let Some(affinity) = surest[usize::from(label)] {
             parameters.rows[i].0[AFFINITY..PARAMETERS].copy_from_slice(&affinity);
-            // Moments of the old place would carry the affinity back.
+            // The moments would carry the affinity back.
             parameters.first[i].0[AFFINITY..PARAMETERS].fill(0.0);
         }
     }
 }
 
-/// The label that a clear majority of the frames which measure a surface at each Gaussian give it.
+/// Returns, for each Gaussian, the label with a clear majority among the frames that measure a surface there.
 fn voted_labels(
     gaussians: &[u32],
     model: &GaussianModel,
@@ -61,7 +62,7 @@ fn voted_labels(
     (0..gaussians.len()).map(|i| majority(&counts[classes * i..classes * (i + 1)])).collect()
 }
 
-/// The label with the most votes, the lower of equals, where its share is clear.
+/// Returns the label with the most votes, the lower of equals, if its share is clear.
 fn majority(counts: &[usize]) -> Option<u16> {
     let total: usize = counts.iter().sum();
     let (label, most) =
@@ -69,7 +70,7 @@ fn majority(counts: &[usize]) -> Option<u16> {
     (*most > 0 && *most as f64 >= MAJORITY * total as f64).then_some(label as u16)
 }
 
-/// The affinity of the Gaussian of each label of which classifier and votes agree and the classifier is surest.
+/// Returns, for each label, the affinity of the most confident Gaussian on which classifier and votes agree.
 fn surest_of_labels(model: &GaussianModel, votes: &[Option<u16>]) -> Vec<Option<[f32; AFFINITY_DIM]>> {
     let mut best: Vec<Option<usize>> = vec![None; model.classifier.classes];
     for (i, vote) in votes.iter().enumerate() {
@@ -97,7 +98,7 @@ mod tests {
         let (sequence, labels) = record(Recorded { noise_m: 0.0, ..SMALL });
         let frames: Vec<_> = sequence.frames.iter().zip(&labels.maps).collect();
         let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
-        // Affinities that the untrained classifier labels as the ball and as the background.
+        // Affinities labelled as the ball and as the background by the untrained classifier.
         let classifier = trainer.classifier();
         let affinity = |label: u16| {
             let axes = (0..AFFINITY_DIM).flat_map(|k| [3.0f32, -3.0].map(|v| (k, v)));

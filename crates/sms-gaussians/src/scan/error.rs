@@ -3,7 +3,7 @@
 use crate::TrainerError;
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 
-/// What can go wrong in a scan.
+/// An error of the scan.
 #[derive(Debug, thiserror::Error)]
 pub enum ScanError {
     /// Bad input by the user.

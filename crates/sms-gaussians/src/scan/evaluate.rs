@@ -1,4 +1,4 @@
-//! How well rendered views agree with what was observed.
+//! Agreement of rendered views with the observations.
 
 use crate::RenderedMaps;
 use rayon::prelude::*;
@@ -7,7 +7,7 @@ use sms_core::LabelMap;
 use sms_core::metrics::Metrics;
 use sms_frames::Frame;
 
-/// Accumulated opacity from which a pixel counts as explained by the Gaussians.
+/// Least accumulated opacity of a pixel covered by Gaussians.
 const COVERED: f32 = 0.5;
 
 /// Agreement of one rendered view with its frame.
@@ -23,7 +23,7 @@ pub struct ViewScore {
     pub psnr_measured_db: f64,
     /// Mean absolute depth error over pixels that have measured depth and are covered by Gaussians, metres.
     pub depth_mae_m: f64,
-    /// Median of the same: silhouettes, where a fraction of a pixel is a jump, do not count in it.
+    /// Median of the same, insensitive to silhouettes.
     pub depth_median_m: f64,
     /// Share of the pixels with measured depth that Gaussians cover.
     pub coverage: f64,
@@ -31,7 +31,7 @@ pub struct ViewScore {
 
 /// Scores one view.
 pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> ViewScore {
-    // What a pixel costs is computed in parallel; sums are taken in the pixels' order.
+    // Errors are computed in parallel and summed in the pixels' order.
     let squared: Vec<f64> = maps
         .color
         .par_iter()
@@ -74,7 +74,7 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
     }
 }
 
-/// Not a number where there is none.
+/// Returns NaN without values.
 fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
@@ -92,7 +92,7 @@ impl Confusion {
         Self { classes, counts: vec![0; classes * classes] }
     }
 
-    /// Adds what another one counted.
+    /// Adds the counts of another one.
     pub(crate) fn merge(&mut self, other: &Self) {
         for (sum, count) in self.counts.iter_mut().zip(&other.counts) {
             *sum += count;

@@ -18,7 +18,7 @@ pub(crate) const BALL_RADIUS: f64 = 0.03;
 pub(crate) const BOX_CENTER: DVec3 = DVec3::new(0.06, -0.01, 0.025);
 pub(crate) const BOX_HALF: DVec3 = DVec3::new(0.03, 0.04, 0.025);
 
-/// How the recording is made.
+/// Parameters of the recording.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Recorded {
     pub(crate) frames: usize,
@@ -31,7 +31,7 @@ pub(crate) struct Recorded {
 /// 160 × 100 pixels, eight frames, 1 mm of noise.
 pub(crate) const SMALL: Recorded = Recorded { frames: 8, width: 160, height: 100, noise_m: 0.001 };
 
-/// Signed distance of a point to the true surface of what `label` names, positive outside.
+/// Returns the signed distance of a point to the true surface of the object `label`, positive outside.
 pub(crate) fn signed_distance_m(label: u16, p_w: Vec3) -> f64 {
     let p = p_w.as_dvec3();
     match label {

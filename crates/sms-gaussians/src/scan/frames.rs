@@ -1,4 +1,4 @@
-//! Frames as the trainer takes them.
+//! Conversion of frames for the trainer.
 
 use crate::TrainFrame;
 use glamx::DVec3;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use sms_core::{InputError, LabelMap, Labels};
 use sms_frames::{Frame, Sequence};
 
-/// A frame with its labels, normals carried to the world.
+/// Converts a frame and its labels, with normals in the world.
 pub(crate) fn train_frame(frame: &Frame, labels: &LabelMap) -> TrainFrame {
     let rotation_wc = frame.camera.x_wc.rotation;
     let to_world = |n: &[f32; 3]| (rotation_wc * DVec3::from_array(n.map(f64::from))).as_vec3().to_array();
@@ -19,7 +19,7 @@ pub(crate) fn train_frame(frame: &Frame, labels: &LabelMap) -> TrainFrame {
     }
 }
 
-/// What must hold before a scan can start.
+/// Checks the inputs of a scan.
 pub(crate) fn check_inputs(sequence: &Sequence, labels: &Labels, holdout: usize) -> Result<(), InputError> {
     let refuse = |what: String, cure: &str| Err(InputError::new(what, &sequence.source, cure));
     if sequence.is_empty() {
@@ -43,10 +43,7 @@ pub(crate) fn check_inputs(sequence: &Sequence, labels: &Labels, holdout: usize)
     }
     let trained = sequence.trained(holdout);
     if !trained.iter().any(|&i| sequence.frames[i].depth.data.iter().any(|&z| z > 0.0)) {
-        return refuse(
-            "no frame that is trained on has any depth".into(),
-            "record again with depth, or lower `holdout`",
-        );
+        return refuse("no training frame has depth".into(), "record again with depth, or lower `holdout`");
     }
     Ok(())
 }

@@ -1,8 +1,9 @@
-//! Gaussians brought onto the surface that all frames together measured.
+//! Projection of Gaussians onto the surface measured by all frames.
 //!
-//! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m a step), and one
-//! view's depth is noisy. Centres and normals are instead set to the weighted means of what all frames measured at them,
-//! as projective fusion of depth does (Curless and Levoy, SIGGRAPH 1996), side by side for walls seen from both.
+//! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m a step), and
+//! one view's depth is noisy. Centres and normals are instead set to the weighted means of the measurements of all
+//! frames, as in projective fusion of depth (Curless and Levoy, SIGGRAPH 1996), separately for the two sides of
+//! walls.
 
 use super::config::ScanConfig;
 use super::nearby::map_nearby;
@@ -11,20 +12,21 @@ use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_frames::Frame;
 
-/// Passes: the second measures at the place that the first has found.
+/// Number of passes: the second measures at the place found by the first.
 const PASSES: usize = 2;
-/// Normals farther than this from the disc's are not of its surface (cosine).
+/// Least cosine between the disc's normal and the normals of its surface.
 const SAME_SURFACE_COSINE: f64 = 0.7;
 
-/// Moves every Gaussian along its normal onto the mean of what `frames` measure there, and turns it to their mean
-/// normal. Gaussians that no frame measures stay as they are; moments are kept.
+/// Moves every Gaussian along its normal to the mean of the measurements of `frames`, and turns it to their mean
+/// normal. Gaussians without measurements remain unchanged; moments are kept.
 pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &ScanConfig) {
     let rows = &parameters.rows;
     let positions_w: Vec<Vec3> = rows.par_iter().map(|row| Vec3::from_slice(&row.0[POSITION..])).collect();
     let fused = map_nearby(&positions_w, |group| {
-        let mut discs: Vec<Disc> = group.iter().map(|&i| Disc::of(&rows[i as usize])).collect();
+        let mut discs: Vec<GaussianDisc> =
+            group.iter().map(|&i| GaussianDisc::of(&rows[i as usize])).collect();
         for _ in 0..PASSES {
-            let mut sums: Vec<[Measured; 2]> = discs.iter().map(|_| Default::default()).collect();
+            let mut sums: Vec<[SideMeasurement; 2]> = discs.iter().map(|_| Default::default()).collect();
             for frame in frames {
                 for (disc, sides) in discs.iter().zip(&mut sums) {
                     add_frame(sides, frame, disc, config);
@@ -42,7 +44,7 @@ pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &Scan
 
 /// A Gaussian as a disc.
 #[derive(Debug, Clone, Copy, Default)]
-struct Disc {
+struct GaussianDisc {
     position_w: Vec3,
     rotation_wg: Quat,
     /// Its shortest axis: 0, 1 or 2.
@@ -52,7 +54,7 @@ struct Disc {
     axis_w: DVec3,
 }
 
-impl Disc {
+impl GaussianDisc {
     fn of(row: &Row) -> Self {
         let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
         Self {
@@ -72,10 +74,10 @@ impl Disc {
         }
     }
 
-    /// Moved and turned to what was measured.
-    fn adjust(&mut self, [front, back]: [Measured; 2]) {
-        // A thin wall is measured from both sides, and the mean of both would lie inside it: each disc belongs to the side
-        // that measures it most.
+    /// Moves and turns the disc to the measurements.
+    fn adjust(&mut self, [front, back]: [SideMeasurement; 2]) {
+        // A thin wall is measured from both sides, and the mean of both would lie inside it: each disc belongs to
+        // the side with more measurements.
         let sum = if back.weight > front.weight { back } else { front };
         let Self { center_w, axis_w, .. } = *self;
         if sum.weight > 0.0 {
@@ -92,7 +94,7 @@ impl Disc {
 
 /// Weighted sums over frames.
 #[derive(Default)]
-struct Measured {
+struct SideMeasurement {
     /// Of signed distances from the centre along the disc's axis, metres.
     offset: f64,
     weight: f64,
@@ -100,10 +102,10 @@ struct Measured {
     normal_w: DVec3,
 }
 
-/// Adds what one frame measures at the four pixels round the projected centre, weighted bilinearly and by the inverse
-/// variance of the depth noise, to the side of the disc that the frame's camera sees: along its axis, or against it.
-fn add_frame(sides: &mut [Measured; 2], frame: &Frame, disc: &Disc, config: &ScanConfig) {
-    let Disc { center_w, axis_w, .. } = *disc;
+/// Adds the measurements of one frame at the four pixels around the projected centre, weighted bilinearly and by
+/// the inverse variance of the depth noise, to the side of the disc that the camera is on.
+fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDisc, config: &ScanConfig) {
+    let GaussianDisc { center_w, axis_w, .. } = *disc;
     let Some((u, v, z)) = frame.camera.project(center_w) else { return };
     let rotation_wc = frame.camera.x_wc.rotation;
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());

@@ -1,4 +1,4 @@
-//! The history of the losses, and when a frame has had enough.
+//! The history of the losses, and early stopping.
 
 use super::config::StopConfig;
 use crate::LossTerms;
@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 pub struct LossSample {
     /// Steps taken since the start of the scan, this batch included.
     pub step: u64,
-    /// The frame (index in the sequence) that the schedule was at; `None` in the refinement over all frames.
+    /// The current frame of the schedule (index in the sequence); `None` in the refinement over all frames.
     pub frame: Option<usize>,
     /// Mean loss terms on that frame (over all frames in the refinement).
     pub loss: LossTerms,
-    /// Gaussians there were.
+    /// Number of Gaussians.
     pub gaussians: usize,
 }
 
 /// Whether the losses of a slot's batches have stalled: the mean of the last window is not lower than that of the
-/// window before by the share asked for.
+/// window before by the required share.
 pub(crate) fn stalled(batch_losses: &[f32], settings: &StopConfig) -> bool {
     let window = settings.window.max(1);
     if !settings.enabled || batch_losses.len() < 2 * window {

@@ -1,20 +1,20 @@
-//! Work on many points in all frames, arranged so that memory is read where it was read just before.
+//! Cache-friendly processing of many points in all frames.
 //!
-//! Gaussians lie in memory in the random order in which pixels were tried. Taken in that order, every look into a frame
-//! misses the caches: bringing 74 000 Gaussians onto the depth of 53 frames of 640 × 400 took two threads 2 s. Points that
-//! are close in space are taken together instead, and each frame is asked about all of them before the next one: what a
-//! frame shows of them is a small patch. Each point still meets the frames in their order, so that no sum changes.
+//! Gaussians lie in memory in the random order in which pixels were tried. Taken in that order, every access to a
+//! frame misses the caches: fusing 74 000 Gaussians with the depth of 53 frames of 640 × 400 took two threads 2 s.
+//! Instead, points that are close in space are processed together, one frame after the other: their projections are
+//! a small patch of each frame. Each point still meets the frames in their order, so that no sum changes.
 
 use glamx::Vec3;
 use rayon::prelude::*;
 
-/// Points that are taken together.
+/// Points processed together.
 const TOGETHER: usize = 256;
 /// Cells along each axis of the box around all points; a power of two.
 const CELLS: f32 = 1024.0;
 
-/// What `of_group` makes of the points: it is given indices of points that are close to each other, some at a time, and
-/// returns a value for each of them. The values come back in the order of the points.
+/// Maps the points by `of_group`, which is given the indices of a group of points close to each other and returns a
+/// value for each of them. The values are returned in the order of the points.
 pub(crate) fn map_nearby<T: Send + Clone + Default>(
     positions_w: &[Vec3],
     of_group: impl Fn(&[u32]) -> Vec<T> + Sync,
@@ -35,7 +35,7 @@ fn order_by_place(positions_w: &[Vec3]) -> Vec<u32> {
     let high = finite().fold(Vec3::NEG_INFINITY, |a, &b| a.max(b));
     let scale = CELLS / (high - low).max(Vec3::splat(1e-6));
     let code = |p: &Vec3| {
-        // What is not finite is put into a cell at an end.
+        // Points that are not finite are put into a cell at an end.
         let cell = ((*p - low) * scale).to_array().map(|v| spread_bits(v.clamp(0.0, CELLS - 1.0) as u32));
         cell[0] | cell[1] << 1 | cell[2] << 2
     };

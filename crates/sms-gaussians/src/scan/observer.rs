@@ -1,12 +1,12 @@
-//! Watching a scan from outside: what a live viewer needs, without the schedule knowing of any.
+//! Observation of a running scan, for live viewers.
 
 use super::evaluate::ViewScore;
 use super::losses::LossSample;
 use crate::{GaussianModel, RenderedMaps};
 use sms_frames::Frame;
 
-/// Is told of a scan while it runs. It sees everything and changes nothing: a scan has the same result whoever
-/// watches. Calls come from the scanning thread and should be short.
+/// Receives the progress of a scan. Observers cannot change the result. Calls come from the scanning thread and
+/// should be short.
 pub trait ScanObserver {
     /// A batch of steps was taken.
     fn batch(&mut self, batch: &BatchDone) {
@@ -19,7 +19,7 @@ pub trait ScanObserver {
     }
 }
 
-/// Nobody watches.
+/// No observer.
 impl ScanObserver for () {}
 
 /// A batch of steps.
@@ -27,32 +27,32 @@ impl ScanObserver for () {}
 pub struct BatchDone {
     /// Losses and number of Gaussians.
     pub sample: LossSample,
-    /// Which of the frames trained on the schedule is at, from 0; their number in the refinement.
+    /// Index of the current frame among those trained on; their number in the refinement.
     pub slot: usize,
-    /// Frames trained on.
+    /// Number of frames trained on.
     pub frames: usize,
     /// Steps taken in this slot.
     pub step: usize,
     /// Most steps of this slot.
     pub steps: usize,
-    /// Seconds left of the whole scan; `None` before that can be told.
+    /// Seconds left of the whole scan; `None` before an estimate is possible.
     pub seconds_left: Option<f64>,
 }
 
-/// A frame that is done, or the refinement.
+/// A finished frame, or the finished refinement.
 pub struct SlotDone<'a> {
-    /// Which of the frames trained on, from 0; their number for the refinement.
+    /// Index of the frame among those trained on; their number for the refinement.
     pub slot: usize,
-    /// Frames trained on.
+    /// Number of frames trained on.
     pub frames: usize,
     /// Steps since the start of the scan.
     pub step: u64,
-    /// The frame as observed (of the refinement: the last one).
+    /// The frame as observed (for the refinement, the last one).
     pub frame: &'a Frame,
-    /// The same view as rendered now.
+    /// The current rendering of the same view.
     pub rendered: &'a RenderedMaps,
-    /// How well they agree.
+    /// Their agreement.
     pub score: ViewScore,
-    /// The Gaussians as they are now; made only when asked for.
+    /// Makes the current model; only called on demand.
     pub model: &'a dyn Fn() -> GaussianModel,
 }

@@ -1,4 +1,4 @@
-//! Which space is taken: a hash grid of points that answers "is there one within a radius?".
+//! A hash grid of points for radius queries.
 
 use glamx::Vec3;
 
@@ -7,9 +7,9 @@ const NONE: u32 = u32::MAX;
 /// Fewest chains.
 const CHAINS_MIN: usize = 1 << 10;
 
-/// Points in chains by the hash of their cell. Cells that share a chain only cost time, since every point of a chain is
-/// asked for its distance.
-pub(crate) struct Occupancy {
+/// Points in chains by the hash of their cell. Cells that share a chain only cost time, since the distance of every
+/// point of a chain is checked.
+pub(crate) struct PointGrid {
     cell: f32,
     /// First point of each chain; a power of two of them.
     first: Vec<u32>,
@@ -18,8 +18,8 @@ pub(crate) struct Occupancy {
     points: Vec<Vec3>,
 }
 
-impl Occupancy {
-    /// For queries of about `radius` metres at most: wider ones are slow.
+impl PointGrid {
+    /// For queries of at most about `radius` metres: wider ones are slow.
     pub(crate) fn new(radius: f32) -> Self {
         // A query's ball then meets two cells along an axis at most.
         Self {
@@ -30,7 +30,7 @@ impl Occupancy {
         }
     }
 
-    /// [`Occupancy::new`] with these points in it.
+    /// Builds [`PointGrid::new`] with these points.
     pub(crate) fn of(radius: f32, points: &[Vec3]) -> Self {
         let mut occupancy = Self::new(radius);
         occupancy.points = points.to_vec();
@@ -45,11 +45,11 @@ impl Occupancy {
     fn chain_of(&self, cell: [i32; 3]) -> usize {
         const FACTORS: [u64; 3] = [0x9e37_79b9_7f4a_7c15, 0xc2b2_ae3d_27d4_eb4f, 0x1656_67b1_9e37_79f9];
         let mixed = (0..3).fold(0u64, |sum, k| sum.wrapping_add((cell[k] as u64).wrapping_mul(FACTORS[k])));
-        // The upper bits are the well mixed ones.
+        // The upper bits are mixed best.
         (mixed >> 32) as usize & (self.first.len() - 1)
     }
 
-    /// Chains all points anew, twice as many chains as points.
+    /// Rebuilds the chains, twice as many as points.
     fn chain_all(&mut self) {
         let chains = (2 * self.points.len()).next_power_of_two().max(CHAINS_MIN);
         self.first = vec![NONE; chains];
@@ -106,22 +106,22 @@ mod tests {
             radius in 0.001f32..0.05,
         ) {
             let points: Vec<Vec3> = points.iter().map(|p| Vec3::from_array(*p)).collect();
-            let mut occupancy = Occupancy::new(0.05);
+            let mut occupancy = PointGrid::new(0.05);
             points.iter().for_each(|p| occupancy.insert(*p));
-            let at_once = Occupancy::of(0.05, &points);
+            let at_once = PointGrid::of(0.05, &points);
             let query = Vec3::from_array(query);
             let expected = points.iter().any(|p| (*p - query).length() < radius);
             prop_assert_eq!(occupancy.any_within(query, radius), expected);
             prop_assert_eq!(at_once.any_within(query, radius), expected);
-            // Wider than what it was made for.
-            let fine = Occupancy::of(0.004, &points);
+            // Wider than the designed radius.
+            let fine = PointGrid::of(0.004, &points);
             prop_assert_eq!(fine.any_within(query, radius), expected);
         }
     }
 
     #[test]
     fn more_points_than_chains_are_all_found() {
-        let mut occupancy = Occupancy::new(0.5);
+        let mut occupancy = PointGrid::new(0.5);
         let point = |i: usize| Vec3::new((i % 50) as f32, (i / 50) as f32, -3.0);
         (0..3 * CHAINS_MIN).for_each(|i| occupancy.insert(point(i)));
         for i in 0..3 * CHAINS_MIN {

@@ -1,21 +1,21 @@
-//! How long the rest of a scan will take: measured seconds a step, times the steps that are left at most, times the
-//! share of its steps that a frame has needed so far.
+//! Estimate of the rest of a scan: measured seconds per step, times the remaining limit of steps, times the share
+//! of the limit that frames have needed so far.
 
-/// Steps over which the seconds a step are averaged: they grow with the Gaussians.
+/// Number of steps over which seconds per step are averaged: they grow with the number of Gaussians.
 const HORIZON: f64 = 100.0;
 
-/// What was measured so far.
+/// Measurements so far.
 #[derive(Debug, Clone)]
 pub(crate) struct Pace {
     /// Most steps of each slot.
     limits: Vec<usize>,
-    /// Steps that finished slots took, and might have taken.
+    /// Steps taken by finished slots, and their limits.
     used: usize,
     allowed: usize,
     seconds_per_step: Option<f64>,
-    /// Seconds beside the steps (seeding, pruning, rendering) of finished frames, and their number.
+    /// Seconds besides the steps (seeding, pruning, rendering) of finished frames, and their number.
     beside: (f64, usize),
-    /// Seconds of one rendering, and how many there are at the end.
+    /// Seconds of one rendering, and their number at the end.
     render: (f64, usize),
 }
 
@@ -32,12 +32,12 @@ impl Pace {
         }
     }
 
-    /// Units of the whole: the most steps that there can be.
+    /// Total units: the limit of steps.
     pub(crate) fn units(&self) -> u64 {
         self.limits.iter().sum::<usize>() as u64
     }
 
-    /// Units done at `step` of `slot`: what a slot did not need counts as done.
+    /// Units done at `step` of `slot`: the unused steps of a slot count as done.
     pub(crate) fn done(&self, slot: usize, step: usize) -> u64 {
         let before: usize = self.limits.iter().take(slot).sum();
         (before + step.min(self.limits.get(slot).copied().unwrap_or(0))) as u64
@@ -53,7 +53,7 @@ impl Pace {
         self.seconds_per_step
     }
 
-    /// So many steps took so many seconds.
+    /// Records the seconds of some steps.
     pub(crate) fn stepped(&mut self, steps: usize, seconds: f64) {
         if steps == 0 {
             return;
@@ -63,7 +63,7 @@ impl Pace {
         self.seconds_per_step = Some(self.seconds_per_step.map_or(latest, |s| s + weight * (latest - s)));
     }
 
-    /// A slot is done after `steps` steps; all else in it took `beside` seconds (`None` where that was not measured).
+    /// Records a slot finished after `steps` steps; `beside` are the seconds of everything else in it, if measured.
     pub(crate) fn finished(&mut self, slot: usize, steps: usize, beside: Option<f64>) {
         self.used += steps.min(self.limit(slot));
         self.allowed += self.limit(slot);
@@ -72,12 +72,12 @@ impl Pace {
         }
     }
 
-    /// One view took so many seconds to render.
+    /// Records the seconds of one rendering.
     pub(crate) fn rendered(&mut self, seconds: f64) {
         self.render.0 = seconds;
     }
 
-    /// Seconds left at `step` of `slot`; `None` before anything was measured.
+    /// Returns the seconds left at `step` of `slot`; `None` before any measurement.
     pub(crate) fn seconds_left(&self, slot: usize, step: usize) -> Option<f64> {
         let per_step = self.seconds_per_step?;
         let share = if self.allowed > 0 { self.used as f64 / self.allowed as f64 } else { 1.0 };
@@ -111,7 +111,7 @@ mod tests {
         // 100 steps are left at most, of which 60 % are expected; two more slots have 2 s beside their steps.
         let expected = 100.0 * 0.6 * 0.01 + 2.0 * 2.0 + 4.0 * 0.5;
         assert!((pace.seconds_left(1, 0).unwrap() - expected).abs() < 1e-12);
-        // Everything is done but the rendering.
+        // Only rendering is left.
         pace.finished(1, 20, Some(2.0));
         pace.finished(2, 20, None);
         assert!((pace.seconds_left(3, 60).unwrap() - 2.0).abs() < 1e-12);

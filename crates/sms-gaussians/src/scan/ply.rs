@@ -1,5 +1,5 @@
-//! The model as a standard 3D Gaussian Splatting `.ply`, which viewers open, with what viewers ignore: affinities,
-//! labels and their confidence as further properties, and the classifier and the background in a file beside it.
+//! The model as a standard 3D Gaussian Splatting `.ply` for viewers, with properties that viewers ignore:
+//! affinities, labels and their confidence, and the classifier and the background in a file beside it.
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
@@ -10,12 +10,12 @@ use std::path::{Path, PathBuf};
 
 /// Value of the constant spherical harmonic, by which viewers turn `f_dc` into colour: c = 0.5 + SH_C0 · f_dc.
 const SH_C0: f32 = 0.282_094_8;
-/// Opacities are kept this far from 0 and 1, where the logit has none.
+/// Distance of opacities from 0 and 1, where the logit is infinite.
 const OPACITY_MARGIN: f32 = 1e-6;
 const EXPORT_AGAIN: &str = "run `sms scan` again, or give a 3D Gaussian Splatting PLY";
 
 /// The classifier's file beside a PLY: `scene.ply` has `scene.classifier.json`.
-pub fn classifier_path(ply: &Path) -> PathBuf {
+pub(crate) fn classifier_path(ply: &Path) -> PathBuf {
     ply.with_extension("classifier.json")
 }
 
@@ -26,7 +26,7 @@ struct ClassifierFile {
     b1: Vec<f32>,
     w2: Vec<f32>,
     b2: Vec<f32>,
-    /// Colour behind all Gaussians; not the classifier's, but no property of a vertex either.
+    /// Colour behind all Gaussians, stored here because it is not a property of a vertex.
     #[serde(default)]
     background: [f32; 3],
 }
@@ -104,8 +104,8 @@ fn logit(opacity: f32) -> f32 {
 /// and empty.
 ///
 /// # Errors
-/// [`CoreError::Input`] when the file is not a Gaussian PLY, holds a number that is not finite, or its classifier is
-/// damaged; [`CoreError::Read`] when it cannot be read.
+/// [`CoreError::Input`] if the file is not a Gaussian PLY, contains a number that is not finite, or its classifier
+/// is damaged; [`CoreError::Read`] if it cannot be read.
 pub fn read_ply(path: &Path) -> Result<GaussianModel, CoreError> {
     let table = ply::read(path)?;
     let mut model = GaussianModel::default();
@@ -170,14 +170,14 @@ fn read_classifier(path: &Path) -> Result<(Classifier, [f32; 3]), CoreError> {
             && f.w2.len() == f.classes * HIDDEN_DIM
             && f.b2.len() == f.classes);
     if !fits {
-        let what = "the sizes in this classifier do not fit each other";
+        let what = "the sizes in this classifier are inconsistent";
         return Err(InputError::new(what, path, "run `sms scan` again").into());
     }
     Ok((Classifier { classes: f.classes, w1: f.w1, b1: f.b1, w2: f.w2, b2: f.b2 }, f.background))
 }
 
 /// The Gaussians of a model as seedlings.
-pub fn seedlings_of(model: &GaussianModel) -> Vec<Seedling> {
+pub(crate) fn seedlings_of(model: &GaussianModel) -> Vec<Seedling> {
     (0..model.len())
         .map(|i| Seedling {
             position_w: model.positions_w[i],
@@ -279,18 +279,19 @@ mod tests {
 
         columns[12].1 = Column::F32(vec![0.0, f32::NAN]);
         ply::write(&path, &[], &columns).unwrap();
-        let message = read_ply(&path).unwrap_err().to_string();
-        assert!(
-            message.contains("scale_2") && message.contains("other.ply") && message.contains("cure"),
-            "{message}"
-        );
+        let fault = |path: &Path| match read_ply(path) {
+            Err(CoreError::Input(e)) => (e.path, e.what),
+            other => panic!("{other:?}"),
+        };
+        let (file, what) = fault(&path);
+        assert!(file.ends_with("other.ply") && what.contains(&standard[12]), "{what}");
         columns.remove(9);
         ply::write(&path, &[], &columns).unwrap();
-        assert!(read_ply(&path).unwrap_err().to_string().contains("no property `opacity`"));
+        assert!(fault(&path).1.contains(&standard[9]));
 
         let path = dir.path().join("scene.ply");
         write_ply(&model(1), &path).unwrap();
         std::fs::write(classifier_path(&path), r#"{"classes":2,"w1":[],"b1":[],"w2":[],"b2":[]}"#).unwrap();
-        assert!(read_ply(&path).unwrap_err().to_string().contains("do not fit"));
+        assert!(fault(&path).0.ends_with("scene.classifier.json"));
     }
 }

@@ -1,4 +1,4 @@
-//! Which Gaussians go: the transparent ones, and those that float in front of what was measured.
+//! Removal of Gaussians: transparent ones, and floaters in front of the measured surface.
 
 use super::config::ScanConfig;
 use super::nearby::map_nearby;
@@ -15,9 +15,9 @@ pub(crate) fn prune_transparent(trainer: &mut dyn Trainer, config: &ScanConfig) 
     }
 }
 
-/// Removes Gaussians below the opacity threshold and, where floaters go, those that more of `frames` look through than
-/// measure a surface near, and those near which fewer than `least` measure one: hidden ones that nothing supports.
-/// Returns the centres of those that stay.
+/// Removes Gaussians below the opacity threshold and, if enabled, floaters: those with more of `frames` looking
+/// through them than measuring a surface near, and those with fewer than `least` frames measuring one. Returns the
+/// centres of the remaining ones.
 pub(crate) fn prune_all(
     trainer: &mut dyn Trainer,
     frames: &[&Frame],
@@ -36,17 +36,18 @@ pub(crate) fn prune_all(
     positions_w.into_iter().zip(keep).filter_map(|(p, keep)| keep.then_some(p)).collect()
 }
 
-/// Which points no more frames look through than measure a surface near them, with `least` such frames at least.
+/// Marks the points through which no more frames look than measure a surface near them, with at least `least` such
+/// frames.
 fn standing(positions_w: &[Vec3], frames: &[&Frame], least: usize, config: &ScanConfig) -> Vec<bool> {
-    // Frames that look through a point, and that measure a surface near it.
+    // Counts frames that look through a point, and that measure a surface near it.
     let add = |(through, surface): &mut (usize, usize), frame: &Frame, p_w: Vec3| {
         let sight = sight(frame, p_w, config);
-        *through += usize::from(sight == Sight::Through);
-        *surface += usize::from(sight == Sight::Surface);
+        *through += usize::from(sight == PointVisibility::Through);
+        *surface += usize::from(sight == PointVisibility::Surface);
     };
     let stands = |(through, surface): (usize, usize)| surface >= through.max(least);
     if let [frame] = frames {
-        // One frame's depth stays in the caches whatever the order.
+        // One frame's depth stays in the caches in any order.
         let of_point = |p_w: &Vec3| {
             let mut counts = (0, 0);
             add(&mut counts, frame, *p_w);
@@ -66,20 +67,20 @@ fn standing(positions_w: &[Vec3], frames: &[&Frame], least: usize, config: &Scan
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Sight {
+enum PointVisibility {
     /// Every measured neighbour is behind the point.
     Through,
     /// A measured neighbour is at the point.
     Surface,
-    /// Hidden, outside the image, or too little measured to tell.
+    /// Hidden, outside the image, or with too few measurements.
     Unknown,
 }
 
-/// How a frame sees a point: all of the 3 × 3 pixels round it are asked, since beside a silhouette a single pixel
-/// may hold the background.
-fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> Sight {
-    let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { return Sight::Unknown };
-    let Some((x, y)) = frame.camera.pixel_at(u, v) else { return Sight::Unknown };
+/// Classifies a point by all of the 3 × 3 pixels around it in one frame, since beside a silhouette a single pixel
+/// may show the background.
+fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> PointVisibility {
+    let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { return PointVisibility::Unknown };
+    let Some((x, y)) = frame.camera.pixel_at(u, v) else { return PointVisibility::Unknown };
     let (mut measured, mut behind) = (0, 0);
     for dy in -1..=1 {
         for dx in -1..=1 {
@@ -90,12 +91,12 @@ fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> Sight {
             measured += 1;
             let (depth, tolerance) = (f64::from(depth), config.tolerance_m(f64::from(depth)));
             if (depth - z).abs() <= tolerance {
-                return Sight::Surface;
+                return PointVisibility::Surface;
             }
             behind += usize::from(depth - z > tolerance);
         }
     }
-    if measured >= 5 && behind == measured { Sight::Through } else { Sight::Unknown }
+    if measured >= 5 && behind == measured { PointVisibility::Through } else { PointVisibility::Unknown }
 }
 
 #[cfg(test)]
@@ -129,14 +130,14 @@ mod tests {
     fn a_point_is_seen_through_only_when_all_that_is_measured_round_it_lies_behind() {
         let (frame, config) = (frame(), ScanConfig::default());
         let at = |x: usize, z: f64| sight(&frame, frame.camera.unproject_pixel(x, 10, z).as_vec3(), &config);
-        assert_eq!(at(24, 0.5), Sight::Through);
-        assert_eq!(at(24, 1.002), Sight::Surface);
-        assert_eq!(at(24, 1.1), Sight::Unknown, "hidden by the wall");
-        assert_eq!(at(16, 0.5), Sight::Surface, "one pixel beside the step");
+        assert_eq!(at(24, 0.5), PointVisibility::Through);
+        assert_eq!(at(24, 1.002), PointVisibility::Surface);
+        assert_eq!(at(24, 1.1), PointVisibility::Unknown, "hidden by the wall");
+        assert_eq!(at(16, 0.5), PointVisibility::Surface, "one pixel beside the step");
         let mut sparse = frame.clone();
         sparse.depth.data.iter_mut().enumerate().filter(|(i, _)| i % 2 == 0).for_each(|(_, z)| *z = 0.0);
         let p_w = sparse.camera.unproject_pixel(24, 10, 0.5).as_vec3();
-        assert_ne!(sight(&sparse, p_w, &config), Sight::Surface);
-        assert_eq!(sight(&sparse, Vec3::new(0.0, 0.0, -1.0), &config), Sight::Unknown);
+        assert_ne!(sight(&sparse, p_w, &config), PointVisibility::Surface);
+        assert_eq!(sight(&sparse, Vec3::new(0.0, 0.0, -1.0), &config), PointVisibility::Unknown);
     }
 }

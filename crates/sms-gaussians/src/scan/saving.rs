@@ -1,13 +1,13 @@
-//! When the scan saves itself, and the thread that writes while it goes on.
+//! Timing of checkpoints, and the thread that writes them.
 
-use super::checkpoint::{self, Place};
+use super::checkpoint::{self, SchedulePosition};
 use crate::TrainState;
 use sms_core::{CoreError, Hash};
 use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// A frame's checkpoint waits until so many times what the last one took of the scan's own time have passed.
+/// A frame's checkpoint waits for this multiple of the scan's own time spent on the last one.
 const LAST_TIMES: f64 = 20.0;
 
 /// Writes checkpoints beside the scan, one at a time.
@@ -16,7 +16,7 @@ pub(crate) struct Saver {
     /// Seconds between checkpoints within a frame.
     seconds: f64,
     saved: Instant,
-    /// Of the scan's own time, by the last checkpoint.
+    /// Time of the scan spent on the last checkpoint.
     took_s: f64,
     writing: Option<JoinHandle<Result<(), CoreError>>>,
 }
@@ -30,26 +30,26 @@ impl Saver {
         &self.path
     }
 
-    /// Whether one is due within a frame.
+    /// Whether a checkpoint is due within a frame.
     pub(crate) fn due(&self) -> bool {
         self.saved.elapsed().as_secs_f64() > self.seconds
     }
 
-    /// Whether one is due after a frame. On a GPU frames are done faster than the state is read back.
+    /// Whether a checkpoint is due after a frame. On a GPU, a frame can take less time than reading the state.
     pub(crate) fn due_after_frame(&self) -> bool {
         let least = (0.2 * self.seconds).min(1.0).max((LAST_TIMES * self.took_s).min(self.seconds));
         self.saved.elapsed().as_secs_f64() >= least
     }
 
-    /// Begins to write what the scan has been putting together since `began`, as soon as the one before is written.
+    /// Starts writing a checkpoint, whose preparation started at `began`, once the previous one is written.
     ///
     /// # Errors
-    /// [`CoreError::Write`] of the one before.
+    /// [`CoreError::Write`] of the previous one.
     pub(crate) fn save(
         &mut self,
         began: Instant,
         settings: Hash,
-        place: Place,
+        place: SchedulePosition,
         state: TrainState,
     ) -> Result<(), CoreError> {
         self.written()?;
@@ -74,10 +74,10 @@ impl Saver {
 }
 
 impl Drop for Saver {
-    /// Nothing is written any more after the scan has ended: its folder may be removed then.
+    /// Nothing may be written after the scan has ended: its folder may be removed then.
     fn drop(&mut self) {
         if let Some(writing) = self.writing.take() {
-            // The scan has failed with something else already.
+            // Another error of the scan takes precedence.
             let _ = writing.join();
         }
     }
@@ -93,15 +93,15 @@ mod tests {
         let (file, hash) = (dir.path().join("file"), Hash("a".into()));
         std::fs::write(&file, "no folder").unwrap();
         let mut saver = Saver::new(file.join("checkpoint.bin"), 5.0);
-        saver.save(Instant::now(), hash.clone(), Place::default(), TrainState::default()).unwrap();
+        saver.save(Instant::now(), hash.clone(), SchedulePosition::default(), TrainState::default()).unwrap();
         assert!(matches!(saver.written(), Err(CoreError::Write { .. })));
         saver.written().unwrap();
 
         let path = dir.path().join("checkpoint.bin");
         let mut saver = Saver::new(path.clone(), 5.0);
-        saver.save(Instant::now(), hash.clone(), Place::default(), TrainState::default()).unwrap();
+        saver.save(Instant::now(), hash.clone(), SchedulePosition::default(), TrainState::default()).unwrap();
         drop(saver);
-        assert!(matches!(checkpoint::load(&path, &hash), checkpoint::Found::Resume(..)));
+        assert!(matches!(checkpoint::load(&path, &hash), checkpoint::FoundCheckpoint::Resume(..)));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use super::ScanError;
 use super::background::background_color;
-use super::checkpoint::{self, Found, Place};
+use super::checkpoint::{self, FoundCheckpoint, SchedulePosition};
 use super::config::{ScanConfig, StopConfig};
 use super::consensus::correct_labels;
 use super::evaluate::{Confusion, ViewScore, add_metrics, score_view};
@@ -16,7 +16,7 @@ use super::ply::write_ply;
 use super::pruning::{prune_all, prune_transparent};
 use super::saving::Saver;
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
-use super::settings::{Settings, settings_hash};
+use super::settings::{SettingsHash, settings_hash};
 use super::so_far::SoFar;
 use super::stages::StageSeconds;
 use crate::{FrameId, GaussianModel, RenderedMaps, StepBatch, StepStats, Trainer, TrainerError};
@@ -29,28 +29,28 @@ use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
 
-/// Steps are taken without a look at clock and cancellation for no longer than about this, seconds.
+/// Longest time between checks of clock and cancellation, about, seconds.
 const TOGETHER_S: f64 = 0.1;
-/// Most rendered views that are kept to be scored together.
+/// Greatest number of rendered views scored together.
 const VIEWS_AT_ONCE: usize = 16;
 
 /// The stage's name in warnings.
 const STAGE: &str = "scan";
 
-/// What a scan makes.
+/// Result of a scan.
 #[derive(Debug, Clone)]
 pub struct ScanResult {
     /// The Gaussians, as written to `scene.ply`.
     pub model: GaussianModel,
-    /// `scan.*` (see `docs/metrics.md`), without times and device: they are no part of the result.
+    /// `scan.*` (see `docs/metrics.md`), without times and device, which are not part of the result.
     pub metrics: Metrics,
     /// The history of the losses, as written to `losses.json`.
     pub losses: Vec<LossSample>,
-    /// How every frame is reproduced, in the order of the sequence.
+    /// Agreement of every frame, in the order of the sequence.
     pub views: Vec<ViewScore>,
-    /// Wall-clock seconds, those of interrupted attempts included.
+    /// Wall-clock seconds, including interrupted attempts.
     pub seconds: f64,
-    /// Where they went, those of interrupted attempts not included.
+    /// Their breakdown, excluding interrupted attempts.
     pub stages: StageSeconds,
 }
 
@@ -74,7 +74,7 @@ pub fn scan(
     scan_observed(sequence, labels, config, work_dir, trainer, &mut (), context)
 }
 
-/// [`scan`] with somebody watching.
+/// [`scan`] with an observer.
 ///
 /// # Errors
 /// As [`scan`].
@@ -104,16 +104,16 @@ pub fn scan_observed(
             labels,
             config,
             seed,
-            settings: Settings::Coming(Some(hash)),
+            settings: SettingsHash::Coming(Some(hash)),
             saver: Saver::new(work_dir.join("checkpoint.bin"), config.checkpoint_seconds),
             codes: AffinityCodes::new(labels.class_count(), seed),
             ids: Vec::with_capacity(trained.len()),
             positions_w: None,
             trained,
-            place: Place::default(),
+            place: SchedulePosition::default(),
             pace: Pace::new(limits, sequence.len()),
             last_psnr_db: None,
-            untold: None,
+            unreported: None,
             so_far: SoFar::new(work_dir),
             stages,
             trainer,
@@ -128,7 +128,7 @@ pub fn scan_observed(
     })
 }
 
-/// Most steps of a slot; the one after the last frame is the refinement.
+/// Returns the greatest number of steps of a slot; the one after the last frame is the refinement.
 fn slot_limit(config: &ScanConfig, slot: usize, frames: usize) -> usize {
     match slot {
         _ if slot == frames => config.final_steps,
@@ -142,22 +142,22 @@ struct Schedule<'a> {
     labels: &'a Labels,
     config: &'a ScanConfig,
     seed: Seed,
-    settings: Settings<'a>,
+    settings: SettingsHash<'a>,
     saver: Saver,
     /// Sequence indices of the frames trained on; a slot is a position in this list.
     trained: Vec<usize>,
     codes: AffinityCodes,
-    /// The trainer's ids of the slots reached so far, and of the next one once this one's steps have begun.
+    /// The trainer's ids of the slots reached so far, and of the next one once this one's steps have started.
     ids: Vec<FrameId>,
-    /// Where the Gaussians are, as long as nothing has moved them since that was found out.
+    /// Cached positions of the Gaussians, until they move.
     positions_w: Option<Vec<Vec3>>,
-    place: Place,
-    /// For the time left, not for the result.
+    place: SchedulePosition,
+    /// For the remaining time, not for the result.
     pace: Pace,
-    /// Of the frame done last.
+    /// PSNR of the last finished frame.
     last_psnr_db: Option<f64>,
-    /// The slot done last, as long as nobody was told of it.
-    untold: Option<Untold<'a>>,
+    /// The last finished slot until it is reported.
+    unreported: Option<UnreportedSlot<'a>>,
     so_far: SoFar,
     stages: StageSeconds,
     trainer: &'a mut dyn Trainer,
@@ -167,8 +167,8 @@ struct Schedule<'a> {
     warnings: &'a Warnings,
 }
 
-/// A slot that is done: what nobody was told yet.
-struct Untold<'a> {
+/// A finished slot that has not been reported.
+struct UnreportedSlot<'a> {
     slot: usize,
     /// Steps since the start of the scan.
     step: u64,
@@ -176,7 +176,7 @@ struct Untold<'a> {
     rendered: RenderedMaps,
 }
 
-impl Untold<'_> {
+impl UnreportedSlot<'_> {
     fn score(&self) -> ViewScore {
         score_view(self.frame, &self.rendered, false)
     }
@@ -189,9 +189,9 @@ impl Schedule<'_> {
         }
         let settings = self.settings.hash();
         let damage = match checkpoint::load(self.saver.path(), &settings) {
-            Found::Nothing => return,
-            Found::Damaged(reason) => reason,
-            Found::Resume(place, state) => match self.trainer.restore(&state) {
+            FoundCheckpoint::Nothing => return,
+            FoundCheckpoint::Damaged(reason) => reason,
+            FoundCheckpoint::Resume(place, state) => match self.trainer.restore(&state) {
                 Ok(()) => {
                     self.place = place;
                     self.so_far.resume(STAGE, self.warnings);
@@ -221,7 +221,7 @@ impl Schedule<'_> {
     fn save(&mut self) -> Result<(), ScanError> {
         let began = Instant::now();
         let state = self.trainer.snapshot();
-        // What a failed device returns must not take the place of a good checkpoint.
+        // The state of a failed device must not replace a good checkpoint.
         self.check_device()?;
         self.so_far.save(self.warnings)?;
         let settings = self.settings.hash();
@@ -243,21 +243,21 @@ impl Schedule<'_> {
         while self.place.slot <= slots {
             self.add_frames();
             self.slot()?;
-            self.place = Place {
+            self.place = SchedulePosition {
                 slot: self.place.slot + 1,
                 total_steps: self.place.total_steps,
                 losses: std::mem::take(&mut self.place.losses),
-                ..Place::default()
+                ..SchedulePosition::default()
             };
             if self.saver.due_after_frame() || self.place.slot > slots {
                 self.save()?;
             }
         }
-        self.tell_slot();
+        self.report_slot();
         Ok(())
     }
 
-    /// Makes the frames up to the current slot known to the trainer.
+    /// Adds the frames up to the current slot to the trainer.
     fn add_frames(&mut self) {
         let began = Instant::now();
         while self.ids.len() < self.trained.len().min(self.place.slot + 1) {
@@ -272,14 +272,14 @@ impl Schedule<'_> {
         self.place.slot == self.trained.len()
     }
 
-    /// One frame, or the refinement over all of them, from wherever the place says.
+    /// Processes one frame, or the refinement over all of them, from the position in the schedule.
     fn slot(&mut self) -> Result<(), ScanError> {
         let limit = self.pace.limit(self.place.slot);
         let (began, mut stepping_s) = (Instant::now(), 0.0);
         self.seed_slot()?;
         let mut stop = self.config.stop;
         if self.is_refinement() {
-            // Every frame is in both of the windows compared.
+            // Every frame is in both windows of the comparison.
             stop.window = stop.window.max(self.trained.len().div_ceil(self.batch()));
         }
         while self.place.step < limit && !stalled(&self.place.batch_losses, &stop) {
@@ -314,13 +314,13 @@ impl Schedule<'_> {
         if self.is_refinement() {
             self.fuse_all()?;
         }
-        self.show_slot();
+        self.render_slot();
         let beside_s = began.elapsed().as_secs_f64() - stepping_s;
         self.pace.finished(self.place.slot, self.place.step, Some(beside_s));
         Ok(())
     }
 
-    /// Brings geometry and labels in line with all frames together.
+    /// Makes geometry and labels consistent with all frames.
     fn fuse_all(&mut self) -> Result<(), ScanError> {
         let began = Instant::now();
         let labelled: Vec<_> =
@@ -342,13 +342,13 @@ impl Schedule<'_> {
         Ok(())
     }
 
-    /// What a slot begins with, once: new Gaussians for a frame, fused depth for the refinement.
+    /// Starts a slot, once: new Gaussians for a frame, fused depth for the refinement.
     fn seed_slot(&mut self) -> Result<(), ScanError> {
         if std::mem::replace(&mut self.place.seeded, true) {
             return Ok(());
         }
         let Some(&index) = self.trained.get(self.place.slot) else {
-            self.tell_slot();
+            self.report_slot();
             return self.fuse_all();
         };
         let frame = &self.sequence.frames[index];
@@ -360,14 +360,14 @@ impl Schedule<'_> {
         let room = self.config.max_gaussians.saturating_sub(positions_w.len());
         let seed = self.seed.derive_index("seeding", self.place.slot as u64);
         let labels = (&self.labels.maps[index], &self.codes);
-        let (config, untold) = (self.config, self.untold.take());
-        // The slot before is scored meanwhile.
+        let (config, unreported) = (self.config, self.unreported.take());
+        // The previous slot is scored meanwhile.
         let (seedlings, score) = rayon::join(
             || seed_frame(frame, labels, rendered.as_ref(), &positions_w, room, config, seed),
-            || untold.as_ref().map(Untold::score),
+            || unreported.as_ref().map(UnreportedSlot::score),
         );
-        if let (Some(untold), Some(score)) = (untold, score) {
-            self.tell(untold, score);
+        if let (Some(unreported), Some(score)) = (unreported, score) {
+            self.tell(unreported, score);
         }
         if let Some(rendered) = rendered {
             self.trainer.recycle(rendered);
@@ -392,8 +392,8 @@ impl Schedule<'_> {
         self.config.batch_steps.max(1)
     }
 
-    /// Batches that will be taken whatever the losses of those before them: up to the end of the slot, the pruning midway,
-    /// or the first look at whether the losses stall, and no more than a moment's.
+    /// Returns the number of batches that are certain regardless of their losses: up to the end of the slot, the
+    /// pruning midway, or the first check for stalled losses, and no longer than a moment.
     fn certain(&self, limit: usize, stop: &StopConfig) -> usize {
         let until = |step: usize| step.saturating_sub(self.place.step).div_ceil(self.batch());
         let mut count = until(limit);
@@ -431,7 +431,7 @@ impl Schedule<'_> {
         Ok(())
     }
 
-    /// Keeps the losses of a batch.
+    /// Records the losses of a batch.
     fn note(&mut self, stats: &StepStats) {
         if !stats.loss.total.is_finite() {
             self.warnings.add(STAGE, "loss_not_finite", "a training loss was not a finite number", "");
@@ -446,8 +446,8 @@ impl Schedule<'_> {
         });
     }
 
-    /// The batch at this step of the slot: a function of the seed and the place alone. Learning rates of the refinement
-    /// fall, so that it ends near the mean of what the views ask for rather than where the last of them pulled.
+    /// Returns the batch at this step of the slot: a function of the seed and the position alone. Learning rates of
+    /// the refinement fall, so that it ends near the mean of the views' optima rather than at the last one's.
     fn batch_at(&self, step: usize) -> StepBatch {
         let mut rates = self.config.train.rates;
         if self.is_refinement() {
@@ -458,7 +458,7 @@ impl Schedule<'_> {
         StepBatch { rates, own, replayed }
     }
 
-    /// The frames of the batch at this step: those whose losses are recorded, and replayed ones.
+    /// Returns the frames of the batch at this step: those whose losses are recorded, and replayed ones.
     fn batch_frames(&self, step: usize) -> (Vec<FrameId>, Vec<FrameId>) {
         let (slot, batch) = (self.place.slot, self.batch());
         if self.is_refinement() {
@@ -479,7 +479,7 @@ impl Schedule<'_> {
         (vec![self.ids[slot]; own], replayed)
     }
 
-    /// Tells progress and observer of the last batch.
+    /// Reports the last batch to progress and observer.
     fn report_batch(&mut self) {
         let (slot, frames, step) = (self.place.slot, self.trained.len(), self.place.step);
         let Some(&sample) = self.place.losses.last() else { return };
@@ -517,39 +517,39 @@ impl Schedule<'_> {
         self.progress.status(&Status { done, message: &message, seconds_left, values: &values });
     }
 
-    /// Renders the slot that is done, after the refinement its last frame, to be told of before anything changes.
-    fn show_slot(&mut self) {
+    /// Renders the finished slot (after the refinement its last frame) for its report, before anything changes.
+    fn render_slot(&mut self) {
         let (slot, frames) = (self.place.slot, self.trained.len());
         let frame = &self.sequence.frames[self.trained[slot.min(frames - 1)]];
         let began = Instant::now();
         let rendered = self.trainer.render(&frame.camera);
         self.pace.rendered(began.elapsed().as_secs_f64());
         self.stages.add("rendering", began);
-        self.untold = Some(Untold { slot, step: self.place.total_steps, frame, rendered });
+        self.unreported = Some(UnreportedSlot { slot, step: self.place.total_steps, frame, rendered });
     }
 
-    /// Tells of the slot that is done, if nobody was told yet.
-    fn tell_slot(&mut self) {
-        let Some(untold) = self.untold.take() else { return };
+    /// Reports the finished slot, once.
+    fn report_slot(&mut self) {
+        let Some(unreported) = self.unreported.take() else { return };
         let began = Instant::now();
-        let score = untold.score();
+        let score = unreported.score();
         self.stages.add("scoring", began);
-        self.tell(untold, score);
+        self.tell(unreported, score);
     }
 
-    fn tell(&mut self, untold: Untold<'_>, score: ViewScore) {
+    fn tell(&mut self, unreported: UnreportedSlot<'_>, score: ViewScore) {
         self.last_psnr_db = Some(score.psnr_db);
         let trainer = &*self.trainer;
         self.observer.slot(&SlotDone {
-            slot: untold.slot,
+            slot: unreported.slot,
             frames: self.trained.len(),
-            step: untold.step,
-            frame: untold.frame,
-            rendered: &untold.rendered,
+            step: unreported.step,
+            frame: unreported.frame,
+            rendered: &unreported.rendered,
             score,
             model: &|| trainer.model(),
         });
-        self.trainer.recycle(untold.rendered);
+        self.trainer.recycle(unreported.rendered);
     }
 
     /// Measures the result and writes it.
@@ -596,7 +596,7 @@ impl Schedule<'_> {
         let classes = self.labels.class_count();
         let mut confusion = Confusion::new(classes);
         let mut views = Vec::with_capacity(indices.len());
-        // As many views wait to be scored at once as there are threads.
+        // Scores one view per thread at a time.
         for part in indices.chunks(rayon::current_num_threads().clamp(1, VIEWS_AT_ONCE)) {
             let began = Instant::now();
             let mut shown = Vec::with_capacity(part.len());

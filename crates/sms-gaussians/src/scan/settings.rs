@@ -1,12 +1,12 @@
-//! The hash of everything that a scan's result depends on. It takes as long as a hundred steps on a GPU, so it is made
-//! while the first frame is trained.
+//! The hash of all inputs of a scan. It takes as long as a hundred steps on a GPU, so it is computed while the
+//! first frame is trained.
 
 use super::config::ScanConfig;
 use sms_core::{Hash, Hasher, Labels, Seed};
 use sms_frames::Sequence;
 use std::thread::ScopedJoinHandle;
 
-/// Hash of everything that the result depends on.
+/// Returns the hash of all inputs of the result.
 pub(crate) fn settings_hash(
     sequence: &Sequence,
     labels: &Labels,
@@ -14,7 +14,7 @@ pub(crate) fn settings_hash(
     seed: Seed,
     background: [f32; 3],
 ) -> Hash {
-    // How often checkpoints are written changes nothing.
+    // The interval of checkpoints does not affect the result.
     let config = ScanConfig { checkpoint_seconds: 0.0, ..config.clone() };
     let mut hasher = Hasher::new();
     hasher.text(&sms_core::hash_serializable(&(config, seed, labels.class_count(), background)).0);
@@ -36,14 +36,14 @@ fn bytes_of<T: Copy, const N: usize>(values: &[T], bytes: impl Fn(T) -> [u8; N])
     all
 }
 
-/// The hash, or the thread that makes it.
-pub(crate) enum Settings<'scope> {
+/// The hash, or the thread that computes it.
+pub(crate) enum SettingsHash<'scope> {
     Known(Hash),
     Coming(Option<ScopedJoinHandle<'scope, Hash>>),
 }
 
-impl Settings<'_> {
-    /// The hash, once it is made.
+impl SettingsHash<'_> {
+    /// Returns the hash, waiting for it if needed.
     pub(crate) fn hash(&mut self) -> Hash {
         if let Self::Coming(thread) = self
             && let Some(thread) = thread.take()
@@ -55,7 +55,7 @@ impl Settings<'_> {
         }
         match self {
             Self::Known(hash) => hash.clone(),
-            // Its thread panicked, and so did whoever asked first.
+            // Its thread panicked, and so did the first caller.
             Self::Coming(_) => Hash(String::new()),
         }
     }

@@ -1,6 +1,6 @@
-//! What earlier, interrupted attempts at the same scan leave to be said of the whole: their time and their warnings.
+//! Record of earlier, interrupted attempts at the same scan: their time and their warnings.
 //!
-//! It lies beside the checkpoint, not in it: the checkpoint has the same bytes whenever and however it was reached.
+//! It lies beside the checkpoint, not in it: the checkpoint has the same bytes however it was reached.
 
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, Warning, Warnings, atomic};
@@ -11,7 +11,7 @@ use std::time::Instant;
 const FILE: &str = "so_far.json";
 
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Record {
+struct AttemptRecord {
     seconds: f64,
     warnings: Vec<Warning>,
 }
@@ -25,17 +25,17 @@ pub(crate) struct SoFar {
 }
 
 impl SoFar {
-    /// A first attempt in `work_dir`, beginning now.
+    /// A first attempt in `work_dir`, starting now.
     pub(crate) fn new(work_dir: &Path) -> Self {
         Self { path: work_dir.join(FILE), began: Instant::now(), earlier_s: 0.0 }
     }
 
-    /// Takes over what the attempt before left; to be called when its checkpoint is continued.
+    /// Adds the record of the attempt before; called when its checkpoint is resumed.
     pub(crate) fn resume(&mut self, stage: &str, warnings: &Warnings) {
         if !self.path.exists() {
             return;
         }
-        match atomic::read_json::<Record>(&self.path) {
+        match atomic::read_json::<AttemptRecord>(&self.path) {
             Ok(record) if record.seconds.is_finite() => {
                 self.earlier_s = record.seconds.max(0.0);
                 warnings.take_over(record.warnings);
@@ -57,9 +57,12 @@ impl SoFar {
         self.earlier_s + self.began.elapsed().as_secs_f64()
     }
 
-    /// Writes it for the attempt that may follow.
+    /// Writes it for a possible next attempt.
     pub(crate) fn save(&self, warnings: &Warnings) -> Result<(), CoreError> {
-        atomic::write_json(&self.path, &Record { seconds: self.seconds(), warnings: warnings.snapshot() })
+        atomic::write_json(
+            &self.path,
+            &AttemptRecord { seconds: self.seconds(), warnings: warnings.snapshot() },
+        )
     }
 
     /// Removes the file: no attempt follows.

@@ -1,6 +1,6 @@
-//! Views of a finished model, for the report.
+//! Rendered views of a finished model, for the report.
 
-use super::seedlings_of;
+use super::ply::seedlings_of;
 use crate::parameters::{ClassifierState, Parameters};
 use crate::{CpuTrainer, GaussianModel, TrainConfig, TrainState, Trainer, TrainerError};
 use sms_core::{ColorImage, DepthImage, Image, LabelMap, Seed};
@@ -13,17 +13,17 @@ pub struct ViewRender {
     pub frame_index: usize,
     /// Colour.
     pub color: ColorImage,
-    /// Depth in metres, 0 where nothing is seen.
+    /// Depth in metres, 0 where nothing is visible.
     pub depth: DepthImage,
-    /// Most likely label; background where nothing is seen.
+    /// Most likely label; background where nothing is visible.
     pub label: LabelMap,
     /// Accumulated opacity, 0 to 1.
     pub alpha: Image<f32>,
 }
 
-/// The state of a trainer that holds `model`, with fresh moments: for [`Trainer::restore`] of a trainer with
+/// Returns the state of a trainer with `model` and fresh moments: for [`Trainer::restore`] of a trainer with
 /// `model.classifier.classes` classes (at least one).
-pub fn state_of_model(model: &GaussianModel) -> TrainState {
+pub(crate) fn state_of_model(model: &GaussianModel) -> TrainState {
     let c = &model.classifier;
     let mut parameters = Parameters::new(c.classes.max(1), Seed(0));
     if c.classes > 0 {
@@ -39,16 +39,16 @@ pub fn state_of_model(model: &GaussianModel) -> TrainState {
 /// Renders frames of `sequence` from `model` on the CPU. Indices beyond the sequence are left out.
 pub fn render_views(model: &GaussianModel, sequence: &Sequence, frames: &[usize]) -> Vec<ViewRender> {
     let mut trainer = CpuTrainer::new(&TrainConfig::default(), model.classifier.classes.max(1), Seed(0));
-    // A state made of a model is whole by construction, unless the model holds numbers that are not finite; then
-    // nothing can be shown.
+    // A state made of a model is valid by construction, unless the model contains numbers that are not finite; then
+    // nothing can be rendered.
     render_views_with(&mut trainer, model, sequence, frames).unwrap_or_default()
 }
 
-/// The same through a back end, whose own Gaussians and background are replaced by the model's.
+/// The same through a back end; its own Gaussians and background are replaced by the model's.
 ///
 /// # Errors
-/// [`TrainerError::BadState`] when the trainer has another number of classes or the model is not finite.
-pub fn render_views_with(
+/// [`TrainerError::BadState`] if the trainer has another number of classes or the model is not finite.
+fn render_views_with(
     trainer: &mut dyn Trainer,
     model: &GaussianModel,
     sequence: &Sequence,

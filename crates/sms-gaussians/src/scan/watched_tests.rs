@@ -1,4 +1,4 @@
-//! What a scan tells while it runs: progress, observers, and time and warnings over several attempts.
+//! Reports of a running scan: progress, observers, and time and warnings over several attempts.
 
 use super::fixture::{SMALL, record};
 use super::observer::{BatchDone, ScanObserver, SlotDone};
@@ -32,7 +32,7 @@ fn watched(
     )
 }
 
-/// Notes everything, and asks for as much as it can.
+/// Records everything, and requests every optional report.
 #[derive(Default)]
 struct Notes {
     batches: Vec<BatchDone>,
@@ -51,7 +51,7 @@ impl ScanObserver for Notes {
     }
 }
 
-/// Keeps every status: units done, seconds left, the named figures.
+/// Records every status: units done, seconds left, the named figures.
 #[derive(Default)]
 struct Kept(Mutex<Vec<(u64, Option<f64>, Vec<(String, f64)>)>>, Mutex<u64>);
 
@@ -79,7 +79,7 @@ fn whoever_watches_sees_every_batch_and_frame_and_changes_nothing() {
     assert_eq!(bytes(seen.path()), bytes(alone.path()));
 
     assert_eq!(notes.batches.iter().map(|b| b.sample).collect::<Vec<_>>(), result.losses);
-    // Eight frames less two held out, then the refinement, shown by the last frame.
+    // Eight frames less two held out, then the refinement, represented by the last frame.
     let slots: Vec<(usize, usize)> = notes.slots.iter().map(|s| (s.0, s.1)).collect();
     assert_eq!(slots, [(0, 0), (1, 1), (2, 2), (3, 4), (4, 5), (5, 6), (6, 6)]);
     let last = notes.slots.last().unwrap();
@@ -99,7 +99,7 @@ fn whoever_watches_sees_every_batch_and_frame_and_changes_nothing() {
     assert_eq!(statuses.last().unwrap().2.iter().find(|v| v.0 == "refining").unwrap().1, 1.0);
 }
 
-/// Asks to stop at a batch.
+/// Requests cancellation at a batch.
 struct StopAt(usize, Cancel);
 
 impl ScanObserver for StopAt {

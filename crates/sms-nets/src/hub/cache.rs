@@ -1,28 +1,28 @@
-//! The cache's layout and the environment that says where it is.
+//! Layout of the cache, and its location from the environment.
 
-use super::Model;
-use super::download::{Client, checksum_of};
+use super::HubModel;
+use super::download::{HubClient, checksum_of};
 use crate::NetsError;
 use sms_core::{Cancel, CoreError, InputError, Progress};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Where the hub and its cache are.
+/// Location of the hub and its cache.
 #[derive(Clone)]
 pub struct HubConfig {
     /// Address of the hub (`HF_ENDPOINT`).
     pub endpoint: String,
     /// The cache (`HF_HUB_CACHE`, or `hub` in `HF_HOME`).
     pub cache: PathBuf,
-    /// Token for repositories that ask for one (`HF_TOKEN`, or the file `token` in `HF_HOME`). Never shown.
+    /// Token for repositories that require one (`HF_TOKEN`, or the file `token` in `HF_HOME`). Never shown.
     pub token: Option<String>,
-    /// Whether the network must not be asked (`HF_HUB_OFFLINE`).
+    /// Whether network access is forbidden (`HF_HUB_OFFLINE`).
     pub is_offline: bool,
-    /// Branch, tag or commit, in place of each model's own ([`Model::revision`]).
+    /// Branch, tag or commit, instead of each model's own ([`HubModel::revision`]).
     pub revision: Option<String>,
-    /// How often a download is begun again.
+    /// Greatest number of attempts of a download.
     pub attempts: usize,
-    /// Pause before the second attempt, doubled each time; what the server asks for goes before.
+    /// Pause before the second attempt, doubled each time; a pause requested by the server takes precedence.
     pub pause: Duration,
 }
 
@@ -48,12 +48,12 @@ pub struct CachedModel {
 }
 
 impl HubConfig {
-    /// What the environment says, as the hub's own library reads it.
+    /// Reads the environment as the hub's own library does.
     pub fn from_environment() -> Self {
         Self::from_variables(|name| std::env::var(name).ok())
     }
 
-    /// What these variables say.
+    /// Reads the settings from these variables.
     pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Self {
         let set = |name: &str| variable(name).map(|v| v.trim().to_owned()).filter(|v| !v.is_empty());
         let user = || set("HOME").or_else(|| set("USERPROFILE")).unwrap_or_else(|| ".".into());
@@ -75,18 +75,18 @@ impl HubConfig {
         }
     }
 
-    /// Branch, tag or commit of a model.
-    pub(crate) fn revision<'a>(&'a self, model: &'a Model) -> &'a str {
+    /// Returns the branch, tag or commit of a model.
+    pub(crate) fn revision<'a>(&'a self, model: &'a HubModel) -> &'a str {
         self.revision.as_deref().unwrap_or(model.revision)
     }
 
-    /// A model's folder in the cache.
-    pub(crate) fn repository(&self, model: &Model) -> PathBuf {
+    /// Returns a model's folder in the cache.
+    pub(crate) fn repository(&self, model: &HubModel) -> PathBuf {
         self.cache.join(format!("models--{}", model.repository.replace('/', "--")))
     }
 
-    /// The model, if all of its files are in the cache.
-    pub fn cached(&self, model: &Model) -> Option<CachedModel> {
+    /// Returns the model if all of its files are in the cache.
+    pub fn cached(&self, model: &HubModel) -> Option<CachedModel> {
         let repository = self.repository(model);
         let revision = self.revision(model);
         let commit = if is_commit(revision) {
@@ -99,14 +99,14 @@ impl HubConfig {
         is_whole.then_some(CachedModel { commit, folder })
     }
 
-    /// The folder with the model's files, fetched where the cache does not have them.
+    /// Returns the folder with the model's files, and downloads those that are not in the cache.
     ///
     /// # Errors
-    /// [`NetsError::Input`] saying what went wrong, what to fetch and where to put it; [`NetsError::Core`] for files and
+    /// [`NetsError::Input`] with the reason, the files to fetch and their place; [`NetsError::Core`] for files and
     /// interruption.
     pub fn fetch(
         &self,
-        model: &Model,
+        model: &HubModel,
         progress: &dyn Progress,
         cancel: &Cancel,
     ) -> Result<PathBuf, NetsError> {
@@ -118,7 +118,7 @@ impl HubConfig {
                 format!("the model {} is not in the cache, and HF_HUB_OFFLINE is set", model.repository);
             return Err(InputError::new(what, self.repository(model), self.by_hand(model)).into());
         }
-        let client = Client::new(self, model);
+        let client = HubClient::new(self, model);
         let repository = self.repository(model);
         let asked = self.revision(model);
         let mut revision = asked.to_owned();
@@ -134,23 +134,23 @@ impl HubConfig {
                 return Err(InputError::new(what, &self.endpoint, cure).into());
             }
             let blob = repository.join("blobs").join(&remote.checksum);
-            // Another program, or a disk that was full, may have left something else under that name.
+            // Another program, or a full disk, may have left different content under that name.
             if !blob.is_file() || checksum_of(&blob, remote.checksum.len(), cancel)? != remote.checksum {
                 client.download(&remote, file, &blob, progress, cancel)?;
             }
-            // The files of one model are of one commit, even if somebody commits in between.
+            // All files of one model are of one commit, even if the branch moves meanwhile.
             revision.clone_from(&remote.commit);
             link(&blob, &repository.join("snapshots").join(&remote.commit).join(file))?;
         }
         if revision != asked {
-            // Last: from now on the model is in the cache.
+            // Written last: from now on the model counts as cached.
             sms_core::atomic::write_bytes(&repository.join("refs").join(asked), revision.as_bytes())?;
         }
         Ok(repository.join("snapshots").join(&revision))
     }
 
-    /// What to do where the hub cannot be used.
-    pub(crate) fn by_hand(&self, model: &Model) -> String {
+    /// Returns the instructions for fetching a model by hand.
+    pub(crate) fn by_hand(&self, model: &HubModel) -> String {
         format!(
             "fetch {} from https://huggingface.co/{} on a machine that can, put them into a folder and give it with \
              --weights DIR",
@@ -165,7 +165,7 @@ fn is_commit(revision: &str) -> bool {
     revision.len() == 40 && revision.bytes().all(|b| b.is_ascii_hexdigit())
 }
 
-/// Makes `at` name the file `blob`, which lies two folders up and in `blobs`.
+/// Makes `at` a link to the file `blob`, which lies two folders up and in `blobs`.
 fn link(blob: &Path, at: &Path) -> Result<(), CoreError> {
     if let Some(folder) = at.parent() {
         std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;
@@ -173,7 +173,7 @@ fn link(blob: &Path, at: &Path) -> Result<(), CoreError> {
     if at.is_file() {
         return Ok(());
     }
-    // A link whose file was deleted is in the way.
+    // Removes a dangling link.
     let _ = std::fs::remove_file(at);
     #[cfg(unix)]
     {
@@ -206,8 +206,9 @@ mod tests {
         assert_eq!(of(&[("HF_HOME", "/h"), ("HF_HUB_CACHE", "/c")]).cache, Path::new("/c"));
         assert_eq!(of(&[("HF_ENDPOINT", "http://mirror/")]).endpoint, "http://mirror");
         assert!(of(&[("HF_HUB_OFFLINE", "YES")]).is_offline && !of(&[("HF_HUB_OFFLINE", "0")]).is_offline);
+        let secret = "hf_secret";
         let hub = of(&[("HF_TOKEN", " hf_secret\n")]);
-        assert_eq!(hub.token.as_deref(), Some("hf_secret"));
-        assert!(!format!("{hub:?}").contains("secret"));
+        assert_eq!(hub.token.as_deref(), Some(secret));
+        assert!(!format!("{hub:?}").contains(secret));
     }
 }

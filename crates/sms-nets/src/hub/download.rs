@@ -1,6 +1,6 @@
-//! Requests to the hub: looking at a file, and fetching it piece by piece.
+//! Requests to the hub: the description of a file, and its resumable download.
 
-use super::Model;
+use super::HubModel;
 use super::cache::HubConfig;
 use crate::NetsError;
 use sha1::Sha1;
@@ -14,44 +14,44 @@ use ureq::http::Response;
 use ureq::{Agent, Body};
 
 const PIECE: usize = 1 << 16;
-/// Longest pause that a server can ask for.
+/// Longest pause honoured on a server's request.
 const LONGEST_PAUSE: Duration = Duration::from_secs(120);
-/// Longest time for what one request brings. A line that has gone silent is given up with it and gone on from; so is a slow one,
-/// which costs it nothing.
+/// Longest time of one request. A silent connection is closed after it and the download resumed; so is a slow one,
+/// which loses nothing.
 const LONGEST_BODY: Duration = Duration::from_secs(120);
 /// Redirects followed, one after the other.
 const REDIRECTS: usize = 8;
 
-/// A file as the hub describes it.
+/// The hub's description of a file.
 #[derive(Debug, Clone)]
 pub(crate) struct Remote {
-    /// The commit that the revision names.
+    /// Commit of the requested revision.
     pub(crate) commit: String,
     /// SHA-256 of a large file, or the Git object name of a small one; also its name in the cache.
     pub(crate) checksum: String,
-    /// Bytes.
+    /// Size in bytes.
     size: Option<u64>,
-    /// Where its bytes are.
+    /// Address of its content.
     url: String,
 }
 
-/// Why an attempt failed.
+/// A failed attempt.
 enum Failure {
-    /// Trying again may help, after so long where the server says.
+    /// A retry may help, after this time if the server gives one.
     Passing(String, Option<Duration>),
-    /// It will not.
+    /// A retry will not help.
     Lasting(NetsError),
 }
 
-/// Asks the hub about one model.
-pub(crate) struct Client<'a> {
+/// HubClient of the hub for one model.
+pub(crate) struct HubClient<'a> {
     hub: &'a HubConfig,
-    model: &'a Model,
+    model: &'a HubModel,
     agent: Agent,
 }
 
-impl<'a> Client<'a> {
-    pub(crate) fn new(hub: &'a HubConfig, model: &'a Model) -> Self {
+impl<'a> HubClient<'a> {
+    pub(crate) fn new(hub: &'a HubConfig, model: &'a HubModel) -> Self {
         let builder = Agent::config_builder()
             .http_status_as_error(false)
             .max_redirects(0)
@@ -65,12 +65,12 @@ impl<'a> Client<'a> {
         Self { hub, model, agent: builder.build().into() }
     }
 
-    /// Describes a file.
+    /// Fetches the description of a file.
     pub(crate) fn look(&self, revision: &str, file: &str, cancel: &Cancel) -> Result<Remote, NetsError> {
         self.repeated(file, cancel, || 0, || self.look_once(&self.address(revision, file), file))
     }
 
-    /// Where the hub describes a file.
+    /// Returns the address of a file's description.
     fn address(&self, revision: &str, file: &str) -> String {
         format!("{}/{}/resolve/{revision}/{file}", self.hub.endpoint, self.model.repository)
     }
@@ -97,23 +97,23 @@ impl<'a> Client<'a> {
             let own_size = || header("content-length").filter(|_| status < 300);
             let size = header("x-linked-size").or_else(own_size).and_then(|s| s.parse().ok());
             match (&commit, checksum, target) {
-                // The hub describes the file, and may send elsewhere for the bytes.
+                // The hub describes the file, and may redirect to its content.
                 (Some(commit), Some(checksum), target) => {
                     return Ok(Remote { commit: commit.clone(), checksum, size, url: target.unwrap_or(at) });
                 }
-                // It sends elsewhere for the description too.
+                // The hub redirects to the description, too.
                 (_, _, Some(target)) => at = target,
                 _ => {
-                    let what = format!("what answers at {at} is no Hugging Face hub");
+                    let what = format!("the server at {at} is not a Hugging Face hub");
                     let cure = self.hub.by_hand(self.model);
                     return Err(Failure::Lasting(InputError::new(what, "HF_ENDPOINT", cure).into()));
                 }
             }
         }
-        Err(Failure::Passing("it sends from one address to the next without end".into(), None))
+        Err(Failure::Passing("too many redirections".into(), None))
     }
 
-    /// Fetches a file into the cache; what was fetched before a break is kept and gone on from.
+    /// Downloads a file into the cache, resuming after interruptions.
     pub(crate) fn download(
         &self,
         remote: &Remote,
@@ -135,8 +135,8 @@ impl<'a> Client<'a> {
         let found = checksum_of(&partial, remote.checksum.len(), cancel)?;
         if found != remote.checksum {
             std::fs::remove_file(&partial).map_err(CoreError::write(&partial))?;
-            let what = format!("{file} of {} came with the wrong checksum", self.model.repository);
-            let cure = "run the same command again; if it happens again, a proxy or mirror changes the file";
+            let what = format!("{file} of {} has the wrong checksum", self.model.repository);
+            let cure = "run the same command again; if it fails again, a proxy or mirror changes the file";
             return Err(InputError::new(what, &remote.url, cure)
                 .because(format!("{found} instead of {}", remote.checksum))
                 .into());
@@ -171,17 +171,17 @@ impl<'a> Client<'a> {
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
         if matches!(response.status().as_u16(), 401 | 403) && !same_host(&at, &self.hub.endpoint) {
-            // The hub's addresses for bytes are signed for a while only.
+            // The hub's addresses of content are signed and expire.
             at = self.look_once(&self.address(&remote.commit, file), file)?.url;
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
         let status = response.status().as_u16();
         let retry = response.headers().get("retry-after").and_then(|v| v.to_str().ok()).map(str::to_owned);
         match status {
-            // A server that cannot go on in the middle begins again.
+            // The server does not support ranges: start again.
             200 => have = 0,
             206 => {}
-            // The rest does not exist: what is here is of another file.
+            // The range does not exist: the partial file belongs to another version.
             416 => {
                 let _ = std::fs::remove_file(partial);
                 return Err(Failure::Passing("the file has changed".into(), None));
@@ -214,11 +214,11 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// One request; redirects are not followed.
+    /// Sends one request; redirects are not followed.
     fn ask(&self, url: &str, head: bool, from: Option<u64>) -> Result<Response<Body>, Failure> {
         let mut request = if head { self.agent.head(url) } else { self.agent.get(url) };
         request = request.header("Accept-Encoding", "identity");
-        // The token is the hub's: it is not sent where the hub sends us.
+        // The token is for the hub only: it is not sent to redirection targets.
         if let Some(token) = self.hub.token.as_ref().filter(|_| same_host(url, &self.hub.endpoint)) {
             request = request.header("Authorization", format!("Bearer {token}"));
         }
@@ -235,9 +235,7 @@ impl<'a> Client<'a> {
         };
         match status {
             401 | 403 => input(
-                format!(
-                    "the hub does not give {file} of {repository} without a valid token (status {status})"
-                ),
+                format!("the hub requires a valid token for {file} of {repository} (status {status})"),
                 format!(
                     "accept the model's terms at https://huggingface.co/{repository} and set HF_TOKEN; or {}",
                     self.hub.by_hand(self.model)
@@ -260,8 +258,8 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// Tries until it works, a lasting failure comes, or the attempts are used up; those that brought bytes (`have` says how many are
-    /// there) do not count.
+    /// Repeats an attempt until it succeeds, a permanent failure occurs, or no attempts are left. Attempts that
+    /// made progress (`have` returns the number of bytes so far) do not count.
     fn repeated<T>(
         &self,
         file: &str,
@@ -284,7 +282,7 @@ impl<'a> Client<'a> {
                 (number, pause) = (0, self.hub.pause);
             }
             if number >= self.hub.attempts.max(1) {
-                let what = format!("{file} of {} could not be fetched", self.model.repository);
+                let what = format!("{file} of {} could not be downloaded", self.model.repository);
                 let cure = format!("try again later; or {}", self.hub.by_hand(self.model));
                 return Err(InputError::new(what, &self.hub.endpoint, cure).because(why).into());
             }
@@ -300,12 +298,12 @@ impl<'a> Client<'a> {
     }
 }
 
-/// Bytes of a file; 0 where there is none.
+/// Returns the size of a file; 0 if it does not exist.
 fn length(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |m| m.len())
 }
 
-/// SHA-256 where the checksum has 64 digits, else the name that Git gives the file's content.
+/// Returns the SHA-256 if the checksum has 64 digits, else the Git object name of the file's content.
 pub(crate) fn checksum_of(path: &Path, digits: usize, cancel: &Cancel) -> Result<String, NetsError> {
     let mut file = File::open(path).map_err(CoreError::read(path))?;
     let length = file.metadata().map_err(CoreError::read(path))?.len();
@@ -325,7 +323,7 @@ pub(crate) fn checksum_of(path: &Path, digits: usize, cancel: &Cancel) -> Result
     Ok(if digits == 64 { hex(&sha256.finalize()) } else { hex(&sha1.finalize()) })
 }
 
-/// Scheme and host of an address.
+/// Returns scheme and host of an address.
 fn host(url: &str) -> &str {
     let after = url.find("://").map_or(0, |i| i + 3);
     &url[..url[after..].find('/').map_or(url.len(), |i| after + i)]
@@ -335,7 +333,7 @@ fn same_host(a: &str, b: &str) -> bool {
     host(a).eq_ignore_ascii_case(host(b))
 }
 
-/// `location` as seen from `base`.
+/// Resolves `location` relative to `base`.
 fn absolute(base: &str, location: &str) -> String {
     if location.contains("://") {
         location.to_owned()
@@ -370,7 +368,7 @@ mod tests {
         assert_eq!(absolute("https://a.b/c/d", "x"), "https://a.b/c/x");
         assert_eq!(absolute("https://a.b/c", "https://e/f"), "https://e/f");
         assert!(same_host("http://A.b:1/x", "http://a.b:1") && !same_host("http://a.b:1/x", "http://a.b:2"));
-        // Neither does a name that only begins like the hub's get the token.
+        // A host that only starts like the hub's gets no token either.
         assert!(!same_host("https://huggingface.co.evil/x", "https://huggingface.co"));
     }
 }

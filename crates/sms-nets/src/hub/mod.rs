@@ -1,8 +1,8 @@
 //! Weights from the Hugging Face hub, in its standard cache.
 //!
-//! The cache is shared with every other program that uses the hub: `models--ORG--NAME/snapshots/COMMIT/FILE` are links to
-//! `blobs/CHECKSUM`, and `refs/REVISION` names the commit that a branch had when it was last asked for. What is there is
-//! taken without asking the network. A commit of every model is pinned.
+//! The cache is shared with every other program that uses the hub: `models--ORG--NAME/snapshots/COMMIT/FILE` are
+//! links to `blobs/CHECKSUM`, and `refs/REVISION` contains the commit of a branch at its last download. Cached
+//! files are used without network access. Every model is pinned to a commit.
 
 mod cache;
 mod download;
@@ -13,68 +13,68 @@ use crate::{ModelFolders, NetsError};
 use sms_core::{Cancel, InputError, Progress};
 use std::path::{Path, PathBuf};
 
-/// A model that can be fetched.
+/// A downloadable model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Model {
+pub struct HubModel {
     /// Name on the command line.
     pub name: &'static str,
     /// Repository on the hub.
     pub repository: &'static str,
-    /// The commit that is fetched.
+    /// Pinned commit.
     pub revision: &'static str,
-    /// What it is for.
+    /// Its purpose.
     pub about: &'static str,
-    /// Files that are needed.
+    /// Required files.
     pub files: &'static [&'static str],
 }
 
 const DETECTOR_FILES: &[&str] = &["config.json", "vocab.json", "merges.txt", "model.safetensors"];
 const TRACKER_FILES: &[&str] = &["config.json", "model.safetensors"];
 
-/// The models known by name, the default detector and the default tracker first.
-pub const MODELS: [Model; 5] = [
-    Model {
+/// The known models, the default detector and the default tracker first.
+pub const MODELS: [HubModel; 5] = [
+    HubModel {
         name: "owlv2",
         repository: "google/owlv2-base-patch16-ensemble",
         revision: "cfd3195ba4ea9592eec887ded089f4c08eff231d",
-        about: "finds what text names (620 MB)",
+        about: "detection of objects named by text (620 MB)",
         files: DETECTOR_FILES,
     },
-    Model {
+    HubModel {
         name: "sam2-tiny",
         repository: "facebook/sam2.1-hiera-tiny",
         revision: "de431c4043854a71d8101e17995dfe596bf101a5",
         about: "masks and tracking, the fastest (156 MB)",
         files: TRACKER_FILES,
     },
-    Model {
+    HubModel {
         name: "sam2-small",
         repository: "facebook/sam2.1-hiera-small",
         revision: "ee5bba1d82bb8749febdf90f45e84b687142ba03",
         about: "masks and tracking (184 MB)",
         files: TRACKER_FILES,
     },
-    Model {
+    HubModel {
         name: "sam2-base-plus",
         repository: "facebook/sam2.1-hiera-base-plus",
         revision: "b7320756a13354e7530a63935656d35b2f91a290",
         about: "masks and tracking (323 MB)",
         files: TRACKER_FILES,
     },
-    Model {
+    HubModel {
         name: "sam2-large",
         repository: "facebook/sam2.1-hiera-large",
         revision: "665f8e2ad61cf5f53d65644ff27c8ee525124610",
-        about: "masks and tracking, the most exact (898 MB)",
+        about: "masks and tracking, the most accurate (898 MB)",
         files: TRACKER_FILES,
     },
 ];
 
-/// The model of that name or repository.
+/// Returns the model of that name or repository.
 ///
 /// # Errors
-/// [`NetsError::Input`] listing the names there are.
-pub fn model(name: &str) -> Result<Model, NetsError> {
+/// [`NetsError::Input`] with the list of known names.
+pub fn model(name: &str) -> Result<HubModel, NetsError> {
     let found = MODELS.iter().find(|m| m.name == name || m.repository == name);
     let names: Vec<&str> = MODELS.iter().map(|m| m.name).collect();
     found.copied().ok_or_else(|| {
@@ -83,13 +83,12 @@ pub fn model(name: &str) -> Result<Model, NetsError> {
     })
 }
 
-impl Model {
-    /// The folder with the model's files: in `weights`, where that is given (itself, or its subfolder of the model's or
-    /// the repository's name), else in the cache, fetched where it is not there yet.
+impl HubModel {
+    /// Returns the folder with the model's files: in `weights`, if given (itself, or its subfolder with the model's
+    /// or the repository's name), else in the cache, downloaded if missing.
     ///
     /// # Errors
-    /// [`NetsError::Input`] saying what is missing, what to fetch and where to put it; [`NetsError::Core`] for files and
-    /// interruption.
+    /// [`NetsError::Input`] with the missing files and their place; [`NetsError::Core`] for files and interruption.
     pub fn folder(
         &self,
         weights: Option<&Path>,
@@ -103,7 +102,7 @@ impl Model {
         }
     }
 
-    /// The model's folder in a local copy.
+    /// Returns the model's folder in a local copy.
     fn local(&self, weights: &Path) -> Result<PathBuf, NetsError> {
         let last = self.repository.rsplit('/').next().unwrap_or(self.name);
         let candidates =
@@ -122,13 +121,13 @@ impl Model {
     }
 }
 
-/// The folders of a detector, unless it is not needed, and of a tracker.
+/// Returns the folders of a tracker and, if needed, a detector.
 ///
 /// # Errors
-/// As [`Model::folder`].
+/// As [`HubModel::folder`].
 pub fn model_folders(
-    detector: Option<Model>,
-    tracker: Model,
+    detector: Option<HubModel>,
+    tracker: HubModel,
     weights: Option<&Path>,
     hub: &HubConfig,
     progress: &dyn Progress,

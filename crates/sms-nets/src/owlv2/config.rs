@@ -1,22 +1,22 @@
-//! `config.json` of an OWLv2 model; what it leaves out has the values of the library that wrote it.
+//! `config.json` of an OWLv2 model. Missing fields have the defaults of the library that wrote it.
 
 use serde::Deserialize;
 
-/// An OWLv2 model's sizes.
+/// Sizes of an OWLv2 model.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct Owlv2Config {
-    /// Which architecture; `owlv2`.
+    /// Architecture; `owlv2`.
     pub model_type: String,
     /// The text tower.
     pub text_config: TextConfig,
     /// The image tower.
     pub vision_config: VisionConfig,
-    /// Length of the embeddings that both towers share.
+    /// Length of the embeddings shared by both towers.
     pub projection_dim: usize,
 }
 
-/// The text tower's sizes.
+/// Sizes of the text tower.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct TextConfig {
@@ -26,17 +26,17 @@ pub struct TextConfig {
     pub hidden_size: usize,
     /// Channels between a block's two fully connected layers.
     pub intermediate_size: usize,
-    /// Blocks.
+    /// Number of blocks.
     pub num_hidden_layers: usize,
-    /// Attention heads.
+    /// Number of attention heads.
     pub num_attention_heads: usize,
-    /// Tokens of a query, padding included.
+    /// Number of tokens of a query, padding included.
     pub max_position_embeddings: usize,
     /// Added to the variance in layer normalisations.
     pub layer_norm_eps: f64,
 }
 
-/// The image tower's sizes.
+/// Sizes of the image tower.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct VisionConfig {
@@ -44,11 +44,11 @@ pub struct VisionConfig {
     pub hidden_size: usize,
     /// Channels between a block's two fully connected layers.
     pub intermediate_size: usize,
-    /// Blocks.
+    /// Number of blocks.
     pub num_hidden_layers: usize,
-    /// Attention heads.
+    /// Number of attention heads.
     pub num_attention_heads: usize,
-    /// Side of the square that the image is resized to, in pixels.
+    /// Side of the resized square image, in pixels.
     pub image_size: usize,
     /// Side of a patch, in pixels.
     pub patch_size: usize,
@@ -57,17 +57,17 @@ pub struct VisionConfig {
 }
 
 impl VisionConfig {
-    /// Patches along a side of the image.
+    /// Returns the number of patches along a side of the image.
     pub fn grid(&self) -> usize {
         self.image_size / self.patch_size.max(1)
     }
 }
 
-/// No published model has a size beyond this.
+/// Greatest plausible size; published models are below it.
 const LARGEST: usize = 1 << 16;
 
 impl Owlv2Config {
-    /// The first value with which no network can be built; `None` where all can be used. Sizes that do not fit the weights are told
+    /// Returns the first value that no network can have, or `None`. Sizes that contradict the weights are found
     /// when those are read.
     pub fn fault(&self) -> Option<String> {
         let (text, vision) = (&self.text_config, &self.vision_config);
@@ -88,7 +88,7 @@ impl Owlv2Config {
             ("vision_config.patch_size", vision.patch_size, 1, 8192),
         ] {
             if !(least..=most).contains(&value) {
-                return Some(format!("{name} is {value}: {least} to {most} are possible"));
+                return Some(format!("{name} is {value}, not in {least} to {most}"));
             }
         }
         for (tower, hidden, heads, eps) in [
@@ -97,20 +97,20 @@ impl Owlv2Config {
         ] {
             if !hidden.is_multiple_of(heads) {
                 return Some(format!(
-                    "{tower}.hidden_size is {hidden}, no multiple of {tower}.num_attention_heads, {heads}"
+                    "{tower}.hidden_size is {hidden}, not a multiple of {tower}.num_attention_heads, {heads}"
                 ));
             }
             if !(eps > 0.0 && eps <= 1.0) {
-                return Some(format!("{tower}.layer_norm_eps is {eps}: above 0 and at most 1 are possible"));
+                return Some(format!("{tower}.layer_norm_eps is {eps}, not in (0, 1]"));
             }
         }
         if !vision.image_size.is_multiple_of(vision.patch_size) {
             let (image, patch) = (vision.image_size, vision.patch_size);
             return Some(format!(
-                "vision_config.image_size is {image}, no multiple of vision_config.patch_size, {patch}"
+                "vision_config.image_size is {image}, not a multiple of vision_config.patch_size, {patch}"
             ));
         }
-        // The class head's answers have the text tower's channels and are compared with queries of the shared length.
+        // The class head's output has the text tower's channels and is compared with queries of the shared length.
         if self.projection_dim != text.hidden_size {
             let (shared, hidden) = (self.projection_dim, text.hidden_size);
             return Some(format!(

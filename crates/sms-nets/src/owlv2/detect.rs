@@ -1,4 +1,4 @@
-//! From the network's numbers to boxes on the image.
+//! Conversion of the network's output to boxes on the image.
 
 use candle_core::{Result, Tensor};
 
@@ -16,12 +16,12 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
-    /// Area in pixels; 0 for a box turned inside out.
+    /// Returns the area in pixels; 0 for an inverted box.
     pub fn area(&self) -> f64 {
         (self.x1 - self.x0).max(0.0) * (self.y1 - self.y0).max(0.0)
     }
 
-    /// The part that lies on an image of this size.
+    /// Returns the part on an image of this size.
     pub fn clipped(&self, width: usize, height: usize) -> Self {
         let (w, h) = (width as f64, height as f64);
         Self {
@@ -32,14 +32,14 @@ impl PixelBox {
         }
     }
 
-    /// Shared area over joint area, in 0..1.
+    /// Returns the intersection over union, in 0..1.
     pub fn overlap(&self, other: &Self) -> f64 {
         let shared = self.shared(other);
         let joint = self.area() + other.area() - shared;
         if joint > 0.0 { shared / joint } else { 0.0 }
     }
 
-    /// Area of both.
+    /// Returns the intersection's area.
     fn shared(&self, other: &Self) -> f64 {
         let w = self.x1.min(other.x1) - self.x0.max(other.x0);
         let h = self.y1.min(other.y1) - self.y0.max(other.y0);
@@ -52,24 +52,25 @@ impl PixelBox {
     }
 }
 
-/// Something found.
+/// A detected object.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
-    /// Position of the query that fits best.
+    /// Index of the query with the highest score.
     pub query: usize,
-    /// How well, in 0..1.
+    /// That score, in 0..1.
     pub score: f64,
-    /// Where.
+    /// Its box.
     pub bbox: PixelBox,
 }
 
-/// What scores above `threshold`, in the order of the patches: `logits` (1, patches, queries) and `boxes`
-/// (1, patches, 4), centre and size in parts of the padded square, on an image of `width` × `height` pixels.
+/// Returns the detections above `threshold`, in the order of the patches: `logits` (1, patches, queries) and
+/// `boxes` (1, patches, 4), centre and size relative to the padded square, on an image of `width` × `height`
+/// pixels.
 ///
 /// The image was padded to a square before it was resized, so boxes are scaled by its **longer** side.
 ///
 /// # Errors
-/// When the tensors have other shapes.
+/// If the tensors have other shapes.
 pub fn detections(
     logits: &Tensor,
     boxes: &Tensor,
@@ -97,8 +98,8 @@ pub fn detections(
     Ok(found)
 }
 
-/// Non-maximum suppression across all queries: the best first, without what overlaps a better one by more than
-/// `max_overlap`. The network has none of its own, and one thing answers to several queries and from several patches.
+/// Non-maximum suppression across all queries: returns the best first, without those that overlap a better one by
+/// more than `max_overlap`. The network itself has none, and an object is found by several queries and patches.
 pub fn suppressed(mut found: Vec<Detection>, max_overlap: f64) -> Vec<Detection> {
     found.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut kept: Vec<Detection> = Vec::new();

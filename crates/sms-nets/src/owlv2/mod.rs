@@ -1,4 +1,4 @@
-//! OWLv2: boxes round what text queries name.
+//! OWLv2: boxes around objects named by text queries.
 
 mod config;
 mod detect;

@@ -2,14 +2,14 @@
 
 use super::{Owlv2Config, Tokens};
 use crate::kernels::Activation;
-use crate::ops::{Linear, Seams, attention, masked_attention, mlp, normalized};
+use crate::ops::{Linear, TensorObserver, attention, masked_attention, mlp, normalized};
 use crate::{NetsError, Weights};
 use candle_core::{D, Device, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
 
 /// A block of either tower.
 #[derive(Debug)]
-struct Block {
+struct TowerBlock {
     query: Linear,
     key: Linear,
     value: Linear,
@@ -21,7 +21,7 @@ struct Block {
     heads: usize,
 }
 
-impl Block {
+impl TowerBlock {
     fn new(
         at: &Weights,
         size: usize,
@@ -58,14 +58,14 @@ impl Block {
     }
 }
 
-/// What the heads say of each patch.
+/// Output of the heads for each patch.
 #[derive(Debug, Clone)]
 pub struct Owlv2Heads {
-    /// How well each query fits, (1, patches, queries).
+    /// Score of each query, (1, patches, queries).
     pub logits: Tensor,
     /// Centre and size of the box in 0..1 of the padded square, (1, patches, 4).
     pub boxes: Tensor,
-    /// Whether there is an object at all, (1, patches).
+    /// Whether the patch belongs to an object, (1, patches).
     pub objectness: Tensor,
     /// Class embeddings, (1, patches, c).
     pub class_embeds: Tensor,
@@ -77,14 +77,14 @@ pub struct Owlv2 {
     config: Owlv2Config,
     token_embedding: Tensor,
     text_positions: Tensor,
-    text_blocks: Vec<Block>,
+    text_blocks: Vec<TowerBlock>,
     text_norm: LayerNorm,
     text_projection: Linear,
     class_token: Tensor,
     patch_weight: Tensor,
     image_positions: Tensor,
     pre_norm: LayerNorm,
-    image_blocks: Vec<Block>,
+    image_blocks: Vec<TowerBlock>,
     post_norm: LayerNorm,
     image_projection: Linear,
     merge_norm: LayerNorm,
@@ -97,10 +97,10 @@ pub struct Owlv2 {
 }
 
 impl Owlv2 {
-    /// The model of `config` with these weights.
+    /// Builds the model of `config` with these weights.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when the weights are another model's.
+    /// [`NetsError::Input`] if the weights belong to another model.
     pub fn new(config: &Owlv2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
         let (t, v) = (&config.text_config, &config.vision_config);
         let owl = weights.at("owlv2");
@@ -108,11 +108,11 @@ impl Owlv2 {
         let grid = v.grid();
         let text_blocks = (0..t.num_hidden_layers).map(|i| {
             let at = text.at("encoder.layers").at(i);
-            Block::new(&at, t.hidden_size, t.intermediate_size, t.num_attention_heads, t.layer_norm_eps)
+            TowerBlock::new(&at, t.hidden_size, t.intermediate_size, t.num_attention_heads, t.layer_norm_eps)
         });
         let image_blocks = (0..v.num_hidden_layers).map(|i| {
             let at = vision.at("encoder.layers").at(i);
-            Block::new(&at, v.hidden_size, v.intermediate_size, v.num_attention_heads, v.layer_norm_eps)
+            TowerBlock::new(&at, v.hidden_size, v.intermediate_size, v.num_attention_heads, v.layer_norm_eps)
         });
         let head = |name: &str, outputs: usize| {
             let at = weights.at(name);
@@ -122,7 +122,7 @@ impl Owlv2 {
                 at.linear("dense2", v.hidden_size, outputs)?,
             ])
         };
-        // The contrastive temperature scales nothing in detection; asked for so that a file without it is noticed.
+        // Detection does not use the contrastive temperature; reading it detects files without it.
         owl.tensor("logit_scale", &[])?;
         let patch = [v.hidden_size, 3, v.patch_size, v.patch_size];
         Ok(Self {
@@ -160,24 +160,24 @@ impl Owlv2 {
         })
     }
 
-    /// The model's sizes.
+    /// Returns the model's sizes.
     pub fn config(&self) -> &Owlv2Config {
         &self.config
     }
 
-    /// Embeddings of queries, (queries, c), of unit length.
+    /// Returns embeddings of queries, (queries, c), of unit length.
     ///
     /// # Errors
-    /// When the device fails, or tokens are not of the model's vocabulary.
-    pub fn text(&self, queries: &[Tokens], seams: &mut Seams<'_>) -> Result<Tensor> {
+    /// If the device fails, or tokens are outside the model's vocabulary.
+    pub fn text(&self, queries: &[Tokens], observer: &mut TensorObserver<'_>) -> Result<Tensor> {
         let device = self.token_embedding.device();
         let (count, length) = (queries.len(), self.config.text_config.max_position_embeddings);
         let ids: Vec<u32> = queries.iter().flat_map(|q| q.ids.iter().copied()).collect();
         let ids = Tensor::from_vec(ids, count * length, device)?;
         let embedded = self.token_embedding.index_select(&ids, 0)?.reshape((count, length, ()))?;
         let mut x = embedded.broadcast_add(&self.text_positions)?;
-        seams.show("text.embeddings", || Ok(x.clone()))?;
-        // A token sees itself and what comes before it, padding excepted.
+        observer.show("text.embeddings", || Ok(x.clone()))?;
+        // A token attends to itself and the tokens before it, except padding.
         let mut mask = Vec::with_capacity(count * length * length);
         for query in queries {
             for i in 0..length {
@@ -187,30 +187,30 @@ impl Owlv2 {
         let mask = Tensor::from_vec(mask, (count, length, length), device)?;
         for (i, block) in self.text_blocks.iter().enumerate() {
             x = block.forward(&x, Some(&mask))?;
-            seams.show(&format!("text.layer{i}"), || Ok(x.clone()))?;
+            observer.show(&format!("text.layer{i}"), || Ok(x.clone()))?;
         }
         let x = self.text_norm.forward(&x)?;
-        seams.show("text.last_hidden_state", || Ok(x.clone()))?;
+        observer.show("text.last_hidden_state", || Ok(x.clone()))?;
         // CLIP pools at the largest token id: the end of the text.
         let pooled = queries.iter().enumerate().map(|(i, query)| {
             let end = (0..length).rev().max_by_key(|&j| query.ids[j]).unwrap_or(0);
             x.get(i)?.get(end)
         });
         let pooled = Tensor::stack(&pooled.collect::<Result<Vec<_>>>()?, 0)?;
-        seams.show("text.pooled", || Ok(pooled.clone()))?;
+        observer.show("text.pooled", || Ok(pooled.clone()))?;
         let embeds = normalized(&self.text_projection.forward(&pooled)?, 0.0)?;
-        seams.show("text.embeds_normalized", || Ok(embeds.clone()))?;
+        observer.show("text.embeds_normalized", || Ok(embeds.clone()))?;
         Ok(embeds)
     }
 
-    /// Features of an image's patches, (1, patches, c), from [`super::pixel_values`].
+    /// Returns features of an image's patches, (1, patches, c), from [`super::pixel_values`].
     ///
     /// # Errors
-    /// When the device fails, or the image has another size than the model takes.
-    pub fn image(&self, pixel_values: &Tensor, seams: &mut Seams<'_>) -> Result<Tensor> {
+    /// If the device fails, or the image has the wrong size.
+    pub fn image(&self, pixel_values: &Tensor, observer: &mut TensorObserver<'_>) -> Result<Tensor> {
         let v = &self.config.vision_config;
         let (grid, patch) = (v.grid(), v.patch_size);
-        // A convolution whose stride is its kernel is one product with the patches.
+        // A convolution with a stride equal to its kernel is one product with the patches.
         let patches = pixel_values
             .reshape((3, grid, patch, grid, patch))?
             .permute((1, 3, 0, 2, 4))?
@@ -218,28 +218,28 @@ impl Owlv2 {
         let patches = patches.matmul(&self.patch_weight.t()?)?;
         let x = Tensor::cat(&[&self.class_token.unsqueeze(0)?, &patches], 0)?;
         let x = (x + &self.image_positions)?.unsqueeze(0)?;
-        seams.show("vision.embeddings", || Ok(x.clone()))?;
+        observer.show("vision.embeddings", || Ok(x.clone()))?;
         let mut x = self.pre_norm.forward(&x)?;
-        seams.show("vision.pre_layernorm", || Ok(x.clone()))?;
+        observer.show("vision.pre_layernorm", || Ok(x.clone()))?;
         for (i, block) in self.image_blocks.iter().enumerate() {
             x = block.forward(&x, None)?;
-            seams.show(&format!("vision.layer{i}"), || Ok(x.clone()))?;
+            observer.show(&format!("vision.layer{i}"), || Ok(x.clone()))?;
         }
-        seams.show("vision.last_hidden_state", || Ok(x.clone()))?;
+        observer.show("vision.last_hidden_state", || Ok(x.clone()))?;
         let x = self.post_norm.forward(&x)?;
         let class = x.narrow(1, 0, 1)?;
         let embeds = self.image_projection.forward(&class.squeeze(1)?)?;
-        seams.show("vision.image_embeds_normalized", || normalized(&embeds, 0.0))?;
+        observer.show("vision.image_embeds_normalized", || normalized(&embeds, 0.0))?;
         let patches = x.narrow(1, 1, grid * grid)?.broadcast_mul(&class)?;
         let features = self.merge_norm.forward(&patches)?;
-        seams.show("vision.feature_map", || features.reshape((1, grid, grid, ())))?;
+        observer.show("vision.feature_map", || features.reshape((1, grid, grid, ())))?;
         Ok(features)
     }
 
-    /// The heads' answers for patches of [`Owlv2::image`] and queries of [`Owlv2::text`].
+    /// Returns the heads' output for patches of [`Owlv2::image`] and queries of [`Owlv2::text`].
     ///
     /// # Errors
-    /// When the device fails.
+    /// If the device fails.
     pub fn heads(&self, features: &Tensor, queries: &Tensor) -> Result<Owlv2Heads> {
         let dense = self.class_dense.forward(features)?;
         let class_embeds = normalized(&dense, 1e-6)?;
@@ -252,7 +252,7 @@ impl Owlv2 {
         Ok(Owlv2Heads { logits, boxes: candle_nn::ops::sigmoid(&boxes)?, objectness, class_embeds })
     }
 
-    /// What is added to the box head's output: each patch starts from its own place and size, (patches, 4).
+    /// Returns the offset of the box head's output, the place and size of each patch, (patches, 4).
     pub fn box_bias(&self) -> &Tensor {
         &self.box_bias
     }

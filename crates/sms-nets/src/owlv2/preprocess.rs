@@ -1,4 +1,4 @@
-//! Images as OWLv2 takes them.
+//! Preprocessing of images for OWLv2.
 
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
@@ -9,15 +9,15 @@ const MEAN: [f64; 3] = [0.48145466, 0.4578275, 0.40821073];
 /// CLIP's standard deviations.
 const DEVIATION: [f64; 3] = [0.26862954, 0.26130258, 0.27577711];
 
-/// The image padded with black at the bottom and right to a square, blurred where it is made smaller, resized
-/// bilinearly to `side` pixels and normalised: (1, 3, `side`, `side`).
+/// Returns the image padded with black at the bottom and right to a square, blurred before reduction, resized
+/// bilinearly to `side` pixels and normalized: (1, 3, `side`, `side`).
 ///
-/// As the official OWLv2 code and scikit-image's `resize` do: the blur is a Gaussian of (factor − 1) / 2 pixels, cut off
-/// at 4 of them, borders are mirrored at the outermost pixels' centres, and the result is clipped to the input's range.
-/// Older versions of the transformers library padded with grey.
+/// As the official OWLv2 code and scikit-image's `resize` do: the blur is a Gaussian of (factor − 1) / 2 pixels,
+/// cut off at 4 of them, borders are mirrored at the outermost pixels' centres, and the result is clipped to the
+/// input's range. Older versions of the transformers library padded with grey.
 ///
 /// # Errors
-/// When the device has no memory for it.
+/// If the device has too little memory.
 pub fn pixel_values(image: &ColorImage, side: usize, device: &Device) -> Result<Tensor> {
     let size = image.width.max(image.height).max(1);
     let factor = size as f64 / side as f64;
@@ -33,7 +33,7 @@ pub fn pixel_values(image: &ColorImage, side: usize, device: &Device) -> Result<
             }
             let low = plane.iter().copied().fold(f64::INFINITY, f64::min);
             let high = plane.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            // The square is transposed by each pass, so that two of them restore it.
+            // Each pass transposes the square, so that two restore it.
             let once = transposed_pass(&plane, size, size, side, &blur);
             let twice = transposed_pass(&once, size, side, side, &blur);
             let normal = |v: f64| ((v.clamp(low, high) - MEAN[channel]) / DEVIATION[channel]) as f32;
@@ -43,7 +43,7 @@ pub fn pixel_values(image: &ColorImage, side: usize, device: &Device) -> Result<
     Tensor::from_vec(planes.concat(), (1, 3, side, side), device)
 }
 
-/// Weights of a Gaussian blur from the middle outwards; just `[1]` for none.
+/// Returns the weights of a Gaussian blur from the middle outwards; `[1]` for none.
 fn gaussian(sigma: f64) -> Vec<f64> {
     if sigma <= 0.0 {
         return vec![1.0];
@@ -54,8 +54,8 @@ fn gaussian(sigma: f64) -> Vec<f64> {
     half.into_iter().map(|w| w / total).collect()
 }
 
-/// Blurs and resizes the rows of `plane` (`rows` rows of `width`) to `side` values each and transposes: `side` rows of
-/// `rows`.
+/// Blurs and resizes the rows of `plane` (`rows` rows of `width`) to `side` values each and transposes: `side` rows
+/// of `rows`.
 fn transposed_pass(plane: &[f64], width: usize, rows: usize, side: usize, blur: &[f64]) -> Vec<f64> {
     let mut out = vec![0.0; side * rows];
     let mut smooth = vec![0.0; width];
@@ -79,7 +79,7 @@ fn transposed_pass(plane: &[f64], width: usize, rows: usize, side: usize, blur: 
     out
 }
 
-/// Index `i` mirrored at the first and last sample into 0..`n`.
+/// Mirrors index `i` at the first and last sample into 0..`n`.
 fn mirror(i: i64, n: usize) -> usize {
     let last = n as i64 - 1;
     if last <= 0 {

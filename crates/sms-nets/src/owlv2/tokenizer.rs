@@ -13,13 +13,13 @@ use tokenizers::{AddedToken, SplitDelimiterBehavior, Tokenizer};
 
 const START: &str = "<|startoftext|>";
 const END: &str = "<|endoftext|>";
-/// OWLv2 pads with this token, whose id is 0.
+/// Padding token of OWLv2, with id 0.
 const PAD: &str = "!";
-/// What a word is (CLIP, `simple_tokenizer.py`).
+/// Regular expression of words (CLIP, `simple_tokenizer.py`).
 const WORDS: &str =
     r"<\|startoftext\|>|<\|endoftext\|>|'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
 
-/// Makes token ids of queries.
+/// Tokenizer of queries.
 #[derive(Debug)]
 pub struct ClipTokenizer {
     inner: Tokenizer,
@@ -29,12 +29,12 @@ pub struct ClipTokenizer {
     length: usize,
 }
 
-/// A query's tokens, padded to the length that the text tower takes.
+/// Tokens of a query, padded to the length of the text tower.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tokens {
     /// Token ids, with start, end and padding.
     pub ids: Vec<u32>,
-    /// How many of them are no padding.
+    /// Number of tokens without padding.
     pub used: usize,
     /// Whether the query was longer and was cut.
     pub is_cut: bool,
@@ -44,7 +44,7 @@ impl ClipTokenizer {
     /// Reads `vocab.json` and `merges.txt` of a model's folder; queries are padded and cut to `length` tokens.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when a file is missing, damaged, or of another kind of tokenizer.
+    /// [`NetsError::Input`] if a file is missing, damaged, or of another kind of tokenizer.
     pub fn open(folder: &Path, length: usize) -> Result<Self, NetsError> {
         let (vocab, merges) = (folder.join("vocab.json"), folder.join("merges.txt"));
         let bad = |error: Box<dyn std::error::Error + Send + Sync>| {
@@ -81,10 +81,10 @@ impl ClipTokenizer {
         Ok(Self { start, end, pad, length: length.max(2), inner })
     }
 
-    /// The tokens of one query.
+    /// Returns the tokens of one query.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when the text cannot be encoded.
+    /// [`NetsError::Input`] if the text cannot be encoded.
     pub fn encode(&self, text: &str) -> Result<Tokens, NetsError> {
         let encoding = self.inner.encode(text, false).map_err(|e| {
             InputError::new(format!("the words `{text}` cannot be encoded"), "--objects", "use other words")

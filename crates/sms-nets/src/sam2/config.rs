@@ -1,25 +1,25 @@
-//! `config.json` of a SAM 2.1 video model; what it leaves out has the values of the library that wrote it, which are
+//! `config.json` of a SAM 2.1 video model. Missing fields have the defaults of the library that wrote it, which are
 //! those of `sam2.1-hiera-tiny`.
 
 use serde::Deserialize;
 
-/// A SAM 2.1 model's sizes and rules.
+/// Sizes and rules of a SAM 2.1 model.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct Sam2Config {
-    /// Which architecture; `sam2_video`.
+    /// Architecture; `sam2_video`.
     pub model_type: String,
     /// The image encoder.
     pub vision_config: EncoderConfig,
     /// The mask decoder.
     pub mask_decoder_config: DecoderConfig,
-    /// Side of the square that images are resized to, in pixels.
+    /// Side of the resized square image, in pixels.
     pub image_size: usize,
-    /// Memories of frames that an object keeps, the prompted one included.
+    /// Number of memories of frames per object, the prompted one included.
     pub num_maskmem: usize,
-    /// Object pointers that an object keeps, at most.
+    /// Greatest number of object pointers per object.
     pub max_object_pointers_in_encoder: usize,
-    /// Blocks of the memory attention.
+    /// Number of blocks of the memory attention.
     pub memory_attention_num_layers: usize,
     /// Attention heads of the memory attention.
     pub memory_attention_num_attention_heads: usize,
@@ -27,23 +27,23 @@ pub struct Sam2Config {
     pub memory_attention_feed_forward_hidden_size: usize,
     /// Base of the rotary position encoding.
     pub memory_attention_rope_theta: f32,
-    /// Where newer versions of the library put the base.
+    /// The base in newer versions of the library.
     pub rope_parameters: Option<RopeParameters>,
     /// Channels of a memory.
     pub memory_encoder_output_channels: usize,
-    /// Blocks that fuse a mask with the image's features.
+    /// Number of blocks that fuse a mask with the image's features.
     pub memory_fuser_num_layers: usize,
     /// Channels between the two fully connected layers of such a block.
     pub memory_fuser_intermediate_dim: usize,
     /// Kernel of such a block's depthwise convolution.
     pub memory_fuser_kernel_size: usize,
-    /// Masks go to the memory encoder as `scale · σ(logit) + bias`.
+    /// The memory encoder takes masks as `scale · σ(logit) + bias`.
     pub sigmoid_scale_for_mem_enc: f32,
     /// See `sigmoid_scale_for_mem_enc`.
     pub sigmoid_bias_for_mem_enc: f32,
 }
 
-/// The rotary encoding, as newer versions of the library write it.
+/// The rotary encoding in newer versions of the library.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RopeParameters {
     /// The base.
@@ -58,15 +58,15 @@ pub struct EncoderConfig {
     pub backbone_config: HieraConfig,
     /// Channels of the pyramid and of everything after it.
     pub fpn_hidden_size: usize,
-    /// Levels that the next coarser one is added to.
+    /// Levels to which the next coarser one is added.
     pub fpn_top_down_levels: Vec<usize>,
 }
 
-/// Hiera (Ryali et al. 2023) as SAM 2 uses it.
+/// Hiera (Ryali et al. 2023) as used in SAM 2.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct HieraConfig {
-    /// Blocks of each stage.
+    /// Number of blocks of each stage.
     pub blocks_per_stage: Vec<usize>,
     /// Channels of each stage.
     pub embed_dim_per_stage: Vec<usize>,
@@ -74,7 +74,7 @@ pub struct HieraConfig {
     pub num_attention_heads_per_stage: Vec<usize>,
     /// Side of the attention windows of each stage, in tokens.
     pub window_size_per_stage: Vec<usize>,
-    /// Blocks that attend to the whole image.
+    /// Indices of the blocks that attend to the whole image.
     pub global_attention_blocks: Vec<usize>,
     /// Size of the stored coarse position embedding.
     pub window_positional_embedding_background_size: [usize; 2],
@@ -88,59 +88,59 @@ pub struct HieraConfig {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
 pub struct DecoderConfig {
-    /// Blocks of the two-way transformer, and fully connected layers in each.
+    /// Number of blocks of the two-way transformer, and of fully connected layers in each.
     pub num_hidden_layers: usize,
     /// Attention heads.
     pub num_attention_heads: usize,
     /// Channels between the fully connected layers.
     pub mlp_dim: usize,
-    /// By how much cross attention lessens the channels.
+    /// Reduction of the channels in cross attention.
     pub attention_downsample_rate: usize,
-    /// Masks besides the single one.
+    /// Number of masks besides the single one.
     pub num_multimask_outputs: usize,
-    /// Fully connected layers of the quality head.
+    /// Number of fully connected layers of the quality head.
     pub iou_head_depth: usize,
     /// Channels of the quality head.
     pub iou_head_hidden_dim: usize,
-    /// Logit on both sides of 0 between which a stable mask changes little.
+    /// Logits on both sides of 0 between which the stability of a mask is measured.
     pub dynamic_multimask_stability_delta: f32,
     /// Share of the mask below which it counts as unstable.
     pub dynamic_multimask_stability_thresh: f64,
 }
 
 impl Sam2Config {
-    /// Channels of the features.
+    /// Returns the number of channels of the features.
     pub fn hidden(&self) -> usize {
         self.vision_config.fpn_hidden_size
     }
 
-    /// Tokens along a side of the coarsest features used, of stride 16.
+    /// Returns the number of tokens along a side of the coarsest features used, of stride 16.
     pub fn grid(&self) -> usize {
         self.image_size / 16
     }
 
-    /// Pixels along a side of the low-resolution masks, of stride 4.
+    /// Returns the pixels along a side of the low-resolution masks, of stride 4.
     pub fn mask_side(&self) -> usize {
         self.image_size / 4
     }
 
-    /// Base of the rotary position encoding.
+    /// Returns the base of the rotary position encoding.
     pub fn rope_theta(&self) -> f32 {
         self.rope_parameters.as_ref().map_or(self.memory_attention_rope_theta, |r| r.rope_theta)
     }
 }
 
-/// No published model has a size beyond this.
+/// Greatest plausible size; published models are below it.
 const LARGEST: usize = 1 << 16;
 
 impl Sam2Config {
-    /// The first value with which no network can be built; `None` where all can be used. Sizes that do not fit the weights are told
+    /// Returns the first value that no network can have, or `None`. Sizes that contradict the weights are found
     /// when those are read.
     pub fn fault(&self) -> Option<String> {
         let hiera = &self.vision_config.backbone_config;
         let stages = hiera.embed_dim_per_stage.len();
         if stages != 4 {
-            return Some(format!("embed_dim_per_stage has {stages} stages in place of 4"));
+            return Some(format!("embed_dim_per_stage has {stages} stages instead of 4"));
         }
         for (name, list) in [
             ("blocks_per_stage", &hiera.blocks_per_stage),
@@ -178,12 +178,12 @@ impl Sam2Config {
         let uneven = |c: usize, heads: usize| !c.is_multiple_of(heads);
         let mut widths = hiera.embed_dim_per_stage.iter().zip(&hiera.num_attention_heads_per_stage);
         if let Some((c, heads)) = widths.find(|(c, heads)| uneven(**c, **heads)) {
-            return Some(format!("{c} channels do not fall into {heads} attention heads"));
+            return Some(format!("{c} channels are not divisible by {heads} attention heads"));
         }
         if uneven(self.hidden(), self.memory_encoder_output_channels) {
             let (c, memory) = (self.hidden(), self.memory_encoder_output_channels);
             return Some(format!(
-                "fpn_hidden_size is {c}, no multiple of memory_encoder_output_channels, {memory}"
+                "fpn_hidden_size is {c}, not a multiple of memory_encoder_output_channels, {memory}"
             ));
         }
         None

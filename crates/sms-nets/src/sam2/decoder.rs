@@ -62,7 +62,7 @@ impl TwoWay {
         })
     }
 
-    /// New tokens and image; `first` is the block whose tokens are still the prompt itself.
+    /// Returns new tokens and image; in the `first` block the tokens are still the prompt itself.
     fn forward(
         &self,
         tokens: &Tensor,
@@ -87,7 +87,7 @@ impl TwoWay {
     }
 }
 
-/// Fully connected layers: `depth` of them, named as in the library.
+/// Fully connected layers: `depth` of them, with the library's names.
 pub(crate) fn feed_forward(
     at: &Weights,
     inputs: usize,
@@ -122,7 +122,7 @@ impl Upscale {
         })
     }
 
-    /// Pixels (side · side, inputs) to (2 side · 2 side, outputs).
+    /// Maps pixels (side · side, inputs) to (2 side · 2 side, outputs).
     fn forward(&self, x: &Tensor, side: usize) -> Result<Tensor> {
         let four = x.matmul(&self.weight)?.reshape((side, side, 2, 2 * self.outputs))?;
         let rows = four.transpose(1, 2)?.reshape((4 * side * side, self.outputs))?;
@@ -130,16 +130,16 @@ impl Upscale {
     }
 }
 
-/// What the decoder says of one prompt.
+/// Output of the decoder for one prompt.
 #[derive(Debug, Clone)]
 pub(crate) struct Decoded {
     /// Logits of the single mask and of the three for an ambiguous prompt, (4, side · side).
     pub(crate) masks: Tensor,
-    /// The quality that each is predicted to have, in 0..1.
+    /// Predicted quality of each, in 0..1.
     pub(crate) iou: Vec<f32>,
     /// The masks' tokens, (4, c).
     pub(crate) tokens: Tensor,
-    /// Above 0 where the object is in the picture.
+    /// Above 0 if the object is in the picture.
     pub(crate) object_score: f32,
 }
 
@@ -189,8 +189,8 @@ impl MaskDecoder {
         })
     }
 
-    /// Masks for one prompt (tokens, c) on image features (side · side, c) that memories or their absence have
-    /// conditioned; `no_mask` (c) stands for the mask prompt there is none of, `places` are the positions' encodings.
+    /// Decodes masks for one prompt (tokens, c) on image features (side · side, c), conditioned on memories or
+    /// their absence; `no_mask` (c) replaces the missing mask prompt, `places` are the positions' encodings.
     pub(crate) fn forward(
         &self,
         features: &ImageFeatures,
@@ -231,9 +231,9 @@ impl MaskDecoder {
     }
 }
 
-/// The mask that counts.
+/// The selected mask.
 #[derive(Debug, Clone)]
-pub(crate) struct Chosen {
+pub(crate) struct SelectedMask {
     /// Row of [`Decoded::masks`].
     pub(crate) mask: usize,
     /// Row of [`Decoded::tokens`] that becomes the object pointer.
@@ -241,24 +241,24 @@ pub(crate) struct Chosen {
 }
 
 impl Decoded {
-    /// On a prompted frame: the single mask where it is stable, else the best of the others; the pointer is the single
-    /// mask's in both cases.
-    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<Chosen> {
+    /// Selects on a prompted frame: the single mask if it is stable, else the best of the others; the pointer is
+    /// the single mask's in both cases.
+    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<SelectedMask> {
         let logits = self.masks.get(0)?.to_vec1::<f32>()?;
         let delta = config.dynamic_multimask_stability_delta;
         let above = |limit: f32| logits.iter().filter(|&&l| l > limit).count();
         let (inner, outer) = (above(delta), above(-delta));
         let stability = if outer > 0 { inner as f64 / outer as f64 } else { 1.0 };
         let is_stable = stability >= config.dynamic_multimask_stability_thresh;
-        Ok(Chosen { mask: if is_stable { 0 } else { self.best() }, token: 0 })
+        Ok(SelectedMask { mask: if is_stable { 0 } else { self.best() }, token: 0 })
     }
 
-    /// On a tracked frame: the best of the three.
-    pub(crate) fn best_of_three(&self) -> Chosen {
-        Chosen { mask: self.best(), token: self.best() }
+    /// Selects on a tracked frame: the best of the three.
+    pub(crate) fn best_of_three(&self) -> SelectedMask {
+        SelectedMask { mask: self.best(), token: self.best() }
     }
 
-    /// The best of the masks other than the single one; the first of equals.
+    /// Returns the best of the masks other than the single one; the first of equals.
     fn best(&self) -> usize {
         (1..self.iou.len()).fold(1, |best, i| if self.iou[i] > self.iou[best] { i } else { best })
     }

@@ -4,7 +4,7 @@
 use super::config::Sam2Config;
 use super::positions::{resize_bicubic, sine_2d};
 use crate::kernels::Activation;
-use crate::ops::{Linear, Seams, attention, mlp};
+use crate::ops::{Linear, TensorObserver, attention, mlp};
 use crate::{NetsError, Weights};
 use candle_core::{D, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
@@ -13,13 +13,13 @@ type Loaded<T> = std::result::Result<T, NetsError>;
 
 /// One block of Hiera.
 #[derive(Debug)]
-struct Block {
+struct HieraBlock {
     norm1: LayerNorm,
     norm2: LayerNorm,
     qkv: Linear,
     output: Linear,
     mlp: Vec<Linear>,
-    /// Where the block changes the number of channels.
+    /// Present if the block changes the number of channels.
     projection: Option<Linear>,
     heads: usize,
     /// Side of the windows; 0 for the whole map.
@@ -28,7 +28,7 @@ struct Block {
     pools: bool,
 }
 
-impl Block {
+impl HieraBlock {
     /// `x` (1, h, w, c).
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let (_, h, w, _) = x.dims4()?;
@@ -64,7 +64,7 @@ impl Block {
     }
 }
 
-/// A map (1, h, w, c) in windows (windows, side, side, c), padded with zeros at the bottom and right.
+/// Splits a map (1, h, w, c) into windows (windows, side, side, c), padded with zeros at the bottom and right.
 fn partitioned(x: &Tensor, side: usize) -> Result<Tensor> {
     let (_, h, w, c) = x.dims4()?;
     let (rows, columns) = (h.div_ceil(side), w.div_ceil(side));
@@ -72,7 +72,7 @@ fn partitioned(x: &Tensor, side: usize) -> Result<Tensor> {
     x.reshape((rows, side, columns, side, c))?.transpose(1, 2)?.reshape((rows * columns, side, side, c))
 }
 
-/// The map (1, h, w, c) that windows came from.
+/// Joins windows to their map (1, h, w, c).
 fn joined(windows: &Tensor, side: usize, h: usize, w: usize) -> Result<Tensor> {
     let c = windows.dim(D::Minus1)?;
     let (rows, columns) = (h.div_ceil(side), w.div_ceil(side));
@@ -80,7 +80,7 @@ fn joined(windows: &Tensor, side: usize, h: usize, w: usize) -> Result<Tensor> {
     x.reshape((1, rows * side, columns * side, c))?.narrow(1, 0, h)?.narrow(2, 0, w)?.contiguous()
 }
 
-/// The largest of each 2 × 2 pixels of (n, h, w, c).
+/// Returns the largest of each 2 × 2 pixels of (n, h, w, c).
 fn max_pool(x: &Tensor) -> Result<Tensor> {
     let (n, h, w, c) = x.dims4()?;
     let (h, w) = (h / 2, w / 2);
@@ -89,13 +89,13 @@ fn max_pool(x: &Tensor) -> Result<Tensor> {
     rows.narrow(3, 0, c)?.maximum(&rows.narrow(3, c, c)?)
 }
 
-/// Each pixel of (1, h, w, c) four times.
+/// Repeats each pixel of (1, h, w, c) four times.
 fn doubled(x: &Tensor) -> Result<Tensor> {
     let (_, h, w, c) = x.dims4()?;
     x.reshape((h, 1, w, 1, c))?.broadcast_as((h, 2, w, 2, c))?.reshape((1, 2 * h, 2 * w, c))
 }
 
-/// Channels first, as the reference has maps.
+/// Converts a map to channels first, as in the reference.
 pub(crate) fn channels_first(x: &Tensor) -> Result<Tensor> {
     x.permute((0, 3, 1, 2))?.contiguous()
 }
@@ -117,7 +117,7 @@ pub(crate) struct Encoder {
     patch_weight: Tensor,
     patch_bias: Tensor,
     positions: Tensor,
-    blocks: Vec<Block>,
+    blocks: Vec<HieraBlock>,
     stage_ends: Vec<usize>,
     /// From the coarsest level to the finest.
     laterals: Vec<Linear>,
@@ -146,7 +146,7 @@ impl Encoder {
                 let global = hiera.global_attention_blocks.contains(&blocks.len());
                 let block = at.at("blocks").at(blocks.len());
                 let inner = (dims[stage] as f64 * hiera.mlp_ratio) as usize;
-                blocks.push(Block {
+                blocks.push(HieraBlock {
                     norm1: block.layer_norm("layer_norm1", size.0, hiera.layer_norm_eps)?,
                     norm2: block.layer_norm("layer_norm2", size.1, hiera.layer_norm_eps)?,
                     qkv: block.linear("attn.qkv", size.0, 3 * size.1)?,
@@ -185,18 +185,22 @@ impl Encoder {
         })
     }
 
-    /// Features of one image (1, 3, side, side).
-    pub(crate) fn forward(&self, pixel_values: &Tensor, seams: &mut Seams<'_>) -> Result<ImageFeatures> {
+    /// Returns features of one image (1, 3, side, side).
+    pub(crate) fn forward(
+        &self,
+        pixel_values: &Tensor,
+        observer: &mut TensorObserver<'_>,
+    ) -> Result<ImageFeatures> {
         let patches =
             pixel_values.conv2d(&self.patch_weight, 3, 4, 1, 1)?.permute((0, 2, 3, 1))?.contiguous()?;
         let patches = patches.broadcast_add(&self.patch_bias)?;
-        seams.show("encoder.patch_embed", || Ok(patches.clone()))?;
+        observer.show("encoder.patch_embed", || Ok(patches.clone()))?;
         let mut x = (patches + &self.positions)?;
         let mut stages = Vec::new();
         for (i, block) in self.blocks.iter().enumerate() {
             x = block.forward(&x)?;
             if self.stage_ends.contains(&i) {
-                seams.show(&format!("encoder.stage{}", stages.len()), || Ok(x.clone()))?;
+                observer.show(&format!("encoder.stage{}", stages.len()), || Ok(x.clone()))?;
                 stages.push(x.clone());
             }
         }
@@ -211,20 +215,20 @@ impl Encoder {
         }
         levels.reverse();
         for (i, level) in levels.iter().take(3).enumerate() {
-            seams.show(&format!("encoder.fpn{i}"), || channels_first(level))?;
-            seams.show(&format!("encoder.fpn_pos{i}"), || {
+            observer.show(&format!("encoder.fpn{i}"), || channels_first(level))?;
+            observer.show(&format!("encoder.fpn_pos{i}"), || {
                 sine_2d(level.dim(1)?, self.hidden, level.device())?.t()?.contiguous()
             })?;
         }
         let (fine, middle) = (self.to_fine.forward(&levels[0])?, self.to_middle.forward(&levels[1])?);
-        seams.show("decoder.high_res_s0", || channels_first(&fine))?;
-        seams.show("decoder.high_res_s1", || channels_first(&middle))?;
+        observer.show("decoder.high_res_s0", || channels_first(&fine))?;
+        observer.show("decoder.high_res_s1", || channels_first(&middle))?;
         let flat = |x: &Tensor| x.flatten(0, 2);
         Ok(ImageFeatures { fine: flat(&fine)?, middle: flat(&middle)?, coarse: flat(&levels[2])? })
     }
 }
 
-/// The coarse embedding made as large as the map plus the window's repeated over it: (1, side, side, c).
+/// Returns the coarse embedding enlarged to the map, plus the window's repeated over it: (1, side, side, c).
 fn positions(
     coarse: &Tensor,
     from: [usize; 2],

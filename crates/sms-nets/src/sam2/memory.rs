@@ -1,4 +1,4 @@
-//! Memories: what a frame and its mask leave behind, and how later frames attend to it.
+//! Memories of frames and their masks, and the attention of later frames to them.
 
 use super::config::Sam2Config;
 use super::positions::{Rotary, sine_2d};
@@ -119,7 +119,7 @@ impl MemoryAttention {
     }
 }
 
-/// A convolution that halves a mask, with what follows it.
+/// A convolution that halves a mask, with its normalization and activation.
 #[derive(Debug)]
 struct Halving {
     weight: Tensor,
@@ -139,7 +139,7 @@ struct Fuser {
     kernel: usize,
 }
 
-/// Makes memories.
+/// The memory encoder.
 #[derive(Debug)]
 pub(crate) struct MemoryEncoder {
     halvings: Vec<Halving>,
@@ -191,8 +191,8 @@ impl MemoryEncoder {
         })
     }
 
-    /// The memory (tokens, memory channels) of features (tokens, c) and the mask (1, 1, side, side) as the network takes
-    /// it.
+    /// Returns the memory (tokens, memory channels) of features (tokens, c) and the network's mask input (1, 1,
+    /// side, side).
     pub(crate) fn forward(&self, features: &Tensor, mask: &Tensor) -> Result<Tensor> {
         let mut x = mask.clone();
         for halving in &self.halvings {

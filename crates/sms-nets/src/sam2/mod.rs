@@ -1,4 +1,4 @@
-//! SAM 2.1: masks of what boxes show, in an image or through a video.
+//! SAM 2.1: masks of boxed objects, in an image or through a video.
 
 mod config;
 mod decoder;

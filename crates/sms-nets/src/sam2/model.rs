@@ -6,25 +6,26 @@ use super::encoder::{Encoder, ImageFeatures};
 use super::memory::{MemoryAttention, MemoryEncoder};
 use super::prompt::{PromptEncoder, grid_positions};
 use crate::kernels::Activation;
-use crate::ops::{Linear, Seams, mlp};
+use crate::kernels::resize_bilinear;
+use crate::ops::{Linear, TensorObserver, mlp};
 use crate::owlv2::PixelBox;
-use crate::{NetsError, Weights, resize_bilinear};
+use crate::{NetsError, Weights};
 use candle_core::{Device, Result, Tensor};
 
-/// What stands in a mask where the object is not in the picture.
+/// Logit of masks of absent objects.
 pub(crate) const NO_OBJECT: f32 = -1024.0;
 
 /// An object's mask in one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectMask {
-    /// Logits at the decoder's resolution, `side` rows of `side`; above 0 on the object, −1024 everywhere where it is
-    /// judged absent.
+    /// Logits at the decoder's resolution, `side` rows of `side`; above 0 on the object, −1024 everywhere if it is
+    /// predicted absent.
     pub logits: Vec<f32>,
     /// Pixels along a side.
     pub side: usize,
-    /// Above 0 where the object is in the picture.
+    /// Above 0 if the object is in the picture.
     pub object_score: f32,
-    /// The share of overlap with the truth that the network expects, in 0..1.
+    /// Predicted intersection over union with the truth, in 0..1.
     pub iou: f32,
 }
 
@@ -34,7 +35,7 @@ impl ObjectMask {
         self.object_score > 0.0
     }
 
-    /// Logits of each pixel of an image of this size.
+    /// Returns the logits of each pixel of an image of this size.
     pub fn resized(&self, width: usize, height: usize) -> Vec<f32> {
         resize_bilinear(&self.logits, (self.side, self.side), (width, height))
     }
@@ -61,14 +62,14 @@ pub struct Sam2 {
 }
 
 impl Sam2 {
-    /// The model of `config` with these weights.
+    /// Builds the model of `config` with these weights.
     ///
     /// # Errors
-    /// [`NetsError::Input`] when the weights are another model's.
+    /// [`NetsError::Input`] if the weights belong to another model.
     pub fn new(config: &Sam2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
         let (c, memory) = (config.hidden(), config.memory_encoder_output_channels);
         let shared = weights.tensor("shared_image_embedding.positional_embedding", &[2, c / 2])?;
-        // Not used where frames are prompted by boxes; asked for so that a file without them is noticed.
+        // Prompts by boxes do not use these; reading them detects files without them.
         weights.tensor("no_memory_positional_encoding", &[1, 1, c])?;
         weights.tensor("mask_downsample.weight", &[1, 1, 4, 4])?;
         weights.tensor("mask_downsample.bias", &[1])?;
@@ -92,46 +93,46 @@ impl Sam2 {
         })
     }
 
-    /// The model's sizes.
+    /// Returns the model's sizes.
     pub fn config(&self) -> &Sam2Config {
         &self.config
     }
 
-    /// The device that the model is on.
+    /// Returns the model's device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// Positions of a memory's tokens, (tokens, memory channels).
+    /// Returns the positions of a memory's tokens, (tokens, memory channels).
     pub fn memory_positions(&self) -> &Tensor {
         &self.memory_encoder.places
     }
 
-    /// The corners of a box on an image of `width` × `height` pixels as the prompt encoder takes them: left, upper,
-    /// right and lower edge in the model's pixels.
+    /// Returns the corners of a box on an image of `width` × `height` pixels in the prompt encoder's form: left,
+    /// upper, right and lower edge in the model's pixels.
     pub fn box_prompt(&self, bbox: &PixelBox, (width, height): (usize, usize)) -> [f64; 4] {
         let side = self.config.image_size as f64;
         let (sx, sy) = (side / width as f64, side / height as f64);
         [bbox.x0 * sx, bbox.y0 * sy, bbox.x1 * sx, bbox.y1 * sy]
     }
 
-    /// Features of one image from [`super::pixel_values`]; the costly part, the same for all objects.
+    /// Returns features of one image from [`super::pixel_values`]; the costly part, the same for all objects.
     ///
     /// # Errors
-    /// When the device fails, or the image has another size than the model takes.
-    pub fn encode(&self, pixel_values: &Tensor, seams: &mut Seams<'_>) -> Result<ImageFeatures> {
-        let features = self.encoder.forward(pixel_values, seams)?;
+    /// If the device fails, or the image has the wrong size.
+    pub fn encode(&self, pixel_values: &Tensor, observer: &mut TensorObserver<'_>) -> Result<ImageFeatures> {
+        let features = self.encoder.forward(pixel_values, observer)?;
         let (side, c) = (self.config.grid(), self.config.hidden());
         let map = |x: &Tensor| x.t()?.reshape((1, c, side, side));
-        seams.show("decoder.image_positional_embeddings", || map(&self.places))?;
-        seams.show("decoder.dense_prompt", || map(&self.prompts.no_mask.expand((side * side, c))?))?;
+        observer.show("decoder.image_positional_embeddings", || map(&self.places))?;
+        observer.show("decoder.dense_prompt", || map(&self.prompts.no_mask.expand((side * side, c))?))?;
         Ok(features)
     }
 
-    /// The mask of what is in `bbox`, a box on an image of `width` × `height` pixels, in that image alone.
+    /// Returns the mask of the object in `bbox`, a box on an image of `width` × `height` pixels, without memories.
     ///
     /// # Errors
-    /// When the device fails.
+    /// If the device fails.
     pub fn segment(
         &self,
         features: &ImageFeatures,
@@ -139,29 +140,29 @@ impl Sam2 {
         (width, height): (usize, usize),
     ) -> Result<ObjectMask> {
         let corners = self.box_prompt(bbox, (width, height));
-        let (decoded, _) = self.decode_box(features, corners, &mut Seams::none())?;
+        let (decoded, _) = self.decode_box(features, corners, &mut TensorObserver::none())?;
         let chosen = decoded.single(&self.config.mask_decoder_config)?;
         self.object_mask(&decoded, chosen.mask)
     }
 
-    /// Decodes a box, in model pixels, without memories; also the features that were decoded.
+    /// Decodes a box, in model pixels, without memories; also returns the decoded features.
     pub(crate) fn decode_box(
         &self,
         features: &ImageFeatures,
         corners: [f64; 4],
-        seams: &mut Seams<'_>,
+        observer: &mut TensorObserver<'_>,
     ) -> Result<(Decoded, Tensor)> {
         let conditioned = features.coarse.broadcast_add(&self.no_memory)?;
         let prompt = self.prompts.of_box(corners, &self.device)?;
-        seams.show("sparse_prompt", || Ok(prompt.clone()))?;
+        observer.show("sparse_prompt", || Ok(prompt.clone()))?;
         let side = self.config.grid();
-        seams.show("decoder_image_embedding", || conditioned.t()?.reshape((1, (), side, side)))?;
+        observer.show("decoder_image_embedding", || conditioned.t()?.reshape((1, (), side, side)))?;
         let decoded =
             self.decoder.forward(features, &conditioned, &prompt, &self.prompts.no_mask, &self.places)?;
         Ok((decoded, conditioned))
     }
 
-    /// One of the decoded masks, emptied where the object is not in the picture.
+    /// Returns one of the decoded masks, emptied if the object is not in the picture.
     pub(crate) fn object_mask(&self, decoded: &Decoded, mask: usize) -> Result<ObjectMask> {
         let mut logits = decoded.masks.get(mask)?.to_vec1::<f32>()?;
         if decoded.object_score <= 0.0 {
@@ -175,7 +176,7 @@ impl Sam2 {
         })
     }
 
-    /// The pointer to an object, from its mask's token, (1, c).
+    /// Returns the pointer to an object, from its mask's token, (1, c).
     pub(crate) fn object_pointer(&self, decoded: &Decoded, token: usize) -> Result<Tensor> {
         if decoded.object_score <= 0.0 {
             return Ok(self.no_pointer.clone());

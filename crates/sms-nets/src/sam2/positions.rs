@@ -5,8 +5,8 @@ use candle_nn::rotary_emb::rope_i;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Sines and cosines of the row, then of the column, of each cell of a square grid: (side · side, `channels`). Rows and
-/// columns count from 1 to `side` and are brought to 0..2π.
+/// Returns sines and cosines of the row, then of the column, of each cell of a square grid: (side · side,
+/// `channels`). Rows and columns count from 1 to `side` and are scaled to 0..2π.
 pub(crate) fn sine_2d(side: usize, channels: usize, device: &Device) -> Result<Tensor> {
     let half = channels / 2;
     let wave = |at: usize, i: usize| {
@@ -22,7 +22,7 @@ pub(crate) fn sine_2d(side: usize, channels: usize, device: &Device) -> Result<T
     Tensor::from_vec(values, (side * side, channels), device)
 }
 
-/// Sines, then cosines, of each of `at`: (n, `channels`).
+/// Returns sines, then cosines, of each of `at`: (n, `channels`).
 pub(crate) fn sine_1d(at: &[f32], channels: usize, device: &Device) -> Result<Tensor> {
     let half = channels / 2;
     let phase = |at: f32, i: usize| at / 10_000f32.powf(2.0 * (i / 2) as f32 / half as f32);
@@ -34,14 +34,14 @@ pub(crate) fn sine_1d(at: &[f32], channels: usize, device: &Device) -> Result<Te
     Tensor::from_vec(values, (at.len(), channels), device)
 }
 
-/// Random Fourier features of points (n, 2), x and y in 0..1, by `frequencies` (2, c / 2): (n, c).
+/// Returns random Fourier features of points (n, 2), x and y in 0..1, by `frequencies` (2, c / 2): (n, c).
 pub(crate) fn fourier(points: &Tensor, frequencies: &Tensor) -> Result<Tensor> {
     let phase = (points.affine(2.0, -1.0)?.matmul(frequencies)? * f64::from(TAU))?;
     Tensor::cat(&[phase.sin()?, phase.cos()?], 1)
 }
 
-/// The rotary encoding of a square grid of tokens: pairs of channels are turned by angles that grow with the column
-/// (first half of the pairs) or the row (second half).
+/// The rotary encoding of a square grid of tokens: pairs of channels are rotated by angles that grow with the
+/// column (first half of the pairs) or the row (second half).
 #[derive(Debug)]
 pub(crate) struct Rotary {
     cos: Tensor,
@@ -49,7 +49,7 @@ pub(crate) struct Rotary {
 }
 
 impl Rotary {
-    /// For `side` · `side` tokens of `channels` channels.
+    /// The encoding of `side` · `side` tokens of `channels` channels.
     pub(crate) fn new(side: usize, channels: usize, theta: f32, device: &Device) -> Result<Self> {
         let quarter = channels / 4;
         let angles: Vec<f32> = (0..side * side)
@@ -65,8 +65,8 @@ impl Rotary {
         Ok(Self { cos: angles.cos()?, sin: angles.sin()? })
     }
 
-    /// Turns tokens (n, c). Where there are more of them than cells, the grid repeats; the last `unturned` stay as they
-    /// are.
+    /// Rotates tokens (n, c). If there are more of them than cells, the grid repeats; the last `unturned` remain
+    /// unchanged.
     pub(crate) fn turn(&self, x: &Tensor, unturned: usize) -> Result<Tensor> {
         let (n, c) = x.dims2()?;
         if crate::kernels::can_take(x) {
@@ -82,7 +82,7 @@ impl Rotary {
     }
 }
 
-/// The rotation on the CPU.
+/// CPU kernel of the rotation.
 struct Turn {
     unturned: usize,
 }
@@ -124,8 +124,8 @@ impl CustomOp3 for Turn {
     }
 }
 
-/// `x` (channels, `from`, `from`) resized bicubically (a = −0.75, corners not aligned) to (`to`, `to`, channels), as
-/// PyTorch does.
+/// Resizes `x` (channels, `from`, `from`) bicubically (a = −0.75, corners not aligned) to (`to`, `to`, channels),
+/// as PyTorch does.
 pub(crate) fn resize_bicubic(
     x: &[f32],
     channels: usize,
@@ -178,12 +178,12 @@ mod tests {
             assert!((norm(a) - norm(b)).abs() < 1e-5 * norm(a).max(1.0));
         }
         assert_eq!(x[18..], y[18..]);
-        // The first cell is turned by nothing, and the grid repeats.
+        // The first cell is not rotated, and the grid repeats.
         assert_eq!((&x[0], &x[9]), (&y[0], &y[9]));
         assert_ne!(x[1], y[1]);
     }
 
-    /// As GPUs turn them: in double precision, which our kernel leaves to candle.
+    /// The path of GPUs: in double precision, which the CPU kernel does not accept.
     #[test]
     fn without_our_kernel_the_rotation_is_the_same() {
         let rotary = Rotary::new(3, 8, 10_000.0, &Device::Cpu).unwrap();

@@ -1,4 +1,4 @@
-//! Images as SAM 2 takes them.
+//! Preprocessing of images for SAM 2.
 
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
@@ -9,13 +9,14 @@ const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// ImageNet's standard deviations.
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// The image resized to `side` × `side` pixels, its aspect ratio not kept, and normalised: (1, 3, `side`, `side`).
+/// Returns the image resized to `side` × `side` pixels, without preserving its aspect ratio, and normalized: (1, 3,
+/// `side`, `side`).
 ///
-/// Bilinear with antialiasing (a triangle as wide as the pixels taken together), in bytes: rows first, rounded to bytes,
-/// then columns, with weights of 15 bits, as Pillow and PyTorch do, bit for bit.
+/// Bilinear with antialiasing (a triangle as wide as the reduction factor), in bytes: rows first, rounded to bytes,
+/// then columns, with weights of 15 bits, bit for bit as Pillow and PyTorch do.
 ///
 /// # Errors
-/// When the device has no memory for it.
+/// If the device has too little memory.
 pub fn pixel_values(image: &ColorImage, side: usize, device: &Device) -> Result<Tensor> {
     let planes: Vec<Vec<f32>> = (0..3)
         .into_par_iter()
@@ -45,7 +46,7 @@ fn transposed_pass(plane: &[u8], width: usize, side: usize) -> Vec<u8> {
             (first, weights.into_iter().map(|w| w / total).collect())
         })
         .collect();
-    // As many binary digits as keep the largest weight below 2¹⁵.
+    // The number of binary digits that keeps the largest weight below 2¹⁵.
     let largest = taps.iter().flat_map(|(_, w)| w).copied().fold(0.0, f64::max);
     let digits = (0..22).take_while(|d| largest * f64::from(1 << (d + 1)) + 0.5 < f64::from(1 << 15)).count();
     let fixed = |w: &f64| (w * f64::from(1 << digits) + 0.5) as i32;

@@ -11,13 +11,13 @@ pub(crate) struct PromptEncoder {
     frequencies: Tensor,
     points: Tensor,
     not_a_point: Tensor,
-    /// What stands for "no mask" at every pixel, (c).
+    /// Embedding of "no mask" at every pixel, (c).
     pub(crate) no_mask: Tensor,
     image_size: f64,
 }
 
 impl PromptEncoder {
-    /// `shared` are the random Fourier features of the image's positions; released files leave out the prompt encoder's
+    /// `shared` are the random Fourier features of the image's positions; released files omit the prompt encoder's
     /// copy of them.
     pub(crate) fn new(
         config: &Sam2Config,
@@ -26,7 +26,7 @@ impl PromptEncoder {
     ) -> std::result::Result<Self, NetsError> {
         let c = config.hidden();
         let at = weights.at("prompt_encoder");
-        // Masks as prompts are not used here; asked for so that a file without them is noticed.
+        // Mask prompts are not used; reading these detects files without them.
         let mask = at.at("mask_embed");
         for (name, shape) in [("conv1", [4, 1, 2, 2]), ("conv2", [16, 4, 2, 2]), ("conv3", [c, 16, 1, 1])] {
             mask.at(name).tensor("weight", &shape)?;
@@ -43,22 +43,22 @@ impl PromptEncoder {
         })
     }
 
-    /// The tokens of a box, in model pixels: its two corners and a padding point, (3, c).
+    /// Returns the tokens of a box, in model pixels: its two corners and a padding point, (3, c).
     pub(crate) fn of_box(&self, [x0, y0, x1, y1]: [f64; 4], device: &Device) -> Result<Tensor> {
-        // Half a pixel: prompts name pixels, the encoding their centres.
+        // Half a pixel: prompts give pixels, the encoding takes their centres.
         let at = |v: f64| ((v + 0.5) / self.image_size) as f32;
         let corners = Tensor::new(&[[at(x0), at(y0)], [at(x1), at(y1)]], device)?;
         let corners = (fourier(&corners, &self.frequencies)? + self.points.narrow(0, 2, 2)?)?;
         Tensor::cat(&[&corners, &self.not_a_point], 0)
     }
 
-    /// The tokens where there is no prompt: two padding points, (2, c).
+    /// Returns the tokens without a prompt: two padding points, (2, c).
     pub(crate) fn of_nothing(&self) -> Result<Tensor> {
         Tensor::cat(&[&self.not_a_point, &self.not_a_point], 0)
     }
 }
 
-/// Encodings of the positions of a grid's cells, (side · side, c).
+/// Returns encodings of the positions of a grid's cells, (side · side, c).
 pub(crate) fn grid_positions(side: usize, frequencies: &Tensor) -> Result<Tensor> {
     let at = |i: usize| (i as f32 + 0.5) / side as f32;
     let points: Vec<f32> = (0..side * side).flat_map(|cell| [at(cell % side), at(cell / side)]).collect();

@@ -1,19 +1,19 @@
-//! Tracking through a video: each object has its own bank of memories.
+//! Tracking through a video. Each object has its own bank of memories.
 
-use super::decoder::Chosen;
+use super::decoder::SelectedMask;
 use super::encoder::ImageFeatures;
 use super::model::{ObjectMask, Sam2};
 use super::positions::sine_1d;
 use crate::kernels::resize_bilinear;
-use crate::ops::Seams;
+use crate::ops::TensorObserver;
 use crate::owlv2::PixelBox;
 use candle_core::{Result, Tensor};
 use std::collections::BTreeMap;
 
-/// What one frame leaves behind for an object.
+/// Memory of one frame for an object.
 #[derive(Debug)]
 struct Memory {
-    /// (tokens, memory channels); absent once it is too old to be attended to.
+    /// (tokens, memory channels); absent once it is too old for attention.
     features: Option<Tensor>,
     /// (1, c).
     pointer: Tensor,
@@ -31,68 +31,72 @@ struct Bank {
 pub struct Tracker<'a> {
     model: &'a Sam2,
     banks: Vec<Bank>,
-    /// Of each object, in model pixels.
+    /// Box of each object, in model pixels.
     boxes: Vec<[f64; 4]>,
     frame: usize,
     frames: usize,
 }
 
 impl<'a> Tracker<'a> {
-    /// Tracks what is in `boxes` on the first of `frames` frames of `size` (width, height) pixels.
+    /// Starts tracking the objects in `boxes` on the first of `frames` frames of `size` (width, height) pixels.
     ///
-    /// The number of frames is part of the computation: ages of pointers are counted in parts of the largest possible.
+    /// The number of frames is part of the computation: ages of pointers are relative to the largest possible age.
     pub fn new(model: &'a Sam2, boxes: &[PixelBox], size: (usize, usize), frames: usize) -> Self {
         let boxes: Vec<_> = boxes.iter().map(|b| model.box_prompt(b, size)).collect();
         let banks = boxes.iter().map(|_| Bank::default()).collect();
         Self { model, banks, boxes, frame: 0, frames }
     }
 
-    /// The objects' masks in the next frame.
+    /// Returns the objects' masks in the next frame.
     ///
     /// # Errors
-    /// When the device fails.
-    pub fn next(&mut self, features: &ImageFeatures, seams: &mut Seams<'_>) -> Result<Vec<ObjectMask>> {
-        let outer = std::mem::take(&mut seams.prefix);
+    /// If the device fails.
+    pub fn next(
+        &mut self,
+        features: &ImageFeatures,
+        observer: &mut TensorObserver<'_>,
+    ) -> Result<Vec<ObjectMask>> {
+        let outer = std::mem::take(&mut observer.prefix);
         let frame = self.frame;
         let mut masks = Vec::with_capacity(self.banks.len());
         let mut inputs = Vec::new();
         for object in 0..self.banks.len() {
-            seams.prefix = format!("{outer}frame{frame}.obj{object}.");
-            let (mask, input) = self.step(object, features, seams)?;
+            observer.prefix = format!("{outer}frame{frame}.obj{object}.");
+            let (mask, input) = self.step(object, features, observer)?;
             masks.push(mask);
             inputs.push(input);
         }
-        seams.prefix = format!("{outer}frame{frame}.");
+        observer.prefix = format!("{outer}frame{frame}.");
         let device = self.model.device();
-        seams.show("pred_masks", || {
+        observer.show("pred_masks", || {
             Tensor::new(masks.iter().flat_map(|m| m.logits.clone()).collect::<Vec<_>>(), device)
         })?;
-        seams.show("object_score_logits", || {
+        observer.show("object_score_logits", || {
             Tensor::new(masks.iter().map(|m| m.object_score).collect::<Vec<_>>(), device)
         })?;
-        seams.show("memory_encoder_masks", || Tensor::cat(&inputs, 0))?;
-        seams.prefix = outer;
+        observer.show("memory_encoder_masks", || Tensor::cat(&inputs, 0))?;
+        observer.prefix = outer;
         self.frame += 1;
         Ok(masks)
     }
 
-    /// One object in the current frame: its mask, and what the memory encoder was given.
+    /// Processes one object in the current frame; returns its mask and the memory encoder's input.
     fn step(
         &mut self,
         object: usize,
         features: &ImageFeatures,
-        seams: &mut Seams<'_>,
+        observer: &mut TensorObserver<'_>,
     ) -> Result<(ObjectMask, Tensor)> {
         let model = self.model;
         let is_prompted = self.frame == self.banks[object].prompted;
         let (decoded, chosen) = if is_prompted {
-            let (decoded, _) = model.decode_box(features, self.boxes[object], seams)?;
+            let (decoded, _) = model.decode_box(features, self.boxes[object], observer)?;
             let chosen = decoded.single(&model.config.mask_decoder_config)?;
             (decoded, chosen)
         } else {
-            let conditioned = self.conditioned(object, features, seams)?;
+            let conditioned = self.conditioned(object, features, observer)?;
             let prompt = model.prompts.of_nothing()?;
-            seams.show("sparse_prompt", || Ok(prompt.clone()))?;
+            observer.show("sparse_prompt", || Ok(prompt.clone()))?;
             let decoded = model.decoder.forward(
                 features,
                 &conditioned,
@@ -103,38 +107,38 @@ impl<'a> Tracker<'a> {
             let chosen = decoded.best_of_three();
             (decoded, chosen)
         };
-        let Chosen { mask, token } = chosen;
+        let SelectedMask { mask, token } = chosen;
         let shown = if is_prompted { (mask, 1) } else { (1, decoded.iou.len() - 1) };
         let shown_tokens = if is_prompted { (0, 1) } else { shown };
-        seams.show("decoder_masks", || decoded.masks.narrow(0, shown.0, shown.1))?;
-        seams
+        observer.show("decoder_masks", || decoded.masks.narrow(0, shown.0, shown.1))?;
+        observer
             .show("decoder_iou", || Tensor::new(&decoded.iou[shown.0..shown.0 + shown.1], model.device()))?;
-        seams.show("decoder_tokens", || decoded.tokens.narrow(0, shown_tokens.0, shown_tokens.1))?;
-        seams.show("object_score_logits", || Tensor::new(&[decoded.object_score], model.device()))?;
+        observer.show("decoder_tokens", || decoded.tokens.narrow(0, shown_tokens.0, shown_tokens.1))?;
+        observer.show("object_score_logits", || Tensor::new(&[decoded.object_score], model.device()))?;
         let pointer = model.object_pointer(&decoded, token)?;
-        seams.show("object_pointer", || Ok(pointer.clone()))?;
+        observer.show("object_pointer", || Ok(pointer.clone()))?;
         let result = model.object_mask(&decoded, mask)?;
-        let (features, input) = self.memorize(features, &result, is_prompted, seams)?;
-        seams.show("memory_features", || Ok(features.clone()))?;
+        let (features, input) = self.memorize(features, &result, is_prompted, observer)?;
+        observer.show("memory_features", || Ok(features.clone()))?;
         self.keep(object, Memory { features: Some(features), pointer });
         Ok((result, input))
     }
 
-    /// The memory of the current frame, and the mask as the memory encoder takes it.
+    /// Returns the memory of the current frame, and the mask in the memory encoder's form.
     fn memorize(
         &self,
         features: &ImageFeatures,
         mask: &ObjectMask,
         is_prompted: bool,
-        seams: &mut Seams<'_>,
+        observer: &mut TensorObserver<'_>,
     ) -> Result<(Tensor, Tensor)> {
         let config = &self.model.config;
         let size = config.image_size;
         let mut logits = resize_bilinear(&mask.logits, (mask.side, mask.side), (size, size));
-        seams.show("high_res_mask", || Tensor::new(logits.as_slice(), self.model.device()))?;
+        observer.show("high_res_mask", || Tensor::new(logits.as_slice(), self.model.device()))?;
         let (scale, bias) = (config.sigmoid_scale_for_mem_enc, config.sigmoid_bias_for_mem_enc);
         for logit in &mut logits {
-            // Where a box was given, the mask is taken at its word.
+            // The mask of a prompted frame is binary.
             let share = if is_prompted { f32::from(*logit > 0.0) } else { 1.0 / (1.0 + (-*logit).exp()) };
             *logit = share * scale + bias;
         }
@@ -144,7 +148,7 @@ impl<'a> Tracker<'a> {
         Ok((memory, input))
     }
 
-    /// Keeps a memory of the current frame and drops what will not be attended to any more.
+    /// Stores a memory of the current frame and drops those too old for attention.
     fn keep(&mut self, object: usize, memory: Memory) {
         let config = &self.model.config;
         let (frame, bank) = (self.frame, &mut self.banks[object]);
@@ -159,8 +163,13 @@ impl<'a> Tracker<'a> {
         }
     }
 
-    /// The current frame's features, conditioned on an object's memories.
-    fn conditioned(&self, object: usize, features: &ImageFeatures, seams: &mut Seams<'_>) -> Result<Tensor> {
+    /// Returns the current frame's features, conditioned on an object's memories.
+    fn conditioned(
+        &self,
+        object: usize,
+        features: &ImageFeatures,
+        observer: &mut TensorObserver<'_>,
+    ) -> Result<Tensor> {
         let (model, bank) = (self.model, &self.banks[object]);
         let config = &model.config;
         let frame = self.frame;
@@ -187,7 +196,7 @@ impl<'a> Tracker<'a> {
         let mut pointers: Vec<(usize, &Tensor)> = Vec::new();
         pointers.extend(bank.frames.get(&bank.prompted).map(|m| (frame - bank.prompted, &m.pointer)));
         pointers.extend((1..most).filter_map(|age| Some((age, &tracked(age)?.pointer))));
-        // A pointer is as long as several memories' tokens are wide, and is split into them.
+        // A pointer has the channels of several memory tokens, and is split into them.
         let channels = config.memory_encoder_output_channels;
         let split = config.hidden() / channels;
         let ages: Vec<f32> = pointers.iter().map(|&(age, _)| age as f32 / (most.max(2) - 1) as f32).collect();
@@ -202,12 +211,12 @@ impl<'a> Tracker<'a> {
                 .reshape((pointer_tokens, channels))?,
         );
         let (memory, places) = (Tensor::cat(&tokens, 0)?, Tensor::cat(&positions, 0)?);
-        seams.show("memory_tokens", || Ok(memory.clone()))?;
-        seams.show("memory_tokens_position", || Ok(places.clone()))?;
-        seams.show("num_pointer_tokens", || Tensor::new(&[pointer_tokens as u32], model.device()))?;
+        observer.show("memory_tokens", || Ok(memory.clone()))?;
+        observer.show("memory_tokens_position", || Ok(places.clone()))?;
+        observer.show("num_pointer_tokens", || Tensor::new(&[pointer_tokens as u32], model.device()))?;
         let conditioned =
             model.memory_attention.forward(&features.coarse, &memory, &places, pointer_tokens)?;
-        seams.show("memory_attention", || Ok(conditioned.clone()))?;
+        observer.show("memory_attention", || Ok(conditioned.clone()))?;
         Ok(conditioned)
     }
 }

@@ -7,8 +7,8 @@ use sms_core::metrics::Metrics;
 use sms_core::{Labels, StageContext, Warnings, atomic};
 use sms_frames::{ReadOptions, Sequence};
 use sms_masks::{MasksError, Segmenter};
-use sms_nets::hub::{HubConfig, MODELS, Model, model, model_folders};
-use sms_nets::{Device, Found, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
+use sms_nets::hub::{HubConfig, HubModel, MODELS, model, model_folders};
+use sms_nets::{DetectedObject, Device, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, parse_objects};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -19,7 +19,7 @@ const TRACKER: &str = "sam2-tiny";
 pub(crate) struct Networks {
     config: NetsConfig,
     boxes: Vec<NamedBox>,
-    tracker: Model,
+    tracker: HubModel,
     weights: Option<PathBuf>,
     device: Device,
     /// Why the CPU computes although a GPU was expected.
@@ -62,7 +62,7 @@ impl Networks {
     /// Returns everything that the masks depend on, for the stage's hash. Local weights count by their files' sizes and
     /// times: reading half a gigabyte would take as long as some of the work.
     pub(crate) fn settings(&self) -> Result<String, Error> {
-        let Model { repository, revision, .. } = self.tracker;
+        let HubModel { repository, revision, .. } = self.tracker;
         let boxes: Vec<_> =
             self.boxes.iter().map(|b| (&b.name, [b.bbox.x0, b.bbox.y0, b.bbox.x1, b.bbox.y1])).collect();
         let files = self.weights.as_deref().map(files_of).unwrap_or_default();
@@ -96,7 +96,7 @@ impl Networks {
     /// Shows the detections in the first frame of a run; no mask is changed.
     pub(crate) fn preview(&self, context: &Context, sequence: &Sequence, run: &Path) -> Result<(), Error> {
         let hub = HubConfig::from_environment();
-        let folder = |model: Model| {
+        let folder = |model: HubModel| {
             model.folder(self.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
         };
         let owlv2 = self.detector()?.map(folder).transpose().map_err(MasksError::from)?;
@@ -121,7 +121,7 @@ impl Networks {
         }
     }
 
-    fn detector(&self) -> Result<Option<Model>, MasksError> {
+    fn detector(&self) -> Result<Option<HubModel>, MasksError> {
         (!self.config.objects.is_empty()).then(|| known(DETECTOR)).transpose()
     }
 
@@ -221,8 +221,8 @@ fn gpu() -> Result<Device, String> {
 }
 
 /// Boxes with the ids that their labels get.
-fn boxes_of(found: &[Found]) -> Vec<FoundBox> {
-    let of = |(i, f): (usize, &Found)| FoundBox {
+fn boxes_of(found: &[DetectedObject]) -> Vec<FoundBox> {
+    let of = |(i, f): (usize, &DetectedObject)| FoundBox {
         id: i as u16 + 1,
         name: f.name.clone(),
         score: f.score,
@@ -232,7 +232,7 @@ fn boxes_of(found: &[Found]) -> Vec<FoundBox> {
 }
 
 /// Finds a model by name. Errors of the networks go on as those of masks, which have their exit codes.
-fn known(name: &str) -> Result<Model, MasksError> {
+fn known(name: &str) -> Result<HubModel, MasksError> {
     Ok(model(name)?)
 }
 
@@ -242,7 +242,7 @@ fn known(name: &str) -> Result<Model, MasksError> {
 /// None in this build.
 pub fn list_models() -> Result<Vec<ModelEntry>, Error> {
     let hub = HubConfig::from_environment();
-    let entry = |m: &Model| ModelEntry {
+    let entry = |m: &HubModel| ModelEntry {
         name: m.name,
         repository: m.repository,
         about: m.about,

@@ -10,8 +10,8 @@ use sms_landing::{
     PlannedBody, RolloutOptions, rollout_landing,
 };
 use sms_prompting::{
-    ApproachSettings, Choice, Observation, SiteSettings, Sites, approaches, best_view, geometric,
-    landing_sites, paths_picture, random, resized, sites_picture, surfaces_of, visual_prompting,
+    ApproachSettings, Choice, Observation, PromptingInputs, SiteSettings, Sites, approaches, best_view,
+    geometric, landing_sites, paths_picture, random, resized, sites_picture, surfaces_of, visual_prompting,
 };
 use sms_scene::Scene;
 use sms_sim::RapierFactory;
@@ -100,19 +100,12 @@ pub fn choose_landing(
     let (choice, pictures) = match (chooser, model) {
         (LandingChooser::Visual, Some((client, cache))) => {
             let view = view.ok_or_else(not_in_view)?;
-            let prompted = visual_prompting(
-                &view,
-                &sites,
-                start_w,
-                &ways,
-                client,
-                cache,
-                context.cancel,
-                context.warnings,
-            );
-            let prompted = prompted.map_err(|e| match e.input(&client.config().url) {
-                Ok(refused) => Error::from(refused),
-                Err(e) => e.into(),
+            let inputs = PromptingInputs { observation: &view, sites: &sites, start_w, approaches: &ways };
+            let prompted = visual_prompting(&inputs, client, cache, context).map_err(|e| {
+                match e.input(&client.config().url) {
+                    Ok(refused) => Error::from(refused),
+                    Err(e) => e.into(),
+                }
             })?;
             (prompted.choice, prompted.chosen.into())
         }

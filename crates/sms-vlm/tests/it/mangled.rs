@@ -1,8 +1,8 @@
-//! Replies that went wrong in every way that can be thought of: none may end in a panic, and none in a value that was not
-//! said. What the whole answer has and the mangled one still says must come out the same; all else must be named.
+//! Damaged replies: no panic, and no value that the reply does not contain. Values that survive the damage come out
+//! unchanged; all others are reported as faults.
 
 use rand::RngExt;
-use sms_core::{Cancel, Interval, NoProgress, Seed, Warnings};
+use sms_core::{Cancel, Interval, Seed, StageContext, Warnings};
 use sms_materials::Estimate;
 use sms_vlm::{
     Cache, Client, Question, Reading, Reply, Request, Sleep, Transport, TransportError, VlmConfig, ask,
@@ -44,7 +44,7 @@ fn value(e: &Estimate, field: &str) -> Option<Interval> {
     }
 }
 
-fn is_said(e: &Estimate, field: &str) -> bool {
+fn is_present(e: &Estimate, field: &str) -> bool {
     match field {
         "label_is_right" => e.label_is_right.is_some(),
         "label" => !e.label.is_empty(),
@@ -54,7 +54,7 @@ fn is_said(e: &Estimate, field: &str) -> bool {
     }
 }
 
-/// Whatever was read: each field is either there and possible, or named as a fault, and never both.
+/// Asserts that each field is either present and possible, or reported as a fault, and never both.
 fn check(text: &str) -> Option<Reading> {
     let reading = match read_reply(text) {
         Ok(reading) => reading,
@@ -65,7 +65,7 @@ fn check(text: &str) -> Option<Reading> {
     };
     for field in FIELDS {
         let is_fault = reading.faults.iter().any(|f| f.field == field && !f.what.is_empty());
-        assert!(is_said(&reading.estimate, field) != is_fault, "{field} of {text}\n{reading:?}");
+        assert!(is_present(&reading.estimate, field) != is_fault, "{field} of {text}\n{reading:?}");
     }
     for (field, least, most) in [
         ("density", 10.0, 23_000.0),
@@ -146,21 +146,21 @@ fn five_hundred_mangled_replies_end_as_checked_values_or_faults() {
     assert!(none > 20 && partial > 20 && full > 20, "{none} none, {partial} partial, {full} full");
 }
 
-/// Answers object `n` with mangled reply `n`, again and again.
+/// Answers object `n` with mangled reply `n`, each time.
 struct Mangler;
 
 impl Transport for Mangler {
     fn post(&self, request: &Request) -> Result<Reply, TransportError> {
         let body: serde_json::Value = serde_json::from_slice(&request.body).unwrap();
-        let asked = body["messages"][1]["content"][0]["text"].as_str().unwrap();
-        let case = asked.split("thing ").nth(1).and_then(|t| t.split('"').next()).unwrap();
+        let prompt = body["messages"][1]["content"][0]["text"].as_str().unwrap();
+        let case = prompt.split("thing ").nth(1).and_then(|t| t.split('"').next()).unwrap();
         let text = mangled(case.parse().unwrap());
         let body = serde_json::json!({"choices": [{"message": {"content": text}}]});
         Ok(Reply { status: 200, retry_after: None, body: body.to_string().into_bytes() })
     }
 }
 
-/// The same through the whole conversation: whatever is not the model's whole answer is a warning that names the object.
+/// The same through the whole conversation: every incomplete answer causes a warning that names the object.
 #[test]
 fn three_hundred_mangled_objects_are_answered_or_flagged_by_name() {
     let questions: Vec<Question> = (0..300)
@@ -176,11 +176,11 @@ fn three_hundred_mangled_objects_are_answered_or_flagged_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let warnings = Warnings::new();
     let cache = Cache::new(dir.path());
-    let asked = ask(&questions, &client, &cache, &NoProgress, &Cancel::new(), &warnings).unwrap();
-    assert_eq!(asked.given_up, None, "the server is well");
+    let answers = ask(&questions, &client, &cache, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
+    assert_eq!(answers.given_up, None, "the server works");
     let warnings = warnings.snapshot();
     let mut requests = 0;
-    for (n, (question, outcome)) in questions.iter().zip(&asked.outcomes).enumerate() {
+    for (n, (question, outcome)) in questions.iter().zip(&answers.outcomes).enumerate() {
         let named: Vec<&str> =
             warnings.iter().filter(|w| w.message.contains(&question.name)).map(|w| w.code.as_str()).collect();
         let (expected, rounds): (&[&str], u64) = match check(&mangled(n as u64)) {
@@ -192,10 +192,10 @@ fn three_hundred_mangled_objects_are_answered_or_flagged_by_name() {
         assert_eq!(outcome.estimate().is_none(), expected == ["vlm_fallback"], "{n}");
         requests += rounds;
     }
-    assert_eq!(asked.usage.requests, requests, "two repairs at most");
+    assert_eq!(answers.usage.requests, requests, "two repairs at most");
 }
 
-/// Every value of the answer in turn replaced by every wrong one: that field is a fault, and no other.
+/// Replaces every value of the answer by every invalid one: that field is a fault, and no other.
 #[test]
 fn swapped_values_are_faults_of_their_field_alone() {
     let properties = [
@@ -263,7 +263,7 @@ fn swapped_values_are_faults_of_their_field_alone() {
     assert!(cases > 150, "{cases}");
 }
 
-/// Written by hand, after replies of real models: what comes out, and what is a fault.
+/// Handwritten replies, after real models': the values and the faults.
 #[test]
 fn known_kinds_of_mischief() {
     let full = whole();

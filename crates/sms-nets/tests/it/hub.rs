@@ -1,9 +1,9 @@
-//! Fetching weights from a hub within the test, which drops connections, changes files and refuses.
+//! Downloads from a hub within the test, which drops connections, changes files and refuses requests.
 
 use sha2::{Digest, Sha256};
 use sms_core::{Cancel, NoProgress};
 use sms_nets::NetsError;
-use sms_nets::hub::{HubConfig, MODELS, Model, model};
+use sms_nets::hub::{HubConfig, HubModel, MODELS, model};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
-const MODEL: Model = Model {
+const MODEL: HubModel = HubModel {
     name: "toy",
     repository: "org/toy",
     revision: "main",
@@ -20,40 +20,40 @@ const MODEL: Model = Model {
     files: &["config.json", "model.safetensors"],
 };
 
-/// One request as it came.
+/// A recorded request.
 #[derive(Debug, Clone)]
-struct Asked {
+struct RecordedRequest {
     method: String,
     path: String,
     token: Option<String>,
     from: Option<usize>,
 }
 
-/// What the server does instead of its duty.
+/// A fault of the server.
 #[derive(Debug, Clone, PartialEq)]
 enum Fault {
     None,
-    /// Closes the connection after so many bytes of a body.
+    /// Closes the connection after this many bytes of a body.
     Cut(usize),
     /// Answers with this status and `Retry-After`.
     Status(u16, &'static str),
-    /// Sends other bytes of the same number.
+    /// Sends other bytes of the same length.
     Wrong,
     /// Ignores ranges.
     Whole,
-    /// Sends to another server for the bytes.
+    /// Redirects to another server for the content.
     Elsewhere(String),
-    /// Sends to another path of its own, with the commit alone.
+    /// Redirects to another path of its own, with only the commit.
     Moved,
-    /// Answers as any web server does.
+    /// Answers like any web server.
     Plain,
 }
 
-type Script = dyn Fn(usize, &Asked) -> Fault + Send + Sync;
+type Script = dyn Fn(usize, &RecordedRequest) -> Fault + Send + Sync;
 
 struct Server {
     url: String,
-    asked: Arc<Mutex<Vec<Asked>>>,
+    requests: Arc<Mutex<Vec<RecordedRequest>>>,
     stop: Arc<AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
@@ -69,7 +69,7 @@ fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// As `git hash-object` gives for the content of `config.json`.
+/// The `git hash-object` of `config.json`'s content.
 fn checksum(file: &str) -> String {
     if file == "config.json" { GIT_NAME.into() } else { sha256(&content(file)) }
 }
@@ -77,12 +77,12 @@ fn checksum(file: &str) -> String {
 const GIT_NAME: &str = "beafd0b1303476cd8c3cd7c92e31bb3dbb077681";
 
 impl Server {
-    fn new(script: impl Fn(usize, &Asked) -> Fault + Send + Sync + 'static) -> Self {
+    fn new(script: impl Fn(usize, &RecordedRequest) -> Fault + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        let (asked, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
+        let (requests, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
         let script: Arc<Script> = Arc::new(script);
-        let (all, ended) = (Arc::clone(&asked), Arc::clone(&stop));
+        let (all, ended) = (Arc::clone(&requests), Arc::clone(&stop));
         let thread = std::thread::spawn(move || {
             for stream in listener.incoming() {
                 if ended.load(Ordering::SeqCst) {
@@ -93,11 +93,11 @@ impl Server {
                 }
             }
         });
-        Self { url, asked, stop, thread: Some(thread) }
+        Self { url, requests, stop, thread: Some(thread) }
     }
 
-    fn asked(&self) -> Vec<Asked> {
-        self.asked.lock().unwrap().clone()
+    fn requests(&self) -> Vec<RecordedRequest> {
+        self.requests.lock().unwrap().clone()
     }
 }
 
@@ -112,32 +112,32 @@ impl Drop for Server {
 }
 
 /// Serves one request and closes the connection.
-fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, script: &Script) -> std::io::Result<()> {
+fn serve(mut stream: TcpStream, all: &Mutex<Vec<RecordedRequest>>, script: &Script) -> std::io::Result<()> {
     stream.set_read_timeout(Some(Duration::from_secs(5)))?;
     let mut reader = BufReader::new(stream.try_clone()?);
     let mut line = String::new();
     reader.read_line(&mut line)?;
     let words: Vec<&str> = line.split_whitespace().collect();
     let &[method, path, _] = &words[..] else { return Ok(()) };
-    let mut asked = Asked { method: method.into(), path: path.into(), token: None, from: None };
+    let mut request = RecordedRequest { method: method.into(), path: path.into(), token: None, from: None };
     loop {
         let mut header = String::new();
         reader.read_line(&mut header)?;
         let Some((name, value)) = header.trim_end().split_once(':') else { break };
         match name.to_ascii_lowercase().as_str() {
-            "authorization" => asked.token = Some(value.trim().into()),
+            "authorization" => request.token = Some(value.trim().into()),
             "range" => {
-                asked.from = value.trim().trim_start_matches("bytes=").trim_end_matches('-').parse().ok();
+                request.from = value.trim().trim_start_matches("bytes=").trim_end_matches('-').parse().ok();
             }
             _ => {}
         }
     }
     let number = {
         let mut all = all.lock().unwrap();
-        all.push(asked.clone());
+        all.push(request.clone());
         all.len() - 1
     };
-    let fault = script(number, &asked);
+    let fault = script(number, &request);
     if let Fault::Status(status, retry) = fault {
         return write!(
             stream,
@@ -156,7 +156,7 @@ fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, script: &Script) -> std
     let file = path.rsplit('/').next().unwrap_or_default();
     let bytes = content(file);
     if method == "HEAD" {
-        // As the hub does for large files: its own description, and another address for the bytes.
+        // As the hub does for large files: its own description, and a redirection to the content.
         let place = if let Fault::Elsewhere(url) = &fault { url.as_str() } else { "" };
         let sends_on = if file.ends_with("safetensors") {
             format!(
@@ -167,14 +167,14 @@ fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, script: &Script) -> std
         } else {
             format!("ETag: \"{}\"\r\n", checksum(file))
         };
-        let status = if file.ends_with("safetensors") { "302 Found" } else { "200 OK" };
+        let status = if file.ends_with("safetensors") { "302 DetectedObject" } else { "200 OK" };
         return write!(
             stream,
             "HTTP/1.1 {status}\r\nConnection: close\r\nX-Repo-Commit: {COMMIT}\r\n{sends_on}Content-Length: {}\r\n\r\n",
             if sends_on.starts_with("Location") { 0 } else { bytes.len() }
         );
     }
-    let from = asked.from.filter(|_| fault != Fault::Whole).unwrap_or(0).min(bytes.len());
+    let from = request.from.filter(|_| fault != Fault::Whole).unwrap_or(0).min(bytes.len());
     let status = if from > 0 { "206 Partial Content" } else { "200 OK" };
     let mut body = bytes[from..].to_vec();
     if fault == Fault::Wrong {
@@ -203,7 +203,7 @@ fn fetch(hub: &HubConfig) -> Result<std::path::PathBuf, NetsError> {
     hub.fetch(&MODEL, &NoProgress, &Cancel::new())
 }
 
-fn is_whole(folder: &Path) {
+fn assert_whole(folder: &Path) {
     for file in MODEL.files {
         assert_eq!(std::fs::read(folder.join(file)).unwrap(), content(file), "{file}");
     }
@@ -216,29 +216,33 @@ fn a_model_is_fetched_once_into_the_standard_cache() {
     let hub = hub(&server, cache.path());
     assert_eq!(hub.cached(&MODEL), None);
     let folder = fetch(&hub).unwrap();
-    is_whole(&folder);
+    assert_whole(&folder);
     let repository = cache.path().join("models--org--toy");
     assert_eq!(folder, repository.join("snapshots").join(COMMIT));
     assert_eq!(std::fs::read_to_string(repository.join("refs/main")).unwrap(), COMMIT);
     assert!(repository.join("blobs").join(checksum("model.safetensors")).is_file());
-    // The second file is asked for at the commit of the first.
-    assert!(server.asked().iter().any(|a| a.path.contains(&format!("/resolve/{COMMIT}/model.safetensors"))));
-    let before = server.asked().len();
+    // The second file is requested at the commit of the first.
+    assert!(
+        server.requests().iter().any(|a| a.path.contains(&format!("/resolve/{COMMIT}/model.safetensors")))
+    );
+    let before = server.requests().len();
     assert_eq!(fetch(&hub).unwrap(), folder);
-    assert_eq!(server.asked().len(), before, "nothing is asked again");
+    assert_eq!(server.requests().len(), before, "no further requests");
     let offline = HubConfig { is_offline: true, ..hub };
     assert_eq!(fetch(&offline).unwrap(), folder);
 }
 
 #[test]
-fn a_pinned_commit_is_asked_for_and_needs_no_branch() {
+fn a_pinned_commit_is_requested_without_a_branch() {
     let server = Server::new(|_, _| Fault::None);
     let cache = tempfile::tempdir().unwrap();
     let hub = HubConfig { revision: None, ..hub(&server, cache.path()) };
-    let pinned = Model { revision: COMMIT, ..MODEL };
+    let pinned = HubModel { revision: COMMIT, ..MODEL };
     let folder = hub.fetch(&pinned, &NoProgress, &Cancel::new()).unwrap();
-    is_whole(&folder);
-    assert!(server.asked().iter().filter(|a| a.path.contains("/resolve/")).all(|a| a.path.contains(COMMIT)));
+    assert_whole(&folder);
+    assert!(
+        server.requests().iter().filter(|a| a.path.contains("/resolve/")).all(|a| a.path.contains(COMMIT))
+    );
     assert_eq!(hub.cached(&pinned).map(|c| c.commit).as_deref(), Some(COMMIT));
     assert!(!cache.path().join("models--org--toy/refs").exists());
     for model in &MODELS {
@@ -247,11 +251,11 @@ fn a_pinned_commit_is_asked_for_and_needs_no_branch() {
 }
 
 #[test]
-fn a_dropped_connection_is_gone_on_from_where_it_broke() {
+fn a_dropped_connection_is_resumed() {
     let gets = Arc::new(Mutex::new(0));
-    let server = Server::new(move |_, asked| {
+    let server = Server::new(move |_, request| {
         let mut gets = gets.lock().unwrap();
-        if asked.method == "GET" && asked.path.ends_with("safetensors") {
+        if request.method == "GET" && request.path.ends_with("safetensors") {
             *gets += 1;
             if *gets < 3 {
                 return Fault::Cut(100_000);
@@ -260,9 +264,9 @@ fn a_dropped_connection_is_gone_on_from_where_it_broke() {
         Fault::None
     });
     let cache = tempfile::tempdir().unwrap();
-    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    assert_whole(&fetch(&hub(&server, cache.path())).unwrap());
     let from: Vec<_> = server
-        .asked()
+        .requests()
         .iter()
         .filter(|a| a.method == "GET" && a.path.contains("cdn"))
         .map(|a| a.from)
@@ -271,73 +275,71 @@ fn a_dropped_connection_is_gone_on_from_where_it_broke() {
 }
 
 #[test]
-fn a_broken_download_goes_on_in_the_next_run_and_survives_a_server_without_ranges() {
+fn a_broken_download_is_resumed_by_the_next_run_even_without_ranges() {
     let cache = tempfile::tempdir().unwrap();
     let gets = Mutex::new(0);
     let cutting = Server::new(move |_, a| {
         if a.method == "GET" && a.path.contains("cdn") {
             let mut gets = gets.lock().unwrap();
             *gets += 1;
-            // Then nothing comes any more.
+            // Then no more bytes.
             return Fault::Cut(if *gets <= 3 { 10_000 } else { 0 });
         }
         Fault::None
     });
-    let message = fetch(&hub(&cutting, cache.path())).unwrap_err().to_string();
-    assert!(message.contains("could not be fetched") && message.contains("--weights DIR"), "{message}");
+    assert!(matches!(fetch(&hub(&cutting, cache.path())), Err(NetsError::Input(_))));
     let whole = Server::new(|_, _| Fault::Whole);
-    is_whole(&fetch(&hub(&whole, cache.path())).unwrap());
-    assert_eq!(whole.asked().iter().filter_map(|a| a.from).collect::<Vec<_>>(), [30_000]);
+    assert_whole(&fetch(&hub(&whole, cache.path())).unwrap());
+    assert_eq!(whole.requests().iter().filter_map(|a| a.from).collect::<Vec<_>>(), [30_000]);
 }
 
 #[test]
-fn a_line_that_breaks_again_and_again_brings_the_file_all_the_same() {
+fn repeated_disconnects_do_not_prevent_a_download() {
     let cutting = Server::new(|_, a| {
         if a.method == "GET" && a.path.contains("cdn") { Fault::Cut(30_000) } else { Fault::None }
     });
     let cache = tempfile::tempdir().unwrap();
-    is_whole(&fetch(&hub(&cutting, cache.path())).unwrap());
-    let gets = cutting.asked().iter().filter(|a| a.path.contains("cdn")).count();
+    assert_whole(&fetch(&hub(&cutting, cache.path())).unwrap());
+    let gets = cutting.requests().iter().filter(|a| a.path.contains("cdn")).count();
     assert!(gets > hub(&cutting, cache.path()).attempts, "{gets}");
 }
 
 #[test]
-fn an_address_that_has_expired_is_asked_for_again() {
+fn an_expired_address_is_requested_again() {
     let elsewhere = Server::new(|number, _| if number == 0 { Fault::Status(403, "0") } else { Fault::None });
     let other = elsewhere.url.clone();
     let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
     let cache = tempfile::tempdir().unwrap();
-    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
-    let described = |a: &&Asked| a.method == "HEAD" && a.path.ends_with("safetensors");
-    assert_eq!(server.asked().iter().filter(described).count(), 2);
-    // One that refuses for good is no reason to ask for ever.
-    let never = Server::new(|_, _| Fault::Status(403, "0"));
+    assert_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    let described = |a: &&RecordedRequest| a.method == "HEAD" && a.path.ends_with("safetensors");
+    assert_eq!(server.requests().iter().filter(described).count(), 2);
+    // Permanent refusals are not retried forever.
+    let status = 403;
+    let never = Server::new(move |_, _| Fault::Status(status, "0"));
     let other = never.url.clone();
     let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
     let cache = tempfile::tempdir().unwrap();
     let message = fetch(&hub(&server, cache.path())).unwrap_err().to_string();
-    assert!(message.contains("status 403"), "{message}");
-    assert_eq!(never.asked().len(), 2);
+    assert!(message.contains(&status.to_string()), "{message}");
+    assert_eq!(never.requests().len(), 2);
 }
 
 #[test]
-fn descriptions_elsewhere_are_followed_and_other_servers_recognised() {
+fn redirected_descriptions_are_followed_and_other_servers_refused() {
     let moving = Server::new(|_, a| {
         if a.method == "HEAD" && !a.path.starts_with("/moved") { Fault::Moved } else { Fault::None }
     });
     let cache = tempfile::tempdir().unwrap();
-    is_whole(&fetch(&hub(&moving, cache.path())).unwrap());
+    assert_whole(&fetch(&hub(&moving, cache.path())).unwrap());
     let plain = Server::new(|_, _| Fault::Plain);
     let cache = tempfile::tempdir().unwrap();
-    let message = fetch(&hub(&plain, cache.path())).unwrap_err().to_string();
-    assert!(message.contains("no Hugging Face hub") && message.contains("HF_ENDPOINT"), "{message}");
+    assert!(matches!(fetch(&hub(&plain, cache.path())), Err(NetsError::Input(_))));
     let circling = Server::new(|_, _| Fault::Moved);
-    let message = fetch(&hub(&circling, cache.path())).unwrap_err().to_string();
-    assert!(message.contains("without end"), "{message}");
+    assert!(matches!(fetch(&hub(&circling, cache.path())), Err(NetsError::Input(_))));
 }
 
 #[test]
-fn a_wrong_checksum_is_refused_and_nothing_of_it_stays() {
+fn a_wrong_checksum_is_refused_and_not_cached() {
     let cache = tempfile::tempdir().unwrap();
     for file in ["config.json", "safetensors"] {
         let server =
@@ -347,12 +349,12 @@ fn a_wrong_checksum_is_refused_and_nothing_of_it_stays() {
                 },
             );
         let hub = hub(&server, cache.path());
-        let message = fetch(&hub).unwrap_err().to_string();
-        assert!(message.contains("wrong checksum"), "{message}");
+        let Err(NetsError::Input(error)) = fetch(&hub) else { panic!("{file}") };
+        assert!(error.detail.is_some(), "{error}");
         assert_eq!(hub.cached(&MODEL), None);
     }
     let good = Server::new(|_, _| Fault::None);
-    is_whole(&fetch(&hub(&good, cache.path())).unwrap());
+    assert_whole(&fetch(&hub(&good, cache.path())).unwrap());
 }
 
 #[test]
@@ -360,10 +362,10 @@ fn a_hub_that_answers_with_another_commit_is_refused() {
     let server = Server::new(|_, _| Fault::None);
     let cache = tempfile::tempdir().unwrap();
     let hub = HubConfig { revision: None, ..hub(&server, cache.path()) };
-    let pinned = Model { revision: "fedcba9876543210fedcba9876543210fedcba98", ..MODEL };
+    let pinned = HubModel { revision: "fedcba9876543210fedcba9876543210fedcba98", ..MODEL };
     let message = hub.fetch(&pinned, &NoProgress, &Cancel::new()).unwrap_err().to_string();
     assert!(message.contains(pinned.revision) && message.contains(COMMIT), "{message}");
-    assert!(server.asked().iter().all(|a| a.method == "HEAD"), "nothing is fetched");
+    assert!(server.requests().iter().all(|a| a.method == "HEAD"), "nothing is fetched");
     assert_eq!(hub.cached(&pinned), None);
 }
 
@@ -377,20 +379,20 @@ fn cached_files_with_a_wrong_checksum_are_fetched_again() {
     bytes[7] ^= 1;
     std::fs::write(blobs.join(checksum("model.safetensors")), bytes).unwrap();
     std::fs::write(blobs.join(checksum("config.json")), content("config.json")).unwrap();
-    is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+    assert_whole(&fetch(&hub(&server, cache.path())).unwrap());
     let fetched: Vec<String> =
-        server.asked().into_iter().filter(|a| a.method == "GET").map(|a| a.path).collect();
-    assert_eq!(fetched, ["/cdn/model.safetensors"], "and what is right is not");
+        server.requests().into_iter().filter(|a| a.method == "GET").map(|a| a.path).collect();
+    assert_eq!(fetched, ["/cdn/model.safetensors"], "and valid files are not");
 }
 
 #[test]
 fn refusals_are_explained_and_busy_servers_asked_again() {
-    for (status, words) in [(401, "HF_TOKEN"), (403, "HF_TOKEN"), (404, "revision"), (418, "status 418")] {
+    for status in [401, 403, 404, 418] {
         let server = Server::new(move |_, _| Fault::Status(status, "0"));
         let cache = tempfile::tempdir().unwrap();
         let message = fetch(&hub(&server, cache.path())).unwrap_err().to_string();
-        assert!(message.contains(words) && message.contains("org/toy"), "{status}: {message}");
-        assert_eq!(server.asked().len(), 1, "{status} is final");
+        assert!(message.contains(&status.to_string()) && message.contains(MODEL.repository), "{message}");
+        assert_eq!(server.requests().len(), 1, "{status} is final");
     }
     for status in [429, 503] {
         let server =
@@ -400,12 +402,12 @@ fn refusals_are_explained_and_busy_servers_asked_again() {
                 },
             );
         let cache = tempfile::tempdir().unwrap();
-        is_whole(&fetch(&hub(&server, cache.path())).unwrap());
+        assert_whole(&fetch(&hub(&server, cache.path())).unwrap());
         let never = Server::new(move |_, _| Fault::Status(status, "0"));
         let cache = tempfile::tempdir().unwrap();
         let message = fetch(&hub(&never, cache.path())).unwrap_err().to_string();
-        assert!(message.contains(&status.to_string()) && message.contains("later"), "{message}");
-        assert_eq!(never.asked().len(), 3);
+        assert!(message.contains(&status.to_string()), "{message}");
+        assert_eq!(never.requests().len(), 3);
     }
 }
 
@@ -416,10 +418,10 @@ fn the_token_goes_to_the_hub_alone() {
     let server = Server::new(move |_, _| Fault::Elsewhere(other.clone()));
     let cache = tempfile::tempdir().unwrap();
     let hub = HubConfig { token: Some("hf_secret".into()), ..hub(&server, cache.path()) };
-    is_whole(&fetch(&hub).unwrap());
-    assert!(server.asked().iter().all(|a| a.token.as_deref() == Some("Bearer hf_secret")));
-    let asked = elsewhere.asked();
-    assert!(!asked.is_empty() && asked.iter().all(|a| a.token.is_none()), "{asked:?}");
+    assert_whole(&fetch(&hub).unwrap());
+    assert!(server.requests().iter().all(|a| a.token.as_deref() == Some("Bearer hf_secret")));
+    let requests = elsewhere.requests();
+    assert!(!requests.is_empty() && requests.iter().all(|a| a.token.is_none()), "{requests:?}");
 }
 
 #[test]
@@ -430,13 +432,14 @@ fn an_unreachable_hub_names_the_files_and_their_place() {
     let offline = HubConfig { is_offline: true, ..hub(&server, cache.path()) };
     for hub in [nowhere, offline] {
         let message = fetch(&hub).unwrap_err().to_string();
-        for word in ["model.safetensors", "huggingface.co/org/toy", "--weights DIR"] {
-            assert!(message.contains(word), "{word}: {message}");
-        }
+        assert!(
+            MODEL.files.iter().all(|f| message.contains(f)) && message.contains(MODEL.repository),
+            "{message}"
+        );
     }
-    assert!(server.asked().is_empty());
+    assert!(server.requests().is_empty());
     let message = model("sam3").unwrap_err().to_string();
-    assert!(message.contains("sam2-tiny") && message.contains("owlv2"), "{message}");
+    assert!(MODELS.iter().all(|m| message.contains(m.name)), "{message}");
 }
 
 #[test]
@@ -446,7 +449,10 @@ fn a_local_copy_is_taken_in_any_of_the_usual_folders() {
     let hub = hub(&server, local.path());
     let folder = || MODEL.folder(Some(local.path()), &hub, &NoProgress, &Cancel::new());
     let message = folder().unwrap_err().to_string();
-    assert!(message.contains("config.json, model.safetensors") && message.contains("org/toy"), "{message}");
+    assert!(
+        MODEL.files.iter().all(|f| message.contains(f)) && message.contains(MODEL.repository),
+        "{message}"
+    );
     for place in ["", "org/toy", "toy"] {
         for file in MODEL.files {
             let path = local.path().join(place).join(file);
@@ -458,5 +464,5 @@ fn a_local_copy_is_taken_in_any_of_the_usual_folders() {
             if place.is_empty() { local.path().to_owned() } else { local.path().join(place) }
         );
     }
-    assert!(server.asked().is_empty());
+    assert!(server.requests().is_empty());
 }

@@ -1,5 +1,4 @@
-//! A chat-completions server within the test: it plays the replies that it was given, one a request, and keeps what it
-//! was asked.
+//! A chat-completions server within the test: it sends scripted replies, one per request, and records the requests.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -9,16 +8,16 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// One request as it came.
+/// A recorded request.
 #[derive(Debug, Clone)]
-pub(crate) struct Asked {
+pub(crate) struct RecordedRequest {
     pub(crate) path: String,
     pub(crate) authorization: Option<String>,
     pub(crate) body: Value,
 }
 
-impl Asked {
-    /// The type of the response format, and whether the schema has objects in objects.
+impl RecordedRequest {
+    /// Returns the type of the response format, and whether the schema has nested objects.
     pub(crate) fn form(&self) -> &'static str {
         let format = &self.body["response_format"];
         match format["type"].as_str() {
@@ -34,7 +33,7 @@ impl Asked {
         }
     }
 
-    /// The text of the last message.
+    /// Returns the text of the last message.
     pub(crate) fn last_text(&self) -> String {
         let messages = self.body["messages"].as_array().cloned().unwrap_or_default();
         let content = messages.last().map(|m| m["content"].clone()).unwrap_or_default();
@@ -42,28 +41,28 @@ impl Asked {
     }
 }
 
-/// What the server does with one request.
+/// The server's reaction to one request.
 pub(crate) enum Act {
-    /// A status, more headers, a body.
+    /// A status, additional headers, a body.
     Http(u16, Vec<(&'static str, String)>, Vec<u8>),
-    /// The same in pieces of so many bytes.
+    /// The same in chunks of this size.
     Chunked(usize, Vec<u8>),
-    /// Headers that promise more than comes.
+    /// Headers that promise more bytes than follow.
     CutBody(Vec<u8>),
-    /// The connection closes without a word.
+    /// The connection closes without a reply.
     Drop,
-    /// Nothing comes until the server ends.
+    /// No reply until the server ends.
     Hang,
-    /// Bytes that are no HTTP.
+    /// Bytes that are not HTTP.
     Garbage(Vec<u8>),
 }
 
-/// A reply of a model with this text, as the server would send it.
+/// Returns a model's reply with this text.
 pub(crate) fn reply(text: &str) -> Act {
     Act::Http(200, vec![], envelope(json!(text)))
 }
 
-/// The body of a reply with this content.
+/// Returns the body of a reply with this content.
 pub(crate) fn envelope(content: Value) -> Vec<u8> {
     let body = json!({
         "choices": [{"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content}}],
@@ -72,7 +71,7 @@ pub(crate) fn envelope(content: Value) -> Vec<u8> {
     body.to_string().into_bytes()
 }
 
-/// A server error as OpenAI words it.
+/// Returns a server error in OpenAI's form.
 pub(crate) fn refusal(status: u16, message: &str) -> Act {
     Act::Http(
         status,
@@ -81,24 +80,24 @@ pub(crate) fn refusal(status: u16, message: &str) -> Act {
     )
 }
 
-type Script = dyn Fn(usize, &Asked) -> Act + Send + Sync;
+type Script = dyn Fn(usize, &RecordedRequest) -> Act + Send + Sync;
 
 /// A listening server.
 pub(crate) struct Server {
     pub(crate) url: String,
-    asked: Arc<Mutex<Vec<Asked>>>,
+    requests: Arc<Mutex<Vec<RecordedRequest>>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Server {
-    /// Plays `script`: from the number of the request and the request to what is done.
-    pub(crate) fn new(script: impl Fn(usize, &Asked) -> Act + Send + Sync + 'static) -> Self {
+    /// Runs `script`, a function of the request's index and the request.
+    pub(crate) fn new(script: impl Fn(usize, &RecordedRequest) -> Act + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}/v1", listener.local_addr().unwrap());
-        let (asked, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
+        let (requests, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
         let script: Arc<Script> = Arc::new(script);
-        let (all, ended) = (Arc::clone(&asked), Arc::clone(&stop));
+        let (all, ended) = (Arc::clone(&requests), Arc::clone(&stop));
         let thread = std::thread::spawn(move || {
             for stream in listener.incoming() {
                 if ended.load(Ordering::SeqCst) {
@@ -109,12 +108,12 @@ impl Server {
                 std::thread::spawn(move || serve(stream, &all, &ended, script.as_ref()));
             }
         });
-        Self { url, asked, stop, thread: Some(thread) }
+        Self { url, requests, stop, thread: Some(thread) }
     }
 
-    /// What was asked so far.
-    pub(crate) fn asked(&self) -> Vec<Asked> {
-        self.asked.lock().unwrap().clone()
+    /// Returns the requests so far.
+    pub(crate) fn requests(&self) -> Vec<RecordedRequest> {
+        self.requests.lock().unwrap().clone()
     }
 }
 
@@ -130,15 +129,15 @@ impl Drop for Server {
 }
 
 /// Serves one connection; it closes after each reply.
-fn serve(mut stream: TcpStream, all: &Mutex<Vec<Asked>>, stop: &AtomicBool, script: &Script) {
-    let Some(asked) = read_request(&stream) else { return };
+fn serve(mut stream: TcpStream, all: &Mutex<Vec<RecordedRequest>>, stop: &AtomicBool, script: &Script) {
+    let Some(request) = read_request(&stream) else { return };
     let number = {
         let mut all = all.lock().unwrap();
-        all.push(asked.clone());
+        all.push(request.clone());
         all.len() - 1
     };
-    // Whoever asked may be gone: that is what some tests are about.
-    let _ = act(&mut stream, script(number, &asked), stop);
+    // The client may be gone: some tests are about that.
+    let _ = act(&mut stream, script(number, &request), stop);
 }
 
 fn act(stream: &mut TcpStream, act: Act, stop: &AtomicBool) -> std::io::Result<()> {
@@ -180,7 +179,7 @@ fn act(stream: &mut TcpStream, act: Act, stop: &AtomicBool) -> std::io::Result<(
     }
 }
 
-fn read_request(stream: &TcpStream) -> Option<Asked> {
+fn read_request(stream: &TcpStream) -> Option<RecordedRequest> {
     stream.set_read_timeout(Some(Duration::from_secs(5))).ok()?;
     let mut reader = BufReader::new(stream);
     let mut line = String::new();
@@ -199,5 +198,5 @@ fn read_request(stream: &TcpStream) -> Option<Asked> {
     }
     let mut body = vec![0; length];
     reader.read_exact(&mut body).ok()?;
-    Some(Asked { path, authorization, body: serde_json::from_slice(&body).ok()? })
+    Some(RecordedRequest { path, authorization, body: serde_json::from_slice(&body).ok()? })
 }

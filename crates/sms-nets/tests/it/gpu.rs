@@ -1,21 +1,19 @@
-//! The full-size networks on a GPU against the CPU: with random weights, since the fixtures are small, and large
-//! attention, many windows and long rows take other kernels.
+//! The full-size networks on a GPU against the CPU, with random weights: unlike the small fixtures, they use the
+//! kernels for large attention, many windows and long rows.
 
-mod support;
-
+use crate::support::{TOLERANCE, gpu};
 use candle_core::{DType, Device, Tensor};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox, Tokens};
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker};
-use sms_nets::{Seams, Weights};
+use sms_nets::{TensorObserver, Weights};
 use std::collections::BTreeMap;
-use support::{TOLERANCE, gpu};
 
-/// Seams by name, with their values.
-type Seen = BTreeMap<String, Vec<f32>>;
+/// Observed tensors by name.
+type Observed = BTreeMap<String, Vec<f32>>;
 
-fn keep(seen: &mut Seen, name: &str, tensor: &Tensor) {
+fn keep(observed: &mut Observed, name: &str, tensor: &Tensor) {
     let flat = tensor.to_dtype(DType::F32).unwrap().flatten_all().unwrap();
-    seen.insert(name.to_owned(), flat.to_vec1().unwrap());
+    observed.insert(name.to_owned(), flat.to_vec1().unwrap());
 }
 
 /// A picture of smooth stripes, (1, 3, side, side).
@@ -28,8 +26,8 @@ fn picture(side: usize, frame: usize, device: &Device) -> Tensor {
     Tensor::from_vec(values, (1, 3, side, side), device).unwrap()
 }
 
-/// What each seam differs by, in parts of its largest value where that is above 1.
-fn gaps(ours: &Seen, theirs: &Seen) -> BTreeMap<String, f32> {
+/// Returns the difference of each tensor, relative to its largest value if that is above 1.
+fn gaps(ours: &Observed, theirs: &Observed) -> BTreeMap<String, f32> {
     assert!(ours.keys().eq(theirs.keys()) && !ours.is_empty());
     let gap = |(name, theirs): (&String, &Vec<f32>)| {
         let largest = theirs.iter().fold(1f32, |m, v| m.max(v.abs()));
@@ -42,54 +40,54 @@ fn gaps(ours: &Seen, theirs: &Seen) -> BTreeMap<String, f32> {
     theirs.iter().map(gap).collect()
 }
 
-fn check(ours: &Seen, theirs: &Seen) {
+fn check(ours: &Observed, theirs: &Observed) {
     for (name, gap) in gaps(ours, theirs) {
         assert!(gap <= TOLERANCE, "{name}: {gap}");
     }
 }
 
 #[test]
+#[ignore = "needs a GPU and the feature `cuda` or `metal`"]
 fn owlv2_in_full_size_is_the_same_on_a_gpu() {
-    let (_, device) = match gpu() {
-        Ok(gpu) => gpu,
-        Err(why) => return println!("skipped: {why}"),
-    };
+    let (_, device) = gpu().unwrap();
     let of = |device: &Device| {
-        let mut seen = Seen::new();
+        let mut observed = Observed::new();
         let model = Owlv2::new(&Owlv2Config::base_patch16(), &Weights::random(5, device)).unwrap();
         let ids = |i: u32| (0..16).map(|j| if j < 5 { 49_000 + 37 * i + j } else { 0 }).collect();
         let queries: Vec<Tokens> = (0..3).map(|i| Tokens { ids: ids(i), used: 5, is_cut: false }).collect();
-        let text = model.text(&queries, &mut Seams::new(|name, t| keep(&mut seen, name, t))).unwrap();
-        let mut look = Seams::new(|name, t| keep(&mut seen, name, t));
+        let text =
+            model.text(&queries, &mut TensorObserver::new(|name, t| keep(&mut observed, name, t))).unwrap();
+        let mut look = TensorObserver::new(|name, t| keep(&mut observed, name, t));
         let features = model.image(&picture(960, 0, device), &mut look).unwrap();
         drop(look);
         let heads = model.heads(&features, &text).unwrap();
         for (name, tensor) in [("logits", &heads.logits), ("boxes", &heads.boxes)] {
-            keep(&mut seen, name, tensor);
+            keep(&mut observed, name, tensor);
         }
-        seen
+        observed
     };
     check(&of(&device), &of(&Device::Cpu));
 }
 
 #[test]
+#[ignore = "needs a GPU and the feature `cuda` or `metal`"]
 fn sam2_in_full_size_is_the_same_on_a_gpu() {
-    let (_, device) = match gpu() {
-        Ok(gpu) => gpu,
-        Err(why) => return println!("skipped: {why}"),
-    };
+    let (_, device) = gpu().unwrap();
     let of = |device: &Device| {
-        let mut seen = Seen::new();
+        let mut observed = Observed::new();
         let model = Sam2::new(&Sam2Config::default(), &Weights::random(5, device)).unwrap();
         let boxes = [PixelBox { x0: 100.0, y0: 80.0, x1: 260.0, y1: 200.0 }];
         let mut tracker = Tracker::new(&model, &boxes, (640, 400), 3);
         for frame in 0..2 {
-            let mut look = Seams::new(|name, t| keep(&mut seen, &format!("image{frame}.{name}"), t));
+            let mut look =
+                TensorObserver::new(|name, t| keep(&mut observed, &format!("image{frame}.{name}"), t));
             let features = model.encode(&picture(1024, frame, device), &mut look).unwrap();
             drop(look);
-            tracker.next(&features, &mut Seams::new(|name, t| keep(&mut seen, name, t))).unwrap();
+            tracker
+                .next(&features, &mut TensorObserver::new(|name, t| keep(&mut observed, name, t)))
+                .unwrap();
         }
-        seen
+        observed
     };
     check(&of(&device), &of(&Device::Cpu));
 }

@@ -1,22 +1,21 @@
-//! Comparing with the reference tensors.
+//! Comparison with the reference tensors.
 //!
-//! The whole reference lies beside the repository (environment variable `SMS_TEST_REFERENCE`, `../shared/reference` by
-//! default); the tests that need it are skipped where it is absent. A small part of it is in `tests/data`, and the weights
-//! that belong to it are made up again from their names, so that the networks are compared anywhere.
+//! The complete reference lies beside the repository (environment variable `SMS_TEST_REFERENCE`, by default
+//! `../shared/reference`); tests that need it are ignored by default. A small part of it is in `tests/data`, and
+//! its weights are generated from their names, so that the networks are compared everywhere.
 //!
-//! Every comparison is made on the CPU and, in builds with the feature `cuda` or `metal`, on the GPU that is there.
-//! `SMS_TEST_DEVICE=cpu|gpu` chooses one of them; with `gpu` it is a failure that there is none.
-#![allow(dead_code, reason = "each test binary uses a part")]
+//! Every comparison runs on the CPU and, in builds with the feature `cuda` or `metal`, on the GPU if there is one.
+//! `SMS_TEST_DEVICE=cpu|gpu` selects one of them; with `gpu`, a missing GPU is a failure.
 
 use candle_core::{DType, Device, Tensor};
 use sms_nets::{SafetensorsFile, Shapes, Weights};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-/// The largest difference allowed between a tensor of ours and the reference's.
+/// Greatest difference from the reference's tensors.
 pub(crate) const TOLERANCE: f32 = 1e-4;
 
-/// What to compute on, by name.
+/// Returns the devices to compute on, by name.
 pub(crate) fn devices() -> Vec<(&'static str, Device)> {
     let asked = std::env::var("SMS_TEST_DEVICE").unwrap_or_default();
     assert!(["", "cpu", "gpu"].contains(&asked.as_str()), "SMS_TEST_DEVICE={asked}: give cpu or gpu");
@@ -27,14 +26,15 @@ pub(crate) fn devices() -> Vec<(&'static str, Device)> {
     if asked != "cpu" {
         match gpu() {
             Ok(gpu) => devices.push(gpu),
-            Err(why) if asked.is_empty() => println!("skipped on a GPU: {why}"),
+            Err(why) if asked.is_empty() => println!("not on a GPU: {why}"),
             Err(why) => panic!("SMS_TEST_DEVICE=gpu: {why}"),
         }
     }
     devices
 }
 
-/// The first GPU, where this build knows of GPUs. Each caller gets a handle of its own, since CUDA orders work by thread.
+/// Returns the first GPU, if this build supports GPUs. Each caller gets its own handle, since CUDA orders work by
+/// thread.
 pub(crate) fn gpu() -> Result<(&'static str, Device), String> {
     let (name, device) = if cfg!(feature = "cuda") {
         ("cuda", Device::new_cuda(0))
@@ -43,38 +43,33 @@ pub(crate) fn gpu() -> Result<(&'static str, Device), String> {
     } else {
         return Err("built without the features `cuda` and `metal`".into());
     };
-    // The first line: a backtrace may follow.
+    // Only the first line: a backtrace may follow.
     device
         .map(|device| (name, device))
         .map_err(|e| format!("{name} cannot be used: {}", e.to_string().lines().next().unwrap_or_default()))
 }
 
-/// The folder of the small fixtures. Cargo tells where the package lies when it runs a test; a test program that was
-/// carried elsewhere is told by the same variable.
+/// Returns the folder of the small fixtures. Cargo sets the package's path when it runs a test; a test program on
+/// another machine gets it from the same variable.
 pub(crate) fn data(model: &str) -> PathBuf {
     let package = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     package.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into()).join("tests/data").join(model)
 }
 
-/// The folder of the whole reference, if it is here.
-pub(crate) fn reference_folder() -> Option<PathBuf> {
+/// Returns the folder of the complete reference.
+pub(crate) fn reference_folder() -> PathBuf {
     let folder = match std::env::var_os("SMS_TEST_REFERENCE") {
         Some(folder) => PathBuf::from(folder),
         None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
     };
-    let tiny = folder.join("tiny");
-    if !tiny.is_dir() {
-        println!("skipped: no reference tensors in {} (SMS_TEST_REFERENCE)", folder.display());
-        return None;
-    }
-    Some(tiny)
+    folder.join("tiny")
 }
 
-/// Reference tensors, which lie in main memory, and what was compared with them.
+/// Reference tensors in main memory, and the differences found.
 pub(crate) struct Reference {
     pub(crate) tensors: BTreeMap<String, Tensor>,
     gaps: BTreeMap<String, f32>,
-    /// What computes the tensors compared.
+    /// Name of the device under test.
     device: &'static str,
 }
 
@@ -89,7 +84,7 @@ impl Reference {
     }
 
     /// Compares `ours` with the tensor of that name, if the reference has one.
-    pub(crate) fn see(&mut self, name: &str, ours: &Tensor) {
+    pub(crate) fn compare(&mut self, name: &str, ours: &Tensor) {
         let Some(theirs) = self.tensors.get(name) else { return };
         assert_eq!(ours.elem_count(), theirs.elem_count(), "{name}: {:?} {:?}", ours.dims(), theirs.dims());
         let flat =
@@ -102,18 +97,18 @@ impl Reference {
         self.gaps.insert(name.to_owned(), gap);
     }
 
-    /// Prints the largest difference of each seam and checks that every tensor whose name starts with one of
+    /// Prints the largest difference of each group of tensors and checks that every tensor with one of the
     /// `prefixes` was compared and is within the tolerance, `except` those.
     pub(crate) fn finish(&self, prefixes: &[&str], except: &[&str]) {
-        let mut by_seam: BTreeMap<String, f32> = BTreeMap::new();
+        let mut by_kind: BTreeMap<String, f32> = BTreeMap::new();
         let device = self.device;
         for (name, gap) in &self.gaps {
             println!("{gap:9.2e} {device} {name}");
-            let seam = name.split('.').next_back().unwrap_or(name);
-            let largest = by_seam.entry(seam.to_owned()).or_default();
+            let kind = name.split('.').next_back().unwrap_or(name);
+            let largest = by_kind.entry(kind.to_owned()).or_default();
             *largest = if *gap <= *largest { *largest } else { *gap };
         }
-        println!("largest difference of each seam on {device}: {by_seam:?}");
+        println!("largest difference by kind on {device}: {by_kind:?}");
         for (name, gap) in &self.gaps {
             assert!(*gap <= TOLERANCE, "{name} on {device}: {gap}");
         }
@@ -124,7 +119,7 @@ impl Reference {
     }
 }
 
-/// Names and shapes of a full-size model, as its repository on the hub has them.
+/// Returns names and shapes of a full-size model, as in its repository on the hub.
 pub(crate) fn full_size(model: &str) -> Shapes {
     let text = include_str!("../data/released_shapes.tsv");
     let rows = text.lines().filter_map(|line| {
@@ -135,8 +130,8 @@ pub(crate) fn full_size(model: &str) -> Shapes {
     rows.collect()
 }
 
-/// The reference's weights made up again: values depend on a parameter's name, its shape and the seed alone.
-/// `patch` changes them afterwards. A folder with them as `model.safetensors`.
+/// Generates the reference's weights: values depend only on a parameter's name, its shape and the seed. `patch`
+/// changes them afterwards. Returns a folder with them as `model.safetensors`.
 pub(crate) fn made_up(shapes: &Shapes, seed: u64, patch: impl Fn(&str, &mut [f64])) -> tempfile::TempDir {
     let mut tensors = HashMap::new();
     for (name, shape) in shapes {
@@ -150,7 +145,7 @@ pub(crate) fn made_up(shapes: &Shapes, seed: u64, patch: impl Fn(&str, &mut [f64
     folder
 }
 
-/// The weights in a folder.
+/// Opens the weights in a folder.
 pub(crate) fn weights(folder: &Path, device: &Device) -> Weights {
     Weights::open(&folder.join("model.safetensors"), device).unwrap()
 }
@@ -186,7 +181,7 @@ fn values_of(name: &str, shape: &[usize], seed: u64) -> Vec<f64> {
     }
 }
 
-/// Values in −1..1 from the SplitMix64 sequence that starts at `key`.
+/// Returns values in −1..1 from the SplitMix64 sequence that starts at `key`.
 fn noise(key: u64, count: usize) -> Vec<f64> {
     (1..=count as u64)
         .map(|i| {

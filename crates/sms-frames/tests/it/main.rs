@@ -1,9 +1,0 @@
-//! Integration tests.
-
-mod common;
-mod conventions;
-mod faults;
-mod images;
-mod real_data;
-mod tum;
-mod world;

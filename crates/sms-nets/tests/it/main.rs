@@ -1,0 +1,8 @@
+//! Integration tests of the networks.
+
+mod gpu;
+mod hub;
+mod owlv2;
+mod sam2;
+mod segmenter;
+mod support;

@@ -1,7 +1,0 @@
-//! Integration tests.
-
-mod camera;
-mod challenge;
-mod landing;
-mod recordings;
-mod scenes;

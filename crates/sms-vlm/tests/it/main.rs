@@ -1,0 +1,5 @@
+//! Integration tests of questions to servers.
+
+mod dialects;
+mod mangled;
+mod server;
