@@ -1,5 +1,5 @@
-//! Mass properties at 1 kg/m³ of OBJ meshes as JSON, for `benches/peers/trimesh_mass.py`; with `--shapes DIR` the shapes of
-//! the tests are written to a folder first.
+//! Mass properties at 1 kg/m³ of OBJ meshes as JSON, for `benches/peers/trimesh_mass.py`; `--shapes DIR` writes
+//! the shapes of the tests to a folder first.
 
 #[path = "../tests/shapes/mod.rs"]
 mod shapes;

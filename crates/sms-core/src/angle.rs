@@ -1,8 +1,8 @@
-//! Angles that mean the same.
+//! Equivalent angles.
 
 use std::f64::consts::TAU;
 
-/// The same angle in (−π, π], radians.
+/// Returns the equivalent angle in (−π, π], radians.
 pub fn wrapped_angle(angle: f64) -> f64 {
     let turned = angle.rem_euclid(TAU);
     if turned > 0.5 * TAU { turned - TAU } else { turned }

@@ -1,4 +1,4 @@
-//! Files that are either whole or not there: written to a temporary name in the same folder, then renamed.
+//! Atomic writes: files are written to a temporary name in the same folder, then renamed.
 
 use crate::{CoreError, InputError};
 use serde::{Serialize, de::DeserializeOwned};
@@ -12,7 +12,7 @@ fn temporary_name(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Writes a file through `fill`; an earlier file of this name stays whole until the new one is complete.
+/// Writes a file through `fill`; an existing file stays whole until the new one is complete.
 ///
 /// # Errors
 /// [`CoreError::Write`] when the folder cannot be made or the disk is full; the temporary file is removed.
@@ -32,7 +32,7 @@ pub fn write_with(
         std::fs::rename(&temporary, path)
     })();
     written.map_err(|source| {
-        // Best effort: the write error is what the user needs to see.
+        // Best effort: the write error is reported.
         let _ = std::fs::remove_file(&temporary);
         CoreError::Write { path: path.to_owned(), source }
     })
@@ -54,17 +54,21 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), CoreError>
 /// Reads JSON.
 ///
 /// # Errors
-/// [`CoreError::Read`] when the file cannot be read, [`CoreError::Input`] when it is not what was expected.
+/// [`CoreError::Read`] when the file cannot be read, [`CoreError::Input`] when its content does not match the type.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
     let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
     serde_json::from_str(&text).map_err(|e| {
-        InputError::new("this JSON file does not hold what it should", path, "restore or regenerate the file")
-            .because(e)
-            .into()
+        InputError::new(
+            "this JSON file does not have the expected content",
+            path,
+            "restore or regenerate the file",
+        )
+        .because(e)
+        .into()
     })
 }
 
-/// Reads TOML; unknown keys are errors where the type denies them.
+/// Reads TOML; unknown keys are errors if the type denies them.
 pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
     let text = std::fs::read_to_string(path).map_err(|e| {
         InputError::new("this settings file cannot be read", path, "check the path and its permissions")
@@ -104,8 +108,8 @@ mod tests {
             w.write_all(b"half")?;
             Err(std::io::Error::from(std::io::ErrorKind::StorageFull))
         });
-        let message = failed.unwrap_err().to_string();
-        assert!(message.contains("free some space"), "{message}");
+        let Err(CoreError::Write { source, .. }) = failed else { panic!("{failed:?}") };
+        assert_eq!(source.kind(), std::io::ErrorKind::StorageFull);
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }

@@ -21,19 +21,19 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Square pixels, centred principal point, horizontal field of view in radians.
+    /// Creates intrinsics with square pixels, centred principal point, horizontal field of view in radians.
     pub fn from_fov(width: usize, height: usize, fov_x: f64) -> Self {
         let f = 0.5 * width as f64 / (0.5 * fov_x).tan();
         Self { width, height, fx: f, fy: f, cx: 0.5 * width as f64, cy: 0.5 * height as f64 }
     }
 
-    /// The intrinsics of the same view resampled to another size.
+    /// Returns the intrinsics of the same view resampled to another size.
     pub fn scaled_to(&self, width: usize, height: usize) -> Self {
         let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
     }
 
-    /// Metres across one pixel at depth `z` (metres), the geometric mean of both directions.
+    /// Returns the metres across one pixel at depth `z` (metres), the geometric mean of both directions.
     pub fn pixel_footprint(&self, z: f64) -> f64 {
         z / (self.fx * self.fy).sqrt()
     }
@@ -49,12 +49,12 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera from intrinsics and pose.
+    /// Creates a camera from intrinsics and pose.
     pub fn new(intrinsics: Intrinsics, x_wc: DPose3) -> Self {
         Self { intrinsics, x_wc }
     }
 
-    /// A camera at `eye_w` looking at `target_w` with the image's up along `up_w`.
+    /// Creates a camera at `eye_w` looking at `target_w` with the image's up along `up_w`.
     pub fn look_at(intrinsics: Intrinsics, eye_w: DVec3, target_w: DVec3, up_w: DVec3) -> Self {
         let z = (target_w - eye_w).normalize();
         let x = z.cross(up_w).normalize();
@@ -63,7 +63,7 @@ impl Camera {
         Self::new(intrinsics, DPose3::from_parts(eye_w, rotation))
     }
 
-    /// Image-plane coordinates and depth (metres) of a world point; `None` at or behind the camera plane.
+    /// Returns the image-plane coordinates and depth (metres) of a world point; `None` at or behind the camera plane.
     pub fn project(&self, p_w: DVec3) -> Option<(f64, f64, f64)> {
         let p_c = self.x_wc.inverse_transform_point(p_w);
         if p_c.z <= 1e-9 {
@@ -73,25 +73,25 @@ impl Camera {
         Some((k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy, p_c.z))
     }
 
-    /// The world point seen at image-plane coordinates (u, v) at depth `z` metres.
+    /// Returns the world point at image-plane coordinates (u, v) at depth `z` metres.
     pub fn unproject(&self, u: f64, v: f64, z: f64) -> DVec3 {
         let k = &self.intrinsics;
         self.x_wc.transform_point(DVec3::new((u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z))
     }
 
-    /// The world point seen at the centre of pixel (x, y) at depth `z` metres.
+    /// Returns the world point at the centre of pixel (x, y) at depth `z` metres.
     pub fn unproject_pixel(&self, x: usize, y: usize, z: f64) -> DVec3 {
         self.unproject(x as f64 + 0.5, y as f64 + 0.5, z)
     }
 
-    /// The integer pixel that contains image-plane coordinates (u, v), or `None` outside the image.
+    /// Returns the pixel that contains image-plane coordinates (u, v), or `None` outside the image.
     pub fn pixel_at(&self, u: f64, v: f64) -> Option<(usize, usize)> {
         let inside =
             u >= 0.0 && v >= 0.0 && u < self.intrinsics.width as f64 && v < self.intrinsics.height as f64;
         inside.then_some((u as usize, v as usize))
     }
 
-    /// The camera centre in the world.
+    /// Returns the camera centre in the world.
     pub fn center_w(&self) -> DVec3 {
         self.x_wc.translation
     }

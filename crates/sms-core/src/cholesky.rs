@@ -1,4 +1,4 @@
-//! The Cholesky factor of a small symmetric matrix of fixed capacity: nothing here touches the heap.
+//! Cholesky factorisation of small symmetric matrices of fixed capacity, without heap allocation.
 
 /// A symmetric positive definite matrix factored as L Lᵀ, `n` ≤ `N` rows.
 #[derive(Debug, Clone, Copy)]
@@ -48,8 +48,8 @@ impl<const N: usize> Cholesky<N> {
         }
     }
 
-    /// Solves A X = B in place for `M` right sides at once, row i of B holding entry i of each: bit for bit what
-    /// [`Self::solve`] gives for one after another, without waiting for one division after another.
+    /// Solves A X = B in place for `M` right sides at once; row i of B holds entry i of each. The result equals that of
+    /// [`Self::solve`] bit for bit, but divisions overlap.
     pub fn solve_each<const M: usize>(&self, b: &mut [[f64; M]]) {
         let b = &mut b[..self.n];
         for i in 0..self.n {
@@ -72,7 +72,7 @@ impl<const N: usize> Cholesky<N> {
         }
     }
 
-    /// Product of the diagonal of L: the square root of the determinant.
+    /// Returns the product of the diagonal of L: the square root of the determinant.
     pub fn sqrt_determinant(&self) -> f64 {
         (0..self.n).map(|i| self.l[i][i]).product()
     }

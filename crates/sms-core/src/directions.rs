@@ -2,12 +2,12 @@
 
 use glamx::DVec3;
 
-/// The golden angle, radians: points that turn by it one after the other never line up, so that a spiral of them covers a disc or a
-/// sphere evenly (Vogel, "A better way to construct the sunflower head", 1979).
+/// The golden angle, radians: successive points at this angle never line up, so that their spiral covers a disc or a sphere
+/// evenly (Vogel, "A better way to construct the sunflower head", 1979).
 pub const GOLDEN_ANGLE_RAD: f64 = 2.399_963_229_728_653;
 
-/// `count` unit directions spread evenly over the sphere, from +z to −z: Fibonacci's spiral, of which each stands for an equal area
-/// (González, "Measurement of areas on a sphere using Fibonacci and latitude-longitude lattices", 2010).
+/// Returns `count` unit directions spread evenly over the sphere, from +z to −z, on the Fibonacci spiral: each represents an
+/// equal area (González, "Measurement of areas on a sphere using Fibonacci and latitude-longitude lattices", 2010).
 ///
 /// ```
 /// let up = sms_core::even_directions(100).filter(|d| d.z > 0.0).count();

@@ -4,17 +4,17 @@ use crate::{Mesh, MeshTexture};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Whether physics moves it.
+/// Whether an entity is dynamic or static.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EntityKind {
     /// A free rigid body.
     Dynamic,
-    /// A fixed collider: floor, bin, wall, everything that no label explains.
+    /// A fixed collider: floor, bin, wall, everything without a label.
     Static,
 }
 
-/// The shape that physics uses, in the world frame.
+/// The collision shape, in the world frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum EntityShape {
@@ -48,7 +48,7 @@ pub enum EntityShape {
 }
 
 impl EntityShape {
-    /// Whether one exact solid (sphere, box or cylinder) stands for the whole object.
+    /// Returns whether the shape is one exact solid (sphere, box or cylinder).
     pub fn is_primitive(&self) -> bool {
         matches!(self, Self::Sphere { .. } | Self::Box { .. } | Self::Cylinder { .. })
     }
@@ -72,17 +72,17 @@ pub struct Entity {
     pub label: u16,
     /// Unique name, usable as a file name.
     pub name: String,
-    /// What the labeller called it; may be empty.
+    /// The labeller's description; may be empty.
     pub description: String,
-    /// Whether physics moves it.
+    /// Whether it is dynamic or static.
     pub kind: EntityKind,
-    /// The shape that physics uses.
+    /// Collision shape.
     pub shape: EntityShape,
     /// Densified surface points.
     pub cloud: PointCloud,
     /// Closed surface (for dynamic entities) or open surface (for static ones), world frame.
     pub mesh: Mesh,
-    /// Picture on the mesh, baked from the frames; `None` where vertex colours have to do.
+    /// Texture of the mesh, baked from the frames; `None` if it has vertex colours only.
     pub texture: Option<MeshTexture>,
     /// Convex parts, world frame; empty for spheres, boxes, cylinders and static triangle meshes.
     pub parts: Vec<Mesh>,

@@ -2,19 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-/// Something is wrong with what the user gave: a file, a value, a setting. The command line exits with code 2.
+/// Invalid input by the user: a file, a value, a setting. The command line exits with code 2.
 ///
-/// Every message names the file (or setting) and, in `cure`, what to do about it.
+/// Every message names the file (or setting) and the cure.
 #[derive(Debug, Clone, thiserror::Error)]
 #[error("{what}{}\n  in: {path}\n  cure: {cure}", fmt_detail(.detail))]
 pub struct InputError {
-    /// What is wrong, in one clause.
+    /// The problem, in one clause.
     pub what: String,
     /// The file, folder or setting that is wrong.
     pub path: String,
-    /// What the user can do.
+    /// The cure.
     pub cure: String,
-    /// The underlying reason, where there is one.
+    /// The underlying reason, if there is one.
     pub detail: Option<String>,
     /// The dotted key of the setting at fault (`scan.holdout`), where it is one.
     pub key: Option<Box<str>>,
@@ -25,7 +25,7 @@ fn fmt_detail(detail: &Option<String>) -> String {
 }
 
 impl InputError {
-    /// A new input error about `path`.
+    /// Creates an input error about `path`.
     pub fn new(what: impl Into<String>, path: impl AsRef<Path>, cure: impl Into<String>) -> Self {
         let path = path.as_ref().display().to_string();
         Self { what: what.into(), path, cure: cure.into(), detail: None, key: None }
@@ -38,7 +38,7 @@ impl InputError {
         self
     }
 
-    /// The same error with the underlying reason.
+    /// Adds the underlying reason.
     pub fn because(mut self, detail: impl std::fmt::Display) -> Self {
         self.detail = Some(detail.to_string());
         self
@@ -93,7 +93,7 @@ fn is_disk_full(source: &std::io::Error) -> bool {
     matches!(source.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
 }
 
-/// Errors of the vocabulary crate: files and the run folder.
+/// Errors of files, images, tables and the run folder.
 #[derive(Debug, thiserror::Error)]
 pub enum CoreError {
     /// Bad input by the user.
@@ -115,7 +115,7 @@ pub enum CoreError {
         /// Why.
         source: std::io::Error,
     },
-    /// The user asked to stop; what was finished is kept and the run can be resumed.
+    /// The user asked to stop; finished stages are kept and the run can be resumed.
     #[error("interrupted; run the same command again to resume")]
     Interrupted,
 }
@@ -131,13 +131,13 @@ fn disk_full_hint(source: &std::io::Error) -> &'static str {
 }
 
 impl CoreError {
-    /// A read error, for `map_err`.
+    /// Creates a read error, for `map_err`.
     pub fn read(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Read { path, source }
     }
 
-    /// A write error, for `map_err`.
+    /// Creates a write error, for `map_err`.
     pub fn write(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Write { path, source }

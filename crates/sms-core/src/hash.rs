@@ -14,7 +14,7 @@ pub struct Hash(pub String);
 pub struct Hasher(blake3::Hasher);
 
 impl Hasher {
-    /// An empty hasher.
+    /// Creates an empty hasher.
     pub fn new() -> Self {
         Self::default()
     }
@@ -37,16 +37,16 @@ impl Hasher {
         Ok(self.bytes(&bytes))
     }
 
-    /// The hash of everything added.
+    /// Returns the hash of everything added.
     pub fn finish(&self) -> Hash {
         Hash(self.0.finalize().to_hex().as_str()[..32].to_owned())
     }
 }
 
-/// The hash of a value through its JSON text.
+/// Hashes a value through its JSON text.
 pub fn hash_serializable<T: Serialize>(value: &T) -> Hash {
     let mut hasher = Hasher::new();
-    // Serialising plain settings to memory cannot fail; an empty text would only cost a re-run.
+    // Serialising plain settings to memory cannot fail; an empty text would only cause a re-run.
     hasher.text(&serde_json::to_string(value).unwrap_or_default());
     hasher.finish()
 }

@@ -15,18 +15,18 @@ pub struct Image<T> {
 pub type ColorImage = Image<[u8; 3]>;
 /// Depth along the camera's z axis in metres; 0 where there is no measurement.
 pub type DepthImage = Image<f32>;
-/// Unit surface normals facing the camera, in the frame that the producer states; zero where unknown.
+/// Unit surface normals facing the camera, in the producer's frame; zero where unknown.
 pub type NormalImage = Image<[f32; 3]>;
 
 impl<T: Clone> Image<T> {
-    /// An image filled with one value.
+    /// Creates an image filled with one value.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
         Self { width, height, data: vec![value; width * height] }
     }
 }
 
 impl<T> Image<T> {
-    /// An image from its pixels.
+    /// Creates an image from its pixels.
     ///
     /// # Panics
     /// If `data.len() != width * height`.
@@ -35,18 +35,18 @@ impl<T> Image<T> {
         Self { width, height, data }
     }
 
-    /// The pixel at (x, y), or `None` outside.
+    /// Returns the pixel at (x, y), or `None` outside.
     pub fn get(&self, x: i64, y: i64) -> Option<&T> {
         let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
         inside.then(|| &self.data[y as usize * self.width + x as usize])
     }
 
-    /// (width, height).
+    /// Returns (width, height).
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// An image of the same size with every pixel mapped.
+    /// Maps every pixel.
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
         Image { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
     }

@@ -1,10 +1,10 @@
-//! Mass, centre of mass and inertia; values that violate physics cannot be constructed.
+//! Mass, centre of mass and inertia; physically impossible values cannot be constructed.
 
 use crate::Mesh;
 use glamx::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Why a mass or inertia was refused.
+/// Reasons to refuse a mass or inertia.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum InertiaError {
     /// Mass is not positive and finite.
@@ -49,7 +49,7 @@ impl From<MassProperties> for RawMassProperties {
 }
 
 impl MassProperties {
-    /// Mass properties, checked.
+    /// Creates checked mass properties.
     ///
     /// # Errors
     /// [`InertiaError`] unless mass > 0 and the moments are physically possible (within rounding).
@@ -75,22 +75,22 @@ impl MassProperties {
         }
     }
 
-    /// Mass in kg.
+    /// Returns the mass in kg.
     pub fn mass(&self) -> f64 {
         self.mass
     }
 
-    /// Centre of mass in metres.
+    /// Returns the centre of mass in metres.
     pub fn com(&self) -> DVec3 {
         self.com
     }
 
-    /// Rotational inertia about the centre of mass, kg·m², in the axes of the geometry's frame.
+    /// Returns the rotational inertia about the centre of mass, kg·m², in the axes of the geometry's frame.
     pub fn inertia(&self) -> DMat3 {
         self.inertia
     }
 
-    /// The same body with another mass at the same shape.
+    /// Scales the body to another mass at the same shape.
     ///
     /// # Errors
     /// [`InertiaError::Mass`] when the mass is not positive.
@@ -99,7 +99,7 @@ impl MassProperties {
     }
 }
 
-/// Exact mass properties of a homogeneous closed mesh with `density` kg/m³, by integration over the tetrahedra
+/// Computes the exact mass properties of a homogeneous closed mesh with `density` kg/m³, by integration over the tetrahedra
 /// that each face spans with a reference point (Tonon 2004; Eberly, "Polyhedral Mass Properties").
 ///
 /// # Errors
@@ -128,7 +128,7 @@ pub fn polyhedron_mass_properties(mesh: &Mesh, density: f64) -> Result<MassPrope
     MassProperties::new(volume * density, com + origin, inertia)
 }
 
-/// Mass properties of a homogeneous solid sphere.
+/// Computes the mass properties of a homogeneous solid sphere.
 ///
 /// # Errors
 /// [`InertiaError::Mass`] when radius or density is not positive.
@@ -141,7 +141,7 @@ pub fn sphere_mass_properties(
     MassProperties::new(mass, center, DMat3::from_diagonal(DVec3::splat(0.4 * mass * radius * radius)))
 }
 
-/// Mass properties of a homogeneous box centred at the origin with its edges along the axes.
+/// Computes the mass properties of a homogeneous box centred at the origin with its edges along the axes.
 ///
 /// # Errors
 /// [`InertiaError::Mass`] when a half extent or the density is not positive.
@@ -153,7 +153,7 @@ pub fn box_mass_properties(half_extents: DVec3, density: f64) -> Result<MassProp
     MassProperties::new(mass, DVec3::ZERO, DMat3::from_diagonal(moments))
 }
 
-/// Mass properties of a homogeneous cylinder centred at the origin with its axis along z.
+/// Computes the mass properties of a homogeneous cylinder centred at the origin with its axis along z.
 ///
 /// # Errors
 /// [`InertiaError::Mass`] when a length or the density is not positive.

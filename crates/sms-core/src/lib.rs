@@ -1,11 +1,10 @@
-//! The vocabulary of `sms`, and nothing else.
+//! The types that all stages of `sms` share.
 //!
-//! Every stage of the pipeline speaks in these types: posed cameras and images, label maps, meshes with their
-//! mass properties, entities, materials with intervals; and every stage reports through the same run folder,
-//! warnings, seeds and progress.
+//! Posed cameras and images, label maps, meshes with their mass properties, entities, materials with intervals; and the
+//! services of every stage: run folder, warnings, seeds and progress.
 //!
 //! # Conventions
-//! - World `W`: metres, z up, gravity along −z. Recording world `R`: whatever the recording used.
+//! - World `W`: metres, z up, gravity along −z. Recording world `R`: the recording's own.
 //! - Camera `C`: OpenCV axes (x right, y down, z forward). The centre of pixel (i, j) is at image-plane
 //!   coordinates (i + 0.5, j + 0.5); readers convert.
 //! - `x_wc` (monogram notation `X_WC`) is the pose of the camera in the world: it carries a point `p_C` to

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A best estimate with the range that is believed to hold it (about 90 %).
+/// A best estimate with its credible range (about 90 %).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Best estimate.
@@ -14,23 +14,23 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// An interval; the ends are widened to hold `best` where they do not.
+    /// Creates an interval; its ends are widened to contain `best`.
     pub fn new(best: f64, low: f64, high: f64) -> Self {
         Self { best, low: low.min(best), high: high.max(best) }
     }
 
-    /// Exactly known.
+    /// Creates an exact value.
     pub fn exact(value: f64) -> Self {
         Self { best: value, low: value, high: value }
     }
 
-    /// The value at `t` in [−1, 1]: low at −1, best at 0, high at 1, linear in between.
+    /// Returns the value at `t` in [−1, 1]: low at −1, best at 0, high at 1, linear in between.
     pub fn at(&self, t: f64) -> f64 {
         if t < 0.0 { self.best + t * (self.best - self.low) } else { self.best + t * (self.high - self.best) }
     }
 }
 
-/// Who said it.
+/// Source of a property.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PropertySource {
@@ -40,7 +40,7 @@ pub enum PropertySource {
     Table,
     /// The user's own file.
     User,
-    /// Nothing was known: a stated prior.
+    /// A stated prior, without other knowledge.
     Prior,
     /// The truth of a generated scene (targets and ablations only).
     Truth,
@@ -52,26 +52,26 @@ pub struct Property {
     /// The value.
     #[serde(flatten)]
     pub value: Interval,
-    /// Who said it.
+    /// The source.
     pub source: PropertySource,
 }
 
 impl Property {
-    /// A property.
+    /// Creates a property.
     pub fn new(value: Interval, source: PropertySource) -> Self {
         Self { value, source }
     }
 }
 
-/// What a body is made of.
+/// Material of a body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Material class ("ceramic", "phenolic resin"), or "unknown".
     pub class: String,
-    /// Density in kg/m³ of what the object is made of.
+    /// Density of the substance, kg/m³.
     pub density: Property,
-    /// Share of the volume that the mesh encloses which the material fills: 1 for solid things and where the mesh has
-    /// the walls itself, less for closed hollow ones (a bottle, a carton).
+    /// Share of the enclosed volume that the material fills: 1 for solids and for meshes that include the inner walls, less
+    /// for closed hollow objects (a bottle, a carton).
     #[serde(default = "solid")]
     pub fill_factor: Property,
     /// Coulomb friction coefficient of this surface; a pair uses the mean of both.
@@ -87,13 +87,13 @@ pub struct Material {
 }
 
 impl Material {
-    /// Best estimate of the mass per volume that the mesh encloses, kg/m³: density times fill factor.
+    /// Returns the best estimate of the mass per enclosed volume, kg/m³: density times fill factor.
     pub fn effective_density(&self) -> f64 {
         self.density.value.best * self.fill_factor.value.best
     }
 }
 
-/// Solid all through.
+/// The fill factor of a solid.
 fn solid() -> Property {
     Property::new(Interval::exact(1.0), PropertySource::Prior)
 }

@@ -13,19 +13,19 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box around points; `None` when there are none.
+    /// Returns the box around points; `None` without points.
     pub fn of_points(points: impl IntoIterator<Item = DVec3>) -> Option<Self> {
         points.into_iter().fold(None, |acc, p| {
             Some(acc.map_or(Self { min: p, max: p }, |b: Self| Self { min: b.min.min(p), max: b.max.max(p) }))
         })
     }
 
-    /// The centre.
+    /// Returns the centre.
     pub fn center(&self) -> DVec3 {
         0.5 * (self.min + self.max)
     }
 
-    /// Edge lengths.
+    /// Returns the edge lengths.
     pub fn extents(&self) -> DVec3 {
         self.max - self.min
     }
@@ -33,7 +33,7 @@ impl Aabb {
 
 /// An indexed triangle mesh in metres; triangles are counter-clockwise seen from outside.
 ///
-/// The frame is stated by whoever holds the mesh (world `W` or body `B`).
+/// The owner of the mesh states its frame (world `W` or body `B`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Mesh {
     /// Vertex positions.
@@ -46,17 +46,17 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// A mesh without colours.
+    /// Creates a mesh without colours.
     pub fn new(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Self {
         Self { vertices, triangles, colors: Vec::new() }
     }
 
-    /// The corners of triangle `t`.
+    /// Returns the corners of triangle `t`.
     pub fn corners(&self, t: usize) -> [DVec3; 3] {
         self.triangles[t].map(|i| self.vertices[i as usize])
     }
 
-    /// The mesh carried into another frame by `x_ab`: vertices in `B` become vertices in `A`.
+    /// Transforms the mesh by `x_ab`: vertices in `B` become vertices in `A`.
     pub fn transformed(&self, x_ab: &DPose3) -> Self {
         Self {
             vertices: self.vertices.iter().map(|&p| x_ab.transform_point(p)).collect(),
@@ -65,12 +65,12 @@ impl Mesh {
         }
     }
 
-    /// The box around all vertices; `None` for an empty mesh.
+    /// Returns the box around all vertices; `None` for an empty mesh.
     pub fn aabb(&self) -> Option<Aabb> {
         Aabb::of_points(self.vertices.iter().copied())
     }
 
-    /// Total surface area in m².
+    /// Returns the total surface area in m².
     pub fn area(&self) -> f64 {
         (0..self.triangles.len())
             .map(|t| {
@@ -80,7 +80,7 @@ impl Mesh {
             .sum()
     }
 
-    /// Signed enclosed volume in m³ (divergence theorem); positive when triangles face outwards.
+    /// Returns the signed enclosed volume in m³ (divergence theorem); positive when triangles face outwards.
     pub fn volume(&self) -> f64 {
         let origin = self.vertices.first().copied().unwrap_or(DVec3::ZERO);
         (0..self.triangles.len())
@@ -91,7 +91,7 @@ impl Mesh {
             .sum()
     }
 
-    /// Unit normal of each vertex: the mean of its triangles' normals, weighted with their areas; zero where it has none.
+    /// Returns the unit normal of each vertex: the area-weighted mean of its triangles' normals, or zero without triangles.
     pub fn vertex_normals(&self) -> Vec<DVec3> {
         let mut normals = vec![DVec3::ZERO; self.vertices.len()];
         for t in 0..self.triangles.len() {
@@ -103,7 +103,7 @@ impl Mesh {
         normals.iter().map(|n| n.normalize_or_zero()).collect()
     }
 
-    /// An axis-aligned box centred at the origin with the given half extents.
+    /// Creates an axis-aligned box centred at the origin with the given half extents.
     pub fn cuboid(half: DVec3) -> Self {
         let vertices = (0..8)
             .map(|i| {
@@ -128,7 +128,7 @@ impl Mesh {
         Self::new(vertices, triangles)
     }
 
-    /// A cylinder centred at the origin with its axis along z: a prism whose side faces `segments` (at least 3) directions,
+    /// Creates a cylinder centred at the origin with its axis along z: a prism whose side faces `segments` (at least 3) directions,
     /// corners on the cylinder.
     pub fn cylinder(radius: f64, half_length: f64, segments: usize) -> Self {
         let n = segments.max(3) as u32;
@@ -144,7 +144,7 @@ impl Mesh {
         Self::new(vertices, triangles)
     }
 
-    /// A sphere centred at the origin: an icosahedron subdivided `levels` times, vertices on the sphere.
+    /// Creates a sphere centred at the origin: an icosahedron subdivided `levels` times, vertices on the sphere.
     pub fn icosphere(radius: f64, levels: usize) -> Self {
         let phi = (1.0 + 5f64.sqrt()) / 2.0;
         let mut vertices: Vec<DVec3> = [

@@ -5,7 +5,7 @@ use glamx::DVec3;
 use std::path::Path;
 
 impl Mesh {
-    /// The mesh as OBJ text: metres, 1-based indices, vertex colours in [0, 1] where there are any.
+    /// Formats the mesh as OBJ text: metres, 1-based indices, vertex colours in [0, 1] where there are any.
     pub fn to_obj(&self) -> String {
         use std::fmt::Write;
         let mut text = String::with_capacity(self.vertices.len() * 40 + self.triangles.len() * 20);
@@ -31,8 +31,8 @@ impl Mesh {
         atomic::write_bytes(path, self.to_obj().as_bytes())
     }
 
-    /// Reads vertices, vertex colours and faces of an OBJ file; polygons are fanned, texture and normal indices
-    /// ignored, materials not read.
+    /// Reads vertices, vertex colours and faces of an OBJ file. Polygons are fanned; texture and normal indices and materials
+    /// are ignored.
     ///
     /// # Errors
     /// [`CoreError::Read`] when the file cannot be read, [`CoreError::Input`] naming the line that is wrong.
@@ -42,7 +42,7 @@ impl Mesh {
         for (number, line) in text.lines().enumerate() {
             let bad = || {
                 InputError::new(
-                    format!("line {} of this OBJ is wrong", number + 1),
+                    format!("line {} of this OBJ is invalid", number + 1),
                     path,
                     "export the mesh again",
                 )

@@ -1,9 +1,9 @@
-//! Pictures on meshes, and meshes with them as Wavefront OBJ.
+//! Image textures of meshes, and textured meshes as Wavefront OBJ.
 
 use crate::{ColorImage, CoreError, InputError, Mesh, atomic, read_png_color, write_png_color};
 use std::path::Path;
 
-/// A picture that lies on a mesh.
+/// An image texture of a mesh.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshTexture {
     /// Texture coordinates of each corner of each triangle, parallel to [`Mesh::triangles`]: u to the right and v **up**
@@ -13,7 +13,7 @@ pub struct MeshTexture {
     pub image: ColorImage,
 }
 
-/// Folds equal texture coordinates of one vertex into one.
+/// Merges equal texture coordinates of one vertex.
 #[derive(Default)]
 struct Coordinates {
     index_of: std::collections::BTreeMap<[u32; 2], usize>,
@@ -31,7 +31,7 @@ impl Coordinates {
     }
 }
 
-/// A mesh with its texture as OBJ text that refers to the material `material` in the library file `library`: metres,
+/// Formats a mesh with its texture as OBJ text that refers to the material `material` in the library file `library`: metres,
 /// 1-based indices, one `vt` for each distinct texture coordinate.
 pub fn textured_obj(mesh: &Mesh, texture: &MeshTexture, library: &str, material: &str) -> String {
     use std::fmt::Write;
@@ -62,7 +62,7 @@ pub fn textured_obj(mesh: &Mesh, texture: &MeshTexture, library: &str, material:
     text
 }
 
-/// Writes `<stem>.obj`, `<stem>.mtl` and `<stem>.png` into `dir`, which refer to each other by name only.
+/// Writes `<stem>.obj`, `<stem>.mtl` and `<stem>.png` into `dir`; they refer to each other by file name.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -80,8 +80,8 @@ pub fn write_textured_obj(
     atomic::write_bytes(&dir.join(format!("{stem}.obj")), text.as_bytes())
 }
 
-/// Reads the texture coordinates of `<stem>.obj` and the image `<stem>.png` in `dir`, as [`write_textured_obj`] wrote
-/// them; `None` where there is no image.
+/// Reads the texture coordinates of `<stem>.obj` and the image `<stem>.png` in `dir` that [`write_textured_obj`] wrote;
+/// `None` without an image.
 ///
 /// # Errors
 /// [`CoreError::Read`] for files that cannot be read, [`CoreError::Input`] naming the line that is wrong.
@@ -95,7 +95,7 @@ pub fn read_mesh_texture(dir: &Path, stem: &str) -> Result<Option<MeshTexture>, 
     let (mut coordinates, mut corner_uv): (Vec<[f32; 2]>, Vec<[[f32; 2]; 3]>) = (Vec::new(), Vec::new());
     for (number, line) in text.lines().enumerate() {
         let bad = || {
-            let what = format!("the texture coordinates in line {} of this OBJ are wrong", number + 1);
+            let what = format!("the texture coordinates in line {} of this OBJ are invalid", number + 1);
             InputError::new(what, &path, "run `sms materialize` again")
         };
         let mut words = line.split_whitespace();
@@ -141,7 +141,7 @@ mod tests {
         let text = std::fs::read_to_string(dir.path().join("box.obj")).unwrap();
         assert_eq!(text.lines().filter(|l| l.starts_with("vt")).count(), 14, "equal coordinates are shared");
         std::fs::write(dir.path().join("box.obj"), text.replacen("1/", "1/99", 1)).unwrap();
-        assert!(read_mesh_texture(dir.path(), "box").unwrap_err().to_string().contains("box.obj"));
+        assert!(matches!(read_mesh_texture(dir.path(), "box"), Err(CoreError::Input(_))));
         assert_eq!(read_mesh_texture(dir.path(), "other").unwrap(), None);
     }
 }

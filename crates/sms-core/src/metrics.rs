@@ -9,28 +9,28 @@ use std::path::Path;
 pub struct Metrics(Map<String, Value>);
 
 impl Metrics {
-    /// No metrics.
+    /// Creates an empty set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Sets one metric. A number that is not finite is stored as null: it was computed, and is not a number.
+    /// Sets one metric. A number that is not finite is stored as null.
     pub fn set(&mut self, key: impl Into<String>, value: impl Into<Value>) -> &mut Self {
         self.0.insert(key.into(), value.into());
         self
     }
 
-    /// The number under `key`.
+    /// Returns the number under `key`.
     pub fn number(&self, key: &str) -> Option<f64> {
         self.0.get(key).and_then(Value::as_f64)
     }
 
-    /// Any value under `key`.
+    /// Returns the value under `key`.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.0.get(key)
     }
 
-    /// All metrics, ordered by key.
+    /// Iterates over all metrics, ordered by key.
     pub fn iter(&self) -> impl Iterator<Item = (&String, &Value)> {
         let mut all: Vec<_> = self.0.iter().collect();
         all.sort_by(|a, b| a.0.cmp(b.0));
@@ -42,12 +42,12 @@ impl Metrics {
         self.0.retain(|k, _| !k.starts_with(prefix));
     }
 
-    /// Takes over all of another set.
+    /// Adds all metrics of another set.
     pub fn merge(&mut self, other: Metrics) {
         self.0.extend(other.0);
     }
 
-    /// Reads the file; an absent file has no metrics.
+    /// Reads the file; a missing file has no metrics.
     ///
     /// # Errors
     /// When the file exists and cannot be read.

@@ -1,4 +1,4 @@
-//! Progress of long work, without knowing where it is shown.
+//! Progress of long work, independent of its display.
 
 use crate::duration_text;
 use serde_json::{Map, Value, json};
@@ -8,37 +8,37 @@ use std::time::{Duration, Instant};
 
 /// Receives progress. Implementations must be cheap: stages report after every unit.
 pub trait Progress: Sync {
-    /// A part of the work begins, with so many units (0 where unknown).
+    /// Begins a part of the work with `units` units (0 if unknown).
     fn begin(&self, part: &str, units: u64);
-    /// `done` units of the current part are done; `message` says what is happening ("frame 12, PSNR 27.1 dB").
+    /// Reports that `done` units of the current part are done; `message` describes the state ("frame 12, PSNR 27.1 dB").
     fn update(&self, done: u64, message: &str);
-    /// The current part is over.
+    /// Ends the current part.
     fn end(&self, message: &str);
-    /// The same as [`Progress::update`] from work that knows its pace and its figures.
+    /// As [`Progress::update`], with the time left and the figures of the message.
     fn status(&self, status: &Status<'_>) {
         self.update(status.done, status.message);
     }
 }
 
-/// Where a part of the work stands.
+/// State of a part of the work.
 #[derive(Debug, Clone, Copy)]
 pub struct Status<'a> {
-    /// Units done. Work that may end early jumps ahead where it does.
+    /// Units done. Work that ends early jumps ahead.
     pub done: u64,
-    /// What is happening, for people.
+    /// Description of the state.
     pub message: &'a str,
-    /// Seconds left by the work's own estimate, which knows better than the share of units done.
+    /// Seconds left by the work's own estimate, which is better than one by the share of units done.
     pub seconds_left: Option<f64>,
-    /// The figures in the message, for programs.
+    /// The figures in the message, by name.
     pub values: &'a [(&'a str, f64)],
 }
 
-/// Seconds left when the units to come take as long as those done.
+/// Returns the seconds left if the remaining units take as long as the finished ones.
 pub fn linear_seconds_left(elapsed_s: f64, done: u64, units: u64) -> Option<f64> {
     (done > 0 && units > done).then(|| elapsed_s / done as f64 * (units - done) as f64)
 }
 
-/// Shows nothing.
+/// Discards progress.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NoProgress;
 
@@ -48,17 +48,17 @@ impl Progress for NoProgress {
     fn end(&self, _message: &str) {}
 }
 
-/// The part of the work that is under way.
-struct Part {
+/// The current part of the work.
+struct CurrentPart {
     out: Box<dyn Write + Send>,
     name: String,
     units: u64,
     began: Instant,
-    /// When something was last written about it.
+    /// Time of its last line.
     last: Instant,
 }
 
-impl Part {
+impl CurrentPart {
     fn new(out: Box<dyn Write + Send>) -> Self {
         let now = Instant::now();
         Self { out, name: String::new(), units: 0, began: now, last: now }
@@ -69,7 +69,7 @@ impl Part {
         (self.name, self.units, self.began, self.last) = (name.to_owned(), units, now, now);
     }
 
-    /// Whether the last line is at least `every` ago; counts from now if so.
+    /// Returns whether the last line is at least `every` ago, and restarts the interval if so.
     fn is_due(&mut self, every: Duration) -> bool {
         let due = self.last.elapsed() >= every;
         if due {
@@ -79,26 +79,26 @@ impl Part {
     }
 
     fn line(&mut self, line: impl std::fmt::Display) {
-        // Whoever closed the pipe has read enough.
+        // A closed pipe is not an error.
         let _ = writeln!(self.out, "{line}");
     }
 }
 
-/// Plain lines, at most one every few seconds: for logs and pipes.
+/// Writes plain lines, at most one every few seconds: for logs and pipes.
 pub struct PlainProgress {
-    part: Mutex<Part>,
+    part: Mutex<CurrentPart>,
     every: Duration,
 }
 
 impl PlainProgress {
-    /// Lines on standard error at most every `every`.
+    /// Writes lines to standard error, at most every `every`.
     pub fn new(every: Duration) -> Self {
         Self::to(Box::new(std::io::stderr()), every)
     }
 
-    /// Lines to `out`.
+    /// Writes lines to `out`.
     pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
-        Self { part: Mutex::new(Part::new(out)), every }
+        Self { part: Mutex::new(CurrentPart::new(out)), every }
     }
 }
 
@@ -154,24 +154,24 @@ fn left_text(seconds_left: Option<f64>) -> String {
     seconds_left.map(|s| format!(", about {} left", duration_text(s))).unwrap_or_default()
 }
 
-/// One JSON object a line: for programs that show progress themselves.
+/// Writes one JSON object per line, for programs that show progress themselves.
 ///
 /// Each has `event` (`begin`, `update` or `end`), `part`, `units`, `seconds` since the part began and `message`;
-/// updates also have `done`, `seconds_left` (null where unknown) and the part's own figures.
+/// updates also have `done`, `seconds_left` (null if unknown) and the part's own figures.
 pub struct JsonProgress {
-    part: Mutex<Part>,
+    part: Mutex<CurrentPart>,
     every: Duration,
 }
 
 impl JsonProgress {
-    /// Lines on standard error; updates at most every `every`.
+    /// Writes to standard error; updates at most every `every`.
     pub fn new(every: Duration) -> Self {
         Self::to(Box::new(std::io::stderr()), every)
     }
 
-    /// Lines to `out`.
+    /// Writes lines to `out`.
     pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
-        Self { part: Mutex::new(Part::new(out)), every }
+        Self { part: Mutex::new(CurrentPart::new(out)), every }
     }
 }
 
@@ -181,7 +181,7 @@ impl std::fmt::Debug for JsonProgress {
     }
 }
 
-impl Part {
+impl CurrentPart {
     fn json(&mut self, event: &str, message: &str, more: impl FnOnce(&mut Map<String, Value>)) {
         let mut object = Map::new();
         object.insert("event".into(), json!(event));

@@ -1,6 +1,6 @@
-//! Quantities as people read them.
+//! Formatting of quantities in messages.
 
-/// A length: millimetres below a centimetre, centimetres below a metre, metres above.
+/// Formats a length: millimetres below a centimetre, centimetres below a metre, metres above.
 pub fn length_text(metres: f64) -> String {
     match metres.abs() {
         m if m < 0.01 => format!("{:.2} mm", metres * 1e3),
@@ -9,7 +9,7 @@ pub fn length_text(metres: f64) -> String {
     }
 }
 
-/// A duration: `41 s`, `2 min 10 s`, `1 h 5 min`.
+/// Formats a duration: `41 s`, `2 min 10 s`, `1 h 5 min`.
 pub fn duration_text(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     match whole {

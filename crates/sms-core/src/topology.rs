@@ -4,13 +4,13 @@ use crate::Mesh;
 use std::collections::BTreeMap;
 
 impl Mesh {
-    /// Whether the surface is closed and consistently oriented: each directed edge occurs exactly once and its
+    /// Returns whether the surface is closed and consistently oriented: each directed edge occurs exactly once and its
     /// opposite exactly once, and no triangle is degenerate in its indices.
     pub fn is_closed_oriented(&self) -> bool {
         !self.triangles.is_empty() && self.boundary_edge_count() == 0
     }
 
-    /// Number of directed edges that are not matched by exactly one opposite edge.
+    /// Returns the number of directed edges without exactly one opposite edge.
     pub fn boundary_edge_count(&self) -> usize {
         let mut directed: BTreeMap<(u32, u32), usize> = BTreeMap::new();
         for &[a, b, c] in &self.triangles {
@@ -45,7 +45,7 @@ impl Mesh {
         out
     }
 
-    /// Triangle sets connected through shared vertices, largest first (by triangle count).
+    /// Returns the triangle sets connected through shared vertices, largest first (by triangle count).
     pub fn components(&self) -> Vec<Self> {
         let mut parent: Vec<u32> = (0..self.vertices.len() as u32).collect();
         fn find(parent: &mut [u32], mut i: u32) -> u32 {

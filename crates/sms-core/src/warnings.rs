@@ -1,20 +1,20 @@
-//! Warnings are collected, saved with the run, and shown once at the end and in the report.
+//! Warnings: collected, saved with the run, and shown once at the end and in the report.
 
 use crate::CoreError;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Mutex;
 
-/// Something that a user should know about a result.
+/// A warning about a result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Warning {
-    /// The stage that said it.
+    /// The stage that added it.
     pub stage: String,
     /// Short stable identifier, `snake_case`.
     pub code: String,
-    /// What happened, with its figures.
+    /// The message, with its figures.
     pub message: String,
-    /// What can be done about it; may be empty.
+    /// The cure; may be empty.
     #[serde(default)]
     pub cure: String,
     /// How often it happened.
@@ -28,7 +28,7 @@ pub struct Warnings {
 }
 
 impl Warnings {
-    /// An empty collector.
+    /// Creates an empty collector.
     pub fn new() -> Self {
         Self::default()
     }
@@ -45,7 +45,7 @@ impl Warnings {
         }
     }
 
-    /// Adds what another collector had, with its counts: an earlier attempt at the same work.
+    /// Adds the warnings of an earlier attempt at the same work, with their counts.
     pub fn take_over(&self, earlier: Vec<Warning>) {
         let Ok(mut list) = self.list.lock() else { return };
         for warning in earlier {
@@ -58,15 +58,15 @@ impl Warnings {
         }
     }
 
-    /// What was collected so far, ordered by stage, code and message so that it does not depend on threads.
+    /// Returns the warnings so far, ordered by stage, code and message so that it does not depend on threads.
     pub fn snapshot(&self) -> Vec<Warning> {
         let mut list = self.list.lock().map(|l| l.clone()).unwrap_or_default();
         list.sort_by(|a, b| (&a.stage, &a.code, &a.message).cmp(&(&b.stage, &b.code, &b.message)));
         list
     }
 
-    /// Merges into `warnings.json` as the warnings of `stage`: what that stage said before is replaced by this
-    /// collector's, whatever part of the program added it; other stages' are kept.
+    /// Merges the warnings into `warnings.json` as those of `stage`: they replace the earlier ones of this stage, whichever
+    /// part of the program added them. Other stages' warnings are kept.
     ///
     /// # Errors
     /// When the file cannot be read or written.

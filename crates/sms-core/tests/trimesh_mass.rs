@@ -6,7 +6,7 @@ use serde::Deserialize;
 use sms_core::glamx::{DMat3, DVec3};
 use sms_core::polyhedron_mass_properties;
 
-/// What trimesh says at 1 kg/m³: volume, centre of mass, inertia about it (rows).
+/// Results of trimesh at 1 kg/m³: volume, centre of mass, inertia about it (rows).
 #[derive(Deserialize)]
 struct Reference {
     name: String,

@@ -1,4 +1,4 @@
-//! Exports the true geometry of generated billiards scenes, and one scene that has every shape and a picture, in every
+//! Exports the true geometry of generated billiards scenes, and one scene with every shape and a texture, in every
 //! format, to check exports without scanning.
 //!
 //! `cargo run --release -p sms-export --example generated_scenes -- DIR [first seed] [number]`

@@ -1,4 +1,4 @@
-//! `bodies.json`: what every export says about its bodies, for programs.
+//! `bodies.json`: the machine-readable list of bodies in every export.
 
 use crate::Format;
 use crate::text::principal;
@@ -15,7 +15,7 @@ struct BodiesFile<'a> {
     frames: &'static str,
     gravity_w: [f64; 3],
     x_world_recording: PoseEntry,
-    bodies: Vec<BodyEntry<'a>>,
+    bodies: Vec<ExportedBody<'a>>,
 }
 
 #[derive(Serialize)]
@@ -31,12 +31,12 @@ struct PrincipalEntry {
 }
 
 #[derive(Serialize)]
-struct BodyEntry<'a> {
+struct ExportedBody<'a> {
     name: &'a str,
     description: &'a str,
     kind: BodyKind,
     pose_world: PoseEntry,
-    shape: ShapeEntry,
+    shape: ExportedShape,
     #[serde(skip_serializing_if = "Option::is_none")]
     visual: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -54,7 +54,7 @@ struct BodyEntry<'a> {
 
 #[derive(Serialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
-enum ShapeEntry {
+enum ExportedShape {
     Sphere {
         radius: f64,
     },
@@ -87,28 +87,28 @@ fn principal_entry(mass: &MassProperties) -> PrincipalEntry {
     PrincipalEntry { moments_kg_m2: moments.to_array(), axes_wxyz: [q.w, q.x, q.y, q.z] }
 }
 
-fn shape(body: &Body, format: Format) -> ShapeEntry {
+fn shape(body: &Body, format: Format) -> ExportedShape {
     let at = format.mesh_folder(body);
     match &body.shape {
-        BodyShape::Sphere { radius } => ShapeEntry::Sphere { radius: *radius },
-        BodyShape::Box { half_extents } => ShapeEntry::Box { half_extents: half_extents.to_array() },
+        BodyShape::Sphere { radius } => ExportedShape::Sphere { radius: *radius },
+        BodyShape::Box { half_extents } => ExportedShape::Box { half_extents: half_extents.to_array() },
         BodyShape::Cylinder { radius, half_length } => {
-            ShapeEntry::Cylinder { radius: *radius, half_length: *half_length }
+            ExportedShape::Cylinder { radius: *radius, half_length: *half_length }
         }
-        BodyShape::HalfSpace => ShapeEntry::HalfSpace,
-        BodyShape::Hulls { hulls } => ShapeEntry::Hulls {
+        BodyShape::HalfSpace => ExportedShape::HalfSpace,
+        BodyShape::Hulls { hulls } => ExportedShape::Hulls {
             files: at.map_or_else(Vec::new, |at| {
                 (0..hulls.len()).map(|i| format!("{at}{}", hull_file(body, i))).collect()
             }),
             count: hulls.len(),
         },
         BodyShape::TriMesh { .. } => {
-            ShapeEntry::TriMesh { file: at.map(|at| format!("{at}{}", trimesh_file(body))) }
+            ExportedShape::TriMesh { file: at.map(|at| format!("{at}{}", trimesh_file(body))) }
         }
     }
 }
 
-/// The file's content; `gaussians` are the names of the bodies whose Gaussians lie beside it.
+/// Returns the content of the file; `gaussians` names the bodies with exported Gaussians.
 pub(crate) fn bodies_json<'a>(
     scene: &'a Scene,
     format: Format,
@@ -118,7 +118,7 @@ pub(crate) fn bodies_json<'a>(
         let Body { name, description, kind, x_wb, visual, mass, material, color, observed_share, .. } = body;
         let visual_path = (format.mesh_folder(body).filter(|_| !visual.triangles.is_empty()))
             .map(|at| format!("{at}{}", visual_file(body)));
-        BodyEntry {
+        ExportedBody {
             name,
             description,
             kind: *kind,
@@ -149,7 +149,7 @@ pub(crate) fn bodies_json<'a>(
     }
 }
 
-/// Rows of the table of bodies in the README.
+/// Returns the rows of the table of bodies in the README.
 pub(crate) fn table(scene: &Scene) -> String {
     let mut text = String::from(
         "| body | kind | shape | size, mm | mass, kg | density, kg/m³ | friction | restitution | rolling lever, mm | seen |\n\

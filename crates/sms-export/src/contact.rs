@@ -1,19 +1,19 @@
-//! Our contact rule in the terms of other simulators.
+//! Conversion of our contact rule to that of other simulators.
 //!
-//! A pair of bodies here has the mean of both coefficients. Others multiply, take the smaller or the larger one, so the
-//! values of single bodies are chosen such that a body on the ground gets exactly the mean; pairs of moving bodies come
-//! as near as each rule lets them.
+//! A pair of bodies has the mean of both coefficients here. Other simulators multiply them or take the smaller or larger one.
+//! The exported values give a body on the ground exactly the mean; pairs of moving bodies get the best approximation of each
+//! rule.
 
 use sms_core::Property;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 
-/// What bodies rest on: the first half space, else the first static body.
+/// Returns the ground: the first half space, else the first static body.
 pub(crate) fn ground(scene: &Scene) -> Option<&Body> {
     let is_plane = |b: &&Body| matches!(b.shape, BodyShape::HalfSpace);
     scene.bodies.iter().find(is_plane).or_else(|| scene.bodies.iter().find(|b| b.kind == BodyKind::Static))
 }
 
-/// The mean of a coefficient of `body` and of the ground; of static bodies their own.
+/// Returns the mean of a coefficient of `body` and of the ground, or that of a static body itself.
 pub(crate) fn with_ground(scene: &Scene, body: &Body, of: impl Fn(&Body) -> Property) -> f64 {
     let own = of(body).value.best;
     match ground(scene) {
@@ -22,28 +22,28 @@ pub(crate) fn with_ground(scene: &Scene, body: &Body, of: impl Fn(&Body) -> Prop
     }
 }
 
-/// Friction, restitution and rolling lever of a body where a simulator **multiplies** those of a pair (Bullet; DART for
-/// restitution): exact against the ground, near it for other pairs.
+/// Friction, restitution and rolling lever of a body for simulators that **multiply** those of a pair (Bullet; DART for
+/// restitution): exact against the ground, approximate for other pairs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Factors {
+pub(crate) struct ContactFactors {
     pub(crate) friction: f64,
     pub(crate) restitution: f64,
-    /// Lever in metres such that Bullet's rule, own lever × other's friction + other's × own, gives our mean; 0 for the
-    /// static bodies.
+    /// Lever in metres such that Bullet's rule, own lever × other's friction + other's × own, gives our mean; 0 for static
+    /// bodies.
     pub(crate) rolling: f64,
 }
 
-/// The square root of the ground's coefficient, with which the factors of the moving bodies are found by division.
+/// Returns the square root of the ground's coefficient, the divisor for the factors of moving bodies.
 fn root(value: f64) -> f64 {
     value.max(0.01).sqrt()
 }
 
-/// See [`Factors`].
-pub(crate) fn factors(scene: &Scene, body: &Body) -> Factors {
+/// See [`ContactFactors`].
+pub(crate) fn factors(scene: &Scene, body: &Body) -> ContactFactors {
     let own = &body.material;
     let base = ground(scene).map_or(own, |b| &b.material);
     if body.kind == BodyKind::Static {
-        return Factors {
+        return ContactFactors {
             friction: root(own.friction.value.best),
             restitution: root(own.restitution.value.best),
             rolling: 0.0,
@@ -54,11 +54,11 @@ pub(crate) fn factors(scene: &Scene, body: &Body) -> Factors {
         with_ground(scene, body, |b| b.material.restitution) / root(base.restitution.value.best);
     let rolls = matches!(body.shape, BodyShape::Sphere { .. } | BodyShape::Cylinder { .. });
     let lever = if rolls { with_ground(scene, body, |b| b.material.rolling_m) } else { 0.0 };
-    Factors { friction, restitution, rolling: lever / root(base.friction.value.best) }
+    ContactFactors { friction, restitution, rolling: lever / root(base.friction.value.best) }
 }
 
-/// Damping ratio of a spring-damper contact that does not pull and gives back the share `restitution` of the approach
-/// speed (Schwager and Pöschel 2007, eq. 19), found by bisection.
+/// Returns the damping ratio of a spring-damper contact without adhesion for a coefficient of restitution (Schwager and Pöschel
+/// 2007, eq. 19), by bisection.
 pub(crate) fn damping_ratio(restitution: f64) -> f64 {
     let rebound = |ratio: f64| {
         let (beta, omega) = (ratio, (1.0 - ratio * ratio).sqrt());

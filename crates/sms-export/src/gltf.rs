@@ -1,8 +1,8 @@
 //! glTF 2.0 binary: the whole scene, and each object on its own.
 //!
-//! glTF has y up: a root node carries our z up there, and below it every number is as in `bodies.json`.
+//! glTF has y up: a root node turns our z up to it; below it every number is as in `bodies.json`.
 
-use crate::surface::{Surface, drawn, split};
+use crate::surface::{SplitMesh, drawn, split};
 use crate::text::linear;
 use glamx::DPose3;
 use serde_json::{Map, Value, json};
@@ -19,10 +19,10 @@ const INDICES: u32 = 34963;
 
 /// Writes `scene.glb` and `objects/<name>.glb`.
 pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
-    let mut whole = Builder::new(dir);
+    let mut whole = GlbBuilder::new(dir);
     for body in &scene.bodies {
         whole.body(body, &body.x_wb)?;
-        let mut alone = Builder::new(dir);
+        let mut alone = GlbBuilder::new(dir);
         alone.body(body, &DPose3::identity())?;
         let file = dir.join("objects").join(format!("{}.glb", body.name));
         atomic::write_bytes(&file, &alone.finish(&body.name, None))?;
@@ -31,8 +31,8 @@ pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
     atomic::write_bytes(&dir.join("scene.glb"), &whole.finish(&scene.name, Some(extras)))
 }
 
-struct Builder<'a> {
-    /// Where a picture is encoded before it is put into the binary part.
+struct GlbBuilder<'a> {
+    /// Folder for encoding images before they are added to the binary part.
     dir: &'a Path,
     binary: Vec<u8>,
     views: Vec<Value>,
@@ -44,7 +44,7 @@ struct Builder<'a> {
     nodes: Vec<Value>,
 }
 
-impl<'a> Builder<'a> {
+impl<'a> GlbBuilder<'a> {
     fn new(dir: &'a Path) -> Self {
         Self {
             dir,
@@ -59,7 +59,7 @@ impl<'a> Builder<'a> {
         }
     }
 
-    /// Appends bytes on a four-byte border; the index of their buffer view.
+    /// Appends bytes at a four-byte boundary; returns the index of their buffer view.
     fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
         self.binary.resize(self.binary.len().next_multiple_of(4), 0);
         let mut view = json!({ "buffer": 0, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
@@ -84,7 +84,7 @@ impl<'a> Builder<'a> {
         self.accessor(view, FLOAT, if N == 2 { "VEC2" } else { "VEC3" }, values.len())
     }
 
-    fn primitive(&mut self, surface: &Surface, material: usize) -> Value {
+    fn primitive(&mut self, surface: &SplitMesh, material: usize) -> Value {
         let mut attributes = Map::new();
         let positions = self.floats(&surface.positions);
         let bound = |pick: fn(f32, f32) -> f32, start: f32| -> Vec<f64> {
@@ -100,7 +100,7 @@ impl<'a> Builder<'a> {
             attributes.insert("TEXCOORD_0".into(), self.floats(&down).into());
         }
         if !surface.colors.is_empty() {
-            // Linear light in bytes would show steps in dark colours.
+            // Linear light in 8 bits would show steps in dark colours.
             let short = |byte: u8| ((65535.0 * linear(byte)).round() as u16).to_le_bytes();
             let bytes: Vec<u8> = surface
                 .colors
@@ -134,7 +134,7 @@ impl<'a> Builder<'a> {
             let [r, g, b] = body.color.map(linear);
             look["baseColorFactor"] = json!([r, g, b, 1.0]);
         }
-        // Static surfaces are open: their back must be seen too.
+        // Static surfaces are open, so their back is visible.
         let open = body.kind == BodyKind::Static;
         let material = json!({ "name": body.name, "pbrMetallicRoughness": look, "doubleSided": open });
         self.materials.push(material);
@@ -160,7 +160,7 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// The file: header, JSON chunk, binary chunk.
+    /// Returns the file: header, JSON chunk, binary chunk.
     fn finish(mut self, name: &str, extras: Option<Value>) -> Vec<u8> {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let children: Vec<usize> = (0..self.nodes.len()).collect();
@@ -184,7 +184,7 @@ impl<'a> Builder<'a> {
             file["buffers"] = json!([{ "byteLength": self.binary.len() }]);
         }
         if !self.images.is_empty() {
-            // Linear with mipmaps; charts of a baked picture must not repeat at the border.
+            // Linear with mipmaps; charts of a baked texture must not repeat at the border.
             file["samplers"] =
                 json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
         }
@@ -221,7 +221,7 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// Physics of a body, for programs that read extras (Blender shows them as custom properties).
+/// Returns the physics of a body for programs that read extras (Blender shows them as custom properties).
 fn extras(body: &Body) -> Value {
     let m = &body.material;
     let property = |p: &Property| json!([p.value.best, p.value.low, p.value.high]);

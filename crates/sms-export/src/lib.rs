@@ -1,9 +1,8 @@
-//! The scene for other simulators.
+//! Export of scenes to other simulators.
 //!
 //! [`export`] writes a [`Scene`] as one folder that can be moved: MJCF, URDF (with a loader for PyBullet), SDFormat, USD
-//! with physics schemas, glTF or OBJ; each with `bodies.json`, which lists every body for programs, and a README that says
-//! how to load it where, and what the format cannot hold. The folder appears as a whole or not at all, and the same scene
-//! gives the same bytes.
+//! with physics schemas, glTF or OBJ; each with `bodies.json`, which lists every body for programs, and a README on
+//! how to load it and on the limits of the format. The folder is written atomically, and the same scene gives the same bytes.
 //!
 //! ```
 //! use sms_export::{Format, Sources, export};
@@ -43,7 +42,7 @@ use sms_scene::{Body, Scene};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// What a scene can be written as.
+/// Export formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
     /// MuJoCo's XML.
@@ -64,7 +63,7 @@ impl Format {
     /// Every format.
     pub const ALL: [Self; 6] = [Self::Mjcf, Self::Urdf, Self::Sdf, Self::Usd, Self::Glb, Self::Obj];
 
-    /// Name, as the command line takes it and as the default folder is called.
+    /// Returns the name on the command line and of the default folder.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mjcf => "mjcf",
@@ -76,7 +75,7 @@ impl Format {
         }
     }
 
-    /// The file to open, below the folder.
+    /// Returns the file to open, relative to the folder.
     pub fn main_file(self) -> &'static str {
         match self {
             Self::Mjcf => "scene.xml",
@@ -88,7 +87,7 @@ impl Format {
         }
     }
 
-    /// Folder (with its slash) in which `meshes/` of a body lies; `None` where meshes are no files of their own.
+    /// Returns the folder (with its slash) of a body's `meshes/`; `None` for formats without separate mesh files.
     fn mesh_folder(self, body: &Body) -> Option<String> {
         match self {
             Self::Mjcf | Self::Urdf | Self::Obj => Some(String::new()),
@@ -98,18 +97,18 @@ impl Format {
     }
 }
 
-/// Where the parts of an export that are not in the [`Scene`] come from.
+/// Sources of the parts of an export that are not in the [`Scene`].
 #[derive(Debug, Clone, Default)]
 pub struct Sources {
-    /// Folder with the Gaussians of each body in its body frame, `<name>.ply`; copied where present.
+    /// Folder with the Gaussians of each body in its body frame, `<name>.ply`; copied if present.
     pub gaussians: Option<PathBuf>,
 }
 
 /// Writes the scene into the folder `dir`, replacing an earlier export, and returns the file to open.
 ///
 /// # Errors
-/// [`CoreError::Input`] when `dir` holds something other than an earlier export; [`CoreError::Write`]. What was there
-/// before then stays as it was.
+/// [`CoreError::Input`] when `dir` holds something other than an earlier export; [`CoreError::Write`]. The
+/// existing folder is kept then.
 pub fn export(scene: &Scene, format: Format, sources: &Sources, dir: &Path) -> Result<PathBuf, CoreError> {
     folder::write_folder(dir, |work| {
         match format {
@@ -128,7 +127,7 @@ pub fn export(scene: &Scene, format: Format, sources: &Sources, dir: &Path) -> R
     Ok(dir.join(format.main_file()))
 }
 
-/// Copies the Gaussians of the bodies that have some; returns those bodies' names.
+/// Copies the Gaussians of bodies; returns the names of the bodies that have some.
 fn copy_gaussians(scene: &Scene, sources: &Sources, work: &Path) -> Result<Vec<String>, CoreError> {
     let Some(from) = &sources.gaussians else { return Ok(Vec::new()) };
     let mut copied = Vec::new();

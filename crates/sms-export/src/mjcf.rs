@@ -4,8 +4,8 @@
 //! static triangle mesh exports one thin prism per triangle, which keeps its surface exactly.
 //!
 //! Contacts: a moving body has the mean of its own and the ground's coefficients and a higher `priority` than static
-//! geoms, so its values hold against them; of two moving bodies MuJoCo takes the larger friction. MuJoCo has no
-//! restitution; an underdamped contact bounces, so the damping ratio is the one that gives the restitution back.
+//! geoms, so its values apply against them; of two moving bodies MuJoCo takes the larger friction. MuJoCo has no
+//! restitution; the damping ratio of an underdamped contact is chosen to reproduce it.
 
 use crate::contact::{damping_ratio, with_ground};
 use crate::text::{escape, number, numbers, principal, rgba, small};
@@ -15,22 +15,22 @@ use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, visual_file, write_
 use std::fmt::Write;
 use std::path::Path;
 
-/// How far a static triangle is extruded against its normal, metres. Thin enough not to come out of the other side
-/// of cardboard, thick enough that a body at rest cannot pass within a time step.
+/// Extrusion of a static triangle against its normal, metres: thinner than cardboard, and thick enough that a body at rest
+/// cannot pass within a time step.
 const PRISM_THICKNESS: f64 = 0.003;
 /// Triangles smaller than this (m²) are left out of the prisms: MuJoCo refuses meshes without volume.
 const MIN_PRISM_AREA: f64 = 1e-8;
 /// Time step in seconds: a sixth of the half period of contacts, below which their damping is no longer resolved.
 const TIME_STEP: f64 = 0.001;
-/// Half of the edge lengths of the slab that stands for a half space, metres. MuJoCo finds at most three contacts between a
-/// mesh and a plane, the deepest vertex and its neighbours: a block on four corners, whose mass centre is on the edge of each
-/// such triangle, began to rock and crept up to 12 mm in a second. Against a slab it has all four.
+/// Half of the edge lengths of the slab that replaces a half space, metres. MuJoCo finds at most three contacts between a mesh
+/// and a plane, the deepest vertex and its neighbours. The mass centre of a block on four corners lies on the edge of that
+/// triangle, so it rocks and creeps by up to 12 mm in a second. Against a slab it has four contacts.
 const GROUND_HALF_EDGE: f64 = 3.0;
 const GROUND_HALF_DEPTH: f64 = 0.5;
 /// Angular frequency of contacts, rad/s. An impact at 1 m/s goes 2 mm deep; at rest MuJoCo's impedance leaves 2 µm.
 const CONTACT_FREQUENCY: f64 = 500.0;
 
-/// Share of the damping that is exported: MuJoCo's step and impedance damp as much as the rest would.
+/// Exported share of the damping: MuJoCo's step and impedance add the rest.
 const DAMPING_LEFT: f64 = 0.9;
 
 /// Writes `scene.xml` and its meshes into `dir`.
@@ -39,7 +39,7 @@ pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
     atomic::write_bytes(&dir.join("scene.xml"), mjcf_text(scene).as_bytes())
 }
 
-/// The scene as MJCF text. Mesh files are named relative to it, as [`sms_scene::write_meshes`] (and so
+/// Formats the scene as MJCF text. Mesh files are named relative to it, as [`sms_scene::write_meshes`] (and so
 /// [`sms_scene::save_scene`]) writes them.
 pub fn mjcf_text(scene: &Scene) -> String {
     let mut file = File { scene, assets: String::new(), world: String::new() };
@@ -71,7 +71,7 @@ pub fn mjcf_text(scene: &Scene) -> String {
     )
 }
 
-/// The ground reaches a metre beyond every body.
+/// Returns the half edge of the ground, which extends a metre beyond every body.
 fn ground_half_edge(scene: &Scene) -> f64 {
     let far = |b: &Body| b.x_wb.translation.x.abs().max(b.x_wb.translation.y.abs()) + 1.0;
     scene.bodies.iter().map(far).fold(GROUND_HALF_EDGE, f64::max)
@@ -142,15 +142,15 @@ impl File<'_> {
         ));
     }
 
-    /// Friction, restitution and rolling resistance of every collision geom of a body.
+    /// Returns friction, restitution and rolling resistance of the collision geoms of a body.
     fn contact(&self, body: &Body) -> String {
         let of = |property: fn(&Body) -> sms_core::Property| with_ground(self.scene, body, property);
         let friction = of(|b| b.material.friction);
         // The third coefficient is our rolling lever; the second its counterpart about the normal.
         let rolling = of(|b| b.material.rolling_m);
         let ratio = damping_ratio(of(|b| b.material.restitution));
-        // Stiffness and damping, as negative numbers: of two moving bodies MuJoCo then takes the greater damping, where
-        // of time constants it would take the mean, and make both soft.
+        // Stiffness and damping as negative numbers: of two moving bodies MuJoCo then takes the greater damping. With time
+        // constants it would take the mean, which is too soft.
         let spring = -CONTACT_FREQUENCY * CONTACT_FREQUENCY;
         let damper = -2.0 * DAMPING_LEFT * ratio * CONTACT_FREQUENCY;
         let priority = u8::from(body.kind == BodyKind::Dynamic);
@@ -165,7 +165,7 @@ impl File<'_> {
     fn collision(&mut self, body: &Body) {
         let (name, contact, color) = (&body.name, self.contact(body), rgba(body.color));
         let primitive = match &body.shape {
-            // What can roll needs rolling friction, and with it all six dimensions.
+            // Shapes that roll need rolling friction, and thus all six dimensions.
             BodyShape::Sphere { radius } => {
                 Some(format!("type=\"sphere\" size=\"{}\" condim=\"6\"", number(*radius)))
             }

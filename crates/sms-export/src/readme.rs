@@ -3,7 +3,7 @@
 use crate::{Format, bodies};
 use sms_scene::Scene;
 
-/// How to load the folder, what maps to what, and what is lost.
+/// Returns the README: loading, mapping of values, and limits of the format.
 pub(crate) fn text(scene: &Scene, format: Format, has_gaussians: bool) -> String {
     let gaussians = if has_gaussians {
         "\n## Gaussians\n`gaussians/<body>.ply` holds the Gaussian splats of a body in its frame (the layout of 3D Gaussian \

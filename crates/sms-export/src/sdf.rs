@@ -48,7 +48,7 @@ fn config(body: &Body) -> String {
     )
 }
 
-/// Geometries of the collision elements; mesh files below `prefix`.
+/// Returns the geometries of the collision elements; mesh files are below `prefix`.
 fn geometries(body: &Body, prefix: &str) -> Vec<String> {
     let mesh = |file: String| format!("<mesh><uri>{prefix}{file}</uri></mesh>");
     match &body.shape {
@@ -71,8 +71,8 @@ fn geometries(body: &Body, prefix: &str) -> Vec<String> {
     }
 }
 
-/// Friction: Gazebo's engines take the smaller coefficient of a pair, so a moving body has its mean with the ground and
-/// static ones the largest of these. Restitution is multiplied.
+/// Returns the contact parameters. Gazebo's engines take the smaller friction of a pair, so a moving body gets its mean with the
+/// ground and static ones the largest of these. Restitution is multiplied.
 fn surface(scene: &Scene, body: &Body) -> String {
     let mean = |b: &Body| with_ground(scene, b, |b| b.material.friction);
     let friction = match body.kind {
@@ -114,7 +114,7 @@ fn model(scene: &Scene, body: &Body, pose: Option<&DPose3>, prefix: &str) -> Str
         vec![format!("<mesh><uri>{prefix}{}</uri></mesh>", visual_file(body))]
     };
     let color = rgba(body.color);
-    // Without an element of its own a mesh keeps the material of its MTL file.
+    // Without this element, a mesh keeps the material of its MTL file.
     let material = if body.texture.is_some() {
         String::new()
     } else {

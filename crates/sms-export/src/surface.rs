@@ -1,4 +1,4 @@
-//! Triangle meshes as graphics files have them: vertices split where normals, colours or texture coordinates do.
+//! Triangle meshes for graphics formats: vertices are split at seams of normals, colours and texture coordinates.
 
 use glamx::DVec3;
 use sms_core::{Mesh, MeshTexture};
@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 /// Faces that meet at less than this angle are shaded as one smooth surface, radians (35°).
 const CREASE: f64 = 0.61;
 
-/// Half of the edge length in metres of the square that stands for a half space in pictures.
+/// Half of the edge length in metres of the square that shows a half space.
 pub(crate) const GROUND_HALF_EDGE: f64 = 1.5;
 
-/// What pictures show of a body, in its frame: its visual mesh, else its collision shape.
+/// Returns the visible surface of a body in its frame: its visual mesh, else its collision shape.
 pub(crate) fn drawn(body: &Body) -> Cow<'_, Mesh> {
     if !body.visual.triangles.is_empty() {
         return Cow::Borrowed(&body.visual);
@@ -33,8 +33,8 @@ pub(crate) fn drawn(body: &Body) -> Cow<'_, Mesh> {
     Cow::Owned(all)
 }
 
-/// Unit normals of each corner of each triangle: the mean of the faces around the vertex, by area, but for those beyond
-/// a crease.
+/// Returns the unit normals of each corner of each triangle: the area-weighted mean of the faces around the vertex without
+/// those beyond a crease.
 pub(crate) fn corner_normals(mesh: &Mesh) -> Vec<[DVec3; 3]> {
     let faces: Vec<DVec3> = (0..mesh.triangles.len())
         .map(|t| {
@@ -63,23 +63,23 @@ pub(crate) fn corner_normals(mesh: &Mesh) -> Vec<[DVec3; 3]> {
         .collect()
 }
 
-/// Indexed vertices that carry everything.
+/// Indexed vertices with all their attributes.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Surface {
+pub(crate) struct SplitMesh {
     pub(crate) positions: Vec<[f32; 3]>,
     pub(crate) normals: Vec<[f32; 3]>,
-    /// sRGB; empty where the mesh has none.
+    /// sRGB; empty if the mesh has none.
     pub(crate) colors: Vec<[u8; 3]>,
     /// OBJ's convention (v up); empty without a texture.
     pub(crate) uv: Vec<[f32; 2]>,
     pub(crate) indices: Vec<u32>,
 }
 
-/// Splits the vertices of `mesh`. Colours are left out where there is a texture.
-pub(crate) fn split(mesh: &Mesh, texture: Option<&MeshTexture>) -> Surface {
+/// Splits the vertices of `mesh`. Colours are left out if there is a texture.
+pub(crate) fn split(mesh: &Mesh, texture: Option<&MeshTexture>) -> SplitMesh {
     let normals = corner_normals(mesh);
     let colored = texture.is_none() && mesh.colors.len() == mesh.vertices.len();
-    let mut surface = Surface::default();
+    let mut surface = SplitMesh::default();
     let mut known = BTreeMap::new();
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         for (k, &i) in triangle.iter().enumerate() {

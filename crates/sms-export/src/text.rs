@@ -1,43 +1,43 @@
-//! Numbers, names and colours as text, and rotations as other conventions have them.
+//! Numbers, names and colours as text, and rotations in other conventions.
 
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use sms_core::MassProperties;
 
-/// XML text and attribute values.
+/// Escapes XML text and attribute values.
 pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A number for a file: nanometres at desk scale, stable text, no negative zero.
+/// Formats a number for a file: nanometre resolution, stable text, no negative zero.
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.9}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".into() } else { text.to_owned() }
 }
 
-/// Numbers separated by spaces.
+/// Formats numbers separated by spaces.
 pub(crate) fn numbers(values: impl IntoIterator<Item = f64>) -> String {
     values.into_iter().map(number).collect::<Vec<_>>().join(" ")
 }
 
-/// A small number (an inertia in kg·m²) with ten significant digits.
+/// Formats a small number (an inertia in kg·m²) with ten significant digits.
 pub(crate) fn small(value: f64) -> String {
     format!("{value:.9e}")
 }
 
-/// sRGB in [0, 1], with alpha 1.
+/// Formats sRGB in [0, 1], with alpha 1.
 pub(crate) fn rgba(color: [u8; 3]) -> String {
     let [r, g, b] = color.map(|c| f64::from(c) / 255.0);
     format!("{r:.4} {g:.4} {b:.4} 1")
 }
 
-/// An sRGB byte as linear light in [0, 1] (IEC 61966-2-1).
+/// Converts an sRGB byte to linear light in [0, 1] (IEC 61966-2-1).
 pub(crate) fn linear(byte: u8) -> f64 {
     let c = f64::from(byte) / 255.0;
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
 
-/// Roll, pitch and yaw (about fixed x, then y, then z; radians) as URDF and SDFormat have them.
+/// Returns roll, pitch and yaw (about fixed x, then y, then z; radians), the convention of URDF and SDFormat.
 pub(crate) fn rpy(q: DQuat) -> DVec3 {
     let m = DMat3::from_quat(q);
     // m = Rz(yaw) Ry(pitch) Rx(roll).
@@ -47,20 +47,20 @@ pub(crate) fn rpy(q: DQuat) -> DVec3 {
     if cos_pitch > 1e-9 {
         return DVec3::new(m.y_axis.z.atan2(m.z_axis.z), pitch, m.x_axis.y.atan2(m.x_axis.x));
     }
-    // Looking straight up or down roll and yaw turn about the same axis: all of it is yaw.
+    // At a pitch of ±90°, roll and yaw turn about the same axis: all of it is yaw.
     DVec3::new(0.0, pitch, (-m.y_axis.x).atan2(m.y_axis.y))
 }
 
-/// Position, then roll, pitch and yaw: the six numbers of an SDFormat pose.
+/// Formats position, then roll, pitch and yaw: the six numbers of an SDFormat pose.
 pub(crate) fn pose_rpy(pose: &DPose3) -> String {
     numbers(pose.translation.to_array().into_iter().chain(rpy(pose.rotation).to_array()))
 }
 
-/// Principal moments of inertia in kg·m² and the rotation `R_BP` that carries their axes into the body frame `B`. Every
-/// format takes moments this way, and none has to diagonalise a matrix whose rounding could make it impossible.
+/// Returns the principal moments of inertia in kg·m² and the rotation `R_BP` that carries their axes into the body frame `B`.
+/// Every format accepts moments in this form, so that no reader has to diagonalise a rounded matrix.
 pub(crate) fn principal(mass: &MassProperties) -> (DVec3, DQuat) {
-    // Jacobi's rotations: exact to rounding also where two moments are nearly equal (a can, a bottle), and at every size,
-    // both of which closed forms are not.
+    // Jacobi rotations: unlike closed forms, they are exact to rounding for nearly equal moments (a can, a bottle) and at every
+    // size.
     let mut a = mass.inertia().to_cols_array_2d();
     let mut axes = DMat3::IDENTITY.to_cols_array_2d();
     for _ in 0..16 {

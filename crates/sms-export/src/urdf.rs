@@ -1,4 +1,4 @@
-//! URDF: one file per body, because a URDF holds one robot and no free bodies, and a loader that puts them into PyBullet.
+//! URDF: one file per body, because a URDF holds one robot and no free bodies, and a loader for PyBullet.
 
 use crate::contact::factors;
 use crate::text::{escape, numbers, pose_rpy, principal, rgba, rpy, small};
@@ -7,9 +7,9 @@ use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visua
 use std::fmt::Write;
 use std::path::Path;
 
-/// The loader, our own program, copied as it is.
+/// The loader.
 const LOADER: &str = include_str!("load_pybullet.py");
-/// Edge lengths in metres of the slab that stands for a half space.
+/// Edge lengths in metres of the slab that replaces a half space.
 const SLAB: [f64; 3] = [20.0, 20.0, 1.0];
 
 /// Writes `<name>.urdf` for each body, `poses.yaml`, `load_pybullet.py` and the meshes.
@@ -27,7 +27,7 @@ fn mesh(file: &str) -> String {
     format!("<mesh filename=\"{file}\"/>")
 }
 
-/// Origin and geometry of each collision element.
+/// Returns origin and geometry of each collision element.
 fn collisions(body: &Body) -> Vec<(String, String)> {
     let here = || "0 0 0".to_owned();
     match &body.shape {
@@ -71,7 +71,7 @@ fn body_text(scene: &Scene, body: &Body) -> String {
     } else {
         vec![("0 0 0".into(), mesh(&visual_file(body)))]
     };
-    // A mesh with a picture brings its own material; a colour here would cover it.
+    // A textured mesh has its own material; a colour here would override it.
     let colored = body.texture.is_none() || body.visual.triangles.is_empty();
     let look = format!("<material name=\"{name}\"><color rgba=\"{}\"/></material>", rgba(body.color));
     let material = if colored { look.as_str() } else { "" };
@@ -98,7 +98,7 @@ fn body_text(scene: &Scene, body: &Body) -> String {
     t
 }
 
-/// Poses in the world for readers of URDF that have no loader of ours.
+/// Formats the poses in the world, for readers of URDF without our loader.
 fn poses(scene: &Scene) -> String {
     let mut text = String::from(
         "# Pose of each body's link in the world (z up): x y z in metres, then roll, pitch, yaw in radians.\n",
@@ -131,7 +131,7 @@ mod tests {
         assert!(text("environment").contains("<collision concave=\"yes\">"));
         assert!(!text("environment").contains("<inertial>"));
         assert!(text("wedge.1-a").contains("meshes/wedge.1-a_hull_00.obj"));
-        assert!(!text("wedge.1-a").contains("<color"), "its picture must not be covered");
+        assert!(!text("wedge.1-a").contains("<color"), "a colour would override its texture");
         assert!(
             poses(&scene).contains("name: \"ball\", file: \"ball.urdf\", fixed: false, pose: [-0.2, 0.1,")
         );

@@ -1,9 +1,9 @@
 //! OpenUSD as text, with the physics schemas of UsdPhysics.
 //!
-//! PhysX, which Isaac Sim uses, takes the mean of a pair's friction and restitution as we do: values are exported as they
-//! are.
+//! PhysX, which Isaac Sim uses, takes the mean of a pair's friction and restitution as we do: values are exported
+//! unchanged.
 
-use crate::surface::{GROUND_HALF_EDGE, Surface, split};
+use crate::surface::{GROUND_HALF_EDGE, SplitMesh, split};
 use crate::text::{linear, number, principal, small};
 use glamx::{DQuat, DVec3};
 use sms_core::{CoreError, Mesh, atomic, write_png_color};
@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Writes `scene.usda` and the pictures in `textures/`.
+/// Writes `scene.usda` and the images in `textures/`.
 pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
     for body in &scene.bodies {
         if let Some(texture) = &body.texture {
@@ -26,7 +26,7 @@ fn texture_file(body: &Body) -> String {
     format!("textures/{}.png", body.name)
 }
 
-/// Prim names (letters, digits and underscores, not beginning with a digit), unique, parallel to the bodies.
+/// Returns prim names (letters, digits and underscores, not beginning with a digit), unique, parallel to the bodies.
 pub(crate) fn prim_names(scene: &Scene) -> Vec<String> {
     let mut taken: BTreeSet<String> = ["PhysicsScene", "Materials"].map(String::from).into();
     let mut names = Vec::with_capacity(scene.bodies.len());
@@ -46,7 +46,7 @@ pub(crate) fn prim_names(scene: &Scene) -> Vec<String> {
 
 fn text(scene: &Scene) -> String {
     let g = scene.gravity_w;
-    let mut w = Writer { text: String::new(), depth: 0 };
+    let mut w = UsdWriter { text: String::new(), depth: 0 };
     w.line("#usda 1.0");
     w.line("(");
     w.depth += 1;
@@ -93,7 +93,7 @@ fn quaternion(q: DQuat) -> String {
     tuple([q.w, q.x, q.y, q.z])
 }
 
-/// An array of tuples of `f32`, shortest digits that read back the same.
+/// Formats an array of tuples of `f32` with the shortest digits that read back the same.
 fn tuples<const N: usize>(values: impl Iterator<Item = [f32; N]>) -> String {
     let all: Vec<String> = values.map(|v| format!("({})", v.map(|x| x.to_string()).join(", "))).collect();
     format!("[{}]", all.join(", "))
@@ -103,12 +103,12 @@ fn linear_color(color: [u8; 3]) -> [f32; 3] {
     color.map(|c| linear(c) as f32)
 }
 
-struct Writer {
+struct UsdWriter {
     text: String,
     depth: usize,
 }
 
-impl Writer {
+impl UsdWriter {
     fn line(&mut self, line: &str) {
         let _ = writeln!(self.text, "{:1$}{line}", "", if line.is_empty() { 0 } else { 4 * self.depth });
     }
@@ -146,7 +146,7 @@ impl Writer {
         self.close();
     }
 
-    /// A preview surface that takes its colour from the picture, else from the mesh's own colours.
+    /// Writes a preview surface with the colour of the texture, else of the mesh's vertices.
     fn look(&mut self, body: &Body, name: &str) {
         let path = format!("/World/Materials/{name}_look");
         self.open(&format!("def Material \"{name}_look\""), &[]);
@@ -219,7 +219,7 @@ impl Writer {
         let surface = split(&body.visual, body.texture.as_ref());
         self.open("def Mesh \"visual\"", &["prepend apiSchemas = [\"MaterialBindingAPI\"]"]);
         self.line(&format!("rel material:binding = </World/Materials/{name}_look>"));
-        // Static surfaces are open: their back must be seen too.
+        // Static surfaces are open, so their back is visible.
         self.line(&format!("uniform bool doubleSided = {}", u8::from(body.kind == BodyKind::Static)));
         self.mesh(&surface);
         if !surface.uv.is_empty() {
@@ -239,8 +239,8 @@ impl Writer {
         self.line(&format!("color3f[] primvars:displayColor = {one}"));
     }
 
-    /// Topology, points, normals, extent.
-    fn mesh(&mut self, surface: &Surface) {
+    /// Writes topology, points, normals and extent.
+    fn mesh(&mut self, surface: &SplitMesh) {
         self.extent(surface.positions.iter().copied());
         let indices: Vec<String> = surface.indices.iter().map(u32::to_string).collect();
         self.line(&format!("int[] faceVertexCounts = [{}]", vec!["3"; indices.len() / 3].join(", ")));
@@ -261,7 +261,7 @@ impl Writer {
         self.line(&format!("float3[] extent = {}", tuples(corners.into_iter())));
     }
 
-    /// Collision prims; guides where there is a visual mesh, else they are what is seen.
+    /// Writes collision prims: guides if there is a visual mesh, else visible.
     fn collision(&mut self, body: &Body, name: &str, hidden: bool) {
         self.open("def Scope \"collision\"", &[]);
         let purpose = if hidden { "guide" } else { "default" };
@@ -296,7 +296,7 @@ impl Writer {
                 w.line(&format!("double height = {}", number(2.0 * half_length)));
                 w.line(&format!("double radius = {}", number(*radius)));
             }),
-            // As a collider a plane is infinite; the edge lengths are for pictures.
+            // The collider is infinite; the edge lengths are for display.
             BodyShape::HalfSpace => prim(self, "Plane", "half_space", "", &|w| {
                 w.line("uniform token axis = \"Z\"");
                 w.extent(corners(DVec3::new(GROUND_HALF_EDGE, GROUND_HALF_EDGE, 0.0)).into_iter());
@@ -322,12 +322,12 @@ impl Writer {
     }
 }
 
-/// A mesh as it is, without normals.
-fn plain(mesh: &Mesh) -> Surface {
-    Surface {
+/// Returns a mesh unchanged, without normals.
+fn plain(mesh: &Mesh) -> SplitMesh {
+    SplitMesh {
         positions: mesh.vertices.iter().map(|v| v.as_vec3().to_array()).collect(),
         indices: mesh.triangles.as_flattened().to_vec(),
-        ..Surface::default()
+        ..SplitMesh::default()
     }
 }
 

@@ -1,4 +1,4 @@
-//! Which way is up: the support plane of an unaligned recording.
+//! World alignment: the up direction from the support plane of an unaligned recording.
 
 use crate::{Align, DepthNoise, Recording};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
@@ -6,24 +6,24 @@ use sms_core::{DepthImage, Intrinsics, NormalImage, Seed, Warnings};
 
 mod planes;
 
-pub(crate) use planes::Plane;
+pub(crate) use planes::SupportCandidate;
 use planes::{Cells, find_planes};
 
-/// Coordinates beyond this (metres) are moved to the origin in f64 before anything becomes f32.
+/// Recordings beyond this distance from the origin (metres) are moved there in f64 before any conversion to f32.
 const FAR_M: f64 = 100.0;
-/// A support plane may tilt so much against a given up direction.
+/// Maximum tilt of a support plane against a given up direction.
 const UP_TOLERANCE_RAD: f64 = 0.35;
 
 /// Below this cosine between a plane's normal and the images' up, a table seen from straight above and a wall cannot
 /// be told apart by the images.
 const AMBIGUOUS_IMAGE_UP: f64 = 0.15;
-/// A plane's normal is an axis of the recording's world when it is as near as this.
+/// Maximum angle between a plane's normal and an axis of the recording's world that it counts as.
 const NORMAL_TOLERANCE_RAD: f64 = 0.15;
-/// The images' mean upward direction stands for an axis that is as near as this; cameras look down a little.
+/// Maximum angle between the images' mean upward direction and the axis that it counts as; cameras look down a little.
 const IMAGE_UP_TOLERANCE_RAD: f64 = 0.35;
 
-/// What alignment sees of a loaded frame.
-pub(crate) struct View<'a> {
+/// The part of a loaded frame that alignment uses.
+pub(crate) struct AlignmentView<'a> {
     pub(crate) intrinsics: Intrinsics,
     /// Camera pose in the recording's world.
     pub(crate) x_rc: DPose3,
@@ -31,12 +31,12 @@ pub(crate) struct View<'a> {
     pub(crate) normal_c: &'a NormalImage,
 }
 
-/// The transform from the recording's world to ours.
+/// Computes the transform from the recording's world to ours.
 pub(crate) fn align(
     recording: &Recording,
     align: Align,
     noise: &DepthNoise,
-    views: &[View<'_>],
+    views: &[AlignmentView<'_>],
     warnings: &Warnings,
 ) -> DPose3 {
     let stated_up_r = match align {
@@ -77,7 +77,7 @@ pub(crate) fn align(
             warnings.add(
                 "scan",
                 "no_support_plane",
-                "no support plane was found; up is taken as the cameras' mean upward direction",
+                "no support plane was found; the cameras' mean upward direction is used as up",
                 "state the up direction of the recording's world (`--up x,y,z`), or record the table or floor too",
             );
             camera_up_r(views)
@@ -103,8 +103,8 @@ pub(crate) fn align(
     DPose3::from_parts(-(rotation * (origin_r + foot)), rotation)
 }
 
-/// Identity for worlds near the origin; a translation by whole metres for far ones.
-fn recenter(views: &[View<'_>], warnings: &Warnings) -> DPose3 {
+/// Returns the identity for worlds near the origin, a translation by whole metres for far ones.
+fn recenter(views: &[AlignmentView<'_>], warnings: &Warnings) -> DPose3 {
     let n = views.len().max(1) as f64;
     let mean = views.iter().fold(DVec3::ZERO, |s, v| s + v.x_rc.translation / n);
     if mean.abs().max_element() < FAR_M {
@@ -126,15 +126,15 @@ fn recenter(views: &[View<'_>], warnings: &Warnings) -> DPose3 {
     DPose3::from_parts(-shift, DQuat::IDENTITY)
 }
 
-/// Mean upward direction of the images in the recording's world.
-fn camera_up_r(views: &[View<'_>]) -> DVec3 {
+/// Returns the mean upward direction of the images in the recording's world.
+fn camera_up_r(views: &[AlignmentView<'_>]) -> DVec3 {
     let sum = views.iter().fold(DVec3::ZERO, |s, v| s - v.x_rc.rotation * DVec3::Y);
     sum.try_normalize().unwrap_or(DVec3::Z)
 }
 
-/// The axis of the recording's world (z, or y as in ARKit) that is up in the images and lies in the ambiguous plane;
-/// `None` when the plane's own normal is such an axis, or no axis is up in the images.
-fn axis_held_upright(views: &[View<'_>], plane: &Plane) -> Option<DVec3> {
+/// Returns the axis of the recording's world (z, or y as in ARKit) that is up in the images and lies in the ambiguous
+/// plane; `None` when the plane's own normal is such an axis, or no axis is up in the images.
+fn axis_held_upright(views: &[AlignmentView<'_>], plane: &SupportCandidate) -> Option<DVec3> {
     for axis in [DVec3::Z, DVec3::Y] {
         if plane.normal.angle_between(axis) < NORMAL_TOLERANCE_RAD {
             return None;
@@ -146,15 +146,15 @@ fn axis_held_upright(views: &[View<'_>], plane: &Plane) -> Option<DVec3> {
     None
 }
 
-/// The plane that supports the scene: large, with the cameras and nearly everything else above it, and upright in
-/// the images (cameras are held with little roll). With a given up, only planes across it count.
+/// Chooses the plane that supports the scene: large, with the cameras and nearly everything else above it, and upright in
+/// the images (cameras are held with little roll). With a given up direction, only planes across it are candidates.
 fn choose<'a>(
-    planes: &'a [Plane],
+    planes: &'a [SupportCandidate],
     cells: &Cells,
-    views: &[View<'_>],
+    views: &[AlignmentView<'_>],
     origin_r: DVec3,
     up_r: Option<DVec3>,
-) -> Option<&'a Plane> {
+) -> Option<&'a SupportCandidate> {
     planes
         .iter()
         .filter(|p| up_r.is_none_or(|up| p.normal.angle_between(up) < UP_TOLERANCE_RAD))
@@ -164,7 +164,13 @@ fn choose<'a>(
         .map(|(_, p)| p)
 }
 
-fn score(plane: &Plane, cells: &Cells, views: &[View<'_>], origin_r: DVec3, up_known: bool) -> f64 {
+fn score(
+    plane: &SupportCandidate,
+    cells: &Cells,
+    views: &[AlignmentView<'_>],
+    origin_r: DVec3,
+    up_known: bool,
+) -> f64 {
     let n = views.len().max(1) as f64;
     let cameras_above =
         views.iter().filter(|v| plane.height(v.x_rc.translation - origin_r) > 0.0).count() as f64 / n;

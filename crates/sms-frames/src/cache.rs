@@ -1,6 +1,6 @@
 //! A loaded sequence on disk, so that later stages need not read the recording again.
 //!
-//! `sequence.json` holds what a person may want to see: cameras, the world alignment, links to the recording's files.
+//! `sequence.json` holds the human-readable part: cameras, the world alignment, links to the recording's files.
 //! `color/NNNNNN.png` is the resampled colour, and `geometry.bin` the depth and normals, bit for bit: a magic line,
 //! then for each frame two deflated blocks, each after its length (u64, little endian).
 
@@ -28,7 +28,7 @@ struct SequenceFile {
     source: PathBuf,
     /// `X_world_recording`, 4 × 4 rows, for readers of the file.
     x_world_recording: [[f64; 4]; 4],
-    /// The same, exactly as it was.
+    /// The same pose, bit for bit.
     x_world_recording_pose: DPose3,
     settings: serde_json::Value,
     frames: Vec<FrameEntry>,
@@ -53,7 +53,7 @@ impl Sequence {
         self.save_with_settings(dir, &serde_json::Value::Null)
     }
 
-    /// Writes the sequence with the settings that it was loaded with, for the record.
+    /// Writes the sequence and records the settings that it was loaded with.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -83,7 +83,7 @@ impl Sequence {
             source: self.source.clone(),
             x_world_recording: pose_to_rows(&self.x_world_recording),
             x_world_recording_pose: self.x_world_recording,
-            // Plain settings always have a JSON form; the record is for people only.
+            // Plain settings always have a JSON form; no program reads the record.
             settings: serde_json::to_value(settings).unwrap_or_default(),
             frames: self
                 .frames
@@ -98,7 +98,7 @@ impl Sequence {
                 })
                 .collect(),
         };
-        // Last, so that a sequence.json always has its images.
+        // Written last, so that a sequence.json always has its images.
         atomic::write_json(&dir.join("sequence.json"), &file)
     }
 
@@ -121,7 +121,7 @@ impl Sequence {
                 let k = entry.camera.intrinsics;
                 if color.size() != (k.width, k.height) {
                     return Err(InputError::new(
-                        "the cached image has not the camera's size",
+                        "the size of this cached image differs from the camera's",
                         &color_file,
                         "scan the recording again",
                     )
@@ -151,8 +151,8 @@ impl Sequence {
     }
 }
 
-/// Cameras and depth images of up to `most` frames of a sequence that [`Sequence::save`] wrote, evenly spread: what takes a
-/// fraction of the time of reading all.
+/// Reads the cameras and depth images of up to `most` evenly spread frames of a sequence that [`Sequence::save`] wrote, in a
+/// fraction of the time of [`Sequence::load`].
 ///
 /// # Errors
 /// As [`Sequence::load`].
@@ -174,11 +174,13 @@ pub fn load_depths(dir: &Path, most: usize) -> Result<Vec<(Camera, DepthImage)>,
     Ok(depths.into_iter().collect::<Option<_>>().ok_or_else(damaged)?)
 }
 
-/// The record and the packed depth and normals.
+/// Reads the record and the packed depth and normals.
 fn read_files(dir: &Path) -> Result<(SequenceFile, Vec<u8>), FramesError> {
     let path = dir.join("sequence.json");
     if !path.is_file() {
-        return Err(InputError::new("there is no loaded sequence here", &path, "run `sms scan` first").into());
+        return Err(
+            InputError::new("this folder holds no loaded sequence", &path, "run `sms scan` first").into()
+        );
     }
     let file: SequenceFile = atomic::read_json(&path)?;
     if file.version != VERSION {
@@ -234,7 +236,7 @@ fn split_blocks(file: &[u8]) -> Option<Vec<&[u8]>> {
     Some(blocks)
 }
 
-/// The bytes of equal significance together, which deflates better than floats one after the other.
+/// Groups bytes of equal significance, which deflates better than interleaved floats.
 fn planar<const N: usize>(values: impl ExactSizeIterator<Item = [u8; N]>) -> Vec<u8> {
     let n = values.len();
     let mut bytes = vec![0; N * n];
@@ -259,7 +261,7 @@ fn depth_from_bytes(bytes: Option<Vec<u8>>, width: usize, height: usize) -> Opti
     Some(Image::from_vec(width, height, values.into_iter().map(f32::from_le_bytes).collect()))
 }
 
-/// One tag byte, then 16-bit values where every normal lies on the grid (ours do), else the floats.
+/// Encodes one tag byte, then 16-bit values if every normal lies on the grid (ours do), else the floats.
 fn normal_bytes(normals: &NormalImage) -> Vec<u8> {
     let flat = normals.data.as_flattened();
     let on_grid = |v: f32| (v * NORMAL_GRID).round() / NORMAL_GRID;
@@ -352,7 +354,11 @@ mod tests {
         let path = dir.path().join("geometry.bin");
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 3]).unwrap();
-        assert!(Sequence::load(dir.path()).unwrap_err().to_string().contains("geometry.bin"));
-        assert!(Sequence::load(&dir.path().join("no")).unwrap_err().to_string().contains("sms scan"));
+        let faulty = |dir: &Path| match Sequence::load(dir) {
+            Err(FramesError::Input(e)) => e.path,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(faulty(dir.path()), path.display().to_string());
+        assert!(faulty(&dir.path().join("no")).ends_with("sequence.json"));
     }
 }

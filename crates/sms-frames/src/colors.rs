@@ -1,4 +1,4 @@
-//! Recorded colour at more than scan resolution, for pictures.
+//! Recorded colour at more than scan resolution, for textures and rendering.
 
 use crate::images::read_color;
 use crate::resample::{resize_color, target_intrinsics, undistort_color};
@@ -6,9 +6,9 @@ use crate::{ReadOptions, Recording, Sequence};
 use rayon::prelude::*;
 use sms_core::{Cancel, ColorImage, CoreError};
 
-/// The colour image of every frame as it was recorded, distortion undone, its long side at most `long_side` pixels:
-/// the frame's camera sees it after `intrinsics.scaled_to` its size. `None` where the recording or the image is gone; the
-/// sequence's own colour has to do there.
+/// Reads the recorded colour image of every frame, undistorted, with its long side at most `long_side` pixels; its camera is
+/// the frame's with `intrinsics.scaled_to` its size. `None` if the recording or the image is gone; callers then use the
+/// sequence's own colour.
 ///
 /// # Errors
 /// [`CoreError::Interrupted`] when cancelled.

@@ -1,23 +1,23 @@
-//! Whether the recording shows a floor at a place.
+//! Evidence of a floor at a place in a recording.
 
 use glamx::DVec3;
 use sms_core::{Camera, DepthImage};
 
-/// A measured point within this height of the place is the floor, metres.
+/// A measured point within this height of the place counts as floor, metres.
 const FLOOR_M: f64 = 0.02;
 
-/// What is looked through by more than this many times as many frames as show a floor there has none. Noise and blurred edges
-/// of objects give some of either.
+/// There is no floor if the frames that look through the place outnumber those that show a floor by this factor. Noise and
+/// blurred edges of objects produce some of either.
 const CLEARLY: usize = 4;
 
-/// What a recording shows at a place of the floor.
+/// Evidence of a recording on the floor at one place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FloorAt {
     /// The floor was measured there.
     Seen,
     /// Cameras look through the place at something lower: beyond the edge of a table.
     Missing,
-    /// Something stands there, or in front of it, in every frame that looks there.
+    /// An object stands there, or hides it in every frame.
     Hidden,
     /// No frame has a measurement in that direction.
     OutOfView,
@@ -33,7 +33,7 @@ pub fn floor_at<'a>(
         let Some((u, v, _)) = camera.project(place_w) else { continue };
         let Some((x, y)) = camera.pixel_at(u, v) else { continue };
         let Some(&z) = depth.get(x as i64, y as i64).filter(|z| **z > 0.0 && z.is_finite()) else { continue };
-        // Heights do not depend on how flat the camera looks, as depths along its ray do.
+        // Unlike depths along the ray, heights do not depend on the camera's elevation.
         let height_m = camera.unproject(u, v, f64::from(z)).z - place_w.z;
         match height_m {
             h if h < -FLOOR_M => through += 1,
@@ -77,7 +77,7 @@ mod tests {
             .collect()
     }
 
-    /// Depth of what a ray from `eye_w` meets; `step_w` is the way for 1 m of depth. By marching: an oracle without geometry.
+    /// Depth along a ray from `eye_w`, where `step_w` spans 1 m of depth, by marching: an oracle without geometry.
     fn depth_along(eye_w: DVec3, step_w: DVec3) -> f64 {
         let is_solid = |p: DVec3| {
             p.z < -0.7
@@ -93,7 +93,7 @@ mod tests {
         let at = |x: f64, y: f64| floor_at(frames.iter().map(|(c, d)| (c, d)), DVec3::new(x, y, 0.0));
         assert_eq!(at(0.3, -0.2), FloorAt::Seen);
         assert_eq!(at(0.45, 0.45), FloorAt::Seen);
-        // Beside the table its floor goes on in the simulation, and nowhere else.
+        // Beside the table there is no floor at its height.
         assert_eq!(at(0.6, 0.1), FloorAt::Missing);
         assert_eq!(at(-0.2, -0.7), FloorAt::Missing);
         assert_eq!(at(0.0, 0.0), FloorAt::Hidden);

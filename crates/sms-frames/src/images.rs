@@ -12,25 +12,25 @@ fn is_png(path: &Path) -> bool {
     File::open(path).and_then(|mut f| f.read_exact(&mut magic)).is_ok() && magic == *b"\x89PNG\r\n\x1a\n"
 }
 
-fn missing(what: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
+fn missing(kind: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
     InputError::new(
-        format!("the {what} image cannot be opened"),
+        format!("the {kind} image cannot be opened"),
         path,
         "put the file back, or remove this frame from the recording",
     )
     .because(reason)
 }
 
-fn damaged(what: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
+fn damaged(kind: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
     InputError::new(
-        format!("the {what} image is damaged or of an unknown kind"),
+        format!("the {kind} image is damaged or of an unknown format"),
         path,
         "export or copy this frame again, or remove it from the recording",
     )
     .because(reason)
 }
 
-/// Width and height from the header alone.
+/// Reads width and height from the header alone.
 pub(crate) fn color_size(path: &Path) -> Result<(usize, usize), FramesError> {
     let reader = ImageReader::open(path).map_err(|e| missing("colour", path, e))?;
     let reader = reader.with_guessed_format().map_err(|e| damaged("colour", path, e))?;
@@ -38,7 +38,7 @@ pub(crate) fn color_size(path: &Path) -> Result<(usize, usize), FramesError> {
     Ok((w as usize, h as usize))
 }
 
-/// Width and height from the header alone; the file must be a PNG of 16 bits.
+/// Reads width and height from the header alone; the file must be a PNG of 16 bits.
 pub(crate) fn depth_size(path: &Path) -> Result<(usize, usize), FramesError> {
     let file = File::open(path).map_err(|e| missing("depth", path, e))?;
     let reader =
@@ -46,7 +46,7 @@ pub(crate) fn depth_size(path: &Path) -> Result<(usize, usize), FramesError> {
     let info = reader.info();
     if info.bit_depth != png::BitDepth::Sixteen {
         return Err(InputError::new(
-            format!("the depth image has {} bits a pixel where 16 are needed", info.bit_depth as u8),
+            format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8),
             path,
             "export depth as 16-bit PNG (a preview or colourised depth image cannot be used)",
         )

@@ -20,17 +20,17 @@ pub struct Distortion {
 }
 
 impl Distortion {
-    /// From OpenCV's order k1, k2, p1, p2, k3.
+    /// Creates the distortion from OpenCV's order k1, k2, p1, p2, k3.
     pub fn from_opencv([k1, k2, p1, p2, k3]: [f64; 5]) -> Self {
         Self { k1, k2, p1, p2, k3 }
     }
 
-    /// Whether the lens is a pinhole.
+    /// Returns whether the lens is a pinhole.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Where the lens images the ideal point (x, y), normalised coordinates.
+    /// Returns the distorted position of the ideal point (x, y), normalised coordinates.
     pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
@@ -40,8 +40,8 @@ impl Distortion {
         )
     }
 
-    /// The ideal point that the lens images at (xd, yd), by Newton's method; `None` beyond the field of view where
-    /// the polynomial can be inverted.
+    /// Returns the ideal point of the distorted (xd, yd), by Newton's method; `None` outside the field of view in which
+    /// the polynomial is invertible.
     pub fn undistort(&self, xd: f64, yd: f64) -> Option<(f64, f64)> {
         if self.is_none() {
             return Some((xd, yd));
@@ -71,7 +71,7 @@ impl Distortion {
     }
 }
 
-/// Intrinsics of the recorded images (pixel centres at +0.5) with the lens distortion that is still in them.
+/// Intrinsics of the recorded images (pixel centres at +0.5) with their remaining lens distortion.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Lens {
     /// Pinhole part.
@@ -81,14 +81,14 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// Image-plane coordinates in the recorded image of what an ideal pinhole `ideal` sees at (u, v).
+    /// Maps image-plane coordinates (u, v) of the pinhole `ideal` to the recorded image.
     pub fn from_ideal(&self, ideal: &Intrinsics, u: f64, v: f64) -> (f64, f64) {
         let k = &self.intrinsics;
         let (x, y) = self.distortion.distort((u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy);
         (k.fx * x + k.cx, k.fy * y + k.cy)
     }
 
-    /// Image-plane coordinates in the ideal pinhole `ideal` of what the recorded image shows at (u, v).
+    /// Maps image-plane coordinates (u, v) of the recorded image to the pinhole `ideal`.
     pub fn to_ideal(&self, ideal: &Intrinsics, u: f64, v: f64) -> Option<(f64, f64)> {
         let k = &self.intrinsics;
         let (x, y) = self.distortion.undistort((u - k.cx) / k.fx, (v - k.cy) / k.fy)?;

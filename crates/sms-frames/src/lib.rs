@@ -1,7 +1,7 @@
 //! Posed RGB-D recordings: readers, checks, resampling, normals and world alignment.
 //!
-//! [`Recording::open`] looks at a folder (nerfstudio's `transforms.json` with depth, or TUM RGB-D) and finds faults
-//! before any long work; [`load`] makes a [`Sequence`] of it: pinhole frames at scan resolution with normals, in a
+//! [`Recording::open`] opens a folder (nerfstudio's `transforms.json` with depth, or TUM RGB-D) and finds faults before
+//! any long work; [`load`] turns it into a [`Sequence`]: pinhole frames at scan resolution with normals, in a
 //! metric world with z up.
 //!
 //! # Conventions
@@ -47,5 +47,5 @@ pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 pub use resample::{resample_depth, resample_labels, resize_color, target_intrinsics, undistort_color};
 pub use sequence::{Frame, Sequence};
 
-/// What can go wrong here: bad input, unreadable files, an interruption.
+/// Errors of this crate: bad input, unreadable files, an interruption.
 pub type FramesError = sms_core::CoreError;

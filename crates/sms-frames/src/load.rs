@@ -1,6 +1,6 @@
 //! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
 
-use crate::align::{View, align};
+use crate::align::{AlignmentView, align};
 use crate::images::read_color;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
@@ -17,7 +17,7 @@ struct Loaded {
     normal_c: NormalImage,
 }
 
-/// Indices of the recorded frames that `settings` select.
+/// Returns the indices of the recorded frames that `settings` select.
 pub fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<usize> {
     let most = if settings.max_frames == 0 { usize::MAX } else { settings.max_frames };
     (settings.first..recording.frames.len()).step_by(settings.stride.max(1)).take(most).collect()
@@ -89,9 +89,14 @@ pub fn load(
         )
         .into());
     }
-    let views: Vec<View<'_>> = kept
+    let views: Vec<AlignmentView<'_>> = kept
         .iter()
-        .map(|(r, l)| View { intrinsics: l.intrinsics, x_rc: r.x_rc, depth: &l.depth, normal_c: &l.normal_c })
+        .map(|(r, l)| AlignmentView {
+            intrinsics: l.intrinsics,
+            x_rc: r.x_rc,
+            depth: &l.depth,
+            normal_c: &l.normal_c,
+        })
         .collect();
     let x_world_recording = align(recording, settings.align, &settings.noise, &views, warnings);
     drop(views);

@@ -4,15 +4,15 @@ use crate::DepthNoise;
 use crate::plane_fit::{InverseDepthFit, InverseDepthPlane};
 use sms_core::{DepthImage, Image, Intrinsics, NormalImage};
 
-/// Fewest valid pixels in the window that make a normal.
+/// Minimum number of valid pixels in the window.
 const MIN_VALID: usize = 6;
-/// Steepest slope that the first, wide gate lets through: metres of depth per metre across.
+/// Steepest slope that passes the first, wide gate: metres of depth per metre across.
 const MAX_SLOPE: f64 = 3.0;
-/// Normals are stored on this grid, which a 16-bit cache keeps exactly; it turns them by less than 3e-5 rad.
+/// Grid of stored normals, which a 16-bit cache keeps exactly; rounding turns them by less than 3e-5 rad.
 pub(crate) const NORMAL_GRID: f32 = 32767.0;
 
-/// Unit normals in the camera frame, facing the camera; zero where fewer than six pixels of the window agree on a
-/// plane.
+/// Computes unit normals in the camera frame, facing the camera; zero where fewer than six pixels of the window agree on
+/// a plane.
 ///
 /// Inverse depth is fitted as an affine function of the pixel (exact for planes; noise is along the depth axis
 /// only), weighted by nearness. Neighbours farther than 3σ(z) from the plane are left out and the plane is fitted
@@ -68,7 +68,7 @@ impl Window {
         let gate = 3.0 * noise.sigma_m(z0);
         let rise = MAX_SLOPE * k.pixel_footprint(z0);
         let mut plane: Option<InverseDepthPlane> = None;
-        // A wide gate round the centre pixel first, then twice 3σ round the plane found so far.
+        // First a wide gate around the centre pixel, then twice 3σ around the current plane.
         for _ in 0..3 {
             let mut fit = InverseDepthFit::default();
             for &(dx, dy, distance, weight) in &self.0 {
@@ -94,8 +94,8 @@ impl Window {
     }
 }
 
-/// The normal of a plane whose inverse depth at image-plane coordinates (u, v) is `plane.c`; `None` when it is seen
-/// at less than 5°, where depth says nothing about it.
+/// Returns the normal of a plane with inverse depth `plane.c` at image-plane coordinates (u, v); `None` if it is viewed at
+/// less than 5°, where depth does not determine it.
 fn plane_normal_c(plane: &InverseDepthPlane, k: &Intrinsics, u: f64, v: f64) -> Option<[f32; 3]> {
     // n·p = -1 on the plane, with p = z (x', y', 1) and 1/z = c + gx (fx x' + cx - u) + gy (fy y' + cy - v).
     let n = [-plane.gx * k.fx, -plane.gy * k.fy, -(plane.c + plane.gx * (k.cx - u) + plane.gy * (k.cy - v))];

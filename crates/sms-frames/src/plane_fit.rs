@@ -29,7 +29,7 @@ impl InverseDepthFit {
         self.count += 1;
     }
 
-    /// The plane; `None` when the samples lie on a line (the spread across it is below a fifth of a pixel).
+    /// Returns the plane; `None` if the samples lie on a line (the spread across it is below a fifth of a pixel).
     pub(crate) fn solve(&self) -> Option<InverseDepthPlane> {
         let [n, sx, sy, sxx, sxy, syy] = self.s;
         if n <= 0.0 {
@@ -50,7 +50,7 @@ impl InverseDepthFit {
 }
 
 impl InverseDepthPlane {
-    /// Depth in metres at an offset; infinite or negative where the plane does not face the camera.
+    /// Returns the depth in metres at an offset; infinite or negative where the plane does not face the camera.
     pub(crate) fn depth_at(&self, dx: f64, dy: f64) -> f64 {
         1.0 / (self.c + self.gx * dx + self.gy * dy)
     }

@@ -1,4 +1,4 @@
-//! A recording that is opened and not yet loaded.
+//! Opened recordings, before their images are loaded.
 
 use crate::images;
 use crate::{Axes, FramesError, Lens, PoseDirection, ReadOptions, formats};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{DepthImage, InputError};
 use std::path::{Path, PathBuf};
 
-/// The format that a recording was found in.
+/// The format of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingFormat {
@@ -18,7 +18,7 @@ pub enum RecordingFormat {
 }
 
 impl RecordingFormat {
-    /// The name for messages.
+    /// Returns the name for messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Nerfstudio => "nerfstudio transforms.json",
@@ -48,14 +48,14 @@ pub struct RecordedFrame {
     pub time_s: Option<f64>,
 }
 
-/// Something that the reader assumed and the user should know; becomes a warning when the recording is loaded.
+/// An assumption of the reader; becomes a warning when the recording is loaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Notice {
     /// Stable identifier.
     pub code: &'static str,
-    /// What was assumed.
+    /// The assumption.
     pub message: String,
-    /// How to state it instead.
+    /// How to state the value instead.
     pub cure: String,
 }
 
@@ -74,13 +74,13 @@ pub struct Recording {
     pub axes: Axes,
     /// Direction the pose matrices were read with.
     pub poses: PoseDirection,
-    /// Where the recorded intrinsics were taken to put the centre of pixel (0, 0).
+    /// Centre of pixel (0, 0) that the recorded intrinsics were read with.
     pub pixel_center: f64,
-    /// The direction of the recording's world that is up, where the recording says so.
+    /// The up direction of the recording's world, if the recording states it.
     pub world_up_r: Option<DVec3>,
-    /// Whether the recording says that its world is already metric, z up, with the support at z = 0.
+    /// Whether the recording declares its world to be metric, z up, with the support at z = 0.
     pub world_is_aligned: bool,
-    /// What the reader assumed.
+    /// The reader's assumptions.
     pub notices: Vec<Notice>,
     /// The options it was opened with.
     pub options: ReadOptions,
@@ -88,8 +88,8 @@ pub struct Recording {
 
 impl Recording {
     /// Opens the recording in `dir`; `transforms.json` makes it a nerfstudio one, `rgb.txt`, `depth.txt` and
-    /// `groundtruth.txt` a TUM RGB-D one. Every file is looked for and every image header read, so that a fault
-    /// shows before any long work.
+    /// `groundtruth.txt` a TUM RGB-D one. Checks that every file exists and reads every image header, so that faults
+    /// are found before any long work.
     ///
     /// # Errors
     /// [`sms_core::InputError`] (inside [`FramesError`]) naming the file and the cure.
@@ -102,7 +102,7 @@ impl Recording {
         }
         if !dir.is_dir() {
             return Err(InputError::new(
-                "there is no recording folder here",
+                "this recording folder does not exist",
                 dir,
                 "give the folder that holds transforms.json, or rgb.txt, depth.txt and groundtruth.txt",
             )
@@ -114,7 +114,7 @@ impl Recording {
             formats::tum::open(dir, options)?
         } else {
             return Err(InputError::new(
-                "this folder holds no recording of a known format",
+                "this folder does not hold a recording of a known format",
                 dir,
                 "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt, depth.txt and \
                  groundtruth.txt (TUM RGB-D)",
@@ -134,7 +134,7 @@ impl Recording {
         let raw = images::read_depth(path)?;
         if raw.data.iter().all(|&v| v == 0) {
             return Err(InputError::new(
-                "the depth image holds no depth: every pixel is 0",
+                "the depth image is empty: every pixel is 0",
                 path,
                 "record or export this frame again, remove it from the recording, or set skip_empty_depth",
             )
@@ -158,7 +158,7 @@ impl Recording {
         Ok(depth)
     }
 
-    /// Index of the recorded frame that a loaded frame came from.
+    /// Returns the index of the recorded frame of a loaded frame.
     pub fn index_of(&self, frame: &crate::Frame) -> Option<usize> {
         self.frames.iter().position(|f| f.color_path == frame.color_path)
     }
@@ -180,7 +180,7 @@ impl Recording {
         if map.size() != (k.width, k.height) {
             return Err(InputError::new(
                 format!(
-                    "the label image is {} × {} where colour is {} × {}",
+                    "the label image is {} × {} but the colour image {} × {}",
                     map.width, map.height, k.width, k.height
                 ),
                 path,

@@ -1,10 +1,10 @@
-//! From recorded images to loaded ones: distortion undone, size reduced.
+//! Undistortion and resampling of recorded images.
 
 use crate::plane_fit::InverseDepthFit;
 use crate::{DepthNoise, Lens};
 use sms_core::{ColorImage, DepthImage, Image, Intrinsics, LabelMap};
 
-/// The pinhole that a recorded lens is resampled to: its long side `long_side` pixels (0 or larger than recorded keeps
+/// Returns the pinhole that a recorded lens is resampled to: its long side `long_side` pixels (0 or larger than recorded keeps
 /// the size), no distortion.
 pub fn target_intrinsics(lens: &Lens, long_side: usize) -> Intrinsics {
     let k = &lens.intrinsics;
@@ -28,8 +28,8 @@ fn cubic(t: f32) -> f32 {
     }
 }
 
-/// For each output position the first source index and the weights of its neighbours, which sum to 1. The kernel is
-/// widened by the shrink factor, so that what the smaller image cannot show is averaged and not aliased.
+/// Returns, for each output position, the first source index and the weights of its neighbours, which sum to 1. The kernel
+/// is widened by the shrink factor, so that finer detail is averaged and not aliased.
 fn kernel_rows(source: usize, target: usize) -> Vec<(usize, Vec<f32>)> {
     let scale = source as f64 / target as f64;
     let width = scale.max(1.0);
@@ -120,7 +120,7 @@ pub fn undistort_color(image: &ColorImage, lens: &Lens) -> ColorImage {
     Image::from_vec(k.width, k.height, data)
 }
 
-/// Labels as the pinhole `target` sees them, by nearest neighbour, distortion undone; 0 beyond the recorded image.
+/// Resamples labels to the pinhole `target` by nearest neighbour, undistorted; 0 beyond the recorded image.
 pub fn resample_labels(labels: &LabelMap, lens: &Lens, target: &Intrinsics) -> LabelMap {
     let mut out = Image::filled(target.width, target.height, 0u16);
     for y in 0..target.height {
@@ -136,7 +136,7 @@ pub fn resample_labels(labels: &LabelMap, lens: &Lens, target: &Intrinsics) -> L
 
 /// A depth sample on the target's image plane.
 #[derive(Debug, Clone, Copy)]
-struct Sample {
+struct DepthSample {
     u: f32,
     v: f32,
     z: f32,
@@ -145,14 +145,14 @@ struct Sample {
 /// The recorded depth samples that fall into each target pixel.
 struct Blocks {
     start: Vec<u32>,
-    samples: Vec<Sample>,
+    samples: Vec<DepthSample>,
     width: usize,
     height: usize,
 }
 
 impl Blocks {
     fn new(depth: &DepthImage, lens: &Lens, target: &Intrinsics) -> Self {
-        let mut placed: Vec<(u32, Sample)> = Vec::new();
+        let mut placed: Vec<(u32, DepthSample)> = Vec::new();
         for y in 0..depth.height {
             for x in 0..depth.width {
                 let z = depth[(x, y)];
@@ -164,7 +164,7 @@ impl Blocks {
                     continue;
                 }
                 let pixel = v as usize * target.width + u as usize;
-                placed.push((pixel as u32, Sample { u: u as f32, v: v as f32, z }));
+                placed.push((pixel as u32, DepthSample { u: u as f32, v: v as f32, z }));
             }
         }
         let mut start = vec![0u32; target.width * target.height + 1];
@@ -173,7 +173,7 @@ impl Blocks {
             start[i] += start[i - 1];
         }
         let mut next = start.clone();
-        let mut samples = vec![Sample { u: 0.0, v: 0.0, z: 0.0 }; placed.len()];
+        let mut samples = vec![DepthSample { u: 0.0, v: 0.0, z: 0.0 }; placed.len()];
         for (pixel, sample) in placed {
             let slot = &mut next[pixel as usize];
             samples[*slot as usize] = sample;
@@ -182,20 +182,20 @@ impl Blocks {
         Self { start, samples, width: target.width, height: target.height }
     }
 
-    fn of(&self, x: usize, y: usize) -> &[Sample] {
+    fn of(&self, x: usize, y: usize) -> &[DepthSample] {
         let pixel = y * self.width + x;
         &self.samples[self.start[pixel] as usize..self.start[pixel + 1] as usize]
     }
 }
 
-/// How far samples of one surface may lie apart in depth within a block: 5 mm, and 1.5 % of the depth.
+/// Largest difference in depth between samples of one surface within a block: 5 mm, and 1.5 % of the depth.
 fn cluster_gap(z: f32) -> f32 {
     (0.015 * z).max(0.005)
 }
 
-/// The sample nearest to the block's centre among those of its front surface: the nearest cluster in depth that
+/// Returns the sample nearest to the block's centre among those of its front surface: the nearest cluster in depth that
 /// holds at least a quarter of the block's samples, so that a single stray value in front is not a surface.
-fn front_sample(block: &[Sample], cu: f32, cv: f32, sorted: &mut Vec<f32>) -> Option<Sample> {
+fn front_sample(block: &[DepthSample], cu: f32, cv: f32, sorted: &mut Vec<f32>) -> Option<DepthSample> {
     if block.is_empty() {
         return None;
     }
@@ -215,7 +215,7 @@ fn front_sample(block: &[Sample], cu: f32, cv: f32, sorted: &mut Vec<f32>) -> Op
         }
     }
     let limit = front + cluster_gap(front);
-    let distance = |s: &Sample| (s.u - cu).powi(2) + (s.v - cv).powi(2);
+    let distance = |s: &DepthSample| (s.u - cu).powi(2) + (s.v - cv).powi(2);
     block
         .iter()
         .filter(|s| s.z >= front && s.z <= limit)
@@ -224,13 +224,13 @@ fn front_sample(block: &[Sample], cu: f32, cv: f32, sorted: &mut Vec<f32>) -> Op
 }
 
 /// Moves the depth of the chosen sample to the block's centre along the surface, averaging the block's samples of
-/// that surface. The surface is the plane through the samples of the 3 × 3 blocks around; without one, or when it
-/// leads away from the sample, the sample's own depth is kept.
+/// that surface. The surface is the plane through the samples of the 3 × 3 blocks around; without one, or if
+/// it deviates from the sample, the sample's own depth is kept.
 fn depth_at_center(
     blocks: &Blocks,
     x: usize,
     y: usize,
-    chosen: Sample,
+    chosen: DepthSample,
     noise: &DepthNoise,
     pitch: f64,
 ) -> f32 {
@@ -273,8 +273,8 @@ fn depth_at_center(
     if count > 0.0 && (z - z0).abs() <= gap { z as f32 } else { chosen.z }
 }
 
-/// Depth as the pinhole `target` sees it: of each target pixel's block of recorded samples the front surface, at the
-/// pixel's centre. A recorded image that is hardly larger than the target is taken by nearest neighbour.
+/// Resamples depth to the pinhole `target`: the front surface of each target pixel's block of recorded samples, at the
+/// pixel's centre. A recorded image that is hardly larger than the target is resampled by nearest neighbour.
 pub fn resample_depth(
     depth: &DepthImage,
     lens: &Lens,

@@ -1,4 +1,4 @@
-//! The stage's result: posed frames in one world.
+//! Loaded sequences: posed frames in one world.
 
 use glamx::DPose3;
 use sms_core::{Camera, ColorImage, DepthImage, NormalImage};
@@ -25,7 +25,7 @@ pub struct Frame {
     pub mask_path: Option<PathBuf>,
 }
 
-/// A recording as the pipeline uses it: frames at scan resolution in a z-up metric world.
+/// A loaded recording: frames at scan resolution in a z-up metric world.
 #[derive(Debug, Clone)]
 pub struct Sequence {
     /// The frames in recorded order.
@@ -37,12 +37,12 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Number of frames.
+    /// Returns the number of frames.
     pub fn len(&self) -> usize {
         self.frames.len()
     }
 
-    /// Whether there are no frames.
+    /// Returns whether there are no frames.
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
@@ -57,8 +57,8 @@ impl Sequence {
         (0..self.len()).filter(|&i| Self::is_held_out(i, holdout)).collect()
     }
 
-    /// Whether frame `index` is kept out of training when every `holdout`-th frame is (0: none is). The first frame
-    /// is always trained on.
+    /// Returns whether frame `index` is held out of training if every `holdout`-th frame is (0: none). The first frame is
+    /// always used for training.
     pub fn is_held_out(index: usize, holdout: usize) -> bool {
         index > 0 && holdout > 0 && index % holdout == holdout - 1
     }

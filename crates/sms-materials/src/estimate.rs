@@ -1,20 +1,20 @@
-//! What someone who looked at an object says of it.
+//! Material estimates of a vision-language model.
 
 use serde::{Deserialize, Serialize};
 use sms_core::Interval;
 
-/// What a vision-language model says of one object, validated: every value is in SI units and in range. What it did not
-/// say, or said in a way that could not be used, is `None` and comes from the table or the prior.
+/// The validated estimate of a vision-language model for one object, in SI units and in range. Missing or unusable values are
+/// `None` and come from the table or the prior.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Estimate {
-    /// Whether the label that it was given is right.
+    /// Whether the given label is right.
     pub label_is_right: Option<bool>,
-    /// What the object is, in a few words.
+    /// Name of the object, in a few words.
     pub label: String,
-    /// What it looks like and what it is for.
+    /// Its appearance and purpose.
     pub description: String,
-    /// What it is made of, mostly; free text ("glazed ceramic").
+    /// Its main material; free text ("glazed ceramic").
     pub material: String,
     /// Density of that material, kg/m³.
     pub density: Option<Interval>,
@@ -31,12 +31,12 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// The words to look it up by: material first, then what it is.
+    /// Returns the words for the look-up: material first, then label.
     pub(crate) fn words(&self) -> String {
         format!("{} {}", self.material, self.label)
     }
 
-    /// The material in one short word or phrase, or `None` when it said nothing.
+    /// Returns the material as a short word or phrase, or `None` if it is missing.
     pub(crate) fn class(&self) -> Option<String> {
         let words: Vec<&str> = self.material.split_whitespace().take(4).collect();
         let class: String = words.join(" ").to_lowercase().chars().take(40).collect();

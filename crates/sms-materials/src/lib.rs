@@ -1,12 +1,12 @@
 //! Material properties of objects, with intervals and sources.
 //!
-//! Four sources, strongest first: the user's own values ([`Overrides`]), what a vision-language model said of the object
+//! Four sources, strongest first: the user's own values ([`Overrides`]), the estimate of a vision-language model
 //! ([`Estimate`]), the handbook table by material class or by words in the object's name and description
-//! ([`MaterialTable`]), and a stated prior. Every value keeps its interval and who said it, so that planning can sample what
-//! is not known.
+//! ([`MaterialTable`]), and a stated prior. Every value keeps its interval and its source, so that planning can sample the
+//! uncertainty.
 //!
 //! The mass of an object is density × fill factor × volume of its mesh. The density is the material's own; the fill factor
-//! is 1 for solid things and where the mesh has the walls itself, and less for what is hollow inside.
+//! is 1 for solids and for meshes of walls, and less for objects that are hollow inside.
 //!
 //! ```
 //! use sms_core::{PropertySource, Warnings};

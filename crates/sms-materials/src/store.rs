@@ -1,11 +1,10 @@
-//! What was known of each object when its material was chosen.
+//! Storage of the facts behind each object's material.
 
 use crate::ObjectQuery;
 use sms_core::{CoreError, atomic};
 use std::path::Path;
 
-/// Writes what was known of every object, from which its material followed: so that the effect of an edit can be shown
-/// without materializing again.
+/// Writes the facts that determined the materials, so that the effect of an edit can be shown without materializing again.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -13,7 +12,7 @@ pub fn save_queries(path: &Path, objects: &[ObjectQuery]) -> Result<(), CoreErro
     atomic::write_json(path, &objects)
 }
 
-/// Reads what [`save_queries`] wrote.
+/// Reads the file of [`save_queries`].
 ///
 /// # Errors
 /// [`CoreError::Read`] when there is no such file; [`CoreError::Input`] when it is damaged.

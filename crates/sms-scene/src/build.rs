@@ -1,4 +1,4 @@
-//! From entities and materials to a scene.
+//! Construction of a scene from entities and materials.
 
 use crate::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 use glamx::{DPose3, DVec3};
@@ -11,10 +11,10 @@ use sms_core::{
 /// Standard gravity, m/s².
 pub const GRAVITY: f64 = 9.806_65;
 
-/// Why a scene could not be built.
+/// Errors of building a scene.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
-    /// Materials are not parallel to entities.
+    /// The numbers of materials and entities differ.
     #[error("{entities} entities but {materials} materials")]
     Count {
         /// Number of entities.
@@ -22,7 +22,7 @@ pub enum BuildError {
         /// Number of materials.
         materials: usize,
     },
-    /// An entity has no possible mass properties.
+    /// An entity has impossible mass properties.
     #[error("`{name}` cannot be a rigid body: {source}")]
     Mass {
         /// The entity.
@@ -35,7 +35,7 @@ pub enum BuildError {
     NoParts(String),
 }
 
-/// The static half space that stands for the support plane at height `z_w` metres.
+/// Creates the static half space of the support plane at height `z_w` metres.
 pub fn floor_body(z_w: f64, material: Material) -> Body {
     Body {
         name: "floor".into(),
@@ -54,14 +54,14 @@ pub fn floor_body(z_w: f64, material: Material) -> Body {
     }
 }
 
-/// Puts reconstructed entities together; `materials` is parallel to `entities`. With a support height the floor
+/// Builds a scene from reconstructed entities; `materials` is parallel to `entities`. With a support height the floor
 /// becomes a half space named `floor`.
 ///
 /// A dynamic body's frame `B` has its origin at the centre of mass; its axes are those of the box or cylinder, else
 /// parallel to the world's.
 ///
 /// # Errors
-/// [`BuildError`] when an entity encloses no volume or has nothing to collide with.
+/// [`BuildError`] when an entity encloses no volume or has no collision geometry.
 pub fn build_scene(
     name: &str,
     entities: &[Entity],
@@ -134,12 +134,13 @@ fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError>
     })
 }
 
-/// Bodies whose frame lies this far from their centre of mass cannot be freed as they are: a free body's frame lies there. Metres.
+/// Largest distance of a static body's frame from its centre of mass for making it dynamic, metres: the frame of a dynamic body
+/// lies at its centre of mass.
 const CENTERED_M: f64 = 1e-3;
 
-/// The mass properties that a static body would have if it could move: those of its shape with its material, as
-/// [`build_scene`] gives them to dynamic ones. What was kept fixed because it did not rest by itself gets back what it had.
-/// `None` for half spaces, open surfaces, and bodies whose frame does not lie at their centre of mass.
+/// Returns the mass properties that a static body would have as a dynamic one: those of its shape with its material, as in
+/// [`build_scene`]. A body that was fixed because it did not rest gets its earlier mass. `None` for half spaces, open surfaces,
+/// and bodies with a frame off their centre of mass.
 pub fn loose_mass(body: &Body) -> Option<MassProperties> {
     let density = body.material.density.value.best;
     let solid = match &body.shape {
@@ -156,8 +157,7 @@ pub fn loose_mass(body: &Body) -> Option<MassProperties> {
 }
 
 impl Scene {
-    /// The scene with every solid body free to move: static ones get the mass that they have, or that of their shape (see
-    /// [`loose_mass`]).
+    /// Makes every solid body dynamic: static ones keep their mass, or get that of their shape (see [`loose_mass`]).
     pub fn loosened(&self) -> Self {
         let mut loose = self.clone();
         for body in loose.bodies.iter_mut().filter(|b| b.kind == BodyKind::Static) {
@@ -169,8 +169,8 @@ impl Scene {
     }
 }
 
-/// A homogeneous body with a void of its own shape, scaled by `s` about its centre of mass, such that `1 − s³` is the
-/// share of its volume that is filled: the moments scale with `1 − s⁵`. Filled all through it is the solid itself. The
+/// Returns the mass properties of a homogeneous body with a void of its own shape, scaled by `s` about its centre of mass, such
+/// that `1 − s³` is the filled share of its volume: the moments scale with `1 − s⁵`. A filled body is the solid itself. The
 /// result is about the centre of mass.
 fn hollowed(solid: &MassProperties, fill_factor: f64) -> Result<MassProperties, InertiaError> {
     let scale = (1.0 - fill_factor.clamp(0.0, 1.0)).cbrt();
@@ -188,11 +188,11 @@ fn primitive(shape: &EntityShape) -> Option<BodyShape> {
     }
 }
 
-/// Standard error of a coordinate of an entity's place from the scatter of its surface points. Errors of neighbouring
-/// points go together: each patch of that size counts once, and a third of the patches faces either way along an axis.
+/// Estimates the standard error of a coordinate of an entity's position from the scatter of its surface points. Errors of
+/// neighbouring points are correlated: each patch counts once, and a third of the patches faces either way along an axis.
 fn fit_se_m(entity: &Entity) -> f64 {
     const PATCH_M2: f64 = 1e-4;
-    // The residual is a median of absolute values; this is the ratio of a normal distribution's deviation to it.
+    // Ratio of the standard deviation to the median absolute value of a normal distribution.
     let deviation = 1.4826 * entity.residual_m.max(0.0);
     let patches = (entity.mesh.area() * entity.observed_share / PATCH_M2).max(1.0);
     deviation * (3.0 / patches).min(1.0).sqrt()
@@ -232,7 +232,7 @@ fn without_colors(mesh: &Mesh) -> Mesh {
     Mesh::new(mesh.vertices.clone(), mesh.triangles.clone())
 }
 
-/// A plain material for examples and tests: wood-like, every value from a prior with ±20 %.
+/// Returns a plain material for examples and tests: wood-like, every value from a prior with ±20 %.
 pub fn example_material() -> Material {
     let prior = |best: f64| Property::new(Interval::new(best, 0.8 * best, 1.2 * best), PropertySource::Prior);
     Material {
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_fixed_gets_back_the_mass_that_it_had() {
+    fn loose_mass_is_the_mass_of_the_dynamic_body() {
         let x_ws = DPose3::from_parts(DVec3::new(0.4, -0.1, 0.05), DQuat::from_rotation_z(0.3));
         let half_extents = DVec3::new(0.02, 0.03, 0.05);
         let mesh = Mesh::cuboid(half_extents).transformed(&x_ws);
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_badly_or_was_hardly_seen_is_less_certainly_placed() {
+    fn poor_fits_and_few_observations_increase_the_standard_error() {
         let se = |half: f64, residual_m: f64, observed_share: f64| {
             let mesh = Mesh::cuboid(DVec3::splat(half));
             fit_se_m(&Entity { residual_m, observed_share, ..entity("box", mesh, EntityShape::Convex) })
@@ -366,7 +366,7 @@ mod tests {
         let mut mesh = Mesh::cuboid(DVec3::splat(0.02));
         mesh.triangles.iter_mut().for_each(|t| t.swap(0, 1));
         let entities = [entity("bad", mesh, EntityShape::Convex)];
-        let error = build_scene("t", &entities, &[example_material()], None, DPose3::identity()).unwrap_err();
-        assert!(error.to_string().contains("bad"));
+        let built = build_scene("t", &entities, &[example_material()], None, DPose3::identity());
+        assert!(matches!(built, Err(BuildError::Mass { name, .. }) if name == "bad"));
     }
 }

@@ -1,8 +1,7 @@
 //! The simulation-ready scene: manifest and validation.
 //!
-//! [`build_scene`] puts reconstructed entities and their materials together; [`Scene::validate`] says whether a
-//! physics engine can take the result; [`save_scene`] writes `scene.json` with its meshes. Other simulators get it from
-//! `sms-export`.
+//! [`build_scene`] combines reconstructed entities and their materials; [`Scene::validate`] checks the result for physics
+//! engines; [`save_scene`] writes `scene.json` with its meshes. `sms-export` writes it for other simulators.
 //!
 //! ```
 //! use sms_core::{Interval, glamx::{DPose3, DVec3}};

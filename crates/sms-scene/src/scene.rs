@@ -1,4 +1,4 @@
-//! The manifest.
+//! Rigid-body scenes.
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ pub struct Scene {
     pub bodies: Vec<Body>,
 }
 
-/// Whether physics moves a body.
+/// Whether a body is dynamic or static.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyKind {
@@ -67,11 +67,11 @@ pub enum BodyShape {
     },
 }
 
-/// Corners of the polygon that stands for a cylinder's end where only a mesh will do.
+/// Corners of the polygon of a cylinder's end in mesh form.
 const CYLINDER_SEGMENTS: usize = 48;
 
 impl BodyShape {
-    /// The surface as meshes in `B`; spheres and cylinders are approximated, a half space has none.
+    /// Returns the surface as meshes in `B`; spheres and cylinders are approximated, a half space has none.
     pub fn meshes(&self) -> Vec<Mesh> {
         match self {
             Self::Sphere { radius } => vec![Mesh::icosphere(*radius, 2)],
@@ -94,17 +94,17 @@ pub struct Body {
     pub name: String,
     /// Label id of the entity this came from; 0 for the environment.
     pub label: u16,
-    /// What the labeller called it; may be empty.
+    /// The labeller's description; may be empty.
     pub description: String,
-    /// Whether physics moves it.
+    /// Whether it is dynamic or static.
     pub kind: BodyKind,
     /// Pose of the body in the world, `X_WB`.
     pub x_wb: DPose3,
     /// Collision shape in `B`.
     pub shape: BodyShape,
-    /// Surface for pictures, in `B`.
+    /// Visual surface, in `B`.
     pub visual: Mesh,
-    /// Picture on `visual`; `None` where its vertex colours have to do.
+    /// Image texture of `visual`; `None` if it has vertex colours only.
     pub texture: Option<MeshTexture>,
     /// Mass, centre of mass and inertia in `B`; `None` for static bodies.
     pub mass: Option<MassProperties>,
@@ -114,13 +114,13 @@ pub struct Body {
     pub color: [u8; 3],
     /// Share of the surface that cameras observed.
     pub observed_share: f64,
-    /// Standard error of a coordinate of its place, as the residuals of its reconstruction show it, metres; 0 where it
-    /// is not known. Errors that are common to all bodies (scale, the recording's pose) are not in it.
+    /// Standard error of a coordinate of its position from the residuals of its reconstruction, metres; 0 if unknown. Excludes
+    /// errors common to all bodies (scale, the recording's pose).
     pub fit_se_m: f64,
 }
 
 impl Body {
-    /// Axis-aligned bounding box of the collision shape in the world; `None` for a half space.
+    /// Returns the axis-aligned bounding box of the collision shape in the world; `None` for a half space.
     pub fn aabb_w(&self) -> Option<Aabb> {
         if let BodyShape::Sphere { radius } = self.shape {
             let center = self.x_wb.translation;
@@ -132,13 +132,13 @@ impl Body {
 }
 
 impl Scene {
-    /// The body of this name.
+    /// Returns the body of this name.
     pub fn body(&self, name: &str) -> Option<&Body> {
         self.bodies.iter().find(|b| b.name == name)
     }
 
-    /// The scene as physics needs it: bodies without visual meshes and pictures, which are never copied. Of a hundred
-    /// disturbed scenes they would fill the memory.
+    /// Returns the scene without visual meshes and textures, which are not copied: those of a hundred perturbed scenes would fill
+    /// the memory.
     pub fn without_pictures(&self) -> Self {
         let bare = |b: &Body| Body {
             name: b.name.clone(),
@@ -164,7 +164,7 @@ impl Scene {
         }
     }
 
-    /// Index of the body of this name.
+    /// Returns the index of the body of this name.
     pub fn body_index(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|b| b.name == name)
     }

@@ -1,22 +1,22 @@
-//! What would make a physics engine refuse or misread a scene.
+//! Validation of scenes for physics engines.
 
 use crate::{Body, BodyKind, BodyShape, Scene};
 use glamx::DVec3;
 use sms_core::Mesh;
 use std::collections::BTreeSet;
 
-/// Most vertices of a hull (GPU engines refuse more).
+/// Maximum number of vertices of a hull (GPU engines refuse more).
 pub(crate) const MAX_HULL_VERTICES: usize = 64;
-/// Least mean thickness of a hull in metres (twice its volume over its area). Flatter ones have no stable contact
+/// Minimum mean thickness of a hull in metres (twice its volume over its area). Flatter ones have no stable contact
 /// normal, and engines refuse them.
 pub(crate) const MIN_HULL_THICKNESS: f64 = 2e-5;
 
-/// One thing that is wrong with a scene.
+/// One problem of a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
     /// The body, or empty for the scene as a whole.
     pub body: String,
-    /// What is wrong.
+    /// The problem.
     pub what: String,
 }
 
@@ -31,7 +31,7 @@ impl std::fmt::Display for Problem {
 }
 
 impl Scene {
-    /// Everything that is wrong with the scene; empty when an engine can take it.
+    /// Returns all problems of the scene; empty if it is valid.
     pub fn validate(&self) -> Vec<Problem> {
         let mut problems = Vec::new();
         let mut names = BTreeSet::new();
@@ -130,13 +130,13 @@ fn hull_problem(hull: &Mesh) -> Option<String> {
     (!is_convex(hull, tolerance)).then(|| "is not convex".into())
 }
 
-/// Whether no vertex lies more than `tolerance` metres outside of any face.
+/// Returns whether all vertices lie at most `tolerance` metres outside of every face.
 fn is_convex(hull: &Mesh, tolerance: f64) -> bool {
     (0..hull.triangles.len()).all(|t| {
         let [a, b, c] = hull.corners(t);
         let normal = (b - a).cross(c - a);
-        // The normal of a face that is narrower than the tolerance says nothing: files round coordinates to a
-        // nanometre, which turns it by more than what is looked for. Its neighbours speak for it.
+        // Faces narrower than the tolerance are skipped: files round coordinates to a nanometre, which turns their normals
+        // too much. Their neighbours are tested.
         let longest = (b - a).length().max((c - a).length()).max((c - b).length());
         normal.length() < longest * tolerance.max(1e-12)
             || hull.vertices.iter().all(|&v| (v - a).dot(normal.normalize_or(DVec3::ZERO)) <= tolerance)
@@ -172,7 +172,7 @@ mod tests {
     /// An exact hull whose points were rounded to a nanometre: a corner cut off by a micrometre leaves faces whose
     /// normals are off by a thousandth.
     #[test]
-    fn narrow_faces_of_rounded_hulls_are_no_dents() {
+    fn narrow_faces_of_rounded_hulls_are_not_dents() {
         let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
         let (s, h, d) = (0.1, 1e-6, 4e-10);
         // A prism over a pentagon, one corner of which is cut off by h; the cut's one end is rounded by d.

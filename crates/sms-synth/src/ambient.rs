@@ -1,9 +1,9 @@
-//! Light that comes from all around: the room where a point sees it, and what floor and neighbours throw back (one bounce).
-//! It changes slowly over a surface and does not depend on the camera: gathered once per scene and interpolated.
+//! Ambient light: the visible part of the room and one bounce off floor and neighbours. It varies slowly over a surface and
+//! does not depend on the camera, so it is gathered once per scene and interpolated.
 
 use crate::floor_light::FloorLight;
+use crate::ray_scene::{RayHit, RayScene};
 use crate::shading::{LAMPS, backdrop};
-use crate::stage::{Hit, Stage};
 use glamx::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -12,22 +12,22 @@ use std::collections::BTreeMap;
 #[derive(Debug)]
 pub(crate) struct Ambient {
     floor: FloorLight<3>,
-    /// Of every facet's corners.
+    /// Value at the corners of every facet.
     corners: Vec<[Vec3; 3]>,
-    /// Of every sphere, by latitude and longitude.
+    /// Values of every sphere, by latitude and longitude.
     spheres: Vec<Vec<Vec3>>,
-    /// On a level surface in the open.
+    /// Value on an unobstructed level surface.
     open: Vec3,
 }
 
-/// Directions of one gathering.
+/// Number of directions per gathering.
 const DIRECTIONS: usize = 48;
 /// Spacing of the floor's grid, metres.
 const CELL_M: f32 = 0.01;
 /// Latitudes and longitudes on a sphere.
 const RINGS: usize = 12;
 const SECTORS: usize = 24;
-/// Irradiance / π that a neighbour is taken to get, where light thrown back by it matters.
+/// Assumed irradiance / π on a neighbour, for the light that it reflects.
 const ON_NEIGHBOURS: f32 = 0.55;
 
 /// Mean linear colours of the floor and of the objects.
@@ -37,11 +37,11 @@ pub(crate) struct MeanColors {
 }
 
 impl Ambient {
-    /// Gathers a scene's; `lit` has the shares of the lamps that the floor sees.
-    pub(crate) fn gather(stage: &Stage, lit: &FloorLight<LAMPS>, colors: &MeanColors) -> Self {
+    /// Gathers the ambient light of a scene; `lit` holds the visible shares of the lamps on the floor.
+    pub(crate) fn gather(stage: &RayScene, lit: &FloorLight<LAMPS>, colors: &MeanColors) -> Self {
         let nothing = |d: Vec3| backdrop(d, 0.0);
         let open = around(Vec3::Z).map(nothing).sum::<Vec3>() / DIRECTIONS as f32;
-        let thrown_back = |hit: &Hit| match hit.object {
+        let thrown_back = |hit: &RayHit| match hit.object {
             Some(object) => colors.objects[object] * ON_NEIGHBOURS,
             None => {
                 let shares = lit.at(hit.point).unwrap_or([1.0; LAMPS]);
@@ -64,7 +64,7 @@ impl Ambient {
                 .sum();
             sum / DIRECTIONS as f32
         };
-        // Corners that share place and normal share the light.
+        // Corners with the same position and normal share one value.
         let mut index_of: BTreeMap<[u32; 6], usize> = BTreeMap::new();
         let mut places = Vec::new();
         let corner_index: Vec<[usize; 3]> = (stage.facets.iter())
@@ -100,8 +100,8 @@ impl Ambient {
         Self { floor, corners, spheres, open }
     }
 
-    /// On the surface that a ray hit.
-    pub(crate) fn on(&self, hit: &Hit) -> Vec3 {
+    /// Returns the ambient light at a hit.
+    pub(crate) fn on(&self, hit: &RayHit) -> Vec3 {
         match (hit.object, hit.facet) {
             (None, _) => self.floor.at(hit.point).map_or(self.open, Vec3::from_array),
             (Some(_), Some((facet, w))) => {
@@ -144,7 +144,7 @@ mod tests {
         let settings =
             BilliardsSettings { objects: 1, kinds: vec![AssetKind::Mug], ..BilliardsSettings::default() };
         let scene = generate_billiards(Seed(1), &settings);
-        let stage = Stage::new(&scene);
+        let stage = RayScene::new(&scene);
         let lit = FloorLight::compute([0.2, -0.4], [0.8, 0.4], 0.01, |_| [1.0; LAMPS]);
         let colors = MeanColors { floor: Vec3::splat(0.3), objects: vec![Vec3::splat(0.5); 3] };
         let ambient = Ambient::gather(&stage, &lit, &colors);
@@ -155,7 +155,7 @@ mod tests {
         };
         let (ball, radius) = stage.bodies[0].sphere.unwrap();
         let (beside, open) = (floor(ball + Vec3::X * 1.02 * radius), floor(ball + Vec3::X * -5.0 * radius));
-        // The ball covers a quarter of what the floor there would see, weighted with the cosine, and throws some light back.
+        // The ball covers a quarter of the cosine-weighted hemisphere and reflects some light.
         assert!(beside < 0.9 * open && beside > 0.7 * open, "{beside} {open}");
         let mug = stage.bodies[2].center;
         let into = stage.nearest(mug.with_z(0.5), -Vec3::Z).unwrap();

@@ -9,16 +9,16 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{Seed, StageRng};
 
-/// How billiards scenes are generated. Lengths in metres, angles in radians.
+/// Settings of generated billiards scenes. Lengths in metres, angles in radians.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BilliardsSettings {
-    /// Obstacles, besides the two balls. Fewer are placed where the floor is full.
+    /// Number of obstacles besides the two balls. Fewer are placed if the floor is full.
     pub objects: usize,
     /// Factor on the obstacles' sizes.
     pub object_size: f64,
     /// Kinds of obstacles to choose from; a kind is repeated only when all are used. The default leaves out the
-    /// plate, which is too flat to be told from the floor reliably at scan resolution.
+    /// plate, which is too flat to be distinguished from the floor reliably at scan resolution.
     pub kinds: Vec<AssetKind>,
     /// Smallest gap between any two objects.
     pub gap_m: f64,
@@ -28,9 +28,9 @@ pub struct BilliardsSettings {
     pub target_goal_m: [f64; 2],
     /// Largest angle between the lines cue–target and target–goal.
     pub max_cut_angle: f64,
-    /// Half width of the corridors cue–target and target–goal that are kept free of obstacles.
+    /// Half width of the obstacle-free corridors cue–target and target–goal.
     pub corridor_half_width_m: f64,
-    /// Farthest that anything lies from the robot's base.
+    /// Maximum distance of all objects from the robot's base.
     pub reach_m: f64,
 }
 
@@ -56,16 +56,16 @@ const CUE_Y: [f64; 2] = [-0.08, 0.08];
 /// Room for the gripper's fingers behind and beside the cue ball: the sweep is 0.1 m on either side of the contact.
 const SWEEP_M: f64 = 0.16;
 const SWEEP_HALF_WIDTH_M: f64 = 0.08;
-/// Everything lies within this distance of the workspace's middle line, so that all views hold most of it.
+/// All objects lie within this distance of the workspace's middle line, so that all views show most of them.
 pub(crate) const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
-/// And within the wedge that the first, frontal view holds: the slope of its sides and how far its apex lies behind the
-/// robot's base (see `CameraPath` and `RecordingSettings::fov_x`).
+/// All objects lie within the wedge of the first, frontal view: the slope of its sides and the distance of its apex behind
+/// the robot's base (see `CameraPath` and `RecordingSettings::fov_x`).
 pub(crate) const FRONTAL_SLOPE: f64 = 0.66;
 pub(crate) const FRONTAL_DISTANCE_M: f64 = 0.15;
-/// Centre of the workspace: cameras look at it. Slightly above the floor, amid the objects.
+/// Centre of the workspace, at which the cameras look. Slightly above the floor, amid the objects.
 pub(crate) const WORKSPACE_CENTER: [f64; 3] = [0.52, 0.0, 0.04];
 
-/// A scene from a seed. Frozen: the same seed and settings give the same scene.
+/// Generates a scene from a seed. Frozen: the same seed and settings give the same scene.
 ///
 /// Cue ball in front of the robot, target ball 0.2–0.4 m further on, goal 0.15–0.35 m beyond at a cut angle of at most
 /// 35°, both corridors free ("adjusted to ensure that the target ball could reasonably achieve the goal position"), and
@@ -116,7 +116,7 @@ pub(crate) struct BallPositions {
 
 fn draw_positions(seed: Seed, settings: &BilliardsSettings) -> BallPositions {
     let mut rng = seed.derive("shot").rng();
-    // Shots straight ahead always fit, so that narrowing the spread ends the search whatever the settings.
+    // Shots straight ahead always fit, so that narrowing the spread ends the search for all settings.
     let mut spread = 1.0;
     loop {
         let cue = DVec2::new(uniform(&mut rng, CUE_X), uniform(&mut rng, CUE_Y));
@@ -126,7 +126,7 @@ fn draw_positions(seed: Seed, settings: &BilliardsSettings) -> BallPositions {
         let cut = spread * uniform(&mut rng, [-settings.max_cut_angle, settings.max_cut_angle]);
         let second = DVec2::from_angle(heading + cut);
         let goal = target + second * uniform(&mut rng, settings.target_goal_m);
-        // The goal itself may lie a little beyond the objects; nothing stands there.
+        // The goal may lie slightly beyond the objects, since it stays free.
         let fits = target.length() <= settings.reach_m - 0.06
             && goal.length() <= settings.reach_m + 0.08
             && target.y.abs() < 0.28
@@ -138,7 +138,7 @@ fn draw_positions(seed: Seed, settings: &BilliardsSettings) -> BallPositions {
     }
 }
 
-/// A shuffled choice of kinds without repetition until all are used.
+/// Draws kinds in random order, without repetition until all are used.
 fn choose_kinds(seed: Seed, settings: &BilliardsSettings) -> Vec<AssetKind> {
     let mut rng = seed.derive("kinds").rng();
     let mut chosen = Vec::with_capacity(settings.objects);
@@ -161,7 +161,7 @@ fn place_obstacle(
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
     let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
     let mut rng = seed.derive("place").rng();
-    // Where there is no room left, a smaller one may still fit.
+    // If there is no room, a smaller object may still fit.
     for shrink in [1.0, 0.85, 0.72] {
         let size = settings.object_size * shrink;
         let mut object = make_asset(kind, DVec2::ZERO, yaw, size, &mut seed.derive("asset").rng());
@@ -174,7 +174,7 @@ fn place_obstacle(
     None
 }
 
-/// A free place for a disc: within reach and view, off the ways of balls and gripper, off all other discs.
+/// Finds a free place for a disc: within reach and view, off the paths of balls and gripper, and clear of all other discs.
 pub(crate) fn find_place(
     rng: &mut StageRng,
     radius: f64,
@@ -200,7 +200,7 @@ pub(crate) fn find_place(
     None
 }
 
-/// Radius of the disc around the asset's axis that holds its footprint, for an object standing at the world's origin.
+/// Returns the radius of the disc around the asset's axis that contains its footprint, for an object at the world's origin.
 pub(crate) fn footprint_radius(object: &TruthObject) -> f64 {
     let about_axis = |p: &DVec3| {
         let p_w = object.x_wb.translation + *p;
@@ -209,7 +209,7 @@ pub(crate) fn footprint_radius(object: &TruthObject) -> f64 {
     object.sphere_radius.unwrap_or_else(|| object.mesh.vertices.iter().map(about_axis).fold(0.0, f64::max))
 }
 
-/// A disc on the floor that holds the object: centre and radius.
+/// Returns a disc on the floor that contains the object: centre and radius.
 pub(crate) fn footprint(object: &TruthObject) -> (DVec2, f64) {
     let com = object.x_wb.translation.truncate();
     if let Some(r) = object.sphere_radius {

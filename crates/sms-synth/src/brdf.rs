@@ -1,8 +1,8 @@
-//! How surfaces reflect: a microfacet lobe over a diffuse base, with metals that have the lobe only.
+//! Reflection of surfaces: a microfacet lobe over a diffuse base; metals have the lobe only.
 //!
 //! The lobe has the GGX distribution with the height-correlated Smith term (Walter et al. 2007, "Microfacet Models for
 //! Refraction through Rough Surfaces"; Heitz 2014, "Understanding the Masking-Shadowing Function") and Schlick's Fresnel
-//! factor; the base gives what the lobe leaves (Ashikhmin & Shirley 2000). Radiances are in units of irradiance / π, so that a
+//! factor; the base reflects the rest (Ashikhmin & Shirley 2000). Radiances are in units of irradiance / π, so that a
 //! white diffuse surface under irradiance π·e has radiance e.
 
 use glamx::Vec3;
@@ -19,7 +19,7 @@ const SMOOTHEST: f32 = 0.02;
 
 /// A surface point's reflection.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Finish {
+pub(crate) struct Reflectance {
     /// Linear albedo of the diffuse base.
     diffuse: Vec3,
     /// Reflectance of the lobe at normal incidence.
@@ -28,8 +28,8 @@ pub(crate) struct Finish {
     pub(crate) alpha: f32,
 }
 
-impl Finish {
-    /// Of a linear `albedo`, `gloss` 0 (matte) to 1 (polished) and `metalness` 0 to 1 (Burley 2012, "Physically Based
+impl Reflectance {
+    /// Creates the reflection of a linear `albedo`, `gloss` 0 (matte) to 1 (polished) and `metalness` 0 to 1 (Burley 2012, "Physically Based
     /// Shading at Disney": perceptual roughness is 1 − 0.9 gloss, its square α).
     pub(crate) fn new(albedo: Vec3, gloss: f32, metalness: f32) -> Self {
         let roughness = 1.0 - 0.9 * gloss.clamp(0.0, 1.0);
@@ -40,13 +40,13 @@ impl Finish {
         }
     }
 
-    /// Whether most of its light is mirrored.
+    /// Returns whether most of its light is reflected by the lobe.
     pub(crate) fn is_metal(&self) -> bool {
         self.f0.max_element() > 0.3
     }
 
-    /// π · BRDF · cos of light from `l` towards `v` (unit vectors on the side of the unit normal `n`), for a light whose
-    /// half-angle has the tangent `spread`: the lobe is widened by it, its energy kept.
+    /// Returns π · BRDF · cos of light from `l` towards `v` (unit vectors on the side of the unit normal `n`), for a light with the
+    /// half-angle tangent `spread`: it widens the lobe and keeps its energy.
     pub(crate) fn reflect(&self, n: Vec3, v: Vec3, l: Vec3, spread: f32) -> Vec3 {
         let (nl, nv) = (n.dot(l), n.dot(v).max(1e-3));
         if nl <= 0.0 {
@@ -54,7 +54,7 @@ impl Finish {
         }
         let half = (v + l).normalize_or_zero();
         let (nh, vh) = (n.dot(half).clamp(0.0, 1.0), v.dot(half).clamp(0.0, 1.0));
-        // A light's half-angle turns the half vector by half as much.
+        // A light's half-angle turns the half vector by half that angle.
         let a2 = self.alpha * self.alpha + 0.25 * spread * spread;
         let base = self.diffuse * (BASE * (1.0 - schlick(DIELECTRIC, nl)) * (1.0 - schlick(DIELECTRIC, nv)));
         (base + self.lobe(nl, nv, nh, vh, a2)) * nl
@@ -69,28 +69,28 @@ impl Finish {
         (self.f0 + (Vec3::ONE - self.f0) * grazing) * (a2 / (d * d) * visibility)
     }
 
-    /// Share of a uniform sky that the base reflects towards a viewer at `nv` = cos of the angle to the normal.
+    /// Returns the share of a uniform sky that the base reflects towards a viewer at `nv` = cos of the angle to the normal.
     pub(crate) fn base_share(&self, nv: f32) -> Vec3 {
         self.diffuse * (BASE_UNDER_SKY * (1.0 - schlick(DIELECTRIC, nv)))
     }
 
-    /// Share of uniform surroundings that the lobe reflects towards a viewer at `nv`.
+    /// Returns the share of uniform surroundings that the lobe reflects towards a viewer at `nv`.
     pub(crate) fn lobe_share(&self, nv: f32) -> Vec3 {
         let [of_f0, of_one] = LOBE_SHARES.at(nv, self.alpha.sqrt());
         self.f0 * of_f0 + Vec3::splat(of_one)
     }
 
-    /// What a projector beside the camera gets back, relative to a white diffuse surface seen face on, without the cosine of
-    /// incidence `nv`: decides whether active stereo sees anything. Metals and dark surfaces return little at a slant,
+    /// Returns the light of a projector beside the camera that comes back, relative to a white diffuse surface viewed face on,
+    /// without the cosine of incidence `nv`. Active stereo needs it: metals and dark surfaces return little at a slant,
     /// polished ones glare face on.
     pub(crate) fn echo(&self, nv: f32) -> f32 {
         let nv = nv.clamp(0.05, 1.0);
         let lobe = self.lobe(nv, nv, nv, 1.0, self.alpha * self.alpha);
-        // Silicon sees near infrared, where many dyes are clear: the mean of the channels says more than luminance.
+        // Silicon is sensitive to near infrared, where many dyes are clear: the mean of the channels fits better than luminance.
         (self.base_share(nv) + lobe).element_sum() / 3.0
     }
 
-    /// A direction into which light from `v` is reflected off one visible microfacet, for uniform `u` in [0, 1)² (Dupuy &
+    /// Samples a direction into which light from `v` is reflected off one visible microfacet, for uniform `u` in [0, 1)² (Dupuy &
     /// Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps"); may point below the surface.
     pub(crate) fn mirrored(&self, n: Vec3, v: Vec3, u: [f32; 2]) -> Vec3 {
         let (tangent, other) = n.any_orthonormal_pair();
@@ -121,8 +121,11 @@ impl LobeShares {
         let values = (0..(STEPS + 1) * (STEPS + 1)).map(|i| {
             let at = |k: usize| k as f32 / STEPS as f32;
             let (nv, roughness) = (at(i % (STEPS + 1)).max(0.01), at(i / (STEPS + 1)));
-            let finish =
-                Finish { diffuse: Vec3::ZERO, f0: Vec3::ONE, alpha: (roughness * roughness).max(SMOOTHEST) };
+            let finish = Reflectance {
+                diffuse: Vec3::ZERO,
+                f0: Vec3::ONE,
+                alpha: (roughness * roughness).max(SMOOTHEST),
+            };
             let a2 = finish.alpha * finish.alpha;
             let lambda = |c: f32| 0.5 * ((1.0 + a2 * (1.0 - c * c) / (c * c)).sqrt() - 1.0);
             let v = Vec3::new((1.0 - nv * nv).sqrt(), 0.0, nv);
@@ -183,7 +186,7 @@ mod tests {
     }
 
     /// Share of a uniform sky of radiance 1 that reaches the viewer.
-    fn furnace(finish: &Finish, nv: f32) -> f32 {
+    fn furnace(finish: &Reflectance, nv: f32) -> f32 {
         hemisphere(400).map(|(l, w)| finish.reflect(Vec3::Z, viewer(nv), l, 0.0).x / l.z * w).sum::<f32>()
     }
 
@@ -191,10 +194,10 @@ mod tests {
     fn a_white_furnace_gets_no_more_back_than_it_gives() {
         for gloss in [0.0, 0.3, 0.5, 0.7, 0.85] {
             for nv in [0.15, 0.4, 0.7, 1.0] {
-                let dielectric = furnace(&Finish::new(Vec3::ONE, gloss, 0.0), nv);
-                let metal = furnace(&Finish::new(Vec3::ONE, gloss, 1.0), nv);
+                let dielectric = furnace(&Reflectance::new(Vec3::ONE, gloss, 0.0), nv);
+                let metal = furnace(&Reflectance::new(Vec3::ONE, gloss, 1.0), nv);
                 assert!(dielectric < 1.01 && dielectric > 0.5, "gloss {gloss}, cos {nv}: {dielectric}");
-                // One bounce between facets only: rough metals lose what a second would give (Heitz 2014).
+                // One bounce between facets only: rough metals lose the energy of the second (Heitz 2014).
                 assert!(metal < 1.01 && metal > 0.3, "gloss {gloss}, cos {nv}: {metal}");
                 if gloss > 0.6 && nv > 0.3 {
                     assert!(metal > 0.9, "a polished white metal reflects nearly all: {metal}");
@@ -206,7 +209,7 @@ mod tests {
     #[test]
     fn shares_of_a_uniform_sky_are_the_integrals() {
         for (gloss, metalness) in [(0.3, 0.0), (0.6, 0.0), (0.8, 0.0), (0.3, 1.0), (0.6, 1.0), (0.8, 1.0)] {
-            let finish = Finish::new(Vec3::splat(0.6), gloss, metalness);
+            let finish = Reflectance::new(Vec3::splat(0.6), gloss, metalness);
             for nv in [0.3, 0.6, 1.0] {
                 let (sum, exact) = ((finish.base_share(nv) + finish.lobe_share(nv)).x, furnace(&finish, nv));
                 assert!((sum - exact).abs() < 0.015, "{gloss} {metalness} {nv}: {sum} {exact}");
@@ -216,11 +219,11 @@ mod tests {
 
     #[test]
     fn light_and_viewer_may_be_exchanged_and_a_wide_light_keeps_its_energy() {
-        let finish = Finish::new(Vec3::new(0.5, 0.3, 0.1), 0.6, 0.4);
+        let finish = Reflectance::new(Vec3::new(0.5, 0.3, 0.1), 0.6, 0.4);
         let (a, b) = (Vec3::new(0.3, 0.2, 0.8).normalize(), Vec3::new(-0.5, 0.4, 0.5).normalize());
         let (ab, ba) = (finish.reflect(Vec3::Z, a, b, 0.1) / b.z, finish.reflect(Vec3::Z, b, a, 0.1) / a.z);
         assert!((ab - ba).length() < 1e-5);
-        let glossy = Finish::new(Vec3::ONE, 0.7, 1.0);
+        let glossy = Reflectance::new(Vec3::ONE, 0.7, 1.0);
         let wide = hemisphere(400)
             .map(|(l, w)| glossy.reflect(Vec3::Z, viewer(0.8), l, 0.2).x / l.z * w)
             .sum::<f32>();
@@ -230,7 +233,7 @@ mod tests {
     #[test]
     fn sampled_directions_follow_the_lobe() {
         // The mean of a test function over sampled directions, weighted with Smith's term, is its integral against the lobe.
-        let finish = Finish::new(Vec3::ONE, 0.5, 1.0);
+        let finish = Reflectance::new(Vec3::ONE, 0.5, 1.0);
         let v = viewer(0.7);
         let exact =
             hemisphere(400).map(|(l, w)| finish.reflect(Vec3::Z, v, l, 0.0) / l.z * w * l.x).sum::<Vec3>().x;
@@ -255,7 +258,7 @@ mod tests {
     #[test]
     fn black_rubber_and_slanted_metal_return_little_and_a_polished_ball_glares() {
         let echo = |albedo: f32, gloss: f32, metalness: f32, nv: f32| {
-            Finish::new(Vec3::splat(albedo), gloss, metalness).echo(nv)
+            Reflectance::new(Vec3::splat(albedo), gloss, metalness).echo(nv)
         };
         assert!((echo(0.8, 0.0, 0.0, 1.0) - 0.75).abs() < 0.06);
         assert!(echo(0.008, 0.3, 0.0, 0.6) < 0.02);

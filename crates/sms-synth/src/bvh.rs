@@ -17,7 +17,7 @@ impl Triangle {
 
     /// Distance and barycentric coordinates (of the second and third corner) along the ray (Möller & Trumbore 1997).
     fn hit(&self, ray: &Ray, t_max: f32) -> Option<(f32, f32, f32)> {
-        // Slightly inclusive edges, so that no ray slips between two triangles.
+        // Slightly inclusive edges, so that no ray passes between two triangles.
         const SLACK: f32 = 2e-6;
         let p = ray.direction.cross(self.edge2);
         let det = self.edge1.dot(p);
@@ -40,7 +40,7 @@ impl Triangle {
     }
 }
 
-/// A ray; `direction` need not be a unit vector, distances are in its units.
+/// A ray. `direction` need not be a unit vector; distances are in its units.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ray {
     pub(crate) origin: Vec3A,
@@ -70,12 +70,12 @@ pub(crate) struct TriangleHit {
 
 /// A box and, in the fourth lanes, the bits of (first child or triangle, number of triangles; 0 for inner nodes).
 #[derive(Debug, Clone, Copy)]
-struct Node {
+struct BvhNode {
     low: Vec4,
     high: Vec4,
 }
 
-impl Node {
+impl BvhNode {
     fn first(&self) -> usize {
         self.low.w.to_bits() as usize
     }
@@ -97,7 +97,7 @@ impl Node {
 /// The hierarchy.
 #[derive(Debug, Clone)]
 pub(crate) struct Bvh {
-    nodes: Vec<Node>,
+    nodes: Vec<BvhNode>,
     triangles: Vec<Triangle>,
     order: Vec<u32>,
 }
@@ -107,12 +107,12 @@ const BINS: usize = 16;
 const DEPTH: usize = 64;
 
 #[derive(Clone, Copy)]
-struct Bounds {
+struct BvhBounds {
     low: Vec3,
     high: Vec3,
 }
 
-impl Bounds {
+impl BvhBounds {
     const EMPTY: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
 
     fn join(self, other: Self) -> Self {
@@ -128,14 +128,14 @@ impl Bounds {
 impl Bvh {
     /// Builds the hierarchy by binned surface-area splits (Wald 2007).
     pub(crate) fn build(corners: &[[Vec3; 3]]) -> Self {
-        let bounds: Vec<Bounds> = corners
+        let bounds: Vec<BvhBounds> = corners
             .iter()
-            .map(|[a, b, c]| Bounds { low: a.min(*b).min(*c), high: a.max(*b).max(*c) })
+            .map(|[a, b, c]| BvhBounds { low: a.min(*b).min(*c), high: a.max(*b).max(*c) })
             .collect();
         let mut order: Vec<u32> = (0..corners.len() as u32).collect();
         let mut nodes = Vec::with_capacity(corners.len());
         if !corners.is_empty() {
-            nodes.push(Node { low: Vec4::ZERO, high: Vec4::ZERO });
+            nodes.push(BvhNode { low: Vec4::ZERO, high: Vec4::ZERO });
             split(&mut nodes, 0, &bounds, &mut order, 0, 0);
         }
         let triangles =
@@ -143,7 +143,7 @@ impl Bvh {
         Self { nodes, triangles, order }
     }
 
-    /// The nearest hit closer than `t_max`.
+    /// Returns the nearest hit closer than `t_max`.
     pub(crate) fn nearest(&self, ray: &Ray, t_max: f32) -> Option<TriangleHit> {
         let mut best: Option<TriangleHit> = None;
         let mut limit = t_max;
@@ -194,7 +194,7 @@ impl Bvh {
         best
     }
 
-    /// Whether anything is hit closer than `t_max`.
+    /// Returns whether any triangle is hit closer than `t_max`.
     pub(crate) fn any(&self, ray: &Ray, t_max: f32) -> bool {
         let mut stack = [0usize; DEPTH];
         let mut top = usize::from(!self.nodes.is_empty());
@@ -220,18 +220,18 @@ impl Bvh {
 }
 
 fn split(
-    nodes: &mut Vec<Node>,
+    nodes: &mut Vec<BvhNode>,
     at: usize,
-    bounds: &[Bounds],
+    bounds: &[BvhBounds],
     order: &mut [u32],
     offset: usize,
     depth: usize,
 ) {
     let of = |i: &u32| bounds[*i as usize];
     let center = |i: &u32| 0.5 * (of(i).low + of(i).high);
-    let whole = order.iter().fold(Bounds::EMPTY, |b, i| b.join(of(i)));
-    let leaf = |nodes: &mut Vec<Node>, first: usize, count: usize| {
-        nodes[at] = Node {
+    let whole = order.iter().fold(BvhBounds::EMPTY, |b, i| b.join(of(i)));
+    let leaf = |nodes: &mut Vec<BvhNode>, first: usize, count: usize| {
+        nodes[at] = BvhNode {
             low: whole.low.extend(f32::from_bits(first as u32)),
             high: whole.high.extend(f32::from_bits(count as u32)),
         };
@@ -241,7 +241,8 @@ fn split(
         leaf(nodes, offset, order.len());
         return;
     }
-    let centers = order.iter().map(center).fold(Bounds::EMPTY, |b, c| b.join(Bounds { low: c, high: c }));
+    let centers =
+        order.iter().map(center).fold(BvhBounds::EMPTY, |b, c| b.join(BvhBounds { low: c, high: c }));
     let extent = centers.high - centers.low;
     let mut best: Option<(f32, usize, usize)> = None;
     for axis in 0..3 {
@@ -249,18 +250,18 @@ fn split(
             continue;
         }
         let scale = BINS as f32 / extent[axis];
-        let mut bins = [(Bounds::EMPTY, 0usize); BINS];
+        let mut bins = [(BvhBounds::EMPTY, 0usize); BINS];
         for i in order.iter() {
             let b = (((center(i)[axis] - centers.low[axis]) * scale) as usize).min(BINS - 1);
             bins[b] = (bins[b].0.join(of(i)), bins[b].1 + 1);
         }
         let mut right_cost = [0.0f32; BINS];
-        let mut right = (Bounds::EMPTY, 0usize);
+        let mut right = (BvhBounds::EMPTY, 0usize);
         for b in (1..BINS).rev() {
             right = (right.0.join(bins[b].0), right.1 + bins[b].1);
             right_cost[b] = right.0.half_area() * right.1 as f32;
         }
-        let mut left = (Bounds::EMPTY, 0usize);
+        let mut left = (BvhBounds::EMPTY, 0usize);
         for b in 1..BINS {
             left = (left.0.join(bins[b - 1].0), left.1 + bins[b - 1].1);
             let cost = left.0.half_area() * left.1 as f32 + right_cost[b];
@@ -281,7 +282,7 @@ fn split(
     };
     let first = nodes.len();
     leaf(nodes, first, 0);
-    nodes.extend([Node { low: Vec4::ZERO, high: Vec4::ZERO }; 2]);
+    nodes.extend([BvhNode { low: Vec4::ZERO, high: Vec4::ZERO }; 2]);
     let (left, right) = order.split_at_mut(middle);
     split(nodes, first, bounds, left, offset, depth + 1);
     split(nodes, first + 1, bounds, right, offset + middle, depth + 1);

@@ -1,6 +1,6 @@
-//! Billiards scenes that cannot all be solved by a straight shot: what the paper's eighteen were adjusted to by hand
-//! (appendix "Scene Generation") is drawn here from layouts. A layout proposes; whether a scene really needs a rebound
-//! is found out by brute force in a target world (`sms-experiments scenes`).
+//! Billiards scenes that cannot all be solved by a straight shot. The paper's eighteen were adjusted by hand (appendix "Scene
+//! Generation"); here they are drawn from layouts. Brute force in a target world (`sms-experiments scenes`) tests whether a
+//! scene needs a rebound.
 
 use crate::assets::{AssetKind, make_asset, make_pool_ball};
 use crate::billiards::{
@@ -16,22 +16,22 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sms_core::{Seed, StageRng};
 
-/// What a scene asks for.
+/// Kind of shot that a scene requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
-    /// Two balls and nothing else.
+    /// Two balls only.
     Empty,
-    /// The direct way is free, and a light box stands where a rebound would be tempting (the paper's scene A).
+    /// The direct path is free, and a light box stands at a likely rebound (the paper's scene A).
     Direct,
-    /// The goal lies so far back that no cut reaches it; something heavy stands where the target ball can rebound
+    /// The goal lies too far back for any cut; a heavy object stands where the target ball can rebound
     /// (scene B).
     Backstop,
-    /// Something stands between target ball and goal; something heavy stands beside.
+    /// An obstacle stands between target ball and goal, a heavy object beside them.
     Screened,
-    /// Something stands between cue and target ball; something heavy stands beside.
+    /// An obstacle stands between cue and target ball, a heavy object beside them.
     CueBank,
-    /// The target ball has to rebound twice: off something heavy and off a ball that moves (scene C).
+    /// The target ball has to rebound twice: off a heavy object and off a movable ball (scene C).
     Chain,
     /// A far goal that a thin cut and a rebound both reach (scene D).
     TwoWays,
@@ -63,10 +63,10 @@ impl Layout {
     }
 }
 
-/// Heavy things that a ball rebounds off.
+/// Heavy objects that a ball rebounds off.
 const HEAVY: [AssetKind; 4] =
     [AssetKind::BrassBlock, AssetKind::BrassStatue, AssetKind::MarbleStatue, AssetKind::SeatedStatue];
-/// Things that stand in the way.
+/// Objects that block a path.
 const SCREENS: [AssetKind; 6] = [
     AssetKind::WoodBlock,
     AssetKind::Bowl,
@@ -75,10 +75,10 @@ const SCREENS: [AssetKind; 6] = [
     AssetKind::CeramicBear,
     AssetKind::SeatedStatue,
 ];
-/// Tries to draw a shot that fits the workspace, and to place one obstacle.
+/// Attempts to draw a shot that fits the workspace, and to place one obstacle.
 const DRAWS: usize = 4000;
 const PLACES: usize = 600;
-/// Half width of the ways that balls are meant to take.
+/// Half width of the intended paths of balls.
 const WAY_M: f64 = BALL_RADIUS_M + 0.012;
 /// Room for the gripper's fingers behind and beside the cue ball.
 const SWEEP_M: f64 = 0.16;
@@ -86,12 +86,12 @@ const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 /// Smallest gap between two objects, metres.
 const GAP_M: f64 = 0.02;
 
-/// A shot as it is meant: places of the balls and the goal, the polyline of ways, and what stands where for it.
+/// An intended shot: positions of the balls and the goal, the paths of the balls, and the objects that it needs.
 struct PlannedShot {
     cue: DVec2,
     target: DVec2,
     goal: DVec2,
-    /// Ways that stay free.
+    /// Paths that stay free.
     ways: Vec<(DVec2, DVec2)>,
     props: Vec<Prop>,
 }
@@ -99,13 +99,13 @@ struct PlannedShot {
 /// An object that the layout needs.
 struct Prop {
     kind: AssetKind,
-    /// Where on it the ball's centre turns, when it is rebounded off, and the surface's normal there.
+    /// Position of the ball's centre at the rebound, and the surface's normal there.
     at: DVec2,
     facing: Option<DVec2>,
 }
 
-/// A scene of this layout with up to `obstacles` further objects scattered around. The same arguments give the same
-/// scene. `None` where the seed's draws do not fit into the workspace.
+/// Generates a scene of this layout with up to `obstacles` further objects scattered around. The same arguments give the
+/// same scene. `None` if the seed's draws do not fit into the workspace.
 pub fn generate_challenge(layout: Layout, scene_seed: Seed, obstacles: usize) -> Option<TruthScene> {
     let seed = scene_seed.derive("billiards challenge v1").derive(layout.as_str());
     let mut rng = seed.derive("shot").rng();
@@ -135,7 +135,7 @@ pub fn generate_challenge(layout: Layout, scene_seed: Seed, obstacles: usize) ->
     Some(billiards_truth(name, scene_seed, objects, draw_floor(scene_seed, seed), shot.goal))
 }
 
-/// Draws a shot; `None` where it leaves the workspace.
+/// Draws a shot; `None` if it leaves the workspace.
 fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
     let cue = DVec2::new(uniform(rng, [0.30, 0.42]), uniform(rng, [-0.12, 0.12]));
     let heading = uniform(rng, [-0.6, 0.6]);
@@ -219,7 +219,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
             let turn = along(target, first, uniform(rng, [0.08, 0.15]));
             let second = heading + side * uniform(rng, [1.5, 2.3]);
             let at_ball = along(turn, second, uniform(rng, [0.10, 0.20]));
-            // Off a ball of its own mass the target ball leaves square to the line of centres.
+            // After hitting a ball of equal mass, the target ball moves at right angles to the line of centres.
             let last = second + side * uniform(rng, [0.7, 1.3]);
             let goal = along(at_ball, last, uniform(rng, [0.10, 0.20]));
             let square = DVec2::from_angle(last).perp();
@@ -243,7 +243,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
         .then_some(shot)
 }
 
-/// Whether a disc lies in the wedge that the first view holds.
+/// Returns whether a disc lies in the wedge of the first view.
 fn in_wedge(p: DVec2, radius: f64) -> bool {
     p.y.abs() + radius <= WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M))
 }
@@ -255,8 +255,7 @@ fn inside(object: &TruthObject) -> bool {
         && in_wedge(center, radius)
 }
 
-/// Stands a prop so that a ball whose centre is at `at` touches it with the normal `facing`; without one, its axis is
-/// there.
+/// Places a prop so that a ball centred at `at` touches it with the normal `facing`; without one, with its axis at `at`.
 fn place_prop(prop: &Prop, seed: Seed) -> TruthObject {
     let mut rng = seed.derive("asset").rng();
     let yaw = match prop.facing {
@@ -267,10 +266,10 @@ fn place_prop(prop: &Prop, seed: Seed) -> TruthObject {
     let mut object = make_asset(prop.kind, DVec2::ZERO, yaw, 1.0, &mut rng);
     let mut at = prop.at;
     if let Some(n) = prop.facing {
-        // How far the object reaches towards the ball at the heights at which a ball touches it.
+        // Extent of the object towards the ball at the heights of contact.
         let com = object.x_wb.translation;
         let reach = match object.sphere_radius {
-            // Two balls of different size on one floor touch when their centres are this far apart from above.
+            // Horizontal distance of the centres of two touching balls of different size on one floor.
             Some(r) => com.truncate().dot(n) + 2.0 * (r * BALL_RADIUS_M).sqrt() - BALL_RADIUS_M,
             None => (object.mesh.vertices.iter())
                 .map(|v| *v + com)
@@ -284,13 +283,13 @@ fn place_prop(prop: &Prop, seed: Seed) -> TruthObject {
     object
 }
 
-/// Gap between the discs that hold two objects; between their vertices' hulls it is larger.
+/// Returns the gap between the discs that contain two objects; the gap between their hulls is larger.
 fn apart(a: &TruthObject, b: &TruthObject) -> f64 {
     let ((p, r), (q, s)) = (footprint(a), footprint(b));
     p.distance(q) - r - s
 }
 
-/// Whether a prop stands in a way that it is not meant to touch, or in the finger's.
+/// Returns whether a prop blocks a path that it is not part of, or the finger's path.
 fn crosses(object: &TruthObject, shot: &PlannedShot, prop: &Prop) -> bool {
     let (center, radius) = footprint(object);
     let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
@@ -304,7 +303,7 @@ fn crosses(object: &TruthObject, shot: &PlannedShot, prop: &Prop) -> bool {
         || shot.goal.distance(center) < radius + BALL_RADIUS_M
 }
 
-/// Places one more obstacle where it leaves all ways free.
+/// Places one more obstacle off all paths.
 fn scatter(kind: AssetKind, shot: &PlannedShot, placed: &[TruthObject], seed: Seed) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
     let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;

@@ -1,4 +1,4 @@
-//! What a structured-light stereo camera of the Orbbec or RealSense kind makes of a perfect depth image.
+//! Error model of a structured-light stereo camera such as Orbbec's or RealSense's.
 
 use crate::texture::{hash, smoothstep};
 use rayon::prelude::*;
@@ -13,10 +13,10 @@ use sms_core::{DepthImage, Image, Seed};
 /// defaults are σ_d = 0.053 and steps of 0.044 pixels; they follow the size of published figures for such cameras (about
 /// 1 mm at 0.7 m, 1.6 mm at 1 m; Orbbec state ≤ 2 % at 2 m for the Gemini 2).
 ///
-/// The second imager stands `baseline_m` to the right. What it does not see because something nearer covers it has no
-/// depth: a shadow of f b (1/z₁ − 1/z₂) pixels on the left of everything. Both imagers are taken to see farther to the sides
-/// than the picture. A pixel also needs light of the projector that comes back: dark surfaces and slanted metal return too
-/// little, a polished one that faces the camera too much.
+/// The second imager stands `baseline_m` to the right. Surfaces occluded for it have no depth: a shadow of
+/// f b (1/z₁ − 1/z₂) pixels at the left of every object. Both imagers are assumed to see farther to the sides than the
+/// image. A pixel also needs returned light of the projector: dark surfaces and slanted metal return too little, a polished
+/// surface that faces the camera too much.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthCamera {
@@ -24,11 +24,11 @@ pub struct DepthCamera {
     pub sigma_m: f64,
     /// Growth of the standard deviation with z², 1/m.
     pub sigma_per_m: f64,
-    /// Size of the patches in which the error is alike (the matching window), pixels at width 1280.
+    /// Size of the patches with correlated errors (the matching window), pixels at width 1280.
     pub correlation_px: f64,
     /// Step of the inverse depth, 1/m: the depth step at 1 m is this many metres. 0 for none.
     pub disparity_step_per_m: f64,
-    /// Width of the band around depth edges that loses measurements, pixels at width 1280.
+    /// Width of the band around depth edges with lost measurements, pixels at width 1280.
     pub edge_px: f64,
     /// Share of that band without a measurement.
     pub edge_dropout: f64,
@@ -42,16 +42,16 @@ pub struct DepthCamera {
     pub dark_echo: f64,
     /// Returned light above which the pattern is washed out; 0 for never.
     pub glare_echo: f64,
-    /// Share of patches without a measurement for no visible reason.
+    /// Share of patches without a measurement at random.
     pub hole_share: f64,
     /// Shortest and longest measurable depth, metres.
     pub range_m: [f64; 2],
 }
 
-/// What there is to measure, pixel by pixel; images of one size.
+/// The true scene, pixel by pixel; images of one size.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthView<'a> {
-    /// Depth along the optical axis in metres, 0 for nothing there.
+    /// Depth along the optical axis in metres, 0 without a surface.
     pub depth: &'a DepthImage,
     /// |cos| of the angle between ray and surface normal.
     pub cos_incidence: &'a Image<f32>,
@@ -81,11 +81,11 @@ impl Default for DepthCamera {
     }
 }
 
-/// Disparities that differ by more belong to different surfaces, pixels.
+/// Disparities with a larger difference belong to different surfaces, pixels.
 const JUMP_PX: f64 = 1.5;
 
 impl DepthCamera {
-    /// No errors at all, and no limits of range.
+    /// A camera without errors and limits of range.
     pub fn perfect() -> Self {
         Self {
             sigma_m: 0.0,
@@ -104,12 +104,12 @@ impl DepthCamera {
         }
     }
 
-    /// Standard deviation of a measurement at depth `z`, metres, before quantisation.
+    /// Returns the standard deviation of a measurement at depth `z`, metres, before quantisation.
     pub fn sigma_at(&self, z: f64) -> f64 {
         self.sigma_m + self.sigma_per_m * z * z
     }
 
-    /// A measurement of what there is.
+    /// Simulates a measurement.
     pub fn measure(&self, view: &DepthView, seed: Seed) -> DepthImage {
         let depth = view.depth;
         let (width, height) = depth.size();
@@ -177,18 +177,18 @@ impl DepthCamera {
         out
     }
 
-    /// Which pixels of a row the second imager does not see; empty without one.
+    /// Returns which pixels of a row are occluded for the second imager; empty without one.
     fn shadowed(&self, row: &[f32], fx: f64) -> Vec<bool> {
         if self.baseline_m <= 0.0 {
             return Vec::new();
         }
-        // Disparities and, in the second imager's columns, the largest that falls there.
+        // Disparities, and the largest disparity in each column of the second imager.
         let disparity = |z: f32| if z > 0.0 { fx * self.baseline_m / f64::from(z) } else { 0.0 };
         let disparities: Vec<f64> = row.iter().map(|&z| disparity(z)).collect();
         let column = |x: usize| (x as f64 + 0.5 - disparities[x]).floor();
         let mut nearest = vec![0.0f64; row.len()];
         for x in 0..row.len() {
-            // A surface seen at a slant is wider in the second image; nothing shows between its pixels.
+            // A slanted surface is wider in the second image, without gaps between its pixels.
             let joined = x + 1 < row.len() && (disparities[x + 1] - disparities[x]).abs() < JUMP_PX;
             let (low, high) = if joined { (column(x), column(x + 1)) } else { (column(x), column(x)) };
             for c in low.min(high) as i64..=low.max(high) as i64 {
@@ -207,8 +207,8 @@ impl DepthCamera {
     }
 }
 
-/// Pixels within `band` of a depth discontinuity. Inverse depth is linear over the image of a plane, so its second
-/// difference tells an edge from a slanted surface at any resolution.
+/// Marks pixels within `band` of a depth discontinuity. Inverse depth is linear over the image of a plane, so its second
+/// difference distinguishes an edge from a slanted surface at any resolution.
 fn edge_band(depth: &DepthImage, band: usize) -> Vec<bool> {
     const RELATIVE_JUMP: f32 = 0.02;
     let (width, height) = depth.size();
@@ -239,7 +239,7 @@ fn edge_band(depth: &DepthImage, band: usize) -> Vec<bool> {
     wide
 }
 
-/// A depth from the other side of the nearest edge along the row.
+/// Returns a depth from the other side of the nearest edge along the row.
 fn across_edge(depth: &DepthImage, x: usize, y: usize, band: usize) -> Option<f32> {
     let z = depth[(x, y)];
     (1..=band + 1).find_map(|d| {
@@ -250,14 +250,14 @@ fn across_edge(depth: &DepthImage, x: usize, y: usize, band: usize) -> Option<f3
     })
 }
 
-/// Repeatable noise that depends on the pixel and the seed only, so that threads do not matter.
+/// Repeatable noise that depends on the pixel and the seed only.
 struct Noise {
     seed: u32,
     /// Lattice spacing in pixels; 0 for white noise.
     step: f64,
 }
 
-/// Share of the variance that is common to a patch.
+/// Share of the variance that is correlated within a patch.
 const CORRELATED: f64 = 0.7;
 
 impl Noise {
@@ -272,7 +272,7 @@ impl Noise {
         f64::from(hash(x, y, channel, self.seed)) / 4_294_967_296.0
     }
 
-    /// A standard normal value at a pixel.
+    /// Returns a standard normal value at a pixel.
     fn normal(&self, x: usize, y: usize) -> f64 {
         let white = irwin_hall(self.seed, x as i32, y as i32, 1);
         if self.step == 0.0 {
@@ -315,7 +315,7 @@ mod tests {
         (Image::filled(320, 200, z), Image::filled(320, 200, 1.0))
     }
 
-    /// Of white surfaces, with the default field of view.
+    /// Measures white surfaces with the default field of view.
     fn measure(camera: &DepthCamera, depth: &DepthImage, cos: &Image<f32>, seed: u64) -> DepthImage {
         let echo = Image::filled(320, 200, 0.8);
         camera.measure(&DepthView { depth, cos_incidence: cos, echo: &echo, fx: 220.0 }, Seed(seed))
@@ -409,7 +409,7 @@ mod tests {
             let measured = camera.measure(&view, Seed(1));
             let lost: Vec<usize> = (0..320).filter(|&x| measured[(x, 100)] == 0.0).collect();
             let width = 881.0 * 0.05 * (1.0 / f64::from(near) - 1.0 / f64::from(far));
-            // Farther apart than the thing is wide, the second imager sees between it and its shadow.
+            // The shadow is at most as wide as the object.
             let expected = width.min(50.0);
             assert!((lost.len() as f64 - expected).abs() <= 1.0, "{} {expected}", lost.len());
             assert!(

@@ -1,4 +1,4 @@
-//! The eighteen fixed billiards scenes of the benchmark, and as many as wanted that nobody has chosen.
+//! The eighteen fixed billiards scenes of the benchmark, and any number of drawn ones.
 
 use crate::challenge::{Layout, generate_challenge};
 use crate::scene::TruthScene;
@@ -9,13 +9,13 @@ use sms_core::Seed;
 pub struct FixedScene {
     /// 1 to 18, or from [`FIRST_DRAWN`] on.
     pub number: usize,
-    /// What it asks for.
+    /// Kind of shot that it requires.
     pub layout: Layout,
     /// Its seed.
     pub seed: u64,
     /// Obstacles scattered around.
     pub obstacles: usize,
-    /// Where the goal is, world x and y in metres, if elsewhere than the layout draws it.
+    /// Position of the goal, world x and y in metres, if moved from the drawn one.
     pub goal_w: Option<[f64; 2]>,
 }
 
@@ -28,18 +28,16 @@ const fn moved(number: usize, layout: Layout, seed: u64, obstacles: usize, goal_
     FixedScene { number, layout, seed, obstacles, goal_w: Some(goal_w) }
 }
 
-/// The fixed scenes: the first without obstacles, then from what a straight shot does to what takes two rebounds.
+/// The fixed scenes: the first without obstacles, the others from straight shots to two rebounds.
 ///
-/// Chosen by brute force (`sms-experiments scenes`): first from 230 drawn scenes (seeds 1 to 45 of every layout) with 700 shots
-/// each of a finger that gives no way, then with 500 shots each of the arm, in the planner's engine. As drawn, goals were 13 to
-/// 38 cm from their balls, so that the paper's baseline lost 15 cm on average where it lost 28 in the paper's scenes: whoever misses
-/// leaves the ball where it was. In nine scenes the goal is therefore farther away, 24 to 51 cm, where brute force (the example `goals`
-/// of `sms-experiments`) comes to and the baseline does not. In each scene the arm has a shot that comes within 12 mm, and at
-/// least 0.6 % of shots come within 5 cm. Scenes 8 to 18 have no straight shot of the arm that comes nearer than 7.5 cm; scene 18
-/// none with one rebound that comes nearer than 14 cm. No plan was looked at when goals were placed, but that scene 15's ball was struck
-/// as fast as could be at the goal before (it was chosen anew from shots below 0.7 m/s, and scene 14's kept). The other way round, some
-/// settings of the planner were changed for what plans did in these scenes; [`billiards_scene`] draws others. Frozen: a test holds
-/// their hash.
+/// They were selected by brute force (`sms-experiments scenes`) from 230 drawn scenes (seeds 1 to 45 of every layout), first
+/// with 700 shots each of a kinematic finger, then with 500 shots each of the arm, in the planner's engine. The drawn goals were
+/// 13 to 38 cm from their balls; in nine scenes the goal was moved to a distance of 24 to 51 cm that brute force reaches and the
+/// paper's baseline does not. In each scene the arm has a shot that comes within 12 mm of the goal, and at least 0.6 % of shots
+/// come within 5 cm. In scenes 8 to 18 no straight shot of the arm comes nearer than 7.5 cm; in scene 18 no shot with one rebound
+/// comes nearer than 14 cm. Goals were placed without regard to plans, except that scene 15's goal was chosen again from shots
+/// below 0.7 m/s. Some settings of the planner were tuned on these scenes; [`billiards_scene`] draws others. Frozen: a test
+/// holds their hash.
 pub const FIXED_SCENES: [FixedScene; 18] = [
     scene(1, Layout::Empty, 1, 0),
     scene(2, Layout::Direct, 4, 4),
@@ -64,27 +62,27 @@ pub const FIXED_SCENES: [FixedScene; 18] = [
 /// Drawn scenes have numbers from this one on.
 pub const FIRST_DRAWN: usize = 1001;
 
-/// The scene of a number: the fixed ones, and from [`FIRST_DRAWN`] on scenes that are drawn, in the fixed ones' layouts one after the
-/// other. Nobody has looked whether those can be solved, and goals are where the layout draws them.
+/// Returns the scene of a number: a fixed one, or from [`FIRST_DRAWN`] on a drawn one, in the layouts of the fixed ones in turn.
+/// Drawn scenes are not checked for a solution, and their goals are not moved.
 pub fn billiards_scene(number: usize) -> Option<FixedScene> {
     if let Some(fixed) = FIXED_SCENES.iter().find(|s| s.number == number) {
         return Some(*fixed);
     }
     let index = number.checked_sub(FIRST_DRAWN)? % FIXED_SCENES.len();
     let FixedScene { layout, obstacles, .. } = FIXED_SCENES[index];
-    // Other seeds than those that the fixed ones were chosen from; where a layout does not fit, the next.
+    // Seeds differ from those of the fixed scenes. If a layout does not fit, the next seed is used.
     let mut seeds = (1..).map(|k| number as u64 + 1_000_000 * k);
     let fits = |seed: &u64| generate_challenge(layout, Seed(*seed), obstacles).is_some();
     seeds.find(fits).map(|seed| scene(number, layout, seed, obstacles))
 }
 
 impl FixedScene {
-    /// Whether it is one of the eighteen.
+    /// Returns whether it is one of the eighteen.
     pub fn is_fixed(&self) -> bool {
         self.number < FIRST_DRAWN
     }
 
-    /// The scene with its truth.
+    /// Generates the scene with its truth.
     ///
     /// # Panics
     /// Never: a test generates all of them.

@@ -1,9 +1,9 @@
-//! Light on the floor, computed once per scene: it does not depend on the camera, and most pixels show floor.
+//! Light on the floor, computed once per scene, since it does not depend on the camera.
 
 use glamx::Vec3;
 use rayon::prelude::*;
 
-/// `N` numbers on a grid of floor points, interpolated in between.
+/// `N` values on a grid of floor points, with interpolation.
 #[derive(Debug, Clone)]
 pub(crate) struct FloorLight<const N: usize> {
     low: [f32; 2],
@@ -30,12 +30,12 @@ impl<const N: usize> FloorLight<N> {
         Self { low, cell_m, size, values }
     }
 
-    /// Its corners.
+    /// Returns the corners of the rectangle.
     pub(crate) fn rectangle(&self) -> ([f32; 2], [f32; 2]) {
         (self.low, [0, 1].map(|a| self.low[a] + (self.size[a] - 1) as f32 * self.cell_m))
     }
 
-    /// The numbers at a floor point, or `None` outside the rectangle.
+    /// Returns the values at a floor point, or `None` outside the rectangle.
     pub(crate) fn at(&self, p: Vec3) -> Option<[f32; N]> {
         let (u, v) = ((p.x - self.low[0]) / self.cell_m, (p.y - self.low[1]) / self.cell_m);
         if !(u >= 0.0 && v >= 0.0) {

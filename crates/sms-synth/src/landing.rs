@@ -1,4 +1,4 @@
-//! Structures on which a quadrotor lands, and which its wash or its weight could topple (paper, appendix on the quadrotor).
+//! Structures for a quadrotor to land on, which its wash or its weight could topple (paper, appendix on the quadrotor).
 
 use crate::assets::{Household, make_household};
 use crate::floor::draw_floor;
@@ -10,24 +10,24 @@ use glamx::DVec2;
 use serde::{Deserialize, Serialize};
 use sms_core::Seed;
 
-/// How much the sizes of a drawn structure differ from the usual ones.
+/// Relative variation of the sizes of a drawn structure.
 const SPREAD: f64 = 0.08;
 /// Load at the far end of the overhang that topples a structure, newtons. Drawn structures are built to about a quarter of the
 /// weight of the paper's quadrotor (1.182 kg), fixed ones to [`LandingStructure::fixed_end_load_n`].
 const END_LOADS_N: [f64; 2] = [2.0, 3.5];
 /// Ballast ends this far from the platform's end, metres.
 const BALLAST_INSET_M: f64 = 0.02;
-/// Starts of flights: their number, the radius of their circle, and how far they are above the platform, metres.
+/// Starts of flights: their number and the radius of their circle, metres.
 const STARTS: usize = 10;
 const START_RADIUS_M: f64 = 2.0;
-/// Flights go this far above the platform (issue "landing": "in the plane 0.35 m above the platform").
+/// Height of flights above the platform, metres (issue "landing": "in the plane 0.35 m above the platform").
 const FLIGHT_HEIGHT_M: f64 = 0.35;
-/// Corners this far below the highest are of the same top: scanned models are not level to the micrometre.
+/// Height tolerance of the corners of a level top, metres: scanned models are not exactly level.
 const LEVEL_M: f64 = 1e-4;
-/// The floor reaches farther than in other scenes: flights start above it.
+/// The floor is larger than in other scenes, because flights start above it.
 const FLOOR_HALF_SIZE_M: f64 = 2.5;
 
-/// What a quadrotor lands on.
+/// Kinds of landing structures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LandingStructure {
@@ -55,7 +55,7 @@ impl LandingStructure {
         }
     }
 
-    /// What stands on the floor, what is landed on, and the ballast.
+    /// Returns the base, the platform and the ballast.
     fn things(self) -> (Household, Household, Option<Household>) {
         match self {
             Self::BoxOnLadder => (Household::StepLadder, Household::FlatBox, None),
@@ -65,8 +65,8 @@ impl LandingStructure {
         }
     }
 
-    /// Load at the end of the overhang that topples the fixed structure, newtons: such that a quadrotor that flies straight over
-    /// the overhang at 0.5 m/s topples it. Short overhangs are passed in less time, and need less.
+    /// Returns the load at the end of the overhang that topples the fixed structure, newtons. A quadrotor that flies straight over
+    /// the overhang at 0.5 m/s topples it. Short overhangs need less, because they are passed in less time.
     pub fn fixed_end_load_n(self) -> f64 {
         match self {
             Self::BoxOnLadder => 1.75,
@@ -75,8 +75,8 @@ impl LandingStructure {
         }
     }
 
-    /// The fixed scene of the benchmark: usual sizes, and [`LandingStructure::fixed_end_load_n`] at the end of the overhang
-    /// topple it. Frozen: a test holds the hash of all four.
+    /// Returns the fixed scene of the benchmark: usual sizes, toppled by [`LandingStructure::fixed_end_load_n`] at the end of
+    /// the overhang. Frozen: a test holds the hash of all four.
     pub fn fixed(self) -> TruthScene {
         self.fixed_of(&mut household)
     }
@@ -89,14 +89,13 @@ impl LandingStructure {
     }
 }
 
-/// A structure whose sizes, colours, materials, turns and overhang follow from the seed; its base stands at the world's
-/// origin. It is slid over its base as far as lets 2 to 3.5 N at the end of the overhang topple it. Frozen: the same seed gives
-/// the same scene.
+/// Generates a structure with sizes, colours, materials, turns and overhang from the seed; its base stands at the world's
+/// origin. The overhang is such that 2 to 3.5 N at its end topple the structure. Frozen: the same seed gives the same scene.
 pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
     build(structure, seed, SPREAD, END_LOADS_N, &mut household)
 }
 
-/// The structure of a landing scene's number: 1 to 4 are the fixed ones, others are of each structure in turn.
+/// Returns the structure of a landing scene's number: 1 to 4 are the fixed ones, others use each structure in turn.
 pub fn landing_structure(number: u64) -> LandingStructure {
     let all = LandingStructure::ALL;
     fixed_structure(number).unwrap_or(all[(number % all.len() as u64) as usize])
@@ -106,12 +105,12 @@ fn fixed_structure(number: u64) -> Option<LandingStructure> {
     (number as usize).checked_sub(1).and_then(|i| LandingStructure::ALL.get(i)).copied()
 }
 
-/// The landing scene of a number: 1 to 4 are the fixed ones, others are drawn from it as their seed.
+/// Returns the landing scene of a number: 1 to 4 are the fixed ones, others are drawn with the number as their seed.
 pub fn landing_scene(number: u64) -> TruthScene {
     landing_scene_of(number, &mut household)
 }
 
-/// As [`landing_scene`], of things made otherwise.
+/// As [`landing_scene`], with another source of objects.
 pub(crate) fn landing_scene_of(number: u64, make: &mut Make<'_>) -> TruthScene {
     match fixed_structure(number) {
         Some(fixed) => fixed.fixed_of(make),
@@ -119,11 +118,11 @@ pub(crate) fn landing_scene_of(number: u64, make: &mut Make<'_>) -> TruthScene {
     }
 }
 
-/// Makes a thing that stands at the origin with its longer side turned to a yaw from x (radians); by the share that its sizes may
-/// differ from the usual ones, and its own seed.
+/// Makes an object that stands at the origin. Arguments: its kind, the relative variation of its sizes, the yaw of its longer
+/// side from x (radians), and its seed.
 pub(crate) type Make<'a> = dyn FnMut(Household, f64, f64, Seed) -> TruthObject + 'a;
 
-/// A thing made in code.
+/// Makes an object of the catalogue.
 pub(crate) fn household(kind: Household, spread: f64, yaw: f64, seed: Seed) -> TruthObject {
     make_household(kind, spread, DVec2::ZERO, yaw, &mut seed.rng())
 }
@@ -166,7 +165,7 @@ fn build(
         slid.landing = Some(landing_truth(&slid, overhang, half_length));
         slid
     };
-    // The farther out, the smaller the load that topples it. Far in nothing does.
+    // The toppling load decreases with the overhang.
     let (mut near, mut far) = (-0.5 * half_length, half_length);
     for _ in 0..40 {
         let middle = 0.5 * (near + far);
@@ -190,7 +189,7 @@ fn build(
     scene
 }
 
-/// Of a base, a platform and perhaps ballast, in this order; without starts.
+/// Computes the truth of a base, a platform and perhaps ballast, in this order; without starts.
 fn landing_truth(scene: &TruthScene, overhang: DVec2, half_length: f64) -> LandingTruth {
     let [base, platform, ballast @ ..] = &scene.objects[..] else {
         unreachable!("a landing structure has a base and a platform");

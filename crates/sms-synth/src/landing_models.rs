@@ -1,4 +1,4 @@
-//! Landing structures with scanned models in the place of things made in code.
+//! Landing structures with scanned models in place of generated objects.
 
 use crate::assets::Household;
 use crate::landing::{household, landing_scene_of};
@@ -11,8 +11,8 @@ use sms_core::{InputError, Seed};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
 
-/// What a model stands in for, by a word in its name; what it is made of, and, where its surface is closed around air, how
-/// thick its walls are, metres: as thick as those of the thing that it replaces.
+/// The generated object that a model replaces, a word in the model's name, its material class, and, if its surface encloses
+/// air, its wall thickness in metres: that of the replaced object.
 const IN_PLACE_OF: [(Household, &str, &str, Option<f64>); 4] = [
     (Household::FlatBox, "cardboard_box", "cardboard", Some(0.0065)),
     (Household::LiddedTote, "tote", "plastic", Some(0.0025)),
@@ -20,18 +20,18 @@ const IN_PLACE_OF: [(Household, &str, &str, Option<f64>); 4] = [
     (Household::CounterStool, "table", "wood", None),
 ];
 
-/// Less at the end of the overhang, newtons, is no load that a structure was slid out for.
+/// Smallest toppling load at the end of the overhang that counts as a standing structure, newtons.
 const LEAST_LOAD_N: f64 = 1.0;
-/// A side that exceeds the other by this factor is the longer one.
+/// A side longer than the other by this factor is the longer one.
 const LONGER: f64 = 1.01;
 
-/// As [`crate::landing_scene`], with scanned models in the place of the flat box (a model whose name contains
-/// `cardboard_box`), the tote (`tote`), the recycling bin (`bin`) and the stool of counter height (`table`), each as far as there
-/// is such a model (whole words of names count); of several the first by name. Models keep their size; how far what stands on top is slid out follows from
-/// the same loads. Layout, ladder, other stool, board and ballast are those of the scene made in code.
+/// As [`crate::landing_scene`], with scanned models in place of the flat box (a model with `cardboard_box` in its name), the tote
+/// (`tote`), the recycling bin (`bin`) and the stool of counter height (`table`), if there is such a model; of several the first
+/// by name. Only whole words of names count. Models keep their size; overhangs follow from the same loads. Layout, ladder,
+/// other stool, board and ballast are those of the generated scene.
 ///
 /// # Errors
-/// [`InputError`] naming the models where the structure would not stand: what has neither a level foot nor a rim.
+/// [`InputError`] naming the models if the structure does not stand, because a model has neither a level foot nor a rim.
 pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelScene, InputError> {
     let (mut skins, mut used): (BTreeMap<String, Skin>, Vec<&str>) = Default::default();
     let mut scene = landing_scene_of(number, &mut |kind, spread, yaw, seed| {
@@ -51,8 +51,8 @@ pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelSc
     if !used.is_empty() {
         let end_w = scene.landing.as_ref().map_or(DVec2::ZERO, |l| l.end_w.into());
         if scene.tipping_load_n(end_w).is_none_or(|load| load < LEAST_LOAD_N) {
-            let what = format!("a structure of {} does not stand by itself", used.join(" and "));
-            let cure = "models need a level foot, and a level top or rim; leave this one out of the folder";
+            let what = format!("a structure with {} does not stand", used.join(" and "));
+            let cure = "use models with a level foot and a level top or rim; remove this one from the folder";
             return Err(InputError::new(what, "--meshes", cure));
         }
         scene.name += ", with scanned models";
@@ -61,7 +61,7 @@ pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelSc
     Ok(ModelScene { scene, skins })
 }
 
-/// A model at the origin, its longer side turned to a yaw.
+/// Places a model at the origin with its longer side at a yaw.
 fn stand(
     named: &NamedModel,
     class: &str,
@@ -78,11 +78,11 @@ fn stand(
     made_of(&named.name, &model, turn, &Substance { class, fill }, |_| wall_m, &mut rng)
 }
 
-/// The model with its holes closed, each by a fan of triangles about its middle: a column that is open where it meets a table's top
-/// encloses nothing, and would be taken for a sheet. Where more than two faces meet in an edge, holes stay.
+/// Closes the model's holes by fans of triangles, so that open columns enclose a volume. Holes at edges with more than two
+/// faces stay.
 fn closed(model: &Model) -> Model {
     let mut closed = model.clone();
-    // Half edges without their opposites, by where they start.
+    // Half edges without their opposites, by their start.
     let mut next: BTreeMap<u32, u32> = BTreeMap::new();
     let half_edges = || model.mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
     let there: BTreeSet<(u32, u32)> = half_edges().collect();
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longer_side_overhangs_and_what_cannot_stand_is_refused() {
+    fn the_longer_side_overhangs_and_a_ball_is_refused() {
         let long_in_y = boxed("a_cardboard_box", DVec3::new(0.2, 0.3, 0.1));
         let made = landing_scene_among(1, &[long_in_y]).unwrap().scene;
         let landing = made.landing.as_ref().unwrap();
@@ -173,19 +173,18 @@ mod tests {
         let (low, high) =
             landing.outline_w.iter().map(along).fold((9.0f64, -9.0f64), |(l, h), x| (l.min(x), h.max(x)));
         assert!((high - low - 0.6).abs() < 1e-9, "{}", high - low);
-        // A ball stands on nothing. A cabinet is no bin.
+        // A ball has no level foot. The word "cabinet" contains "bin", but is not the word "bin".
         let mesh = Mesh::icosphere(0.2, 3);
         let ball =
             NamedModel { name: "cardboard_box".into(), model: Model { mesh, texture: None, color: [9; 3] } };
-        let refused = landing_scene_among(1, &[ball]).unwrap_err().to_string();
-        assert!(refused.contains("cardboard_box") && refused.contains("does not stand"), "{refused}");
+        assert_eq!(landing_scene_among(1, &[ball]).unwrap_err().path, "--meshes");
         let cabinet = boxed("a_cabinet", DVec3::splat(0.2));
         assert_eq!(landing_scene_among(3, &[cabinet]).unwrap().scene, landing_scene(3));
     }
 
-    /// A box described by its mesh is supported, and topples, as one described by its convex pieces.
+    /// Support and toppling load are the same for a box given by its mesh and by its convex pieces.
     #[test]
-    fn what_has_no_pieces_is_supported_by_its_faces() {
+    fn a_mesh_without_pieces_is_supported_by_its_faces() {
         let model = boxed("a_cardboard_box", DVec3::new(0.3, 0.2, 0.055));
         let made = landing_scene_among(1, std::slice::from_ref(&model)).unwrap().scene;
         let mut pieces = made.clone();
@@ -204,8 +203,9 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "needs the meshes of SMS_TEST_DATA"]
     fn structures_of_the_scanned_models_of_the_test_data_stand_and_topple_at_the_load_asked_for() {
-        let Some(models) = test_models() else { return };
+        let models = test_models();
         for (number, scanned) in
             [(1, "gz_cardboard_box"), (2, "gz_grey_tote"), (3, "aws_waste_bin"), (4, "aws_low_table")]
         {
@@ -213,7 +213,6 @@ mod tests {
             let landing = scene.landing.as_ref().unwrap();
             let object = scene.object(scanned).unwrap();
             let at = scene.objects.iter().position(|o| o.name == scanned).unwrap();
-            println!("{}: {} of {:.2} kg, {:?}", scene.name, scanned, object.mass.mass(), landing.supports);
             let pictures = models.iter().filter(|m| m.name == scanned && m.model.texture.is_some()).count();
             assert!(skins.iter().flatten().count() == pictures && skins[at].is_some() == (pictures == 1));
             for (i, s) in landing.supports.iter().enumerate() {

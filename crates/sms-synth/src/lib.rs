@@ -2,13 +2,13 @@
 //!
 //! - [`generate_billiards`]: a seeded scene of two pool balls, a goal and household obstacles, each with its exact
 //!   surface, convex pieces, true material and mass properties.
-//! - [`generate_stacked`]: things that stand on each other or touch, for masks.
+//! - [`generate_stacked`]: objects that stand on each other or touch, for masks.
 //! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
-//!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] films them. [`landing_scene_among`] builds them of scanned models.
-//! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] makes
-//!   the depth as imperfect as that of a real stereo camera.
-//! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned model with its picture, standing on a floor, and cameras
-//!   around it; [`record_views`] scans it. [`generate_billiards_among`] stands such models among a billiards scene's obstacles.
+//!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] records them. [`landing_scene_among`] builds them with scanned models.
+//! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] simulates
+//!   the errors of a real stereo camera.
+//! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned, textured model on a floor, and cameras around it;
+//!   [`record_views`] records it. [`generate_billiards_among`] places such models among a billiards scene's obstacles.
 //! - [`write_recording`]: the scan on disk, in nerfstudio's layout, with the truth beside it in `truth/`. The planner's
 //!   stages read the recording only; `execute`, `evaluate` and benchmarks call [`read_truth`].
 //!
@@ -41,6 +41,7 @@ mod materials;
 mod model;
 mod path;
 mod random;
+mod ray_scene;
 mod recording;
 mod render;
 mod scanned;
@@ -49,7 +50,6 @@ mod shading;
 mod shapes;
 mod skin;
 mod stacked;
-mod stage;
 mod texture;
 mod tipping;
 

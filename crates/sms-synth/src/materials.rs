@@ -23,15 +23,15 @@ struct ClassRanges {
 }
 
 static TABLE: LazyLock<BTreeMap<String, ClassRanges>> = LazyLock::new(|| {
-    // The file is compiled in and a test reads it, so that this cannot fail for a user.
+    // The file is compiled in and tested, so this cannot fail for a user.
     toml::from_str(include_str!("true_materials.toml")).expect("the built-in material table is valid")
 });
 
-/// Draws the true material of one object. `Material::density` is the substance's; see
-/// [`with_effective_density`] for hollow bodies.
+/// Draws the true material of one object. `Material::density` is that of the substance; see [`with_effective_density`] for
+/// hollow bodies.
 ///
 /// # Panics
-/// If `class` is not a key of the built-in table: a mistake in this crate, not in a user's input.
+/// If `class` is not a key of the built-in table, which is a bug of this crate.
 pub(crate) fn draw_material(class: &str, rng: &mut StageRng) -> Material {
     draw_from(TABLE.get(class).unwrap_or_else(|| panic!("no true material class `{class}`")), rng)
 }
@@ -50,14 +50,13 @@ fn draw_from(ranges: &ClassRanges, rng: &mut StageRng) -> Material {
     }
 }
 
-/// The same material with the density over the closed outer volume, kg/m³.
+/// Replaces the density by that over the closed outer volume, kg/m³.
 pub(crate) fn with_effective_density(material: Material, density: f64) -> Material {
     Material { density: truth(density), ..material }
 }
 
-/// The same scene with every object's and the floor's material drawn once more from the ranges of its class, masses with
-/// them: another world that a good guess of the classes cannot tell from this one. What is of no class of the table keeps
-/// its material.
+/// Draws the materials and masses of all objects and the floor again from the ranges of their classes: another world that
+/// correct classes do not distinguish from this one. Objects without a class of the table keep their material.
 pub fn redraw_materials(truth: &TruthScene, seed: Seed) -> TruthScene {
     let seed = seed.derive("redrawn materials");
     let class = |name: &str| TABLE.values().find(|r| r.name == name);

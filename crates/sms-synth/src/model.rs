@@ -15,28 +15,28 @@ use sms_core::{
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A model as its files have it: metres, z up.
+/// A scanned model: metres, z up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// The surface, equal vertices joined and triangles without extent left out.
+    /// The surface with equal vertices merged and degenerate triangles removed.
     pub mesh: Mesh,
-    /// The picture on it, where the material names one.
+    /// Its image texture, if the material names one.
     pub texture: Option<MeshTexture>,
     /// The material's diffuse colour, sRGB.
     pub color: [u8; 3],
 }
 
-/// Reads a Wavefront OBJ with one material: positions, texture coordinates, polygons (fanned), and of the material library
-/// the diffuse colour and picture (JPEG or PNG).
+/// Reads a Wavefront OBJ with one material: positions, texture coordinates, polygons (fanned), and the material library's
+/// diffuse colour and image (JPEG or PNG).
 ///
 /// # Errors
-/// [`CoreError::Read`] when a file cannot be read, [`CoreError::Input`] naming the line that is wrong.
+/// [`CoreError::Read`] when a file cannot be read, [`CoreError::Input`] naming the invalid line.
 pub fn read_model(path: &Path) -> Result<Model, CoreError> {
     let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
     let mut obj = Obj::default();
     for (number, line) in text.lines().enumerate() {
         obj.line(line).ok_or_else(|| {
-            let what = format!("line {} of this OBJ is wrong", number + 1);
+            let what = format!("line {} of this OBJ is invalid", number + 1);
             InputError::new(what, path, "export the mesh again, as triangles or convex polygons")
         })?;
     }
@@ -44,7 +44,7 @@ pub fn read_model(path: &Path) -> Result<Model, CoreError> {
         return Err(InputError::new("this OBJ has no faces", path, "export the mesh again").into());
     }
     let folder = path.parent().unwrap_or(Path::new("."));
-    let mut look = Look { color: [204; 3], image: None };
+    let mut look = ObjMaterial { color: [204; 3], image: None };
     if let Some(library) = &obj.library {
         look = read_library(&folder.join(library))?;
     }
@@ -60,10 +60,10 @@ pub fn read_model(path: &Path) -> Result<Model, CoreError> {
 #[derive(Default)]
 struct Obj {
     mesh: Mesh,
-    /// Not a number where a corner has no texture coordinates.
+    /// NaN for corners without texture coordinates.
     corner_uv: Vec<[[f32; 2]; 3]>,
     library: Option<String>,
-    /// The joined vertex of each vertex of the file.
+    /// The merged vertex of each vertex of the file.
     joined: Vec<u32>,
     index_of: BTreeMap<[u64; 3], u32>,
     uv: Vec<[f32; 2]>,
@@ -109,7 +109,7 @@ impl Obj {
         Some(())
     }
 
-    /// `7`, `7/3`, `7/3/1` or `7//1`, counted from 1, or from the end where negative.
+    /// Parses `7`, `7/3`, `7/3/1` or `7//1`, counted from 1, or from the end if negative.
     fn corner(&self, word: &str) -> Option<(u32, [f32; 2])> {
         let resolve = |text: &str, count: usize| {
             let index: i64 = text.parse().ok()?;
@@ -126,14 +126,14 @@ impl Obj {
     }
 }
 
-struct Look {
+struct ObjMaterial {
     color: [u8; 3],
     image: Option<ColorImage>,
 }
 
-fn read_library(path: &Path) -> Result<Look, CoreError> {
+fn read_library(path: &Path) -> Result<ObjMaterial, CoreError> {
     let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
-    let mut look = Look { color: [204; 3], image: None };
+    let mut look = ObjMaterial { color: [204; 3], image: None };
     for line in text.lines() {
         let line = line.trim();
         if let Some(rest) = line.strip_prefix("Kd ") {
@@ -149,29 +149,29 @@ fn read_library(path: &Path) -> Result<Look, CoreError> {
 }
 
 fn read_picture(path: &Path) -> Result<ColorImage, CoreError> {
-    let damaged = |e: String| InputError::new(e, path, "store the picture as JPEG or PNG again");
+    let damaged = |e: String| InputError::new(e, path, "save the image as JPEG or PNG again");
     let reader = ImageReader::open(path).map_err(CoreError::read(path))?;
     let reader = reader.with_guessed_format().map_err(CoreError::read(path))?;
-    let image = reader.decode().map_err(|e| damaged(format!("cannot decode this picture: {e}")))?.to_rgb8();
+    let image = reader.decode().map_err(|e| damaged(format!("this image cannot be decoded: {e}")))?.to_rgb8();
     let (width, height) = (image.width() as usize, image.height() as usize);
     let data = image.into_raw().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
     Ok(ColorImage::from_vec(width, height, data))
 }
 
-/// A scene with one model, and the pictures of its objects (parallel to `scene.objects`).
+/// A scene with the image textures of its objects (parallel to `scene.objects`).
 #[derive(Debug, Clone)]
 pub struct ModelScene {
-    /// The scene; the model is its only object.
+    /// The scene.
     pub scene: TruthScene,
     /// For [`crate::Renderer::with_skins`].
     pub skins: Vec<Option<Skin>>,
 }
 
-/// Stands a model on a floor: resting as its file has it, its lowest point at z = 0, its middle above the origin, turned
-/// about z by an angle that follows from the seed (nothing in the world shall be aligned with the axes by chance).
+/// Places a model on a floor in its file's orientation, its lowest point at z = 0, its middle above the origin, turned about z
+/// by an angle from the seed (so that no edge is aligned with the axes by chance).
 ///
-/// Of what it is made nobody knows: its material is called `unknown`, and values are those of wood. Its mass properties
-/// are those of the volume that it encloses; of a box around it where it encloses none.
+/// Its material is unknown: it is called `unknown` and has the values of wood. Its mass properties are those of the enclosed
+/// volume, or of a box around it if it encloses none.
 pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
     let seed = seed.derive("model scene v1").derive(name);
     let mut rng = seed.derive("object").rng();
@@ -185,8 +185,8 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
     ModelScene { scene, skins: vec![skin] }
 }
 
-/// A model standing on the floor as its file has it, turned, its middle above the origin; with the picture on it. Its mass is
-/// that of the volume that it encloses (of a box around it where it encloses none) at this effective density, kg/m³.
+/// Places a model on the floor, turned, its middle above the origin, with its image texture. Its mass is that of the enclosed
+/// volume (of a box around it if it encloses none) at this effective density, kg/m³.
 pub(crate) fn standing(
     name: &str,
     model: &Model,
@@ -197,7 +197,7 @@ pub(crate) fn standing(
 ) -> (TruthObject, Option<Skin>) {
     let turned = model.mesh.transformed(&DPose3::from_parts(DVec3::ZERO, turn));
     let bounds = turned.aabb().unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
-    // W is the model's frame turned, and moved by this.
+    // Translation from the turned model's frame to W.
     let lift = -bounds.center().with_z(bounds.min.z);
     let mass = mass_of(&turned, &bounds, density);
     let com = mass.com();
@@ -239,17 +239,17 @@ fn mass_of(mesh: &Mesh, bounds: &Aabb, density: f64) -> MassProperties {
         .expect("a box of positive size has mass")
 }
 
-/// Rings of the orbit: elevation in degrees, and the share of the frames. The highest looks into hollows.
+/// Rings of the orbit: elevation in degrees, and the share of the frames. The highest ring shows cavities.
 const RINGS: [(f64, f64); 3] = [(15.0, 0.40), (40.0, 0.33), (68.0, 0.27)];
-/// Distance of the cameras from the middle of the object, in radii of the sphere around it: it fills most of the height of
-/// an image with the default field of view.
+/// Distance of the cameras from the middle of the object, in radii of the sphere around it. The object fills most of the
+/// height of an image with the default field of view.
 const ORBIT_RADII: f64 = 2.8;
-/// No camera is nearer to the middle than this, metres: below it, the near side of a small object would be nearer than a
-/// depth camera measures.
+/// Minimum distance of the cameras from the middle, metres: nearer, the near side of a small object would be below the depth
+/// camera's range.
 const NEAREST_M: f64 = 0.25;
 
-/// Camera poses `X_WC` (OpenCV axes) on three rings around the box of an object, all aimed at its middle. Distances grow
-/// with the object, so that every object is seen at about the same size; the camera's errors are those of that distance.
+/// Returns camera poses `X_WC` (OpenCV axes) on three rings around the box of an object, all aimed at its middle. Distances
+/// grow with the object, so that every object has about the same size in the images.
 pub fn orbit_poses(bounds: &Aabb, frames: usize) -> Vec<DPose3> {
     let center = bounds.center();
     let distance = (ORBIT_RADII * 0.5 * bounds.extents().length()).max(NEAREST_M);
@@ -266,7 +266,7 @@ pub fn orbit_poses(bounds: &Aabb, frames: usize) -> Vec<DPose3> {
             let ring = ends.iter().position(|&end| i < end).unwrap_or(RINGS.len() - 1);
             let start = if ring == 0 { 0 } else { ends[ring - 1] };
             let count = (ends[ring] - start).max(1) as f64;
-            // Rings are turned against each other, so that they do not repeat each other's directions.
+            // Rings are turned against each other, so that directions do not repeat.
             let azimuth = std::f64::consts::TAU * ((i - start) as f64 + ring as f64 / 3.0) / count;
             let (up, flat) = RINGS[ring].0.to_radians().sin_cos();
             let eye = center + distance * DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), up);
@@ -287,8 +287,8 @@ mod tests {
     #[test]
     fn an_obj_with_a_picture_is_joined_and_rendered_with_it() {
         let dir = tempfile::tempdir().unwrap();
-        // A cube of 0.1 m, every face with corners of its own; all faces show the whole picture but the top, which shows
-        // its upper left quarter only.
+        // A cube of 0.1 m with separate corners for every face. The top shows the upper left quarter of the image, the other
+        // faces the whole image.
         let mut text = String::from("mtllib cube.mtl\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n");
         text += "vt 0 0.5\nvt 0.5 0.5\nvt 0.5 1\nvt 0 1\n";
         let cube = Mesh::cuboid(DVec3::splat(0.05));

@@ -1,4 +1,4 @@
-//! Where the camera goes.
+//! Camera paths.
 
 use crate::scene::TruthScene;
 use glamx::{DPose3, DVec3};
@@ -12,22 +12,20 @@ use sms_core::{Camera, Intrinsics};
 ///
 /// We read it as a closed D: the plane stands at the robot and faces the workspace; the camera starts in its middle,
 /// goes sideways to the sphere, around the far side of the workspace on the sphere, and back along the plane. With the
-/// paper's own words this is the reading that sees every object from all sides ("complete coverage of the scene
-/// objects"). The camera moves evenly by arc length; `frames − 1` steps make all rounds, so that rounds do not repeat
-/// each other's viewpoints.
+/// paper's words, this reading shows every object from all sides ("complete coverage of the scene objects"). The camera
+/// moves evenly by arc length; `frames − 1` steps make all rounds, so that viewpoints do not repeat.
 ///
-/// The paper lets the height rise from 0.1 to 0.25 m ([`CameraPath::paper`]). From there most tops and the inside of
-/// every vessel stay unseen, the floor between objects is seen at grazing angles at which a depth camera measures badly,
-/// and objects in front hide those behind. The default therefore rises from 0.25 to 0.6 m: the same path, three rounds,
-/// on the same plane and sphere.
+/// In the paper the height rises from 0.1 to 0.25 m ([`CameraPath::paper`]). There most tops and the inside of every vessel
+/// stay hidden, the floor between objects is viewed at grazing angles with poor depth, and objects occlude each other. The
+/// default therefore rises from 0.25 to 0.6 m on the same path, plane and sphere.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraPath {
-    /// Rounds.
+    /// Number of rounds.
     pub rounds: usize,
     /// Radius of the sphere around the manipulator's base, metres.
     pub sphere_radius_m: f64,
-    /// x of the vertical plane in the world, metres. A little behind the robot's base, so that the first view holds
+    /// x of the vertical plane in the world, metres. Slightly behind the robot's base, so that the first view shows
     /// the whole workspace.
     pub plane_x_m: f64,
     /// Height above the floor at the first and at the last frame, metres.
@@ -41,12 +39,12 @@ impl Default for CameraPath {
 }
 
 impl CameraPath {
-    /// The paper's heights.
+    /// Returns the path with the paper's heights.
     pub fn paper() -> Self {
         Self { height_range_m: [0.10, 0.25], ..Self::default() }
     }
 
-    /// Camera poses `X_WC` (OpenCV axes) for a scan of `frames` frames of the scene.
+    /// Returns the camera poses `X_WC` (OpenCV axes) of `frames` frames of the scene.
     pub fn poses(&self, scene: &TruthScene, frames: usize) -> Vec<DPose3> {
         let base = scene.robot_base_w;
         let target = scene.workspace_center_w;
@@ -64,9 +62,9 @@ impl CameraPath {
             .collect()
     }
 
-    /// The point at share `t` of a round, relative to the base.
+    /// Returns the point at share `t` of a round, relative to the base.
     fn point_on_round(&self, t: f64, height: f64) -> DVec3 {
-        // The circle in which the sphere is cut at this height.
+        // The circle of the sphere at this height.
         let circle = (self.sphere_radius_m.powi(2) - height.powi(2)).max(0.01).sqrt();
         let x = self.plane_x_m.clamp(-0.9 * circle, 0.9 * circle);
         let half_chord = (circle * circle - x * x).sqrt();
@@ -89,7 +87,7 @@ impl CameraPath {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HelicalPath {
-    /// Orbits.
+    /// Number of orbits.
     pub orbits: usize,
     /// Distance of the camera from the vertical line through the structure's centre, metres. The default keeps the longest
     /// overhang beyond a depth camera's nearest distance, and the whole structure in view.
@@ -105,8 +103,8 @@ impl Default for HelicalPath {
 }
 
 impl HelicalPath {
-    /// Camera poses `X_WC` (OpenCV axes) for a scan of `frames` frames (paper: 60) of the scene; they look at the centre of
-    /// its workspace, from the side of the world's −x first.
+    /// Returns the camera poses `X_WC` (OpenCV axes) of `frames` frames (paper: 60) of the scene. They look at the centre of its
+    /// workspace and begin on the side of the world's −x.
     pub fn poses(&self, scene: &TruthScene, frames: usize) -> Vec<DPose3> {
         let target = scene.workspace_center_w;
         // Only the pose is used.
@@ -124,7 +122,7 @@ impl HelicalPath {
     }
 }
 
-/// The default path around a billiards scene: `X_WC` of each frame. See [`CameraPath`] for its heights.
+/// Returns the default path around a billiards scene: `X_WC` of each frame. See [`CameraPath`] for its heights.
 pub fn paper_billiards_path(scene: &TruthScene, frames: usize) -> Vec<DPose3> {
     CameraPath::default().poses(scene, frames)
 }

@@ -1,4 +1,4 @@
-//! Writing a scan of a generated scene as a nerfstudio recording.
+//! Recordings of generated scenes in nerfstudio's layout.
 
 use crate::depth_camera::DepthCamera;
 use crate::path::CameraPath;
@@ -16,7 +16,7 @@ use sms_core::{
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// How a scene is recorded.
+/// Settings of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingSettings {
@@ -26,11 +26,10 @@ pub struct RecordingSettings {
     pub width: usize,
     /// Image height in pixels (paper: 800).
     pub height: usize,
-    /// Horizontal field of view in radians. The paper's camera (Orbbec Gemini 2) sees 91°; the default of 72° is what the
-    /// workspace needs, so that at the processor's scan resolution of 320 × 200 a ball is 12 instead of 9 pixels wide from
-    /// 1 m.
+    /// Horizontal field of view in radians. The paper's camera (Orbbec Gemini 2) has 91°. The default of 72° covers the
+    /// workspace, and a ball at 1 m is 12 instead of 9 pixels wide at the CPU's scan resolution of 320 × 200.
     pub fov_x: f64,
-    /// Where the camera goes.
+    /// Path of the camera.
     pub path: CameraPath,
     /// Errors of the depth camera.
     pub noise: DepthCamera,
@@ -42,8 +41,8 @@ pub struct RecordingSettings {
     pub pose_noise_rad: f64,
     /// Metres per unit of the 16-bit depth images.
     pub depth_unit_m: f64,
-    /// Whether label images of the truth are offered to the planner: referenced by `transforms.json` and listed in
-    /// `objects.json`, as a recording with known masks would.
+    /// Whether label images of the truth are part of the recording: referenced by `transforms.json` and listed in
+    /// `objects.json`.
     pub expose_masks: bool,
     /// Seed of all noise.
     pub seed: Seed,
@@ -69,25 +68,25 @@ impl Default for RecordingSettings {
 }
 
 impl RecordingSettings {
-    /// A small recording for `sms sample` and tests: 20 frames of 320 × 200.
+    /// Settings of a small recording for `sms sample` and tests: 20 frames of 320 × 200.
     pub fn small() -> Self {
         Self { frames: 20, width: 320, height: 200, ..Self::default() }
     }
 
-    /// For `sms demo --quick`: 24 frames of 640 × 400.
+    /// Settings of `sms demo --quick`: 24 frames of 640 × 400.
     pub fn quick() -> Self {
         Self { frames: 24, width: 640, height: 400, ..Self::default() }
     }
 
-    /// The camera's intrinsics.
+    /// Returns the camera's intrinsics.
     pub fn intrinsics(&self) -> Intrinsics {
         Intrinsics::from_fov(self.width, self.height, self.fov_x)
     }
 
     fn check(&self, dir: &Path) -> Result<(), InputError> {
-        let wrong = |what: &str, cure: &str| Err(InputError::new(what, dir, cure));
+        let wrong = |problem: &str, cure: &str| Err(InputError::new(problem, dir, cure));
         if self.frames == 0 {
-            return wrong("a recording of zero frames was asked for", "ask for at least 2 frames");
+            return wrong("a recording of zero frames was requested", "request at least 2 frames");
         }
         if self.width < 8 || self.height < 8 || self.width > 8192 || self.height > 8192 {
             return wrong("the image size is out of range", "use a width and a height of 8 to 8192 pixels");
@@ -109,19 +108,19 @@ impl RecordingSettings {
     }
 }
 
-/// What was written.
+/// Summary of a written recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordingSummary {
     /// Folder.
     pub dir: PathBuf,
     /// Frames in the recording.
     pub frames: usize,
-    /// Frames rendered now; the others were there already.
+    /// Frames rendered by this call; the others existed.
     pub rendered: usize,
 }
 
 #[derive(Serialize)]
-struct Transforms {
+struct TransformsFile {
     camera_model: &'static str,
     fl_x: f64,
     fl_y: f64,
@@ -138,11 +137,11 @@ struct Transforms {
     world_up: [f64; 3],
     world_is_aligned: bool,
     camera_convention: &'static str,
-    frames: Vec<TransformsFrame>,
+    frames: Vec<TransformsEntry>,
 }
 
 #[derive(Serialize)]
-struct TransformsFrame {
+struct TransformsEntry {
     file_path: String,
     depth_file_path: String,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -151,19 +150,19 @@ struct TransformsFrame {
 }
 
 #[derive(Serialize)]
-struct ObjectsFile {
-    objects: Vec<ObjectEntry>,
+struct MaskList {
+    objects: Vec<MaskEntry>,
     up_vector_world: [f64; 3],
 }
 
 #[derive(Serialize)]
-struct ObjectEntry {
+struct MaskEntry {
     name: String,
     description: String,
     mask_value: usize,
 }
 
-/// What a recording was made from; a folder holds frames of one only.
+/// Identity of a recording; a folder holds frames of one only.
 #[derive(Serialize, Deserialize, PartialEq)]
 struct RecordingKey {
     scene: String,
@@ -175,7 +174,7 @@ struct RecordingKey {
 /// `color/`, `depth/` (16-bit PNG), and `truth/` with `truth.json`, the true label images and their list. Only with
 /// `expose_masks` do `masks/` and `objects.json` exist outside `truth/`.
 ///
-/// Frames that are already there are kept, so an interrupted recording resumes; `transforms.json` is written last.
+/// Existing frames are kept, so that an interrupted recording resumes; `transforms.json` is written last.
 ///
 /// # Errors
 /// [`CoreError::Input`] when the settings are out of range or `dir` holds another recording, [`CoreError::Write`],
@@ -269,7 +268,7 @@ fn write_truth(scene: &TruthScene, dir: &Path) -> Result<(), CoreError> {
     })
 }
 
-/// Makes sure that the frames already in `dir`, if any, come from the same scene and settings.
+/// Checks that existing frames in `dir` come from the same scene and settings.
 fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Result<(), CoreError> {
     let key =
         RecordingKey { scene, settings: settings.clone(), program: env!("CARGO_PKG_VERSION").to_owned() };
@@ -291,7 +290,7 @@ fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Resu
     }
     if dir.join("transforms.json").exists() || dir.join("color").exists() {
         return Err(InputError::new(
-            "this folder holds a recording that was not generated here",
+            "this folder holds a recording that sms did not generate",
             dir,
             "choose another folder",
         )
@@ -304,7 +303,7 @@ fn frame_name(folder: &str, index: usize) -> String {
     format!("{folder}/{index:06}.png")
 }
 
-/// Renders and writes one frame unless it is there; says whether it did.
+/// Renders and writes one frame unless it exists; returns whether it did.
 fn write_frame(
     renderer: &Renderer,
     settings: &RecordingSettings,
@@ -316,7 +315,7 @@ fn write_frame(
     if settings.expose_masks {
         folders.push("masks");
     }
-    // Files are renamed into place whole, so that a file that exists is complete.
+    // Files are written atomically, so that existing ones are complete.
     if folders.iter().all(|f| dir.join(frame_name(f, index)).exists()) {
         return Ok(false);
     }
@@ -338,7 +337,7 @@ fn write_frame(
     Ok(true)
 }
 
-/// Depth in units of `unit_m`; what does not fit into 16 bits counts as not measured.
+/// Encodes depth in units of `unit_m`; values beyond 16 bits count as not measured.
 fn encode_depth(depth: &DepthImage, unit_m: f64) -> Image<u16> {
     depth.map(|&z| {
         let units = (f64::from(z) / unit_m).round();
@@ -346,26 +345,26 @@ fn encode_depth(depth: &DepthImage, unit_m: f64) -> Image<u16> {
     })
 }
 
-fn objects_file(scene: &TruthScene) -> ObjectsFile {
-    let entry = |(i, o): (usize, &crate::TruthObject)| ObjectEntry {
+fn objects_file(scene: &TruthScene) -> MaskList {
+    let entry = |(i, o): (usize, &crate::TruthObject)| MaskEntry {
         name: o.name.clone(),
         description: o.class.clone(),
         mask_value: i + 1,
     };
-    ObjectsFile {
+    MaskList {
         objects: scene.objects.iter().enumerate().map(entry).collect(),
         up_vector_world: [0.0, 0.0, 1.0],
     }
 }
 
-fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Transforms {
+fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> TransformsFile {
     let k = settings.intrinsics();
     let frames = poses
         .iter()
         .enumerate()
         .map(|(index, x_wc)| {
             let mut rng = settings.seed.derive_index("pose", index as u64).rng();
-            TransformsFrame {
+            TransformsEntry {
                 file_path: frame_name("color", index),
                 depth_file_path: frame_name("depth", index),
                 mask_path: settings.expose_masks.then(|| frame_name("masks", index)),
@@ -373,7 +372,7 @@ fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Transforms {
             }
         })
         .collect();
-    Transforms {
+    TransformsFile {
         camera_model: "OPENCV",
         fl_x: k.fx,
         fl_y: k.fy,
@@ -394,7 +393,7 @@ fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Transforms {
     }
 }
 
-/// The pose as a tracking system would report it.
+/// Adds the noise of a tracking system to a pose.
 fn disturbed(x_wc: &DPose3, settings: &RecordingSettings, rng: &mut StageRng) -> DPose3 {
     // The sum of twelve uniform numbers is near normal with unit variance.
     let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
@@ -403,7 +402,7 @@ fn disturbed(x_wc: &DPose3, settings: &RecordingSettings, rng: &mut StageRng) ->
     DPose3::from_parts(x_wc.translation + shift, x_wc.rotation * DQuat::from_scaled_axis(turn))
 }
 
-/// Camera-to-world with OpenGL axes, rows of a 4 × 4 matrix.
+/// Returns the rows of the 4 × 4 camera-to-world matrix with OpenGL axes.
 fn opengl_matrix(x_wc: &DPose3) -> [[f64; 4]; 4] {
     let flip = DMat4::from_diagonal(glamx::DVec4::new(1.0, -1.0, -1.0, 1.0));
     let matrix = DMat4::from_rotation_translation(x_wc.rotation, x_wc.translation) * flip;

@@ -1,14 +1,14 @@
-//! The renderer: one ray a pixel for depth and labels, more at edges for colour. Colour is what lamps, surroundings and one
-//! mirrored bounce give to a microfacet surface; depth and labels know nothing of it.
+//! The renderer: one ray per pixel for depth and labels, more at edges for colour. Colour is that of a microfacet surface under
+//! lamps, ambient light and one mirrored bounce; depth and labels do not depend on it.
 
 use crate::ambient::{Ambient, MeanColors};
-use crate::brdf::Finish;
+use crate::brdf::Reflectance;
 use crate::depth_camera::{DepthCamera, DepthView, irwin_hall};
 use crate::floor_light::FloorLight;
+use crate::ray_scene::{RayHit, RayScene};
 use crate::scene::TruthScene;
 use crate::shading::{LAMPS, backdrop, tone_map};
 use crate::skin::Skin;
-use crate::stage::{Hit, Stage};
 use crate::texture::{hash, linear_from_srgb, srgb_channels};
 use glamx::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -40,7 +40,7 @@ impl Default for CameraModel {
 pub struct RenderedFrame {
     /// Colour with sensor noise.
     pub color: ColorImage,
-    /// True depth along the optical axis in metres, at pixel centres; 0 where nothing is hit.
+    /// True depth along the optical axis in metres, at pixel centres; 0 without a surface.
     pub depth: DepthImage,
     /// Depth as the depth camera measures it.
     pub depth_noisy: DepthImage,
@@ -57,16 +57,16 @@ pub fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> Rende
 #[derive(Debug)]
 pub struct Renderer<'a> {
     scene: &'a TruthScene,
-    /// Pictures of the objects that have one; may be shorter than the objects.
+    /// Image textures of the objects; may be shorter than the objects.
     skins: &'a [Option<Skin>],
-    stage: Stage,
-    /// Shares of the lamps that the floor sees.
+    stage: RayScene,
+    /// Visible shares of the lamps on the floor.
     floor_light: FloorLight<LAMPS>,
     ambient: Ambient,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Pixel {
+struct TracedPixel {
     color: Vec3,
     depth: f32,
     cos_incidence: f32,
@@ -75,11 +75,11 @@ struct Pixel {
     label: u16,
 }
 
-/// Spacing of the grid of shadows on the floor, metres: about the size of a pixel of a full-size frame.
+/// Spacing of the grid of shadows on the floor, metres: about one pixel of a full-size frame.
 const SHADOW_CELL_M: f32 = 0.0025;
-/// Surfaces rougher than this mirror only the general light around them.
+/// Surfaces rougher than this reflect the ambient light instead of traced rays.
 const ROUGHEST_MIRROR: f32 = 0.45;
-/// Mirrored rays off surfaces that are not nearly smooth: painted, and metal, of whose light they are most.
+/// Number of mirrored rays off rough surfaces: painted ones, and metals, where they contribute most of the light.
 const MIRROR_RAYS: usize = 4;
 const METAL_RAYS: usize = 14;
 
@@ -89,10 +89,9 @@ impl<'a> Renderer<'a> {
         Self::with_skins(scene, &[])
     }
 
-    /// Prepares a scene some of whose objects have pictures: `skins[i]` is that of `scene.objects[i]`, in place of the
-    /// object's texture.
+    /// Prepares a scene with image textures: `skins[i]` replaces the procedural texture of `scene.objects[i]`.
     pub fn with_skins(scene: &'a TruthScene, skins: &'a [Option<Skin>]) -> Self {
-        let stage = Stage::new(scene);
+        let stage = RayScene::new(scene);
         let (low, high) = shadowed_rectangle(&stage);
         let floor_light = FloorLight::compute(low, high, SHADOW_CELL_M, |p| lamp_shares(&stage, p));
         let mean = |t: &crate::Texture| linear_from_srgb(t.color).lerp(linear_from_srgb(t.accent), 0.25);
@@ -115,7 +114,7 @@ impl<'a> Renderer<'a> {
             rotation * Vec3::new(((u - k.cx) / k.fx) as f32, ((v - k.cy) / k.fy) as f32, 1.0)
         };
         let pixel_angle = 1.0 / (k.fx * k.fy).sqrt() as f32;
-        let mut pixels = vec![Pixel::default(); width * height];
+        let mut pixels = vec![TracedPixel::default(); width * height];
         pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, pixel) in row.iter_mut().enumerate() {
                 let d = direction(x as f64 + 0.5, y as f64 + 0.5);
@@ -147,7 +146,8 @@ impl<'a> Renderer<'a> {
                 });
             }
         });
-        let plane = |of: fn(&Pixel) -> f32| Image::from_vec(width, height, pixels.iter().map(of).collect());
+        let plane =
+            |of: fn(&TracedPixel) -> f32| Image::from_vec(width, height, pixels.iter().map(of).collect());
         let depth = plane(|p| p.depth);
         let (cos_incidence, echo) = (plane(|p| p.cos_incidence), plane(|p| p.echo));
         let label = Image::from_vec(width, height, pixels.iter().map(|p| p.label).collect());
@@ -158,14 +158,14 @@ impl<'a> Renderer<'a> {
 
     /// Traces one ray whose `direction` has length 1 along the optical axis, so that distances are depths. `sample` is the
     /// pixel and the number of the ray in it.
-    fn trace(&self, eye: Vec3, direction: Vec3, pixel_angle: f32, sample: [usize; 3]) -> Pixel {
+    fn trace(&self, eye: Vec3, direction: Vec3, pixel_angle: f32, sample: [usize; 3]) -> TracedPixel {
         let Some(hit) = self.stage.nearest(eye, direction) else {
-            return Pixel { color: backdrop(direction, 0.0), ..Pixel::default() };
+            return TracedPixel { color: backdrop(direction, 0.0), ..TracedPixel::default() };
         };
         let length = direction.length();
         let to_eye = -direction / length;
         let cos_incidence = hit.flat_normal.dot(to_eye).abs();
-        // A slanted pixel is long and narrow; its mean width decides what detail it can show.
+        // The footprint of a slanted pixel is long and narrow; its mean width limits the detail.
         let footprint = hit.t * pixel_angle / cos_incidence.max(0.03).sqrt();
         let surface = self.surface(&hit, to_eye, footprint);
         let jitter = hash01(sample.map(|v| v as i32));
@@ -173,7 +173,7 @@ impl<'a> Renderer<'a> {
         let ambient = self.ambient.on(&hit);
         let nv = surface.normal.dot(to_eye).clamp(0.0, 1.0);
         let mirrored = self.mirrored(&hit, &surface, to_eye, ambient, jitter);
-        Pixel {
+        TracedPixel {
             color: direct
                 + surface.finish.base_share(nv) * ambient
                 + surface.finish.lobe_share(nv) * mirrored,
@@ -185,14 +185,14 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Colour, roughness and shading normal (towards the viewer) where a ray hit.
-    fn surface(&self, hit: &Hit, to_eye: Vec3, footprint: f32) -> Surface {
+    /// Returns colour, roughness and shading normal (towards the viewer) at a hit.
+    fn surface(&self, hit: &RayHit, to_eye: Vec3, footprint: f32) -> ShadedSurface {
         let facing = |n: Vec3| if n.dot(to_eye) < 0.0 { -n } else { n };
         let Some(index) = hit.object else {
             let texture = &self.scene.floor.texture;
             let albedo = texture.albedo(hit.point, Vec3::Z, footprint);
-            let finish = Finish::new(albedo, texture.gloss, texture.metalness);
-            return Surface { finish, normal: Vec3::Z };
+            let finish = Reflectance::new(albedo, texture.gloss, texture.metalness);
+            return ShadedSurface { finish, normal: Vec3::Z };
         };
         let body = &self.stage.bodies[index];
         let texture = &self.scene.objects[index].texture;
@@ -207,11 +207,11 @@ impl<'a> Renderer<'a> {
         };
         let tilted = normal_a + (tilt - normal_a * tilt.dot(normal_a));
         let normal = facing(body.rotation_aw.transpose() * tilted.normalize_or(normal_a));
-        Surface { finish: Finish::new(albedo, texture.gloss, texture.metalness), normal }
+        ShadedSurface { finish: Reflectance::new(albedo, texture.gloss, texture.metalness), normal }
     }
 
-    /// Light of the lamps.
-    fn direct(&self, hit: &Hit, surface: &Surface, to_eye: Vec3, jitter: f32) -> Vec3 {
+    /// Returns the reflected light of the lamps.
+    fn direct(&self, hit: &RayHit, surface: &ShadedSurface, to_eye: Vec3, jitter: f32) -> Vec3 {
         let on_floor = hit.object.is_none().then(|| self.floor_light.at(hit.point).unwrap_or([1.0; LAMPS]));
         let mut sum = Vec3::ZERO;
         for (i, lamp) in self.stage.lamps.iter().enumerate() {
@@ -229,14 +229,21 @@ impl<'a> Renderer<'a> {
         sum
     }
 
-    /// Mean radiance of what a surface mirrors, lamps apart: they are in [`Self::direct`].
-    fn mirrored(&self, hit: &Hit, surface: &Surface, to_eye: Vec3, ambient: Vec3, jitter: f32) -> Vec3 {
+    /// Returns the mean mirrored radiance without the lamps, which are part of [`Self::direct`].
+    fn mirrored(
+        &self,
+        hit: &RayHit,
+        surface: &ShadedSurface,
+        to_eye: Vec3,
+        ambient: Vec3,
+        jitter: f32,
+    ) -> Vec3 {
         let (finish, normal) = (&surface.finish, surface.normal);
         let straight = normal * (2.0 * normal.dot(to_eye)) - to_eye;
         if finish.alpha > ROUGHEST_MIRROR {
             return ambient;
         }
-        // What a floor mirrors is mostly the room.
+        // A floor mostly reflects the room.
         if hit.object.is_none() && !self.stage.may_hit(hit.shadow_origin, straight, 2.0 * finish.alpha, None)
         {
             return backdrop(straight, finish.alpha);
@@ -250,13 +257,13 @@ impl<'a> Renderer<'a> {
         for i in 0..rays {
             let u = [(i as f32 + jitter) / rays as f32, (jitter * 7.31 + i as f32 * 0.618_034).fract()];
             let sampled = if rays == 1 { straight } else { finish.mirrored(normal, to_eye, u) };
-            // Below the surface itself nothing is mirrored but more of it.
+            // Directions below the surface hit the surface itself.
             sum += if sampled.dot(hit.flat_normal) * to_eye.dot(hit.flat_normal) <= 0.0 {
                 ambient
             } else if let Some(radiance) = self.radiance(hit.shadow_origin, sampled, finish.alpha) {
                 radiance
             } else if hit.object.is_none() {
-                // As where no body is near, so that no seam shows.
+                // The same as far from bodies, so that there is no seam.
                 backdrop(straight, finish.alpha)
             } else {
                 backdrop(sampled, finish.alpha)
@@ -265,7 +272,7 @@ impl<'a> Renderer<'a> {
         sum / rays as f32
     }
 
-    /// Light along a mirrored ray, `None` where it meets nothing; of what it meets the diffuse part only.
+    /// Returns the light along a mirrored ray, the diffuse part only; `None` without a hit.
     fn radiance(&self, origin: Vec3, direction: Vec3, blur: f32) -> Option<Vec3> {
         const FOOTPRINT_M: f32 = 0.004;
         let hit = self.stage.nearest(origin, direction)?;
@@ -275,7 +282,7 @@ impl<'a> Renderer<'a> {
         let mut light = self.ambient.on(&hit);
         for (i, lamp) in self.stage.lamps.iter().enumerate() {
             let (to_lamp, _, strength) = lamp.seen_from(hit.point);
-            // Shadows on mirrored objects are not traced: a share of the lamps stands for all degrees of them.
+            // Shadows on mirrored objects are not traced; a constant share replaces them.
             let share = on_floor.map_or(0.7, |shares| shares[i]);
             light += strength * (surface.normal.dot(to_lamp).max(0.0) * share);
         }
@@ -283,26 +290,26 @@ impl<'a> Renderer<'a> {
     }
 }
 
-struct Surface {
-    finish: Finish,
+struct ShadedSurface {
+    finish: Reflectance,
     /// Unit, towards the viewer.
     normal: Vec3,
 }
 
-/// Shares of the lamps that a floor point sees.
-fn lamp_shares(stage: &Stage, point: Vec3) -> [f32; LAMPS] {
+/// Returns the visible shares of the lamps at a floor point.
+fn lamp_shares(stage: &RayScene, point: Vec3) -> [f32; LAMPS] {
     let origin = point + Vec3::Z * 1e-4;
     let turn = hash01([(point.x * 4000.0) as i32, (point.y * 4000.0) as i32, 7]);
     stage.lamps.map(|lamp| stage.lamp_visibility(origin, &lamp, lamp.seen_from(point).0, turn))
 }
 
-/// The floor around the bodies as far as they shade it; beyond it lies in the open.
-fn shadowed_rectangle(stage: &Stage) -> ([f32; 2], [f32; 2]) {
+/// Returns the rectangle of the floor that bodies shade.
+fn shadowed_rectangle(stage: &RayScene) -> ([f32; 2], [f32; 2]) {
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
     for body in &stage.bodies {
         let c = body.center.truncate().to_array();
         let top = body.center.z + body.radius;
-        // Of the lowest lamp, 45° and less above the horizon, and of the room.
+        // Reach of shadows from the lowest lamp, 45° and less above the horizon, and from the room.
         let reach = body.radius + (1.2 * top).max(0.15);
         for axis in 0..2 {
             low[axis] = low[axis].min(c[axis] - reach);
@@ -312,13 +319,13 @@ fn shadowed_rectangle(stage: &Stage) -> ([f32; 2], [f32; 2]) {
     if stage.bodies.is_empty() { ([0.0; 2], [0.0; 2]) } else { (low, high) }
 }
 
-/// A number in [0, 1) for turning sample patterns, fixed per place.
+/// Returns a number in [0, 1) that is fixed per place, to turn sample patterns.
 fn hash01([x, y, z]: [i32; 3]) -> f32 {
     hash(x, y, z, 0x51ED_270B) as f32 / 4_294_967_296.0
 }
 
-/// Whether colour may change within the pixel: another object, a jump in depth or a crease next to it.
-fn on_edge(pixels: &[Pixel], width: usize, height: usize, x: usize, y: usize) -> bool {
+/// Returns whether colour may change within the pixel: another object, a jump in depth or a crease next to it.
+fn on_edge(pixels: &[TracedPixel], width: usize, height: usize, x: usize, y: usize) -> bool {
     let own = &pixels[y * width + x];
     let differs = |x: usize, y: usize| {
         let other = &pixels[y * width + x];

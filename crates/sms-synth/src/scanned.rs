@@ -13,14 +13,14 @@ use std::path::Path;
 /// A scanned model and the name of its folder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NamedModel {
-    /// Such as `ycb_025_mug`.
+    /// Name, such as `ycb_025_mug`.
     pub name: String,
-    /// Surface and picture.
+    /// Surface and image texture.
     pub model: Model,
 }
 
-/// Words in models' names, what such things are made of, and the share of the enclosed volume that is material. The first
-/// that fits counts.
+/// Words in models' names with the material class and the share of the enclosed volume that is material. The first match
+/// counts.
 const MADE_OF: [(&str, &str, f64); 12] = [
     ("can", "full_can", 1.0),
     ("wood", "wood", 1.0),
@@ -35,14 +35,14 @@ const MADE_OF: [(&str, &str, f64); 12] = [
     ("bottle", "plastic", 0.8),
     ("", "plastic", 0.5),
 ];
-/// Larger models do not stand among balls: radius of the footprint and height, metres.
+/// Size limits of models among balls: radius of the footprint and height, metres.
 const LARGEST_RADIUS_M: f64 = 0.11;
 const LARGEST_HEIGHT_M: f64 = 0.26;
 
-/// The models in a folder: `NAME/model.obj` with its picture, by name.
+/// Reads the models in a folder, `NAME/model.obj` with their images, ordered by name.
 ///
 /// # Errors
-/// [`CoreError::Read`] when there is no such folder or a file in it cannot be read, [`CoreError::Input`] of a damaged model.
+/// [`CoreError::Read`] when there is no such folder or a file in it cannot be read, [`CoreError::Input`] for a damaged model.
 pub fn read_models(dir: &Path) -> Result<Vec<NamedModel>, CoreError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(CoreError::read(dir))? {
@@ -61,9 +61,9 @@ pub fn read_models(dir: &Path) -> Result<Vec<NamedModel>, CoreError> {
     names.into_iter().map(read).collect()
 }
 
-/// The billiards scene of this seed with scanned models in place of every second obstacle, as far as the models are of
-/// household size and there is room; which ones stand where follows from the seed. Balls, goal, floor and the other obstacles are
-/// those of [`generate_billiards`]. Models keep their size; what they are made of is told by their names.
+/// Generates the billiards scene of this seed with scanned models in place of every second obstacle, if the models are of
+/// household size and there is room. The seed determines the models and their places. Balls, goal, floor and the other
+/// obstacles are those of [`generate_billiards`]. Models keep their size; their names determine their materials.
 pub fn generate_billiards_among(
     seed: Seed,
     settings: &BilliardsSettings,
@@ -110,7 +110,7 @@ fn is_of_household_size(mesh: &Mesh) -> bool {
     })
 }
 
-/// A model at the origin, turned, with a material drawn for it.
+/// Places a model at the origin, turned, and draws its material.
 fn make(named: &NamedModel, seed: Seed) -> (TruthObject, Option<Skin>) {
     let mut rng = seed.derive("asset").rng();
     let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
@@ -150,7 +150,7 @@ pub(crate) fn made_of(
     (object, skin)
 }
 
-/// Of each vertex the picture at one of its corners.
+/// Returns the texture's colour at one corner of each vertex.
 fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3]> {
     const FOOTPRINT_M: f32 = 0.004;
     let mut colors = vec![plain; mesh.vertices.len()];
@@ -167,16 +167,11 @@ fn vertex_colors(mesh: &Mesh, skin: Option<&Skin>, plain: [u8; 3]) -> Vec<[u8; 3
     colors
 }
 
-/// The models of the test data; says that there are none where there are none.
+/// Reads the models of the test data.
 #[cfg(test)]
-pub(crate) fn test_models() -> Option<Vec<NamedModel>> {
+pub(crate) fn test_models() -> Vec<NamedModel> {
     let data = std::env::var_os("SMS_TEST_DATA").unwrap_or_else(|| "../../../shared/data".into());
-    let dir = Path::new(&data).join("meshes");
-    if !dir.is_dir() {
-        println!("skipped: there are no scanned meshes in {}", dir.display());
-        return None;
-    }
-    Some(read_models(&dir).unwrap())
+    read_models(&Path::new(&data).join("meshes")).unwrap()
 }
 
 #[cfg(test)]
@@ -230,8 +225,9 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "needs the meshes of SMS_TEST_DATA"]
     fn scanned_models_of_the_test_data_stand_among_the_balls() {
-        let Some(models) = test_models() else { return };
+        let models = test_models();
         assert!(models.len() >= 10 && models.windows(2).all(|w| w[0].name < w[1].name));
         let made = generate_billiards_among(Seed(1), &BilliardsSettings::default(), &models);
         let scanned = made.skins.iter().flatten().count();

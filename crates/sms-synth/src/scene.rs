@@ -1,4 +1,4 @@
-//! The truth of a generated scene. The planner never reads it: `execute`, `evaluate` and benchmarks do.
+//! The truth of a generated scene. The planner never reads it; `execute`, `evaluate` and benchmarks do.
 
 use crate::texture::Texture;
 use glamx::{DPose3, DVec3};
@@ -10,7 +10,7 @@ use std::path::Path;
 /// Version of `truth.json`; readers refuse newer ones. 2: textures have `metalness`.
 const TRUTH_VERSION: u32 = 2;
 
-/// A generated scene with everything that is true of it. World: metres, z up, floor at z = 0, robot base at the
+/// A generated scene with its complete truth. World: metres, z up, floor at z = 0, robot base at the
 /// origin, the robot facing +x.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TruthScene {
@@ -28,13 +28,13 @@ pub struct TruthScene {
     pub cue: String,
     /// Name of the target ball.
     pub target: String,
-    /// Where the target ball shall go, on the floor, metres.
+    /// Goal of the target ball on the floor, metres.
     pub goal_w: [f64; 2],
     /// Base of the manipulator in the world.
     pub robot_base_w: DVec3,
     /// Centre of the workspace, at which the cameras look.
     pub workspace_center_w: DVec3,
-    /// What is true of a landing structure; `None` in other scenes.
+    /// Truth of a landing structure; `None` in other scenes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub landing: Option<LandingTruth>,
 }
@@ -45,7 +45,7 @@ pub struct TruthScene {
 pub struct TruthObject {
     /// Unique name, usable as a file name.
     pub name: String,
-    /// What a person would call it ("ceramic mug").
+    /// Description ("ceramic mug").
     pub class: String,
     /// True material, drawn around the published ranges of its class. `density` is the effective one over the
     /// closed outer volume: `mass / mesh.volume()`.
@@ -65,17 +65,17 @@ pub struct TruthObject {
     /// `X_AB`: carries points of `B` into the asset frame `A` (origin on the floor below the asset's axis), in which
     /// the texture is defined.
     pub x_ab: DPose3,
-    /// Whether and how it is hollow below its closed surface.
+    /// Interior of the closed surface.
     pub hollow: Hollow,
     /// Mass, centre of mass (the origin) and inertia in `B`.
     pub mass: MassProperties,
 }
 
-/// What is inside the closed surface of an object.
+/// Interior of the closed surface of an object.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum Hollow {
-    /// Material throughout.
+    /// Solid material.
     Solid,
     /// An open vessel: the surface includes the cavity, material fills the walls.
     Vessel {
@@ -102,7 +102,7 @@ pub struct TruthFloor {
     pub texture: Texture,
 }
 
-/// What is true of a landing structure besides its objects.
+/// Truth of a landing structure besides its objects.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingTruth {
     /// Name of the object to land on.
@@ -115,18 +115,18 @@ pub struct LandingTruth {
     pub overhang_w: [f64; 2],
     /// The middle of the overhang's end, in the world's x and y, metres.
     pub end_w: [f64; 2],
-    /// The levels at which the stack could come apart; see [`TruthScene::tipping_load_n`].
+    /// The levels at which the stack can tip; see [`TruthScene::tipping_load_n`].
     pub supports: Vec<SupportLevel>,
-    /// Where flights of the benchmark start: on a circle of 2 m around the structure, 0.35 m above the platform.
+    /// Starts of the benchmark's flights, on a circle of 2 m around the structure, 0.35 m above the platform.
     pub starts_w: Vec<DVec3>,
 }
 
-/// A level at which a stack stands on what is below.
+/// A level at which a stack stands on another object or the floor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SupportLevel {
-    /// The objects above the level: the one that stands on it, and all that it carries.
+    /// The objects above the level: the one that stands on it and its whole load.
     pub above: Vec<String>,
-    /// What they stand on; `None` is the floor.
+    /// The object below; `None` for the floor.
     pub below: Option<String>,
     /// Height of the level, metres.
     pub height_m: f64,
@@ -135,7 +135,7 @@ pub struct SupportLevel {
 }
 
 impl TruthScene {
-    /// Objects on a floor, without balls, goal or robot; the workspace's centre is the origin.
+    /// Creates a scene of objects on a floor, without balls, goal or robot; the workspace's centre is the origin.
     pub(crate) fn of_objects(name: String, seed: Seed, objects: Vec<TruthObject>, floor: TruthFloor) -> Self {
         Self {
             version: TRUTH_VERSION,
@@ -152,19 +152,19 @@ impl TruthScene {
         }
     }
 
-    /// The object of this name.
+    /// Returns the object of this name.
     pub fn object(&self, name: &str) -> Option<&TruthObject> {
         self.objects.iter().find(|o| o.name == name)
     }
 }
 
 impl TruthObject {
-    /// The surface in the world.
+    /// Returns the surface in the world.
     pub fn mesh_w(&self) -> Mesh {
         self.mesh.transformed(&self.x_wb)
     }
 
-    /// The box around the object in the world; exact for spheres.
+    /// Returns the box around the object in the world; exact for spheres.
     pub fn aabb_w(&self) -> Aabb {
         let center = self.x_wb.translation;
         match self.sphere_radius {
@@ -194,11 +194,16 @@ pub fn read_truth(dir: &Path) -> Result<TruthScene, CoreError> {
     let path = dir.join("truth").join("truth.json");
     let scene: TruthScene = atomic::read_json(&path)?;
     if scene.version > TRUTH_VERSION {
-        let what =
-            format!("this truth has version {}, this program reads up to {TRUTH_VERSION}", scene.version);
-        return Err(
-            InputError::new(what, &path, "use a newer program, or generate the recording again").into()
+        let what = format!(
+            "this truth.json has version {}, this program reads up to {TRUTH_VERSION}",
+            scene.version
         );
+        return Err(InputError::new(
+            what,
+            &path,
+            "use a newer version of sms, or generate the recording again",
+        )
+        .into());
     }
     Ok(scene)
 }

@@ -1,21 +1,21 @@
-//! Pictures on scanned models: filtered look-up of a mesh's texture.
+//! Image textures of scanned models: filtered look-up.
 
 use crate::texture::linear_from_srgb;
 use glamx::Vec3;
 use sms_core::{ColorImage, Mesh, MeshTexture};
 
-/// A mesh's picture prepared for rendering: ever coarser copies, each of half the size, so that what is finer than a pixel
-/// fades instead of aliasing (Williams 1983, "Pyramidal Parametrics").
+/// A mesh's image texture prepared for rendering: copies of decreasing size, each half of the one before, so that detail finer
+/// than a pixel fades instead of aliasing (Williams 1983, "Pyramidal Parametrics").
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
     corner_uv: Vec<[[f32; 2]; 3]>,
-    /// Pixels of the picture per metre of each triangle.
+    /// Pixels of the image per metre of each triangle.
     density: Vec<f32>,
     levels: Vec<ColorImage>,
 }
 
 impl Skin {
-    /// Of a mesh (metres) and the picture on it; `None` when they do not belong together or the picture is empty.
+    /// Prepares the texture of a mesh (metres); `None` if they do not match or the image is empty.
     pub fn new(mesh: &Mesh, texture: &MeshTexture) -> Option<Self> {
         let image = &texture.image;
         if texture.corner_uv.len() != mesh.triangles.len() || image.width == 0 || image.height == 0 {
@@ -42,18 +42,18 @@ impl Skin {
         Some(skin)
     }
 
-    /// The picture at full size.
+    /// Returns the image at full size.
     pub fn image(&self) -> &ColorImage {
         &self.levels[0]
     }
 
-    /// Its mean linear-light colour.
+    /// Returns the mean linear-light colour.
     pub(crate) fn mean(&self) -> Vec3 {
         let last = self.levels.len() - 1;
         sample(&self.levels[last], 0.5, 0.5)
     }
 
-    /// Linear-light RGB at the point of a triangle with these weights of its corners; detail finer than `footprint_m`
+    /// Returns the linear-light RGB at the point of a triangle with these weights of its corners; detail finer than `footprint_m`
     /// (metres across one pixel) is averaged.
     pub fn albedo(&self, triangle: usize, weights: [f32; 3], footprint_m: f32) -> Vec3 {
         let uv = self.corner_uv[triangle];
@@ -68,7 +68,7 @@ impl Skin {
     }
 }
 
-/// Half the size, each pixel the mean of four (of two or one at an odd border).
+/// Halves the size; each pixel is the mean of four (of two or one at an odd border).
 fn halved(image: &ColorImage) -> ColorImage {
     let (width, height) = (image.width.div_ceil(2), image.height.div_ceil(2));
     let mut data = Vec::with_capacity(width * height);
@@ -86,7 +86,7 @@ fn halved(image: &ColorImage) -> ColorImage {
     ColorImage::from_vec(width, height, data)
 }
 
-/// Bilinear, repeated beyond the borders; `v` from the top.
+/// Samples bilinearly, repeated beyond the borders; `v` from the top.
 fn sample(image: &ColorImage, u: f32, v: f32) -> Vec3 {
     let (x, y) = (u * image.width as f32 - 0.5, v * image.height as f32 - 0.5);
     let (fx, fy) = (x - x.floor(), y - y.floor());
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
     use glamx::DVec3;
 
-    /// A square of 1 m with a picture of 64 × 64: left half red, right half green, upper half as bright as it gets.
+    /// A square of 1 m with an image of 64 × 64: left half red, right half green, upper half at full brightness.
     fn square() -> Skin {
         let corners =
             [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]: [f64; 2]| DVec3::new(x, y, 0.0));
@@ -128,7 +128,7 @@ mod tests {
         // Triangle 1 has (0,0), (1,1), (0,1): the point (0.25, 0.75), left and high.
         let left_high = skin.albedo(1, [0.25, 0.25, 0.5], 1e-4);
         assert!((left_high - Vec3::X).length() < 1e-6);
-        // From far away only the mean of the picture is left, wherever one looks.
+        // From far away only the mean of the image is left, at every point.
         let (a, b) = (skin.albedo(0, [0.25, 0.5, 0.25], 10.0), skin.albedo(1, [0.2, 0.3, 0.5], 10.0));
         assert!((a - b).length() < 1e-6);
         assert!((a - linear_from_srgb([89, 89, 0])).length() < 0.02, "{a}");

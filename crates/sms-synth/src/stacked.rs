@@ -1,4 +1,4 @@
-//! Structures of things that stand on each other or touch, for masks: what a connected surface does not tell apart.
+//! Structures of objects that stand on each other or touch, for masks: their fused surface is connected.
 
 use crate::assets::{AssetKind, Furniture, make_asset, make_furniture, make_pool_ball};
 use crate::floor::draw_floor;
@@ -8,7 +8,7 @@ use glamx::{DPose3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Seed};
 
-/// What is stacked.
+/// Kinds of stacked structures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Structure {
@@ -38,8 +38,8 @@ impl Structure {
     }
 }
 
-/// A structure on the floor at the world's origin; sizes, colours, turns and overhangs follow from the seed. There is no
-/// game in these scenes: `cue` and `target` are empty. [`crate::orbit_poses`] around [`bounds_w`] sees it from all sides.
+/// Generates a structure on the floor at the world's origin; sizes, colours, turns and overhangs follow from the seed. There
+/// are no balls to play: `cue` and `target` are empty. [`crate::orbit_poses`] around [`bounds_w`] shows it from all sides.
 pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
     let seed = scene_seed.derive("stacked v1").derive(structure.as_str());
     let mut rng = seed.derive("layout").rng();
@@ -90,7 +90,7 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
     scene
 }
 
-/// The box around all objects of a scene, in the world; empty at the origin without objects.
+/// Returns the box around all objects of a scene in the world; empty at the origin without objects.
 pub fn bounds_w(scene: &TruthScene) -> Aabb {
     let boxes = scene.objects.iter().map(TruthObject::aabb_w);
     let join = |a: Aabb, b: Aabb| Aabb { min: a.min.min(b.min), max: a.max.max(b.max) };
@@ -104,7 +104,7 @@ pub(crate) fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObjec
     object
 }
 
-/// Radius of the wall of a mug that stands at the origin, without its handle: that of its foot, which is bevelled by 2 mm.
+/// Returns the radius of the wall of a mug at the origin without its handle, from its foot with a bevel of 2 mm.
 fn wall_radius(mug: &TruthObject) -> f64 {
     let radii = mug.mesh_w().vertices.into_iter().filter(|v| v.z < 0.003).map(|v| v.truncate().length());
     radii.fold(0.0, f64::max) + 0.002
@@ -146,7 +146,7 @@ mod tests {
             assert!((centers[1].distance(centers[2]) - 2.0 * r).abs() < 1e-9);
             let near =
                 scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
-            // The wall has facets, and its corners lie up to a few millimetres from where the ball touches.
+            // The wall has facets, so its corners lie up to a few millimetres from the point of contact.
             assert!(near > r - 1e-4 && near < r + 0.004, "{near}");
             let other =
                 scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[2])).fold(9.0, f64::min);

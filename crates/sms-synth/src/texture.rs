@@ -1,11 +1,10 @@
-//! Procedural surface colour: patterns in an object's asset frame `A`, so that colour carries information about
-//! shape and place.
+//! Procedural surface colour: patterns in an object's asset frame `A`.
 
 use glamx::Vec3;
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
 
-/// What the surface looks like.
+/// Patterns of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pattern {
@@ -64,13 +63,13 @@ pub struct Texture {
     /// 0 for paint, wood, stone and glaze, 1 for bare metal, whose highlights have its colour.
     #[serde(default)]
     pub metalness: f32,
-    /// Painted patches, the first that holds a point wins.
+    /// Painted patches; the first that contains a point counts.
     #[serde(default)]
     pub spots: Vec<Spot>,
 }
 
 impl Texture {
-    /// Linear-light RGB in [0, 1] at point `p_a` with unit normal `n_a` of the asset frame. Detail finer than
+    /// Returns the linear-light RGB in [0, 1] at point `p_a` with unit normal `n_a` of the asset frame. Detail finer than
     /// `footprint_m` (metres across one pixel) fades out instead of aliasing.
     pub fn albedo(&self, p_a: Vec3, n_a: Vec3, footprint_m: f32) -> Vec3 {
         let color = linear_from_srgb(self.color);
@@ -128,7 +127,7 @@ impl Texture {
                 tile.lerp(accent, strength * (1.0 - smoothstep(0.5 * joint_width, joint_width, joint)))
             }
             Pattern::Terrazzo => {
-                // Thresholds need the noise at full strength; it is the chips' contrast that fades.
+                // Thresholds need the noise at full strength; the chips' contrast fades instead.
                 let chips = self.fbm(q * 9.0, 2, 0.0);
                 let large = self.fbm(q * 1.1 + Vec3::splat(17.0), 3, width * 1.1);
                 let contrast = fade(width * 7.0);
@@ -139,7 +138,7 @@ impl Texture {
             }
             Pattern::Cloth => {
                 let (u, v) = if n_a.z.abs() > 0.7 { (q.x, q.y) } else { (q.x + q.y, q.z) };
-                // Plain weave: warp and weft take turns on top; each thread is darkest at its sides.
+                // Plain weave: warp and weft alternate on top; each thread is darkest at its sides.
                 let warp = (u.floor() + v.floor()).rem_euclid(2.0) < 0.5;
                 let across = if warp { u - u.floor() } else { v - v.floor() };
                 let seen = fade(2.0 * width);
@@ -152,7 +151,7 @@ impl Texture {
         rgb.clamp(Vec3::ZERO, Vec3::ONE)
     }
 
-    /// By how much the surface's fine relief tilts its unit normal: a vector of the asset frame to add to the normal. Relief
+    /// Returns the tilt of the unit normal by the surface's fine relief: a vector of the asset frame to add to the normal. Relief
     /// finer than `footprint_m` fades out.
     pub(crate) fn tilt(&self, p_a: Vec3, footprint_m: f32) -> Vec3 {
         // Slope, and size of the features along the axes in metres.
@@ -171,12 +170,12 @@ impl Texture {
             return Vec3::ZERO;
         }
         let q = p_a / size;
-        // Three unrelated noises in place of a gradient: cheaper, and as good to look at.
+        // Three independent noises in place of a gradient: cheaper, with a similar look.
         let noise = |channel: u32| self.value_noise(q + Vec3::splat(7.3 * channel as f32), 20 + channel);
         Vec3::new(noise(0), noise(1), noise(2)) * (slope * seen)
     }
 
-    /// sRGB at a point, for vertex colours.
+    /// Returns the sRGB at a point, for vertex colours.
     pub fn srgb(&self, p_a: Vec3, n_a: Vec3, footprint_m: f32) -> [u8; 3] {
         srgb_from_linear(self.albedo(p_a, n_a, footprint_m))
     }

@@ -1,4 +1,4 @@
-//! When a stack topples: closed forms of statics.
+//! Toppling loads of stacks: closed forms of statics.
 
 use crate::scene::{SupportLevel, TruthObject, TruthScene};
 use glamx::DVec2;
@@ -8,14 +8,14 @@ use sms_core::Mesh;
 const GRAVITY: f64 = 9.81;
 /// Faces within this height of each other touch, metres.
 const TOUCH_M: f64 = 1e-6;
-/// The same of scanned models, whose faces are less level.
+/// As [`TOUCH_M`], for scanned models with less level faces.
 const SCANNED_TOUCH_M: f64 = 1e-4;
 
 impl SupportLevel {
-    /// The smallest force straight down at `p_w` (metres) that tips what is above, of the given mass (kg) and centre of mass,
-    /// over an edge of the contact, newtons. Infinite where no force does, 0 where it topples without one.
+    /// Returns the smallest vertical force at `p_w` (metres) that tips the load above, of the given mass (kg) and centre of
+    /// mass, over an edge of the contact, newtons. Infinite if no force does, 0 if it tips without one.
     ///
-    /// What is above stays as long as the common centre of pressure of weight and load lies within the hull of the contact.
+    /// The load stays as long as the common centre of pressure of weight and force lies within the hull of the contact.
     /// With the inward normal `n` of an edge through `q`: `M g n·(c − q) + F n·(p − q) = 0`.
     pub fn tipping_load_n(&self, mass_kg: f64, com_w: DVec2, p_w: DVec2) -> f64 {
         let corners: Vec<DVec2> = self.footprint_w.iter().map(|&q| q.into()).collect();
@@ -38,16 +38,16 @@ impl SupportLevel {
 }
 
 impl TruthScene {
-    /// The smallest force straight down at a point (world, metres) of the landing platform that topples the structure: the
-    /// platform off what it stands on, or the whole off its feet. Newtons; infinite where no force does, 0 if it topples by
-    /// itself. `None` when the scene has no landing platform.
+    /// Returns the smallest vertical force at a point (world, metres) of the landing platform that topples the structure: the
+    /// platform off its base, or the whole off its feet. Newtons; infinite if no force does, 0 if it topples by itself. `None`
+    /// without a landing platform.
     pub fn tipping_load_n(&self, p_w: DVec2) -> Option<f64> {
         let landing = self.landing.as_ref()?;
         let carrying = landing.supports.iter().filter(|s| s.above.contains(&landing.platform));
         Some(carrying.map(|s| self.support_load_n(s, p_w)).fold(f64::INFINITY, f64::min))
     }
 
-    /// As [`TruthScene::tipping_load_n`], of one level; the point may lie on anything above it.
+    /// As [`TruthScene::tipping_load_n`], for one level; the point may lie on any object above it.
     pub fn support_load_n(&self, support: &SupportLevel, p_w: DVec2) -> f64 {
         let above = || self.objects.iter().filter(|o| support.above.contains(&o.name));
         let mass: f64 = above().map(|o| o.mass.mass()).sum();
@@ -56,7 +56,8 @@ impl TruthScene {
     }
 }
 
-/// The level at which `upper` stands on `lower` (the floor: `None`): the convex hull of where its lowest faces meet upper faces.
+/// Computes the level at which `upper` stands on `lower` (`None`: the floor): the convex hull of the contact of its lowest faces
+/// with upper faces.
 pub(crate) fn support(
     upper: &TruthObject,
     lower: Option<&TruthObject>,
@@ -81,7 +82,7 @@ pub(crate) fn support(
     }
 }
 
-/// What two level features, faces or single corners, have in common; two corners nothing.
+/// Returns the intersection of two level features, faces or single corners; empty for two corners.
 fn touching(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
     match (a.len(), b.len()) {
         (_, 3..) => common(a, b),
@@ -90,7 +91,7 @@ fn touching(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
     }
 }
 
-/// What of an object lies at a height.
+/// Returns the level faces and corners of an object at a height.
 fn level(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
     match object.parts.is_empty() {
         true => level_of_mesh(&object.mesh_w(), height, upper),
@@ -98,8 +99,8 @@ fn level(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
     }
 }
 
-/// Faces of a mesh at a height that look up or down, counterclockwise, and single corners there: a rim that is rounded has no
-/// level face.
+/// Returns the faces of a mesh at a height that look up or down, counterclockwise, and single corners there: a rounded rim has
+/// no level face.
 fn level_of_mesh(mesh_w: &Mesh, height: f64, upper: bool) -> Vec<Vec<DVec2>> {
     let is_level = |v: u32| (mesh_w.vertices[v as usize].z - height).abs() <= SCANNED_TOUCH_M;
     let at = |v: u32| mesh_w.vertices[v as usize].truncate();
@@ -162,7 +163,7 @@ pub(crate) fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
     hull
 }
 
-/// What two convex polygons, both counterclockwise, have in common (Sutherland and Hodgman 1974).
+/// Intersects two convex polygons, both counterclockwise (Sutherland and Hodgman 1974).
 fn common(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
     let mut left = subject.to_vec();
     for (i, &q) in window.iter().enumerate() {
@@ -215,7 +216,7 @@ mod tests {
         let both = convex_hull(common(&unit, &moved));
         assert_eq!(both, [at(0.75, 0.5), at(1.0, 0.5), at(1.0, 1.0), at(0.75, 1.0)]);
         assert!(common(&unit, &unit.map(|p| p + at(2.0, 0.0))).is_empty());
-        // A diamond within the square is all that they share.
+        // The intersection is the diamond itself.
         let diamond = [at(0.5, 0.1), at(0.9, 0.5), at(0.5, 0.9), at(0.1, 0.5)];
         assert_eq!(convex_hull(common(&diamond, &unit)).len(), 4);
     }

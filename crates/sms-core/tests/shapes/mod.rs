@@ -1,4 +1,4 @@
-//! Closed shapes whose mass properties are compared with those that trimesh computes.
+//! Closed shapes for the comparison of mass properties with trimesh.
 
 use sms_core::Mesh;
 use sms_core::glamx::{DPose3, DQuat, DVec3};

@@ -1,23 +1,23 @@
 //! Planes in the fused points of several frames, by RANSAC.
 
-use super::View;
+use super::AlignmentView;
 use crate::DepthNoise;
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::Seed;
 use std::collections::BTreeMap;
 
-/// Frames that are fused.
+/// Number of frames to fuse.
 const FRAMES: usize = 16;
-/// Planes that are looked for.
+/// Number of planes to search.
 const PLANES: usize = 10;
 /// Random triples tried for each plane.
 const TRIALS: usize = 4000;
-/// Inliers' normals may turn so far from the plane's.
+/// Minimum cosine between an inlier's normal and the plane's.
 const NORMAL_COS: f64 = 0.92;
 
-/// Fused surface: one point and normal per occupied cell, so that counting cells measures area however often and
-/// from however near the frames saw it.
+/// Fused surface: one point and normal per occupied cell, so that the number of cells measures area, independent
+/// of the number and distance of the views.
 pub(crate) struct Cells {
     /// Mean position in each cell, relative to the origin given.
     pub(crate) points: Vec<DVec3>,
@@ -29,19 +29,19 @@ pub(crate) struct Cells {
 
 /// A plane with its support.
 #[derive(Debug, Clone)]
-pub(crate) struct Plane {
+pub(crate) struct SupportCandidate {
     /// Unit normal towards the cameras.
     pub(crate) normal: DVec3,
     /// Median position of the inliers, on the plane.
     pub(crate) center: DVec3,
     /// Cells on the plane.
     pub(crate) support: usize,
-    /// Distance up to which a cell counted as on the plane.
+    /// Distance up to which a cell counts as on the plane, metres.
     pub(crate) tolerance: f64,
 }
 
-impl Plane {
-    /// Signed distance, positive towards the cameras.
+impl SupportCandidate {
+    /// Returns the signed distance, positive towards the cameras.
     pub(crate) fn height(&self, p: DVec3) -> f64 {
         (p - self.center).dot(self.normal)
     }
@@ -49,9 +49,9 @@ impl Plane {
 
 impl Cells {
     /// Fuses evenly spread frames; positions are relative to `origin_r`.
-    pub(crate) fn gather(views: &[View<'_>], origin_r: DVec3) -> Self {
+    pub(crate) fn gather(views: &[AlignmentView<'_>], origin_r: DVec3) -> Self {
         let step = views.len().div_ceil(FRAMES).max(1);
-        let used: Vec<&View<'_>> = views.iter().step_by(step).collect();
+        let used: Vec<&AlignmentView<'_>> = views.iter().step_by(step).collect();
         let mut depths: Vec<f32> =
             used.iter().flat_map(|v| v.depth.data.iter().step_by(7).copied()).filter(|&z| z > 0.0).collect();
         depths.sort_by(f32::total_cmp);
@@ -60,7 +60,7 @@ impl Cells {
         let mut cells: BTreeMap<[i32; 3], (DVec3, DVec3, f64)> = BTreeMap::new();
         for view in used {
             let camera = sms_core::Camera::new(view.intrinsics, view.x_rc);
-            // About 20,000 points a frame are plenty.
+            // About 20,000 points per frame are enough.
             let stride = ((view.depth.data.len() as f64 / 20_000.0).sqrt().floor() as usize).max(1);
             for y in (0..view.depth.height).step_by(stride) {
                 for x in (0..view.depth.width).step_by(stride) {
@@ -90,8 +90,8 @@ impl Cells {
     }
 }
 
-/// The largest planes, one after the other, each without the cells of those before.
-pub(crate) fn find_planes(cells: &Cells, noise: &DepthNoise, seed: Seed) -> Vec<Plane> {
+/// Finds the largest planes one after the other; each leaves out the cells of the earlier ones.
+pub(crate) fn find_planes(cells: &Cells, noise: &DepthNoise, seed: Seed) -> Vec<SupportCandidate> {
     let tolerance = (3.0 * noise.sigma_m(cells.depth)).max(0.01 * cells.depth);
     let mut rng = seed.rng();
     let mut left: Vec<usize> = (0..cells.points.len()).collect();
@@ -126,8 +126,8 @@ pub(crate) fn find_planes(cells: &Cells, noise: &DepthNoise, seed: Seed) -> Vec<
         if on.len() < least {
             break;
         }
-        let plane = Plane { normal, center, support: on.len(), tolerance };
-        planes.push(Plane { center: median_foot(cells, &on, &plane), ..plane });
+        let plane = SupportCandidate { normal, center, support: on.len(), tolerance };
+        planes.push(SupportCandidate { center: median_foot(cells, &on, &plane), ..plane });
         left = off;
     }
     planes
@@ -137,7 +137,7 @@ fn is_on(cells: &Cells, i: usize, normal: DVec3, point: DVec3, tolerance: f64) -
     (cells.points[i] - point).dot(normal).abs() < tolerance && cells.normals[i].dot(normal) > NORMAL_COS
 }
 
-/// Least squares along the present normal, which is near enough that heights are what is noisy.
+/// Fits a plane by least squares along the present normal: the noise is in the heights.
 fn fit(cells: &Cells, on: &[usize], normal: DVec3) -> Option<(DVec3, DVec3)> {
     if on.len() < 3 {
         return None;
@@ -163,8 +163,8 @@ fn fit(cells: &Cells, on: &[usize], normal: DVec3) -> Option<(DVec3, DVec3)> {
     Some(((normal - ex * gx - ey * gy).normalize(), mean))
 }
 
-/// The point of the plane under the median of the inliers.
-fn median_foot(cells: &Cells, on: &[usize], plane: &Plane) -> DVec3 {
+/// Projects the median of the inliers onto the plane.
+fn median_foot(cells: &Cells, on: &[usize], plane: &SupportCandidate) -> DVec3 {
     let (ex, ey) = plane.normal.any_orthonormal_pair();
     let median = |axis: DVec3| {
         let mut v: Vec<f64> = on.iter().map(|&i| (cells.points[i] - plane.center).dot(axis)).collect();

@@ -1,5 +1,5 @@
-//! Is the recording read as it was meant? The data itself tells: depth of one frame, carried into another, must meet
-//! the depth that is there.
+//! Checks of the declared conventions against the data: the depth of one frame, carried into another, must agree with the
+//! depth measured there.
 
 mod overlap;
 mod readings;
@@ -9,35 +9,35 @@ pub use report::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Seve
 
 use crate::images::{read_color, read_depth};
 use crate::{FramesError, Recording, selected_frames};
-use overlap::{Probe, median};
+use overlap::{DepthSamples, median};
 use rayon::prelude::*;
-use readings::Data;
+use readings::CheckData;
 use sms_core::{Cancel, Image, InputError, Progress};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Depth pixels held in memory at once.
 const PIXEL_BUDGET: usize = 120_000_000;
-/// Most frames from which depth is carried over.
+/// Maximum number of frames from which depth is carried over.
 const MOST_BASES: usize = 100;
-/// Distances in frames that are reported.
+/// Reported distances between frames, in frames.
 const GAPS: [usize; 2] = [1, 4];
 
-/// What one pass over a frame's files gives.
+/// Result of one pass over a frame's files.
 struct Scanned {
     valid: usize,
     pixels: usize,
-    /// A spread of valid depths, metres.
+    /// A sample of the valid depths, metres.
     depths: Vec<f64>,
     raw: Option<Image<u16>>,
 }
 
 /// Checks a recording: reads every image, measures the overlap error, and compares the declared conventions, depth
-/// unit and pixel centre with the others that are common.
+/// unit and pixel centre with the common alternatives.
 ///
 /// # Errors
 /// [`InputError`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
-/// Conventions that do not fit are no errors but [`Finding`]s.
+/// Conventions that do not fit are reported as [`Finding`]s, not as errors.
 pub fn check(
     recording: &Recording,
     progress: &dyn Progress,
@@ -67,15 +67,15 @@ pub fn check(
         )
         .into());
     }
-    let probes: Vec<Probe> = scanned
+    let probes: Vec<DepthSamples> = scanned
         .iter_mut()
         .enumerate()
         .filter_map(|(i, s)| s.raw.take().map(|raw| (i, raw)))
         .collect::<Vec<_>>()
         .into_par_iter()
-        .map(|(i, raw)| Probe::new(recording, i, raw))
+        .map(|(i, raw)| DepthSamples::new(recording, i, raw))
         .collect();
-    let data = Data::new(recording, probes, &bases);
+    let data = CheckData::new(recording, probes, &bases);
 
     let mut depths: Vec<f64> = scanned.iter().flat_map(|s| s.depths.iter().copied()).collect();
     depths.sort_by(f64::total_cmp);
@@ -117,14 +117,14 @@ pub fn check(
     judge_quality(&data, &mut report);
     report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
     progress.end(if report.approved() {
-        "the recording is read as it should be"
+        "the declared conventions fit the data"
     } else {
         "faults were found"
     });
     Ok(report)
 }
 
-/// Frames from which depth is carried over, evenly spread, within the memory budget.
+/// Returns the frames from which depth is carried over, evenly spread, within the memory budget.
 fn bases(recording: &Recording) -> Vec<usize> {
     let k = recording.frames[0].depth_lens.intrinsics;
     // Each base may need three images; neighbours share theirs.
@@ -141,7 +141,7 @@ fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned
     let raw = read_depth(&frame.depth_path)?;
     let valid = raw.data.iter().filter(|&&v| v > 0).count();
     if valid == 0 && !recording.options.skip_empty_depth {
-        // The reader's own message names the file and the cure.
+        // The reader's message names the file and the cure.
         recording.read_depth_m(index)?;
     }
     let stride = (valid / 500).max(1);
@@ -161,8 +161,8 @@ fn add_notices(recording: &Recording, report: &mut CheckReport) {
     }
 }
 
-/// Findings about the recording's quality, which no other reading of it would cure.
-fn judge_quality(data: &Data<'_>, report: &mut CheckReport) {
+/// Adds findings on the recording's quality, which other conventions would not cure.
+fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
     let mut add = |severity, code, what: String, cure: &str| {
         report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
     };
@@ -188,15 +188,15 @@ fn judge_quality(data: &Data<'_>, report: &mut CheckReport) {
         report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
     };
     if faulty {
-        // What follows would only repeat the fault in other words.
+        // The other findings would only repeat the fault.
         return;
     }
     if !(0.08..15.0).contains(&middle) {
         add(
             Severity::Warning,
             "implausible_depth",
-            format!("the median depth is {middle:.3} m, which few depth cameras measure"),
-            "check depth_unit_scale_factor: 0.001 when the images hold millimetres",
+            format!("the median depth is {middle:.3} m, outside the range of most depth cameras"),
+            "check depth_unit_scale_factor: 0.001 if the images hold millimetres",
         );
     }
     let mut by_pair = data.pair_medians(GAPS[0]);
@@ -210,7 +210,7 @@ fn judge_quality(data: &Data<'_>, report: &mut CheckReport) {
                 Severity::Warning,
                 "pose_jumps",
                 format!(
-                    "{} of the checked neighbouring frames do not fit each other: {}",
+                    "{} of the checked pairs of neighbouring frames disagree: {}",
                     by_pair.len(),
                     list.join(", ")
                 ),

@@ -2,13 +2,13 @@
 
 use crate::{Lens, Recording};
 use glamx::{DPose3, DVec3};
-use sms_core::Image;
+use sms_core::{Image, QuantileRule, quantile};
 
-/// Samples taken from a frame.
+/// Number of samples taken from a frame.
 const SAMPLES: usize = 6000;
 
-/// A frame's depth as the checks use it.
-pub(super) struct Probe {
+/// The depth of one frame, prepared for the checks.
+pub(super) struct DepthSamples {
     /// Index in the recording.
     pub(super) index: usize,
     /// Raw values.
@@ -18,18 +18,18 @@ pub(super) struct Probe {
     samples: Vec<(f64, f64, f64)>,
 }
 
-/// One way to read the recording.
+/// One reading of the recording: depth unit and pixel centre.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hypothesis {
     /// Metres of one raw unit.
     pub(super) unit_m: f64,
-    /// Added to the principal points.
+    /// Offset added to the principal points, pixels.
     pub(super) center_shift: f64,
-    /// Every so many samples are used.
+    /// Stride of the samples that are used.
     pub(super) every: usize,
 }
 
-/// Differences found for one pair of frames.
+/// Depth differences of one pair of frames.
 pub(super) struct PairErrors {
     /// |Δdepth| in metres.
     pub(super) absolute: Vec<f64>,
@@ -39,10 +39,10 @@ pub(super) struct PairErrors {
     pub(super) tried: usize,
 }
 
-impl Probe {
+impl DepthSamples {
     pub(super) fn new(recording: &Recording, index: usize, raw: Image<u16>) -> Self {
         let valid = raw.data.iter().filter(|&&v| v > 0).count();
-        // An odd stride in row-major order does not fall into step with a sensor's grid of holes.
+        // An odd stride in row-major order is not aligned with a sensor's grid of holes.
         let stride = (valid / SAMPLES).max(1) | 1;
         let samples = raw
             .data
@@ -93,19 +93,7 @@ impl Probe {
     }
 }
 
-/// The median, by selection; `None` of nothing.
+/// Returns the upper median; `None` without values.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn median_of_few() {
-        assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(&mut []), None);
-    }
+    quantile(values, 0.5, QuantileRule::Nearest)
 }

@@ -1,6 +1,6 @@
-//! Which reading of the recording fits its data: pose and axis convention, depth unit, pixel centre.
+//! Comparison of readings of the recording: pose and axis convention, depth unit, pixel centre.
 
-use super::overlap::{Hypothesis, PairErrors, Probe, median};
+use super::overlap::{DepthSamples, Hypothesis, PairErrors, median};
 use super::report::{axes_name, direction_name, reading_name, short};
 use super::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit};
 use crate::formats::to_opencv;
@@ -8,23 +8,23 @@ use crate::{Axes, PoseDirection, Recording, RecordingFormat};
 use glamx::DPose3;
 use rayon::prelude::*;
 
-/// Depth units that are tried, as factors on the declared one. 0.2 and 5: TUM's 1/5000 against millimetres.
+/// Candidate depth units, as factors on the declared one. 0.2 and 5: TUM's 1/5000 against millimetres.
 const FACTORS: [f64; 15] =
     [1e-3, 1e-2, 0.0254, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 39.37, 100.0, 1000.0];
-/// Another reading is better when its error is below this share of the declared one's.
+/// Another reading is better if its error is below this share of the declared one's.
 const BETTER: f64 = 0.6;
-/// Readings whose errors are within this factor cannot be told apart.
+/// Readings with errors within this factor are indistinguishable.
 const ALIKE: f64 = 1.4;
-/// Fewest samples that must meet, as a share of the most that meet under any reading.
+/// Minimum share of samples that must meet a depth, relative to the best reading.
 const LEAST_SHARE: f64 = 0.1;
 
-/// Readings are compared on every so many samples: their errors differ by far more than chance.
+/// Readings are compared on every fourth sample: their errors differ by far more than chance.
 const EVERY: usize = 4;
 
 /// Depth images and the pairs between them.
-pub(super) struct Data<'a> {
+pub(super) struct CheckData<'a> {
     recording: &'a Recording,
-    probes: Vec<Probe>,
+    probes: Vec<DepthSamples>,
     bases: Vec<usize>,
 }
 
@@ -35,8 +35,8 @@ struct Fit {
     share: f64,
 }
 
-impl<'a> Data<'a> {
-    pub(super) fn new(recording: &'a Recording, probes: Vec<Probe>, bases: &[usize]) -> Self {
+impl<'a> CheckData<'a> {
+    pub(super) fn new(recording: &'a Recording, probes: Vec<DepthSamples>, bases: &[usize]) -> Self {
         Self { recording, probes, bases: bases.to_vec() }
     }
 
@@ -44,11 +44,11 @@ impl<'a> Data<'a> {
         Hypothesis { unit_m: self.recording.depth_unit_m, center_shift: 0.0, every: 1 }
     }
 
-    fn probe(&self, index: usize) -> Option<&Probe> {
+    fn probe(&self, index: usize) -> Option<&DepthSamples> {
         self.probes.binary_search_by_key(&index, |p| p.index).ok().map(|i| &self.probes[i])
     }
 
-    fn pairs(&self, gap: usize) -> Vec<(&Probe, &Probe)> {
+    fn pairs(&self, gap: usize) -> Vec<(&DepthSamples, &DepthSamples)> {
         self.bases.iter().filter_map(|&i| Some((self.probe(i)?, self.probe(i + gap)?))).collect()
     }
 
@@ -63,7 +63,7 @@ impl<'a> Data<'a> {
         self.recording.frames.iter().map(|f| f.x_rc).collect()
     }
 
-    /// The poses under another convention.
+    /// Returns the poses under another convention.
     fn poses_read_as(&self, axes: Axes, direction: PoseDirection) -> Vec<DPose3> {
         let (own_axes, own_direction) = (self.recording.axes, self.recording.poses);
         let written = |x_rc: DPose3| {
@@ -77,7 +77,7 @@ impl<'a> Data<'a> {
         self.recording.frames.iter().map(|f| to_opencv(written(f.x_rc), axes, direction)).collect()
     }
 
-    /// Median |Δdepth| over all pairs `gap` frames apart, as declared.
+    /// Computes the median |Δdepth| over all pairs `gap` frames apart, as declared.
     pub(super) fn overlap(&self, gap: usize) -> Option<Overlap> {
         let errors = self.errors(gap, &self.declared_poses(), &self.declared());
         let tried: usize = errors.iter().map(|e| e.tried).sum();
@@ -87,7 +87,7 @@ impl<'a> Data<'a> {
         Some(Overlap { median_m: median(&mut all)?, share, pairs })
     }
 
-    /// Index of the first frame and median |Δdepth| of each pair, as declared.
+    /// Returns the index of the first frame and the median |Δdepth| of each pair, as declared.
     pub(super) fn pair_medians(&self, gap: usize) -> Vec<(usize, f64)> {
         let errors = self.errors(gap, &self.declared_poses(), &self.declared());
         let medians =
@@ -95,7 +95,7 @@ impl<'a> Data<'a> {
         self.pairs(gap).iter().map(|(a, _)| a.index).zip(medians).filter_map(|(i, m)| Some((i, m?))).collect()
     }
 
-    /// The gap at which readings are compared: the wider one where the recording is long enough.
+    /// Returns the gap at which readings are compared: the wider one if the recording is long enough.
     fn gap(&self) -> usize {
         if self.pairs(4).is_empty() { 1 } else { 4 }
     }
@@ -109,13 +109,13 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Fills the report's comparisons and adds what follows from them.
-pub(super) fn judge(data: &Data<'_>, report: &mut CheckReport) {
+/// Fills the report's comparisons and adds the findings that follow from them.
+pub(super) fn judge(data: &CheckData<'_>, report: &mut CheckReport) {
     if data.pairs(data.gap()).is_empty() {
         report.findings.push(Finding {
             severity: Severity::Info,
             code: "cannot_compare",
-            what: "a single frame cannot tell whether poses and units are read rightly".to_owned(),
+            what: "conventions and units cannot be checked on a single frame".to_owned(),
             cure: String::new(),
         });
         return;
@@ -163,7 +163,7 @@ pub(super) fn judge(data: &Data<'_>, report: &mut CheckReport) {
         .map(|(f, &factor)| UnitFit { factor, relative_error: finite(error(0, f)) })
         .collect();
 
-    // The fewest faults that explain the data: none, a convention or a unit, both.
+    // Chooses the fewest faults that explain the data: none, a convention or a unit, both.
     let better = |candidate: f64, present: f64| candidate < BETTER * present && present - candidate > 5e-4;
     let (mut reading, mut factor, mut least) = (0, one, error(0, one));
     let single = (0..readings.len()).map(|r| (r, one)).chain((0..FACTORS.len()).map(|f| (0, f)));
@@ -180,8 +180,7 @@ pub(super) fn judge(data: &Data<'_>, report: &mut CheckReport) {
         report.findings.push(Finding {
             severity: Severity::Warning,
             code: "no_overlap",
-            what: "frames four apart see nothing in common, so conventions and units cannot be checked"
-                .to_owned(),
+            what: "frames four apart do not overlap, so conventions and units cannot be checked".to_owned(),
             cure: "record with more overlap between frames".to_owned(),
         });
         return;
@@ -200,7 +199,7 @@ pub(super) fn judge(data: &Data<'_>, report: &mut CheckReport) {
                 severity: Severity::Info,
                 code: "convention_not_told",
                 what: format!(
-                    "cannot tell whether the poses are {} as declared or {}: the camera moves too little",
+                    "the poses may be {} as declared or {}: the camera moves too little to decide",
                     reading_name(axes, poses),
                     rivals.join(" or ")
                 ),
@@ -252,20 +251,20 @@ fn convention_fault(
 }
 
 fn judge_unit(
-    data: &Data<'_>,
+    data: &CheckData<'_>,
     report: &mut CheckReport,
     reading: (Axes, PoseDirection),
     factor: f64,
     least: f64,
     error: impl Fn(usize) -> f64,
 ) {
-    // A camera that hardly moves fits any larger unit as well: there the motion vanishes beside the depth.
+    // If the camera hardly moves, any larger unit fits as well: its motion vanishes beside the depth.
     let far = error(FACTORS.len() - 1);
     if far < ALIKE * least {
         report.findings.push(Finding {
             severity: Severity::Info,
             code: "unit_not_told",
-            what: "cannot tell the depth unit: the camera moves too little against the depth noise"
+            what: "the depth unit cannot be checked: the camera moves too little against the depth noise"
                 .to_owned(),
             cure: "trust the declaration, or record with more movement".to_owned(),
         });
@@ -337,7 +336,7 @@ fn times_word(times: f64) -> String {
     format!("{times:.1} times")
 }
 
-/// A unit that depth cameras use, where one is within 12 %.
+/// Rounds to a unit that depth cameras use if one is within 12 %.
 fn nice_unit(unit: f64) -> f64 {
     [1.0, 0.01, 0.001, 0.0005, 0.000_25, 0.0002, 0.000_125, 0.0001, 1e-5, 1e-6]
         .into_iter()
@@ -345,7 +344,7 @@ fn nice_unit(unit: f64) -> f64 {
         .unwrap_or(unit)
 }
 
-/// Golden-section search; errors over a log factor have one valley near the ladder's best rung.
+/// Golden-section search: over the log of the factor, the error has a single minimum near the best candidate.
 fn golden_minimum(f: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     let ratio = 0.5 * (5.0f64.sqrt() - 1.0);
     let (mut c, mut d) = (b - ratio * (b - a), a + ratio * (b - a));
@@ -364,8 +363,8 @@ fn golden_minimum(f: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     0.5 * (a + b)
 }
 
-/// Compares pixel centres at 0 and 0.5 pair by pair, so that what differs between pairs does not hide the difference.
-fn judge_pixel_center(data: &Data<'_>, report: &mut CheckReport) {
+/// Compares pixel centres at 0 and 0.5 pair by pair, so that differences between pairs do not hide the effect.
+fn judge_pixel_center(data: &CheckData<'_>, report: &mut CheckReport) {
     if report.findings.iter().any(|f| f.severity == Severity::Fault) {
         return;
     }
@@ -379,7 +378,7 @@ fn judge_pixel_center(data: &Data<'_>, report: &mut CheckReport) {
     let mut all: Vec<f64> = as_declared.iter().flat_map(|e| e.absolute.iter().copied()).collect();
     let Some(middle) = median(&mut all) else { return };
     let cost = |e: &PairErrors| {
-        // Beyond four medians the samples met another surface.
+        // Differences beyond four medians come from another surface.
         let limit = 4.0 * middle.max(1e-9);
         e.absolute.iter().map(|v| v.min(limit)).sum::<f64>() / e.absolute.len() as f64
     };

@@ -1,4 +1,4 @@
-//! What `check` found.
+//! The report of `check`.
 
 use crate::{Axes, Lens, PoseDirection, RecordingFormat};
 use serde::Serialize;
@@ -10,28 +10,28 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Good to know.
+    /// For information.
     Info,
     /// The result will suffer.
     Warning,
-    /// The recording is read wrongly; a scan would be worthless.
+    /// The recording is misread; a scan would be useless.
     Fault,
 }
 
-/// Something that a check found, and what to do about it.
+/// One finding of a check, and its cure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// How much it matters.
+    /// Its severity.
     pub severity: Severity,
     /// Stable identifier, `snake_case`.
     pub code: &'static str,
-    /// What was found, with its figures.
+    /// The finding, with its figures.
     pub what: String,
-    /// What to do; may be empty.
+    /// The cure; may be empty.
     pub cure: String,
 }
 
-/// Depth of frame i carried into frame i + n.
+/// Overlap error of depth carried from frame i into frame i + n.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Overlap {
     /// Median |Δdepth|, metres.
@@ -42,7 +42,7 @@ pub struct Overlap {
     pub pairs: usize,
 }
 
-/// How well one pose and axis convention fits.
+/// Fit of one pose and axis convention.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ReadingFit {
     /// Camera axes.
@@ -55,25 +55,25 @@ pub struct ReadingFit {
     pub share: f64,
 }
 
-/// How well one depth unit fits.
+/// Fit of one depth unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct UnitFit {
-    /// Times the declared unit.
+    /// Factor on the declared unit.
     pub factor: f64,
     /// Median |Δdepth| / depth; `None` where too few samples meet.
     pub relative_error: Option<f64>,
 }
 
-/// Where pixel (0, 0) is centred, by the data.
+/// Centre of pixel (0, 0) according to the data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PixelCenterFit {
     /// The better of 0 and 0.5.
     pub better: f64,
-    /// By how much its overlap error is smaller, as a share.
+    /// Reduction of the overlap error, as a share.
     pub gain: f64,
     /// Mean over standard error of the difference between the two over pairs of frames.
     pub t: f64,
-    /// Whether the difference is beyond chance and worth acting on.
+    /// Whether the difference is significant and large enough to matter.
     pub significant: bool,
 }
 
@@ -118,21 +118,21 @@ pub struct CheckReport {
     pub readings: Vec<ReadingFit>,
     /// The ladder of depth units.
     pub units: Vec<UnitFit>,
-    /// The factor on the declared unit that fits best, refined; `None` where the data cannot tell.
+    /// The refined factor on the declared unit that fits best; `None` if the data does not determine it.
     pub best_unit_factor: Option<f64>,
     /// Pixel centre, where it could be compared.
     pub pixel_center_fit: Option<PixelCenterFit>,
-    /// What is wrong or worth knowing, the worst first.
+    /// The findings, the worst first.
     pub findings: Vec<Finding>,
 }
 
 impl CheckReport {
-    /// Whether nothing was found that makes a scan worthless.
+    /// Returns whether there is no finding of [`Severity::Fault`].
     pub fn approved(&self) -> bool {
         self.findings.iter().all(|f| f.severity < Severity::Fault)
     }
 
-    /// The figures for `metrics.json`.
+    /// Returns the figures for `metrics.json`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();
         metrics.set("check.frames", self.frames);
@@ -142,7 +142,7 @@ impl CheckReport {
         metrics
     }
 
-    /// The report for people.
+    /// Formats the report as text.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         // Writing to a string cannot fail.
@@ -217,7 +217,7 @@ impl CheckReport {
                 if fit.significant {
                     format!("{} fits better by {:.1} %", short(fit.better), 100.0 * fit.gain)
                 } else {
-                    format!("the data cannot tell 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
+                    format!("the data does not distinguish 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
                 }
             )?;
         }
@@ -233,7 +233,7 @@ impl CheckReport {
             }
         }
         if self.approved() {
-            writeln!(out, "The recording is read as it should be.")?;
+            writeln!(out, "The declared conventions fit the data.")?;
         }
         Ok(())
     }
@@ -252,7 +252,7 @@ fn error_text(error: Option<f64>, suffix: &str) -> String {
     }
 }
 
-/// Names of a convention for messages.
+/// Returns the names of a convention for messages.
 pub(super) fn reading_name(axes: Axes, poses: PoseDirection) -> String {
     format!("{} {}", direction_name(poses), axes_name(axes))
 }
@@ -271,7 +271,7 @@ pub(super) fn direction_name(poses: PoseDirection) -> &'static str {
     }
 }
 
-/// A number without trailing zeros.
+/// Formats a number without trailing zeros.
 pub(super) fn short(v: f64) -> String {
     let text = format!("{v:.6}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -6,7 +6,7 @@ pub(crate) mod tum;
 use crate::{Axes, PoseDirection};
 use glamx::{DPose3, DQuat};
 
-/// The camera pose (OpenCV axes) in the recording's world from a pose matrix as written.
+/// Converts a pose matrix as written to the camera pose (OpenCV axes) in the recording's world.
 pub(crate) fn to_opencv(written: DPose3, axes: Axes, poses: PoseDirection) -> DPose3 {
     let x_rc = match poses {
         PoseDirection::CameraToWorld => written,

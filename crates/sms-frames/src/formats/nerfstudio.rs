@@ -2,8 +2,8 @@
 //!
 //! Keys read: intrinsics (`fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `k1` … `p2`, or `camera_angle_x`), for all frames or
 //! in each; `frames[].{file_path, depth_file_path, mask_path, transform_matrix, time}`; `depth_unit_scale_factor`.
-//! `applied_transform` is not undone: the recording's world is the one that the written poses live in, and a rigid
-//! change of it is removed by alignment anyway. `applied_scale` is undone, because the world must be metric.
+//! `applied_transform` is not undone: the recording's world is that of the written poses, and alignment removes
+//! any rigid change of it. `applied_scale` is undone, because the world must be metric.
 //! Beyond nerfstudio: `camera_convention` ("opengl", "opencv"), `pose_convention` ("camera_to_world",
 //! "world_to_camera"), `pixel_center`, `world_up`, `world_is_aligned`, and for depth images of another size
 //! `depth_fl_x`, `depth_fl_y`, `depth_cx`, `depth_cy` or `depth_same_field_of_view`.
@@ -52,7 +52,7 @@ struct FrameKeys {
 }
 
 #[derive(Debug, Deserialize)]
-struct Transforms {
+struct TransformsJson {
     #[serde(flatten)]
     camera: CameraKeys,
     depth_unit_scale_factor: Option<f64>,
@@ -70,7 +70,7 @@ struct Transforms {
 }
 
 impl CameraKeys {
-    /// The keys of one frame where it has them, else those of the file.
+    /// Returns the frame's keys, completed by those of the file.
     fn or(&self, all: &Self) -> Self {
         let pick = |own: Option<f64>, shared: Option<f64>| own.or(shared);
         Self {
@@ -99,7 +99,7 @@ struct Reader<'a> {
     dir: &'a Path,
     json: PathBuf,
     options: &'a ReadOptions,
-    /// Added to recorded principal points so that pixel centres lie at +0.5.
+    /// Offset added to recorded principal points so that pixel centres lie at +0.5.
     center_shift: f64,
     same_field_of_view: bool,
 }
@@ -107,7 +107,7 @@ struct Reader<'a> {
 pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, FramesError> {
     let json = dir.join("transforms.json");
     let text = std::fs::read_to_string(&json).map_err(CoreError::read(&json))?;
-    let all: Transforms = serde_json::from_str(&text).map_err(|e| parse_error(&json, &text, &e))?;
+    let all: TransformsJson = serde_json::from_str(&text).map_err(|e| parse_error(&json, &text, &e))?;
     if all.frames.is_empty() {
         return Err(InputError::new(
             "the recording has no frames",
@@ -130,7 +130,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
         None => {
             notices.push(Notice {
                 code: "assumed_depth_unit",
-                message: "transforms.json does not say the depth unit; millimetres are assumed".to_owned(),
+                message: "transforms.json does not state the depth unit; millimetres are assumed".to_owned(),
                 cure: "add \"depth_unit_scale_factor\": 0.001 (metres of one unit)".to_owned(),
             });
             0.001
@@ -182,13 +182,13 @@ fn parse_error(json: &Path, text: &str, error: &serde_json::Error) -> InputError
     let error_text = error.to_string();
     if holds_nan || error_text.contains("number out of range") {
         InputError::new(
-            format!("line {} of the recording's description holds a number that is not finite", error.line()),
+            format!("line {} of this file holds a number that is not finite", error.line()),
             json,
-            "export the recording again, or remove the frame whose pose was not found",
+            "export the recording again, or remove the frame without a pose",
         )
     } else {
         InputError::new(
-            "the recording's description is not what it should be",
+            "this file does not describe a recording",
             json,
             "it must be JSON with intrinsics and \"frames\", each with file_path, depth_file_path and \
              transform_matrix",
@@ -211,7 +211,7 @@ fn declared_axes(text: Option<&str>, json: &Path) -> Result<Axes, InputError> {
         (true, false) => Ok(Axes::Opengl),
         (false, true) => Ok(Axes::Opencv),
         _ => Err(InputError::new(
-            format!("\"camera_convention\" says \"{text}\", which names no known axes"),
+            format!("\"camera_convention\" is \"{text}\", which names no known axes"),
             json,
             "write \"opengl\" (x right, y up, z backward) or \"opencv\" (x right, y down, z forward)",
         )),
@@ -224,7 +224,7 @@ fn declared_direction(text: Option<&str>, json: &Path) -> Result<PoseDirection, 
         "camera_to_world" | "c2w" => Ok(PoseDirection::CameraToWorld),
         "world_to_camera" | "w2c" => Ok(PoseDirection::WorldToCamera),
         _ => Err(InputError::new(
-            format!("\"pose_convention\" says \"{text}\""),
+            format!("\"pose_convention\" is \"{text}\", which is not a known convention"),
             json,
             "write \"camera_to_world\" or \"world_to_camera\"",
         )),
@@ -238,7 +238,7 @@ impl Reader<'_> {
             return Err(InputError::new(
                 format!("frame {index} ({}) has no depth", frame.file_path),
                 &self.json,
-                "add \"depth_file_path\" to every frame; this program needs RGB-D recordings",
+                "add \"depth_file_path\" to every frame: RGB-D recordings are required",
             )
             .into());
         };
@@ -270,7 +270,7 @@ impl Reader<'_> {
         })
     }
 
-    /// The file that a key names; nerfstudio allows a missing extension.
+    /// Resolves the file that a key names; nerfstudio allows a missing extension.
     fn resolve(&self, name: &str) -> PathBuf {
         let name = name.replace('\\', "/");
         let path = self.dir.join(name.strip_prefix("./").unwrap_or(&name));
@@ -311,7 +311,7 @@ impl Reader<'_> {
         let fx = keys.fl_x.or(keys.camera_angle_x.map(|a| 0.5 * size.0 as f64 / (0.5 * a).tan()));
         let given = self.options.intrinsics.map(|[fx, fy, cx, cy]| (fx, fy, cx, cy));
         let Some((fx, fy, cx, cy)) = given.or(fx.map(|fx| {
-            // Without a principal point the image centre is meant, wherever pixel centres are put.
+            // Without a principal point the image centre is used, regardless of the pixel-centre convention.
             let middle = |n: usize| 0.5 * n as f64 - self.center_shift;
             let (cx, cy) = (keys.cx.unwrap_or(middle(size.0)), keys.cy.unwrap_or(middle(size.1)));
             (fx, keys.fl_y.unwrap_or(fx), cx, cy)
@@ -363,7 +363,7 @@ impl Reader<'_> {
         }
         Err(InputError::new(
             format!(
-                "the depth image is {} × {} and the colour image {} × {}, and nothing says how they correspond",
+                "the depth image is {} × {} and the colour image {} × {}, with unknown correspondence",
                 size.0, size.1, k.width, k.height
             ),
             image,
@@ -374,7 +374,7 @@ impl Reader<'_> {
     }
 }
 
-/// Refuses intrinsics that no camera has.
+/// Rejects implausible intrinsics.
 pub(crate) fn check_intrinsics(k: &Intrinsics, file: &Path) -> Result<(), InputError> {
     let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
     let (w, h) = (k.width as f64, k.height as f64);

@@ -2,7 +2,7 @@
 //!
 //! `rgb.txt`, `depth.txt`: `time file`; `groundtruth.txt`: `time tx ty tz qx qy qz qw`, the pose of the colour camera
 //! (OpenCV axes) in the world. Colour and depth are associated one to one by time; the pose is interpolated at the
-//! time of the depth image, because depth is what places surfaces. Depth is in 1/5000 m.
+//! time of the depth image, because depth determines the surfaces. Depth is in 1/5000 m.
 
 use super::to_opencv;
 use crate::formats::nerfstudio::check_intrinsics;
@@ -20,11 +20,11 @@ struct Calibration {
     distortion: [f64; 5],
 }
 
-/// A text file's rows of words, without comments, with their line numbers.
+/// Reads a text file's rows of words without comments, with their line numbers.
 fn rows(path: &Path) -> Result<Vec<(usize, Vec<String>)>, FramesError> {
     let text = std::fs::read_to_string(path).map_err(|e| {
         InputError::new(
-            "a file of this TUM RGB-D recording cannot be read",
+            "this file of a TUM RGB-D recording cannot be read",
             path,
             "a recording holds rgb.txt, depth.txt and groundtruth.txt",
         )
@@ -96,7 +96,7 @@ fn read_trajectory(path: &Path) -> Result<Vec<(f64, DPose3)>, FramesError> {
     Ok(poses)
 }
 
-/// Pairs of indices, closest in time first, each used once, at most `max_gap` seconds apart; ordered by `a`.
+/// Pairs indices, closest in time first, each used once, at most `max_gap` seconds apart; ordered by `a`.
 fn associate(a: &[(f64, String)], b: &[(f64, String)], max_gap: f64) -> Vec<(usize, usize)> {
     let mut candidates: Vec<(f64, usize, usize)> = Vec::new();
     for (i, (t, _)) in a.iter().enumerate() {
@@ -118,7 +118,7 @@ fn associate(a: &[(f64, String)], b: &[(f64, String)], max_gap: f64) -> Vec<(usi
     pairs
 }
 
-/// The pose at `time`, linear in position and spherical-linear in rotation; `None` outside the trajectory or in a gap
+/// Interpolates the pose at `time`, linear in position and spherical-linear in rotation; `None` outside the trajectory or in a gap
 /// longer than `max_gap` seconds.
 fn interpolate(trajectory: &[(f64, DPose3)], time: f64, max_gap: f64) -> Option<DPose3> {
     let after = trajectory.partition_point(|(t, _)| *t < time);
@@ -134,7 +134,7 @@ fn interpolate(trajectory: &[(f64, DPose3)], time: f64, max_gap: f64) -> Option<
     Some(DPose3::from_parts(a.translation.lerp(b.translation, s), a.rotation.slerp(b.rotation, s)))
 }
 
-/// The calibration the benchmark publishes for the camera that the folder's name mentions; else ROS's default.
+/// Returns the published calibration of the camera that the folder's name mentions, else ROS's default.
 fn published_calibration(dir: &Path) -> (Calibration, &'static str) {
     let full = std::fs::canonicalize(dir).unwrap_or_else(|_| dir.to_owned());
     let name = full.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
@@ -169,7 +169,7 @@ fn read_calibration(path: &Path) -> Result<Calibration, FramesError> {
             Ok(Calibration { intrinsics: [fx, fy, cx, cy], distortion })
         }
         _ => Err(InputError::new(
-            "this calibration is not understood",
+            "this calibration has an unknown layout",
             path,
             "write one line `fx fy cx cy k1 k2 p1 p2 k3` (distortion optional) or a 3 × 3 matrix in three lines",
         )
@@ -214,7 +214,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
                 colors.len(),
                 options.max_pair_gap_s
             ),
-            cure: "raise max_pair_gap_s or max_pose_gap_s if that is too many".to_owned(),
+            cure: "raise max_pair_gap_s or max_pose_gap_s to use more of them".to_owned(),
         });
     }
 
@@ -230,11 +230,11 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
             if depth != size && !options.depth_same_field_of_view {
                 return Err(InputError::new(
                     format!(
-                        "the depth image is {} × {} and the colour image {} × {}, and nothing says how they correspond",
+                        "the depth image is {} × {} and the colour image {} × {}, with unknown correspondence",
                         depth.0, depth.1, size.0, size.1
                     ),
                     &depth_path,
-                    "register depth to colour, or set depth_same_field_of_view when one is the other scaled",
+                    "register depth to colour, or set depth_same_field_of_view if both show the same field of view",
                 )
                 .into());
             }
@@ -279,7 +279,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     })
 }
 
-/// The calibration, and the file it came from (`None` for published defaults, which hold at 640 × 480 only).
+/// Returns the calibration and its file (`None` for published defaults, which hold at 640 × 480 only).
 fn calibration(
     dir: &Path,
     options: &ReadOptions,
@@ -303,7 +303,7 @@ fn calibration(
     notices.push(Notice {
         code: "assumed_intrinsics",
         message: format!(
-            "the recording holds no calibration; the benchmark's published one is assumed ({name})"
+            "the recording has no calibration; the benchmark's published one is assumed ({name})"
         ),
         cure: "write `fx fy cx cy k1 k2 p1 p2 k3` to intrinsics.txt in the recording's folder".to_owned(),
     });
@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn association_takes_the_closest_pairs_once_each() {
         let list = |times: &[f64]| times.iter().map(|&t| (t, String::new())).collect::<Vec<_>>();
-        // 0.108 is nearest to 0.105, so 0.1 has to take 0.12; nothing is within reach of 0.3.
+        // 0.108 is nearest to 0.105, so 0.1 is paired with 0.12; nothing is within reach of 0.3.
         assert_eq!(associate(&list(&[0.1, 0.108, 0.3]), &list(&[0.105, 0.12]), 0.02), [(0, 1), (1, 0)]);
         assert_eq!(associate(&list(&[0.1, 0.2]), &list(&[0.2001, 0.0999]), 0.0), []);
     }

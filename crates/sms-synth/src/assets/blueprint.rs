@@ -1,6 +1,6 @@
 //! Assets before they are placed: shape, class, material and texture in the asset frame.
 
-use crate::shapes::Solid;
+use crate::shapes::PartedSolid;
 use crate::texture::{Pattern, Texture};
 use rand::RngExt;
 use sms_core::{Mesh, StageRng};
@@ -10,11 +10,11 @@ pub(super) const SEGMENTS: usize = 32;
 
 /// An asset in its frame `A`: standing on z = 0, axis at x = y = 0.
 #[derive(Debug, Clone)]
-pub(super) struct Blueprint {
+pub(super) struct AssetBlueprint {
     pub(super) name: &'static str,
     pub(super) class: &'static str,
     pub(super) material: &'static str,
-    pub(super) solid: Solid,
+    pub(super) solid: PartedSolid,
     /// The air inside a closed shell.
     pub(super) void: Option<Mesh>,
     pub(super) hollow: HollowKind,

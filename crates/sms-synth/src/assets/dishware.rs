@@ -1,13 +1,13 @@
 //! Turned dishware: vessels with true walls and cavities, and a bottle.
 
-use super::blueprint::{Blueprint, HollowKind, SEGMENTS, texture};
+use super::blueprint::{AssetBlueprint, HollowKind, SEGMENTS, texture};
 use crate::random::{pick, uniform};
 use crate::shapes::{Handle, lathe_solid, lathe_vessel};
 use crate::texture::{Pattern, Spot};
 use glamx::DVec2;
 use sms_core::StageRng;
 
-/// Facets around a vessel. Each is a convex piece per band of the wall, and pieces cost the simulation time.
+/// Facets around a vessel. Each gives one convex piece per band of the wall, which costs simulation time.
 const VESSEL_SEGMENTS: usize = 24;
 
 const GLAZES: [([u8; 3], [u8; 3]); 5] = [
@@ -18,7 +18,7 @@ const GLAZES: [([u8; 3], [u8; 3]); 5] = [
     ([92, 70, 128], [222, 206, 226]),
 ];
 
-pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn bowl(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let (rim, height) = (uniform(rng, [0.065, 0.08]) * size, uniform(rng, [0.05, 0.06]) * size);
     let wall = uniform(rng, [0.0045, 0.0055]);
     let (base, floor) = (0.45 * rim, 0.008);
@@ -42,7 +42,7 @@ pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
     }
     inner[0].1 = outer[1].1;
     let glaze = pick(rng, &GLAZES);
-    Blueprint {
+    AssetBlueprint {
         name: "bowl",
         class: "ceramic bowl",
         material: "ceramic",
@@ -54,13 +54,13 @@ pub(super) fn bowl(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn plate(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn plate(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let rim = uniform(rng, [0.075, 0.09]) * size;
     let (height, wall, floor) = (uniform(rng, [0.020, 0.026]), 0.005, 0.006);
     let outer = [(0.58 * rim, 0.0), (0.64 * rim, floor), (0.84 * rim, 0.62 * height), (rim, height)];
     let inner = [(0.50 * rim, floor), (0.82 * rim, 0.62 * height + wall), (rim - 0.002, height + 0.8 * wall)];
     let glaze = pick(rng, &GLAZES);
-    Blueprint {
+    AssetBlueprint {
         name: "plate",
         class: "ceramic plate",
         material: "ceramic",
@@ -72,7 +72,7 @@ pub(super) fn plate(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn mug(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let (radius, height) = (uniform(rng, [0.038, 0.044]) * size, uniform(rng, [0.085, 0.10]) * size);
     let (wall, floor) = (uniform(rng, [0.0042, 0.005]), 0.007);
     let band = 0.1 * height;
@@ -86,7 +86,7 @@ pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
     inner.push((radius - wall + 0.001, height));
     let handle = Handle { low_band: 2, high_band: 4, reach: uniform(rng, [0.026, 0.032]), thickness: 0.0085 };
     let glaze = pick(rng, &GLAZES);
-    Blueprint {
+    AssetBlueprint {
         name: "mug",
         class: "ceramic mug",
         material: "ceramic",
@@ -98,7 +98,7 @@ pub(super) fn mug(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn vase(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let (height, belly) = (uniform(rng, [0.14, 0.19]) * size, uniform(rng, [0.042, 0.052]) * size);
     let (neck, wall, floor) = (uniform(rng, [0.018, 0.024]) * size, 0.005, 0.010);
     let base = 0.7 * belly;
@@ -119,7 +119,7 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
     outer[0].0 = outer[1].0 - 0.003;
     let glaze = pick(rng, &GLAZES);
     let pattern = pick(rng, &[Pattern::Bands, Pattern::Marble]);
-    Blueprint {
+    AssetBlueprint {
         name: "vase",
         class: "ceramic vase",
         material: "ceramic",
@@ -131,8 +131,8 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-/// A full food can: what it holds and its steel are one substance of their mean density.
-pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
+/// A full food can: content and steel are one substance of their mean density.
+pub(super) fn can(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let (radius, height) = (uniform(rng, [0.032, 0.037]) * size, uniform(rng, [0.09, 0.11]) * size);
     let rim = 0.0015;
     let profile = [
@@ -149,7 +149,7 @@ pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
         rng,
         &[([190, 36, 34], [236, 232, 222]), ([42, 96, 60], [240, 220, 150]), ([40, 74, 130], [232, 200, 60])],
     );
-    Blueprint {
+    AssetBlueprint {
         name: "can",
         class: "food can",
         material: "full_can",
@@ -161,7 +161,7 @@ pub(super) fn can(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn bottle(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let (radius, height) = (uniform(rng, [0.030, 0.037]) * size, uniform(rng, [0.15, 0.19]) * size);
     let (neck, cap) = (0.42 * radius, 0.52 * radius);
     let mut profile =
@@ -204,7 +204,7 @@ pub(super) fn bottle(rng: &mut StageRng, size: f64) -> Blueprint {
         radii: [radius as f32 * 0.9, radius as f32 * 0.8, (0.17 * height) as f32],
         color: colors.1,
     });
-    Blueprint {
+    AssetBlueprint {
         name: "bottle",
         class: "plastic bottle",
         material: "plastic",

@@ -1,6 +1,6 @@
 //! Statues and toys.
 
-use super::blueprint::{Blueprint, HollowKind, SEGMENTS, brass, texture};
+use super::blueprint::{AssetBlueprint, HollowKind, SEGMENTS, brass, texture};
 use crate::random::{pick, uniform};
 use crate::shapes::{Cuboid, Ellipsoid, cuboid_union, ellipsoid_union, lathe_solid};
 use crate::texture::{Pattern, Spot};
@@ -10,7 +10,7 @@ use sms_core::StageRng;
 /// Mesh size of figures made of ellipsoids; at 5 mm chords lie 0.2 mm below a surface of 15 mm radius.
 const FIGURE_CELL_M: f64 = 0.005;
 
-pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> Blueprint {
+pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> AssetBlueprint {
     let (height, base) = (uniform(rng, [0.11, 0.16]) * size, uniform(rng, [0.034, 0.042]) * size);
     let head = uniform(rng, [0.52, 0.62]) * base;
     // A chess pawn: stepped base, waist, collar, round head.
@@ -45,7 +45,7 @@ pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> Bl
         let colors = pick(rng, &[([222, 220, 214], [110, 112, 122]), ([90, 112, 98], [206, 214, 200])]);
         ("marble_statue", "marble statue", "marble", texture(rng, Pattern::Marble, colors, 0.025, 0.72))
     };
-    Blueprint {
+    AssetBlueprint {
         name,
         class,
         material,
@@ -71,7 +71,7 @@ fn spots(list: &[([f64; 3], [f64; 3], [u8; 3])], s: f64) -> Vec<Spot> {
         .collect()
 }
 
-pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let s = uniform(rng, [0.95, 1.2]) * size;
     let blobs = scaled(
         &[
@@ -93,7 +93,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
         ],
         s,
     );
-    Blueprint {
+    AssetBlueprint {
         name: "toy_duck",
         class: "rubber duck",
         material: "rubber",
@@ -105,7 +105,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let s = uniform(rng, [0.95, 1.15]) * size;
     let blobs = scaled(
         &[
@@ -133,7 +133,7 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
         ],
         s,
     );
-    Blueprint {
+    AssetBlueprint {
         name: "ceramic_bear",
         class: "ceramic bear",
         material: "ceramic",
@@ -146,7 +146,7 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> Blueprint {
 }
 
 /// A figure that sits with crossed legs, its hands in its lap.
-pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let s = uniform(rng, [0.95, 1.15]) * size;
     let blobs = scaled(
         &[
@@ -162,7 +162,7 @@ pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
         s,
     );
     let colors = pick(rng, &[([214, 212, 204], [150, 148, 150]), ([112, 128, 116], [190, 200, 188])]);
-    Blueprint {
+    AssetBlueprint {
         name: "seated_statue",
         class: "marble statue",
         material: "marble",
@@ -174,7 +174,7 @@ pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
+pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let s = uniform(rng, [0.9, 1.15]) * size;
     let block =
         |min: [f64; 3], max: [f64; 3]| Cuboid::new(DVec3::from_array(min) * s, DVec3::from_array(max) * s);
@@ -204,7 +204,7 @@ pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> Blueprint {
         ],
         s,
     );
-    Blueprint {
+    AssetBlueprint {
         name: "toy_robot",
         class: "plastic toy robot",
         material: "plastic",

@@ -1,8 +1,8 @@
-//! What structures are stacked of: a stool, a low table, a crate, a plank, a flat box and a tote.
+//! Objects of stacked structures: a stool, a low table, a crate, a plank, a flat box and a tote.
 
-use super::blueprint::{Blueprint, HollowKind, texture};
+use super::blueprint::{AssetBlueprint, HollowKind, texture};
 use crate::random::{pick, uniform};
-use crate::shapes::{Cuboid, Solid, cuboid_union, gridded_cuboid};
+use crate::shapes::{Cuboid, PartedSolid, cuboid_union, gridded_cuboid};
 use crate::texture::Pattern;
 use glamx::DVec3;
 use sms_core::{Mesh, StageRng};
@@ -38,7 +38,7 @@ const WOODS: [([u8; 3], [u8; 3]); 3] =
 const BOARDS: [[u8; 3]; 3] = [[186, 140, 92], [172, 126, 82], [232, 230, 222]];
 const PLASTICS: [[u8; 3]; 4] = [[120, 124, 128], [34, 78, 150], [42, 120, 74], [190, 52, 40]];
 
-pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
+pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> AssetBlueprint {
     let wood = pick(rng, &WOODS);
     let plastic = pick(rng, &PLASTICS);
     let board = pick(rng, &BOARDS);
@@ -117,7 +117,7 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
     };
     let void = matches!(hollow, HollowKind::Shell(_)).then(|| inside(&solid, 0.004));
     let (pattern, colors, scale_m, gloss) = look;
-    Blueprint {
+    AssetBlueprint {
         name: kind.as_str(),
         class,
         material,
@@ -129,16 +129,16 @@ pub(super) fn blueprint(kind: Furniture, rng: &mut StageRng) -> Blueprint {
     }
 }
 
-/// The air inside a closed box whose walls have this thickness.
-fn inside(solid: &Solid, wall: f64) -> Mesh {
+/// Returns the air inside a closed box with walls of this thickness.
+fn inside(solid: &PartedSolid, wall: f64) -> Mesh {
     let bounds = solid.mesh.aabb().expect("a box has corners");
     let mut void = Mesh::cuboid(0.5 * bounds.extents() - DVec3::splat(wall));
     void.vertices.iter_mut().for_each(|v| *v += bounds.center());
     void
 }
 
-/// A top of these extents whose upper face is at `height`, on four square legs set in from its corners.
-fn on_legs(top: DVec3, height: f64, leg: f64, inset: f64) -> Solid {
+/// A top of these extents with its upper face at `height`, on four square legs set in from its corners.
+fn on_legs(top: DVec3, height: f64, leg: f64, inset: f64) -> PartedSolid {
     let under = height - top.z;
     let (x, y) = (0.5 * top.x, 0.5 * top.y);
     let mut boxes = vec![Cuboid::new(DVec3::new(-x, -y, under), DVec3::new(x, y, height))];
@@ -151,7 +151,7 @@ fn on_legs(top: DVec3, height: f64, leg: f64, inset: f64) -> Solid {
 }
 
 /// A box without a lid: a floor and four walls.
-fn open_box(size: DVec3, wall: f64) -> Solid {
+fn open_box(size: DVec3, wall: f64) -> PartedSolid {
     let (x, y, z) = (0.5 * size.x, 0.5 * size.y, size.z);
     let boxes = [
         Cuboid::new(DVec3::new(-x, -y, 0.0), DVec3::new(x, y, wall)),

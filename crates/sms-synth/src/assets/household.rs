@@ -1,6 +1,6 @@
-//! What landing structures are built of: a step ladder, stools, a recycling bin, flat things to land on, and ballast.
+//! Objects of landing structures: a step ladder, stools, a recycling bin, flat platforms, and ballast.
 //!
-//! Sizes are those of things that are sold; masses follow from walls and materials:
+//! Sizes are those of commercial products; masses follow from walls and materials:
 //! - step ladder: three rises of 21 cm with a standing platform, as domestic step stools have them (EN 14183); aluminium
 //!   profiles of 1.5 mm. About 4 kg.
 //! - stools: seats 45 cm (chair height) and 63 cm (counter height) above the floor, about 35 cm square. 3 to 5 kg.
@@ -10,14 +10,14 @@
 //! - box: flat, of double-wall corrugated board of 6.5 mm (B and C flute). About 0.9 kg.
 //! - board: a shelf of 90 × 40 cm, 12 mm thick. About 2.7 kg.
 
-use super::blueprint::{Blueprint, HollowKind, brass, texture};
+use super::blueprint::{AssetBlueprint, HollowKind, brass, texture};
 use crate::random::{pick, uniform};
-use crate::shapes::{Cuboid, Solid, chamfered_cuboid, cuboid_union, gridded_cuboid};
+use crate::shapes::{Cuboid, PartedSolid, chamfered_cuboid, cuboid_union, gridded_cuboid};
 use crate::texture::{Pattern, Spot};
 use glamx::{DVec2, DVec3};
 use sms_core::{Mesh, StageRng};
 
-/// The kinds of things.
+/// The kinds of objects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Household {
     StepLadder,
@@ -58,8 +58,9 @@ const BOARD_WALL_M: f64 = 0.0065;
 const WOODS: [([u8; 3], [u8; 3]); 2] = [([206, 160, 104], [150, 98, 52]), ([226, 196, 150], [186, 140, 92])];
 const PLASTICS: [[u8; 3]; 3] = [[120, 124, 128], [42, 120, 74], [178, 52, 40]];
 
-/// A thing whose sizes differ from the usual ones by up to this share. Its longer side lies along x, as overhangs do.
-pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> Blueprint {
+/// Draws an object with sizes that differ from the usual ones by up to the share `spread`. Its longer side lies along x, like
+/// overhangs.
+pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> AssetBlueprint {
     let mut size =
         |usual: [f64; 3]| DVec3::from(usual.map(|m| m * uniform(rng, [1.0 - spread, 1.0 + spread])));
     match kind {
@@ -79,7 +80,7 @@ pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> Blu
             let look = texture(rng, Pattern::Wood, wood, 0.03, 0.15);
             let solid = gridded_cuboid(size, CELL_M);
             let hollow = HollowKind::Solid;
-            Blueprint {
+            AssetBlueprint {
                 name: "board",
                 class: "wooden board",
                 material: "wood",
@@ -109,8 +110,8 @@ fn ballast(
     material: &'static str,
     size: DVec3,
     texture: crate::texture::Texture,
-) -> Blueprint {
-    Blueprint {
+) -> AssetBlueprint {
+    AssetBlueprint {
         name,
         class,
         material,
@@ -124,7 +125,7 @@ fn ballast(
 
 /// A folding step ladder, set up: a standing platform of `size` (its height is that of its top), two treads between the
 /// front rails, two bars between the rear ones, and spreaders at both sides.
-fn step_ladder(size: DVec3, rng: &mut StageRng) -> Blueprint {
+fn step_ladder(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let (x, y, height) = (0.5 * size.x, 0.5 * size.y, size.z);
     let under = height - 0.045;
     let rail = DVec2::new(0.045, 0.025);
@@ -136,7 +137,7 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> Blueprint {
         for end in [-1.0, 1.0] {
             hollow.push(between([end * rx, side * y, 0.0], [end * (rx - rail.x), side * ry, under]));
         }
-        // In three pieces, since the middle one is stretched when the rails are spread.
+        // In three pieces, because splaying the rails stretches the middle one.
         let z = [0.50 * under, 0.50 * under + 0.012];
         let edges = [-(rx - rail.x), -middle, middle, rx - rail.x];
         for w in edges.windows(2) {
@@ -149,7 +150,7 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> Blueprint {
         massive
             .push(Cuboid::new(DVec3::new(-rx + 0.012, -ry, z - 0.03), DVec3::new(-rx + 0.032, ry, z - 0.01)));
     }
-    let spread = Spread { below: under, inner: DVec2::new(middle, ry), slope: DVec2::new(0.32, 0.085) };
+    let spread = Splay { below: under, inner: DVec2::new(middle, ry), slope: DVec2::new(0.32, 0.085) };
     let boxes: Vec<Cuboid> = hollow.iter().chain(&massive).copied().collect();
     let solid = spread.solid(cuboid_union(&boxes, CELL_M));
     let void = spread.mesh(voids(&hollow, ALUMINIUM_WALL_M));
@@ -170,7 +171,7 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> Blueprint {
         let center = [(sx * foot.x) as f32, (sy * foot.y) as f32, 0.0];
         look.spots.push(Spot { center, radii: [0.06, 0.06, 0.035], color: [30, 30, 32] });
     }
-    Blueprint {
+    AssetBlueprint {
         name: Household::StepLadder.as_str(),
         class: "aluminium step ladder",
         material: "aluminium",
@@ -182,8 +183,8 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> Blueprint {
     }
 }
 
-/// A wooden stool with splayed legs and rungs between them; `size` is that of the seat, z the height of its top.
-fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> Blueprint {
+/// A wooden stool with splayed legs and rungs; `size` is that of the seat, z the height of its top.
+fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> AssetBlueprint {
     let (x, y, height) = (0.5 * size.x, 0.5 * size.y, size.z);
     let under = height - 0.03;
     let (inset, leg) = (0.02, 0.035);
@@ -201,9 +202,9 @@ fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> Blu
         let (a, b) = (side * (middle.x - 0.009), side * (middle.x + 0.009));
         boxes.push(between([a, -inner.y, high], [b, inner.y, high + 0.028]));
     }
-    let spread = Spread { below: under, inner, slope: DVec2::splat(slope) };
+    let spread = Splay { below: under, inner, slope: DVec2::splat(slope) };
     let wood = pick(rng, &WOODS);
-    Blueprint {
+    AssetBlueprint {
         name,
         class: "wooden stool",
         material: "wood",
@@ -216,7 +217,7 @@ fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> Blu
 }
 
 /// An open bin with a rim around its top; `size` is that of the rim, z the height. Towards the floor it is narrower.
-fn recycling_bin(size: DVec3, rng: &mut StageRng) -> Blueprint {
+fn recycling_bin(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let wall = PLASTIC_WALL_M;
     let rim = DVec2::new(0.012, 0.03);
     let (x, y, z) = (0.5 * size.x - rim.x, 0.5 * size.y - rim.x, size.z);
@@ -253,7 +254,7 @@ fn recycling_bin(size: DVec3, rng: &mut StageRng) -> Blueprint {
             }
         }
     }
-    Blueprint {
+    AssetBlueprint {
         name: Household::RecyclingBin.as_str(),
         class: "plastic recycling bin",
         material: "plastic",
@@ -265,11 +266,11 @@ fn recycling_bin(size: DVec3, rng: &mut StageRng) -> Blueprint {
     }
 }
 
-fn flat_box(size: DVec3, rng: &mut StageRng) -> Blueprint {
+fn flat_box(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let board = pick(rng, &[[186, 140, 92], [172, 126, 82], [198, 156, 106]]);
     let half = 0.5 * size;
     let whole = [Cuboid::new(DVec3::new(-half.x, -half.y, 0.0), DVec3::new(half.x, half.y, size.z))];
-    Blueprint {
+    AssetBlueprint {
         name: Household::FlatBox.as_str(),
         class: "cardboard box",
         material: "cardboard",
@@ -282,20 +283,20 @@ fn flat_box(size: DVec3, rng: &mut StageRng) -> Blueprint {
 }
 
 /// A closed container: `size` without the lid, which sits on top and juts out a little. Towards the bottom it is narrower.
-fn lidded_tote(size: DVec3, rng: &mut StageRng) -> Blueprint {
+fn lidded_tote(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let (lid, rim) = (0.018, 0.006);
     let (x, y, z) = (0.5 * size.x - rim, 0.5 * size.y - rim, size.z);
     let body = Cuboid::new(DVec3::new(-x, -y, 0.0), DVec3::new(x, y, z));
     let cover = Cuboid::new(DVec3::new(-x - rim, -y - rim, z), DVec3::new(x + rim, y + rim, z + lid));
-    // The air goes through from the body into the lid.
+    // The air of body and lid is connected.
     let wall = DVec3::splat(PLASTIC_WALL_M);
     let air = [
         Cuboid::new(body.min + wall, body.max - wall.with_z(0.0)),
         Cuboid::new((body.min + wall).with_z(z), (body.max - wall).with_z(z + lid - wall.z)),
     ];
-    let narrowing = Spread { below: z, inner: DVec2::new(x, y), slope: DVec2::splat(-0.06) };
+    let narrowing = Splay { below: z, inner: DVec2::new(x, y), slope: DVec2::splat(-0.06) };
     let plastic = pick(rng, &PLASTICS);
-    Blueprint {
+    AssetBlueprint {
         name: Household::LiddedTote.as_str(),
         class: "plastic tote",
         material: "plastic",
@@ -313,13 +314,13 @@ fn between(a: [f64; 3], b: [f64; 3]) -> Cuboid {
     Cuboid::new(a.min(b), a.max(b))
 }
 
-/// The air inside boxes with walls of this thickness.
+/// Returns the air inside boxes with walls of this thickness.
 fn voids(boxes: &[Cuboid], wall: f64) -> Mesh {
     let wall = DVec3::splat(wall);
     joined(&boxes.iter().map(|b| Cuboid::new(b.min + wall, b.max - wall)).collect::<Vec<_>>())
 }
 
-/// Boxes as one mesh of several closed pieces.
+/// Joins boxes to one mesh of several closed pieces.
 fn joined(boxes: &[Cuboid]) -> Mesh {
     let mut mesh = Mesh::default();
     for b in boxes {
@@ -331,16 +332,16 @@ fn joined(boxes: &[Cuboid]) -> Mesh {
     mesh
 }
 
-/// Spreads what is upright below a height, as the legs of a stool are spread: what lies beyond `inner` moves outwards by the
-/// slope, what lies within is stretched. Boxes that do not cross `inner` or `below` stay convex, with plane faces.
+/// Splays legs below a height: points beyond `inner` move outwards by the slope, points within are stretched. Boxes that do not
+/// cross `inner` or `below` stay convex, with plane faces.
 #[derive(Debug, Clone, Copy)]
-struct Spread {
+struct Splay {
     below: f64,
     inner: DVec2,
     slope: DVec2,
 }
 
-impl Spread {
+impl Splay {
     fn point(&self, v: &mut DVec3) {
         let depth = (self.below - v.z).max(0.0);
         let share = (v.truncate() / self.inner).clamp(DVec2::NEG_ONE, DVec2::ONE);
@@ -352,9 +353,9 @@ impl Spread {
         mesh
     }
 
-    fn solid(&self, solid: Solid) -> Solid {
+    fn solid(&self, solid: PartedSolid) -> PartedSolid {
         let parts = solid.parts.into_iter().map(|p| self.mesh(p)).collect();
-        Solid { mesh: self.mesh(solid.mesh), parts }
+        PartedSolid { mesh: self.mesh(solid.mesh), parts }
     }
 }
 
@@ -363,7 +364,7 @@ mod tests {
     use super::*;
     use sms_core::Seed;
 
-    /// The surface, the pieces and the air inside belong together, and masses are those of such things.
+    /// Surface, pieces and enclosed air agree, and masses are realistic.
     #[test]
     fn things_are_closed_and_weigh_what_they_do() {
         let weights = [

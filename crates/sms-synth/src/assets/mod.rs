@@ -9,11 +9,11 @@ mod household;
 pub(crate) use furniture::Furniture;
 pub(crate) use household::Household;
 
-use self::blueprint::{Blueprint, HollowKind, brass, texture};
+use self::blueprint::{AssetBlueprint, HollowKind, brass, texture};
 use crate::materials::{draw_material, with_effective_density};
 use crate::random::{pick, uniform};
 use crate::scene::{Hollow, TruthObject};
-use crate::shapes::{Solid, chamfered_cuboid, gridded_cuboid};
+use crate::shapes::{PartedSolid, chamfered_cuboid, gridded_cuboid};
 use crate::texture::{Pattern, Spot, Texture};
 use glamx::{DMat3, DPose3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -65,7 +65,7 @@ pub enum AssetKind {
 }
 
 impl AssetKind {
-    /// What [`crate::generate_billiards`] scatters: frozen, since its scenes are. In a fixed order.
+    /// The kinds that [`crate::generate_billiards`] scatters, in a fixed order; frozen like its scenes.
     pub const SCATTERED: [Self; 13] = [
         Self::CardboardBox,
         Self::WoodBlock,
@@ -133,7 +133,7 @@ pub(crate) fn make_furniture(kind: Furniture, p_w: DVec2, yaw: f64, rng: &mut St
     place(blueprint, p_w, yaw, rng)
 }
 
-/// Makes a household thing standing at `p_w` on the floor, turned by `yaw` radians about z; its sizes differ from the usual
+/// Makes a household object standing at `p_w` on the floor, turned by `yaw` radians about z; its sizes differ from the usual
 /// ones by up to the share `spread`.
 pub(crate) fn make_household(
     kind: Household,
@@ -173,14 +173,14 @@ fn ball(
     name: &'static str,
     class: &'static str,
     material: &'static str,
-) -> Blueprint {
+) -> AssetBlueprint {
     let mut mesh = Mesh::icosphere(radius, 4);
     mesh.vertices.iter_mut().for_each(|v| v.z += radius);
-    Blueprint {
+    AssetBlueprint {
         name,
         class,
         material,
-        solid: Solid { mesh, parts: Vec::new() },
+        solid: PartedSolid { mesh, parts: Vec::new() },
         void: None,
         hollow: HollowKind::Solid,
         sphere_radius: Some(radius),
@@ -188,7 +188,7 @@ fn ball(
     }
 }
 
-fn soccer_ball(rng: &mut StageRng, size: f64) -> Blueprint {
+fn soccer_ball(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let radius = uniform(rng, [0.058, 0.072]) * size;
     let colors = ([236, 236, 232], pick(rng, &[[24, 24, 28], [150, 20, 30], [16, 70, 60]]));
     let texture = texture(rng, Pattern::Soccer, colors, radius as f32, 0.45);
@@ -197,14 +197,14 @@ fn soccer_ball(rng: &mut StageRng, size: f64) -> Blueprint {
     blueprint
 }
 
-fn cardboard_box(rng: &mut StageRng, size: f64) -> Blueprint {
+fn cardboard_box(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let extents =
         DVec3::new(uniform(rng, [0.11, 0.16]), uniform(rng, [0.08, 0.11]), uniform(rng, [0.07, 0.13])) * size;
     let wall = uniform(rng, [0.003, 0.004]);
     let mut void = Mesh::cuboid(0.5 * extents - DVec3::splat(wall));
     void.vertices.iter_mut().for_each(|v| v.z += 0.5 * extents.z);
     let colors = (pick(rng, &[[186, 140, 92], [172, 126, 82], [198, 156, 106]]), [70, 46, 30]);
-    Blueprint {
+    AssetBlueprint {
         name: "cardboard_box",
         class: "cardboard box",
         material: "cardboard",
@@ -216,11 +216,11 @@ fn cardboard_box(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
+fn wood_block(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let extents =
         DVec3::new(uniform(rng, [0.09, 0.15]), uniform(rng, [0.06, 0.09]), uniform(rng, [0.05, 0.09])) * size;
     let colors = pick(rng, &[([206, 160, 104], [150, 98, 52]), ([172, 112, 66], [112, 64, 34])]);
-    Blueprint {
+    AssetBlueprint {
         name: "wood_block",
         class: "wooden block",
         material: "wood",
@@ -232,11 +232,11 @@ fn wood_block(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-fn brass_block(rng: &mut StageRng, size: f64) -> Blueprint {
+fn brass_block(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let extents =
         DVec3::new(uniform(rng, [0.11, 0.15]), uniform(rng, [0.04, 0.055]), uniform(rng, [0.055, 0.08]))
             * size;
-    Blueprint {
+    AssetBlueprint {
         name: "brass_block",
         class: "brass block",
         material: "brass",
@@ -248,16 +248,16 @@ fn brass_block(rng: &mut StageRng, size: f64) -> Blueprint {
     }
 }
 
-fn pool_ball(rng: &mut StageRng) -> Blueprint {
+fn pool_ball(rng: &mut StageRng) -> AssetBlueprint {
     let colors = pick(rng, &[([206, 34, 30], [236, 84, 60]), ([232, 176, 24], [250, 208, 84])]);
     let texture = texture(rng, Pattern::Speckle, colors, 0.006, 0.9);
     ball(BALL_RADIUS_M, texture, "pool_ball", "billiard ball", "phenolic_resin")
 }
 
-fn place(blueprint: Blueprint, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
+fn place(blueprint: AssetBlueprint, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
     let material = draw_material(blueprint.material, rng);
     let density = material.density.value.best;
-    // The catalogue's shapes enclose volume whatever the seed draws; a test goes over many seeds.
+    // All drawn shapes enclose volume; a test covers many seeds.
     let mass_a = mass_properties(&blueprint, density).expect("an asset of the catalogue has mass");
     // A → B: the origin moves to the centre of mass and the yaw goes into the geometry.
     let turn = DQuat::from_rotation_z(yaw);
@@ -293,8 +293,8 @@ fn place(blueprint: Blueprint, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> Trut
     }
 }
 
-/// Mass properties in `A`: of the solid, or of the shell around the void.
-fn mass_properties(blueprint: &Blueprint, density: f64) -> Result<MassProperties, InertiaError> {
+/// Returns the mass properties in `A`: of the solid, or of the shell around the void.
+fn mass_properties(blueprint: &AssetBlueprint, density: f64) -> Result<MassProperties, InertiaError> {
     if let Some(radius) = blueprint.sphere_radius {
         let center = DVec3::Z * radius;
         let outer = sphere_mass_properties(center, radius, density)?;
@@ -308,7 +308,7 @@ fn mass_properties(blueprint: &Blueprint, density: f64) -> Result<MassProperties
     }
 }
 
-/// What is left of a body when a part inside it is taken away (parallel-axis theorem).
+/// Removes an inner part from a body (parallel-axis theorem).
 fn without(whole: &MassProperties, part: &MassProperties) -> Result<MassProperties, InertiaError> {
     let mass = whole.mass() - part.mass();
     let com = (whole.com() * whole.mass() - part.com() * part.mass()) / mass;

@@ -1,7 +1,7 @@
 //! Figures made of ellipsoids, standing on a flat base: the surface of the union by marching tetrahedra, with every
 //! vertex moved onto the exact surface along its grid edge.
 
-use super::{Solid, clip::clip_convex};
+use super::{PartedSolid, clip::clip_convex};
 use glamx::DVec3;
 use sms_core::Mesh;
 use std::collections::BTreeMap;
@@ -18,12 +18,12 @@ impl Ellipsoid {
         Self { center: DVec3::from_array(center), radii: DVec3::from_array(radii) }
     }
 
-    /// Negative inside; about the distance in metres near the surface.
+    /// Returns a value that is negative inside and about the distance in metres near the surface.
     fn level(&self, p: DVec3) -> f64 {
         (((p - self.center) / self.radii).length() - 1.0) * self.radii.min_element()
     }
 
-    /// A convex polyhedron of the ellipsoid's own volume.
+    /// Returns a convex polyhedron of the ellipsoid's volume.
     fn polyhedron(&self) -> Mesh {
         let mut mesh = Mesh::icosphere(1.0, 2);
         let fill = (4.0 / 3.0 * std::f64::consts::PI / mesh.volume()).cbrt();
@@ -33,13 +33,13 @@ impl Ellipsoid {
 }
 
 /// The six tetrahedra of a cube cut along its main diagonal, by corner number (bit 0: x, 1: y, 2: z). Neighbouring
-/// cubes cut their common face alike.
+/// cubes cut their common face in the same way.
 const TETRAHEDRA: [[usize; 4]; 6] =
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]];
 
 /// The union of ellipsoids above z = 0, meshed with cells of `cell` metres; pieces are polyhedra of 162 corners, cut
 /// at z = 0.
-pub(crate) fn ellipsoid_union(blobs: &[Ellipsoid], cell: f64) -> Solid {
+pub(crate) fn ellipsoid_union(blobs: &[Ellipsoid], cell: f64) -> PartedSolid {
     let level = |p: DVec3| blobs.iter().map(|b| b.level(p)).fold(f64::INFINITY, f64::min).max(-p.z);
     let low =
         blobs.iter().fold(DVec3::MAX, |m, b| m.min(b.center - b.radii)).max(DVec3::new(-1e9, -1e9, 0.0));
@@ -84,7 +84,7 @@ pub(crate) fn ellipsoid_union(blobs: &[Ellipsoid], cell: f64) -> Solid {
         }
     }
     let parts = blobs.iter().map(|b| clip_convex(&b.polyhedron(), -DVec3::Z, 0.0)).collect();
-    Solid { mesh, parts }
+    PartedSolid { mesh, parts }
 }
 
 /// The surface within one positively oriented tetrahedron (all of [`TETRAHEDRA`] are).

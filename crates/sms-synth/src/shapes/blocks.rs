@@ -1,6 +1,6 @@
-//! Boxes: chamfered, gridded (so that vertex colours can carry a picture), and unions of axis-aligned ones.
+//! Boxes: chamfered, gridded (so that vertex colours have detail), and unions of axis-aligned ones.
 
-use super::{Solid, clip::clip_convex};
+use super::{PartedSolid, clip::clip_convex};
 use glamx::DVec3;
 use sms_core::Mesh;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ impl Cuboid {
 /// The union of boxes as one closed surface. Faces lie on the grid of all the boxes' planes, refined to cells of at
 /// most `cell` metres, so that the surface has no T-junctions. Boxes may touch in faces but should not overlap (the
 /// pieces' volumes then add up) and must not touch in a lone edge (the surface would not be a manifold).
-pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> Solid {
+pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> PartedSolid {
     let planes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
         let mut all: Vec<f64> = boxes.iter().flat_map(|b| [b.min[axis], b.max[axis]]).collect();
         all.sort_by(f64::total_cmp);
@@ -98,11 +98,11 @@ pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> Solid {
             }
         }
     }
-    Solid { mesh, parts: boxes.iter().map(Cuboid::mesh).collect() }
+    PartedSolid { mesh, parts: boxes.iter().map(Cuboid::mesh).collect() }
 }
 
 /// One box standing on z = 0 with faces in cells of about `cell` metres.
-pub(crate) fn gridded_cuboid(extents: DVec3, cell: f64) -> Solid {
+pub(crate) fn gridded_cuboid(extents: DVec3, cell: f64) -> PartedSolid {
     let half = 0.5 * extents;
     cuboid_union(
         &[Cuboid::new(DVec3::new(-half.x, -half.y, 0.0), DVec3::new(half.x, half.y, extents.z))],
@@ -111,7 +111,7 @@ pub(crate) fn gridded_cuboid(extents: DVec3, cell: f64) -> Solid {
 }
 
 /// One box standing on z = 0 with its edges cut at 45° by `chamfer` metres.
-pub(crate) fn chamfered_cuboid(extents: DVec3, chamfer: f64) -> Solid {
+pub(crate) fn chamfered_cuboid(extents: DVec3, chamfer: f64) -> PartedSolid {
     let half = 0.5 * extents;
     let mut mesh = Mesh::cuboid(half);
     for axis in 0..3 {
@@ -124,7 +124,7 @@ pub(crate) fn chamfered_cuboid(extents: DVec3, chamfer: f64) -> Solid {
         }
     }
     mesh.vertices.iter_mut().for_each(|p| p.z += half.z);
-    Solid { parts: vec![mesh.clone()], mesh }
+    PartedSolid { parts: vec![mesh.clone()], mesh }
 }
 
 #[cfg(test)]
@@ -150,7 +150,7 @@ mod tests {
         let solid = chamfered_cuboid(e, c);
         assert!(solid.mesh.is_closed_oriented());
         let mut cut = 4.0 * 0.5 * c * c * (e.x + e.y + e.z);
-        // Where three cuts meet in a corner, the prisms overlap; each corner counts c³/4 ... twice too often at most.
+        // The prisms overlap at the corners: each corner is counted at most twice too often.
         let corners = 8.0 * c.powi(3);
         let lost = e.x * e.y * e.z - solid.mesh.volume();
         assert!(lost < cut && lost > cut - corners, "{lost} {cut}");

@@ -4,7 +4,7 @@ use glamx::DVec3;
 use sms_core::Mesh;
 use std::collections::BTreeMap;
 
-/// The part of a closed convex mesh with `normal · p ≤ offset`, closed again by a flat cap.
+/// Returns the part of a closed convex mesh with `normal · p ≤ offset`, closed again by a flat cap.
 pub(crate) fn clip_convex(mesh: &Mesh, normal: DVec3, offset: f64) -> Mesh {
     let scale = mesh.vertices.iter().map(|v| v.length()).fold(0.0, f64::max) * normal.length();
     // Vertices within rounding of the plane count as inside, so that no sliver is cut off.

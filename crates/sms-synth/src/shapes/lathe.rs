@@ -1,10 +1,10 @@
 //! Turned shapes: regular polygons swept along a profile, solid or with a cavity, optionally with a handle.
 //!
 //! A lathed surface of `n` segments is a polyhedron, and its convex pieces are exact: a band of a solid is a frustum;
-//! a band of a wall, in one segment, is a hexahedron whose faces are planar because chords of equal angle are
+//! a band of a wall, in one segment, is a hexahedron with planar faces, because chords of equal angle are
 //! parallel.
 
-use super::Solid;
+use super::PartedSolid;
 use glamx::DVec3;
 use sms_core::Mesh;
 use std::f64::consts::TAU;
@@ -19,7 +19,7 @@ pub(crate) struct Handle {
     pub(crate) low_band: usize,
     /// Index of the outer profile point at which the upper band begins.
     pub(crate) high_band: usize,
-    /// How far it stands out, metres.
+    /// Distance by which it protrudes, metres.
     pub(crate) reach: f64,
     /// Thickness in the plane of the handle, metres.
     pub(crate) thickness: f64,
@@ -86,8 +86,8 @@ fn frustum(low: ProfilePoint, high: ProfilePoint, n: usize) -> Mesh {
 }
 
 /// A solid of revolution with flat ends; heights must increase strictly and radii be positive.
-pub(crate) fn lathe_solid(profile: &[ProfilePoint], segments: usize) -> Solid {
-    Solid {
+pub(crate) fn lathe_solid(profile: &[ProfilePoint], segments: usize) -> PartedSolid {
+    PartedSolid {
         mesh: sweep(profile, segments, &[]),
         parts: profile.windows(2).map(|w| frustum(w[0], w[1], segments)).collect(),
     }
@@ -100,7 +100,7 @@ pub(crate) fn lathe_vessel(
     inner: &[ProfilePoint],
     segments: usize,
     handle: Option<Handle>,
-) -> Solid {
+) -> PartedSolid {
     assert_eq!(inner.len() + 1, outer.len(), "each outer point above the base has its inner point");
     assert_eq!(inner[0].1, outer[1].1, "the cavity begins at the top of the base");
     let profile: Vec<ProfilePoint> = outer.iter().chain(inner.iter().rev()).copied().collect();
@@ -118,7 +118,7 @@ pub(crate) fn lathe_vessel(
     if let Some(handle) = handle {
         attach_handle(&mut mesh, &mut parts, outer, segments, handle);
     }
-    Solid { mesh, parts }
+    PartedSolid { mesh, parts }
 }
 
 fn attach_handle(mesh: &mut Mesh, parts: &mut Vec<Mesh>, outer: &[ProfilePoint], n: usize, handle: Handle) {
@@ -174,7 +174,7 @@ fn attach_handle(mesh: &mut Mesh, parts: &mut Vec<Mesh>, outer: &[ProfilePoint],
 mod tests {
     use super::*;
 
-    fn volumes(solid: &Solid) -> (f64, f64) {
+    fn volumes(solid: &PartedSolid) -> (f64, f64) {
         (solid.mesh.volume(), solid.parts.iter().map(Mesh::volume).sum())
     }
 

@@ -1,4 +1,4 @@
-//! Geometry of assets: closed surfaces together with the convex pieces that they are made of.
+//! Geometry of assets: closed surfaces and their convex pieces.
 
 mod blobs;
 mod blocks;
@@ -11,9 +11,9 @@ pub(crate) use lathe::{Handle, lathe_solid, lathe_vessel};
 
 use sms_core::Mesh;
 
-/// A closed oriented surface with convex pieces whose union is the solid that it bounds.
+/// A closed oriented surface and convex pieces with the same union.
 #[derive(Debug, Clone)]
-pub(crate) struct Solid {
+pub(crate) struct PartedSolid {
     pub(crate) mesh: Mesh,
     pub(crate) parts: Vec<Mesh>,
 }

@@ -1,4 +1,4 @@
-//! Landing structures are what they claim to be: they stand, and topple under the loads that statics gives.
+//! Landing structures stand, and topple under the loads of statics.
 
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Hasher, Seed};
@@ -91,7 +91,7 @@ fn structures_stand_on_each_other_and_a_quarter_of_a_quadrotor_topples_them() {
             assert!(object.mesh.is_closed_oriented());
             assert!((object.aabb_w().min.z - support.height_m).abs() < 1e-9);
             assert!(support.footprint_w.len() >= 3, "{} of {} hangs in the air", object.name, scene.name);
-            // By itself it stands, and not by a hair.
+            // It stands by itself, with a margin.
             let own: DVec2 = object.x_wb.translation.truncate();
             assert!(scene.support_load_n(support, own) > 0.0);
         }

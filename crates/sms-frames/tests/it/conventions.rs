@@ -1,8 +1,6 @@
-//! `check` on recordings whose truth is known: sound ones are approved, wrong ones are named.
+//! `check` on recordings with known truth: it approves correct ones and names the faults of others.
 
-mod common;
-
-use common::{Written, save, write};
+use crate::common::{Written, save, write};
 use serde_json::json;
 use sms_core::{Cancel, NoProgress};
 use sms_frames::{Axes, CheckReport, PoseDirection, ReadOptions, Recording, Severity, check};
@@ -13,11 +11,12 @@ fn check_with(how: &Written, options: &ReadOptions) -> CheckReport {
     check(&Recording::open(dir.path(), options).unwrap(), &NoProgress, &Cancel::new()).unwrap()
 }
 
-fn fault(report: &CheckReport) -> (String, String) {
+/// The code of the only fault.
+fn fault(report: &CheckReport) -> &'static str {
     let faults: Vec<_> = report.findings.iter().filter(|f| f.severity == Severity::Fault).collect();
     assert_eq!(faults.len(), 1, "{report}");
     assert!(!report.approved());
-    (faults[0].what.clone(), faults[0].cure.clone())
+    faults[0].code
 }
 
 #[test]
@@ -35,7 +34,7 @@ fn a_sound_recording_is_approved_however_it_is_written() {
     ] {
         let report = check_with(&how, &options);
         assert!(report.approved(), "{report}");
-        // Exact depth differs by where in its pixel (4 mm here) the carried point falls, times the slope.
+        // Exact depths differ by the sub-pixel position (4 mm per pixel) times the slope.
         assert!(report.overlap_1.unwrap().median_m < 2e-3, "{report}");
         assert!((report.best_unit_factor.unwrap() - 1.0).abs() < 0.03, "{report}");
         assert_eq!(report.frames, 9);
@@ -44,11 +43,9 @@ fn a_sound_recording_is_approved_however_it_is_written() {
 
 #[test]
 fn axes_declared_wrongly() {
-    let (what, cure) =
-        fault(&check_with(&Written { opencv_axes: true, ..Written::default() }, &ReadOptions::default()));
-    assert!(what.contains("declared axes are OpenGL but the data fits OpenCV"), "{what}");
-    assert!(cure.contains("\"camera_convention\": \"opencv\""), "{cure}");
-    // The cure cures.
+    let report = check_with(&Written { opencv_axes: true, ..Written::default() }, &ReadOptions::default());
+    assert_eq!(fault(&report), "wrong_axes");
+    // The suggested key removes the fault.
     let dir = tempfile::tempdir().unwrap();
     let mut json = write(dir.path(), &Written { opencv_axes: true, ..Written::default() });
     json["camera_convention"] = json!("opencv");
@@ -59,13 +56,8 @@ fn axes_declared_wrongly() {
 
 #[test]
 fn poses_written_inverted() {
-    let (what, cure) =
-        fault(&check_with(&Written { inverted: true, ..Written::default() }, &ReadOptions::default()));
-    assert!(what.contains("data fits world-to-camera"), "{what}");
-    assert!(
-        cure.contains("invert the poses") && cure.contains("\"pose_convention\": \"world_to_camera\""),
-        "{cure}"
-    );
+    let report = check_with(&Written { inverted: true, ..Written::default() }, &ReadOptions::default());
+    assert_eq!(fault(&report), "wrong_pose_direction");
     let dir = tempfile::tempdir().unwrap();
     let mut json = write(dir.path(), &Written { inverted: true, ..Written::default() });
     json["pose_convention"] = json!("world_to_camera");
@@ -76,17 +68,10 @@ fn poses_written_inverted() {
 
 #[test]
 fn depth_unit_declared_wrongly() {
-    for (declared, word) in [
-        (0.002, "ten times too large"),
-        (0.00002, "ten times too small"),
-        (0.001, "five times too large"),
-        (0.2, "a thousand times too large"),
-    ] {
+    for declared in [0.002, 0.00002, 0.001, 0.2] {
         let options = ReadOptions { depth_unit_m: Some(declared), ..ReadOptions::default() };
         let report = check_with(&Written::default(), &options);
-        let (what, cure) = fault(&report);
-        assert!(what.contains(word), "{what}");
-        assert!(cure.contains("set depth_unit_scale_factor to 0.0002 "), "{cure}");
+        assert_eq!(fault(&report), "wrong_depth_unit");
         let unit = declared * report.best_unit_factor.unwrap();
         assert!((unit / 0.0002 - 1.0).abs() < 0.03, "{unit}");
     }
@@ -96,8 +81,8 @@ fn depth_unit_declared_wrongly() {
 fn two_faults_at_once_are_both_named() {
     let options = ReadOptions { depth_unit_m: Some(0.002), ..ReadOptions::default() };
     let report = check_with(&Written { opencv_axes: true, ..Written::default() }, &options);
-    let whats: Vec<&str> = report.findings.iter().map(|f| f.code).collect();
-    assert!(whats.contains(&"wrong_axes") && whats.contains(&"wrong_depth_unit"), "{report}");
+    let codes: Vec<&str> = report.findings.iter().map(|f| f.code).collect();
+    assert!(codes.contains(&"wrong_axes") && codes.contains(&"wrong_depth_unit"), "{report}");
 }
 
 #[test]
@@ -121,12 +106,11 @@ fn one_frame_and_a_bad_pose() {
     save(dir.path(), &json);
     let recording = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
     let report = check(&recording, &NoProgress, &Cancel::new()).unwrap();
-    let jump = report.findings.iter().find(|f| f.code == "pose_jumps").unwrap_or_else(|| panic!("{report}"));
-    assert!(jump.what.contains("6 → 7") && jump.what.contains("7 → 8"), "{}", jump.what);
+    assert!(report.findings.iter().any(|f| f.code == "pose_jumps"), "{report}");
 }
 
 #[test]
-fn a_wrong_pixel_centre_is_told_where_the_camera_rolls() {
+fn a_wrong_pixel_centre_is_found_if_the_camera_rolls() {
     let how = Written { frames: 16, pixel_center: 0.0, ..Written::default() };
     let right = check_with(&how, &ReadOptions { pixel_center: Some(0.0), ..ReadOptions::default() });
     assert!(right.findings.iter().all(|f| f.code != "pixel_center"), "{right}");
@@ -134,8 +118,5 @@ fn a_wrong_pixel_centre_is_told_where_the_camera_rolls() {
     let fit = wrong.pixel_center_fit.unwrap();
     println!("{fit:?} {:?}", right.pixel_center_fit);
     assert_eq!(fit.better, 0.0);
-    assert!(
-        wrong.findings.iter().any(|f| f.code == "pixel_center" && f.cure.contains("\"pixel_center\": 0 ")),
-        "{wrong}"
-    );
+    assert!(wrong.findings.iter().any(|f| f.code == "pixel_center"), "{wrong}");
 }

@@ -1,4 +1,4 @@
-//! A scene prepared for rays: what is hit first, and how much of a lamp a point sees.
+//! A scene prepared for ray tracing: nearest hits and lamp visibility.
 
 use crate::bvh::{Bvh, Ray};
 use crate::scene::TruthScene;
@@ -8,15 +8,15 @@ use std::collections::BTreeMap;
 
 /// Geometry of a scene and its lamps.
 #[derive(Debug)]
-pub(crate) struct Stage {
+pub(crate) struct RayScene {
     half_floor: f32,
     bvh: Bvh,
     pub(crate) facets: Vec<Facet>,
-    pub(crate) bodies: Vec<Body>,
+    pub(crate) bodies: Vec<TracedBody>,
     pub(crate) lamps: [Lamp; LAMPS],
 }
 
-/// What shading needs to know of a triangle.
+/// A triangle with the data for shading.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Facet {
     pub(crate) object: usize,
@@ -27,10 +27,10 @@ pub(crate) struct Facet {
 }
 
 #[derive(Debug)]
-pub(crate) struct Body {
-    /// Exact sphere, if it is one: centre in the world and radius.
+pub(crate) struct TracedBody {
+    /// Centre in the world and radius of an exact sphere.
     pub(crate) sphere: Option<(Vec3, f32)>,
-    /// Sphere around it.
+    /// Bounding sphere.
     pub(crate) center: Vec3,
     pub(crate) radius: f32,
     /// World to asset frame.
@@ -39,7 +39,7 @@ pub(crate) struct Body {
 }
 
 /// The nearest surface along a ray.
-pub(crate) struct Hit {
+pub(crate) struct RayHit {
     pub(crate) t: f32,
     /// Facet and weights of its corners; `None` for the floor and spheres.
     pub(crate) facet: Option<(usize, [f32; 3])>,
@@ -49,14 +49,14 @@ pub(crate) struct Hit {
     pub(crate) normal: Vec3,
     /// Normal of the facet itself.
     pub(crate) flat_normal: Vec3,
-    /// From where shadow rays start, so that facets do not show in the shadow's edge (Hanika 2021).
+    /// Origin of shadow rays that hides facets at the shadow's edge (Hanika 2021).
     pub(crate) shadow_origin: Vec3,
 }
 
-/// Facets that meet at less than this angle are shaded as one smooth surface: cos 38°.
+/// Facets that meet at less than this angle (38°) are shaded as one smooth surface.
 const CREASE_COS: f64 = 0.79;
 
-impl Stage {
+impl RayScene {
     pub(crate) fn new(scene: &TruthScene) -> Self {
         let mut facets = Vec::new();
         for (index, object) in scene.objects.iter().enumerate() {
@@ -79,7 +79,7 @@ impl Stage {
                 let bounds = object.aabb_w();
                 let x_aw: DPose3 = object.x_ab * object.x_wb.inverse();
                 let around = object.sphere_radius.unwrap_or(0.5 * bounds.extents().length());
-                Body {
+                TracedBody {
                     sphere: object.sphere_radius.map(|r| (object.x_wb.translation.as_vec3(), r as f32)),
                     center: bounds.center().as_vec3(),
                     radius: around as f32,
@@ -92,8 +92,8 @@ impl Stage {
         Self { half_floor, bvh: Bvh::build(&corners), facets, bodies, lamps: lamps() }
     }
 
-    /// The first surface along a ray, at least 1 mm away; distances are in units of `direction`.
-    pub(crate) fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+    /// Returns the first surface along a ray, at least 1 mm away; distances are in units of `direction`.
+    pub(crate) fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<RayHit> {
         const START: f32 = 1e-3;
         let mut limit = f32::INFINITY;
         let mut hit = None;
@@ -104,7 +104,7 @@ impl Stage {
                 limit = t;
                 let point = point.with_z(0.0);
                 let shadow_origin = point + Vec3::Z * 1e-4;
-                hit = Some(Hit {
+                hit = Some(RayHit {
                     t,
                     facet: None,
                     object: None,
@@ -124,7 +124,15 @@ impl Stage {
                 let point = center + normal * radius;
                 let shadow_origin = point + normal * 1e-4;
                 let object = Some(index);
-                hit = Some(Hit { t, facet: None, object, point, normal, flat_normal: normal, shadow_origin });
+                hit = Some(RayHit {
+                    t,
+                    facet: None,
+                    object,
+                    point,
+                    normal,
+                    flat_normal: normal,
+                    shadow_origin,
+                });
             }
         }
         let ray = Ray::new(origin, direction, START);
@@ -144,20 +152,20 @@ impl Stage {
             let shadow_origin = blend(lifted) + flat_normal * 1e-4;
             let object = Some(facet.object);
             let facet = Some((found.triangle as usize, weights));
-            hit = Some(Hit { t: found.t, facet, object, point, normal, flat_normal, shadow_origin });
+            hit = Some(RayHit { t: found.t, facet, object, point, normal, flat_normal, shadow_origin });
         }
         hit
     }
 
-    /// Whether a body's surrounding sphere reaches into the cone from `origin` around the unit `direction` with this tangent
-    /// of its half-angle, as far as `reach`.
-    fn in_cone(body: &Body, origin: Vec3, direction: Vec3, tangent: f32) -> bool {
+    /// Returns whether a body's bounding sphere intersects the cone from `origin` around the unit `direction` with this tangent
+    /// of its half-angle.
+    fn in_cone(body: &TracedBody, origin: Vec3, direction: Vec3, tangent: f32) -> bool {
         let along = (body.center - origin).dot(direction);
         let beside = (body.center - origin - direction * along).length();
         along > -body.radius && beside < body.radius + tangent * along.max(0.0)
     }
 
-    /// Whether any body but `own` may be hit by rays of such a cone.
+    /// Returns whether rays of such a cone may hit any body but `own`.
     pub(crate) fn may_hit(&self, origin: Vec3, direction: Vec3, tangent: f32, own: Option<usize>) -> bool {
         self.bodies
             .iter()
@@ -165,8 +173,8 @@ impl Stage {
             .any(|(i, b)| Some(i) != own && Self::in_cone(b, origin, direction, tangent))
     }
 
-    /// The share of a lamp that a point sees; `to_lamp` is the unit direction to its centre. Rays are only traced past bodies
-    /// that stand near the line of sight, and many only where the first four disagree.
+    /// Returns the visible share of a lamp; `to_lamp` is the unit direction to its centre. Rays are traced only past bodies near
+    /// the line of sight, and more than four only if the first four disagree.
     pub(crate) fn lamp_visibility(&self, origin: Vec3, lamp: &Lamp, to_lamp: Vec3, jitter: f32) -> f32 {
         const RING: usize = 4;
         const SAMPLES: usize = 16;
@@ -206,7 +214,7 @@ impl Stage {
     }
 }
 
-/// Distance to a sphere in units of `direction`, computed without cancellation (Haines et al. 2019, "Precision
+/// Returns the distance to a sphere in units of `direction`, computed without cancellation (Haines et al. 2019, "Precision
 /// Improvements for Ray/Sphere Intersection").
 fn sphere_distance(origin: Vec3, direction: Vec3, center: Vec3, radius: f32, t_min: f32) -> Option<f32> {
     let f = origin - center;
@@ -223,7 +231,7 @@ fn sphere_distance(origin: Vec3, direction: Vec3, center: Vec3, radius: f32, t_m
     [near, far].into_iter().find(|&t| t > t_min)
 }
 
-/// Corner normals of each triangle: the area-weighted mean of the facets around the corner that bend by less than the
+/// Computes the corner normals of each triangle: the area-weighted mean of the facets around the corner that bend by less than the
 /// crease angle.
 fn smooth_normals(mesh: &sms_core::Mesh) -> Vec<[Vec3; 3]> {
     let area_normals: Vec<glamx::DVec3> = (0..mesh.triangles.len())
@@ -264,7 +272,7 @@ mod tests {
         let settings = BilliardsSettings { objects: 0, ..BilliardsSettings::default() };
         let mut scene = generate_billiards(Seed(1), &settings);
         scene.objects.truncate(1);
-        let mut stage = Stage::new(&scene);
+        let mut stage = RayScene::new(&scene);
         let (ball, radius) = stage.bodies[0].sphere.unwrap();
         // A lamp right above: across the floor through the point below the ball, the shadow is dark up to where the lamp's
         // far rim comes out behind the ball and light from where its near rim does.

@@ -1,8 +1,6 @@
-//! Every kind of bad recording gives one message that names the file and the cure.
+//! Every kind of corrupt recording is refused with the name of the file.
 
-mod common;
-
-use common::{Written, save, write};
+use crate::common::{Written, save, write};
 use serde_json::{Value, json};
 use sms_core::{
     Cancel, CoreError, Image, NoProgress, StageContext, Warnings, write_png_color, write_png_gray16,
@@ -20,40 +18,43 @@ fn scan(dir: &Path, options: &ReadOptions) -> Result<Sequence, FramesError> {
     load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new()))
 }
 
-/// Writes a recording, spoils it, and looks at the message of a scan (and of a check, where opening succeeds).
-fn expect(names: &str, says: &str, spoil: impl FnOnce(&Path, &mut Value)) -> String {
+/// The file that an input error names, relative to `dir`.
+fn faulty(error: FramesError, dir: &Path) -> String {
+    let CoreError::Input(error) = error else { panic!("{error:?}") };
+    assert!(!error.cure.is_empty(), "{error}");
+    let path = Path::new(&error.path);
+    path.strip_prefix(dir).unwrap_or(path).display().to_string()
+}
+
+/// Writes a recording, corrupts it, and tests that a scan (and a check, if the recording opens) refuses `file`.
+fn expect(file: &str, corrupt: impl FnOnce(&Path, &mut Value)) {
     let dir = tempfile::tempdir().unwrap();
     let mut json = write(dir.path(), &small());
-    scan(dir.path(), &ReadOptions::default()).expect("the recording is sound before it is spoiled");
-    spoil(dir.path(), &mut json);
-    let error = scan(dir.path(), &ReadOptions::default()).expect_err(says);
-    assert!(matches!(error, CoreError::Input(_)), "{error:?}");
-    let message = error.to_string();
-    assert!(message.contains(names), "{names} is not named in: {message}");
-    assert!(message.contains(says), "\"{says}\" is not in: {message}");
-    assert!(message.contains("cure: "), "{message}");
+    scan(dir.path(), &ReadOptions::default()).expect("the recording is intact before");
+    corrupt(dir.path(), &mut json);
+    let error = scan(dir.path(), &ReadOptions::default()).expect_err(file);
+    assert_eq!(faulty(error, dir.path()), file);
     if let Ok(recording) = Recording::open(dir.path(), &ReadOptions::default()) {
         let checked = check(&recording, &NoProgress, &Cancel::new()).expect_err("check refuses it too");
-        assert!(checked.to_string().contains(names), "{checked}");
+        assert_eq!(faulty(checked, dir.path()), file);
     }
-    message
 }
 
 #[test]
 fn missing_folder_and_folder_without_a_recording() {
     let dir = tempfile::tempdir().unwrap();
-    let error = scan(&dir.path().join("nowhere"), &ReadOptions::default()).unwrap_err().to_string();
-    assert!(error.contains("nowhere") && error.contains("no recording folder"), "{error}");
-    let error = scan(dir.path(), &ReadOptions::default()).unwrap_err().to_string();
-    assert!(error.contains("known format") && error.contains("transforms.json"), "{error}");
+    let error = scan(&dir.path().join("nowhere"), &ReadOptions::default()).unwrap_err();
+    assert_eq!(faulty(error, dir.path()), "nowhere");
+    let error = scan(dir.path(), &ReadOptions::default()).unwrap_err();
+    assert_eq!(faulty(error, dir.path()), "");
 }
 
 #[test]
 fn missing_files() {
-    expect("depth/000001.png", "depth image cannot be opened", |dir, _| {
+    expect("depth/000001.png", |dir, _| {
         std::fs::remove_file(dir.join("depth/000001.png")).unwrap();
     });
-    expect("color/000002.png", "colour image cannot be opened", |dir, _| {
+    expect("color/000002.png", |dir, _| {
         std::fs::remove_file(dir.join("color/000002.png")).unwrap();
     });
 }
@@ -61,17 +62,17 @@ fn missing_files() {
 #[test]
 fn truncated_images() {
     for file in ["depth/000001.png", "color/000001.png"] {
-        expect(file, "damaged", |dir, _| {
+        expect(file, |dir, _| {
             let bytes = std::fs::read(dir.join(file)).unwrap();
             std::fs::write(dir.join(file), &bytes[..bytes.len() / 2]).unwrap();
         });
-        expect(file, "damaged", |dir, _| std::fs::write(dir.join(file), b"").unwrap());
+        expect(file, |dir, _| std::fs::write(dir.join(file), b"").unwrap());
     }
 }
 
 #[test]
 fn depth_of_eight_bits() {
-    expect("depth/000000.png", "8 bits", |dir, _| {
+    expect("depth/000000.png", |dir, _| {
         write_png_color(&dir.join("depth/000000.png"), &Image::filled(160, 120, [9, 9, 9])).unwrap();
     });
 }
@@ -87,10 +88,9 @@ fn sizes_that_differ_need_an_explanation() {
             write_png_gray16(&path, &half).unwrap();
         }
     };
-    let message = expect("depth/000000.png", "80 × 60", shrink);
-    assert!(message.contains("depth_fl_x") && message.contains("depth_same_field_of_view"), "{message}");
+    expect("depth/000000.png", shrink);
 
-    // With either statement the same recording is read.
+    // With either key the same recording is read.
     for (key, value) in [("depth_same_field_of_view", json!(true)), ("depth_fl_x", json!(75.0))] {
         let dir = tempfile::tempdir().unwrap();
         let mut json = write(dir.path(), &small());
@@ -105,7 +105,7 @@ fn sizes_that_differ_need_an_explanation() {
 
 #[test]
 fn colour_of_another_size_than_its_intrinsics() {
-    expect("color/000000.png", "intrinsics are for 320", |dir, json| {
+    expect("color/000000.png", |dir, json| {
         (json["w"], json["h"]) = (json!(320), json!(240));
         save(dir, json);
     });
@@ -113,7 +113,7 @@ fn colour_of_another_size_than_its_intrinsics() {
 
 #[test]
 fn poses_that_are_not_rigid() {
-    let message = expect("transforms.json", "not a rigid transform", |dir, json| {
+    expect("transforms.json", |dir, json| {
         for row in 0..3 {
             for column in 0..3 {
                 let v = &mut json["frames"][1]["transform_matrix"][row][column];
@@ -122,12 +122,11 @@ fn poses_that_are_not_rigid() {
         }
         save(dir, json);
     });
-    assert!(message.contains("frame 1") && message.contains("scaled by 1.05"), "{message}");
-    expect("transforms.json", "frame 2", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["frames"][2]["transform_matrix"][0][1] = json!(0.9);
         save(dir, json);
     });
-    expect("transforms.json", "4 rows", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["frames"][0]["transform_matrix"] = json!([[1.0, 0.0], [0.0, 1.0]]);
         save(dir, json);
     });
@@ -136,33 +135,32 @@ fn poses_that_are_not_rigid() {
 #[test]
 fn json_with_nan_or_nonsense() {
     for nan in ["NaN", "Infinity", "-Infinity", "1e999"] {
-        let message = expect("transforms.json", "not finite", |dir, json| {
+        expect("transforms.json", |dir, json| {
             json["frames"][1]["transform_matrix"][0][3] = json!("HERE");
             let text = serde_json::to_string_pretty(json).unwrap().replace("\"HERE\"", nan);
             std::fs::write(dir.join("transforms.json"), text).unwrap();
         });
-        assert!(message.contains("line "), "{message}");
     }
-    expect("transforms.json", "description is not what it should be", |dir, _| {
+    expect("transforms.json", |dir, _| {
         std::fs::write(dir.join("transforms.json"), "{\"frames\": [").unwrap();
     });
-    expect("transforms.json", "focal length", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json.as_object_mut().unwrap().remove("fl_x");
         save(dir, json);
     });
-    expect("transforms.json", "names no known axes", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["camera_convention"] = json!("left-handed");
         save(dir, json);
     });
-    expect("transforms.json", "has no depth", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["frames"][1].as_object_mut().unwrap().remove("depth_file_path");
         save(dir, json);
     });
-    expect("transforms.json", "depth_unit_scale_factor", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["depth_unit_scale_factor"] = json!(0.0);
         save(dir, json);
     });
-    expect("transforms.json", "camera model", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["camera_model"] = json!("OPENCV_FISHEYE");
         save(dir, json);
     });
@@ -170,7 +168,7 @@ fn json_with_nan_or_nonsense() {
 
 #[test]
 fn zero_frames() {
-    expect("transforms.json", "no frames", |dir, json| {
+    expect("transforms.json", |dir, json| {
         json["frames"] = json!([]);
         save(dir, json);
     });
@@ -181,7 +179,7 @@ fn depth_that_is_all_zero() {
     let blank = |dir: &Path, i: usize| {
         write_png_gray16(&dir.join(format!("depth/{i:06}.png")), &Image::filled(160, 120, 0)).unwrap();
     };
-    expect("depth/000001.png", "holds no depth", |dir, _| blank(dir, 1));
+    expect("depth/000001.png", |dir, _| blank(dir, 1));
 
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), &small());
@@ -191,16 +189,15 @@ fn depth_that_is_all_zero() {
     assert_eq!(sequence.frames.iter().map(|f| f.index).collect::<Vec<_>>(), [0, 1]);
     assert!(sequence.frames[1].color_path.ends_with("color/000002.png"));
     (0..3).for_each(|i| blank(dir.path(), i));
-    assert!(scan(dir.path(), &options).unwrap_err().to_string().contains("every depth image is empty"));
+    assert_eq!(faulty(scan(dir.path(), &options).unwrap_err(), dir.path()), "");
 }
 
 #[test]
-fn depth_out_of_range_names_the_unit() {
+fn depth_out_of_range_names_the_image() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), &small());
     let options = ReadOptions { depth_unit_m: Some(1.0), ..ReadOptions::default() };
-    let error = scan(dir.path(), &options).unwrap_err().to_string();
-    assert!(error.contains("no depth lies between") && error.contains("depth_unit_scale_factor"), "{error}");
+    assert_eq!(faulty(scan(dir.path(), &options).unwrap_err(), dir.path()), "depth/000000.png");
 }
 
 #[test]
@@ -222,5 +219,5 @@ fn options_out_of_range_and_cancelled_work() {
     assert!(matches!(cancelled, Err(CoreError::Interrupted)));
     let late = LoadSettings { first: 3, ..LoadSettings::default() };
     let error = load(&recording, &late, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap_err();
-    assert!(error.to_string().contains("no frame is left"), "{error}");
+    assert!(matches!(error, CoreError::Input(_)), "{error}");
 }

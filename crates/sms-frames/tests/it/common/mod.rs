@@ -1,33 +1,32 @@
 //! A small recording made by casting rays at a table with a ball and two boxes.
-#![allow(dead_code, unreachable_pub, reason = "each test file uses a part of this module")]
 
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde_json::{Value, json};
 use sms_core::{Camera, ColorImage, Image, Intrinsics, write_png_color, write_png_gray16};
 use std::path::Path;
 
-pub const WIDTH: usize = 160;
-pub const HEIGHT: usize = 120;
+pub(crate) const WIDTH: usize = 160;
+pub(crate) const HEIGHT: usize = 120;
 
 /// Recorded intrinsics with pixel centres at +0.5.
-pub fn intrinsics() -> Intrinsics {
+pub(crate) fn intrinsics() -> Intrinsics {
     Intrinsics { width: WIDTH, height: HEIGHT, fx: 150.0, fy: 151.0, cx: 79.3, cy: 61.2 }
 }
 
 /// How the recording is written.
 #[derive(Clone)]
-pub struct Written {
-    pub frames: usize,
+pub(crate) struct Written {
+    pub(crate) frames: usize,
     /// Length of the camera's arc in radians; 0 for a camera that stands still.
-    pub arc: f64,
-    pub opencv_axes: bool,
-    pub inverted: bool,
+    pub(crate) arc: f64,
+    pub(crate) opencv_axes: bool,
+    pub(crate) inverted: bool,
     /// Metres of a unit in the images, whatever the JSON says.
-    pub unit_m: f64,
+    pub(crate) unit_m: f64,
     /// Pixel centre that the written cx, cy refer to.
-    pub pixel_center: f64,
+    pub(crate) pixel_center: f64,
     /// Carries the z-up world to the recording's.
-    pub x_recording_world: DPose3,
+    pub(crate) x_recording_world: DPose3,
 }
 
 impl Default for Written {
@@ -45,7 +44,7 @@ impl Default for Written {
 }
 
 /// A camera on an arc round the table, rolling a little.
-pub fn camera(i: usize, frames: usize, arc: f64) -> Camera {
+pub(crate) fn camera(i: usize, frames: usize, arc: f64) -> Camera {
     let s = if frames > 1 { i as f64 / (frames - 1) as f64 - 0.5 } else { 0.0 };
     let angle = arc * s;
     let eye = DVec3::new(0.6 * angle.sin(), -0.6 * angle.cos(), 0.38 + 0.1 * angle);
@@ -87,7 +86,7 @@ fn hit(origin: DVec3, ray: DVec3) -> (f64, [u8; 3]) {
 }
 
 /// Colour and depth in metres (0 where nothing is hit).
-pub fn render(camera: &Camera) -> (ColorImage, Image<f64>) {
+pub(crate) fn render(camera: &Camera) -> (ColorImage, Image<f64>) {
     let k = camera.intrinsics;
     let mut color = Image::filled(k.width, k.height, [0u8; 3]);
     let mut depth = Image::filled(k.width, k.height, 0.0);
@@ -104,7 +103,7 @@ pub fn render(camera: &Camera) -> (ColorImage, Image<f64>) {
     (color, depth)
 }
 
-pub fn rows(pose: &DPose3) -> Value {
+pub(crate) fn rows(pose: &DPose3) -> Value {
     let r = DMat3::from_quat(pose.rotation);
     let t = pose.translation;
     let row = |i: usize| json!([r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
@@ -112,7 +111,7 @@ pub fn rows(pose: &DPose3) -> Value {
 }
 
 /// Writes the recording; the returned JSON is what `transforms.json` holds, for tests that spoil it.
-pub fn write(dir: &Path, how: &Written) -> Value {
+pub(crate) fn write(dir: &Path, how: &Written) -> Value {
     let mut frames = Vec::new();
     for i in 0..how.frames {
         let camera = camera(i, how.frames, how.arc);
@@ -143,6 +142,6 @@ pub fn write(dir: &Path, how: &Written) -> Value {
     json
 }
 
-pub fn save(dir: &Path, json: &Value) {
+pub(crate) fn save(dir: &Path, json: &Value) {
     std::fs::write(dir.join("transforms.json"), serde_json::to_string_pretty(json).unwrap()).unwrap();
 }

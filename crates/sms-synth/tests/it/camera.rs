@@ -82,7 +82,7 @@ fn depth_and_labels_are_those_of_the_nearest_surface() {
             let (z, label) = brute_force(&scene, &camera, x, y);
             let found = (f64::from(frame.depth[(x, y)]), frame.label[(x, y)]);
             if found.1 != label {
-                // Only where a ray grazes an outline may rounding decide.
+                // Rounding may decide only for rays that graze an outline.
                 outlines += 1;
                 continue;
             }
@@ -174,7 +174,7 @@ fn a_frame_does_not_depend_on_threads_and_its_noise_depends_on_the_seed() {
     assert_eq!((&one.depth, &one.label), (&other.depth, &other.label));
     assert_ne!(one.depth_noisy, other.depth_noisy);
     assert_ne!(one.color, other.color);
-    // Most of what is in range is measured, and well.
+    // Most pixels in range have an accurate measurement.
     let mut errors: Vec<f32> = Vec::new();
     let mut lost = 0;
     for (&z, &m) in one.depth.data.iter().zip(&one.depth_noisy.data) {
@@ -278,7 +278,7 @@ fn depth_and_labels_know_nothing_of_looks() {
 
 #[test]
 fn balls_have_the_colours_that_tasks_name() {
-    // Chromaticity and lightness in 8-bit sRGB, whatever the floor: white is bright and without a tint, blue is blue.
+    // Chromaticity and lightness in 8-bit sRGB on every floor: white is bright and without a tint, blue is blue.
     for seed in 1..=3 {
         let scene = generate_billiards(Seed(seed), &BilliardsSettings::default());
         let renderer = Renderer::new(&scene);

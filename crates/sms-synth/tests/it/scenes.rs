@@ -1,4 +1,4 @@
-//! Generated scenes are what they claim to be, over many seeds.
+//! Properties of generated scenes, over many seeds.
 
 use glamx::{DVec2, DVec3};
 use rand::RngExt;

@@ -6,7 +6,7 @@ use sms_synth::{
     AssetKind, FIRST_DRAWN, FIXED_SCENES, Layout, TruthScene, billiards_scene, generate_challenge,
 };
 
-/// What defines a scene, rounded to 0.1 mm and 0.01 %, so that another platform's sine does not count.
+/// Digest of the scenes, rounded to 0.1 mm and 0.01 %, so that it does not depend on the platform's sine.
 fn digest(scenes: &[TruthScene]) -> String {
     let mut text = String::new();
     for scene in scenes {

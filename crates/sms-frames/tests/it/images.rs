@@ -1,7 +1,5 @@
 //! Resampling and normals against closed forms.
 
-mod common;
-
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Camera, DepthImage, Image, Intrinsics, Seed};
@@ -250,12 +248,12 @@ fn distortion_is_undone_in_colour_depth_and_labels() {
 
 #[test]
 fn resampled_frames_of_the_ray_cast_scene_lie_on_its_surfaces() {
-    let camera = common::camera(2, 9, 1.2);
-    let (_, depth) = common::render(&camera);
+    let camera = crate::common::camera(2, 9, 1.2);
+    let (_, depth) = crate::common::render(&camera);
     let lens = pinhole(camera.intrinsics);
     let target = target_intrinsics(&lens, 80);
     let small = resample_depth(&depth.map(|&z| z as f32), &lens, &target, &DepthNoise::default());
-    let (_, truth) = common::render(&Camera::new(target, camera.x_wc));
+    let (_, truth) = crate::common::render(&Camera::new(target, camera.x_wc));
     let mut errors: Vec<f64> = small
         .data
         .iter()

@@ -1,8 +1,6 @@
 //! World alignment, far-away worlds, repeatability.
 
-mod common;
-
-use common::{Written, save, write};
+use crate::common::{Written, save, write};
 use glamx::{DPose3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
 use serde_json::json;
@@ -37,7 +35,7 @@ fn assert_upright(sequence: &Sequence, x_recording_world: DPose3, degrees: f64, 
     let origin = x.inverse_transform_point(DVec3::ZERO);
     assert!(origin.length() < 0.4, "the origin is on the table: {origin}");
     for (i, frame) in sequence.frames.iter().enumerate() {
-        let truth = x * common::camera(i, sequence.len(), 1.2).x_wc;
+        let truth = x * crate::common::camera(i, sequence.len(), 1.2).x_wc;
         assert!((frame.camera.x_wc.translation - truth.translation).length() < 1e-6);
         assert!(frame.camera.x_wc.rotation.angle_between(truth.rotation) < 1e-6);
     }

@@ -1,24 +1,19 @@
-//! On the recordings of `SMS_TEST_DATA`; skipped with a printed reason where they are absent.
+//! Loading and checking of the recordings of `SMS_TEST_DATA`.
 
 use glamx::DVec3;
 use sms_core::{Cancel, NoProgress, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 use std::path::PathBuf;
 
-fn data(name: &str) -> Option<PathBuf> {
+fn data(name: &str) -> PathBuf {
     let root = std::env::var_os("SMS_TEST_DATA").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
         PathBuf::from,
     );
-    let dir = root.join(name);
-    if dir.is_dir() {
-        return Some(dir);
-    }
-    println!("skipped: {} is not there (set SMS_TEST_DATA)", dir.display());
-    None
+    root.join(name)
 }
 
-/// The recordings' README: pixel (0, 0) is centred at the origin.
+/// Pixel (0, 0) is centred at the origin (README of the recordings).
 fn options() -> ReadOptions {
     ReadOptions { pixel_center: Some(0.0), ..ReadOptions::default() }
 }
@@ -31,8 +26,9 @@ fn fill(depths: impl Iterator<Item = sms_core::DepthImage>) -> f64 {
 }
 
 #[test]
+#[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn the_bin_recording_fills_up_and_stands_upright() {
-    let Some(dir) = data("seq_tabletop_bin") else { return };
+    let dir = data("seq_tabletop_bin");
     let recording = Recording::open(&dir, &options()).unwrap();
     assert_eq!(recording.frames.len(), 50);
     let native = fill((0..50).map(|i| recording.read_depth_m(i).unwrap()));
@@ -59,13 +55,14 @@ fn the_bin_recording_fills_up_and_stands_upright() {
     assert!(loaded > 0.62);
     assert!(tilt < 2.0);
     assert!(warnings.snapshot().is_empty());
-    // The desk is at z = 0: little lies under it and the cameras are over it.
+    // The desk is at z = 0 and the cameras are above it.
     assert!(sequence.frames.iter().all(|f| f.camera.center_w().z > 0.1));
 }
 
 #[test]
+#[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn the_shelf_recording_stands_upright() {
-    let Some(dir) = data("seq_shelf_tissue") else { return };
+    let dir = data("seq_shelf_tissue");
     let recording = Recording::open(&dir, &options()).unwrap();
     let sequence =
         load(&recording, &LoadSettings::default(), StageContext::quiet(&Cancel::new(), &Warnings::new()))
@@ -75,57 +72,43 @@ fn the_shelf_recording_stands_upright() {
     assert!(tilt < 3.0);
 }
 
-fn check_of(name: &str, options: &ReadOptions) -> Option<sms_frames::CheckReport> {
-    let recording = Recording::open(data(name)?, options).unwrap();
+fn check_of(name: &str, options: &ReadOptions) -> sms_frames::CheckReport {
+    let recording = Recording::open(data(name), options).unwrap();
     let report = sms_frames::check(&recording, &NoProgress, &Cancel::new()).unwrap();
     println!("{report}");
-    Some(report)
+    report
 }
 
 #[test]
+#[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn check_approves_the_recordings_with_the_published_overlap_errors() {
-    let Some(bin) = check_of("seq_tabletop_bin", &options()) else { return };
+    let bin = check_of("seq_tabletop_bin", &options());
     assert!(bin.approved() && bin.findings.is_empty());
     let metrics = bin.metrics();
     assert!((metrics.number("check.overlap_1_m").unwrap() - 0.0015).abs() < 0.0002);
     assert!((metrics.number("check.overlap_4_m").unwrap() - 0.0018).abs() < 0.0002);
     assert!((metrics.number("check.valid_depth_share").unwrap() - 0.36).abs() < 0.01);
     assert_eq!(metrics.number("check.frames"), Some(50.0));
-    let Some(shelf) = check_of("seq_shelf_tissue", &options()) else { return };
+    let shelf = check_of("seq_shelf_tissue", &options());
     assert!(shelf.approved());
     assert!((shelf.overlap_1.unwrap().median_m - 0.0031).abs() < 0.0005);
 }
 
 #[test]
+#[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn check_names_what_is_declared_wrongly() {
     use sms_frames::{Axes, PoseDirection};
     let cases = [
-        (
-            ReadOptions { depth_unit_m: Some(0.01), ..options() },
-            "wrong_depth_unit",
-            "ten times too large",
-            "to 0.001",
-        ),
-        (
-            ReadOptions { depth_unit_m: Some(0.0001), ..options() },
-            "wrong_depth_unit",
-            "ten times too small",
-            "to 0.001",
-        ),
-        (ReadOptions { axes: Some(Axes::Opencv), ..options() }, "wrong_axes", "fits OpenGL", "\"opengl\""),
-        (
-            ReadOptions { poses: Some(PoseDirection::WorldToCamera), ..options() },
-            "wrong_pose_direction",
-            "fits camera-to-world",
-            "invert the poses",
-        ),
+        (ReadOptions { depth_unit_m: Some(0.01), ..options() }, "wrong_depth_unit"),
+        (ReadOptions { depth_unit_m: Some(0.0001), ..options() }, "wrong_depth_unit"),
+        (ReadOptions { axes: Some(Axes::Opencv), ..options() }, "wrong_axes"),
+        (ReadOptions { poses: Some(PoseDirection::WorldToCamera), ..options() }, "wrong_pose_direction"),
     ];
-    for (options, code, what, cure) in cases {
-        let Some(report) = check_of("seq_tabletop_bin", &options) else { return };
+    for (options, code) in cases {
+        let report = check_of("seq_tabletop_bin", &options);
         let faults: Vec<_> =
             report.findings.iter().filter(|f| f.severity == sms_frames::Severity::Fault).collect();
         assert_eq!(faults.len(), 1, "{report}");
         assert_eq!(faults[0].code, code);
-        assert!(faults[0].what.contains(what) && faults[0].cure.contains(cure), "{report}");
     }
 }

@@ -1,0 +1,9 @@
+//! Integration tests.
+
+mod common;
+mod conventions;
+mod faults;
+mod images;
+mod real_data;
+mod tum;
+mod world;

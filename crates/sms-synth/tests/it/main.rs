@@ -1,0 +1,7 @@
+//! Integration tests.
+
+mod camera;
+mod challenge;
+mod landing;
+mod recordings;
+mod scenes;
