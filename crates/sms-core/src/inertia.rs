@@ -1,7 +1,7 @@
 //! Mass, centre of mass and inertia; physically impossible values cannot be constructed.
 
 use crate::Mesh;
-use glamx::{DMat3, DVec3};
+use glamx::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Reasons to refuse a mass or inertia.
@@ -88,6 +88,19 @@ impl MassProperties {
     /// Returns the rotational inertia about the centre of mass, kg·m², in the axes of the geometry's frame.
     pub fn inertia(&self) -> DMat3 {
         self.inertia
+    }
+
+    /// Principal moments of inertia (kg·m²) about the centre of mass, and the rotation that carries the principal axes
+    /// into the geometry's frame. Diagonalised at unit scale: the solver's tolerances would swallow the inertia of a
+    /// small body, 1e-6 kg·m².
+    pub fn principal(&self) -> (DVec3, DQuat) {
+        let scale = self.inertia.x_axis.x + self.inertia.y_axis.y + self.inertia.z_axis.z;
+        let eigen = glamx::DSymmetricEigen3::new(self.inertia * (1.0 / scale));
+        let mut axes = eigen.eigenvectors;
+        if axes.determinant() < 0.0 {
+            axes = DMat3::from_cols(axes.x_axis, axes.y_axis, -axes.z_axis);
+        }
+        (eigen.eigenvalues * scale, DQuat::from_mat3(&axes).normalize())
     }
 
     /// Scales the body to another mass at the same shape.
@@ -181,8 +194,21 @@ fn trace(m: DMat3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::{DPose3, DQuat};
+    use glamx::DPose3;
     use proptest::prelude::*;
+
+    #[test]
+    fn moments_and_axes_give_the_inertia_back() {
+        let flat = box_mass_properties(DVec3::new(0.01, 0.02, 0.003), 700.0).unwrap();
+        let turn = DMat3::from_quat(DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(1.1));
+        let inertia = turn * flat.inertia() * turn.transpose();
+        let mass = MassProperties::new(flat.mass(), DVec3::ZERO, inertia).unwrap();
+        let (moments, axes) = mass.principal();
+        let axes = DMat3::from_quat(axes);
+        let back = axes * DMat3::from_diagonal(moments) * axes.transpose();
+        let off = (back - inertia).to_cols_array().iter().fold(0.0f64, |m, e| m.max(e.abs()));
+        assert!(off < 1e-12 * moments.max_element() * 1e3, "{off} of {moments}");
+    }
 
     #[test]
     fn a_box_has_its_textbook_inertia_wherever_it_is() {

@@ -1,4 +1,4 @@
-//! Builds the entities of a recording straight from its depth, without training, and prints what they are like.
+//! Builds the entities of a recording straight from its depth, without training, and prints their properties.
 //!
 //! `cargo run --release -p sms-entities --example from_depth -- RECORDING files|truth|geometry [OUT]`
 

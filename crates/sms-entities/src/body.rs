@@ -1,4 +1,4 @@
-//! Entities from what was found out about an object.
+//! Entities from drafts.
 
 use crate::config::EntitiesConfig;
 use crate::draft::{Draft, STAGE};
@@ -15,11 +15,11 @@ fn kind(draft: &Draft) -> EntityKind {
     if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic }
 }
 
-/// An object whose surface is a sphere.
+/// Builds an object that is a sphere.
 pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     let mut center_w = fit.center;
     if draft.rest.carrier != Carrier::Unseen {
-        // No overlap and no gap with what carries it, where they are within what the scan can tell.
+        // Closes a gap or an overlap with the carrier that is within the accuracy of the scan.
         let gap = draft.rest.plane.height(center_w) - fit.radius;
         if gap.abs() < 0.003 {
             center_w -= draft.rest.plane.normal * gap;
@@ -48,7 +48,7 @@ pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     }
 }
 
-/// An object of any other shape; `None`, with a warning that names it, where no solid can be made of it.
+/// Builds an object of any other shape; `None`, with a warning that names it, where no solid can be made.
 pub(crate) fn mesh_entity(
     draft: &Draft,
     views: &Views,

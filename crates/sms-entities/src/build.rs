@@ -30,8 +30,8 @@ use sms_mesh::{
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of
-/// everything that no label explains (paper, Section "Materialize").
+/// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of all
+/// surface without a label (paper, Section "Materialize").
 ///
 /// # Errors
 /// [`EntitiesError::Mismatch`] when labels and frames do not belong together, and on interruption. Objects that cannot
@@ -60,7 +60,7 @@ pub fn build_entities(
     }
     let support_height = support::support_height(&around);
     let scene = SceneInputs { views: &views, around: &around, support_height, config };
-    // Objects do not know of each other here; warnings are sorted when they are written.
+    // Objects are independent here; warnings are sorted when they are written.
     let done = AtomicU64::new(0);
     let drafts: Vec<Option<Draft>> = labels
         .objects
@@ -82,7 +82,7 @@ pub fn build_entities(
     }
     return_sides(&mut drafts);
     return_undersides(&mut drafts);
-    // From here on what was joined has one label.
+    // From here on joined pieces have one label.
     let mut own_labels;
     let views = if joined.is_empty() {
         views
@@ -183,7 +183,7 @@ fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesErro
     Ok(())
 }
 
-/// Fewer discs than this are not enough to say anything about a shape.
+/// Least number of discs that describe a shape.
 const FEW_DISCS: usize = 40;
 
 fn draft(
@@ -230,7 +230,7 @@ fn draft(
         .into_iter()
         .map(|i| cloud.points_w[i])
         .collect();
-    // Discs reach centimetres beyond what was seen of them, into a board below the foot: that is not where the object ends.
+    // Discs reach centimetres beyond the seen surface, into a board below the foot: the object does not end there.
     let outside: Vec<DVec3> = sparse.iter().copied().filter(|&p| !views.is_inside(p, info.id)).collect();
     let sparse = if 2 * outside.len() < sparse.len() { sparse } else { outside };
     let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
@@ -250,9 +250,9 @@ fn draft(
     Some(Draft { info: info.clone(), cloud, below, spacing, rest, sphere, fixed: false })
 }
 
-/// What touches another object but could not stay where it is by itself is a piece of that object that its mask
-/// lost: a head on a statue, a nose on a bear. It is joined to it. What lies on another object (a stack) stays apart.
-/// For masks from geometry only: those of people and networks mean what they say.
+/// Joins pieces that a mask lost to their object: an object that touches another but could not stay in place alone (a
+/// head on a statue, a nose on a bear). Stacked objects stay apart. For masks from geometry only: masks of people and
+/// networks are trusted. Returns the labels of each piece and its host.
 fn join_pieces(
     drafts: &mut Vec<Draft>,
     scene: SceneInputs<'_>,
@@ -298,14 +298,14 @@ fn join_pieces(
             piece.info.name, host.info.name
         );
         warnings.add(STAGE, "pieces_joined", message, "correct the masks if they are two things");
-        // The host may stand now, or have grown to touch another: look again from the start.
+        // The host may stand now, or have grown to touch another: start over.
         i = 0;
     }
     joined
 }
 
-/// What is left without anything to stand on is part of something larger that was not seen whole (a shelf, a cable, a
-/// card stuck to a wall): it becomes a fixed collider.
+/// Fixes objects without support: each is part of something larger that was not seen whole (a shelf, a cable, a card
+/// stuck to a wall) and becomes a static collider.
 fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings) {
     for i in 0..drafts.len() {
         if can_stay(i, drafts, around) {
@@ -320,8 +320,8 @@ fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings
     }
 }
 
-/// Whether an object would stay where it was seen: it stands on the floor or the environment, it lies flat on another
-/// object with its middle over the contact, or it is a ball in that object's hollow.
+/// Whether an object would stay in place: it stands on the floor or the environment, it lies flat on another object
+/// with its middle over the contact, or it is a ball in that object's hollow.
 fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     let draft = &drafts[i];
     let plane = &draft.rest.plane;
@@ -343,9 +343,9 @@ fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     }
 }
 
-/// Whether a ball lies in a hollow of the object that carries it, or on a level part of it that reaches out on all
-/// sides: the carrier's surface is seen round its foot in every direction and nowhere falls away below it. Under a head
-/// on a statue it does.
+/// Whether a ball lies in a hollow of its carrier, or on a level part that reaches out on all sides: the carrier's
+/// surface is seen round its foot in every direction and nowhere falls away below it, as it does under a head on a
+/// statue.
 fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     let (Some(fit), Carrier::Object(label)) = (drafts[i].sphere, drafts[i].rest.carrier) else {
         return false;
@@ -368,8 +368,8 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     highest.iter().all(|&z| z > -fit.radius - give)
 }
 
-/// Labels bleed onto the carrying surface around an object's foot: points of the plane, and below it, are not its own. No more
-/// than the plane's scatter is taken, because the floor of a thin dish lies just over it. Gives those that lie below.
+/// Removes points of the carrying plane, and below it: labels bleed onto the surface around an object's foot. The band
+/// is no wider than the plane's scatter, because the floor of a thin dish lies just over it. Returns the points below.
 fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
     const BELOW_M: f64 = -0.003;
     let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height(p)).collect();

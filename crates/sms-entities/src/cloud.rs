@@ -39,8 +39,8 @@ pub(crate) fn spacing(discs: &[Disc], config: &EntitiesConfig) -> f64 {
     (area / config.point_budget.max(1) as f64).sqrt().clamp(config.min_spacing.min(coarse), coarse)
 }
 
-/// The discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the frames:
-/// what cameras look through, or label otherwise where they see it, is dropped.
+/// Returns the discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the
+/// frames: discs that cameras look through, or label otherwise where they see them, are dropped.
 pub(crate) fn label_discs(
     model: &GaussianModel,
     views: &Views,
@@ -83,8 +83,8 @@ pub(crate) fn label_discs(
     discs
 }
 
-/// The Gaussians of an entity: those classified as its label that lie at its surface, in the world. They picture the
-/// object on their own, and move with its body.
+/// Returns the Gaussians of an entity: those of its label at its surface, in the world. They picture the object on
+/// their own, and move with its body.
 pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &EntitiesConfig) -> GaussianModel {
     /// Gaussians farther outside of the object's box are not its own, metres.
     const MARGIN_M: f64 = 0.005;
@@ -143,8 +143,8 @@ fn limit_size(discs: &mut [Disc]) {
     }
 }
 
-/// Drops islands: discs connected within a few times their usual distance form components; those with less than a
-/// tenth of the largest one's discs go.
+/// Drops islands: discs connected within a few times their usual distance form components; those with less than a tenth
+/// of the largest one's discs are dropped.
 pub(crate) fn drop_islands(discs: Vec<Disc>, spacing: f64) -> Vec<Disc> {
     let centers: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
     if centers.len() < 3 {

@@ -5,7 +5,7 @@ use sms_core::{InputError, Ranges};
 use sms_mesh::{ConvexConfig, PrimitiveConfig, SphereConfig};
 use std::path::PathBuf;
 
-/// Which tetrahedra belong to the solid.
+/// Rule that chooses the tetrahedra of the solid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MeshRule {
@@ -29,11 +29,11 @@ pub struct EntitiesConfig {
     pub min_opacity: f64,
     /// Least surface points per square metre (released code: 25 000, 6.3 mm apart).
     pub density_per_m2: f64,
-    /// Small objects are sampled more finely, so that each has about so many surface points …
+    /// Small objects are sampled more finely, so that each has about this number of surface points …
     pub point_budget: usize,
     /// … but not closer than this, metres: finer than the scan resolves, points only repeat its noise.
     pub min_spacing: f64,
-    /// Discs are sampled out to so many standard deviations.
+    /// Discs are sampled out to this number of standard deviations.
     pub disc_sigmas: f64,
     /// Whether points are moved along their normals to the median of the measured depth.
     pub refine_to_depth: bool,
@@ -53,7 +53,7 @@ pub struct EntitiesConfig {
     pub primitive: PrimitiveConfig,
     /// Convex parts.
     pub convex: ConvexConfig,
-    /// Folder where decompositions are kept, so that the same mesh is decomposed once; no setting of the result.
+    /// Folder where decompositions are kept, so that the same mesh is decomposed once; not a setting of the result.
     #[serde(skip)]
     pub parts_cache: Option<PathBuf>,
     /// Pictures on meshes.
@@ -89,10 +89,10 @@ impl Default for EntitiesConfig {
 }
 
 impl EntitiesConfig {
-    /// The first value that cannot be used.
+    /// Checks all values.
     ///
     /// # Errors
-    /// [`InputError`] that names the key and what is allowed.
+    /// [`InputError`] that names the key and its range.
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("entities");
         let (sphere, convex, environment) = (&self.sphere, &self.convex, &self.environment);
@@ -163,7 +163,7 @@ impl Default for TextureConfig {
     }
 }
 
-/// Reconstruction of everything that no label explains.
+/// Reconstruction of all surface without a label.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentConfig {

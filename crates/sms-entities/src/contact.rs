@@ -1,4 +1,4 @@
-//! Contact repair between objects: collision shapes that overlap would burst apart in the first step of a simulation.
+//! Contact repair between objects: overlapping collision shapes would burst apart in the first step of a simulation.
 
 use crate::piece::{are_apart, bounds, cut, is_exact, is_thick, overlap, piece_count, translate};
 use crate::standing::{LevelFace, bottom_outline, can_carry, reaches_beside};
@@ -8,23 +8,23 @@ use sms_core::{Entity, EntityKind, Mesh};
 /// Overlap that remains after cutting and costs a piece, metres.
 const GIVE_UP: f64 = 0.001;
 
-/// Pieces that overlap along a normal that leans less from the vertical (cosine), and with the middle of their overlap this near to the
-/// height (metres) at which one object stands on the other, overlap at that face.
+/// Pieces overlap at the face on which one object stands on the other if their normal leans less than this from the
+/// vertical (cosine) and the middle of their overlap is this near to the face's height, metres.
 const ALONG: f64 = 0.8;
 const AT_FACE_M: f64 = 0.02;
 
-/// Two objects that overlapped, by their indices, and by how much (metres).
+/// Two objects that overlapped, by their indices, and the depth (metres).
 pub(crate) struct Overlap {
     pub(crate) first: usize,
     pub(crate) second: usize,
     pub(crate) depth: f64,
-    /// What of it is left: exact solids that overlap by more than an error of the scan stay where they are.
+    /// Remaining depth: exact solids that overlap by more than a scan error are not moved.
     pub(crate) left: f64,
 }
 
 /// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
-/// meet without overlap and without gap; an exact solid keeps its shape and the other side gives way. Where one stands on the other with
-/// a level face, that is the plane. Returns overlaps deeper than `report` metres that there were.
+/// meet without overlap and without gap. An exact solid keeps its shape and the other side gives way. Where one stands
+/// on the other with a level face, that face is the plane. Returns overlaps deeper than `report` metres.
 pub(crate) fn part_objects(
     entities: &mut [Entity],
     faces: &[LevelFace],
@@ -121,7 +121,7 @@ fn part_pair(
     }
     for entity in [a, b] {
         entity.parts.retain(|p| !p.triangles.is_empty());
-        // What cuts left thinner than engines take goes, where there is more of the object.
+        // Drops slivers thinner than engines accept, unless the object has nothing else.
         if entity.parts.iter().any(is_thick) {
             entity.parts.retain(is_thick);
         }
@@ -129,7 +129,8 @@ fn part_pair(
     deepest
 }
 
-/// Cuts two pieces along a plane (normal and offset) between them, where they are no exact solids; whether enough is left of both.
+/// Cuts two pieces, unless exact, along a plane (normal and offset) between them. Returns whether enough is left of
+/// both.
 fn cut_both(
     (a, i): (&mut Entity, usize),
     (b, j): (&mut Entity, usize),
@@ -141,7 +142,8 @@ fn cut_both(
     cut_a && cut_b
 }
 
-/// [`cut_both`] that changes nothing where too little would be left of one: a level cut of the other alone would be sliced again.
+/// [`cut_both`] that changes nothing where too little would be left of one: after a level cut of the other alone, it
+/// would be sliced again.
 fn cut_both_or_neither(
     (a, i): (&mut Entity, usize),
     (b, j): (&mut Entity, usize),
@@ -162,7 +164,7 @@ fn cut_both_or_neither(
 /// Largest distance that an exact solid is moved to part it from another, metres.
 const LARGEST_MOVE: f64 = 0.005;
 
-/// Moves the smaller of two exact solids that can move so far that they touch; both stay where that is too far.
+/// Moves the smaller of two movable exact solids until they touch; both stay where that is too far.
 fn move_apart(a: &mut Entity, b: &mut Entity, b_from_a: DVec3) {
     if b_from_a.length() > LARGEST_MOVE {
         return;
@@ -183,7 +185,7 @@ fn left_overlap(a: &Entity, b: &Entity) -> f64 {
     depths.fold(0.0, f64::max)
 }
 
-/// Of two pieces that no cut can part, the smaller goes, where its object has others.
+/// Drops the smaller of two inseparable convex parts, unless it is its object's last.
 fn give_up_smaller(a: &mut Entity, i: usize, b: &mut Entity, j: usize) {
     let volume = |e: &Entity, k: usize| if is_exact(e) { f64::INFINITY } else { e.parts[k].volume() };
     let others = |e: &Entity| e.parts.iter().filter(|p| !p.triangles.is_empty()).count() > 1;
@@ -247,7 +249,7 @@ mod tests {
         let EntityShape::Sphere { center_w, .. } = pair[0].shape else { panic!() };
         assert!((center_w.x + 0.003).abs() < 1e-6, "the smaller one gives way: {center_w}");
         assert!((pair[0].mesh.aabb().unwrap().center() - center_w).length() < 1e-9);
-        // What overlaps by centimetres is no error of a scan: it is told, not hidden.
+        // An overlap of centimetres is not a scan error: it is reported.
         translate(&mut pair[0], DVec3::X * 0.02);
         let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);

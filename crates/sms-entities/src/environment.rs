@@ -1,4 +1,4 @@
-//! The static environment: everything that no label explains.
+//! The static environment: all surface without a label.
 
 use crate::config::EntitiesConfig;
 use crate::support::{Carrier, Rest, Surroundings};
@@ -15,20 +15,20 @@ use sms_mesh::{
 const CLEARANCE: f64 = 0.008;
 /// Connected surface smaller than this is noise, m².
 const MIN_AREA: f64 = 4e-4;
-/// Corners of the hulls that tell what is inside an object.
+/// Vertices of the hulls that decide whether a point is inside an object.
 const HULL_VERTICES: usize = 64;
-/// Surface that ends so high over the floor hangs in the air, metres.
+/// Surface that ends this high over the floor hangs in the air, metres.
 const HANGS: f64 = 0.03;
-/// A rim that its mask lost reaches so far out of an object's hull, metres.
+/// Distance from an object's hull to a rim that its mask lost, metres.
 const LOST_RIM: f64 = 0.025;
 /// Share of a piece of surface that is inside an object when all of it is, but for noise.
 const INSIDE: f64 = 0.95;
 /// Errors of decimation that are tried in turn until the face budget is met, metres.
 const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 
-/// The static environment near the objects as an open mesh that faces free space, without the support plane (a half
-/// space stands for it), and with flat patches under the objects that rest on it, where no camera could see.
-/// `rests[i]` is what object `i` rests on. `None` where nothing but the support plane was seen.
+/// Builds the static environment near the objects as an open mesh that faces free space, without the support plane (a
+/// half space replaces it), and with flat patches under the objects that rest on it, where no camera could see. `rests`
+/// holds the support of each object by its label. `None` where only the support plane was seen.
 pub(crate) fn environment_entity(
     views: &Views,
     around: &Surroundings,
@@ -127,8 +127,9 @@ pub(crate) fn environment_entity(
     })
 }
 
-/// Whether a piece of surface hangs in the air within an object's hull, or beside it no farther than a rim: it is of the object, and no
-/// mask says so (the rim of a bin under what lies on it, of which cameras see a strip). As a fixed obstacle it would burst the object.
+/// Whether a piece of surface hangs in the air within an object's hull, or beside it no farther than a rim. It belongs
+/// to the object although its mask lacks it (the rim of a bin under a board, of which cameras see a strip). A fixed
+/// obstacle there would burst the object.
 fn hangs_inside(part: &Mesh, hull: &Mesh, floor: f64) -> bool {
     let planes: Vec<(DVec3, f64)> = (0..hull.triangles.len())
         .map(|t| {
@@ -197,7 +198,7 @@ mod tests {
         let strip = DVec3::new(0.15, 0.15, 0.01);
         let hangs = |center: DVec3, floor: f64| hangs_inside(&at(center, strip), &hull, floor);
         assert!(hangs(DVec3::new(0.0, 0.0, 0.49), 0.0));
-        // On the ground, as what stands under a ladder is.
+        // On the ground, as objects under a ladder are.
         assert!(!hangs(DVec3::new(0.0, 0.0, 0.02), 0.0));
         // A shelf's lip beside it.
         assert!(!hangs(DVec3::new(0.25, 0.0, 0.49), 0.0));

@@ -1,4 +1,4 @@
-//! What can go wrong.
+//! Errors of the stage.
 
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 

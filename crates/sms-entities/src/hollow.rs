@@ -1,8 +1,9 @@
-//! The floor of a hollow that no camera saw.
+//! Hollows whose floor no camera saw.
 //!
-//! Into a mug cameras look at a slant: they see its inner wall down to some depth and nothing below. Closing the mesh there
-//! fills the rest, and an empty mug weighs twice what it should. Where an object has thin walls, cameras look into it, and
-//! nothing of its own was seen at the end of what they look into, the hollow goes on down between walls and to a floor of that thickness.
+//! Cameras look into a mug at a slant: they see its inner wall down to some depth and nothing below. Closing the mesh
+//! there fills the rest, and an empty mug weighs twice as much as it should. Where an object has thin walls, cameras
+//! look into it, and none of its surface was seen at the end of their view, the hollow continues between walls down to
+//! a floor of that thickness.
 
 use crate::mesher::MeshInput;
 use crate::views::{Sight, Views};
@@ -22,7 +23,7 @@ const THIN_SHARE: f64 = 0.35;
 const COLUMN_WALLS: f64 = 2.5;
 /// Heights above a column's top where cameras may look into the hollow, metres.
 const LOOK_ABOVE_M: [f64; 3] = [0.005, 0.009, 0.014];
-/// Fewer columns than this are no hollow.
+/// Least number of columns of a hollow.
 const FEWEST: usize = 6;
 /// Share of the columns that end unseen over which cameras must look into the hollow.
 const LOOKED_INTO: f64 = 0.3;
@@ -34,9 +35,9 @@ pub(crate) struct HiddenInside {
     pub(crate) normals: Vec<DVec3>,
 }
 
-/// The hidden floor of a hollow of `mesh`, which was made of `input`, and the hidden part of its walls: what was seen of
-/// the outside below the end of sight, a wall's thickness further in. `None` where the object is not hollow, or its hollow
-/// was seen to its end.
+/// Returns the hidden floor of a hollow of `mesh`, which was made of `input`, and the hidden part of its walls: the
+/// seen outside below the end of sight, moved inwards by a wall's thickness. `None` where the object is not hollow, or
+/// its hollow was seen to its end.
 pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInside> {
     let views = input.views?;
     let solid = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).ok()?;

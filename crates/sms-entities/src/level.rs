@@ -1,9 +1,10 @@
-//! Faces on which objects stand on each other are level before objects are parted.
+//! Level faces: faces on which objects stand are made level before objects are parted.
 //!
-//! Parting cuts two convex pieces along the plane between their deepest points. Where a surface that nobody saw bulges into a flat
-//! board, that plane leans by a degree or two: it slices off the board's far end, and what is left rocks on the bulge. So where
-//! the face itself is known, from the seen part of an overhanging underside, from where its carrier was seen to end, or because the object
-//! is an exact solid, what carries it ends there, and it is flat. What carries others stands on a flat foot itself.
+//! Parting cuts two convex pieces along the plane between their deepest points. Where an unseen, extrapolated surface
+//! bulges into a flat board, that plane leans by a degree or two: it slices off the board's far end, and the rest rocks
+//! on the bulge. So where the face itself is known, from the seen part of an overhanging underside, from the upper end
+//! of its carrier, or because the object is an exact solid, the carrier ends there, and it is flat. Carriers stand on a
+//! flat foot themselves.
 
 use crate::piece::{cut_to, is_exact};
 use crate::standing::{
@@ -23,33 +24,34 @@ use sms_mesh::{
 const DOWN: f64 = 0.95;
 /// Faces of a hull that look down more than this (cosine) are its underside.
 const STEEP: f64 = 0.5;
-/// Fewer seen points say nothing of a face.
+/// Least number of seen points that determine a face.
 const FEWEST: usize = 30;
-/// What carries others stands on the floor with all that ends within this of it, metres: a foot that is uneven by a millimetre lets a
-/// stack lean.
+/// A carrier stands on the floor with all corners within this of it, metres: a foot that is uneven by a millimetre lets
+/// a stack lean.
 const FOOT_M: f64 = 0.0035;
-/// Masks lose a strip above the floor: where a side was seen lower than this, this near to a corner (metres), it goes on to the floor.
+/// Masks lose a strip above the floor: a side that was seen lower than this, this near to a corner (metres), continues
+/// to the floor.
 const STRIP_M: f64 = 0.012;
 const NEAR_M: f64 = 0.01;
-/// Four fifths of the points seen of a face lie within this height, metres, or this near to a plane that leans less than this, radians: what
-/// stands there does not lean, but a strip that was seen at a grazing angle seems to. Others are no level face.
+/// Four fifths of the points of a level face lie within this height, metres, or this near to a plane that leans less
+/// than this, radians: a strip seen at a grazing angle seems to lean.
 const LEVEL_M: f64 = 0.004;
 const LEANS: f64 = 0.05;
-/// What is narrower is an edge to stand on, no face, metres.
+/// A narrower support is an edge, not a face, metres.
 const FACE_M: f64 = 0.01;
-/// A foot is flat where so much of its width within [`REACH_M`] is within this of its lowest corner, metres: scans are uneven by two
-/// millimetres, and of a ball it is 0.7.
+/// A foot is flat where this share of its width within [`REACH_M`] is within this of its lowest corner, metres: scans
+/// are uneven by two millimetres, and for a ball the share is 0.7.
 const LOWEST_M: f64 = 0.0022;
 const FLAT_SHARE: f64 = 0.85;
-/// Farther outside of the outline of what stands on a piece, that piece was seen, metres.
+/// A piece that reaches farther than this outside the outline of the object on it was seen there, metres.
 const BESIDE_M: f64 = 0.001;
 /// Vertices within this share of a piece's thickness belong to its underside.
 const THICKNESS_SHARE: f64 = 0.35;
 
-/// Least share of a piece that is kept below a face: most of what was made up above a thin slab may be cut off.
+/// Least share of a piece that is kept below a face: most of the extrapolated part above a thin slab may be cut off.
 const LEAST_LEFT: f64 = 0.01;
 
-/// Makes undersides flat whose height is known, and ends there what carries them. Gives these faces.
+/// Flattens undersides of known height, and ends their carriers there. Returns these faces.
 pub(crate) fn level_faces(
     entities: &mut [Entity],
     rests: &[(u16, Rest)],
@@ -84,12 +86,12 @@ pub(crate) fn level_faces(
     faces
 }
 
-/// Whether what has this outline and ends at a height stands on an object.
+/// Whether an object with this outline that ends at a height stands on `carrier`.
 fn is_below(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
     carrier.parts.iter().any(|part| under(part, outline).iter().any(|p| p.z > height - 2.0 * REACH_M))
 }
 
-/// Outlines of the feet of an object's pieces: what is between them (a ring's hole) is not stood on.
+/// Outlines of the feet of an object's pieces: the space between them (a ring's hole) carries nothing.
 fn foot_outlines(entity: &Entity, height: f64) -> Vec<Vec<DVec2>> {
     if is_exact(entity) {
         return vec![bottom_outline(entity)];
@@ -105,8 +107,8 @@ struct Face {
     seen: Vec<DVec2>,
 }
 
-/// The level face that an object stands on, as it was seen from below, else where its carrier was seen to end; `None` where it is not
-/// known.
+/// Returns the level face that an object stands on, as it was seen from below, else at the upper end of its carrier;
+/// `None` where it is not known.
 fn face(entity: &Entity, rest: Option<&Rest>) -> Option<Face> {
     let low = bottom(entity);
     if is_exact(entity) {
@@ -121,7 +123,7 @@ fn face(entity: &Entity, rest: Option<&Rest>) -> Option<Face> {
     seen_face(entity, low).or(carrier.map(|height| Face { height, seen: Vec::new() }))
 }
 
-/// Whether what ends at `low` is about as wide there as farther up; what is round below is not.
+/// Whether an object that ends at `low` is about as wide there as farther up; round undersides are not.
 fn is_flat_below(entity: &Entity, low: f64) -> bool {
     let within = |of: f64| {
         width(&outline_of(entity.parts.iter().flat_map(|p| &p.vertices).copied().filter(|v| v.z < low + of)))
@@ -180,7 +182,7 @@ fn flatten(
         // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
         let silhouette = outline_of(part.vertices.iter().copied());
         let Some(column) = Column::of(part) else { continue };
-        // Not below what the piece spans: that is another one's foot.
+        // Not outside the piece's span: that is another one's foot.
         let ends_here =
             |p: DVec2| column.underside(p, height - 1.0).is_some_and(|z| z < height + 2.0 * REACH_M);
         let seen = face.seen.iter().filter(|p| is_within(&silhouette, **p, 0.0) && ends_here(**p));
@@ -205,7 +207,8 @@ fn flatten(
     }
 }
 
-/// Cuts off what of a piece reaches above a face that stands on it. What reaches far above it beside the face was seen there.
+/// Cuts off the part of a piece above a face that stands on it. A part that reaches far above it beside the face was
+/// seen there.
 fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f64, max_vertices: usize) {
     if reaches_beside(part, outline, height, BESIDE_M)
         || part.vertices.iter().all(|v| v.z < height + CLOSED_M)
@@ -214,7 +217,7 @@ fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f
     }
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     let above = outline_of(clip(&triangles, DVec3::Z, height).1.into_iter().flatten());
-    // What overlaps by less is beside what stands there, and is parted from it.
+    // A smaller overlap is beside the object on the face, and is parted from it.
     let stands = |foot: &[DVec2]| width(&common(&above, foot)) > 0.5 * width(&above).min(width(foot));
     if standing.iter().any(|foot| stands(foot)) {
         cut_to(part, DVec3::Z, height, max_vertices, LEAST_LEFT);
@@ -323,7 +326,7 @@ mod tests {
         let faces = level_faces(&mut pair, &[(2, rest)], 0.0, 64);
         assert_eq!(faces, [LevelFace { upper: 1, height: 0.501 }]);
         assert!((highest(&pair[0]) - 0.501).abs() < 1e-9 && (bottom(&pair[1]) - 0.501).abs() < 1e-9);
-        // What was not seen to be level says nothing.
+        // A face that was not seen to be level is left alone.
         let leaning = Plane { normal: DVec3::new(0.1, 0.0, 1.0).normalize(), offset: 0.5 };
         let before = board_on_bulge(0);
         let mut pair = before.clone();
@@ -414,7 +417,7 @@ mod tests {
         let mut pair = before.clone();
         level_faces(&mut pair, &[], 0.0, 64);
         assert_eq!(pair, before);
-        // The test of the other one would not see what it is about if parting alone kept the end.
+        // Parting alone does not keep the end: the other test depends on it.
         part_objects(&mut pair, &[], 64, 1e-4);
         assert!(pair[1].parts[0].volume() < 0.9 * before[1].parts[0].volume());
     }

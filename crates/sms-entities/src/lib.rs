@@ -1,12 +1,12 @@
-//! From Gaussians to objects: grouping, meshing, spheres, convex parts (paper, Section "Materialize").
+//! From Gaussians to objects: grouping, meshing, contact repair, textures (paper, Section "Materialize").
 //!
-//! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and gives one dynamic
-//! [`sms_core::Entity`] per label and a static one for everything that no label explains. Object by object:
+//! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and returns one dynamic
+//! [`sms_core::Entity`] per label and a static one for all unlabelled surface. Object by object:
 //!
-//! 1. `cloud`: the Gaussians classified as the object, without islands and without what the frames contradict, become
-//!    an even, oriented surface cloud.
-//! 2. `support`, `underside`: what it rests on is found, labels that bled over the edge between the two are put right, and the contact
-//!    area that no camera saw is closed.
+//! 1. `cloud`: the Gaussians classified as the object, without islands and without those that the frames contradict,
+//!    become an even, oriented surface cloud.
+//! 2. `support`, `underside`: its support is found, labels that bled over the edge between the two are corrected, and
+//!    the contact area that no camera saw is closed.
 //! 3. `recognise`: round objects become spheres, whatever they are called; boxes and cylinders that explain the points
 //!    replace the mesh.
 //! 4. `mesher`: the rest become closed meshes.

@@ -1,6 +1,7 @@
-//! Tops that carry. No camera saw the face on which something stands: above it a mesh bulges beyond the edge that was seen below it by
-//! centimetres, and of an open bin, whose wall is thin, it ends millimetres too low, or nowhere. What stands there would tip at another
-//! edge than in truth. What was seen is the sides, up to millimetres below the face, and they say where its edge is.
+//! Lids: the faces of carriers. No camera saw the face on which an object stands: above it a mesh bulges beyond the
+//! seen edge by centimetres, and the thin wall of an open bin ends millimetres too low, or nowhere. The object would
+//! tip at another edge than the real one. The sides were seen up to millimetres below the face, and they tell where its
+//! edge is.
 
 use crate::piece::{CollisionPiece, cut_to, is_exact, is_thick, pieces_near};
 use crate::standing::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
@@ -15,42 +16,43 @@ use sms_mesh::{
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
-/// Fewer points say nothing of an edge.
+/// Least number of points that determine an edge.
 const FEWEST: usize = 30;
 /// Thickness of a lid, metres, where its carrier is as high.
 const THICK_M: f64 = 0.01;
-/// Masks lose a strip between two things: a carrier that was seen to end within this below the face ends there, metres. Where another one
-/// bears what stands there, only what ends within [`REACH_M`] does.
+/// Masks lose a strip between two objects: a carrier that was seen up to this far below the face ends there, metres.
+/// Where another one carries the object, the limit is [`REACH_M`].
 const STRIP_M: f64 = 0.012;
-/// Sides are looked at where they end, over so much of their height, metres.
+/// Height below their upper end over which sides are used, metres.
 const SIDES_M: f64 = 0.008;
-/// Unlabelled sides this far below the face, and this near to the object, are its own, metres: of a flared rim, which masks lose as a whole
-/// in the shade of what lies on it, the edge is farther from the wall below it than the face.
+/// Unlabelled sides this far below the face, and this near to the object, are its own, metres: masks lose a flared rim
+/// in the shade as a whole, and its edge is farther from the wall below it than the face …
 const LOST_M: f64 = 0.03;
 const FLARED_M: f64 = 0.045;
-/// … unless they look back at it (cosine of the angle between).
+/// … unless they face the object (cosine of the angle between).
 const BACK: f64 = 0.5;
-/// This near to the face surface is made up, metres.
+/// Surface this near to the face is extrapolated, metres.
 const MADE_UP_M: f64 = 0.002;
-/// Seen points have more than so many others within [`NEAR_M`], metres: else they are noise.
+/// Seen points have more than this number of others within [`NEAR_M`], metres: else they are noise.
 const NEIGHBORS: usize = 3;
-/// What is this near to a place was seen there.
+/// A place this near to seen points was seen, metres.
 const NEAR_M: f64 = 0.02;
 /// Sides end a bulge where they look the way it reaches (cosine of the angle between, seen from above).
 const FACES: f64 = 0.5;
-/// What ends this near to what lies on it bears it, once it has settled, metres.
+/// A top this near to the object on it carries it once it has settled, metres.
 const TOUCH_M: f64 = 1e-3;
-/// Faces of contact may end before the edge that was seen, or beyond it, by so much, metres; farther beyond than the last, it is no bulge.
+/// Contact faces may end before the seen edge, or beyond it, by this much, metres; beyond the last limit it is not a
+/// bulge.
 const MISSING_M: f64 = 0.008;
 const EXCESS_M: f64 = 0.004;
 const UNSEEN_M: f64 = 0.06;
-/// What bears beyond the edge is lowered by this much, metres: a structure that leans by as much has tipped.
+/// Tops that carry beyond the edge are lowered by this much, metres: a structure that leans by as much has tipped.
 const LOWERED_M: f64 = 0.0015;
-/// Less than this is no face on which something stands, metres.
+/// Least width of a face, metres.
 const NARROW_M: f64 = 0.02;
 
-/// Where the collision shape of what carries another ends elsewhere than its edge was seen: a convex piece under the other's
-/// underside, with the outline that was seen, takes the place of the face. For what lies on a rim it is as good as the rim: both bear it
+/// Replaces faces of carriers whose collision shape ends elsewhere than the seen edge by a convex piece under the
+/// underside of the object on it, with the seen outline. For an object on a rim it is as good as the rim: both carry it
 /// within the same outline.
 pub(crate) fn add_lids(
     entities: &mut [Entity],
@@ -80,7 +82,7 @@ pub(crate) fn add_lids(
             let strip = if is_elsewhere || others().any(bears) { REACH_M } else { STRIP_M };
             let upper = Upper { entity: &entities[upper], outline: &outline, height };
             let Some(lid) = lid(carrier, &upper, strip, around) else { continue };
-            // What is lowered for one would be lowered below the other.
+            // Lowering the top for one object would lower it below the other.
             let is_shared = |e: &Entity| {
                 let foot = bottom_outline(e);
                 (bottom(e) - height).abs() < REACH_M && touches(carrier, &foot, bottom(e))
@@ -96,14 +98,14 @@ pub(crate) fn add_lids(
     }
 }
 
-/// Whether what has this outline, and ends at a height, touches an object.
+/// Whether an object with this outline that ends at a height touches `carrier`.
 fn touches(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
     let is_near = |p: &DVec3| (p.z - height).abs() < TOUCH_M;
     let of = |piece: &Mesh| under(piece, outline).iter().any(is_near);
     outline.len() >= 3 && if is_exact(carrier) { of(&carrier.mesh) } else { carrier.parts.iter().any(of) }
 }
 
-/// Whether a piece is in none of the others.
+/// Whether a piece enters no other object.
 fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
     let (Some(space), Some(lid)) = (lid.aabb(), CollisionPiece::of(lid)) else { return false };
     let others = (0..entities.len()).filter(|&i| i != own);
@@ -112,7 +114,8 @@ fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
         .all(|other| lid.depth_in(&other) <= 10.0 * CLOSED_M)
 }
 
-/// Ends pieces that bear what has this outline a little lower. What reaches far above it beside the outline was seen there, and stays.
+/// Lowers pieces that carry an object with this outline a little. Parts that reach far above it beside the outline were
+/// seen, and are kept.
 fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertices: usize) {
     let is_bearing = |part: &Mesh| {
         let high = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
@@ -126,17 +129,17 @@ fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertice
         let is_left = cut_to(part, DVec3::Z, height - LOWERED_M, max_vertices, 1e-6);
         is_left && is_thick(part)
     };
-    // The lid takes the place of what lies in the last millimetre altogether.
+    // The lid replaces pieces within the last millimetre altogether.
     parts.retain_mut(lowered);
 }
 
 struct Lid {
     piece: Mesh,
-    /// Whether the shape reaches beyond it.
+    /// Whether the carrier's shape reaches beyond it.
     replaces: bool,
 }
 
-/// What stands on a face: its outline, and the face's height.
+/// The object on a face: its outline, and the face's height.
 struct Upper<'a> {
     entity: &'a Entity,
     outline: &'a [DVec2],
@@ -173,7 +176,7 @@ fn lid(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -
     Some(Lid { piece, replaces })
 }
 
-/// The farthest corners in so many directions.
+/// The farthest corners in [`CORNERS`] directions.
 fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     let extreme = |k: usize| {
         let out = DVec2::from_angle(std::f64::consts::TAU * k as f64 / CORNERS as f64);
@@ -182,7 +185,7 @@ fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     convex_outline(&(0..CORNERS).filter_map(extreme).collect::<Vec<_>>())
 }
 
-/// The place of an outline that is nearest to a point outside of it.
+/// The point of an outline nearest to a point outside it.
 fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
     let on = |i: usize| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
@@ -192,11 +195,11 @@ fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
     places.min_by(|a, b| a.distance_squared(p).total_cmp(&b.distance_squared(p))).unwrap_or(p)
 }
 
-/// A point that was seen of a side, from above.
+/// A seen point of a side, from above.
 #[derive(Clone, Copy)]
 struct Side {
     p: DVec2,
-    /// Where the side looks: of unit length, or nothing where that is not known.
+    /// Horizontal normal of the side: of unit length, or zero where unknown.
     normal: DVec2,
 }
 
@@ -206,14 +209,14 @@ impl Side {
     }
 }
 
-/// What was seen of an object's sides, from above.
+/// The seen sides of an object, from above.
 struct Sides {
     sides: Vec<Side>,
     /// Their convex outline.
     edge: Vec<DVec2>,
 }
 
-/// An object's sides right below a face at a height, as they were seen. Unlabelled sides beside the object count as its own.
+/// Returns an object's seen sides right below a face at a height. Unlabelled sides beside the object count as its own.
 fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -> Option<Sides> {
     let Upper { outline, height, .. } = *upper;
     let is_near = |p: DVec3| {
@@ -222,7 +225,7 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     };
     let cloud = &carrier.cloud;
     let own = PointGrid::new(&cloud.points_w, FLARED_M);
-    // A rim looks away from the wall below it, and what stands beside the object looks back.
+    // A rim faces away from the wall below it, and a neighbour faces the object.
     let looks_away = |p: DVec3, normal: DVec3| {
         let wall = own.nearest(p).filter(|(distance, _)| *distance <= FLARED_M);
         wall.is_some_and(|(distance, k)| normal.dot(p - cloud.points_w[k]) > -BACK * distance)
@@ -237,8 +240,8 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
     let upright: Vec<usize> = (0..cloud.points_w.len()).filter(|&i| normal(i).z.abs() < UPRIGHT).collect();
     let mut sides: Vec<usize> = upright.iter().copied().filter(|&i| is_near(cloud.points_w[i])).collect();
-    // What goes on beyond the face does not end there. What nobody can have seen, since it would be inside of what stands there, is skirts
-    // of discs below.
+    // Sides that continue beyond the face do not end there. Points inside the object on the face, which nobody can have
+    // seen, are skirts of discs below.
     let beyond = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
     let beyond: Vec<DVec3> = upright.iter().map(|&i| cloud.points_w[i]).filter(|&p| beyond(p)).collect();
     let space = Aabb::of_points(beyond.iter().copied());
@@ -351,6 +354,17 @@ mod tests {
         assert_eq!(all, before);
     }
 
+    /// Least mass at y = 0.2 m that keeps a board of unit mass at y = -0.3 m from tipping over the edge at negative y of
+    /// these parts, whose tops are at z = 0.5 m. A board that leans by 2° has tipped: tops that it meets later do not
+    /// carry it.
+    fn counterweight(parts: &[Mesh]) -> f64 {
+        let corners = || parts.iter().flat_map(|p| p.vertices.iter().copied());
+        let level = corners().filter(|v| v.z > 0.5 - TOUCH_M).map(|v| -v.y).fold(f64::MIN, f64::max);
+        let met = |v: &DVec3| v.z > 0.5 - (-v.y - level) * 2f64.to_radians().tan();
+        let edge = corners().filter(|v| -v.y > level).filter(met).map(|v| -v.y).fold(level, f64::max);
+        (0.3 - edge) / (0.2 + edge)
+    }
+
     /// A seat of 0.3 × 0.4 m whose sides were seen, and whose mesh bulges 3 cm beyond them above.
     #[test]
     fn a_top_bears_within_the_edge_that_was_seen() {
@@ -365,8 +379,11 @@ mod tests {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let mut all = [stool.clone(), board.clone()];
         add_lids(&mut all, &[], 0.0, 64, &nothing());
-        let [seat, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
-        assert!((seat.aabb().unwrap().max.z - (0.5 - LOWERED_M)).abs() < 1e-9);
+        let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
+        // The board's weight acts at y = -0.3 m, a counterweight at 0.2 m: it tips over the seen edge at -0.2 m below a
+        // quarter of its mass, over the end of the bulge below a sixth.
+        assert!((counterweight(&stool.parts) - 0.163).abs() < 0.002, "{}", counterweight(&stool.parts));
+        assert!((counterweight(&all[0].parts) - 0.25).abs() < 0.02, "{}", counterweight(&all[0].parts));
         let bounds = lid.aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
         assert!((bounds.min.truncate() - DVec2::new(-0.15, -0.2)).abs().max_element() < 0.006, "{bounds:?}");

@@ -30,7 +30,7 @@ const STIFFNESS: f64 = 0.7;
 const FREE_VOTE: f64 = 1.5;
 const FREE_MOST: usize = 4;
 
-/// Surface points of an object: what was seen, and the contact points that close it.
+/// Surface points of an object: seen points, and the contact points that close the surface.
 pub(crate) struct MeshInput<'a> {
     /// Seen points.
     pub(crate) cloud: &'a PointCloud,
@@ -94,7 +94,7 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     let usable = |mesh: &Mesh| {
         mesh.is_closed_oriented()
             && mesh.volume() > 0.02 * hull.volume()
-            // Points a million metres from the rest make a needle whose inertia is lost in rounding.
+            // Outliers a million metres away make a needle whose inertia is lost in rounding.
             && polyhedron_mass_properties(mesh, 1.0).is_ok_and(|m| is_wide(m.inertia()))
     };
     let rules = match config.mesh {
@@ -121,8 +121,8 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     usable(&mesh).then_some((mesh, MeshPath::Hull))
 }
 
-/// Whether the narrowest side of a body with this inertia is above rounding: its second moment is a difference of numbers
-/// as large as the widest side's.
+/// Whether the narrowest side of a body with this inertia is above rounding: its second moment is a difference of
+/// numbers as large as the widest side's.
 fn is_wide(inertia: glamx::DMat3) -> bool {
     let moments = glamx::DSymmetricEigen3::new(inertia).eigenvalues;
     moments.element_sum() - 2.0 * moments.max_element() > 1e-9 * moments.max_element()
@@ -143,7 +143,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
             })
             .collect();
         for (vote, free) in votes.iter_mut().zip(free) {
-            // One camera may err at a depth edge; two agree on what is empty.
+            // One camera may err at a depth edge; two agree on free space.
             if free >= 2 || (free == 1 && frames < 6) {
                 *vote -= FREE_VOTE * free.min(FREE_MOST) as f64;
             }
@@ -175,8 +175,8 @@ fn finish(
     parts.into_iter().max_by(|a, b| a.volume().total_cmp(&b.volume())).unwrap_or(mesh)
 }
 
-/// Moves the surface evenly outwards by what brings the enclosed volume to `volume` (chords of a round shape lie inside
-/// it, and a mesh of 2000 faces lost half a percent by that).
+/// Moves the surface evenly outwards until it encloses `volume`: chords of a round shape lie inside it, and a mesh of
+/// 2000 faces loses half a percent by that.
 fn keep_volume(mesh: &mut Mesh, volume: f64) {
     let (area, lost) = (mesh.area(), volume - mesh.volume());
     if !(area > 0.0 && lost.abs() < 0.05 * volume) {

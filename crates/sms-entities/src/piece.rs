@@ -12,7 +12,7 @@ const ALLOWED: f64 = 1e-5;
 /// Mean thickness of the thinnest part that is kept after cutting, metres.
 const THINNEST: f64 = 1e-4;
 
-/// Exact solids keep their shape; hulls give way to them.
+/// Whether an object is an exact solid: it keeps its shape, and hulls give way to it.
 pub(crate) fn is_exact(entity: &Entity) -> bool {
     entity.shape.is_primitive()
 }
@@ -57,12 +57,12 @@ impl CollisionPiece {
         usable.then_some((contact.normal1, contact.point1, contact.point2))
     }
 
-    /// Whether a point of the world is in it.
+    /// Whether it contains a point of the world.
     pub(crate) fn holds(&self, p_w: DVec3) -> bool {
         self.shape.contains_point(&self.x_ws, p_w)
     }
 
-    /// How deep it is in another piece, metres; 0 where it is not.
+    /// Depth in another piece, metres; 0 without overlap.
     pub(crate) fn depth_in(&self, other: &Self) -> f64 {
         self.overlap(other).map_or(0.0, |(normal, p, q)| (p - q).dot(normal))
     }
@@ -108,10 +108,11 @@ pub(crate) fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVe
     piece(a, i)?.overlap(&piece(b, j)?)
 }
 
-/// Least share of a piece that a cut between deepest points leaves: less is another error than that of a contact face.
+/// Least share of a piece that is left by a cut between deepest points: a smaller rest has another cause than a contact
+/// face.
 const LEAST_LEFT: f64 = 0.2;
 
-/// Keeps what lies below the plane; `false`, and no change, when less than [`LEAST_LEFT`] of the piece would be left.
+/// Keeps the part below the plane; `false`, and no change, when less than [`LEAST_LEFT`] of the piece would be left.
 pub(crate) fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
     cut_to(part, normal, offset, max_vertices, LEAST_LEFT)
 }
@@ -136,7 +137,7 @@ pub(crate) fn cut_to(
     }
 }
 
-/// Whether a convex piece is as thick as engines need it.
+/// Whether a convex piece is thick enough for engines.
 pub(crate) fn is_thick(part: &Mesh) -> bool {
     2.0 * part.volume() > THINNEST * part.area()
 }

@@ -1,4 +1,4 @@
-//! What is known of objects when their materials are looked for.
+//! Object descriptions for the choice of materials.
 
 use crate::EntitySet;
 use sms_core::{Entity, EntityKind, EntityShape};
@@ -11,7 +11,7 @@ const FLOOR: &str = "floor";
 /// Vertices of the hulls whose volume is compared with the meshes'.
 const HULL_VERTICES: usize = 256;
 
-/// What is known of each entity for the choice of its material, in their order, and of the floor, which comes last.
+/// Describes each entity for the choice of its material, in their order, and the floor, which comes last.
 pub fn material_queries(set: &EntitySet) -> Vec<ObjectQuery> {
     let mut queries: Vec<ObjectQuery> = set.entities.iter().map(query).collect();
     queries.push(ObjectQuery {

@@ -1,4 +1,4 @@
-//! Which exact solid an object is, if it is one.
+//! Recognition of spheres, boxes and cylinders.
 
 use crate::config::EntitiesConfig;
 use crate::draft::{Draft, SceneInputs};
@@ -42,7 +42,7 @@ fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
     rays.into_iter().step_by(stride).collect()
 }
 
-/// The sphere that an object's cloud lies on; `None` where it has another shape, or the frames contradict a sphere.
+/// Fits a sphere to an object's cloud; `None` where it has another shape, or the frames contradict a sphere.
 pub(crate) fn recognise_sphere(
     cloud: &PointCloud,
     label: u16,
@@ -56,14 +56,14 @@ pub(crate) fn recognise_sphere(
     if !first.explains(points, &config.sphere) {
         return None;
     }
-    // A ball that stands on the level floor touches it: that fixes what the hidden lower half leaves open.
+    // A ball on the level floor touches it: that constrains the hidden lower half.
     let gap = first.center.z - first.radius - rest.plane.offset;
     let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
     let rays = object_rays(views, label);
     let best = match refine_on_rays(&rays, first.center, first.radius, floor) {
         Some((center, radius)) => {
             let refined = SphereFit::of_sphere(points, center, radius, first.sigma, &config.sphere);
-            // The rays may hold what the mask bleeds over; the cloud decides whether they improved the fit.
+            // The mask may bleed over in the rays; the cloud decides whether they improved the fit.
             if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
         }
         None => first,
@@ -71,13 +71,13 @@ pub(crate) fn recognise_sphere(
     (!is_contradicted(&best, views, around, label, rest)).then_some(best)
 }
 
-/// Share of a sphere's seen directions through which cameras may look before it is no ball. Borders of masks and of
-/// depth cost a few percent; a bowl, the cap of a sphere, is seen through over half of it.
+/// Largest share of a sphere's seen directions through which cameras look. Borders of masks and of depth cost a few
+/// percent; a bowl, the cap of a sphere, is seen through over half of it.
 const SEEN_THROUGH: f64 = 0.12;
-/// How far a ball may reach below what it rests on, metres.
+/// Largest depth of a ball below its support, metres.
 const SUNK_M: f64 = 0.003;
 
-/// How far a ball reaches below what carries it, metres. A hollow is no plane: there the carrier's surface counts.
+/// Depth of a ball below its support, metres. In a hollow the carrier's surface counts, not the plane.
 pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
     let hollow = match rest.carrier {
         Carrier::Object(carrier) => height_below_ball(around, carrier, fit.center, fit.radius),
@@ -89,7 +89,7 @@ pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
     }
 }
 
-/// Whether the cameras or the floor contradict that a whole sphere is there. A round bowl's wall lies on a sphere, too.
+/// Whether the cameras or the floor contradict a whole sphere. A round bowl's wall lies on a sphere, too.
 fn is_contradicted(fit: &SphereFit, views: &Views, around: &Surroundings, label: u16, rest: &Rest) -> bool {
     if sunk(fit, around, rest) > SUNK_M {
         return true;
@@ -106,13 +106,13 @@ fn is_contradicted(fit: &SphereFit, views: &Views, around: &Surroundings, label:
     through as f64 > SEEN_THROUGH * f64::from(seen.max(1))
 }
 
-/// Least agreement between a solid's axis and the upright for it to be set upright exactly: 3°.
+/// Least cosine between a solid's axis and the vertical for it to be set upright exactly: 3°.
 const UPRIGHT: f64 = 0.9986;
 /// Gap or overlap with the carrier that is taken for an error of the scan, metres.
 const GAP_M: f64 = 0.004;
 
-/// The box or cylinder that explains the object's points and its contact points, set onto what it rests on; `None` where
-/// neither does, where `mesh` of the same points has another volume, or where cameras look through it.
+/// Fits a box or a cylinder to the object's points and its contact points, and sets it onto its support. `None` where
+/// neither explains the points, where `mesh` of the same points has another volume, or where cameras look through it.
 pub(crate) fn recognise_primitive(
     draft: &Draft,
     contact: &[DVec3],
@@ -127,7 +127,7 @@ pub(crate) fn recognise_primitive(
     }
     let plane = &draft.rest.plane;
     let mut cloud = draft.cloud.clone();
-    // What is hidden below says where the solid ends, but does not vote for it.
+    // Contact points tell where the solid ends, but do not vote for it.
     cloud.points_w.extend_from_slice(contact);
     cloud.normals_w.extend(std::iter::repeat_n(-plane.normal, contact.len()));
     let fit = fit_primitive(&cloud, Some(plane.normal), settings, seed)?;
@@ -177,7 +177,7 @@ fn stood_on(shape: EntityShape, plane: &Plane) -> EntityShape {
     }
 }
 
-/// Whether cameras look through the solid just under its surface, in more than borders of masks and depth account for.
+/// Whether cameras look through the solid just under its surface, more than borders of masks and depth explain.
 fn is_looked_through(surface: &Mesh, views: &Views, label: u16) -> bool {
     /// Under the surface by this much, metres, so that noise of a true one is not taken for emptiness.
     const UNDER_M: f64 = 0.002;
@@ -221,7 +221,7 @@ mod tests {
         let EntityShape::Cylinder { x_ws, .. } = stood_on(can, &plane) else { panic!() };
         assert!((x_ws.rotation * DVec3::Z).dot(plane.normal).abs() < 1e-12);
         assert!((plane.height(x_ws.translation) - 0.03).abs() < 1e-12);
-        // What leans by 10° leans; what hangs 2 cm higher hangs.
+        // An object that leans by 10° stays so, and so does one 2 cm above the plane.
         let leaning = DPose3::from_parts(DVec3::Z, DQuat::from_rotation_x(0.17));
         let shape = EntityShape::Box { x_ws: leaning, half_extents: size };
         assert_eq!(stood_on(shape.clone(), &Plane::horizontal(0.9)), shape);

@@ -2,7 +2,7 @@
 
 use sms_core::Labels;
 
-/// Gives pixels of joined pieces the label of what they were joined to, in the order of joining.
+/// Relabels the pixels of joined pieces with the label of their host, in the order of joining.
 pub(crate) fn relabel(labels: &mut Labels, joined: &[(u16, u16)]) {
     for map in &mut labels.maps {
         for label in &mut map.data {
@@ -11,7 +11,7 @@ pub(crate) fn relabel(labels: &mut Labels, joined: &[(u16, u16)]) {
     }
 }
 
-/// The label that stands for `label` after pieces were joined one after the other.
+/// Returns the label of an object after pieces were joined one after the other.
 pub(crate) fn host_of(label: u16, joined: &[(u16, u16)]) -> u16 {
     joined.iter().fold(label, |l, &(piece, host)| if l == piece { host } else { l })
 }

@@ -71,7 +71,7 @@ pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
     Ok(())
 }
 
-/// Reads what [`save_entities`] wrote. Coordinates come back rounded to the nanometre (meshes) and to `f32` (clouds).
+/// Reads the files of [`save_entities`]. Coordinates come back rounded to the nanometre (meshes) and to `f32` (clouds).
 ///
 /// # Errors
 /// [`EntitiesError::Core`] naming the file that is missing or wrong.

@@ -1,5 +1,6 @@
-//! Faces on which objects stand on each other. No camera saw them: the lower one's surface is made up there and bulges into the
-//! upper one, and what parts the two leaves steps and gaps of millimetres into which a stack would drop.
+//! Gaps between stacked objects. No camera saw the faces on which objects stand: the lower surface is extrapolated
+//! there and bulges into the upper one, and parting the two leaves steps and gaps of millimetres into which a stack
+//! would drop.
 
 use crate::piece::{CollisionPiece, is_exact, pieces_near, translate};
 use crate::standing::{
@@ -12,12 +13,13 @@ use sms_mesh::{
     outline::{common, is_within, meet, outline_of, width},
 };
 
-/// Faces that look up more than this (cosine) are the top of a hull: a ridge's two sides too.
+/// Upward faces of a hull's top, both sides of a ridge included: least upward component of the normal.
 const UP: f64 = 0.1;
-/// What is narrower from above is a wall's ridge, metres.
+/// A piece narrower than this from above is a wall with a ridge, metres.
 const WALL_M: f64 = 0.03;
-/// Closes what is left open between objects that stand on each other, from the lowest up: tops of a carrier's convex pieces that end
-/// below the other's bottom are brought up to it; what stands on an exact solid, or in the middle of a wide top, is put down on it.
+/// Closes gaps between objects that stand on each other, from the lowest up. Tops of a carrier's convex pieces that end
+/// below the other's bottom are raised to it; an object on an exact solid, or in the middle of a wide top, is lowered
+/// onto it.
 pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usize) {
     for upper in standing(entities, floor) {
         let outline = bottom_outline(&entities[upper]);
@@ -38,12 +40,12 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
             for k in 0..carrier.parts.len() {
                 let part = &entities[lower].parts[k];
                 let raised = raise_top(part, &outline, height, max_vertices);
-                // What is beside the other object may be in the way of what comes up.
+                // A neighbour may be in the way of the raised top.
                 if let Some(raised) = raised.filter(|r| enters_none(r, part, lower, entities)) {
                     entities[lower].parts[k] = raised;
                     drop = 0.0;
                 } else if let Some((gap, is_in_the_middle)) = gap_over(part, &outline, height) {
-                    // An object that reaches over something low stands elsewhere.
+                    // An object that reaches over something low is supported elsewhere.
                     limit = limit.min(gap);
                     drop = if is_in_the_middle { drop.min(gap) } else { drop };
                 }
@@ -61,14 +63,15 @@ fn is_under(outline: &[DVec2], p: DVec2) -> bool {
     is_within(outline, p, REACH_M)
 }
 
-/// Height of the bottom over an exact solid's top where one is above the other, else infinite; negative where they overlap.
+/// Height of the bottom over an exact solid's top where one is above the other, else infinite; negative where they
+/// overlap.
 fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
     let Some(bounds) = carrier.mesh.aabb() else { return f64::INFINITY };
     let top = outline_of(carrier.mesh.vertices.iter().copied().filter(|v| v.z > bounds.max.z - 1e-3));
     if top.len() >= 3 && meet(&top, outline) { height - bounds.max.z } else { f64::INFINITY }
 }
 
-/// Height of the bottom over what of a piece is under it, and whether that is under its middle; `None` where nothing is.
+/// Height of the bottom over the part of a piece under it, and whether that is under its middle; `None` without one.
 fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> {
     let under = under(part, outline);
     let top = under.iter().map(|p| p.z).reduce(f64::max)?;
@@ -77,7 +80,7 @@ fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> 
     Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
 }
 
-/// Whether a piece that was raised is in no other object's that it was not in before.
+/// Whether raising a piece makes it enter no other object's piece more deeply.
 fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) -> bool {
     let (Some(space), Some(raised), Some(before)) =
         (raised.aabb(), CollisionPiece::of(raised), CollisionPiece::of(before))
@@ -90,11 +93,11 @@ fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) ->
         .all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
 }
 
-/// Brings what of a piece's top lies under the outline, and at most [`REACH_M`] below `height`, up to it: its corners there, and
-/// the places where its top passes from under the outline (a wall's ridge that runs on has no corner there).
+/// Raises a piece's top under the outline to `height` where it is at most [`REACH_M`] below: its corners there, and the
+/// places where its top leaves the outline (a wall's continuing ridge has no corner there).
 fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> Option<Mesh> {
     let is_near = |z: f64| z > height - REACH_M && z < height + CLOSED_M;
-    // The underside of a thin piece is as near, and stays.
+    // The underside of a thin piece is as near, and is kept.
     let looks_up = corners_of_faces(part, |up| up > UP);
     let is_raised = |v: &DVec3, up: bool| up && is_near(v.z) && is_under(outline, v.truncate());
     let (corners, kept): (Vec<_>, Vec<_>) =
@@ -103,11 +106,11 @@ fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -
     let column = Column::of(part)?;
     let top = |p: DVec2| column.top(p, height + 1.0);
     let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
-    // Of a wide top what is beside the other object was seen, and would be lifted with it.
+    // A wide top was seen beside the other object, and would be lifted with it.
     let crossings = if width(&high) < WALL_M { common(&high, outline) } else { Vec::new() };
     let crossings = crossings.into_iter().filter(|&p| top(p).is_some_and(is_near));
     let crossings: Vec<DVec3> = crossings.map(|p| p.extend(height)).collect();
-    // A corner or an edge alone is a detail, no face.
+    // A corner or an edge alone is a detail, not a face.
     if corners.len() + crossings.len() < 3 {
         return None;
     }
@@ -246,7 +249,7 @@ mod tests {
         let heights: Vec<f64> = all.iter().map(bottom).collect();
         assert!((heights[1] - 0.4).abs() < 1e-9 && (heights[0] - 0.42).abs() < 1e-9, "{heights:?}");
         assert_eq!(heights[2], 0.0);
-        // Ten centimetres of air are no error of a scan, and neighbours do not carry.
+        // Ten centimetres of air are not a scan error, and neighbours do not carry.
         let high = cuboid("lamp", DVec3::splat(0.05), DVec3::Z * 0.55, true);
         let beside = cuboid("shelf", DVec3::splat(0.05), DVec3::new(0.5, 0.0, 0.452), true);
         let mut all =

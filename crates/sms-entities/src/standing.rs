@@ -8,11 +8,11 @@ use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 use sms_mesh::clip;
 use sms_mesh::outline::{is_within, outline_of};
 
-/// Steps and gaps up to this are mended, metres: more than that was seen, or is another shape.
+/// Largest step or gap that is closed, metres: larger ones were seen, or have another shape.
 pub(crate) const REACH_M: f64 = 0.005;
-/// What carries another reaches down at least so far below the face, metres.
+/// A carrier reaches down at least this far below the face, metres.
 pub(crate) const BELOW_M: f64 = 0.005;
-/// Gaps that physics engines do not notice, metres.
+/// Gap that physics engines do not notice, metres.
 pub(crate) const CLOSED_M: f64 = 1e-5;
 
 /// An object that stands with a level face, by its index, and that face's height, metres.
@@ -22,7 +22,8 @@ pub(crate) struct LevelFace {
     pub(crate) height: f64,
 }
 
-/// Objects that stand on others and not on the floor, the lowest first. Balls touch at a point, which is seen to elsewhere.
+/// Returns the objects that stand on others and not on the floor, the lowest first. Balls touch at a point and are
+/// handled elsewhere.
 pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
     let can_stand = |e: &Entity| {
         let is_ball = matches!(e.shape, EntityShape::Sphere { .. });
@@ -33,7 +34,7 @@ pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
     order
 }
 
-/// Whether an object may carry what ends at a height.
+/// Whether an object may carry another that ends at a height.
 pub(crate) fn can_carry(entity: &Entity, height: f64) -> bool {
     entity.kind == EntityKind::Dynamic && bottom(entity) < height - BELOW_M
 }
@@ -55,7 +56,7 @@ pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
     outline_of(vertices(entity).filter(|v| v.z < low))
 }
 
-/// Corners of what of a piece's surface is over or under an outline.
+/// Returns the corners of the part of a piece's surface over or under an outline.
 pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
     let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     for i in 0..outline.len() {
@@ -66,13 +67,13 @@ pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
     under.into_flattened()
 }
 
-/// Whether a piece reaches far above a face beside the outline of what stands on it, by more than `margin` (metres): it was seen there, and
-/// stays.
+/// Whether a piece reaches far above a face beside the outline of the object on it, by more than `margin` (metres):
+/// that part was seen, and is kept.
 pub(crate) fn reaches_beside(part: &Mesh, outline: &[DVec2], height: f64, margin: f64) -> bool {
     part.vertices.iter().any(|v| v.z > height + REACH_M && !is_within(outline, v.truncate(), margin))
 }
 
-/// Which corners of a hull belong to a face whose normal's upward component is as wanted.
+/// Marks the corners of a hull that belong to a face whose normal's upward component is as wanted.
 pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec<bool> {
     let mut is = vec![false; part.vertices.len()];
     for (t, corners) in part.triangles.iter().enumerate() {
@@ -83,7 +84,7 @@ pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec
     is
 }
 
-/// Where a vertical line meets a convex piece.
+/// Heights at which vertical lines meet a convex piece.
 pub(crate) struct Column(ConvexPolyhedron);
 
 impl Column {

@@ -1,4 +1,4 @@
-//! What objects rest on.
+//! Supports: the surfaces that objects rest on.
 
 use crate::cloud::Disc;
 use crate::views::Views;
@@ -19,20 +19,20 @@ pub(crate) struct Surroundings {
     pub(crate) normals: Vec<DVec3>,
     pub(crate) labels: Vec<u16>,
     pub(crate) colors: Vec<[u8; 3]>,
-    /// Sides that no label explains, with their normals: masks lose a strip between two things, a rim in the shade as a whole.
+    /// Unlabelled sides, with their normals: masks lose a strip between two objects, or a whole rim in the shade.
     pub(crate) lost_sides: Vec<(DVec3, DVec3)>,
-    /// Sides of objects with their labels, of the reconstruction, which sees thin rims whole.
+    /// Sides of the reconstruction with their labels: it contains thin rims whole.
     pub(crate) own_sides: Vec<(DVec3, u16)>,
 }
 
 impl Surroundings {
-    /// Collects the sides of an object, of its discs.
+    /// Collects the sides of an object from its discs.
     pub(crate) fn collect_own_sides(&mut self, label: u16, discs: &[Disc]) {
         let sides = discs.iter().filter(|d| d.normal.z.abs() < UPRIGHT);
         self.own_sides.extend(sides.map(|d| (d.center, label)));
     }
 
-    /// Collects the sides that no label explains: of what the frames measured, and of these discs of the reconstruction.
+    /// Collects unlabelled sides: measured points, and discs of the reconstruction.
     pub(crate) fn collect_lost_sides(&mut self, unlabelled: &[Disc]) {
         let measured = (0..self.points.len()).filter(|&i| self.labels[i] == sms_core::BACKGROUND);
         let measured = measured.map(|i| (self.points[i], self.normals[i]));
@@ -41,7 +41,7 @@ impl Surroundings {
     }
 }
 
-/// What carries an object.
+/// Carrier of an object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Carrier {
     /// The dominant plane, a half space in the scene.
@@ -50,7 +50,7 @@ pub(crate) enum Carrier {
     Environment,
     /// Another object.
     Object(u16),
-    /// Nothing was seen below; a horizontal plane under the lowest point is assumed.
+    /// No surface was seen below; a horizontal plane under the lowest point is assumed.
     Unseen,
 }
 
@@ -59,11 +59,11 @@ pub(crate) enum Carrier {
 pub(crate) struct Rest {
     pub(crate) plane: Plane,
     pub(crate) carrier: Carrier,
-    /// Scatter (standard deviation, robust) of what was seen of the carrying surface about the plane, metres.
+    /// Scatter (robust standard deviation) of the carrying surface about the plane, metres.
     pub(crate) noise_m: f64,
 }
 
-/// Scatter assumed where little was seen of the carrying surface.
+/// Scatter assumed where little of the carrying surface was seen.
 const UNSEEN_NOISE_M: f64 = 0.001;
 
 /// Sums over the measurements in one cell.
@@ -144,8 +144,8 @@ pub(crate) fn support_height(around: &Surroundings) -> Option<f64> {
     Some(center)
 }
 
-/// The plane that carries the object with these surface points: the best level-ish plane through what was seen around
-/// and below its lowest part.
+/// Finds the plane that carries the object with these surface points: the best nearly level plane through the surface
+/// around and below its lowest part.
 pub(crate) fn find_rest(
     points: &[DVec3],
     label: u16,
@@ -170,7 +170,7 @@ pub(crate) fn find_rest(
                 && flat.is_near(p.with_z(0.0), 0.04)
         })
         .collect();
-    // Past the rim of a dish more may be seen of the floor below it than of the dish round the foot of what lies in it.
+    // Past the rim of a dish more may be seen of the floor below it than of the dish around the foot of its content.
     let next_to_foot: Vec<usize> = candidates
         .iter()
         .copied()
@@ -200,7 +200,7 @@ pub(crate) fn find_rest(
         *votes.entry(around.labels[i]).or_default() += 1;
     }
     let most = votes.iter().max_by_key(|v| (*v.1, std::cmp::Reverse(*v.0))).map_or(0, |v| *v.0);
-    // The floor of a thin dish lies millimetres over the plane, and what lies in it rests on the dish.
+    // The floor of a thin dish lies millimetres over the plane, and its content rests on the dish.
     if most == sms_core::BACKGROUND
         && let Some(h) = support
     {
@@ -212,8 +212,8 @@ pub(crate) fn find_rest(
     if most == sms_core::BACKGROUND {
         return rest(plane, Carrier::Environment, &members);
     }
-    // What was seen of an object's top beside what stands on it is often a strip, which says little of how it leans. All round it a lean
-    // was seen.
+    // The seen part of an object's top beside its load is often a strip, which tells little of its lean. A lean seen on
+    // all sides is real.
     let level = Plane::horizontal(median(members.iter().map(|&i| around.points[i].z).collect()));
     let off = scatter(&level, &members);
     let mut seen = [false; SECTORS];
@@ -227,9 +227,9 @@ pub(crate) fn find_rest(
     rest(if is_level { level } else { plane }, Carrier::Object(most), &members)
 }
 
-/// A top half of whose points lie within this height of their middle, metres, is level where it leans less than this, radians: if it was
-/// seen in so many directions and its points scatter as much about the plane that leans, or so many times less at most; if it was seen as
-/// a strip on few sides, where it leans less than the last.
+/// A top with half of its points within this height of their middle, metres, is level where it leans less than this,
+/// radians: if it was seen in this number of directions and its points scatter as much about the leaning plane, or at
+/// most this many times less; if it was seen as a strip on few sides, where it leans less than the last value.
 const LEVEL_M: f64 = 0.002;
 const LEANS: f64 = 0.09;
 const ALL_ROUND: usize = 6;
@@ -258,7 +258,7 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
     }
     let may_carry = |p: &DVec3| p.z < end + ENDS_M && is_there(p);
     let lost: Vec<DVec3> = around.lost_sides.iter().map(|(p, _)| *p).filter(may_carry).collect();
-    // What lies on the object is over its foot, too; what is as wide as the foot may be the lower part of the same thing.
+    // A load on the object is over its foot, too; an object as wide as the foot may be its own lower part.
     let ends = |(carrier, labelled): (u16, Vec<DVec3>)| {
         let high = |of: &[DVec3]| quantile(of.iter().map(|p| p.z).collect(), 0.95);
         if labelled.len() < LEAST_LABELLED || high(&labelled) > end + ENDS_M {
@@ -303,23 +303,24 @@ fn lower_end(points: &[DVec3]) -> f64 {
     median(heights.into_iter().filter(|&z| bin(z) == first as f64).collect())
 }
 
-/// Sides of a carrier are looked for this far below an object's end, and end within these distances below and above it, metres. The
-/// object's foot is so much larger than what they enclose.
+/// Sides of a carrier are searched this far below an object's end, and end within these distances below and above it,
+/// metres. The object's foot is larger than their outline by this factor.
 const SIDES_M: f64 = 0.04;
 const STRIP_M: f64 = 0.012;
 const ENDS_M: f64 = 0.005;
 const WIDER: f64 = 1.5;
-/// What looks up or down by less than this (cosine of the angle to the vertical) may be a side: a level surface is the table beside an object, or the underside of what stands on it.
+/// Surface that looks up or down by less than this (cosine of the angle to the vertical) may be a side: a level surface
+/// is the table beside an object, or the underside of its load.
 pub(crate) const UPRIGHT: f64 = 0.7;
 /// Sides look up or down by less than this (cosine of the angle to the vertical).
 pub(crate) const SIDE: f64 = 0.5;
 /// Unlabelled sides this near to an object's, metres, are its own.
 const CONTINUES_M: f64 = 0.03;
 
-/// Reach, horizontally from the foot, of what surrounds it, metres.
+/// Horizontal reach of the surroundings of the foot, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
 
-/// Directions about the vertical that are told apart.
+/// Sectors about the vertical.
 pub(crate) const SECTORS: usize = 8;
 
 /// Which of the [`SECTORS`] a horizontal direction lies in.
@@ -328,7 +329,7 @@ pub(crate) fn sector(out: DVec3) -> usize {
     ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
-/// The object whose level surface is seen next to a foot in most directions, if it is an object's.
+/// Returns the object whose level surface is seen next to a foot in most directions, if it is an object's.
 fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVec3) -> Option<u16> {
     /// Directions that must agree.
     const MOST: usize = 5;
@@ -346,7 +347,7 @@ fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVe
 }
 
 /// Height of an object's surface right below a ball that lies on it or in its hollow, where the ball hides it: a
-/// paraboloid through what was seen of the level parts round the ball's foot. `None` where too little was seen.
+/// paraboloid through the seen level parts around the ball's foot. `None` where too little was seen.
 pub(crate) fn height_below_ball(
     around: &Surroundings,
     carrier: u16,
@@ -377,8 +378,8 @@ pub(crate) fn height_at(plane: &Plane, p: DVec3) -> Option<f64> {
         .then(|| (plane.offset - plane.normal.x * p.x - plane.normal.y * p.y) / plane.normal.z)
 }
 
-/// Planes within 40° of level compete for what was seen round the object's foot; planes that the object would reach
-/// through lose, and among ambiguous ones (a foot amid clutter) the object's own upright axis decides: things stand
+/// Planes within 40° of level compete for the surface seen around the object's foot. Planes that the object would reach
+/// through lose, and among ambiguous ones (a foot amid clutter) the object's own upright axis decides: objects stand
 /// along it.
 fn fit_level_plane(
     candidates: &[usize],
@@ -548,10 +549,10 @@ mod tests {
             rest_of_box(&around).carrier
         };
         assert_eq!((thin(STOOL), thin(7)), (Carrier::Object(STOOL), Carrier::Unseen));
-        // What is as wide as the box may be its own lower part.
+        // An object as wide as the box may be its own lower part.
         let whole = || wall(-0.1, 0.451).chain(wall(0.1, 0.451)).map(|p| p * DVec3::new(1.0, 1.4, 1.0));
         assert_eq!(rest_of_box(&seen(whole(), DVec3::X)).carrier, Carrier::Unseen);
-        // What reaches up into the box (with its mask), or stands beside it, carries nothing.
+        // An object that reaches up into the box (with its mask), or stands beside it, carries nothing.
         for other in [wall(0.0, 0.5), wall(0.0, 0.468), wall(0.14, 0.451)] {
             assert_eq!(rest_of_box(&seen(other, DVec3::X)).carrier, Carrier::Unseen);
         }

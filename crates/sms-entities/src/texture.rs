@@ -20,8 +20,8 @@ const SHARP: f64 = 0.9;
 /// Smallest square, texels.
 const LEAST_SIDE: usize = 6;
 
-/// Gives the mesh of every object a picture from the frames that saw it: `colors` are the frames' colour images at any
-/// size, parallel to the sequence's frames; where there is none, the frame's own is used. What no frame saw keeps its
+/// Bakes a picture onto the mesh of every object from the frames that saw it. `colors` are the frames' colour images at
+/// any size, parallel to the sequence's frames; where there is none, the frame's own is used. Unseen places keep their
 /// vertex colours.
 pub fn bake_textures(
     set: &mut EntitySet,
@@ -41,7 +41,7 @@ pub fn bake_textures(
         .map(|(f, frame)| colors.get(f).and_then(Option::as_ref).unwrap_or(&frame.color))
         .collect();
     for entity in &mut set.entities {
-        // The environment is no object; its vertex colours are as fine as its voxels.
+        // The environment has vertex colours only: they are as fine as its voxels.
         let is_object = entity.kind == EntityKind::Dynamic || entity.label != sms_core::BACKGROUND;
         if is_object && !entity.mesh.triangles.is_empty() {
             entity.texture = Some(bake(entity, &views, &images, config));

@@ -1,5 +1,5 @@
-//! Faces that look down: closing what no camera saw, the contact area on the surface below, and giving what was seen of it to whom it
-//! belongs.
+//! Downward faces: contact areas that no camera saw, and points at the edge between two objects that have the wrong
+//! label.
 
 use crate::draft::Draft;
 use crate::support::{Carrier, Rest, SIDE};
@@ -12,8 +12,8 @@ use sms_mesh::{
     quantile,
 };
 
-/// Points on the resting plane, a `spacing` apart, where the object's foot may touch it: inside the outline of the
-/// object's lowest part, and where no camera saw the plane itself. Without any such place, the surroundings of the
+/// Returns points on the resting plane, a `spacing` apart, where the object's foot may touch it: inside the outline of
+/// the object's lowest part, and where no camera saw the plane itself. Without any such place, the surroundings of the
 /// lowest point.
 pub(crate) fn contact_points(
     cloud: &PointCloud,
@@ -85,18 +85,19 @@ pub(crate) fn contact_points(
     points
 }
 
-/// They continue others within this distance, metres, that look the same way within 60°.
+/// Sides continue others within this distance, metres, whose normals are within 60°.
 const CONTINUES_M: f64 = 0.02;
 
-/// The plane on which an object stands and the one that carries it, by its index. Balls touch at a point, and their labels bleed otherwise.
+/// The plane on which an object stands and the index of its carrier. Balls are excluded: they touch at a point, and
+/// their labels bleed differently.
 fn carried(drafts: &[Draft], upper: usize) -> Option<(Plane, usize)> {
     let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { return None };
     let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper)?;
     drafts[upper].sphere.is_none().then_some((plane, lower))
 }
 
-/// Gives sides below the face on which an object stands, which have the object's label, to what carries it. Masks err by centimetres where
-/// a camera saw both edges behind each other, and how far its sides reach up says where a carrier's edge is.
+/// Moves sides below the face on which an object stands to its carrier. Masks err by centimetres where a camera saw
+/// both edges behind each other, and the height of its sides tells where a carrier's edge is.
 pub(crate) fn return_sides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let below = std::mem::take(&mut drafts[upper].below);
@@ -112,18 +113,18 @@ pub(crate) fn return_sides(drafts: &mut [Draft]) {
     }
 }
 
-/// Points at most this far below and above the face on which an object stands, metres, that look down at least so steeply (cosine), and lie
-/// within its outline from above or this near to it, metres, are its underside.
+/// Points at most this far below and above the face on which an object stands, metres, that look down at least this
+/// steeply (cosine), and lie within its outline from above or this near to it, metres, are its underside …
 const UNDERSIDE_M: [f64; 2] = [0.0025, 0.004];
 const LOOKS_DOWN: f64 = 0.8;
 const BESIDE_M: f64 = 0.01;
-/// … unless this near to surface of what carries it that looks up, metres.
+/// … unless this near to an upward surface of the carrier, metres.
 const SHEET_M: f64 = 0.008;
-/// Fewer points make no object.
+/// Least number of points of an object.
 const FEWEST: usize = 20;
 
-/// Gives undersides that masks took for what carries an object back to the object. What carries it ends at that height: nothing of it
-/// looks down there, and a few such points would make its top reach as far as they lie.
+/// Moves undersides that masks gave to the carrier back to the object. The carrier ends at that height and has no
+/// downward surface there; a few such points would extend its top to them.
 pub(crate) fn return_undersides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let Some((plane, lower)) = carried(drafts, upper) else { continue };
@@ -133,7 +134,7 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
         let points = drafts[upper].cloud.points_w.iter();
         let outline = convex_outline(&points.map(|&p| on_plane(p)).collect::<Vec<_>>());
         let of = &drafts[lower].cloud;
-        // Of a thin sheet the other side was seen right above.
+        // The other side of a thin sheet was seen right above.
         let looks_up = |(_, n): &(&DVec3, &DVec3)| n.dot(plane.normal) > LOOKS_DOWN;
         let tops: Vec<DVec3> =
             of.points_w.iter().zip(&of.normals_w).filter(looks_up).map(|(p, _)| *p).collect();
@@ -157,7 +158,7 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
 /// Heights over a possible contact point, as shares of the object's height, that cameras may look through.
 const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
 
-/// Whether cameras see something else than the object at a point, or look through it at something else. What is inside a
+/// Whether cameras see another surface than the object at a point, or look through it past the object. The inside of a
 /// bowl is looked through, too, but there the object itself is behind it.
 fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     let frames = views.sequence.frames.len();
@@ -205,7 +206,7 @@ mod tests {
         let board: Vec<_> = (0..30).map(side(0.506, DVec3::X)).collect();
         let mut drafts =
             [draft(1, rest(0.0, Carrier::Floor), &bin), draft(2, rest(0.5, Carrier::Object(1)), &board)];
-        // The bin's rim; what hangs in the air beside it; what looks elsewhere there.
+        // The bin's rim; a point in the air beside it; a point with another normal.
         let rim: Vec<_> = (0..30).map(side(0.485, DVec3::X)).collect();
         let others = [(DVec3::new(0.3, 0.0, 0.485), DVec3::X), (DVec3::new(0.0, 0.05, 0.48), DVec3::NEG_X)];
         let labelled: Vec<_> = rim.iter().chain(&others).copied().collect();

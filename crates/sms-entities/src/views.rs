@@ -1,4 +1,4 @@
-//! What the cameras say about a point in space: seen as surface, seen through, hidden.
+//! Visibility of points in space: on the surface, in free space, hidden.
 
 use glamx::DVec3;
 use sms_core::{BACKGROUND, Labels};
@@ -96,7 +96,8 @@ impl Views<'_> {
         count
     }
 
-    /// Whether no frame sees a surface with this label at `p_w`, and most see something nearer. What has no depth (glass) may be there.
+    /// Whether no frame sees a surface with this label at `p_w`, and most see a nearer one. Surfaces without depth
+    /// (glass) may be there.
     pub(crate) fn is_inside(&self, p_w: DVec3, label: u16) -> bool {
         let frames = self.sequence.frames.len();
         let mut hidden = 0;
@@ -209,11 +210,11 @@ mod tests {
             let p = sequence.frames[0].camera.unproject_pixel(column as usize, 50, 1.0 - z);
             p.with_z(z)
         };
-        // On the plate, and 5 cm below it; below what is beside it; where nothing was measured.
+        // On the plate, and 5 cm below it; below the floor beside it; where nothing was measured.
         assert!(!views.is_inside(at(20.0, 0.0), 1) && views.is_inside(at(20.0, -0.05), 1));
         assert!(views.is_inside(at(60.0, -0.05), 1));
         assert!(!views.is_inside(at(90.0, -0.05), 1));
-        // What other labels have on the surface is not inside.
+        // Surface of another label is not inside.
         assert!(!views.is_inside(at(60.0, 0.0), 1));
     }
 }

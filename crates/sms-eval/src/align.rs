@@ -3,6 +3,7 @@
 use crate::truth::TrueSurface;
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
+use sms_core::symmetric_eigen;
 
 /// The rigid motion `x_ab` that carries points `p_b` closest to their partners `p_a` in the least squares sense (Horn
 /// 1987, "Closed-form solution of absolute orientation using unit quaternions").
@@ -25,39 +26,11 @@ pub fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ];
-    let q = largest_eigenvector(matrix);
+    let (values, vectors) = symmetric_eigen(matrix, 30, 0.0);
+    let best = (0..4).max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(0);
+    let q = vectors.map(|row| row[best]);
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
     DPose3::from_parts(a0 - rotation * b0, rotation)
-}
-
-/// Of a symmetric matrix, by Jacobi rotations.
-fn largest_eigenvector(mut m: [[f64; 4]; 4]) -> [f64; 4] {
-    let mut v = [[0.0; 4]; 4];
-    (0..4).for_each(|i| v[i][i] = 1.0);
-    for _ in 0..30 {
-        for p in 0..3 {
-            for q in p + 1..4 {
-                if m[p][q].abs() < 1e-300 {
-                    continue;
-                }
-                let theta = (m[q][q] - m[p][p]) / (2.0 * m[p][q]);
-                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-                let c = 1.0 / (t * t + 1.0).sqrt();
-                let s = t * c;
-                for row in &mut m {
-                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-                }
-                for k in 0..4 {
-                    (m[p][k], m[q][k]) = (c * m[p][k] - s * m[q][k], s * m[p][k] + c * m[q][k]);
-                }
-                for row in &mut v {
-                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-                }
-            }
-        }
-    }
-    let best = (0..4).max_by(|&a, &b| m[a][a].total_cmp(&m[b][b])).unwrap_or(0);
-    [v[0][best], v[1][best], v[2][best], v[3][best]]
 }
 
 /// Improves `x_tw` by bringing points (in `W`, each with the index of its surface) onto true surfaces: iterated point to

@@ -3,7 +3,7 @@
 use crate::{LandingError, LandingTask, SurfaceLimits};
 use glamx::{DMat2, DPose3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
-use sms_core::{Aabb, InputError};
+use sms_core::{Aabb, InputError, QuantileRule, quantile};
 use sms_robots::Quadrotor;
 use sms_scene::{BodyShape, Scene};
 use sms_sim::wash_surfaces;
@@ -333,8 +333,7 @@ fn fits(grid: &Grid, seen: &[Option<Seen>], patch: &Patch, vehicle: &Quadrotor) 
 
 fn median_height(seen: &[Option<Seen>], cells: &[usize]) -> f64 {
     let mut heights: Vec<f64> = cells.iter().filter_map(|&i| Some(seen[i]?.height)).collect();
-    heights.sort_by(f64::total_cmp);
-    heights.get(heights.len() / 2).copied().unwrap_or(f64::NAN)
+    quantile(&mut heights, 0.5, QuantileRule::Nearest).unwrap_or(f64::NAN)
 }
 
 /// Direction of the largest spread of the cells, in the half plane x ≥ 0.

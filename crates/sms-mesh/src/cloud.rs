@@ -6,8 +6,8 @@ use crate::statistics::median;
 use glamx::DVec3;
 use sms_core::{Aabb, PointCloud};
 
-/// Median distance to the nearest neighbour that is somewhere else, metres, scaled to the pitch of an even cover (random
-/// points lie half as far from their nearest as even ones); `None` where all points are one.
+/// Returns the median distance to the nearest neighbour at another place, metres, scaled to the pitch of an even cover
+/// (random points lie half as far from their nearest as even ones); `None` where all points coincide.
 pub fn measured_spacing(points: &[DVec3]) -> Option<f64> {
     let extents = Aabb::of_points(points.iter().copied())?.extents();
     // A surface of n points: its box has about this pitch.
@@ -25,8 +25,8 @@ pub fn measured_spacing(points: &[DVec3]) -> Option<f64> {
     (!gaps.is_empty()).then(|| 2.0 * median(gaps))
 }
 
-/// Indices of points that keep `distance` from each other, in order; points on opposite sides of a thin wall do not
-/// see each other.
+/// Returns the indices of points that keep `distance` from each other, in order. Points on opposite sides of a thin
+/// wall are independent.
 pub fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
     const EMPTY: u32 = u32::MAX;
     let Some(bounds) = Aabb::of_points(points.iter().copied()) else { return Vec::new() };
@@ -68,7 +68,7 @@ pub fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
     kept
 }
 
-/// Normals from local plane fits where the surroundings are flat, else averaged with like-minded neighbours.
+/// Replaces normals by local plane fits where the surroundings are flat, else by the mean of similar neighbours.
 pub fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
     let grid = PointGrid::new(&cloud.points_w, radius);
     let smoothed: Vec<DVec3> = (0..cloud.points_w.len())
@@ -112,7 +112,7 @@ pub fn drop_strays(cloud: &mut PointCloud, spacing: f64) {
     retain(cloud, &keep);
 }
 
-/// The points of a cloud whose entry is true.
+/// Returns the points whose entry is true.
 pub fn chosen(cloud: &PointCloud, which: &[bool]) -> PointCloud {
     let mut part = cloud.clone();
     retain(&mut part, which);
@@ -140,7 +140,7 @@ pub fn retain(cloud: &mut PointCloud, keep: &[bool]) {
     filter(&mut cloud.colors, keep);
 }
 
-/// Mean colour; grey for an empty cloud.
+/// Returns the mean colour; grey for an empty cloud.
 pub fn mean_color(colors: &[[u8; 3]]) -> [u8; 3] {
     if colors.is_empty() {
         return [128; 3];

@@ -1,6 +1,6 @@
-//! Decimation of closed meshes by quadric edge collapses (Garland and Heckbert 1997) that never change their topology: an
+//! Decimation of closed meshes by quadric edge collapses (Garland and Heckbert 1997) that never change the topology: an
 //! edge is collapsed only where its ends share exactly the two neighbours opposite it (the link condition; Dey et al.
-//! 1999), so that what is closed and manifold stays so.
+//! 1999), so closed manifolds stay closed manifolds.
 
 use glamx::{DMat3, DVec3};
 use sms_core::Mesh;
@@ -109,8 +109,8 @@ struct Collapser {
     around: (Vec<u32>, Vec<u32>),
 }
 
-/// Fewer faces: collapses edges, the cheapest first, until `budget` faces are left or the next collapse would move the
-/// surface by more than `max_error` metres (root mean square over the area it stands for). Colours are dropped.
+/// Collapses edges, the cheapest first, until `budget` faces are left or the next collapse would move the surface by
+/// more than `max_error` metres (root mean square over the area). Colours are dropped.
 pub fn decimate(mesh: &Mesh, budget: usize, max_error: f64) -> Mesh {
     if mesh.triangles.len() <= budget.max(4) {
         return mesh.clone();

@@ -1,24 +1,45 @@
-//! Convex outlines in a plane, counter-clockwise: of what stands on what, seen from above.
+//! Convex outlines in the plane, counter-clockwise.
 
 use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 
-/// Convex outline, counter-clockwise (Andrew's monotone chain). Fewer than three corners where points lie on a line.
+/// Returns the convex outline of points, counter-clockwise. Fewer than three corners where points lie on a line.
 pub fn convex_outline(points: &[DVec2]) -> Vec<DVec2> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-    sorted.dedup();
+    let mut points = points.to_vec();
+    sort(&mut points, |p| *p);
+    points.dedup();
+    monotone_chain(&points, |p| *p, 0.0)
+}
+
+/// Returns the convex outline of points, counter-clockwise, without points nearer than `nearest` to the one before them
+/// and without corners whose triangle with their neighbours has at most half of `flat` for its area.
+pub fn convex_outline_of_noisy(mut points: Vec<DVec2>, nearest: f64, flat: f64) -> Vec<DVec2> {
+    sort(&mut points, |p| *p);
+    points.dedup_by(|a, b| a.distance_squared(*b) < nearest * nearest);
+    monotone_chain(&points, |p| *p, flat)
+}
+
+/// Sorts points by x, then y, as [`monotone_chain`] wants them.
+pub(crate) fn sort<T>(points: &mut [T], at: impl Fn(&T) -> DVec2) {
+    points.sort_by(|a, b| at(a).x.total_cmp(&at(b).x).then(at(a).y.total_cmp(&at(b).y)));
+}
+
+/// Andrew's monotone chain (1979) on sorted points: corners that turn left by more than `flat` (twice the area of the
+/// triangle with the two corners before).
+pub(crate) fn monotone_chain<T: Copy>(sorted: &[T], at: impl Fn(&T) -> DVec2, flat: f64) -> Vec<T> {
     if sorted.len() < 3 {
-        return sorted;
+        return sorted.to_vec();
     }
-    let turn = |o: DVec2, a: DVec2, b: DVec2| (a - o).perp_dot(b - o);
-    let mut chain: Vec<DVec2> = Vec::new();
+    let mut chain: Vec<T> = Vec::with_capacity(sorted.len());
     for pass in 0..2 {
         let base = chain.len();
-        let ordered: Box<dyn Iterator<Item = &DVec2>> =
-            if pass == 0 { Box::new(sorted.iter()) } else { Box::new(sorted.iter().rev()) };
-        for &p in ordered {
-            while chain.len() >= base + 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
+        for i in 0..sorted.len() {
+            let p = sorted[if pass == 0 { i } else { sorted.len() - 1 - i }];
+            while chain.len() >= base + 2 {
+                let (a, b) = (at(&chain[chain.len() - 2]), at(&chain[chain.len() - 1]));
+                if (b - a).perp_dot(at(&p) - a) > flat {
+                    break;
+                }
                 chain.pop();
             }
             chain.push(p);
@@ -28,12 +49,12 @@ pub fn convex_outline(points: &[DVec2]) -> Vec<DVec2> {
     chain
 }
 
-/// The convex outline of points from above.
+/// Returns the convex outline of points seen from above.
 pub fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
     convex_outline(&points.map(DVec3::truncate).collect::<Vec<_>>())
 }
 
-/// Whether a point lies within an outline, or at most `margin` (metres) outside of one of its sides.
+/// Whether a point lies within an outline, or at most `margin` (metres) outside one of its sides.
 pub fn is_within(outline: &[DVec2], p: DVec2, margin: f64) -> bool {
     let is_left = |i: usize| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
@@ -42,7 +63,7 @@ pub fn is_within(outline: &[DVec2], p: DVec2, margin: f64) -> bool {
     outline.len() >= 3 && (0..outline.len()).all(is_left)
 }
 
-/// How wide a convex outline is where it is narrowest, metres; nothing where it has no area.
+/// Returns the least width of a convex outline, metres; 0 where it has no area.
 pub fn width(outline: &[DVec2]) -> f64 {
     if outline.len() < 3 {
         return 0.0;
@@ -60,7 +81,7 @@ pub fn area(outline: &[DVec2]) -> f64 {
     (0..outline.len()).map(|i| 0.5 * outline[i].perp_dot(outline[(i + 1) % outline.len()])).sum()
 }
 
-/// Whether two convex outlines have a point in common; one of fewer than three corners as the points or the line it has.
+/// Whether two convex outlines have a point in common. Outlines of one or two corners count as points and lines.
 pub fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     let parted_by = |p: &[DVec2], q: &[DVec2]| {
         (0..p.len()).any(|i| {
@@ -71,14 +92,16 @@ pub fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     !a.is_empty() && !b.is_empty() && !parted_by(a, b) && !parted_by(b, a)
 }
 
-/// Corners of what two convex outlines have in common.
+/// Returns the corners of the intersection of two convex outlines; none where one has fewer than three corners.
 pub fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
-    if a.len() < 3 || b.len() < 3 {
-        return Vec::new();
-    }
-    let mut left = a.to_vec();
-    for i in 0..b.len() {
-        let (start, edge) = (b[i], b[(i + 1) % b.len()] - b[i]);
+    if a.len() < 3 || b.len() < 3 { Vec::new() } else { clipped(a, b) }
+}
+
+/// Returns the part of a convex outline, a line or a point within a convex `window` (Sutherland and Hodgman 1974).
+pub fn clipped(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
+    let mut left = subject.to_vec();
+    for i in 0..window.len() {
+        let (start, edge) = (window[i], window[(i + 1) % window.len()] - window[i]);
         let side = |p: DVec2| edge.perp_dot(p - start);
         let mut cut = Vec::with_capacity(left.len() + 1);
         for j in 0..left.len() {
@@ -96,8 +119,8 @@ pub fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
     left
 }
 
-/// The convex outline, grown by `margin`, of the points less than `band` above a plane: on the plane, counter-clockwise
-/// seen from its normal.
+/// Returns the convex outline, grown by `margin`, of the points less than `band` above a plane. It lies on the plane,
+/// counter-clockwise seen from its normal.
 pub fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
     let u = plane.normal.any_orthonormal_vector();
     let v = plane.normal.cross(u);
@@ -128,6 +151,16 @@ mod tests {
     fn square(x: f64, y: f64, half: f64) -> [DVec2; 4] {
         [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
             .map(|(s, t)| DVec2::new(x + half * s, y + half * t))
+    }
+
+    #[test]
+    fn the_outline_of_a_grid_is_its_square_counter_clockwise() {
+        let mut points: Vec<DVec2> =
+            (0..5).flat_map(|i| (0..5).map(move |j| DVec2::new(f64::from(i), f64::from(j)))).collect();
+        points.push(DVec2::new(2.0, 2.0));
+        for outline in [convex_outline(&points), convex_outline_of_noisy(points, 1e-9, 1e-12)] {
+            assert_eq!((outline.len(), area(&outline)), (4, 16.0));
+        }
     }
 
     #[test]

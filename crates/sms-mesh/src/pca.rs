@@ -2,7 +2,7 @@
 
 use glamx::{DMat3, DVec3};
 
-/// Second moments about the mean, and the mean, of weighted points; `None` without weight.
+/// Returns the second moments about the mean, and the mean, of weighted points; `None` without weight.
 pub fn scatter(points: impl Iterator<Item = (DVec3, f64)> + Clone) -> Option<(DMat3, DVec3)> {
     let (sum, weight) = points.clone().fold((DVec3::ZERO, 0.0), |(s, w), (p, k)| (s + p * k, w + k));
     if weight <= 0.0 {
@@ -16,7 +16,7 @@ pub fn scatter(points: impl Iterator<Item = (DVec3, f64)> + Clone) -> Option<(DM
     Some((moments, mean))
 }
 
-/// Variances in ascending order with their unit axes; `None` for fewer than a line of points.
+/// Returns the variances in ascending order with their unit axes; `None` where all points coincide.
 pub fn principal_axes(moments: DMat3) -> Option<([f64; 3], [DVec3; 3])> {
     let columns = moments.to_cols_array();
     let size = columns.iter().fold(0.0f64, |m, v| m.max(v.abs()));

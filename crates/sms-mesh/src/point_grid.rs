@@ -14,7 +14,7 @@ pub struct PointGrid<'a> {
 }
 
 impl<'a> PointGrid<'a> {
-    /// A grid with cells of about `cell` metres (coarser where that would need too many).
+    /// Sorts points into cells of about `cell` metres (coarser where that would need too many).
     pub fn new(points: &'a [DVec3], cell: f64) -> Self {
         let bounds = sms_core::Aabb::of_points(points.iter().copied())
             .unwrap_or(sms_core::Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
@@ -76,7 +76,7 @@ impl<'a> PointGrid<'a> {
         }
     }
 
-    /// `(squared distance, index)` of the points within `radius`, nearest first.
+    /// Returns `(squared distance, index)` of the points within `radius`, nearest first.
     pub fn within(&self, p: DVec3, radius: f64) -> Vec<(f64, usize)> {
         let mut found = Vec::new();
         self.for_each_within(p, radius, |i, d| found.push((d, i)));
@@ -102,7 +102,7 @@ impl<'a> PointGrid<'a> {
         })
     }
 
-    /// Beyond this there is no point.
+    /// Upper bound of the distance to any point.
     fn reach(&self, p: DVec3) -> f64 {
         (0..3)
             .map(|a| {
@@ -112,7 +112,7 @@ impl<'a> PointGrid<'a> {
             * 2.0
     }
 
-    /// The `k` nearest points, nearest first; fewer only when there are fewer.
+    /// Returns the `k` nearest points, nearest first; fewer only when there are fewer.
     pub fn nearest_k(&self, p: DVec3, k: usize) -> Vec<(f64, usize)> {
         let reach = self.reach(p);
         let mut radius = self.cell;
@@ -126,7 +126,7 @@ impl<'a> PointGrid<'a> {
         }
     }
 
-    /// The nearest point as `(distance, index)`.
+    /// Returns the nearest point as `(distance, index)`.
     pub fn nearest(&self, p: DVec3) -> Option<(f64, usize)> {
         let reach = self.reach(p);
         let mut radius = self.cell;

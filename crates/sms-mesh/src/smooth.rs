@@ -32,7 +32,8 @@ pub fn taubin(mesh: &mut Mesh, fixed: &[bool], iterations: usize, limit: f64) {
     }
 }
 
-/// For open meshes (crate `meshopt`): quadric collapses down to `target` faces as long as the surface moves by at most `max_error` metres.
+/// Simplifies an open mesh (crate `meshopt`): quadric collapses down to `target` faces as long as the surface moves by
+/// at most `max_error` metres.
 pub fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     let Some(bounds) = mesh.aabb() else { return mesh.clone() };
     // Single precision is ample once the mesh is near the origin.
@@ -60,7 +61,7 @@ pub fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     Mesh { vertices: mesh.vertices.clone(), triangles, colors: mesh.colors.clone() }.compacted()
 }
 
-/// Per vertex, the colour of the nearest cloud point.
+/// Returns, per vertex, the colour of the nearest cloud point.
 pub fn colors_from(points: &[DVec3], colors: &[[u8; 3]], mesh: &Mesh, cell: f64) -> Vec<[u8; 3]> {
     let grid = crate::point_grid::PointGrid::new(points, cell);
     mesh.vertices

@@ -3,7 +3,7 @@
 use glamx::DQuat;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use sms_core::{Aabb, MassProperties, Material, Property, Seed};
+use sms_core::{Aabb, MassProperties, Material, Property, QuantileRule, Seed};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::StrikerMotion;
 
@@ -287,13 +287,7 @@ fn symmetric(rng: &mut impl Rng) -> f64 {
 /// The quantile `q` in [0, 1], linear between order statistics (type 7 of Hyndman and Fan 1996). NaN for an empty
 /// slice.
 pub fn quantile(values: &[f64], q: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let position = q.clamp(0.0, 1.0) * last as f64;
-    let below = position.floor() as usize;
-    let (low, high) = (sorted[below], sorted[(below + 1).min(last)]);
-    low + (position - below as f64) * (high - low)
+    sms_core::quantile(&mut values.to_vec(), q, QuantileRule::Linear).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! A planned landing: the approach from above, and what became of everything.
 
 use crate::html::escape;
-use crate::top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
+use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, length_text};
 use sms_landing::{LandingOutcome, LandingPlan, LandingPrediction, QUADROTOR};
+use sms_mesh::outline::{convex_outline, outline_of};
 use sms_scene::{Body, BodyKind, Scene};
 use sms_task::Trajectory;
 use sms_wash::{SPREADING_RATE, WashModel};
@@ -95,11 +96,11 @@ fn vehicle_outline(plan: &LandingPlan, at: DVec2) -> Vec<DVec2> {
     };
     let rotors =
         plan.vehicle.rotors.iter().flat_map(|p| around(at + p.truncate(), plan.vehicle.rotor_radius));
-    footprint(rotors.collect())
+    convex_outline(&rotors.collect::<Vec<_>>())
 }
 
 fn outline_at(body: &Body, x_wb: &DPose3) -> Vec<DVec2> {
-    footprint(body.visual.vertices.iter().map(|&p| x_wb.transform_point(p).truncate()).collect())
+    outline_of(body.visual.vertices.iter().map(|&p| x_wb.transform_point(p)))
 }
 
 /// Where a trajectory left a body, relative to where the planner saw it; `None` where it stayed.

@@ -31,4 +31,4 @@ pub use live::{LiveError, LiveScan, Viewer};
 pub use page::write_report;
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};
-pub use top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
+pub use top_view::{TopOutline, TopPath, TopShape, TopView};

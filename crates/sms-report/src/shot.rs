@@ -1,8 +1,9 @@
 //! The planned shot from above, as SVG.
 
 use crate::input::ReportInput;
-use crate::top_view::{TopOutline, TopPath, TopShape, TopView, footprint};
+use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::DVec2;
+use sms_mesh::outline::convex_outline;
 use sms_scene::{Body, BodyKind, BodyShape};
 use sms_task::Trajectory;
 use std::fmt::Write;
@@ -19,7 +20,7 @@ fn outline(body: &Body) -> TopOutline {
         }
         _ => {
             let corners = body.visual.vertices.iter().map(|&p| body.x_wb.transform_point(p).truncate());
-            let hull = footprint(corners.collect());
+            let hull = convex_outline(&corners.collect::<Vec<_>>());
             TopShape::Polygons { polygons_w: vec![hull.iter().map(DVec2::to_array).collect()] }
         }
     };

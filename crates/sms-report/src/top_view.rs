@@ -277,47 +277,9 @@ fn rgb(c: [u8; 3]) -> String {
     format!("rgb({},{},{})", c[0], c[1], c[2])
 }
 
-/// Convex hull of points in the plane, counter-clockwise (Andrew's monotone chain).
-pub fn footprint(mut points: Vec<DVec2>) -> Vec<DVec2> {
-    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-    points.dedup();
-    if points.len() < 3 {
-        return points;
-    }
-    let half = |points: &mut dyn Iterator<Item = DVec2>| {
-        let mut hull: Vec<DVec2> = Vec::new();
-        for p in points {
-            while hull.len() >= 2 {
-                let (a, b) = (hull[hull.len() - 2], hull[hull.len() - 1]);
-                if (b - a).perp_dot(p - a) > 0.0 {
-                    break;
-                }
-                hull.pop();
-            }
-            hull.push(p);
-        }
-        hull.pop();
-        hull
-    };
-    let mut hull = half(&mut points.iter().copied());
-    hull.extend(half(&mut points.iter().rev().copied()));
-    hull
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn hull_of_a_square_with_inner_points_is_the_square() {
-        let mut points: Vec<DVec2> =
-            (0..5).flat_map(|i| (0..5).map(move |j| DVec2::new(f64::from(i), f64::from(j)))).collect();
-        points.push(DVec2::new(2.0, 2.0));
-        let hull = footprint(points);
-        assert_eq!(hull.len(), 4);
-        let area: f64 = (0..4).map(|i| hull[i].perp_dot(hull[(i + 1) % 4])).sum::<f64>() / 2.0;
-        assert_eq!(area, 16.0, "counter-clockwise");
-    }
 
     #[test]
     fn the_picture_shows_what_there_is_with_y_up() {

@@ -3,6 +3,7 @@
 use crate::scene::{SupportLevel, TruthObject, TruthScene};
 use glamx::DVec2;
 use sms_core::Mesh;
+use sms_mesh::outline::{clipped, convex_outline_of_noisy};
 
 /// Acceleration of gravity, m/s².
 const GRAVITY: f64 = 9.81;
@@ -85,8 +86,8 @@ pub(crate) fn support(
 /// Returns the intersection of two level features, faces or single corners; empty for two corners.
 fn touching(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
     match (a.len(), b.len()) {
-        (_, 3..) => common(a, b),
-        (3.., _) => common(b, a),
+        (_, 3..) => clipped(a, b),
+        (3.., _) => clipped(b, a),
         _ => Vec::new(),
     }
 }
@@ -137,51 +138,9 @@ fn level_faces(object: &TruthObject, height: f64, upper: bool) -> Vec<Vec<DVec2>
     object.parts.iter().filter_map(face).collect()
 }
 
-/// Corners of the convex hull, counterclockwise (Andrew's monotone chain, 1979).
-pub(crate) fn convex_hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
-    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-    points.dedup_by(|a, b| a.distance_squared(*b) < 1e-18);
-    if points.len() < 3 {
-        return points;
-    }
-    let chain = |points: &mut dyn Iterator<Item = DVec2>| {
-        let mut chain: Vec<DVec2> = Vec::new();
-        for p in points {
-            while let [.., a, b] = chain[..] {
-                if (b - a).perp_dot(p - b) > 1e-12 {
-                    break;
-                }
-                chain.pop();
-            }
-            chain.push(p);
-        }
-        chain.pop();
-        chain
-    };
-    let mut hull = chain(&mut points.iter().copied());
-    hull.extend(chain(&mut points.iter().rev().copied()));
-    hull
-}
-
-/// Intersects two convex polygons, both counterclockwise (Sutherland and Hodgman 1974).
-fn common(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
-    let mut left = subject.to_vec();
-    for (i, &q) in window.iter().enumerate() {
-        let inward = (window[(i + 1) % window.len()] - q).perp();
-        let depth = |p: DVec2| inward.dot(p - q);
-        let before = std::mem::take(&mut left);
-        for (k, &a) in before.iter().enumerate() {
-            let b = before[(k + 1) % before.len()];
-            let (da, db) = (depth(a), depth(b));
-            if da >= 0.0 {
-                left.push(a);
-            }
-            if (da > 0.0 && db < 0.0) || (da < 0.0 && db > 0.0) {
-                left.push(a.lerp(b, da / (da - db)));
-            }
-        }
-    }
-    left
+/// Corners of the convex hull, counterclockwise.
+pub(crate) fn convex_hull(points: Vec<DVec2>) -> Vec<DVec2> {
+    convex_outline_of_noisy(points, 1e-9, 1e-12)
 }
 
 #[cfg(test)]
@@ -213,11 +172,11 @@ mod tests {
         assert_eq!(convex_hull(grid), [at(0.0, 0.0), at(4.0, 0.0), at(4.0, 4.0), at(0.0, 4.0)]);
         let unit = [at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)];
         let moved = unit.map(|p| p + at(0.75, 0.5));
-        let both = convex_hull(common(&unit, &moved));
+        let both = convex_hull(clipped(&unit, &moved));
         assert_eq!(both, [at(0.75, 0.5), at(1.0, 0.5), at(1.0, 1.0), at(0.75, 1.0)]);
-        assert!(common(&unit, &unit.map(|p| p + at(2.0, 0.0))).is_empty());
-        // The intersection is the diamond itself.
+        assert!(clipped(&unit, &unit.map(|p| p + at(2.0, 0.0))).is_empty());
+        // A diamond within the square is all that they share.
         let diamond = [at(0.5, 0.1), at(0.9, 0.5), at(0.5, 0.9), at(0.1, 0.5)];
-        assert_eq!(convex_hull(common(&diamond, &unit)).len(), 4);
+        assert_eq!(convex_hull(clipped(&diamond, &unit)).len(), 4);
     }
 }

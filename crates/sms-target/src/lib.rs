@@ -31,8 +31,6 @@ mod matching;
 mod mujoco;
 #[cfg(feature = "physx")]
 mod physx;
-#[cfg(any(feature = "physx", feature = "mujoco"))]
-mod principal;
 mod scene;
 mod target;
 

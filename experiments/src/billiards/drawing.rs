@@ -58,7 +58,10 @@ pub(super) fn outlines(scene: &Scene) -> Vec<TopOutline> {
             shape => {
                 let part = |mesh: &sms_core::Mesh| -> Vec<[f64; 2]> {
                     let corners = mesh.vertices.iter().map(|&p| body.x_wb.transform_point(p).truncate());
-                    sms_report::footprint(corners.collect()).into_iter().map(rounded).collect()
+                    sms_mesh::outline::convex_outline(&corners.collect::<Vec<_>>())
+                        .into_iter()
+                        .map(rounded)
+                        .collect()
                 };
                 TopShape::Polygons { polygons_w: shape.meshes().iter().map(part).collect() }
             }

@@ -1,4 +1,4 @@
-//! What scans should not contain but do: each gives a valid body or a warning that names the object, never a panic.
+//! Defective scans: each gives a valid body or a warning that names the object, never a panic.
 
 use crate::common::*;
 use rand::RngExt;
@@ -359,7 +359,7 @@ fn clouds_that_are_no_numbers_or_do_not_match_give_nothing() {
     assert_eq!(with(&|c| c.normals_w.truncate(100)), None);
     assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p = DVec3::ONE)), None);
     assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= DVec3::X)), None);
-    // Far out of what a number holds with squares: refused or solid.
+    // Squares of these overflow: refused or solid.
     assert!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= 1e200)).is_none_or(|m| is_solid(&m)));
     assert!(with(&|c| c.points_w[7] = DVec3::splat(1e6)).is_none_or(|m| is_solid(&m)));
 }
@@ -398,7 +398,7 @@ fn parts_of_tangled_inverted_and_flat_meshes_are_solids() {
         cube.vertices.iter().map(|&v| v * DVec3::new(1.0, 1.0, 0.0)).collect(),
         cube.triangles.clone(),
     );
-    // Volumes of what is meant, where that is plain.
+    // Volumes of the intended shapes, where they are plain.
     let meshes = [
         ("interpenetrating", both(&cube, &moved(&cube, DVec3::splat(0.02))), Some(216e-6 * 2.0 - 64e-6)),
         (

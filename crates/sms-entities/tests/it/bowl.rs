@@ -1,4 +1,4 @@
-//! What dishes are for: a ball that falls into a scanned bowl stays in it.
+//! Dishes: a ball that falls into a scanned bowl stays in it.
 
 use crate::common::{Observation, observe, round_bowl};
 use sms_core::glamx::{DPose3, DVec3};

@@ -35,7 +35,7 @@ fn is_within(part: &Mesh, p: DVec3) -> bool {
 #[test]
 fn analytic_shapes_come_back_with_their_volume() {
     let z = DVec3::ZERO;
-    // Volume error, mean surface error (mm): about 1.5 times what was measured.
+    // Volume error, mean surface error (mm): about 1.5 times the measured ones.
     let shapes = [
         (cuboid(z, DVec3::new(0.05, 0.035, 0.04), 0.3), 0.005, 0.1),
         (cylinder(z, 0.033, 0.1), 0.005, 0.1),

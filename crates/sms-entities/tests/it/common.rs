@@ -1,4 +1,4 @@
-//! Scenes of analytic shapes: signed distances, frames with ray-cast depth, and Gaussians on what was seen.
+//! Scenes of analytic shapes: signed distances, frames with ray-cast depth, and Gaussians on the seen surface.
 #![allow(dead_code, unreachable_pub, reason = "a module of fixtures; each test file uses its own part")]
 
 use rand::RngExt;

@@ -3,8 +3,8 @@
 use crate::RenderedMaps;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sms_core::LabelMap;
 use sms_core::metrics::Metrics;
+use sms_core::{LabelMap, QuantileRule, quantile};
 use sms_frames::Frame;
 
 /// Least accumulated opacity of a pixel covered by Gaussians.
@@ -74,10 +74,9 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
     }
 }
 
-/// Returns NaN without values.
+/// Returns the upper median; NaN for no values.
 fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    quantile(values, 0.5, QuantileRule::Nearest).unwrap_or(f64::NAN)
 }
 
 /// Pixel counts of rendered against observed labels.

@@ -4,35 +4,11 @@ use glamx::{DMat3, DVec3};
 
 /// Eigenvalues (increasing) and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
 pub(crate) fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
-    let mut a = matrix.to_cols_array_2d();
-    let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    for _ in 0..12 {
-        let off = a[0][1] * a[0][1] + a[0][2] * a[0][2] + a[1][2] * a[1][2];
-        let scale = a[0][0].abs() + a[1][1].abs() + a[2][2].abs();
-        if off <= 1e-30 * scale * scale {
-            break;
-        }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if a[p][q] == 0.0 {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            for k in 0..3 {
-                (a[k][p], a[k][q]) = (c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]);
-            }
-            for k in 0..3 {
-                (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
-                (v[k][p], v[k][q]) = (c * v[k][p] - s * v[k][q], s * v[k][p] + c * v[k][q]);
-            }
-        }
-    }
+    let (values, v) = sms_core::symmetric_eigen(matrix.to_cols_array_2d(), 12, 1e-30);
     let mut order = [0, 1, 2];
-    order.sort_by(|&i, &j| a[i][i].total_cmp(&a[j][j]));
+    order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
     let vector = |i: usize| DVec3::new(v[0][i], v[1][i], v[2][i]).normalize_or(DVec3::Z);
-    (order.map(|i| a[i][i]), order.map(vector))
+    (order.map(|i| values[i]), order.map(vector))
 }
 
 /// Weighted mean and covariance of points, and the sum of weights; `None` when the weights sum to 0.

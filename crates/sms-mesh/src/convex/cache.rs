@@ -25,8 +25,9 @@ fn key(mesh: &Mesh, config: &ConvexConfig) -> Hash {
     hasher.bytes(&points).bytes(&triangles).finish()
 }
 
-/// [`convex_parts`], taken from `cache` (a folder, made when missing) where the same mesh was decomposed with the same
-/// settings before. A damaged or foreign file is computed anew; a cache that cannot be written costs only the time.
+/// Returns [`convex_parts`], read from the folder `cache` (created when missing) where the same mesh was decomposed
+/// with the same settings before. A damaged or foreign file is computed again; a cache that cannot be written costs
+/// only time.
 pub fn convex_parts_cached(mesh: &Mesh, config: &ConvexConfig, cache: Option<&Path>) -> Vec<Mesh> {
     let Some(cache) = cache else { return convex_parts(mesh, config) };
     let path = cache.join(format!("{}.json", key(mesh, config).0));

@@ -1,4 +1,4 @@
-//! What closes a cut: the flat region that a plane's outline bounds.
+//! Caps: the flat regions that close a cut.
 //!
 //! Only the region's signed boundary is kept, as edges with whole weights; a fan from any point of the plane to them has
 //! the region's signed volume, however tangled the outline is. Cutting the region again clips the edges and closes them
@@ -42,8 +42,8 @@ impl Cap {
         self.edges.iter().map(|e| f64::from(e.weight) * six_volume([apex, e.ends[0], e.ends[1]])).sum()
     }
 
-    /// Gives what lies below and above a plane to `sides`, and adds to `outline` what the lower side gains in the
-    /// plane. Points within `hair` of the plane lie in it.
+    /// Splits the cap by a plane: the parts below and above go to `sides`, and edges that the lower side gains in the
+    /// plane to `outline`. Points within `hair` of the plane lie in it.
     pub(crate) fn split(&self, plane: Plane, hair: f64, sides: [&mut Vec<Cap>; 2], outline: &mut Vec<Edge>) {
         let mut halves = [(); 2].map(|()| Half::default());
         for e in &self.edges {

@@ -14,7 +14,7 @@ const SLIVER: f64 = 3e-4;
 /// A possible union of two parts.
 struct Union {
     part: Part,
-    /// Hull volume that the union adds: what the whole gets worse by.
+    /// Hull volume that the union adds.
     added: f64,
     /// Whether it stays within the threshold, once that was asked.
     allowed: Option<bool>,
@@ -69,7 +69,7 @@ pub(crate) fn merge(
             if !forced {
                 break;
             }
-            // What is left does not touch: only unions across gaps can meet the budget.
+            // The remaining parts do not touch: only unions across gaps can meet the budget.
             let Some(key) = across_gap(&alive, &mut unions, work) else { break };
             join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
             continue;

@@ -16,7 +16,7 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Aabb, Mesh};
 
-/// The best cuts are sought with about so many faces.
+/// Number of faces with which cuts are searched.
 const COARSE_FACES: usize = 600;
 
 /// Volume, in those whose [`rv`] is the threshold, that a result may have more for one part less.
@@ -32,16 +32,16 @@ const MOST_WORK: u64 = 150_000_000;
 /// Pieces are cut until the volume that their hulls add is this much nearer than the threshold; unions may use it whole.
 const CUT_SHARE: f64 = 0.8;
 
-/// Volume of the whole's hull, likewise, up to which nothing is cut: a scanned block's dents are no parts.
+/// Surplus of the whole's hull, likewise, up to which nothing is cut: dents of a scanned block are not parts.
 const WHOLE_SHARE: f64 = 1.25;
 
 /// Pieces thinner than this are films that cuts beside flat faces leave; they hold nothing, but span hollows.
 const FILM: f64 = 1e-4;
 
-/// Sectors, whose number was chosen by what a part costs, are joined where that adds less than this share of it.
+/// Sectors are joined where that adds less than this share of the cost of a part, by which their number was chosen.
 const SECTOR_SHARE: f64 = 0.5;
 
-/// Pieces are not cut any further once there are so many.
+/// Largest number of pieces.
 const MOST_PIECES: usize = 256;
 
 /// A convex part in unit coordinates.
@@ -82,12 +82,13 @@ fn rv_volume(threshold: f64) -> f64 {
     4.0 / 3.0 * std::f64::consts::PI * (threshold / 0.3).powi(3)
 }
 
-/// Convex parts whose union approximates the solid that `mesh` bounds, in its frame: each a closed hull with positive
-/// volume and at most `max_vertices` vertices. A convex object comes back as one part.
+/// Returns convex parts whose union approximates the solid that `mesh` bounds, in its frame: each a closed hull with
+/// positive volume and at most `max_vertices` vertices. A convex object is one part.
 ///
-/// Any mesh will do. Open, torn, tangled and inside-out ones are made closed first (a single sheet becomes a shell);
-/// what still encloses nothing goes to voxel decomposition (V-HACD, crate `parry3d`), then to a single hull. Empty only
-/// when all vertices lie in one plane. The same mesh and settings give the same bytes, however many threads there are.
+/// Any mesh will do. Open, torn, tangled and inside-out meshes are closed first (a single sheet becomes a shell); those
+/// that still enclose nothing go to voxel decomposition (V-HACD, crate `parry3d`), then to a single hull. The result is
+/// empty only when all vertices lie in one plane. The same mesh and settings give the same bytes with any number of
+/// threads.
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
@@ -140,7 +141,7 @@ fn decompose(
 ) -> Option<Vec<Vec<DVec3>>> {
     let surface = closed_surface(points, triangles, config.threshold)?;
     let coarse = surface.clone().decimated(COARSE_FACES, 0.4 * config.threshold);
-    // Rough surfaces: what is seen of them with twice as many faces says enough of where to cut.
+    // A rough surface reduced to twice as many faces is detailed enough to choose cuts.
     let coarse = [1.0, 2.0, 4.0]
         .iter()
         .fold(coarse, |s, share| s.decimated(2 * COARSE_FACES, share * config.threshold));
@@ -154,7 +155,7 @@ fn decompose(
         planes: Planes::All,
         part_cost: 0.05 * rv_volume(tolerance.threshold),
     };
-    // What is convex enough is one part, whatever is saved by cutting it.
+    // A piece that is convex enough is one part, whatever cutting it would save.
     let work = Work::default();
     let mut hull = GrowingHull::default();
     let hull_volume = whole(&surface).hull_volume(&mut hull);
@@ -168,12 +169,12 @@ fn decompose(
         let parts = cut(open, &solid, tolerance, Breadth { planes, ..breadth }, work);
         let parts = merge(parts, &solid, tolerance, max_parts, most_added, work);
         total.add(work.steps());
-        // What a hull lacks of its own piece counts too.
+        // Volume that a hull lacks of its own piece counts too.
         let hulls: f64 =
             parts.iter().map(|p| p.hull_volume + 5.0 * (p.volume - p.hull_volume).max(0.0)).sum();
         (hulls, parts)
     };
-    // Some planes suit what is built square, others what is round: the cheapest result is taken.
+    // Some planes suit box-like shapes, others round ones: the cheapest result is used.
     let mut results: Vec<(f64, Vec<Part>)> = [Planes::All, Planes::Square, Planes::Flat]
         .into_par_iter()
         .map(|planes| {

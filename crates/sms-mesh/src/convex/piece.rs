@@ -1,15 +1,15 @@
 //! Pieces of a surface, cut by planes without closing the cuts.
 //!
-//! The hull of a cut surface is nearly the hull of the cut solid, because a cut's outline lies on both; what it lacks
-//! are the corners where cuts meet inside the solid. Pieces therefore keep, besides their surface, the *spines*: the
-//! lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps ([`crate::convex::cap`]).
+//! The hull of a cut surface is nearly the hull of the cut solid, because a cut's outline lies on both; it lacks only
+//! the corners where cuts meet inside the solid. Pieces therefore keep, besides their surface, the *spines*: the lines
+//! along which two cuts meet, as far as they run inside the solid. Volumes need the caps ([`crate::convex::cap`]).
 
 use crate::convex::cap::{Cap, Edge, between, tidy};
 use crate::convex::sweep::GrowingHull;
 use crate::plane::Plane;
 use glamx::{DMat3, DVec3};
 
-/// Hulls of parts leave out what reaches out of them by less, in half sizes of the object.
+/// Hulls of parts leave out points that reach out of them by less, in half sizes of the object.
 pub(crate) const SLIGHT: f64 = 2e-4;
 
 /// A piece of the object's surface, in unit coordinates.
@@ -17,7 +17,7 @@ pub(crate) const SLIGHT: f64 = 2e-4;
 pub(crate) struct Piece {
     pub(crate) points: Vec<DVec3>,
     pub(crate) triangles: Vec<[u32; 3]>,
-    /// What closes the cuts, for volumes and inner corners.
+    /// Caps that close the cuts, for volumes and inner corners.
     pub(crate) caps: Vec<Cap>,
     /// Lines inside the solid along which two cuts meet.
     pub(crate) spines: Vec<[u32; 2]>,

@@ -84,8 +84,8 @@ pub(crate) fn pairs(surface: &Surface, resolution: usize) -> f64 {
     boxes.sum()
 }
 
-/// A closed surface around what `surface` (any triangles, in unit coordinates) encloses, on a grid of `resolution` voxels
-/// along the longest side; `None` when that is nothing, or too much work.
+/// Returns a closed surface around the space that `surface` (any triangles, in unit coordinates) encloses, on a grid of
+/// `resolution` voxels along the longest side; `None` when that is empty, or too much work.
 pub(crate) fn remesh(surface: &Surface, resolution: usize) -> Option<Surface> {
     let cell = 2.0 / resolution as f64;
     if pairs(surface, resolution) > MOST_PAIRS {

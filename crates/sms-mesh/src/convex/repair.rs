@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 /// Openings up to this wide, in half sizes of the object, are holes of a scan and not mouths of vessels.
 const WIDEST_HOLE: f64 = 0.2;
 
-/// Surfaces are cut with about so many faces …
+/// Number of faces with which surfaces are cut …
 const FACES: usize = 2000;
 
-/// … in smooth places and more in rough ones, up to so many: tangles and needles without end would take for ever.
+/// … in smooth places, and largest number in rough ones: tangles of needles would take forever.
 pub(crate) const MOST_FACES: usize = 6000;
 
-/// Voxels along the longest side where a surface is made anew: the first with which it has few enough faces.
+/// Voxels along the longest side for remeshing: the first resolution with few enough faces is used.
 const RESOLUTIONS: [usize; 4] = [80, 40, 24, 12];
 
 /// A surface in unit coordinates: centred, its longest side of length 2.
@@ -129,7 +129,7 @@ impl Surface {
         let mut edges: Vec<(u32, u32)> =
             self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
         edges.sort_unstable_by_key(|&(a, b)| (a.min(b), a.max(b), a));
-        // What remains when opposite edges cancel.
+        // Edges that remain when opposite ones cancel.
         let mut open: Vec<(u32, u32)> = Vec::new();
         for same in edges.chunk_by(|x, y| (x.0.min(x.1), x.0.max(x.1)) == (y.0.min(y.1), y.0.max(y.1))) {
             let forward = same.iter().filter(|e| e.0 < e.1).count();
@@ -186,7 +186,7 @@ impl Surface {
     }
 }
 
-/// The surface without what is not a number, with equal vertices merged and degenerate triangles dropped, turned
+/// Returns the surface without non-finite vertices, with equal vertices merged and degenerate triangles dropped, turned
 /// outside out.
 pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
     let mut ids: BTreeMap<[u64; 3], u32> = BTreeMap::new();
@@ -222,9 +222,9 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
     out
 }
 
-/// A closed surface of the solid that triangles stand for, with few faces for its roughness and at most [`MOST_FACES`]:
-/// as they are where they are closed and enclose what their winding says, else made anew on a grid, as coarse as that
-/// takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
+/// Returns a closed surface of the solid that triangles bound, with few faces for its roughness and at most
+/// [`MOST_FACES`]. Closed triangles that agree with their winding are kept; others are remeshed on a grid, as coarse as
+/// that takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
 pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]], threshold: f64) -> Option<Surface> {
     let surface = clean(points, triangles);
     if surface.triangles.is_empty() {

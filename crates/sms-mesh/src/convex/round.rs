@@ -1,4 +1,4 @@
-//! Bands and sectors of what is round: bowls, cups, vases.
+//! Bands and sectors of round objects: bowls, cups, vases.
 //!
 //! A search that cuts in two again and again leaves patches of all shapes on a round wall. Their worst ones decide; equal
 //! patches around the axis follow the wall with half the surplus.
@@ -146,8 +146,8 @@ fn equal_bands(piece: &Piece, axis: Axis, count: usize) -> Vec<f64> {
 }
 
 impl Rounds {
-    /// The bands and sectors that leave the least volume of hulls, when each part costs `part_cost`. `None` for what has
-    /// no axis, and where that takes more than `most` parts: fewer bands than needed would level a bowl's floor, while
+    /// The bands and sectors that leave the least volume of hulls, when each part costs `part_cost`. `None` without an
+    /// axis, and where that takes more than `most` parts: fewer bands than needed would level a bowl's floor, while
     /// joining pieces leaves most of them as they should be.
     pub(crate) fn plan(
         piece: &Piece,
@@ -293,7 +293,7 @@ mod tests {
         Piece { points: mesh.vertices.clone(), triangles: mesh.triangles.clone(), ..Piece::default() }
     }
 
-    /// A ball with a ball cut out of its middle, shifted and turned so that its axis is no axis of the frame.
+    /// A ball with a spherical hollow, shifted and turned so that its axis is not parallel to an axis of the frame.
     fn shell() -> Mesh {
         let mut mesh = Mesh::icosphere(0.8, 3);
         let hole = Mesh::icosphere(0.7, 3);

@@ -12,7 +12,7 @@ use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Hulls are scored without what reaches out of them by less, in half sizes of the object.
+/// Hulls are scored without points that reach out of them by less, in half sizes of the object.
 const SLIGHT: f64 = 2e-3;
 
 /// Share of a piece's surplus that a good cut takes away.
@@ -301,7 +301,7 @@ pub(crate) fn best_cut(
     let sum = |c: &(Plane, f64, f64, bool)| c.1 + c.2;
     let best = candidates.iter().min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
     let whole = piece.hull_volume(&mut GrowingHull::default());
-    // Where one cut already takes most of the surplus away, there is no need to look farther.
+    // One cut already removes most of the surplus: no need to look farther.
     if whole - sum(best) > PLENTY * surplus {
         return Some(best.0);
     }

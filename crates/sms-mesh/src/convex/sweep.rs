@@ -1,9 +1,10 @@
 //! Volumes of the convex hulls on either side of many parallel planes, in one pass each way.
 //!
-//! The hull of what lies below a plane only grows as the plane rises, so one incremental hull that takes the points in
+//! The hull of the part below a plane only grows as the plane rises, so one incremental hull that takes the points in
 //! the order of their heights knows the volume below every plane on its way. The outline that a plane cuts out of the
-//! surface lies inside the hull of every higher plane, so that it may stay in as well.
+//! surface lies inside the hull of every higher plane, so it may stay in as well.
 
+use crate::outline::{monotone_chain, sort};
 use glamx::{DVec2, DVec3};
 
 #[derive(Clone, Copy)]
@@ -177,7 +178,7 @@ impl GrowingHull {
             }
         }
         self.steps_taken += 3 * self.visible.len() as u64;
-        // Low above every face it sees is also what lies far beyond the rim of something flat: that gains volume.
+        // A point far beyond the rim of a flat hull is also low above every face it sees, but gains volume.
         if highest < (self.slight * STEPS).powi(2) && gained < 5e-3 * self.slight * 6.0 * STEPS.powi(3) {
             return;
         }
@@ -236,7 +237,7 @@ impl GrowingHull {
         }
     }
 
-    /// Whether a point lies outside by more than what is left out.
+    /// Whether a point lies outside by more than the tolerance.
     pub(crate) fn leaves_out(&self, p: DVec3) -> bool {
         let q = (p * STEPS).round();
         let least = self.slight * STEPS;
@@ -292,24 +293,8 @@ pub(crate) fn outline(points: &mut Vec<(DVec2, DVec3)>) {
     if points.len() < 4 {
         return;
     }
-    points.sort_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.0.y.total_cmp(&b.0.y)));
-    let turn = |a: DVec2, b: DVec2, c: DVec2| (b - a).perp_dot(c - a);
-    let mut chain: Vec<(DVec2, DVec3)> = Vec::with_capacity(points.len());
-    for pass in 0..2 {
-        let base = chain.len();
-        let n = points.len();
-        for i in 0..n {
-            let p = points[if pass == 0 { i } else { n - 1 - i }];
-            while chain.len() >= base + 2
-                && turn(chain[chain.len() - 2].0, chain[chain.len() - 1].0, p.0) <= 1e-14
-            {
-                chain.pop();
-            }
-            chain.push(p);
-        }
-        chain.pop();
-    }
-    std::mem::swap(points, &mut chain);
+    sort(points, |p| p.0);
+    *points = monotone_chain(points, |p| p.0, 1e-14);
 }
 
 #[cfg(test)]

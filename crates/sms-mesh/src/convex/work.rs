@@ -1,7 +1,7 @@
-//! Counts what a decomposition costs, so that no mesh can take for ever.
+//! Counts the work of a decomposition, so that no mesh takes forever.
 //!
-//! Steps are counted and not seconds: the same mesh stops at the same place on every machine, however many threads there
-//! are. A step is about what one test of a point against a face of a hull costs, 5 to 10 ns.
+//! Steps are counted and not seconds: the same mesh stops at the same place on every machine, with any number of
+//! threads. A step is about the cost of testing a point against a face of a hull, 5 to 10 ns.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// When a cloud counts as a sphere: by its shape, not by its name.
+/// Sphere recognition: by shape, not by name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SphereConfig {
@@ -36,17 +36,18 @@ impl Default for SphereConfig {
     }
 }
 
-/// When a cloud counts as a box or a cylinder: exact solids collide better and faster than hulls.
+/// Recognition of boxes and cylinders: exact solids collide better and faster than hulls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PrimitiveConfig {
-    /// Whether boxes and cylinders are recognised at all.
+    /// Whether boxes and cylinders are recognised.
     pub enabled: bool,
     /// A point belongs to the solid when nearer than this to its surface, metres, and its normal agrees.
     pub inlier_distance: f64,
     /// Share of the surface points that must belong to it.
     pub min_inlier_share: f64,
-    /// Largest difference of its volume from that of the mesh of the same points, as a share: hollow things are no solids.
+    /// Largest relative difference of its volume from that of the mesh of the same points: hollow objects are not
+    /// solids.
     pub max_volume_error: f64,
 }
 

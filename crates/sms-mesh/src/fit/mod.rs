@@ -1,6 +1,7 @@
 //! Spheres, boxes and cylinders fitted to point clouds.
 
 mod config;
+mod linear;
 mod primitive;
 mod sphere;
 

@@ -4,6 +4,7 @@
 //! refined by iteratively reweighted least squares on the distances of points to the face that they lie on.
 
 use crate::fit::config::PrimitiveConfig;
+use crate::fit::linear::solve;
 use crate::statistics::{median, quantile};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use rand::RngExt;
@@ -32,9 +33,8 @@ const ON_FACE: f64 = 0.9;
 /// Rounds of refinement.
 const ROUNDS: usize = 40;
 
-/// The box or cylinder that lies nearest to the points, whether or not it explains them; `None` where the cloud is too
-/// small or degenerate. `upright` is a direction that is tried as an axis besides random ones (what the object stands
-/// along).
+/// Fits a box and a cylinder and returns the better one, whether or not it explains the points; `None` where the cloud
+/// is too small or degenerate. `upright` is tried as an axis besides random directions: objects tend to stand along it.
 ///
 /// ```
 /// use sms_core::{EntityShape, Mesh, PointCloud, Seed, glamx::DVec3};
@@ -96,7 +96,7 @@ struct Solid {
     size: DVec3,
 }
 
-/// Signed distance to a face's own surface (positive outside), its normal, and which size it moves with.
+/// Signed distance to a face's surface (positive outside), its normal, and the index of the size it moves with.
 struct Face {
     distance: f64,
     normal: DVec3,
@@ -233,7 +233,7 @@ fn end(local: &[(DVec3, DVec3)], axis: usize, sign: f64) -> f64 {
     sign * (2.0 * quantile(all.clone(), 0.99) - quantile(all, 0.98))
 }
 
-/// Sets ends that were not seen anew: the guess's frame was a little turned.
+/// Recomputes the ends that were not seen: the guess's frame was slightly rotated.
 fn settled(cloud: &Points, mut solid: Solid) -> Solid {
     let x_sw = solid.x_ws.inverse();
     let local: Vec<(DVec3, DVec3)> = cloud
@@ -281,7 +281,7 @@ fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
     let mut scale = wide;
     for round in 0..ROUNDS {
         let x_sw = solid.x_ws.inverse();
-        let mut normal_matrix = [[0.0; 10]; 9];
+        let (mut normal_matrix, mut right) = ([[0.0; 9]; 9], [0.0; 9]);
         let mut residuals = Vec::with_capacity(cloud.points.len());
         for (&p, &n) in cloud.points.iter().zip(&cloud.normals) {
             let (p, n) = (x_sw.transform_point(p), x_sw.rotation * n);
@@ -302,7 +302,7 @@ fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
                 row[3 + k] = -face.normal[k];
             }
             row[6 + face.size] = -1.0;
-            accumulate(&mut normal_matrix, &row, face.distance, weight);
+            accumulate(&mut normal_matrix, &mut right, &row, (face.distance, weight));
         }
         if residuals.len() < 30 {
             return solid;
@@ -310,7 +310,7 @@ fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
         if round >= 6 {
             scale = (4.685 * 1.4826 * median(residuals)).clamp(2e-4, wide);
         }
-        let Some(step) = solve(normal_matrix) else { return solid };
+        let Some(step) = solve_damped(normal_matrix, right) else { return solid };
         let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
         let shift = DVec3::new(step[3], step[4], step[5]);
         solid.x_ws *= DPose3::from_parts(shift, turn);
@@ -327,41 +327,29 @@ fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
     solid
 }
 
-fn accumulate(matrix: &mut [[f64; 10]; 9], row: &[f64; 9], residual: f64, weight: f64) {
+fn accumulate(
+    matrix: &mut [[f64; 9]; 9],
+    right: &mut [f64; 9],
+    row: &[f64; 9],
+    (residual, weight): (f64, f64),
+) {
     for i in 0..9 {
         for j in 0..9 {
             matrix[i][j] += weight * row[i] * row[j];
         }
-        matrix[i][9] -= weight * row[i] * residual;
+        right[i] -= weight * row[i] * residual;
     }
 }
 
-/// Solves the damped normal equations: what the points do not determine stays as it is.
-fn solve(mut a: [[f64; 10]; 9]) -> Option<[f64; 9]> {
+/// Solves the damped normal equations: unknowns that the points do not determine keep their value.
+fn solve_damped(mut a: [[f64; 9]; 9], right: [f64; 9]) -> Option<[f64; 9]> {
     // Turns count in radians, lengths in metres: damp each by its own kind.
-    let largest =
-        |a: &[[f64; 10]; 9], from: usize, to: usize| (from..to).map(|k| a[k][k]).fold(0.0, f64::max);
+    let largest = |a: &[[f64; 9]; 9], from: usize, to: usize| (from..to).map(|k| a[k][k]).fold(0.0, f64::max);
     let (turns, lengths) = (largest(&a, 0, 3), largest(&a, 3, 9));
     for (k, row) in a.iter_mut().enumerate() {
         row[k] += 1e-6 * if k < 3 { turns } else { lengths } + f64::MIN_POSITIVE;
     }
-    for k in 0..9 {
-        let pivot = (k..9).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs()))?;
-        a.swap(k, pivot);
-        if a[k][k] == 0.0 {
-            return None;
-        }
-        for i in 0..9 {
-            if i != k {
-                let f = a[i][k] / a[k][k];
-                for c in k..10 {
-                    a[i][c] -= f * a[k][c];
-                }
-            }
-        }
-    }
-    let x: [f64; 9] = std::array::from_fn(|k| a[k][9] / a[k][k]);
-    x.iter().all(|v| v.is_finite()).then_some(x)
+    solve(a, right, 0.0)
 }
 
 fn describe(cloud: &Points, solid: &Solid, config: &PrimitiveConfig) -> PrimitiveFit {
@@ -386,7 +374,7 @@ fn describe(cloud: &Points, solid: &Solid, config: &PrimitiveConfig) -> Primitiv
     }
 }
 
-/// Whether a normal could be that of the surface there; near edges any of the faces' will do.
+/// Whether a normal agrees with the surface there. Near an edge any normal does.
 fn agrees(solid: &Solid, p: DVec3, n: DVec3) -> bool {
     const ROUNDED_M: f64 = 0.004;
     let edge = if solid.is_box {
@@ -488,7 +476,7 @@ mod tests {
         (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
     }
 
-    /// Even samples of a solid's mesh with noise along the normals; `keep` says what was seen.
+    /// Even samples of a mesh with noise along the normals. Faces whose normal `keep` rejects are hidden.
     fn samples(mesh: &Mesh, n: usize, noise: f64, keep: impl Fn(DVec3) -> bool, seed: u64) -> PointCloud {
         let mut rng = Seed(seed).rng();
         let areas: Vec<f64> = (0..mesh.triangles.len())

@@ -1,6 +1,7 @@
 //! Spheres: random sample consensus (Fischler and Bolles 1981) with geometric refinement.
 
 use crate::fit::config::SphereConfig;
+use crate::fit::linear::solve;
 use crate::statistics::median;
 use glamx::DVec3;
 use rand::RngExt;
@@ -221,31 +222,15 @@ pub fn refine_on_rays(
 
 /// Minimises Σ w (r + J x)² for four unknowns; `None` when they are not determined.
 fn solve_normal(rows: impl Iterator<Item = ([f64; 4], f64, f64)>) -> Option<[f64; 4]> {
-    let mut a = [[0.0; 5]; 4];
+    let (mut a, mut b) = ([[0.0; 4]; 4], [0.0; 4]);
     for (j, r, w) in rows {
         for m in 0..4 {
             for n in 0..4 {
                 a[m][n] += w * j[m] * j[n];
             }
-            a[m][4] -= w * j[m] * r;
+            b[m] -= w * j[m] * r;
         }
     }
     let size = (0..4).map(|k| a[k][k]).fold(0.0, f64::max);
-    for k in 0..4 {
-        let pivot = (k..4).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs()))?;
-        a.swap(k, pivot);
-        if a[k][k].abs() <= 1e-12 * size {
-            return None;
-        }
-        for i in 0..4 {
-            if i != k {
-                let f = a[i][k] / a[k][k];
-                for c in k..5 {
-                    a[i][c] -= f * a[k][c];
-                }
-            }
-        }
-    }
-    let x = std::array::from_fn(|k| a[k][4] / a[k][k]);
-    x.iter().all(|v| v.is_finite()).then_some(x)
+    solve(a, b, 1e-12 * size)
 }

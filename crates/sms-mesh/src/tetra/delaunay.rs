@@ -9,7 +9,7 @@ use crate::predicates::{collinear, in_sphere, orient};
 use crate::tetra::hilbert::insertion_order;
 use glamx::DVec3;
 
-/// No tetrahedron: what lies beyond a hull face.
+/// No tetrahedron: the neighbour beyond a hull face.
 pub const NONE: u32 = u32::MAX;
 /// The vertex at infinity.
 const GHOST: u32 = u32::MAX;

@@ -1,4 +1,4 @@
-//! Which tetrahedra belong to the solid.
+//! Inside rules: the choice of the tetrahedra that form the solid.
 
 use crate::point_grid::PointGrid;
 use crate::statistics::median;

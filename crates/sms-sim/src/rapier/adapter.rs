@@ -8,7 +8,7 @@ use super::engine::math::{Pose, Real, Rotation, Vector};
 use super::engine::prelude::*;
 use super::hull::StableHull;
 use crate::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
-use glamx::{DMat3, DPose3, DQuat, DSymmetricEigen3, DVec3};
+use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use std::sync::Mutex;
@@ -494,17 +494,12 @@ fn vertices(mesh: &Mesh) -> Vec<Vector> {
 /// Diagonalised in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is lost in the
 /// tolerances of the decomposition.
 fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
-    let scale = mass.inertia().x_axis.x + mass.inertia().y_axis.y + mass.inertia().z_axis.z;
-    let eigen = DSymmetricEigen3::new(mass.inertia() * (1.0 / scale));
-    let mut axes = eigen.eigenvectors;
-    if axes.determinant() < 0.0 {
-        axes = DMat3::from_cols(axes.x_axis, axes.y_axis, -axes.z_axis);
-    }
+    let (moments, axes) = mass.principal();
     MassProperties::with_principal_inertia_frame(
         to_engine(mass.com()),
         mass.mass() as Real,
-        to_engine(eigen.eigenvalues * scale),
-        rotation_to_engine(&DQuat::from_mat3(&axes).normalize()),
+        to_engine(moments),
+        rotation_to_engine(&axes),
     )
 }
 

@@ -5,7 +5,6 @@
 //! coefficients as in our contact rule. Pairs of two other moving bodies are found by MuJoCo, with the larger friction and
 //! no rebound.
 
-use crate::principal::principal;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -112,7 +111,7 @@ impl Writer {
         };
         self.open(&body.x_wb, "");
         if let (BodyKind::Dynamic, Some(mass)) = (body.kind, &body.mass) {
-            let (moments, axes) = principal(mass);
+            let (moments, axes) = mass.principal();
             let _ = writeln!(
                 self.world,
                 r#"<freejoint/><inertial pos="{}" quat="{}" mass="{:e}" diaginertia="{}"/>"#,

@@ -6,7 +6,6 @@
 
 use super::sdk::{Sdk, take_error};
 use super::shapes::{Shape, transform, vector};
-use crate::principal::principal;
 use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::*;
 use sms_robots::{ArmStrike, JointKind, RobotModel, Workspace, joint_friction};
@@ -183,7 +182,7 @@ unsafe fn link(
         if link.is_null() {
             return None;
         }
-        let (moments, axes) = principal(mass);
+        let (moments, axes) = mass.principal();
         let body: *mut PxRigidBody = link.cast();
         PxRigidBody_setCMassLocalPose_mut(body, &transform(&DPose3::from_parts(mass.com(), axes)));
         PxRigidBody_setMass_mut(body, mass.mass() as f32);

@@ -5,7 +5,6 @@ use super::contacts::{self, GROUP_DYNAMIC, GROUP_KINEMATIC, GROUP_STATIC, GROUP_
 use super::sdk::{Sdk, take_error};
 use super::shapes::{Shape, transform, vector};
 use super::tuning::Tuning;
-use crate::principal::principal;
 use glamx::{DPose3, DVec3};
 use physx_sys::*;
 use sms_core::MassProperties;
@@ -43,7 +42,7 @@ pub(super) enum Role {
 
 impl Role {
     pub(super) fn dynamic(mass: &MassProperties, is_ball: bool) -> Self {
-        let (moments, axes) = principal(mass);
+        let (moments, axes) = mass.principal();
         Self::Dynamic {
             x_bp: transform(&DPose3::from_parts(mass.com(), axes)),
             mass: mass.mass() as f32,
