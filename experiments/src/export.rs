@@ -24,7 +24,7 @@ use crate::run::Yardstick;
 use crate::scenes::BenchScene;
 use glamx::{DMat4, DPose3, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
-use sms_core::ply::{self, Column};
+use sms_core::ply::{self, VertexColumn};
 use sms_core::{
     CoreError, DepthImage, Image, InputError, LabelMap, Mesh, atomic, read_png_gray16, write_png_color,
     write_png_gray16,
@@ -200,9 +200,9 @@ fn write_observed(path: &Path, observed: &[Vec<SurfacePoint>], x_wt: &DPose3) ->
         }
     }
     let names = ["x", "y", "z", "nx", "ny", "nz"];
-    let mut table: Vec<(&str, Column)> =
-        names.into_iter().zip(columns.into_iter().map(Column::F32)).collect();
-    table.push(("object", Column::I32(object)));
+    let mut table: Vec<(&str, VertexColumn)> =
+        names.into_iter().zip(columns.into_iter().map(VertexColumn::F32)).collect();
+    table.push(("object", VertexColumn::I32(object)));
     ply::write(path, &["surface that at least three training cameras see, world, metres"], &table)
 }
 

@@ -4,7 +4,7 @@ use crate::BenchError;
 use crate::export::{Exported, decode_depth, pose_of_opengl, pose_of_rows, read_export};
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::ply::{self, Column};
+use sms_core::ply::{self, VertexColumn};
 use sms_core::{InputError, Mesh, Seed, read_png_color, read_png_gray16};
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
@@ -210,8 +210,8 @@ pub fn write_view(views: &Path, index: usize, shown: &ShownView) -> Result<(), B
 /// # Errors
 /// [`CoreError::Write`](sms_core::CoreError).
 pub fn write_points(path: &Path, points: &[LabelledPoint]) -> Result<(), BenchError> {
-    let column = |axis: usize| Column::F32(points.iter().map(|p| p.point[axis] as f32).collect());
-    let label = Column::I32(points.iter().map(|p| i32::from(p.label)).collect());
+    let column = |axis: usize| VertexColumn::F32(points.iter().map(|p| p.point[axis] as f32).collect());
+    let label = VertexColumn::I32(points.iter().map(|p| i32::from(p.label)).collect());
     let columns = [("x", column(0)), ("y", column(1)), ("z", column(2)), ("label", label)];
     Ok(ply::write(path, &["reconstructed surface, world, metres"], &columns)?)
 }

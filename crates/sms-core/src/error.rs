@@ -16,7 +16,7 @@ pub struct InputError {
     pub cure: String,
     /// The underlying reason, if there is one.
     pub detail: Option<String>,
-    /// The dotted key of the setting at fault (`scan.holdout`), where it is one.
+    /// The dotted key of the setting at fault (`scan.holdout`), if there is one.
     pub key: Option<Box<str>>,
 }
 
@@ -58,7 +58,7 @@ pub enum ErrorKind<'a> {
     Other,
 }
 
-/// An error of a stage, which knows its kind whatever it wraps.
+/// An error of a stage with its kind.
 pub trait StageError: std::error::Error {
     /// Returns the kind of failure.
     fn kind(&self) -> ErrorKind<'_>;

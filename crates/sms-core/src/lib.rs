@@ -69,7 +69,7 @@ pub use inertia::{
 pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};
 pub use mesh::{Aabb, Mesh};
-pub use mesh_texture::{MeshTexture, read_mesh_texture, textured_obj, write_textured_obj};
+pub use mesh_texture::{MeshTexture, read_mesh_texture, write_textured_obj};
 pub use png_io::{read_png_color, read_png_gray16, read_png_labels, write_png_color, write_png_gray16};
 pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, linear_seconds_left};
 pub use quantile::{QuantileRule, quantile};

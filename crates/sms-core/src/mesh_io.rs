@@ -5,7 +5,7 @@ use glamx::DVec3;
 use std::path::Path;
 
 impl Mesh {
-    /// Formats the mesh as OBJ text: metres, 1-based indices, vertex colours in [0, 1] where there are any.
+    /// Formats the mesh as OBJ text: metres, 1-based indices, vertex colours in [0, 1] if present.
     pub fn to_obj(&self) -> String {
         use std::fmt::Write;
         let mut text = String::with_capacity(self.vertices.len() * 40 + self.triangles.len() * 20);

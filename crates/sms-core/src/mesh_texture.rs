@@ -33,7 +33,7 @@ impl Coordinates {
 
 /// Formats a mesh with its texture as OBJ text that refers to the material `material` in the library file `library`: metres,
 /// 1-based indices, one `vt` for each distinct texture coordinate.
-pub fn textured_obj(mesh: &Mesh, texture: &MeshTexture, library: &str, material: &str) -> String {
+fn textured_obj(mesh: &Mesh, texture: &MeshTexture, library: &str, material: &str) -> String {
     use std::fmt::Write;
     let mut text = String::with_capacity(mesh.vertices.len() * 40 + mesh.triangles.len() * 60);
     let _ = writeln!(text, "mtllib {library}");

@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// One column of a vertex table.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Column {
+pub enum VertexColumn {
     /// 32-bit floats.
     F32(Vec<f32>),
     /// Bytes.
@@ -18,7 +18,7 @@ pub enum Column {
     I32(Vec<i32>),
 }
 
-impl Column {
+impl VertexColumn {
     fn len(&self) -> usize {
         match self {
             Self::F32(v) => v.len(),
@@ -32,7 +32,7 @@ impl Column {
 ///
 /// # Errors
 /// [`CoreError::Write`].
-pub fn write(path: &Path, comments: &[&str], columns: &[(&str, Column)]) -> Result<(), CoreError> {
+pub fn write(path: &Path, comments: &[&str], columns: &[(&str, VertexColumn)]) -> Result<(), CoreError> {
     let n = columns.first().map_or(0, |c| c.1.len());
     assert!(columns.iter().all(|c| c.1.len() == n), "PLY columns must have the same length");
     atomic::write_with(path, |w| {
@@ -43,9 +43,9 @@ pub fn write(path: &Path, comments: &[&str], columns: &[(&str, Column)]) -> Resu
         header.push_str(&format!("element vertex {n}\n"));
         for (name, column) in columns {
             let kind = match column {
-                Column::F32(_) => "float",
-                Column::U8(_) => "uchar",
-                Column::I32(_) => "int",
+                VertexColumn::F32(_) => "float",
+                VertexColumn::U8(_) => "uchar",
+                VertexColumn::I32(_) => "int",
             };
             header.push_str(&format!("property {kind} {name}\n"));
         }
@@ -54,9 +54,9 @@ pub fn write(path: &Path, comments: &[&str], columns: &[(&str, Column)]) -> Resu
         for i in 0..n {
             for (_, column) in columns {
                 match column {
-                    Column::F32(v) => w.write_all(&v[i].to_le_bytes())?,
-                    Column::U8(v) => w.write_all(&[v[i]])?,
-                    Column::I32(v) => w.write_all(&v[i].to_le_bytes())?,
+                    VertexColumn::F32(v) => w.write_all(&v[i].to_le_bytes())?,
+                    VertexColumn::U8(v) => w.write_all(&[v[i]])?,
+                    VertexColumn::I32(v) => w.write_all(&v[i].to_le_bytes())?,
                 }
             }
         }
@@ -199,8 +199,8 @@ impl PointCloud {
     /// # Errors
     /// [`CoreError::Write`].
     pub fn write_ply(&self, path: &Path) -> Result<(), CoreError> {
-        let axis = |v: &[DVec3], i: usize| Column::F32(v.iter().map(|p| p[i] as f32).collect());
-        let channel = |i: usize| Column::U8(self.colors.iter().map(|c| c[i]).collect());
+        let axis = |v: &[DVec3], i: usize| VertexColumn::F32(v.iter().map(|p| p[i] as f32).collect());
+        let channel = |i: usize| VertexColumn::U8(self.colors.iter().map(|c| c[i]).collect());
         let mut columns = vec![
             ("x", axis(&self.points_w, 0)),
             ("y", axis(&self.points_w, 1)),

@@ -234,7 +234,7 @@ mod tests {
     use super::*;
     use std::sync::Arc;
 
-    /// A writer whose text can be read afterwards.
+    /// A writer with readable text.
     #[derive(Clone, Default)]
     struct Written(Arc<Mutex<Vec<u8>>>);
 

@@ -7,7 +7,7 @@ use sms_core::symmetric_eigen;
 
 /// The rigid motion `x_ab` that carries points `p_b` closest to their partners `p_a` in the least squares sense (Horn
 /// 1987, "Closed-form solution of absolute orientation using unit quaternions").
-pub fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
+fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
     let n = p_a.len().min(p_b.len());
     if n == 0 {
         return DPose3::identity();

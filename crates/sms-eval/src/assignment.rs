@@ -70,12 +70,12 @@ pub enum MatchSurface<'a> {
     Points(&'a [DVec3]),
 }
 
-struct Prepared {
+struct PreparedSurface {
     samples: Vec<DVec3>,
     index: Option<SurfaceIndex>,
 }
 
-impl Prepared {
+impl PreparedSurface {
     /// Enough to tell objects apart.
     const SAMPLES: usize = 400;
 
@@ -107,9 +107,9 @@ impl Prepared {
     }
 }
 
-/// For each known object the index of the reconstruction that stands for it, each reconstruction at most once. `given`
-/// pairs of (known, found) stay; the rest is assigned so that the sum of the distances between the surfaces (mean of both
-/// directions) is least. Pairs farther than `reach_m[known]` apart are none.
+/// Returns the index of the matching reconstruction of each known object, each reconstruction at most once. `given` pairs of
+/// (known, found) are kept; the rest is assigned with the least sum of the distances between the surfaces (mean of both
+/// directions). Pairs farther apart than `reach_m[known]` are not matched.
 pub fn match_objects(
     known: &[MatchSurface<'_>],
     found: &[MatchSurface<'_>],
@@ -124,8 +124,8 @@ pub fn match_objects(
     }
     let free_known: Vec<usize> = (0..known.len()).filter(|&k| match_of[k].is_none()).collect();
     let free_found: Vec<usize> = (0..found.len()).filter(|&f| !match_of.contains(&Some(f))).collect();
-    let prepare = |all: &[MatchSurface<'_>], of: &[usize]| -> Vec<Prepared> {
-        of.iter().map(|&i| Prepared::new(all[i])).collect()
+    let prepare = |all: &[MatchSurface<'_>], of: &[usize]| -> Vec<PreparedSurface> {
+        of.iter().map(|&i| PreparedSurface::new(all[i])).collect()
     };
     let (k, f) = (prepare(known, &free_known), prepare(found, &free_found));
     let size = k.len().max(f.len());

@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn a_common_factor_has_no_interval_and_nothing_has_no_ratio() {
-        // Whatever is resampled, half of it is half of it: a difference over a fixed mean would vary.
+        // The ratio is the same in every resample; a difference over a fixed mean would vary.
         let pairs: Vec<(f64, f64)> = (1..12).map(|i| (0.5 * f64::from(i), f64::from(i))).collect();
         let found = paired_ratio(&pairs).unwrap();
         assert_eq!((found.mean, found.low, found.high), (-0.5, -0.5, -0.5));

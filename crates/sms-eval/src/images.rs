@@ -121,7 +121,7 @@ impl DepthErrors {
 }
 
 /// Pixels within two of a change of label or an edge of depth. Inverse depth is linear over the image of a plane, so its
-/// second difference tells an edge from a slanted surface.
+/// second difference distinguishes an edge from a slanted surface.
 fn silhouettes(view: &TrueView) -> Vec<bool> {
     const REACH: usize = 2;
     const RELATIVE: f32 = 0.02;
@@ -147,8 +147,8 @@ fn silhouettes(view: &TrueView) -> Vec<bool> {
 }
 
 /// Mean intersection over union of shown with true labels over the classes that occur in the true views, the background
-/// included. `pairs` are shown labels (of the masks) with true views; `truth_of` says which true label a mask label stands
-/// for. A label that stands for nothing is wrong wherever it is shown; an object that no label stands for has 0.
+/// included. `pairs` are shown labels (of the masks) with true views; `truth_of` maps mask labels to true labels. Every pixel
+/// of an unmatched label is wrong; an object without a label has 0.
 pub fn mean_iou(pairs: &[(&LabelMap, &TrueView)], truth_of: &[u16], classes: usize) -> f64 {
     // One more row for labels that match nothing.
     let mut overlaps = Overlaps::new(classes + 1, classes);
@@ -201,7 +201,7 @@ mod tests {
         let truth = view(vec![1.0; 10], vec![0, 0, 0, 0, 1, 1, 1, 2, 2, 2]);
         let right = Image::from_vec(10, 1, vec![0, 0, 0, 0, 2, 2, 2, 1, 1, 1]);
         assert_eq!(mean_iou(&[(&right, &truth)], &[0, 2, 1], 3), 1.0);
-        // Object 2 is not found; label 2 stands for nothing and covers one pixel of the background.
+        // Object 2 is not found; label 2 is unmatched and covers one pixel of the background.
         let shown = Image::from_vec(10, 1, vec![0, 0, 0, 2, 1, 1, 1, 0, 0, 0]);
         let iou = mean_iou(&[(&shown, &truth)], &[0, 1, UNMATCHED], 3);
         assert!((iou - (3.0 / 7.0 + 1.0 + 0.0) / 3.0).abs() < 1e-12, "{iou}");

@@ -1,4 +1,4 @@
-//! Which mask label stands for which true object.
+//! Matching of mask labels with true objects.
 
 use crate::assignment::least_cost_assignment;
 use sms_core::LabelMap;
@@ -43,9 +43,9 @@ impl Overlaps {
     }
 }
 
-/// For each mask label the true label that it stands for: label 0, the background, stands for itself; objects are
-/// assigned one to one so that the sum of their intersections over union is largest; a label that overlaps with no free
-/// object is [`UNMATCHED`]. `overlaps` has mask labels as rows and true labels as columns.
+/// Returns the true label of each mask label: label 0, the background, is matched with itself; objects are matched one to
+/// one so that the sum of their intersections over union is largest; a label without an overlapping free object is
+/// [`UNMATCHED`]. `overlaps` has mask labels as rows and true labels as columns.
 pub fn match_labels(overlaps: &Overlaps) -> Vec<u16> {
     let (masks, truths) = (overlaps.rows.saturating_sub(1), overlaps.columns.saturating_sub(1));
     let size = masks.max(truths);
@@ -78,12 +78,12 @@ mod tests {
         // Labels 1 and 2 both overlap most with object 1; label 2 does so better, so label 1 takes object 2.
         let o = overlaps(&[&[100, 5, 5], &[0, 40, 30], &[0, 60, 0]]);
         assert_eq!(match_labels(&o), [0, 2, 1]);
-        // More labels than objects: the worst stands for nothing. More objects than labels: one stays without.
+        // More labels than objects: the worst is unmatched. More objects than labels: one has no label.
         let o = overlaps(&[&[100, 0], &[0, 10], &[0, 50]]);
         assert_eq!(match_labels(&o), [0, UNMATCHED, 1]);
         let o = overlaps(&[&[100, 5, 90], &[0, 2, 10]]);
         assert_eq!(match_labels(&o), [0, 1]);
-        // A label that touches no object stands for none.
+        // A label without overlap is unmatched.
         let o = overlaps(&[&[100, 30], &[10, 0]]);
         assert_eq!(match_labels(&o), [0, UNMATCHED]);
     }

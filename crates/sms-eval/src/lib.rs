@@ -49,7 +49,7 @@ mod surface_index;
 mod surface_scores;
 mod truth;
 
-pub use align::{absolute_orientation, align_cameras, pose_difference, refine_on_surfaces};
+pub use align::{align_cameras, pose_difference, refine_on_surfaces};
 pub use assignment::{MatchSurface, least_cost_assignment, match_objects};
 pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
 pub use entity_scores::{SURFACE_SAMPLES, solid_figures, surface_figures};
@@ -60,10 +60,10 @@ pub use evaluate::{
 pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
 pub use label_matching::{Overlaps, UNMATCHED, match_labels};
 pub use mask_scores::{FOUND_IOU, MaskScores, MaskedObject, score_masks};
-pub use overlap::{collision_solids, parts_overlap};
+pub use overlap::collision_solids;
 pub use placement::placed_figures;
 pub use solids::{SolidScores, entity_solid, known_solid};
-pub use surface_index::{ClosestPoint, SurfaceIndex, sample_surface, sample_triangles};
+pub use surface_index::{ClosestPoint, SurfaceIndex, sample_surface};
 pub use surface_scores::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, disc_points, is_near,
     score_cropped, score_labelled, score_surface, stray_share,

@@ -7,8 +7,7 @@ use sms_core::{Entity, EntityShape, Mesh};
 /// Lines across the box of the solid, each way.
 const LINES: usize = 256;
 
-/// The solids that stand for an entity in physics, in the world: its parts, or its sphere, box or cylinder as a fine
-/// polyhedron.
+/// Returns the collision solids of an entity in the world: its parts, or its sphere, box or cylinder as a fine polyhedron.
 pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
     match &entity.shape {
         EntityShape::Sphere { center_w, radius } => {
@@ -28,7 +27,7 @@ pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
 /// Intersection over union of a closed solid and the union of closed parts, all in one frame. 65 536 lines along x through
 /// the box around everything are cut with the surfaces; along each line the measure is exact. Where surfaces overlap
 /// themselves, inside is where the winding number is positive. `None` if there is no volume.
-pub fn parts_overlap(solid: &Mesh, parts: &[Mesh]) -> Option<f64> {
+pub(crate) fn parts_overlap(solid: &Mesh, parts: &[Mesh]) -> Option<f64> {
     let boxes = std::iter::once(solid).chain(parts).filter_map(Mesh::aabb);
     let bounds = boxes.reduce(|a, b| sms_core::Aabb { min: a.min.min(b.min), max: a.max.max(b.max) })?;
     let lines = Lines::new(bounds.min, bounds.extents());

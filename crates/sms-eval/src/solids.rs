@@ -42,8 +42,7 @@ impl SolidScores {
     }
 }
 
-/// Mass properties at 1 kg/m³ of the solid that stands for an entity, in the world: of its sphere, box or cylinder, else
-/// of its mesh.
+/// Returns the mass properties at 1 kg/m³ of an entity's solid in the world: its sphere, box or cylinder, else its mesh.
 ///
 /// # Errors
 /// [`InertiaError`] when it encloses no volume.

@@ -9,11 +9,11 @@ use sms_core::{Mesh, Seed, StageRng};
 pub struct SurfaceIndex {
     triangles: Vec<[DVec3; 3]>,
     order: Vec<u32>,
-    nodes: Vec<Node>,
+    nodes: Vec<TriangleNode>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Node {
+struct TriangleNode {
     min: DVec3,
     max: DVec3,
     /// Leaf: first triangle in `order`; inner: index of the right child (the left one follows).
@@ -41,7 +41,7 @@ impl SurfaceIndex {
         Self::build((0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect())
     }
 
-    /// The same over points: a point is a triangle with three equal corners. `None` where there are none.
+    /// As [`Self::new`], over points: a point is a triangle with three equal corners. `None` without points.
     pub fn of_points(points: &[DVec3]) -> Option<Self> {
         Self::build(points.iter().map(|&p| [p; 3]).collect())
     }
@@ -61,7 +61,7 @@ impl SurfaceIndex {
         let (min, max) =
             corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
         let id = self.nodes.len() as u32;
-        self.nodes.push(Node { min, max, start: from as u32, count: (to - from) as u32 });
+        self.nodes.push(TriangleNode { min, max, start: from as u32, count: (to - from) as u32 });
         if to - from > LEAF {
             let extent = max - min;
             let axis = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b])).unwrap_or(0);
@@ -105,7 +105,7 @@ impl SurfaceIndex {
     }
 }
 
-fn box_distance(node: &Node, p: DVec3) -> f64 {
+fn box_distance(node: &TriangleNode, p: DVec3) -> f64 {
     (node.min - p).max(p - node.max).max(DVec3::ZERO).length()
 }
 
@@ -153,7 +153,7 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: Seed) -> Vec<DVec3> {
 }
 
 /// The same with the index of each point's triangle, from a generator of the caller's.
-pub fn sample_triangles(mesh: &Mesh, count: usize, rng: &mut StageRng) -> Vec<(usize, DVec3)> {
+pub(crate) fn sample_triangles(mesh: &Mesh, count: usize, rng: &mut StageRng) -> Vec<(usize, DVec3)> {
     let mut cumulative = Vec::with_capacity(mesh.triangles.len());
     let mut total = 0.0;
     for t in 0..mesh.triangles.len() {

@@ -134,9 +134,9 @@ fn scene_scores(objects: Vec<(String, SurfaceScores)>) -> SceneScores {
     SceneScores { objects, mean, found }
 }
 
-/// Scores each true object by the points of the label that stands for it: `truth_of[label]` is the true label (object
+/// Scores each true object by the points of its matched label: `truth_of[label]` is the true label (object
 /// index + 1; 0: background, [`UNMATCHED`]: none). Distances are to that object's own surface, so that points with a
-/// wrong label are errors. Points of labels that stand for no object count nowhere here; see [`stray_share`].
+/// wrong label are errors. Points of unmatched labels are ignored; see [`stray_share`].
 pub fn score_labelled(
     points: &[LabelledPoint],
     truth_of: &[u16],
@@ -174,9 +174,9 @@ pub fn stray_share(points: &[LabelledPoint], truth_of: &[u16]) -> f64 {
 /// Farther than this from every object, points without labels belong to none, metres.
 pub const CROP_M: f64 = 0.02;
 
-/// Scores points without labels, as other programs make them: each point goes to the nearest object, and is left out
-/// when the floor (z = 0) is nearer or every object is more than [`CROP_M`] away. This uses the truth to tell objects from
-/// the floor, which labels must do by themselves; compare only figures made the same way.
+/// Scores points without labels, such as those of other programs: each point is assigned to the nearest object, and is left
+/// out if the floor (z = 0) is nearer or every object is more than [`CROP_M`] away. This uses the truth to separate objects
+/// from the floor, so its figures are not comparable with those of [`score_labelled`].
 pub fn score_cropped(
     points: &[DVec3],
     surfaces: &[TrueSurface],

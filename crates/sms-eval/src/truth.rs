@@ -24,7 +24,7 @@ pub struct TrueSurface {
 }
 
 impl TrueSurface {
-    /// The surface of a mesh, or of the sphere that it stands for; `None` for a mesh without triangles.
+    /// Creates the surface of a mesh, or of an exact sphere; `None` for a mesh without triangles.
     pub fn new(name: impl Into<String>, mesh: Mesh, sphere: Option<(DVec3, f64)>) -> Option<Self> {
         let bounds = mesh.aabb()?;
         Some(Self { name: name.into(), index: SurfaceIndex::new(&mesh)?, bounds, mesh, sphere })

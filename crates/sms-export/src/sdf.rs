@@ -1,4 +1,4 @@
-//! SDFormat 1.9: a world with one model per body, and each model as a folder of its own that other worlds can include.
+//! SDFormat 1.9: a world with one model per body, and each model as a separate folder for use in other worlds.
 
 use crate::contact::{factors, with_ground};
 use crate::text::{escape, number, numbers, pose_rpy, principal, rgba, small};

@@ -7,7 +7,7 @@ use sms_core::{DepthImage, Intrinsics, NormalImage, Seed, Warnings};
 mod planes;
 
 pub(crate) use planes::SupportCandidate;
-use planes::{Cells, find_planes};
+use planes::{FusedCells, find_planes};
 
 /// Recordings beyond this distance from the origin (metres) are moved there in f64 before any conversion to f32.
 const FAR_M: f64 = 100.0;
@@ -46,7 +46,7 @@ pub(crate) fn align(
         Align::Up(up) => DVec3::from(up).try_normalize(),
     };
     let origin_r = views.first().map_or(DVec3::ZERO, |v| v.x_rc.translation);
-    let cells = Cells::gather(views, origin_r);
+    let cells = FusedCells::gather(views, origin_r);
     let planes = find_planes(&cells, noise, Seed(0).derive("align"));
     let mut up_r = stated_up_r;
     let mut chosen = choose(&planes, &cells, views, origin_r, up_r);
@@ -150,7 +150,7 @@ fn axis_held_upright(views: &[AlignmentView<'_>], plane: &SupportCandidate) -> O
 /// the images (cameras are held with little roll). With a given up direction, only planes across it are candidates.
 fn choose<'a>(
     planes: &'a [SupportCandidate],
-    cells: &Cells,
+    cells: &FusedCells,
     views: &[AlignmentView<'_>],
     origin_r: DVec3,
     up_r: Option<DVec3>,
@@ -166,7 +166,7 @@ fn choose<'a>(
 
 fn score(
     plane: &SupportCandidate,
-    cells: &Cells,
+    cells: &FusedCells,
     views: &[AlignmentView<'_>],
     origin_r: DVec3,
     up_known: bool,

@@ -6,7 +6,7 @@
 //!
 //! # Conventions
 //! The recording's own world is `R`, ours is `W`; [`Sequence::x_world_recording`] carries points from `R` to `W`.
-//! Camera axes are OpenCV's and pixel centres lie at +0.5, whatever the recording used.
+//! Camera axes are OpenCV's and pixel centres lie at +0.5, independent of the recording.
 //!
 //! ```no_run
 //! use sms_core::{Cancel, StageContext, Warnings};
@@ -36,11 +36,11 @@ mod rigid;
 mod sequence;
 
 pub use cache::load_depths;
-pub use check::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit, check};
+pub use check::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit, check};
 pub use colors::recorded_colors;
 pub use floor::{FloorAt, floor_at};
 pub use lens::{Distortion, Lens};
-pub use load::{load, selected_frames};
+pub use load::load;
 pub use normals::normals_from_depth;
 pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
 pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};

@@ -18,7 +18,7 @@ struct Loaded {
 }
 
 /// Returns the indices of the recorded frames that `settings` select.
-pub fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<usize> {
+pub(crate) fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<usize> {
     let most = if settings.max_frames == 0 { usize::MAX } else { settings.max_frames };
     (settings.first..recording.frames.len()).step_by(settings.stride.max(1)).take(most).collect()
 }

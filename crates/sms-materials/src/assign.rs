@@ -8,7 +8,7 @@ use sms_core::{CoreError, Interval, Material, Property, PropertySource, Warnings
 /// A mesh that fills less than this share of its convex hull counts as a mesh of its walls. A mug with a visible inside fills
 /// 0.2 to 0.45 of its hull, a plate 0.3 to 0.5; a mug that was closed at the rim fills 0.85 with its handle, and solid
 /// figures 0.6 to 0.9.
-pub const WALLS_VISIBLE_BELOW: f64 = 0.55;
+const WALLS_VISIBLE_BELOW: f64 = 0.55;
 
 /// The known facts about an object.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

@@ -25,7 +25,7 @@ mod overrides;
 mod store;
 mod table;
 
-pub use assign::{ObjectQuery, WALLS_VISIBLE_BELOW, assign, without_override};
+pub use assign::{ObjectQuery, assign, without_override};
 pub use estimate::Estimate;
 pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
 pub use store::{load_queries, save_queries};

@@ -29,7 +29,7 @@ pub(crate) struct Graph {
     pub(crate) held_out: Vec<(usize, usize)>,
 }
 
-/// FrameOverlap of two frames.
+/// Overlap of two frames.
 #[derive(Debug, Clone, Copy)]
 struct FrameOverlap {
     other: usize,
@@ -116,7 +116,7 @@ fn overlap(
                 }
             }
         }
-        // Holes in the depth do not reduce the overlap, but a handful of measurements is no evidence.
+        // Holes in the depth do not reduce the overlap, but a handful of measurements proves nothing.
         let share = |n: usize, of: usize| n as f64 / of.max(1) as f64;
         if measured < LEAST_MEASURED { 0.0 } else { share(landed, points.len()) * share(met, measured) }
     };

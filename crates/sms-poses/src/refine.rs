@@ -24,7 +24,7 @@ pub(crate) struct BundleAdjustment<'a> {
 }
 
 /// The values that the refinement estimates, and the weights of its next iteration.
-struct Estimate {
+struct RefinementState {
     poses: Vec<DPose3>,
     /// Shift of the colour against the depth, pixels at loaded size.
     color_shift: [f64; 2],
@@ -136,12 +136,12 @@ impl<'a> BundleAdjustment<'a> {
     fn refine_level(
         &self,
         level: usize,
-        estimate: &mut Estimate,
+        estimate: &mut RefinementState,
         shift_is_free: bool,
         cancel: &Cancel,
         mut tick: impl FnMut(&str),
     ) -> Result<usize, CoreError> {
-        let Estimate { poses, color_shift, arcs, weighing } = estimate;
+        let RefinementState { poses, color_shift, arcs, weighing } = estimate;
         let config = self.config;
         let pixel_m = self.pixel_at_scene_m(level);
         for iteration in 0..config.iterations[level] {
@@ -234,7 +234,7 @@ impl<'a> BundleAdjustment<'a> {
         let levels = self.views.first().map_or(0, |v| v.luma.len());
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
-        let mut estimate = Estimate {
+        let mut estimate = RefinementState {
             poses: self.given.to_vec(),
             color_shift: [0.0; 2],
             arcs: arcs(&self.graph.pairs),

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use sms_core::Intrinsics;
 use sms_frames::{DepthNoise, Frame, Sequence};
 
-/// Depth and surface direction at one pixel; `z` is 0 where there is no measurement, `n` where there is no direction.
+/// Depth and surface direction at one pixel; `z` is 0 without a measurement, `n` without a direction.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct SurfaceSample {
     pub(crate) z: f32,
@@ -18,7 +18,7 @@ pub(crate) struct SurfaceSample {
 #[derive(Debug)]
 pub(crate) struct PreparedFrame {
     pub(crate) intrinsics: Intrinsics,
-    /// SurfaceSample at each pixel of the loaded size.
+    /// Surface at each pixel of the loaded size.
     pub(crate) surface: Vec<SurfaceSample>,
     /// Brightness, the finest level first.
     pub(crate) luma: Vec<Luma>,
@@ -31,7 +31,7 @@ pub(crate) struct PreparedFrame {
 pub(crate) struct Point {
     /// Position in the frame's camera, metres.
     pub(crate) p_c: DVec3,
-    /// SurfaceSample normal in the frame's camera; zero where unknown.
+    /// Surface normal in the frame's camera; zero where unknown.
     pub(crate) n_c: DVec3,
     /// Standard deviation of the position along the normal, metres.
     pub(crate) sigma_m: f64,

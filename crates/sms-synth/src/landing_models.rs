@@ -2,7 +2,7 @@
 
 use crate::assets::Household;
 use crate::landing::{household, landing_scene_of};
-use crate::model::{Model, ModelScene};
+use crate::model::{ModelScene, ScannedModel};
 use crate::scanned::{NamedModel, Substance, made_of};
 use crate::scene::TruthObject;
 use crate::skin::Skin;
@@ -80,7 +80,7 @@ fn stand(
 
 /// Closes the model's holes by fans of triangles, so that open columns enclose a volume. Holes at edges with more than two
 /// faces stay.
-fn closed(model: &Model) -> Model {
+fn closed(model: &ScannedModel) -> ScannedModel {
     let mut closed = model.clone();
     // Half edges without their opposites, by their start.
     let mut next: BTreeMap<u32, u32> = BTreeMap::new();
@@ -123,7 +123,7 @@ mod tests {
 
     fn boxed(name: &str, half: DVec3) -> NamedModel {
         let mesh = Mesh::cuboid(half);
-        NamedModel { name: name.into(), model: Model { mesh, texture: None, color: [9, 90, 9] } }
+        NamedModel { name: name.into(), model: ScannedModel { mesh, texture: None, color: [9, 90, 9] } }
     }
 
     #[test]
@@ -175,8 +175,10 @@ mod tests {
         assert!((high - low - 0.6).abs() < 1e-9, "{}", high - low);
         // A ball has no level foot. The word "cabinet" contains "bin", but is not the word "bin".
         let mesh = Mesh::icosphere(0.2, 3);
-        let ball =
-            NamedModel { name: "cardboard_box".into(), model: Model { mesh, texture: None, color: [9; 3] } };
+        let ball = NamedModel {
+            name: "cardboard_box".into(),
+            model: ScannedModel { mesh, texture: None, color: [9; 3] },
+        };
         assert_eq!(landing_scene_among(1, &[ball]).unwrap_err().path, "--meshes");
         let cabinet = boxed("a_cabinet", DVec3::splat(0.2));
         assert_eq!(landing_scene_among(3, &[cabinet]).unwrap().scene, landing_scene(3));

@@ -61,7 +61,7 @@ pub use eighteen::{FIRST_DRAWN, FIXED_SCENES, FixedScene, billiards_scene};
 pub use landing::{LandingStructure, generate_landing, landing_scene, landing_structure};
 pub use landing_models::landing_scene_among;
 pub use materials::redraw_materials;
-pub use model::{Model, ModelScene, model_scene, orbit_poses, read_model};
+pub use model::{ModelScene, ScannedModel, model_scene, orbit_poses, read_model};
 pub use path::{CameraPath, HelicalPath, paper_billiards_path};
 pub use recording::{RecordingSettings, RecordingSummary, SceneViews, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};

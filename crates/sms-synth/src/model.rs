@@ -17,7 +17,7 @@ use std::path::Path;
 
 /// A scanned model: metres, z up.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Model {
+pub struct ScannedModel {
     /// The surface with equal vertices merged and degenerate triangles removed.
     pub mesh: Mesh,
     /// Its image texture, if the material names one.
@@ -31,7 +31,7 @@ pub struct Model {
 ///
 /// # Errors
 /// [`CoreError::Read`] when a file cannot be read, [`CoreError::Input`] naming the invalid line.
-pub fn read_model(path: &Path) -> Result<Model, CoreError> {
+pub fn read_model(path: &Path) -> Result<ScannedModel, CoreError> {
     let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
     let mut obj = Obj::default();
     for (number, line) in text.lines().enumerate() {
@@ -54,7 +54,7 @@ pub fn read_model(path: &Path) -> Result<Model, CoreError> {
         }
         _ => None,
     };
-    Ok(Model { mesh: obj.mesh, texture, color: look.color })
+    Ok(ScannedModel { mesh: obj.mesh, texture, color: look.color })
 }
 
 #[derive(Default)]
@@ -172,7 +172,7 @@ pub struct ModelScene {
 ///
 /// Its material is unknown: it is called `unknown` and has the values of wood. Its mass properties are those of the enclosed
 /// volume, or of a box around it if it encloses none.
-pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
+pub fn model_scene(name: &str, model: &ScannedModel, seed: Seed) -> ModelScene {
     let seed = seed.derive("model scene v1").derive(name);
     let mut rng = seed.derive("object").rng();
     let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
@@ -189,7 +189,7 @@ pub fn model_scene(name: &str, model: &Model, seed: Seed) -> ModelScene {
 /// volume (of a box around it if it encloses none) at this effective density, kg/m³.
 pub(crate) fn standing(
     name: &str,
-    model: &Model,
+    model: &ScannedModel,
     turn: DQuat,
     material: Material,
     density: f64,

@@ -2,7 +2,7 @@
 
 use crate::billiards::{BallPositions, BilliardsSettings, find_place, footprint, generate_billiards};
 use crate::materials::{draw_material, with_effective_density};
-use crate::model::{Model, ModelScene, read_model, standing};
+use crate::model::{ModelScene, ScannedModel, read_model, standing};
 use crate::scene::{Hollow, TruthObject, name_uniquely};
 use crate::skin::Skin;
 use glamx::{DQuat, DVec2, DVec3};
@@ -16,7 +16,7 @@ pub struct NamedModel {
     /// Name, such as `ycb_025_mug`.
     pub name: String,
     /// Surface and image texture.
-    pub model: Model,
+    pub model: ScannedModel,
 }
 
 /// Words in models' names with the material class and the share of the enclosed volume that is material. The first match
@@ -132,7 +132,7 @@ pub(crate) struct Substance<'a> {
 /// is hollow.
 pub(crate) fn made_of(
     name: &str,
-    model: &Model,
+    model: &ScannedModel,
     turn: DQuat,
     substance: &Substance<'_>,
     wall_m: impl FnOnce(&Mesh) -> Option<f64>,
@@ -184,7 +184,7 @@ mod tests {
         let corner_uv = vec![[[0.25, 0.75]; 3]; mesh.triangles.len()];
         let image = ColorImage::filled(4, 4, [200, 40, 30]);
         let texture = Some(MeshTexture { corner_uv, image });
-        NamedModel { name: name.into(), model: Model { mesh, texture, color: [9, 9, 9] } }
+        NamedModel { name: name.into(), model: ScannedModel { mesh, texture, color: [9, 9, 9] } }
     }
 
     #[test]

@@ -42,7 +42,7 @@ pub struct Probe {
 
 /// The errors of one probe in one engine.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct ErrorSummary {
     /// Largest absolute error.
     pub worst: f64,
     /// Root mean square of the errors.
@@ -56,17 +56,17 @@ impl Probe {
     ///
     /// # Errors
     /// [`SimError`] when a world cannot be built or blows up.
-    pub fn measure(&self, factory: &dyn WorldFactory) -> Result<Measured, SimError> {
+    pub fn measure(&self, factory: &dyn WorldFactory) -> Result<ErrorSummary, SimError> {
         let errors = (self.run)(factory)?;
         // NaN must not pass for small.
         let worst =
             errors.iter().map(|e| if e.is_nan() { f64::INFINITY } else { e.abs() }).fold(0.0, f64::max);
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
-        Ok(Measured { worst, rms, count: errors.len() })
+        Ok(ErrorSummary { worst, rms, count: errors.len() })
     }
 
     /// The figure that the limit is for.
-    pub fn figure(&self, measured: &Measured) -> f64 {
+    pub fn figure(&self, measured: &ErrorSummary) -> f64 {
         match self.statistic {
             Statistic::Worst => measured.worst,
             Statistic::Rms if measured.rms.is_nan() => f64::INFINITY,

@@ -4,7 +4,7 @@ use super::scenes::{DT, G, R, ball, cuboid, fixed, floor, launch, material, run,
 use glamx::{DPose3, DVec3};
 use sms_sim::{SimError, WorldFactory};
 
-/// A ball that slides at first rolls at 5/7 of its speed, whatever the friction; after 2v/(7µg) it does.
+/// A ball that slides at first rolls at 5/7 of its initial speed after 2v/(7µg), independent of friction.
 pub(super) fn slide_to_roll(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for mu in [0.1, 0.3, 0.6] {

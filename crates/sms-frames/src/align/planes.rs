@@ -18,7 +18,7 @@ const NORMAL_COS: f64 = 0.92;
 
 /// Fused surface: one point and normal per occupied cell, so that the number of cells measures area, independent
 /// of the number and distance of the views.
-pub(crate) struct Cells {
+pub(crate) struct FusedCells {
     /// Mean position in each cell, relative to the origin given.
     pub(crate) points: Vec<DVec3>,
     /// Mean normal in each cell, towards the cameras.
@@ -47,7 +47,7 @@ impl SupportCandidate {
     }
 }
 
-impl Cells {
+impl FusedCells {
     /// Fuses evenly spread frames; positions are relative to `origin_r`.
     pub(crate) fn gather(views: &[AlignmentView<'_>], origin_r: DVec3) -> Self {
         let step = views.len().div_ceil(FRAMES).max(1);
@@ -80,7 +80,7 @@ impl Cells {
         }
         let mut out = Self { points: Vec::new(), normals: Vec::new(), depth };
         for (p, n, count) in cells.into_values() {
-            // Cells whose points disagree on the direction are edges.
+            // Cells with contradicting directions are edges.
             if n.length() > 0.7 * count {
                 out.points.push(p / count);
                 out.normals.push(n.normalize());
@@ -91,7 +91,7 @@ impl Cells {
 }
 
 /// Finds the largest planes one after the other; each leaves out the cells of the earlier ones.
-pub(crate) fn find_planes(cells: &Cells, noise: &DepthNoise, seed: Seed) -> Vec<SupportCandidate> {
+pub(crate) fn find_planes(cells: &FusedCells, noise: &DepthNoise, seed: Seed) -> Vec<SupportCandidate> {
     let tolerance = (3.0 * noise.sigma_m(cells.depth)).max(0.01 * cells.depth);
     let mut rng = seed.rng();
     let mut left: Vec<usize> = (0..cells.points.len()).collect();
@@ -133,12 +133,12 @@ pub(crate) fn find_planes(cells: &Cells, noise: &DepthNoise, seed: Seed) -> Vec<
     planes
 }
 
-fn is_on(cells: &Cells, i: usize, normal: DVec3, point: DVec3, tolerance: f64) -> bool {
+fn is_on(cells: &FusedCells, i: usize, normal: DVec3, point: DVec3, tolerance: f64) -> bool {
     (cells.points[i] - point).dot(normal).abs() < tolerance && cells.normals[i].dot(normal) > NORMAL_COS
 }
 
 /// Fits a plane by least squares along the present normal: the noise is in the heights.
-fn fit(cells: &Cells, on: &[usize], normal: DVec3) -> Option<(DVec3, DVec3)> {
+fn fit(cells: &FusedCells, on: &[usize], normal: DVec3) -> Option<(DVec3, DVec3)> {
     if on.len() < 3 {
         return None;
     }
@@ -164,7 +164,7 @@ fn fit(cells: &Cells, on: &[usize], normal: DVec3) -> Option<(DVec3, DVec3)> {
 }
 
 /// Projects the median of the inliers onto the plane.
-fn median_foot(cells: &Cells, on: &[usize], plane: &SupportCandidate) -> DVec3 {
+fn median_foot(cells: &FusedCells, on: &[usize], plane: &SupportCandidate) -> DVec3 {
     let (ex, ey) = plane.normal.any_orthonormal_pair();
     let median = |axis: DVec3| {
         let mut v: Vec<f64> = on.iter().map(|&i| (cells.points[i] - plane.center).dot(axis)).collect();

@@ -5,10 +5,11 @@ mod overlap;
 mod readings;
 mod report;
 
-pub use report::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit};
+pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit};
 
 use crate::images::{read_color, read_depth};
-use crate::{FramesError, Recording, selected_frames};
+use crate::load::selected_frames;
+use crate::{FramesError, Recording};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;

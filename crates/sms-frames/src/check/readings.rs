@@ -2,7 +2,7 @@
 
 use super::overlap::{DepthSamples, Hypothesis, PairErrors, median};
 use super::report::{axes_name, direction_name, reading_name, short};
-use super::{CheckReport, Finding, Overlap, PixelCenterFit, ReadingFit, Severity, UnitFit};
+use super::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit};
 use crate::formats::to_opencv;
 use crate::{Axes, PoseDirection, Recording, RecordingFormat};
 use glamx::DPose3;
@@ -78,13 +78,13 @@ impl<'a> CheckData<'a> {
     }
 
     /// Computes the median |Δdepth| over all pairs `gap` frames apart, as declared.
-    pub(super) fn overlap(&self, gap: usize) -> Option<Overlap> {
+    pub(super) fn overlap(&self, gap: usize) -> Option<OverlapError> {
         let errors = self.errors(gap, &self.declared_poses(), &self.declared());
         let tried: usize = errors.iter().map(|e| e.tried).sum();
         let pairs = errors.iter().filter(|e| !e.absolute.is_empty()).count();
         let mut all: Vec<f64> = errors.into_iter().flat_map(|e| e.absolute).collect();
         let share = all.len() as f64 / tried.max(1) as f64;
-        Some(Overlap { median_m: median(&mut all)?, share, pairs })
+        Some(OverlapError { median_m: median(&mut all)?, share, pairs })
     }
 
     /// Returns the index of the first frame and the median |Δdepth| of each pair, as declared.

@@ -33,7 +33,7 @@ pub struct Finding {
 
 /// Overlap error of depth carried from frame i into frame i + n.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Overlap {
+pub struct OverlapError {
     /// Median |Δdepth|, metres.
     pub median_m: f64,
     /// Share of the carried samples that met a valid depth.
@@ -111,9 +111,9 @@ pub struct CheckReport {
     /// Length of the camera's path, metres.
     pub camera_path_m: f64,
     /// Overlap error into the next frame.
-    pub overlap_1: Option<Overlap>,
+    pub overlap_1: Option<OverlapError>,
     /// Overlap error into the fourth frame after.
-    pub overlap_4: Option<Overlap>,
+    pub overlap_4: Option<OverlapError>,
     /// The four conventions, the declared one first.
     pub readings: Vec<ReadingFit>,
     /// The ladder of depth units.

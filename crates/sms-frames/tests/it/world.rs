@@ -84,7 +84,7 @@ fn an_aligned_recording_is_left_as_it_is_and_a_stated_up_is_kept() {
     json["world_up"] = json!(up_r.to_array());
     save(dir.path(), &json);
     assert_upright(&scan(dir.path(), &settings()).0, x_recording_world, 1e-4, 2e-3);
-    // A setting goes before what the file says.
+    // A setting takes precedence over the file.
     let tilted = turned(0.55, 0.1, 0.0, DVec3::ZERO).rotation * DVec3::Z;
     let given = LoadSettings { align: Align::Up(tilted.to_array()), ..settings() };
     let up_w = scan(dir.path(), &given).0.x_world_recording.rotation * tilted;

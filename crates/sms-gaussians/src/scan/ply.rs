@@ -4,7 +4,7 @@
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
-use sms_core::ply::{self, Column, VertexTable};
+use sms_core::ply::{self, VertexColumn, VertexTable};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::{Path, PathBuf};
 
@@ -48,10 +48,10 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
     };
     // The classifier first: a PLY never stands beside an older classifier.
     atomic::write_json(&classifier_path(path), &file)?;
-    let column = |value: &dyn Fn(usize) -> f32| Column::F32((0..model.len()).map(value).collect());
+    let column = |value: &dyn Fn(usize) -> f32| VertexColumn::F32((0..model.len()).map(value).collect());
     let normals: Vec<Vec3> = (0..model.len()).map(|i| model.disc(i).0).collect();
     let names = property_names();
-    let columns: Vec<(&str, Column)> = names
+    let columns: Vec<(&str, VertexColumn)> = names
         .iter()
         .map(|name| {
             let (stem, k) = split_index(name);
@@ -270,14 +270,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("other.ply");
         let standard: Vec<String> = property_names().into_iter().take(17).collect();
-        let mut columns: Vec<(&str, Column)> =
-            standard.iter().map(|n| (n.as_str(), Column::F32(vec![0.0, 0.5]))).collect();
+        let mut columns: Vec<(&str, VertexColumn)> =
+            standard.iter().map(|n| (n.as_str(), VertexColumn::F32(vec![0.0, 0.5]))).collect();
         ply::write(&path, &[], &columns).unwrap();
         let read = read_ply(&path).unwrap();
         assert_eq!((read.len(), read.classifier.classes, read.labels[1]), (2, 0, 0));
         assert_eq!((read.rotations_wg[0], read.background), (Quat::IDENTITY, [0.0; 3]));
 
-        columns[12].1 = Column::F32(vec![0.0, f32::NAN]);
+        columns[12].1 = VertexColumn::F32(vec![0.0, f32::NAN]);
         ply::write(&path, &[], &columns).unwrap();
         let fault = |path: &Path| match read_ply(path) {
             Err(CoreError::Input(e)) => (e.path, e.what),

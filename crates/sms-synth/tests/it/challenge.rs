@@ -64,7 +64,7 @@ fn scenes_are_possible() {
                         (p.min.x - q.max.x).max(q.min.x - p.max.x),
                         (p.min.y - q.max.y).max(q.min.y - p.max.y),
                     );
-                    // Boxes of things that stand at an angle may overlap; their discs may not.
+                    // Boxes of turned objects may overlap; their discs may not.
                     let centers = (p.center() - q.center()).truncate().length();
                     let discs =
                         0.5 * (p.extents().truncate().min_element() + q.extents().truncate().min_element());

@@ -23,7 +23,7 @@ fn height_over(part: &Mesh, p: DVec3) -> f64 {
         .filter_map(|t| {
             let [a, b, c] = part.corners(t);
             let n = (b - a).cross(c - a);
-            // Slivers of a clipped polyhedron have no reliable normal; their neighbours stand for them.
+            // Slivers of a clipped polyhedron have no reliable normal; their neighbours are tested instead.
             (n.length() > 1e-12).then(|| (p - a).dot(n.normalize()))
         })
         .fold(f64::NEG_INFINITY, f64::max)

@@ -21,7 +21,7 @@ pub(crate) struct Written {
     pub(crate) arc: f64,
     pub(crate) opencv_axes: bool,
     pub(crate) inverted: bool,
-    /// Metres of a unit in the images, whatever the JSON says.
+    /// Metres of a unit in the images, independent of the JSON.
     pub(crate) unit_m: f64,
     /// Pixel centre that the written cx, cy refer to.
     pub(crate) pixel_center: f64,
