@@ -20,7 +20,7 @@
 use crate::BenchError;
 use crate::options::BenchOptions;
 use crate::prepare::Prepared;
-use crate::run::Yardstick;
+use crate::reference::Yardstick;
 use crate::scenes::BenchScene;
 use glamx::{DMat4, DPose3, DVec3, DVec4};
 use serde::{Deserialize, Serialize};

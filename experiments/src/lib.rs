@@ -36,6 +36,7 @@ mod prepare;
 mod reachability;
 mod real;
 mod recordings;
+mod reference;
 mod robust;
 mod robust_table;
 mod run;
@@ -82,9 +83,10 @@ pub use reachability::{
     Reachability, ReachabilityBench, reachability_metrics, reachability_table, run_reachability,
 };
 pub use recordings::{locate, recording};
+pub use reference::Yardstick;
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
-pub use run::{Yardstick, run_scene, run_scene_with};
+pub use run::{run_scene, run_scene_with};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, LANDING_SCENES, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path,
     models_dir, real_data_dir, select_mask_scenes, select_models, select_scenes, truth_scene,

@@ -2,7 +2,7 @@
 
 use crate::BenchError;
 use crate::panels::write_panel;
-use crate::run::ScannedScene;
+use crate::reference::ScannedScene;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, EntityKind, Image, PointCloud, StageContext, Warnings};

@@ -5,6 +5,7 @@ use crate::options::BenchOptions;
 use crate::panels::write_panel;
 use crate::prepare::{Prepared, prepare};
 use crate::real::real_metrics;
+use crate::reference::{ScannedScene, Yardstick};
 use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
@@ -13,15 +14,14 @@ use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
 use sms_core::process;
-use sms_core::{Camera, CoreError, EntityKind, Seed, StageContext, atomic};
+use sms_core::{CoreError, EntityKind, Seed, StageContext, atomic};
+use sms_eval::carried;
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
 use sms_eval::{
     DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
     stray_share,
 };
-use sms_eval::{Overlaps, match_labels};
-use sms_eval::{SurfacePoint, TrueSurface, carried, observed_surface, true_surfaces, true_views};
 use sms_eval::{align_cameras, pose_difference, refine_on_surfaces};
 use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer};
 use sms_pipeline::stages::{self, GaussiansRequest};
@@ -133,52 +133,6 @@ pub fn run_scene_with<T: Trainer>(
     metrics.merge(figures(&prefix, &mut trainer, &prepared));
     metrics.save(&dir.join("metrics.json"))?;
     Ok(Some(metrics))
-}
-
-/// A scanned scene that is to be measured.
-pub(crate) struct ScannedScene<'a> {
-    /// Start of the keys of its metrics.
-    pub(crate) prefix: &'a str,
-    /// Input of the scan.
-    pub(crate) prepared: &'a Prepared,
-    /// Settings of the scan and the measurements.
-    pub(crate) options: &'a BenchOptions,
-    /// Result of the scan.
-    pub(crate) model: &'a GaussianModel,
-    /// Folder of the results.
-    pub(crate) dir: &'a Path,
-}
-
-/// Truth of a generated scene that any reconstruction is measured against.
-pub struct Yardstick {
-    /// True surfaces in the truth's world.
-    pub surfaces: Vec<TrueSurface>,
-    /// Their parts that the training cameras see.
-    pub observed: Vec<Vec<SurfacePoint>>,
-    /// Indices of the held-out frames, and their true views.
-    pub held_out: Vec<(usize, sms_eval::TrueView)>,
-    /// Which true label each mask label stands for, by best overlap of the masks with the true labels in the held-out
-    /// views.
-    pub truth_of: Vec<u16>,
-}
-
-impl Yardstick {
-    /// Of a prepared scene with truth; `None` without.
-    pub fn new(prepared: &Prepared, holdout: usize) -> Option<Self> {
-        let scene = prepared.truth.as_ref()?;
-        let camera = |i: usize| carried(&prepared.true_cameras[i], &prepared.x_tw());
-        let surfaces = true_surfaces(scene);
-        let trained: Vec<Camera> = prepared.trained(holdout).into_iter().map(camera).collect();
-        let observed = observed_surface(&surfaces, &trained);
-        let held_out = prepared.held_out(holdout);
-        let views = true_views(scene, &held_out.iter().map(|&i| camera(i)).collect::<Vec<_>>());
-        let held_out: Vec<_> = held_out.into_iter().zip(views).collect();
-        let mut overlaps = Overlaps::new(prepared.labels.class_count(), surfaces.len() + 1);
-        for (i, view) in &held_out {
-            overlaps.add_maps(&prepared.labels.maps[*i], &view.label);
-        }
-        Some(Self { surfaces, observed, held_out, truth_of: match_labels(&overlaps) })
-    }
 }
 
 /// One object of `objects.json`.
