@@ -1,4 +1,4 @@
-//! The command line's shape.
+//! Commands and arguments of `sms`.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_cli::front::{Common, EngineName, PathName, PresetName, RefinePoses};
@@ -18,44 +18,44 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Check a recording: sizes, poses, units, overlap; says what to change when another reading fits better.
+    /// Check sizes, poses, units and overlap of a recording, and suggest corrections.
     Check(CheckArguments),
     /// Reconstruct a recording as 3D Gaussians with object labels.
     Scan(ScanArguments),
-    /// Turn a scan into closed meshes, spheres, convex parts and materials: a simulation-ready scene.
+    /// Turn a scan into a simulation-ready scene: closed meshes, exact solids, convex parts and materials.
     Materialize(MaterializeArguments),
-    /// List what the objects are made of, with intervals and sources, and change it.
+    /// List or change the materials of the objects, with intervals and sources.
     Materials(MaterialsArguments),
-    /// Put the scene into the physics engine and see whether it rests.
+    /// Simulate the scene without any action, and measure its drift.
     Simulate(SimulateArguments),
-    /// Search the best action for a task.
+    /// Search for the best action for a task.
     Plan(PlanArguments),
-    /// Plan the arm's motion for the planned strike, check it, and write it for the robot.
+    /// Plan and check the arm's motion for the planned strike, and write its joint program.
     Robot(RobotArguments),
-    /// Carry the plan out in an independent target world.
+    /// Execute the plan in an independent target world.
     Execute(ExecuteArguments),
-    /// Measure the reconstruction against known models.
+    /// Compare the reconstruction with known models.
     Evaluate(EvaluateArguments),
     /// Write the report page.
     Report(ReportArguments),
-    /// Write the scene for another simulator.
+    /// Write the scene for other simulators.
     Export(ExportArguments),
     /// Open the report in a browser.
     View(ViewArguments),
-    /// The whole flow on a generated scene.
+    /// Run all stages on a generated scene.
     Demo(DemoArguments),
-    /// Write a small generated recording to try the commands on.
+    /// Write a small generated recording for trying the commands.
     Sample(SampleArguments),
-    /// Write a full-size generated recording: any scene of a family, as the simulated camera sees it.
+    /// Write a full-size generated recording of a scene from one of the families.
     Synth(SynthArguments),
-    /// List what can compute a scan, with the result of each one's self-check.
+    /// List the devices that can compute a scan, with the result of their self-check.
     Devices,
-    /// Look at a run's masks: its objects, and with --preview the annotated first frame; or at what the networks would find.
+    /// List the objects of a run's masks. With --preview, draw the annotated first frame or try other detections.
     Masks(MasksArguments),
     /// List or fetch the weights of the networks.
     #[command(subcommand)]
     Models(ModelsArguments),
-    /// Print every setting that would be in force, as a file for `--settings`.
+    /// Print all effective settings, in the format of `--settings`.
     Settings(SettingsArguments),
 }
 
@@ -63,8 +63,8 @@ pub(crate) enum Command {
 pub(crate) struct MasksArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Write preview.png into the run's folder: the first frame with its masks, and the boxes and scores of what the networks
-    /// found. With --objects, --box or --threshold: what they would find so, for which no masks are needed and none are changed.
+    /// Write preview.png into the folder of the run: the first frame with masks, boxes and scores. With --objects, --box,
+    /// --threshold or --max-overlap, detect again with these options; this needs no masks and changes none.
     #[arg(long)]
     pub preview: bool,
     #[command(flatten)]
@@ -73,11 +73,11 @@ pub(crate) struct MasksArguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum ModelsArguments {
-    /// The models there are, and where those that were fetched lie.
+    /// List the models, and the location of those already fetched.
     List,
     /// Fetch models into the Hugging Face cache.
     Fetch {
-        /// Names of `sms models list` (default: the two that `--masks sam2` uses).
+        /// Names from `sms models list` (default: the two that `--masks sam2` uses).
         models: Vec<String>,
     },
 }
@@ -90,18 +90,18 @@ pub(crate) struct CheckArguments {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum MasksName {
-    /// Clusters of the fused depth; needs nothing else.
+    /// Clusters of the fused depth; needs no weights.
     Geometry,
-    /// Label images that came with the recording.
+    /// Label images of the recording.
     Files,
     /// The truth of a generated recording (ablations only).
     Truth,
-    /// OWLv2 finds what --objects names in the first frame, SAM 2.1 tracks it. Needs a build with the feature `nets`.
+    /// Objects named by --objects, found in the first frame by OWLv2 and tracked by SAM 2.1 (needs the feature `nets`).
     Sam2,
 }
 
 impl MasksName {
-    /// The library's source; `nets` are the choices for networks.
+    /// Returns the library's source; `nets` has the options of the networks.
     pub(crate) fn source(self, nets: &NetsArguments) -> MasksSource {
         match self {
             Self::Geometry => MasksSource::Geometry,
@@ -112,43 +112,43 @@ impl MasksName {
     }
 }
 
-/// How SAM 2 follows objects.
+/// Tracking method of SAM 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum TrackName {
-    /// By its memory, as in the paper.
+    /// With the memory of each object, as in the paper.
     Memory,
-    /// In each image anew, with boxes carried by pose and depth: several times cheaper.
+    /// Segments each image from a box projected by pose and depth; several times cheaper.
     Reprompt,
 }
 
-/// For `--masks sam2`.
+/// Options of `--masks sam2`.
 #[derive(Debug, Args, Clone, Default)]
 pub(crate) struct NetsArguments {
-    /// What to look for, in English: --objects "mug, toy duck, cue ball" (default: things that stand on tables).
+    /// Objects to detect, in English: --objects "mug, toy duck, cue ball" (default: a list of household objects).
     #[arg(long, value_name = "LIST")]
     pub objects: Option<String>,
-    /// A box in the first frame: --box "mug=x0,y0,x1,y1" (repeatable). Without --objects nothing else is looked for.
+    /// A box in the first frame: --box "mug=x0,y0,x1,y1" (repeatable). Without --objects, nothing else is detected.
     #[arg(long = "box", value_name = "NAME=X0,Y0,X1,Y1")]
     pub boxes: Vec<String>,
-    /// Score above which a detection counts, 0 to 1 (default: 0.2).
+    /// Lowest accepted score of a detection, 0 to 1 (default: 0.2).
     #[arg(long, value_name = "SCORE")]
     pub threshold: Option<f64>,
-    /// Overlap from which the lesser of two detections is dropped, 0 to 1 (default: 0.5).
+    /// Overlap above which the weaker of two detections is dropped, 0 to 1 (default: 0.5).
     #[arg(long, value_name = "SHARE")]
     pub max_overlap: Option<f64>,
-    /// How SAM 2 follows objects (default: memory on a GPU, reprompt on a CPU).
+    /// Tracking method of SAM 2 (default: memory on a GPU, reprompt on a CPU).
     #[arg(long, value_enum)]
     pub track: Option<TrackName>,
-    /// Which SAM 2.1 (`sms models list`).
+    /// Name of the SAM 2.1 model (see `sms models list`).
     #[arg(long, value_name = "MODEL")]
     pub sam2: Option<String>,
-    /// A folder with the models' files, instead of the Hugging Face cache.
+    /// Folder with the model files, instead of the Hugging Face cache.
     #[arg(long, value_name = "DIR")]
     pub weights: Option<PathBuf>,
 }
 
 impl NetsArguments {
-    /// The library's choices.
+    /// Returns the library's request.
     pub(crate) fn request(&self) -> NetworksRequest {
         let a = self.clone();
         NetworksRequest {
@@ -168,7 +168,7 @@ impl NetsArguments {
 
 #[derive(Debug, Args)]
 pub(crate) struct SettingsArguments {
-    /// The preset to start from (default: standard).
+    /// Preset to start from (default: standard).
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
 }
@@ -177,38 +177,38 @@ pub(crate) struct SettingsArguments {
 pub(crate) struct ScanArguments {
     /// Folder of the recording.
     pub recording: PathBuf,
-    /// Folder of the run (made where it is missing; an interrupted run is resumed).
+    /// Folder of the run (created if missing; an interrupted run is resumed).
     #[arg(long, value_name = "RUN")]
     pub out: PathBuf,
-    /// How much work to spend.
+    /// Resolution and number of training steps.
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Where object masks come from.
+    /// Source of the object masks.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: MasksName,
     #[command(flatten)]
     pub nets: NetsArguments,
-    /// Correct the camera poses before the scan; `auto` keeps them where that is no improvement.
+    /// Correct the camera poses before the scan; `auto` uses the correction only if held-out frames agree better.
     #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
-    /// Keep every N-th frame out of training, to measure quality on it (0: none).
+    /// Hold out every N-th frame to measure quality (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
-    /// What computes: `auto` takes a GPU where there is one, `gpu` or `gpu:N` that of `sms devices`. Networks compute there too in
-    /// builds with `cuda` or `metal`.
+    /// Device for the scan: `auto` uses a GPU if one is available; `gpu` or `gpu:N` selects one from `sms devices`. Builds
+    /// with `cuda` or `metal` run the networks there, too.
     #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
     pub device: Device,
-    /// Seed of everything random.
+    /// Random seed.
     #[arg(long)]
     pub seed: Option<u64>,
-    /// The recording's up direction in its own world, where the surfaces do not tell it (any length).
+    /// Up direction in the recording's own world, if it cannot be detected from surfaces (any length).
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub up: Option<Vec<f64>>,
-    /// Scan even when the check finds that the recording is wrong.
+    /// Scan even if the check finds errors in the recording.
     #[arg(long)]
     pub no_check: bool,
-    /// Show the scan in a Rerun viewer while it runs: in the one that listens at ADDR (host:port or rerun+http://…), else
-    /// in one already open on this machine, else in a new one. Needs a build with the feature `rerun`.
+    /// Show the scan in a Rerun viewer while it runs: the one at ADDR (host:port or rerun+http://…), else one already open
+    /// on this machine, else a new one. Needs a build with the feature `rerun`.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, require_equals = true, default_missing_value = "auto")]
     pub live: Option<String>,
 }
@@ -217,29 +217,29 @@ pub(crate) struct ScanArguments {
 pub(crate) struct MaterializeArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// A TOML file with your own material values (`[object.NAME] class = "ceramic"`).
+    /// TOML file with your own material values (`[object.NAME] class = "ceramic"`).
     #[arg(long, value_name = "FILE")]
     pub materials: Option<PathBuf>,
-    /// Whether a vision-language model is asked about the objects (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
+    /// Use of a vision-language model to estimate materials (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
     #[arg(long, value_enum, value_name = "MODE", default_value = "auto")]
     pub vlm: VlmName,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum VlmName {
-    /// Ask no model.
+    /// Use no model.
     Off,
-    /// Ask where a server is named; go on without where it does not answer.
+    /// Use a model if a server is configured; continue without it if the server does not answer.
     #[default]
     Auto,
-    /// Ask, and stop where the server cannot be used.
+    /// Use a model; fail if the server cannot be used.
     On,
-    /// Use the replies of earlier runs of this command and make no requests.
+    /// Use stored replies and make no requests.
     CacheOnly,
 }
 
 impl VlmName {
-    /// The library's mode.
+    /// Returns the library's mode.
     pub(crate) fn mode(self) -> VlmMode {
         match self {
             Self::Off => VlmMode::Off,
@@ -254,10 +254,10 @@ impl VlmName {
 pub(crate) struct MaterialsArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Values to set, OBJECT.KEY=VALUE or OBJECT.KEY=BEST,LOW,HIGH: here `--set` means these.
+    /// Values to set with `--set`: OBJECT.KEY=VALUE or OBJECT.KEY=BEST,LOW,HIGH.
     #[arg(skip)]
     pub set: Vec<String>,
-    /// Take back one value that was set, or all of an object's (repeatable).
+    /// Reset one value, or all values of an object (repeatable).
     #[arg(long, value_name = "OBJECT[.KEY]")]
     pub unset: Vec<String>,
 }
@@ -266,7 +266,7 @@ pub(crate) struct MaterialsArguments {
 pub(crate) struct SimulateArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Seconds to simulate.
+    /// Simulated time, seconds.
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
 }
@@ -275,35 +275,35 @@ pub(crate) struct SimulateArguments {
 pub(crate) struct PlanArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// The task (TOML).
+    /// Task file (TOML).
     #[arg(long, value_name = "TASK.toml")]
     pub task: PathBuf,
-    /// Seed of the search (default: the run's).
+    /// Seed of the search (default: that of the run).
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Worlds that differ within what is not known, in which shots are compared; 0 plans for the scanned world alone
-    /// (default: the setting `plan.disturbances.worlds`).
+    /// Number of perturbed worlds for the comparison of actions; 0 plans for the scanned world alone (default: the setting
+    /// `plan.disturbances.worlds`).
     #[arg(long, value_name = "N")]
     pub robust: Option<usize>,
-    /// Who chooses a landing: the search, or a baseline that knows nothing of wash (tasks of the kind `landing` only).
+    /// Method that chooses a landing: the search, or a baseline without a model of the wash (tasks of kind `landing` only).
     #[arg(long, value_enum, value_name = "WHO", default_value_t = ChooserName::Ours)]
     pub chooser: ChooserName,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ChooserName {
-    /// The search in simulation.
+    /// Search in simulation.
     Ours,
-    /// The centre of the top face, straight there.
+    /// Centre of the top face with a straight approach.
     Geometric,
-    /// Any of fifteen sites and nine approaches.
+    /// Random choice among up to fifteen sites with nine approaches each.
     Random,
-    /// A vision-language model that sees these on a frame (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
+    /// Choice of a vision-language model that sees them on a frame (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
     Visual,
 }
 
 impl ChooserName {
-    /// The library's chooser.
+    /// Returns the library's chooser.
     pub(crate) fn chooser(self) -> LandingChooser {
         match self {
             Self::Ours => LandingChooser::Search,
@@ -318,19 +318,19 @@ impl ChooserName {
 pub(crate) struct ExecuteArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// The world to execute in (default: physx where it is built in, else rapier, which is the planner's own engine).
+    /// Engine of the target world (default: physx if it is built in, else rapier, the planner's own engine).
     #[arg(long, value_enum)]
     pub engine: Option<EngineName>,
-    /// Whose the joints of the robot's arm are.
+    /// Simulation of the arm's joints.
     #[arg(long, value_enum, default_value_t = ArmName::Shared)]
     pub arm: ArmName,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ArmName {
-    /// Ours, the same in every engine, which sees the tool alone.
+    /// The same joint simulation for every engine; the engine contains the tool only.
     Shared,
-    /// The engine's own articulation under the same controller (physx and physx-stock).
+    /// The engine's own articulation with the same controller (physx and physx-stock).
     Articulation,
 }
 
@@ -338,7 +338,7 @@ pub(crate) enum ArmName {
 pub(crate) struct EvaluateArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// `objects.json` of known models; by default the truth of a generated recording.
+    /// `objects.json` with known models (default: the truth of a generated recording).
     #[arg(long, value_name = "FILE")]
     pub objects: Option<PathBuf>,
 }
@@ -351,7 +351,7 @@ pub(crate) struct ReportArguments {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum FormatName {
-    /// MuJoCo.
+    /// MJCF for MuJoCo.
     Mjcf,
     /// One URDF per body, with a loader for PyBullet.
     Urdf,
@@ -368,7 +368,7 @@ pub(crate) enum FormatName {
 }
 
 impl FormatName {
-    /// Whether the name includes a format.
+    /// Returns whether the name includes `format`.
     pub(crate) fn includes(self, format: Format) -> bool {
         match self {
             Self::Mjcf => format == Format::Mjcf,
@@ -386,11 +386,11 @@ impl FormatName {
 pub(crate) struct RobotArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Where the base stands in the run's world: x, y, z in metres and the yaw in degrees, such as 0,0,0,0. Without it
-    /// the robot that was planned for, or `robot.x_world_robot` or `robot.x_recording_robot` of the settings.
+    /// Pose of the base in the run's world: x, y, z in metres and yaw in degrees, such as 0,0,0,0 (default: the planned
+    /// robot, or `robot.x_world_robot` or `robot.x_recording_robot` in the settings).
     #[arg(long, value_name = "X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
     pub at: Option<String>,
-    /// Writes a motion that did not pass every check, too, as program.not-executable.json and .parquet, for looking at.
+    /// Also write a motion that fails a check, for inspection, as program.not-executable.json and .parquet.
     #[arg(long)]
     pub keep_failed: bool,
 }
@@ -399,11 +399,11 @@ pub(crate) struct RobotArguments {
 pub(crate) struct ExportArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Formats, separated by commas or given again.
+    /// Formats, separated by commas (repeatable).
     #[arg(long, value_enum, required = true, value_delimiter = ',')]
     pub format: Vec<FormatName>,
-    /// Folder to write to, with one below it for each of several formats (default: RUN/export/FORMAT). It is replaced
-    /// when it holds an earlier export.
+    /// Output folder, with one subfolder per format if several are given (default: RUN/export/FORMAT). An earlier export is
+    /// replaced.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -424,22 +424,22 @@ pub(crate) enum DemoName {
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct DemoArguments {
-    /// Which demo.
+    /// Name of the demo.
     #[arg(value_enum)]
     pub name: DemoName,
-    /// Seed of the scene and of everything else.
+    /// Seed of the scene and of all stages.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Folder of the run (default: runs/NAME-SEED).
     #[arg(long, value_name = "RUN")]
     pub out: Option<PathBuf>,
-    /// A smaller recording and less search: about half a minute.
+    /// Use a smaller recording and less search: about half a minute.
     #[arg(long)]
     pub quick: bool,
-    /// How much work to spend on the scan.
+    /// Resolution and number of training steps of the scan.
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Where object masks come from.
+    /// Source of the object masks.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: MasksName,
     /// Show the scan in a Rerun viewer while it runs (as `sms scan --live`).
@@ -458,41 +458,41 @@ pub(crate) struct SampleArguments {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum FamilyName {
-    /// Two balls, a goal that a straight shot reaches, and obstacles around; endless.
+    /// Two balls, a goal within reach of a straight shot, and obstacles; any seed.
     Billiards,
-    /// Layouts that take rebounds, in turns by seed; endless, though some seeds do not fit into the workspace.
+    /// Layouts that need rebounds, alternating by seed; some seeds do not fit into the workspace.
     Challenge,
-    /// The eighteen scenes of `sms-experiments billiards`: seeds 1 to 18.
+    /// The eighteen scenes of `sms-experiments billiards`; seeds 1 to 18.
     Fixed,
-    /// Structures that a quadrotor could topple by landing on them: seeds 1 to 4 are the four fixed ones (box on step ladder,
-    /// tote on stool, board on recycling bin, board on stool), others are drawn, in turns; filmed from a helix.
+    /// Structures that a landing quadrotor could topple, recorded from a helix. Seeds 1 to 4 are fixed (box on step ladder, tote
+    /// on stool, board on recycling bin, board on stool); other seeds draw random variants of them in turn.
     Landing,
 }
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct SynthArguments {
-    /// Folder to write (must be missing or empty, or hold the same recording unfinished).
+    /// Folder to write (must be missing or empty, or contain the same recording unfinished).
     pub folder: PathBuf,
     /// Family of scenes.
     #[arg(long, value_enum, default_value = "billiards")]
     pub family: FamilyName,
-    /// Seed of the scene and of the camera's noise.
+    /// Seed of the scene and of the camera noise.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Obstacles besides the balls (families billiards and challenge).
     #[arg(long)]
     pub objects: Option<usize>,
-    /// Folder of scanned models (NAME/model.obj) to stand among the obstacles (family billiards), or in the place of box, tote,
-    /// bin and stool (family landing).
+    /// Folder of scanned models (NAME/model.obj), which become obstacles (family billiards) or replace box, tote, bin and stool
+    /// (family landing).
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
-    /// Frames.
+    /// Number of frames.
     #[arg(long, default_value_t = 60)]
     pub frames: usize,
     /// Image width in pixels; the height is 5/8 of it.
     #[arg(long, default_value_t = 1280)]
     pub width: usize,
-    /// Heights of the camera's path (not of the family landing).
+    /// Heights of the camera path (not for the family landing).
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,
     /// Standard deviation of the recorded camera position per axis, millimetres.

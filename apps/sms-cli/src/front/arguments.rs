@@ -1,30 +1,30 @@
-//! Arguments that every command has.
+//! Arguments common to all commands.
 
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// Arguments of every command.
+/// Arguments common to all commands.
 #[derive(Debug, Args)]
 pub struct Common {
-    /// Print the flat metrics object alone, as JSON.
+    /// Print only the flat metrics object, as JSON.
     #[arg(long, global = true)]
     pub json: bool,
-    /// Worker threads (default: all cores). Results do not depend on it.
+    /// Number of worker threads (default: all cores). It does not affect results.
     #[arg(long, global = true, value_name = "N")]
     pub threads: Option<usize>,
-    /// Redo stages even where nothing has changed.
+    /// Repeat stages even if nothing has changed.
     #[arg(long, global = true)]
     pub force: bool,
-    /// A TOML file with settings of any stage; `run.toml` of a run shows all of them.
+    /// TOML file with settings of any stage (`sms settings` prints all of them).
     #[arg(long, global = true, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// One setting of any stage, over the file's: --set scan.final_steps=500 (repeatable; `sms settings` lists them).
+    /// One setting of any stage, overriding the file: --set scan.final_steps=500 (repeatable).
     #[arg(long = "set", global = true, value_name = "SECTION.KEY=VALUE")]
     pub assignments: Vec<String>,
-    /// Show no progress (the same as --progress none).
+    /// Show no progress (same as --progress none).
     #[arg(long, short, global = true)]
     pub quiet: bool,
-    /// How progress is shown, on standard error. By default a bar on a terminal, else plain lines; none with --json.
+    /// Form of the progress on standard error (default: bar on a terminal, else plain; none with --json).
     #[arg(long, global = true, value_enum, value_name = "HOW", conflicts_with = "quiet")]
     pub progress: Option<ProgressKind>,
 }
@@ -34,10 +34,10 @@ pub struct Common {
 pub enum ProgressKind {
     /// A bar with step, losses and time left.
     Bar,
-    /// A line every few seconds.
+    /// One line every few seconds.
     Plain,
-    /// JSON objects, one a line: event, part, done, units, seconds, seconds_left, and the part's figures.
+    /// One JSON object per line: event, part, done, units, seconds, seconds_left, and figures of the part.
     Json,
-    /// Nothing.
+    /// No progress.
     None,
 }

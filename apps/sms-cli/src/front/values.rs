@@ -1,4 +1,4 @@
-//! Values of arguments that several commands have.
+//! Argument values that several commands share.
 
 use clap::ValueEnum;
 use sms_gaussians::Preset;
@@ -9,16 +9,16 @@ use sms_target::TargetEngine;
 /// Preset of the scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PresetName {
-    /// 200 px, at most 100 + 10 a frame + 150 steps: whether a recording is any good.
+    /// 200 px, at most 100 + 10 per frame + 150 steps: a quick test of a recording.
     Draft,
-    /// 320 px, at most 200 + 30 a frame + 300 steps: objects and planning. The default.
+    /// 320 px, at most 200 + 30 per frame + 300 steps: objects and planning (default).
     Standard,
-    /// 640 px, at most 400 + 30 a frame + 1000 steps: thin parts, views to look at; six times standard's steps × pixels.
+    /// 640 px, at most 400 + 30 per frame + 1000 steps: thin parts and sharp views; six times the steps × pixels of standard.
     Fine,
 }
 
 impl PresetName {
-    /// The library's preset.
+    /// Returns the library's preset.
     pub fn preset(self) -> Preset {
         match self {
             Self::Draft => Preset::Draft,
@@ -28,19 +28,19 @@ impl PresetName {
     }
 }
 
-/// Whether camera poses are refined.
+/// Refinement of the camera poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RefinePoses {
-    /// Use the poses as they are.
+    /// Use the recorded poses.
     Off,
     /// Use refined poses.
     On,
-    /// Use refined poses where held-out frames agree significantly better with them.
+    /// Use refined poses if held-out frames agree significantly better with them.
     Auto,
 }
 
 impl RefinePoses {
-    /// The library's mode.
+    /// Returns the library's mode.
     pub fn mode(self) -> PosesMode {
         match self {
             Self::Off => PosesMode::Off,
@@ -50,21 +50,21 @@ impl RefinePoses {
     }
 }
 
-/// Target engine.
+/// Engine of the target world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
-    /// The planner's engine in double precision at a quarter of the step: "same engine" in every table.
+    /// The planner's engine in double precision at a quarter of the time step; tables say "same engine".
     Rapier,
-    /// PhysX, precise: small offsets, split steps (feature physx).
+    /// PhysX with small contact offsets and split steps, for precision (feature physx).
     Physx,
-    /// PhysX with the engine's defaults (feature physx).
+    /// PhysX with its default parameters (feature physx).
     PhysxStock,
-    /// MuJoCo (feature mujoco; SMS_MUJOCO names its library).
+    /// MuJoCo (feature mujoco; SMS_MUJOCO is the path of its library).
     Mujoco,
 }
 
 impl EngineName {
-    /// The library's engine.
+    /// Returns the library's engine.
     pub fn engine(self) -> TargetEngine {
         match self {
             Self::Rapier => TargetEngine::Rapier,
@@ -78,14 +78,14 @@ impl EngineName {
 /// Camera path of a generated billiards recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PathName {
-    /// Heights from 0.25 to 0.6 m, from which hollows and the floor between objects are seen.
+    /// Heights from 0.25 to 0.6 m, which show hollows and the floor between objects.
     High,
     /// The paper's heights, 0.1 to 0.25 m.
     Paper,
 }
 
 impl PathName {
-    /// The path of a billiards recording.
+    /// Returns the path of a billiards recording.
     pub fn path(self) -> CameraPath {
         match self {
             Self::High => CameraPath::default(),
