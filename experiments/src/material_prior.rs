@@ -134,7 +134,7 @@ pub fn apply_material_prior(
     }
 }
 
-/// How much of its convex hull a body encloses.
+/// Volume of a body, and volume and area of its convex hull.
 #[derive(Debug, Clone, Copy)]
 struct Form {
     /// Volume that the mass is computed from, m³.
@@ -320,7 +320,7 @@ mod tests {
             assert_ne!(b.material.density.source, PropertySource::Prior, "{}", a.name);
             let off = b.material.friction.value.best - a.material.friction.value.best;
             assert!(off.abs() < 0.3, "{}: friction off by {off}", a.name);
-            // Of hollow things and of figures the handbook guesses how full they are; of solid balls and blocks not.
+            // The handbook estimates the fill factor of hollow objects and figures, but not of solid balls and blocks.
             let is_solid = truth.object(&a.name).is_some_and(|o| o.hollow == Hollow::Solid);
             let is_plain =
                 is_solid && (matches!(a.shape, BodyShape::Sphere { .. }) || a.description.contains("block"));

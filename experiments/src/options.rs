@@ -16,9 +16,9 @@ use std::path::PathBuf;
 pub struct BenchOptions {
     /// Named preset; its settings are in `load` and `scan` and may have been changed there.
     pub preset: Preset,
-    /// How recordings are read.
+    /// Options for reading recordings.
     pub read: ReadOptions,
-    /// How frames are loaded.
+    /// Settings for loading frames.
     pub load: LoadSettings,
     /// Masks from geometry.
     pub masks: GeometryConfig,
@@ -30,13 +30,13 @@ pub struct BenchOptions {
     pub scan: ScanConfig,
     /// Meshes.
     pub entities: EntitiesConfig,
-    /// Frames that are recorded of a generated scene.
+    /// Recorded frames of a generated scene.
     pub frames: usize,
     /// Camera path in generated billiards scenes.
     pub path: CameraPath,
     /// Disturbance of the frames.
     pub disturbance: Disturbance,
-    /// Where recordings are kept.
+    /// Folder of the recordings.
     pub cache: PathBuf,
     /// Whether meshes are made and measured.
     pub meshes: bool,
@@ -68,7 +68,7 @@ impl BenchOptions {
         }
     }
 
-    /// The preset's name.
+    /// Returns the name of the preset.
     pub fn preset_name(&self) -> &'static str {
         match self.preset {
             Preset::Draft => "draft",
@@ -77,12 +77,12 @@ impl BenchOptions {
         }
     }
 
-    /// The part of cache keys that names a recording: the frames, and the path unless it is the default.
+    /// Returns the part of a cache key for a recording: the frames, and the path unless it is the default.
     pub(crate) fn recorded(&self) -> Value {
         if self.path == CameraPath::default() { json!(self.frames) } else { json!([self.frames, self.path]) }
     }
 
-    /// Settings that a scan and its bodies depend on, by name, besides scene and masks; for comparing parts of a run.
+    /// Returns the settings of a scan and its bodies by name, without scene and masks, to compare parts of a run.
     pub fn settings(&self) -> [(&'static str, Value); 7] {
         [
             ("preset", json!(self.preset_name())),

@@ -13,7 +13,7 @@ use sms_task::{Billiards, ResolvedTask, Selector, Task};
 /// Seeds for tuning the planner; seeds below 1000 are held back for the final tables.
 pub const TUNING_SEEDS: std::ops::RangeInclusive<u64> = 1001..=1012;
 
-/// How hard the generated scenes are.
+/// Family of the generated scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneFamily {

@@ -1,4 +1,4 @@
-//! From a scene to the frames and masks that a reconstruction is given.
+//! Preparation of a scene's frames and masks for a reconstruction.
 
 use crate::error::BenchError;
 use crate::options::BenchOptions;
@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Frames and masks, ready for a scan.
 #[derive(Debug)]
 pub struct Prepared {
-    /// Frames, disturbed and with refined poses if that was asked for.
+    /// Frames, with the requested disturbance and pose refinement.
     pub sequence: Sequence,
     /// Masks made of them.
     pub labels: Labels,

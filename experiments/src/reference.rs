@@ -37,7 +37,7 @@ pub struct Yardstick {
 }
 
 impl Yardstick {
-    /// Of a prepared scene with truth; `None` without.
+    /// Returns the reference of a prepared scene; `None` without a truth.
     pub fn new(prepared: &Prepared, holdout: usize) -> Option<Self> {
         let scene = prepared.truth.as_ref()?;
         let camera = |i: usize| carried(&prepared.true_cameras[i], &prepared.x_tw());

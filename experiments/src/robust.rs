@@ -26,7 +26,7 @@ pub(crate) const ORACLE: &str = "oracle";
 pub struct RobustBench {
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
-    /// How hard they are.
+    /// Family of the scenes.
     pub family: SceneFamily,
     /// The planner's knowledge of materials.
     pub material_prior: MaterialPrior,
@@ -38,9 +38,9 @@ pub struct RobustBench {
     pub oracle_evaluations: usize,
     /// Runs with everything a micrometre elsewhere, for the chaos floor.
     pub chaos_runs: usize,
-    /// How far poses, radii and strikes are off in the true worlds.
+    /// Errors of poses, radii and strikes in the true worlds.
     pub errors: Perturbation,
-    /// Whether the arm strikes, in planning and in the true worlds; else a kinematic finger.
+    /// Whether the arm strikes, in planning and in the true worlds; otherwise a kinematic finger does.
     pub arm: bool,
     /// Engine of the true worlds; the planner's own where there is none.
     pub engine: Option<TargetEngine>,
@@ -64,7 +64,7 @@ impl RobustBench {
         }
     }
 
-    /// Of everything but the seeds that the figures of a scene depend on.
+    /// Returns the hash of all inputs to a scene's figures except the seeds.
     fn hash(&self) -> Hash {
         let planners: BTreeMap<&String, String> =
             self.planners.iter().map(|(name, config)| (name, hash_serializable(config).0)).collect();
@@ -76,7 +76,7 @@ impl RobustBench {
         ))
     }
 
-    /// That the results of an earlier run or of another shard are of the same settings.
+    /// Checks that the results of an earlier run or of another shard have the same settings.
     ///
     /// # Errors
     /// [`InputError`] that names the file.
@@ -276,7 +276,7 @@ struct Running<'a> {
     bench: &'a RobustBench,
     scenes: &'a [PlanScene],
     queue: &'a Queue,
-    /// Of the true worlds.
+    /// Engine of the true worlds.
     engine: Option<&'a dyn WorldFactory>,
 }
 
@@ -336,7 +336,7 @@ impl Running<'_> {
         let action = &outcome.plan.action;
         let realised = worlds.realise(action, cancel)?;
         let invalid = realised.iter().filter(|v| v.is_none()).count();
-        // Where a true world cannot be believed, the shot is taken to have done nothing; the table counts such worlds.
+        // An invalid rollout counts as a shot without effect; the table counts such worlds.
         let initial = scene.task.initial_objective();
         let mut values: Vec<f64> = realised.iter().map(|v| v.unwrap_or(initial)).collect();
         let n = values.len().max(1) as f64;

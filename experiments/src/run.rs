@@ -202,7 +202,7 @@ fn measure(
     set("surface_recall_2p5mm", own.mean.recall);
     set("f1_2p5mm", own.mean.f1);
     set("surface_stray_share", stray_share(&points, &truth.truth_of));
-    // As far out as the entities stage samples.
+    // The sampling radius of the entities stage.
     let wide = disc_points(model, &x_tw, &DiscSampling { sigmas: 2.0, ..DiscSampling::default() });
     let wide = score_labelled(&wide, &truth.truth_of, &truth.surfaces, &truth.observed);
     set("wide_median_m", wide.mean.median_m);
@@ -245,7 +245,7 @@ fn measure(
     for ((i, _), shown) in truth.held_out.iter().zip(&shown) {
         write_view(&dir.join("views"), *i, shown)?;
     }
-    // Of the background, only points near objects: the rest would be most of the file.
+    // Background points far from objects are left out; they would be most of the file.
     let x_wt = x_tw.inverse();
     let kept: Vec<LabelledPoint> = points
         .iter()

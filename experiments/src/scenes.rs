@@ -213,7 +213,7 @@ pub fn models_dir() -> PathBuf {
     real_data_dir().join("meshes")
 }
 
-/// Where a scanned model lies.
+/// Returns the path of a scanned model.
 pub fn model_path(name: &str) -> PathBuf {
     models_dir().join(name).join("model.obj")
 }

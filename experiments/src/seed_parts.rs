@@ -18,7 +18,7 @@ pub fn merge_optimisers(bench: &OptimiserBench, each: &[Metrics]) -> Metrics {
             let mut set = |key: &str, value: f64| {
                 metrics.set(format!("bench.optimisers.{name}.{budget}.{key}"), value);
             };
-            // Of one seed, its value is the mean.
+            // A single seed has its value as the mean.
             let values = column(name, budget, "mean_m");
             set("mean_m", mean(&values));
             set("median_m", median(&values));

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// Version of the files; others are refused.
 const VERSION: u32 = 1;
-/// How the files' names end.
+/// Suffix of the file names.
 const ENDING: &str = ".shard.json";
 
 /// A part of a benchmark.
@@ -172,8 +172,8 @@ pub struct Merged {
     pub whole: Shard,
     /// The parts that are missing, as `2/4`.
     pub missing: Vec<String>,
-    /// How many builds of the program wrote them. Programs built on two machines are two builds of the same code, so more than
-    /// one is not an error.
+    /// Number of builds of the program that wrote the parts. The same code built on two machines gives two builds, so more
+    /// than one is not an error.
     pub builds: usize,
 }
 
@@ -216,7 +216,7 @@ pub fn merge_shards(paths: &[PathBuf]) -> Result<Merged, CoreError> {
     let Some((mut whole, _)) = whole else {
         return Err(InputError::new("nothing to merge", "merge", "give folders or files of parts").into());
     };
-    // Of the finest splitting: parts of another one may fill its gaps, and only the items would tell.
+    // Parts of the finest splitting; parts of a coarser one may fill its gaps, which only the items could show.
     let missing: Vec<String> = parts
         .iter()
         .flat_map(|(n, there)| (1..=*n).filter(|i| !there.contains(i)).map(move |i| format!("{i}/{n}")))
@@ -321,7 +321,7 @@ mod tests {
         write(dir.path(), (3, 3), settings(4, 0.5), &[]);
         let Merged { whole, missing, .. } = merge_shards(&[dir.path().to_owned()]).unwrap();
         assert!(missing.is_empty() && whole.part == (1, 1));
-        // Of another build of the same version.
+        // A part from another build of the same version.
         let mut other = Shard::load(&b).unwrap();
         assert_eq!(other.build.len(), 32, "the test's own executable can be read");
         other.build = "before".into();

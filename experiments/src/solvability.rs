@@ -1,4 +1,4 @@
-//! How a scene can be solved, found out by brute force in a target world: by a straight shot, or only by rebounds.
+//! Brute-force search, in a target world, for solutions of a scene by a straight shot or only by rebounds.
 
 use crate::BenchError;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! CPU time of a training step of a fixed scene, comparable between machines' runs and versions.
+//! CPU time of a training step on a fixed scene, to compare runs and versions.
 
 use sms_core::Seed;
 use sms_core::metrics::Metrics;
@@ -8,7 +8,7 @@ use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer, WALL_CLASSES, f
 /// Gaussians of the fixed scene.
 pub const STEP_GAUSSIANS: usize = 20_000;
 
-/// CPU milliseconds of one full training step with [`STEP_GAUSSIANS`] Gaussians at `width` × `height`, summed over
+/// Returns the CPU milliseconds of one full training step with [`STEP_GAUSSIANS`] Gaussians at `width` × `height`, summed over
 /// threads: the median of several short batches. The scene is [`fill_wall`]'s. `None` if the system
 /// does not report CPU times.
 pub fn fixed_step_cpu_ms(train: &TrainConfig, width: usize, height: usize) -> Option<f64> {

@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 
 /// Rows of the ablation.
 pub(super) const ROWS: [Row; 2] = [Row::Ours, Row::Robust];
-/// How far everything is moved to see whether a shot holds, metres: as well as a scan knows where things are.
+/// Displacement of all bodies in the test of a shot's stability, metres: the accuracy of positions in a scan.
 const NUDGE_M: f64 = 1e-3;
 
 /// The planner's engine at its own step.
@@ -129,7 +129,7 @@ fn replaced(
     })
 }
 
-/// The task with balls by name.
+/// Returns the task with the balls selected by name.
 fn billiards(task: &Task, cue: &str, target: &str) -> Task {
     match task {
         Task::Billiards(b) => Task::Billiards(Billiards {

@@ -74,7 +74,7 @@ pub struct BilliardsBench {
     pub material_prior: Vec<MaterialPrior>,
     /// Source of its geometry.
     pub geometry: BilliardsGeometry,
-    /// How scenes are scanned, and where scans are kept.
+    /// Settings and folder of the scans.
     pub scan: MaterializeOptions,
     /// Target worlds; the first is the judge of the ablation.
     pub engines: Vec<TargetEngine>,
@@ -84,11 +84,11 @@ pub struct BilliardsBench {
     pub starts: usize,
     /// Row `paper`; its number of starts is [`BilliardsBench::starts`].
     pub paper: PlanConfig,
-    /// How row `paper` makes bodies of the scan.
+    /// Settings of row `paper` for making bodies from the scan.
     pub paper_entities: EntitiesConfig,
     /// Row `ours`: each start is a whole plan with these settings from a seed of its own.
     pub ours: PlanConfig,
-    /// The one plan a scene that a user would carry out.
+    /// The single robust plan per scene that a user would execute.
     pub robust: PlanConfig,
     /// The paper's baseline.
     pub grid: GridBaseline,
@@ -96,7 +96,7 @@ pub struct BilliardsBench {
     pub ablation_starts: usize,
     /// The vision-language model, for the prior `vlm`.
     pub vlm: Option<Arc<Client>>,
-    /// Seed of all plans.
+    /// Random seed of all plans.
     pub seed: Seed,
     /// Folder of the results.
     pub out: PathBuf,

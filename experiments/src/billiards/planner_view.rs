@@ -105,7 +105,7 @@ pub(super) fn planner_view(
         BilliardsGeometry::Truth => {
             Billiards::new(Selector::by_name(&truth.cue), Selector::by_name(&truth.target), goal_w)
         }
-        // As a user would describe it.
+        // The balls as a user would describe them.
         BilliardsGeometry::Scan => {
             Billiards::new(Selector::sphere_of_color("white"), Selector::sphere_of_color("blue"), goal_w)
         }
@@ -132,7 +132,7 @@ pub(crate) fn forget_material(body: &mut Body) {
     if let Some(was) = body.mass.filter(|_| density > 0.0) {
         let rounded = |v: f64| f64::from((v / density) as f32) * prior.effective_density();
         let inertia = DMat3::from_cols_array(&was.inertia().to_cols_array().map(rounded));
-        // As possible an inertia as before, up to rounding.
+        // The scaled inertia is as valid as the previous one, up to rounding.
         body.mass = MassProperties::new(rounded(was.mass()), was.com(), inertia).ok();
     }
     body.material = prior;

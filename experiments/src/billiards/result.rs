@@ -68,19 +68,19 @@ pub struct BilliardsScene {
     pub matched: usize,
     /// Bodies of the planner's scene, fixed ones included, that match no object.
     pub strays: usize,
-    /// Why nothing could be planned.
+    /// Reason for which nothing could be planned.
     pub problem: Option<String>,
-    /// Why nothing could be planned in row `paper`, which builds its bodies differently.
+    /// Reason for which nothing could be planned in row `paper`, which builds its bodies differently.
     #[serde(default)]
     pub paper_problem: Option<String>,
     /// Plans of every row.
     pub plans: BTreeMap<Row, Vec<Shot>>,
-    /// Seconds of planning, by row.
+    /// Planning time by row, seconds.
     pub seconds: BTreeMap<Row, f64>,
     /// Realised objectives, metres, by the engine's name in metrics, in the order of `plans`; `None` where the engine could
     /// not finish the shot.
     pub realised: BTreeMap<String, BTreeMap<Row, Vec<Option<f64>>>>,
-    /// Why an engine could not finish a shot, by its name in metrics, row and place in `realised`.
+    /// Reasons for which an engine could not finish a shot, by its name in metrics, row and index in `realised`.
     #[serde(default)]
     pub unfinished: BTreeMap<String, BTreeMap<Row, Unfinished>>,
     /// Engines that could not be used, with the reason.

@@ -32,5 +32,5 @@ impl Row {
     }
 }
 
-/// Why shots of a row were not finished, by their place in it.
+/// Reasons for unfinished shots of a row, by their index in it.
 pub type Unfinished = BTreeMap<usize, String>;

@@ -35,32 +35,32 @@ pub(crate) struct BilliardsArguments {
     /// Source of the planner's geometry.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
-    /// Masks that the scans are given.
+    /// Masks of the scans.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: Masks,
-    /// How much work the scans are given (default: standard, with --quick draft).
+    /// Preset of the scans (default: standard, with --quick draft).
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Frames that are recorded of each scene (default: 60, with --quick 24).
+    /// Recorded frames per scene (default: 60, with --quick 24).
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
-    /// Heights of the camera's path in the recordings.
+    /// Heights of the camera path in the recordings.
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,
     /// Target engines (default: all that are built in).
     #[arg(long, value_enum, value_name = "ENGINES", value_delimiter = ',')]
     pub engines: Vec<EngineName>,
-    /// Rows that are planned (default: all).
+    /// Rows to plan (default: all).
     #[arg(long, value_enum, value_name = "ROWS", value_delimiter = ',')]
     pub rows: Vec<RowName>,
-    /// Plans of each of the rows `paper` and `ours` (default: 30, with --quick 6).
+    /// Number of plans for each of the rows `paper` and `ours` (default: 30, with --quick 6).
     #[arg(long, value_name = "N")]
     pub starts: Option<usize>,
     /// Attribute the loss between predicted and realised: shapes, poses, materials and engine are replaced by the truth one at a
     /// time, and STARTS starts (default: 8) are planned again with each.
     #[arg(long, value_name = "STARTS", num_args = 0..=1, default_missing_value = "8")]
     pub ablation: Option<usize>,
-    /// Seed of all plans.
+    /// Random seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// Three scenes, draft scans and plans: at most ten minutes.
@@ -69,10 +69,10 @@ pub(crate) struct BilliardsArguments {
     /// Folder of the results: a file for each scene, shots.parquet and results.json.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-billiards")]
     pub out: PathBuf,
-    /// Where recordings and scans are kept (default: the folder of the results).
+    /// Folder of recordings and scans (default: the folder of the results).
     #[arg(long, value_name = "DIR")]
     pub keep: Option<PathBuf>,
-    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    /// Scan again even if a kept scan exists (kept scans are not invalidated by code changes).
     #[arg(long)]
     pub rescan: bool,
     /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
@@ -89,11 +89,11 @@ pub(crate) struct BilliardsArguments {
 /// Planners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum RowName {
-    /// The paper's planner, in bodies made the paper's way.
+    /// The paper's planner, with bodies built as in the paper.
     Paper,
-    /// A small plan of ours from each start.
+    /// The planner of `sms` with a small budget from each start.
     Ours,
-    /// The one plan a scene that a user would carry out.
+    /// The single robust plan per scene that a user would execute.
     Robust,
     /// The paper's grid baseline.
     Grid,
@@ -151,7 +151,7 @@ pub(crate) fn run(console: &Console, a: &BilliardsArguments) -> anyhow::Result<(
     unanswered.map_or(Ok(()), |why| Err(why.into()))
 }
 
-/// Figures, table and pictures of all scenes of a run or of merged parts.
+/// Writes the figures, shots and pictures of all scenes of a run or of merged parts, and prints the table.
 fn show(
     console: &Console,
     found: &[BilliardsScene],
@@ -168,7 +168,7 @@ fn show(
     finish(console, &metrics, Some(&out.join("results.json")), text.trim_end())
 }
 
-/// The same of merged parts.
+/// Shows merged parts in the same way.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: &Path) -> anyhow::Result<()> {
     let mut found: Vec<BilliardsScene> = whole.values()?.into_iter().map(|(_, scene)| scene).collect();
     found.sort_by_key(|s| (s.material_prior, s.number));

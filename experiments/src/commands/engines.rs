@@ -11,10 +11,10 @@ pub(crate) struct EnginesArguments {
     /// Seeds of the generated billiards scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1006")]
     pub seeds: String,
-    /// How hard they are.
+    /// Family of the scenes.
     #[arg(long, value_enum, default_value = "open")]
     pub family: Family,
-    /// Shots a scene, the best of those that geometry suggests.
+    /// Shots per scene: the best of those found geometrically.
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub shots: usize,
     /// File for the results.

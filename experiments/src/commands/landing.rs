@@ -53,19 +53,19 @@ pub(crate) struct LandingArguments {
     /// Source of the planner's geometry.
     #[arg(long, value_enum, default_value = "scan")]
     pub geometry: Geometry,
-    /// Masks that the scans are given.
+    /// Masks of the scans.
     #[arg(long, value_enum, default_value = "geometry")]
     pub masks: Masks,
-    /// How much work the scans are given (default: standard).
+    /// Preset of the scans (default: standard).
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
-    /// Frames that are recorded of each structure (default: 60, with --quick 24).
+    /// Recorded frames per structure (default: 60, with --quick 24).
     #[arg(long, value_name = "N")]
     pub frames: Option<usize>,
     /// Target engine (default: physx where it is built in, else rapier).
     #[arg(long, value_enum)]
     pub engine: Option<EngineName>,
-    /// Seed of all plans.
+    /// Random seed of all plans.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// One structure, four starts, 24 frames, a smaller search, coarser air: four minutes on two cores.
@@ -74,10 +74,10 @@ pub(crate) struct LandingArguments {
     /// Folder of the results: a file for each flight, and results.json.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-landing")]
     pub out: PathBuf,
-    /// Where recordings and scans are kept (default: the folder of the results).
+    /// Folder of recordings and scans (default: the folder of the results).
     #[arg(long, value_name = "DIR")]
     pub keep: Option<PathBuf>,
-    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    /// Scan again even if a kept scan exists (kept scans are not invalidated by code changes).
     #[arg(long)]
     pub rescan: bool,
     /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
@@ -131,7 +131,7 @@ fn show(console: &Console, found: &[LandingFlight], out: Option<&PathBuf>) -> an
     finish(console, &landing_metrics(found), out, landing_table(found).trim_end())
 }
 
-/// The same of merged parts.
+/// Shows merged parts in the same way.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
     show(console, &flights_of(whole)?, out)
 }
@@ -150,7 +150,7 @@ fn part_with(
     Ok(shard)
 }
 
-/// The flights of parts, in the order of a run in one piece.
+/// Returns the flights of the parts in the order of a run without shards.
 fn flights_of(whole: &Shard) -> anyhow::Result<Vec<LandingFlight>> {
     let mut found: Vec<LandingFlight> = whole.values()?.into_iter().map(|(_, flight)| flight).collect();
     found.sort_by_key(|f| (f.material_prior, f.scene, f.draw, f.start));
@@ -236,7 +236,7 @@ fn stuck_text(stuck: &Stuck) -> String {
     )
 }
 
-/// A chooser among the candidates of geometry; it chooses nothing where there are none.
+/// A chooser among the geometric candidates; without candidates it chooses nothing.
 fn baseline(
     name: &str,
     variant: &str,
@@ -263,7 +263,7 @@ fn baseline(
     LandingBaseline { name: name.to_owned(), variant: variant.to_owned(), choose: Box::new(choose) }
 }
 
-/// A vision-language model that is shown the candidates. Its replies are kept beside the scans.
+/// A vision-language model that sees the candidates. Its replies are stored beside the scans.
 fn prompting(console: &Console, keep: &Path, seed: Seed) -> anyhow::Result<LandingBaseline<'static>> {
     let config = console.context.settings.section("vlm", sms_pipeline::settings::vlm_defaults())?;
     let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;

@@ -21,7 +21,7 @@ pub(crate) struct MasksArguments {
     /// ids such as fixed_08,stacked_box_on_stool,seq_shelf_tissue.
     #[arg(long, value_name = "IDS", default_value = "all")]
     pub scenes: String,
-    /// Frames that are recorded of each generated scene.
+    /// Recorded frames per generated scene.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
@@ -30,7 +30,7 @@ pub(crate) struct MasksArguments {
     /// Folder for results.json and a picture of each scene: colour, true labels, found labels.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Where rendered recordings are kept.
+    /// Folder of rendered recordings.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
     pub cache: PathBuf,
 }
@@ -89,7 +89,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     finish(console, &masks_metrics(&scores), out, masks_table(&scores).trim_end())
 }
 
-/// The scores of parts, in the order of a run in one piece.
+/// Returns the scores of the parts in the order of a run without shards.
 fn scores_of(whole: &Shard) -> anyhow::Result<Vec<Scored>> {
     let usual: Vec<String> = select_mask_scenes("all")?.iter().map(BenchScene::to_string).collect();
     let mut all: Vec<(&str, (MaskScores, f64))> = whole.values()?;

@@ -21,19 +21,19 @@ pub(crate) struct MaterializeArguments {
     /// Generated scenes of ten objects with these seeds.
     #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
     pub seeds: Vec<u64>,
-    /// How much work the scans are given.
+    /// Preset of the scans.
     #[arg(long, value_enum, default_value = "standard")]
     pub preset: PresetName,
-    /// Masks that the scans are given.
+    /// Masks of the scans.
     #[arg(long, value_enum, default_value = "auto")]
     pub masks: MaskChoiceName,
-    /// Frames that are recorded of each object.
+    /// Recorded frames per object.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
     /// Folder of kept scans, of their recordings (recordings/) and of the meshes.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-meshes")]
     pub keep: PathBuf,
-    /// Scan again even where a scan is kept (kept scans do not know that the scan's code has changed).
+    /// Scan again even if a kept scan exists (kept scans are not invalidated by code changes).
     #[arg(long)]
     pub rescan: bool,
     /// Device of the scans; `auto` here means the CPU, so that figures stay comparable.
@@ -51,7 +51,7 @@ pub(crate) struct MaterializeArguments {
     /// Print a Markdown table.
     #[arg(long)]
     pub markdown: bool,
-    /// Measure nothing: print the table of earlier results (--out, or the output of --json).
+    /// Print the table of earlier results without measuring (--out, or the output of --json).
     #[arg(long, value_name = "FILE")]
     pub table: Option<PathBuf>,
 }
@@ -59,9 +59,9 @@ pub(crate) struct MaterializeArguments {
 /// Masks of generated scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum MaskChoiceName {
-    /// By geometry; the true ones for objects longer than its settings allow (`masks.max_object_m`).
+    /// From geometry; the true ones for objects longer than its settings allow (`masks.max_object_m`).
     Auto,
-    /// By geometry, as `sms scan` makes them.
+    /// From geometry, as in `sms scan`.
     Geometry,
     /// The true ones.
     Truth,
@@ -129,7 +129,7 @@ pub(crate) fn run(console: &Console, a: &MaterializeArguments) -> anyhow::Result
 
 /// Figures and table of merged parts.
 pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf>) -> anyhow::Result<()> {
-    // In the order of a run in one piece.
+    // The order of a run without shards.
     let models = MODELS.iter().map(|m| BenchScene::Model((*m).to_owned()));
     let seeds = whole.items.keys().filter_map(|k| Some(BenchScene::Ten(k.rsplit('_').next()?.parse().ok()?)));
     let mut scenes: Vec<BenchScene> = models.chain(seeds).collect();

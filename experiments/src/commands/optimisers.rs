@@ -14,7 +14,7 @@ pub(crate) struct OptimisersArguments {
     /// Seeds of the generated billiards scenes, such as 1001..1012 or 1,2,7 (tune on seeds of 1000 and above only).
     #[arg(long, value_name = "SEEDS", default_value = "1001..1012")]
     pub seeds: String,
-    /// How hard they are.
+    /// Family of the scenes.
     #[arg(long, value_enum, default_value = "crowded")]
     pub family: Family,
     /// Budgets: simulated shots per search.
@@ -26,7 +26,7 @@ pub(crate) struct OptimisersArguments {
     /// Only every n-th seed, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Let the arm strike, which cannot make every strike, in place of a kinematic finger.
+    /// Strike with the arm, which cannot make every strike, instead of a kinematic finger.
     #[arg(long)]
     pub arm: bool,
     /// File for the results.

@@ -7,16 +7,16 @@ use sms_eval::closed_form::{Statistic, probes};
 use sms_sim::WorldFactory;
 use sms_target::engine_factories;
 
-/// The planner's engine: its figures must be within the limits. Those of the targets are shown as they are
-/// (experiments/studies/target.md explains the misses).
+/// The planner's engine, whose figures must be within the limits. Targets may miss them (experiments/studies/target.md
+/// explains why).
 const PLANNER: &str = "rapier";
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct PhysicsArguments {
-    /// Only experiments with this in their names.
+    /// Run only experiments whose name contains this text.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub only: String,
-    /// Only engines with this in their names.
+    /// Run only engines whose name contains this text.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub engine: String,
 }

@@ -14,7 +14,7 @@ pub(crate) struct PlanArguments {
     /// Seeds of the generated billiards scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1003")]
     pub seeds: String,
-    /// How hard they are.
+    /// Family of the scenes.
     #[arg(long, value_enum, default_value = "open")]
     pub family: Family,
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.

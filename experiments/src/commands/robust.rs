@@ -17,7 +17,7 @@ pub(crate) struct RobustArguments {
     /// Seeds of the generated billiards scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1012")]
     pub seeds: String,
-    /// How hard they are.
+    /// Family of the scenes.
     #[arg(long, value_enum, default_value = "crowded")]
     pub family: Family,
     /// The planner's knowledge of the true materials.
@@ -29,11 +29,11 @@ pub(crate) struct RobustArguments {
     /// Shots of the search in the true world itself, for the regret; 0 leaves it out.
     #[arg(long, value_name = "N", default_value_t = 4000)]
     pub oracle: usize,
-    /// Robust planners to compare: a TOML file with one table a planner, each with keys of `[plan]` (default: the
+    /// Robust planners to compare: a TOML file with one table per planner, each with keys of `[plan]` (default: the
     /// planner's settings). Nominal planning costs as much as the first.
     #[arg(long, value_name = "FILE")]
     pub planners: Option<PathBuf>,
-    /// Let the arm strike, in planning and in the true worlds, in place of a kinematic finger.
+    /// Plan and execute with the arm instead of a kinematic finger.
     #[arg(long)]
     pub arm: bool,
     /// Engine of the true worlds; the planner's own is rapier.

@@ -19,7 +19,7 @@ use std::process::Stdio;
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct ScanArguments {
-    /// How much work to spend.
+    /// Preset of the scans.
     #[arg(long, value_enum, default_value = "standard")]
     pub preset: PresetName,
     /// `all` (ten seeds and the real recordings), `real`, a number of seeds, or ids such as 1003,seq_tabletop_bin.
@@ -31,7 +31,7 @@ pub(crate) struct ScanArguments {
     /// Only every n-th scene, from the i-th (i/n, from 1); for `sms-experiments merge`.
     #[arg(long, value_name = "I/N", requires = "out")]
     pub shard: Option<String>,
-    /// Frames that are recorded of each generated scene.
+    /// Recorded frames per generated scene.
     #[arg(long, value_name = "N", default_value_t = FRAMES)]
     pub frames: usize,
     /// Disturb every pose: root mean square shift and turn, such as 10mm,0.5deg.
@@ -40,7 +40,7 @@ pub(crate) struct ScanArguments {
     /// Add white depth noise of this standard deviation at 1 m, such as 2mm (it grows with the square of depth).
     #[arg(long, value_name = "LENGTH")]
     pub depth_noise: Option<String>,
-    /// Share of the depth pixels that are lost at random.
+    /// Share of depth pixels removed at random.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub missing: f64,
     /// Shift of colour against depth, pixels of the loaded frames.
@@ -52,10 +52,10 @@ pub(crate) struct ScanArguments {
     /// Device of the scan; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
-    /// Neither make nor measure meshes.
+    /// Skip meshes.
     #[arg(long)]
     pub no_meshes: bool,
-    /// Measure time and memory alone.
+    /// Measure time and memory only.
     #[arg(long)]
     pub no_quality: bool,
     /// Folder for results.json and, for each scene, scene.ply, metrics.json, objects.json and panel.png.
@@ -64,7 +64,7 @@ pub(crate) struct ScanArguments {
     /// results.json (or the output of --json) of an earlier run, to print ratios to.
     #[arg(long, value_name = "FILE")]
     pub compare: Option<PathBuf>,
-    /// Where rendered recordings are kept.
+    /// Folder of rendered recordings.
     #[arg(long, value_name = "DIR", default_value = "runs/bench-recordings")]
     pub cache: PathBuf,
     /// Scan nothing; write for each scene the input of other programs (frames, masks, poses, and the truth apart) to DIR.
@@ -172,7 +172,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
     show_scans(console, metrics, &scenes, &whole.setting::<String>("preset")?, None, out)
 }
 
-/// Whether the scene's data is missing.
+/// Returns whether the data of the scene is missing.
 fn is_absent(scene: &BenchScene) -> bool {
     match scene {
         BenchScene::Billiards(_)
@@ -252,7 +252,7 @@ fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions>
     })
 }
 
-/// Each scene in a process of its own, so that peak memory and CPU time are the scene's.
+/// Runs each scene in its own process, so that peak memory and CPU time are those of the scene.
 fn run_children(
     console: &Console,
     scenes: &[BenchScene],

@@ -8,7 +8,7 @@ use sms_core::{CoreError, InputError};
 use sms_experiments::{BenchOptions, BilliardsGeometry, MaskChoice, MaterialPrior, SceneFamily, Shard};
 use std::path::{Path, PathBuf};
 
-/// How hard the scenes of a planner's benchmark are.
+/// Family of the scenes in a planner's benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Family {
     /// The paper's: free corridors from cue to target ball to goal, cut of at most 35°.
@@ -32,11 +32,11 @@ impl Family {
 /// The planner's knowledge of materials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PriorName {
-    /// The true class with the handbook's values.
+    /// The handbook's values for the true class.
     Class,
-    /// The true values with the errors that vision-language models make.
+    /// The true values with errors like those of vision-language models.
     Noisy,
-    /// Nothing.
+    /// No knowledge: the prior.
     Prior,
     /// The truth.
     Truth,
@@ -56,7 +56,7 @@ impl PriorName {
     }
 }
 
-/// Where geometry comes from.
+/// Source of geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Geometry {
     /// A scan of a generated recording.
@@ -68,7 +68,7 @@ pub(crate) enum Geometry {
 /// Masks of scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Masks {
-    /// By geometry, as `sms scan` makes them.
+    /// From geometry, as in `sms scan`.
     Geometry,
     /// The true ones.
     Truth,

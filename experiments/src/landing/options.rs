@@ -63,7 +63,7 @@ pub struct LandingBench<'a> {
     pub part: (usize, usize),
     /// Source of the planner's geometry.
     pub geometry: BilliardsGeometry,
-    /// How scenes are scanned, and where scans are kept.
+    /// Settings and folder of the scans.
     pub scan: MaterializeOptions,
     /// Target world.
     pub engine: TargetEngine,
@@ -71,7 +71,7 @@ pub struct LandingBench<'a> {
     pub settings: LandingSettings,
     /// Planners to compare with; they use materials `class` only.
     pub baselines: Vec<LandingBaseline<'a>>,
-    /// Seed of all plans.
+    /// Random seed of all plans.
     pub seed: Seed,
     /// Folder of the results.
     pub out: PathBuf,

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 pub struct LandingPlanned {
     /// The landing flown; `None` if the planner found none, which is a failure.
     pub action: Option<LandingAction>,
-    /// Why nothing was planned.
+    /// Reason for which no landing was planned.
     pub problem: Option<String>,
     /// Variant of the chooser (the model that was asked); empty if there is only one.
     #[serde(default)]
@@ -23,7 +23,7 @@ pub struct LandingPlanned {
     pub predicted: Option<f64>,
     /// Whether it succeeds in the target.
     pub success: bool,
-    /// Why not, in words.
+    /// Reason for the failure, in words.
     pub failure: Option<String>,
     /// The kind of failure.
     pub failure_kind: Option<String>,

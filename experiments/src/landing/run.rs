@@ -26,7 +26,7 @@ const ENOUGH: f64 = 1.0;
 struct LandingView {
     scene: Scene,
     matched: usize,
-    /// Why nothing can be planned in it.
+    /// Reason for which no landing can be planned.
     refused: Option<String>,
 }
 
@@ -83,9 +83,9 @@ pub struct LandingScan {
     pub held: Vec<RestingDrift>,
     /// Bodies that have to stay fixed for another one's sake.
     pub stuck: Option<Stuck>,
-    /// Why it cannot be landed on: it falls by itself.
+    /// Reason for which no landing is possible: the structure falls by itself.
     pub falling: Option<String>,
-    /// How the structure stands and when it tips; `None` where there is no surface to land on.
+    /// Stability and tipping loads of the structure; `None` without a surface to land on.
     pub standing: Option<Standing>,
 }
 

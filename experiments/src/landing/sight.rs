@@ -15,7 +15,7 @@ use std::cell::OnceCell;
 pub struct LandingSight<'a> {
     /// The task in the planner's scene.
     pub landing: &'a ResolvedLanding,
-    /// That scene.
+    /// The planner's scene.
     pub scene: &'a Scene,
     /// Seed of the choice.
     pub seed: Seed,

@@ -17,13 +17,13 @@ const MOST_N: f64 = 35.0;
 /// Smallest load straight down at a point of the platform that topples the structure, newtons; infinite if none does.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EdgeLoad {
-    /// The point, in the world of the truth, metres.
+    /// Position of the load in the true world, metres.
     pub p_w: DVec2,
-    /// By statics of the true contacts.
+    /// Load from the statics of the true contacts.
     pub truth_n: f64,
-    /// In the planner's world, with the masses of its prior.
+    /// Load in the planner's world with the masses of its prior.
     pub planner_n: f64,
-    /// In the planner's world with the true masses: the rest of the error is geometry.
+    /// Load in the planner's world with the true masses; its error is due to geometry.
     pub true_masses_n: f64,
 }
 
@@ -43,13 +43,13 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// Relative error of the load at the overhang's end, with the prior's masses and with the true ones; infinite if no load
-    /// tips it.
+    /// Returns the relative errors of the load at the overhang's end, with the prior's masses and with the true ones; infinite
+    /// if no load tips it.
     pub fn end_errors(&self) -> Option<[f64; 2]> {
         self.end.as_ref().map(EdgeLoad::errors)
     }
 
-    /// The largest such errors of all points.
+    /// Returns the largest of these errors over all points.
     pub fn worst_errors(&self) -> Option<[f64; 2]> {
         let worst = |a: [f64; 2], b: [f64; 2]| {
             let larger = |i: usize| if b[i].abs() > a[i].abs() { b[i] } else { a[i] };

@@ -76,7 +76,7 @@ pub fn run_materialize(
             }
         }
         _ => {
-            // Of scenes with several objects each, and the mean over them.
+            // Figures of each object in the scene, and the mean over them.
             for object in &measured {
                 if let Some(entity) = object.entity.map(|i| &set.entities[i]) {
                     metrics.set(format!("{prefix}{}.shape", object.name), shape_name(&entity.shape));

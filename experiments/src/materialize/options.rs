@@ -28,7 +28,7 @@ pub struct MaterializeOptions {
     pub bench: BenchOptions,
     /// Masks; decides instead of `bench.true_masks`.
     pub masks: MaskChoice,
-    /// Where scans and resulting meshes are kept.
+    /// Folder of scans and their meshes.
     pub keep: PathBuf,
     /// Whether scans are made again even if they are there.
     pub rescan: bool,

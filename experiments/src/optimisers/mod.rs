@@ -79,7 +79,7 @@ impl Entrant {
 pub struct OptimiserBench {
     /// Seeds of the scenes.
     pub seeds: Vec<u64>,
-    /// How hard they are.
+    /// Family of the scenes.
     pub family: SceneFamily,
     /// Budgets, rollouts.
     pub evaluations: Vec<usize>,
@@ -128,7 +128,7 @@ struct Best {
 fn with_budget(config: &PlanConfig, budget: usize) -> PlanConfig {
     let mut config = PlanConfig { evaluations: budget, ..config.clone() };
     if config.method == Method::MultiStart {
-        // As many of the paper's searches as the budget holds.
+        // The number of the paper's searches that fit into the budget.
         config.starts = (budget / PAPER_SEARCH).clamp(1, config.starts);
     }
     config
