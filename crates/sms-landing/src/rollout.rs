@@ -11,7 +11,7 @@ use sms_core::{Aabb, Interval, Property, PropertySource};
 use sms_robots::{Flight, Rotor};
 use sms_scene::{Body, Scene, example_material};
 use sms_sim::{
-    BodyId, BodyState, Impossible, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions,
+    BodyId, BodyState, PhysicsViolation, SimError, Simulation, WashInWorld, WorldFactory, WorldOptions,
     wash_surfaces,
 };
 use sms_task::{BodyTrack, Trajectory};
@@ -164,7 +164,7 @@ impl LandingWorld {
             return Err(SimError::Unphysical {
                 engine: self.simulation.engine(),
                 time_s: 0.0,
-                why: Impossible::Other("a used world of this engine cannot be restored".to_owned()),
+                why: PhysicsViolation::Other("a used world of this engine cannot be restored".to_owned()),
             }
             .into());
         }

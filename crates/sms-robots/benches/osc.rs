@@ -7,7 +7,7 @@ use glamx::{DPose3, DVec3};
 use sms_core::Mesh;
 use sms_robots::{
     ArmSim, FIST_HALF, IkConfig, IkTarget, LinkShape, MAX_JOINTS, Obstacle, ObstacleShape, Osc, OscConfig,
-    RobotModel, StrikeConfig, Sweep, Workspace, check_strike, floor, hold_reference, plan_strike, plan_sweep,
+    RobotModel, StrikeConfig, Sweep, ToolReference, Workspace, check_strike, floor, plan_strike, plan_sweep,
 };
 use std::hint::black_box;
 use std::time::Duration;
@@ -29,7 +29,8 @@ fn benches(c: &mut Criterion) {
     let q = [0.3, 0.4, -0.2, -1.9, 0.1, 2.2, 0.6];
     let qd = [0.5, -0.4, 0.3, 0.8, -0.6, 0.2, 0.1];
     let tau = [3.0; 7];
-    let reference = hold_reference(&model, &q, &mut ws);
+    model.forward_kinematics(&q, &mut ws);
+    let reference = ToolReference::at_rest(model.frame_pose(model.tool(), &ws));
     let mut osc = Osc::new(OscConfig::default(), &q, &tau);
     c.bench_function("osc step", |b| b.iter(|| osc.step(&model, black_box(&q), &qd, &reference)));
     let mut out = [0.0; MAX_JOINTS];

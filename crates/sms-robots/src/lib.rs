@@ -39,14 +39,11 @@ pub mod autopilot;
 mod vehicle;
 
 pub use arm::{
-    ArmSim, ArmStrike, CheckItem, CheckKind, Clearance, ContactTracking, DIRECTION_TOLERANCE_RAD, FIST_HALF,
-    FR3_HOME, FR3_URDF, FRICTION_SPEED, Frame, FrameId, GRAVITY_W, Hold, IkConfig, IkSolution, IkTarget,
-    Infeasible, Jacobian, Joint, JointKind, JointLimits, JointMotion, JointProgram, JointSample, JointVector,
-    LENGTH_M, LimitKind, LinePath, LinkCollision, LinkShape, MAX_JOINTS, MassMatrix, Obstacle, ObstacleShape,
-    OffChain, Osc, OscConfig, OscOutput, PROGRAM_VERSION, Phase, ProgramPoint, RobotConfig, RobotModel,
-    SEGMENT_M, SPEED_TOLERANCE, StrikeCheck, StrikeConfig, StrikeError, StrikePlan, Sweep, SweepDrive,
-    SweepPath, SweepPlan, SweepProfile, ToolPath, ToolReference, Tracking, Unreachable, UrdfOptions, Use,
-    Uses, Workspace, check_strike, floor, hold_reference, joint_friction, joint_move, minimum_jerk,
-    motor_torques, obstacles, plan_startable_sweep, plan_strike, plan_sweep, roll_out, simulate_sweep,
+    ArmSim, ArmStrike, CheckKind, FIST_HALF, FR3_URDF, FrameId, IkConfig, IkSolution, IkTarget, Infeasible,
+    Jacobian, Joint, JointKind, JointMotion, JointProgram, JointVector, LimitKind, LinkFrame, LinkShape,
+    MAX_JOINTS, Obstacle, ObstacleShape, OffChain, Osc, OscConfig, Phase, RobotConfig, RobotModel, SEGMENT_M,
+    StrikeCheck, StrikeConfig, StrikeError, StrikePlan, Sweep, SweepDrive, SweepPlan, SweepProfile, ToolPath,
+    ToolReference, Tracking, Unreachable, UrdfOptions, Use, Uses, Workspace, check_strike, floor,
+    joint_friction, obstacles, plan_startable_sweep, plan_strike, plan_sweep, simulate_sweep,
 };
-pub use vehicle::{BezierPath, Flight, FlightSettings, FlightState, Quadrotor, Rotor, VehicleError};
+pub use vehicle::{BezierPath, Flight, FlightSettings, Quadrotor, Rotor, VehicleError};

@@ -1,9 +1,9 @@
 //! Time of a billiards rollout: 4 s in 1600 steps, 8 obstacles of 8 hulls each, two balls and the finger.
 //!
-//! Prints mean milliseconds of one core's time per rollout, the cost of building and of returning to a snapshot, and
-//! what contact timing costs. `cargo bench -p sms-sim`.
+//! Prints mean milliseconds of one core's time per rollout, the cost of building and of restoring a snapshot, and the cost of
+//! contact timing. `cargo bench -p sms-sim`.
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/it/common.rs"]
 mod common;
 
 use common::{G, R, ball, floor, material, scene};
@@ -68,8 +68,8 @@ fn billiards() -> Scene {
 
 const REPEATS: u32 = 15;
 
-/// Seconds that this thread has computed, where the system tells (Linux), so that other programs do not count; else
-/// the wall clock.
+/// CPU seconds of this thread where the system reports them (Linux), so that other programs do not count; otherwise the
+/// wall clock.
 fn thread_seconds(started: Instant) -> f64 {
     std::fs::read_to_string("/proc/thread-self/schedstat")
         .ok()

@@ -1,7 +1,7 @@
 //! One evaluation of a landing: five seconds of flight over a structure in Rapier f32, with each model of wash. CPU seconds are
 //! those of all threads of the process.
 //!
-//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …] [emitters=FILE]`; the file tells another program what the propellers did
+//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …] [emitters=FILE]`; the file passes the propellers' motion to another program
 //! (`benches/peers/genesis_wash.py`).
 
 use glamx::{DPose3, DVec3};
@@ -44,7 +44,7 @@ fn structure() -> Result<Scene, Box<dyn Error>> {
     })
 }
 
-/// CPU time of the process, seconds, where the system tells.
+/// CPU time of the process, seconds, if the system reports it.
 fn cpu_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
@@ -52,7 +52,7 @@ fn cpu_s() -> f64 {
     (ticks(11) + ticks(12)) / 100.0
 }
 
-/// What the propellers did: in each step their centres (x, y, z, metres), where there was wash.
+/// Centres of the propellers (x, y, z, metres) in each step with wash.
 type Blown = Vec<Option<Vec<DVec3>>>;
 
 fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<Blown, Box<dyn Error>> {

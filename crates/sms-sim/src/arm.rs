@@ -1,15 +1,15 @@
-//! The arm in a world: the engine sees the tool alone, as a body of the mass that the arm has there.
+//! The arm in a world: the engine simulates the tool alone, as a body with the arm's effective mass.
 //!
-//! In each step the arm moves on under its torques; the tool's body starts where the arm was, with the speed that leads
-//! to where it will be. What the engine changes of that speed, times the body's mass, is the impulse that was received,
-//! and the joints take it as q̇ += M⁻¹ Jᵀ p. With the mass 1/(nᵀ J M⁻¹ Jᵀ n) of the touched point along the normal n, which
-//! contact timing knows just before a touch, tool and body have the same speed along n afterwards: what is struck feels
-//! the whole arm, and momentum and energy are neither made nor lost. Across n, and where a touch was not foreseen (a box,
-//! a ball that creeps), the mass along the sweep is taken; momentum balances all the same.
+//! In each step the arm advances under its torques. The tool's body starts at the arm's pose, with the velocity that leads
+//! to the arm's next pose. The engine's change of that velocity, times the body's mass, is the received impulse, which the
+//! joints take as q̇ += M⁻¹ Jᵀ p. Contact timing knows the touched point just before a touch; with the effective mass
+//! 1/(nᵀ J M⁻¹ Jᵀ n) of that point along the normal n, tool and body have the same speed along n afterwards: the struck body
+//! feels the whole arm, and momentum and energy are conserved. Across n, and for unforeseen touches (a box, a creeping
+//! ball), the mass along the sweep is used; momentum is conserved all the same.
 //!
-//! An engine's own joints were the alternative. They would have to be set up for every engine behind [`World`], with
-//! rotors, friction and inertia at the mercy of its solver; this needs one kind of body of an engine, and the arm in every
-//! engine is the one that is tested against Pinocchio.
+//! The alternative, an engine's own joints, would have to be set up for every engine behind [`World`], and rotors, friction
+//! and inertia would depend on its solver. This needs one kind of body, and the arm in every engine is the one that is
+//! tested against Pinocchio.
 
 use crate::{BodyId, BodyState, KinematicShape, World};
 use glamx::{DPose3, DQuat, DVec3};
@@ -20,15 +20,15 @@ use sms_robots::{ArmStrike, SweepDrive};
 pub(crate) struct ArmInWorld {
     drive: SweepDrive,
     state: BodyState,
-    /// The touch for which the next step is made: where on the tool, and in which direction.
+    /// The touch expected in the next step: point on the tool and direction.
     touch: Option<(DVec3, DVec3)>,
-    /// Of the next step.
+    /// Acceleration in the next step.
     acceleration_w: DVec3,
     mass: f64,
     speed_before_w: DVec3,
-    /// Sum of the impulses received, N·s.
+    /// Sum of the received impulses, N·s.
     impulse_w: DVec3,
-    /// Energy that was given to what was touched, J.
+    /// Energy given to touched bodies, J.
     work_j: f64,
 }
 
@@ -55,27 +55,27 @@ impl ArmInWorld {
         self.drive.strike().duration_s()
     }
 
-    /// Where the tool is, and how it moves.
+    /// State of the tool.
     pub(crate) fn state(&self) -> BodyState {
         self.state
     }
 
-    /// Says that the next step is one in which a touch is expected.
+    /// Announces a touch in the next step.
     pub(crate) fn expect(&mut self, point_w: DVec3, normal_w: DVec3) {
         self.touch = Some((point_w, normal_w));
     }
 
-    /// Acceleration of the tool, where it is not touched, m/s²; see [`Self::look_ahead`].
+    /// Acceleration of the free tool, m/s²; see [`Self::look_ahead`].
     pub(crate) fn acceleration_w(&self) -> DVec3 {
         self.acceleration_w
     }
 
-    /// Works out the tool's acceleration from now on.
+    /// Computes the tool's current acceleration.
     pub(crate) fn look_ahead(&mut self) {
         self.acceleration_w = self.drive.tool_acceleration();
     }
 
-    /// Moves the arm on until `until_s` seconds after its start and hands the tool to the engine for that step of `dt`.
+    /// Advances the arm to `until_s` seconds after its start and passes the tool to the engine for that step of `dt`.
     pub(crate) fn before_step(&mut self, world: &mut dyn World, body: BodyId, until_s: f64, dt: f64) {
         let from = self.state.x_wb;
         self.mass = match self.touch {
@@ -87,11 +87,11 @@ impl ArmInWorld {
         let to = self.state.x_wb;
         let v_w = (to.translation - from.translation) / dt;
         world.set_tool(body, &BodyState { x_wb: from, v_w, w_w: turn(&from, &to) / dt }, self.mass);
-        // As the engine has it, rounded.
+        // The engine's rounded value.
         self.speed_before_w = world.state(body).v_w;
     }
 
-    /// Takes what the tool received in a step of `dt`; its state after it.
+    /// Applies the impulse of a step of `dt` to the arm and returns the tool's state after it.
     pub(crate) fn after_step(&mut self, world: &dyn World, body: BodyId, dt: f64) -> BodyState {
         let impulse_w = self.mass * (world.state(body).v_w - self.speed_before_w);
         let touch = self.touch.take();
@@ -105,7 +105,7 @@ impl ArmInWorld {
         self.state
     }
 
-    /// Takes the arm out of the world.
+    /// Removes the arm from the world.
     pub(crate) fn park(&mut self) {
         self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
         (self.state.v_w, self.state.w_w) = (DVec3::ZERO, DVec3::ZERO);
@@ -129,7 +129,7 @@ fn state_of(drive: &mut SweepDrive) -> BodyState {
     BodyState { x_wb, v_w, w_w }
 }
 
-/// The rotation from one attitude to another, as a vector.
+/// The rotation from one attitude to another as a vector.
 fn turn(from: &DPose3, to: &DPose3) -> DVec3 {
     let q: DQuat = to.rotation * from.rotation.inverse();
     if q.w < 0.0 { (-q).to_scaled_axis() } else { q.to_scaled_axis() }

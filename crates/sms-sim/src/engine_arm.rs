@@ -1,10 +1,10 @@
-//! An arm that is an articulation of the engine: the controller of [`crate::arm`]'s arm, with the engine's own joints.
+//! An arm as an articulation of the engine: the controller of [`crate::arm`] on the engine's own joints.
 
 use crate::{BodyId, BodyState, KinematicShape, World};
 use sms_robots::{ArmStrike, MAX_JOINTS, Osc, ToolPath, Workspace};
 use std::sync::Arc;
 
-/// Steps that begin this much before a control period do so at its beginning, seconds.
+/// Tolerance for the start of a control period, seconds.
 const TICK_S: f64 = 1e-6;
 
 /// The controller of an engine's arm.
@@ -37,7 +37,7 @@ impl EngineArm {
         self.state
     }
 
-    /// Sets the torques for a step from `from_s` on, seconds since the start. They are decided anew in each control period.
+    /// Sets the torques for a step from `from_s` seconds after the start. They are recomputed in each control period.
     pub(crate) fn before_step(&mut self, world: &mut dyn World, body: BodyId, from_s: f64) {
         let (n, period) = (self.strike.model.dof(), self.strike.osc.period_s);
         let (mut q, mut qd) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
@@ -55,7 +55,7 @@ impl EngineArm {
         self.state
     }
 
-    /// Takes the arm out of the world.
+    /// Removes the arm from the world.
     pub(crate) fn park(&mut self) {
         self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
         (self.state.v_w, self.state.w_w) = (glamx::DVec3::ZERO, glamx::DVec3::ZERO);

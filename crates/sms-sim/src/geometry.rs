@@ -1,4 +1,4 @@
-//! Our own collision shapes, the same for every engine: where a ball is about to hit, and what it rests on.
+//! Collision shapes for contact timing and rolling resistance, independent of the engine.
 
 use crate::{BodyState, KinematicShape, SimError, StrikerMotion};
 use glamx::{DPose3, DQuat, DVec3};
@@ -7,15 +7,15 @@ use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, Segment, TriMesh};
 use sms_core::{Aabb, Mesh};
 use sms_scene::{Body, BodyShape};
 
-/// A shape in its body's frame.
-pub(crate) enum Part {
-    /// Below z = 0.
+/// A convex part, half space or mesh in its body's frame.
+pub(crate) enum CollisionPart {
+    /// The half space z < 0.
     HalfSpace,
     Sphere(f64),
     Convex(ConvexPolyhedron),
     Mesh(TriMesh),
     Cuboid(Cuboid),
-    /// Along z.
+    /// A cylinder along z.
     Cylinder {
         radius: f64,
         half_length: f64,
@@ -23,7 +23,7 @@ pub(crate) enum Part {
     Capsule(Segment, f64),
 }
 
-impl Part {
+impl CollisionPart {
     /// The point of the surface nearest to `p`, and whether `p` is inside.
     pub(crate) fn nearest(&self, p: DVec3) -> (DVec3, bool) {
         let around = |center: DVec3, radius: f64| {
@@ -41,9 +41,9 @@ impl Part {
         }
     }
 
-    /// How deep `p` is inside, from the nearest point of the surface; negative outside. A mesh has no inside.
+    /// Depth of `p` below the surface, negative outside. A mesh has no inside.
     pub(crate) fn depth(&self, p: DVec3) -> f64 {
-        // `nearest` takes a point inside of a hull or a box for its own nearest.
+        // `nearest` returns a point inside of a hull or a box unchanged.
         let (nearest, inside) = match self {
             Self::Convex(s) => projected(s.project_local_point(p, false)),
             Self::Cuboid(s) => projected(s.project_local_point(p, false)),
@@ -52,12 +52,12 @@ impl Part {
         if inside { p.distance(nearest) } else { -p.distance(nearest) }
     }
 
-    /// Whether the plane through a nearest point has the whole shape on one side.
+    /// Whether the plane through a nearest point bounds the whole shape.
     pub(crate) fn is_convex(&self) -> bool {
         !matches!(self, Self::Mesh(_))
     }
 
-    /// Corners of the part, for looking whether they are inside of another body; none of what has none.
+    /// Corners of the part, for inside tests against other bodies; none for round parts.
     fn corners(&self) -> Vec<DVec3> {
         match self {
             Self::HalfSpace | Self::Sphere(_) | Self::Mesh(_) => Vec::new(),
@@ -68,7 +68,7 @@ impl Part {
         }
     }
 
-    /// A ball inside of the part: centre and radius. None of what has no inside, or no end.
+    /// A ball inside the part: centre and radius. `None` for meshes and half spaces.
     fn inner_ball(&self) -> Option<(DVec3, f64)> {
         let center = match self {
             Self::HalfSpace | Self::Mesh(_) => return None,
@@ -80,7 +80,7 @@ impl Part {
         (radius > 0.0).then_some((center, radius))
     }
 
-    /// A sphere that holds the part: centre and radius.
+    /// A bounding sphere of the part: centre and radius.
     fn bounds(&self) -> (DVec3, f64) {
         let around = |points: &[DVec3]| {
             let center = Aabb::of_points(points.iter().copied()).map_or(DVec3::ZERO, |b| b.center());
@@ -114,8 +114,8 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
     (p.point, p.is_inside)
 }
 
-/// Distance of a point of the world from a body, metres; negative by the depth inside of it. A mesh has no inside. Infinite
-/// for a body without a usable shape.
+/// Distance of a world point from a body, metres; negative inside. A mesh has no inside. Infinite for a body without a
+/// usable shape.
 pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
     let p = body.x_wb.inverse_transform_point(p_w);
     BodyGeometry::of_body(body)
@@ -125,9 +125,9 @@ pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
 /// The shapes of a body.
 pub(crate) struct BodyGeometry {
     parts: Vec<BoundedPart>,
-    /// Radius of a sphere about the body's origin that holds it; infinite for a half space.
+    /// Radius of the bounding sphere about the body's origin; infinite for a half space.
     pub(crate) bounding_radius: f64,
-    /// Box in the body's frame that holds it.
+    /// Bounding box in the body's frame.
     low: DVec3,
     high: DVec3,
     corners: Vec<DVec3>,
@@ -135,14 +135,14 @@ pub(crate) struct BodyGeometry {
 }
 
 struct BoundedPart {
-    part: Part,
+    part: CollisionPart,
     center: DVec3,
     radius: f64,
 }
 
 impl BodyGeometry {
-    fn new(parts: Vec<Part>) -> Self {
-        let bounded = |part: Part| {
+    fn new(parts: Vec<CollisionPart>) -> Self {
+        let bounded = |part: CollisionPart| {
             let (center, radius) = part.bounds();
             BoundedPart { part, center, radius }
         };
@@ -156,12 +156,12 @@ impl BodyGeometry {
         Self { parts, bounding_radius, low, high, corners, inner_balls }
     }
 
-    /// Lowest corner of a box in the body's frame that holds it.
+    /// Lowest corner of the bounding box in the body's frame.
     pub(crate) fn low(&self) -> DVec3 {
         self.low
     }
 
-    /// Highest corner of that box.
+    /// Highest corner of the bounding box.
     pub(crate) fn high(&self) -> DVec3 {
         self.high
     }
@@ -171,13 +171,13 @@ impl BodyGeometry {
         &self.corners
     }
 
-    /// A ball inside of each convex part: centre in the body's frame, and radius.
+    /// A ball inside each convex part: centre in the body's frame, and radius.
     pub(crate) fn inner_balls(&self) -> &[(DVec3, f64)] {
         &self.inner_balls
     }
 
     /// The parts that may come within `reach` of a point `p` of the body's frame.
-    pub(crate) fn parts_near(&self, p: DVec3, reach: f64) -> impl Iterator<Item = &Part> {
+    pub(crate) fn parts_near(&self, p: DVec3, reach: f64) -> impl Iterator<Item = &CollisionPart> {
         self.parts
             .iter()
             .filter(move |b| b.center.distance_squared(p) <= (b.radius + reach) * (b.radius + reach))
@@ -190,37 +190,37 @@ impl BodyGeometry {
             Some(&mesh.vertices)
                 .filter(|v| v.len() >= 4)
                 .and_then(|v| ConvexPolyhedron::from_convex_hull(v))
-                .map(Part::Convex)
+                .map(CollisionPart::Convex)
                 .ok_or_else(|| refuse(format!("hull {i} has no volume")))
         };
         Ok(Self::new(match &body.shape {
-            BodyShape::Sphere { radius } => vec![Part::Sphere(*radius)],
-            BodyShape::Box { half_extents } => vec![Part::Cuboid(Cuboid::new(*half_extents))],
+            BodyShape::Sphere { radius } => vec![CollisionPart::Sphere(*radius)],
+            BodyShape::Box { half_extents } => vec![CollisionPart::Cuboid(Cuboid::new(*half_extents))],
             BodyShape::Cylinder { radius, half_length } => {
-                vec![Part::Cylinder { radius: *radius, half_length: *half_length }]
+                vec![CollisionPart::Cylinder { radius: *radius, half_length: *half_length }]
             }
-            BodyShape::HalfSpace => vec![Part::HalfSpace],
+            BodyShape::HalfSpace => vec![CollisionPart::HalfSpace],
             BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(convex).collect::<Result<_, _>>()?,
             BodyShape::TriMesh { mesh } => {
                 let mesh = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone())
                     .map_err(|e| refuse(format!("its mesh cannot be used: {e}")))?;
-                vec![Part::Mesh(mesh)]
+                vec![CollisionPart::Mesh(mesh)]
             }
         }))
     }
 
     pub(crate) fn of_kinematic(shape: KinematicShape) -> Self {
         Self::new(vec![match shape {
-            KinematicShape::Cuboid { half } => Part::Cuboid(Cuboid::new(half)),
+            KinematicShape::Cuboid { half } => CollisionPart::Cuboid(Cuboid::new(half)),
             KinematicShape::Capsule { half_length, radius } => {
                 let end = DVec3::new(0.0, 0.0, half_length);
-                Part::Capsule(Segment::new(-end, end), radius)
+                CollisionPart::Capsule(Segment::new(-end, end), radius)
             }
         }])
     }
 }
 
-/// Where a body will be, if nothing touches it.
+/// Predicted motion of a body without contacts.
 pub(crate) enum Path<'a> {
     /// Constant acceleration and constant spin.
     Free { state: &'a BodyState, acceleration_w: DVec3 },
@@ -262,7 +262,7 @@ impl Path<'_> {
         }
     }
 
-    /// How much the speed can change per second, m/s².
+    /// Largest change of speed per second, m/s².
     pub(crate) fn acceleration_bound(&self) -> f64 {
         match self {
             Self::Free { acceleration_w, .. } => acceleration_w.length(),
@@ -277,7 +277,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// The closed form against the hull of a fine prism.
+        /// Compares the closed form with the hull of a fine prism.
         #[test]
         fn nearest_points_of_a_cylinder_are_those_of_a_fine_prism(
             x in -0.2..0.2f64, y in -0.2..0.2f64, z in -0.2..0.2f64,
@@ -293,7 +293,7 @@ mod tests {
             prop_assert!(inside == inside_prism || q.distance(p) < 2e-6);
         }
 
-        /// A box as a hull, as a cuboid and as a mesh are the same box.
+        /// A box gives the same result as a hull, a cuboid and a mesh.
         #[test]
         fn nearest_points_do_not_depend_on_how_a_box_is_written(
             x in -0.3..0.3f64, y in -0.3..0.3f64, z in -0.3..0.3f64,
@@ -304,9 +304,9 @@ mod tests {
             let mesh = Mesh::cuboid(half);
             let expected = p.clamp(-half, half);
             for part in [
-                Part::Cuboid(Cuboid::new(half)),
-                Part::Convex(ConvexPolyhedron::from_convex_hull(&mesh.vertices).unwrap()),
-                Part::Mesh(TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).unwrap()),
+                CollisionPart::Cuboid(Cuboid::new(half)),
+                CollisionPart::Convex(ConvexPolyhedron::from_convex_hull(&mesh.vertices).unwrap()),
+                CollisionPart::Mesh(TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).unwrap()),
             ] {
                 let (q, inside) = part.nearest(p);
                 prop_assert!(!inside);

@@ -1,5 +1,5 @@
-//! Rigid-body worlds: the [`World`] seam, the Rapier adapter in both precisions, and [`Simulation`], which holds what
-//! every engine shares: contact timing, rolling resistance and what strikes (the arm, or a finger that gives no way).
+//! Rigid-body worlds: the [`World`] trait, its Rapier implementation in both precisions, and [`Simulation`], which adds the
+//! parts that all engines share: contact timing, rolling resistance and strikers (the arm, or a kinematic finger).
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};
@@ -57,12 +57,12 @@ mod world;
 pub use geometry::signed_distance;
 pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
-pub use simulation::{Profile, Simulation};
+pub use simulation::{Simulation, SimulationProfile};
 pub use sms_robots::SEGMENT_M;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use tipping::{LoadRamp, LoadTest, ramp_load_n, tipping_load_n};
 pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
-    ArmKind, BodyId, BodyState, ContactEvent, Impossible, KinematicShape, SimError, World, WorldFactory,
-    WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, PhysicsViolation, SimError, World,
+    WorldFactory, WorldOptions,
 };

@@ -1,25 +1,25 @@
-//! How deep bodies are inside of each other, on our own shapes, the same for every engine.
+//! Penetration depths between bodies, on the engine-independent shapes.
 
-use crate::geometry::{BodyGeometry, Part};
+use crate::geometry::{BodyGeometry, CollisionPart};
 use crate::simulation::{Kind, Simulation};
 use crate::{BodyId, BodyState};
 use glamx::{DPose3, DVec3};
 
 impl Simulation {
-    /// How deep a body is inside of others that are no robot, metres; 0 where it is in none, and for what does not move. Of a
-    /// ball it is exact, but for meshes, which have no inside: there it is how much nearer than its radius the centre is.
-    /// Of other bodies it is a lower bound, from the corners of both bodies, and from a ball inside each convex part
-    /// against meshes.
+    /// Largest penetration of a body into others except the robot, metres; 0 without penetration, and for bodies that do not
+    /// move. It is exact for a ball, except against meshes, which have no inside: there it is the radius minus the distance of
+    /// the centre. For other bodies it is a lower bound, from the corners of both bodies, and against meshes from a ball inside
+    /// each convex part.
     pub fn penetration(&self, body: BodyId) -> f64 {
         self.deepest_at(body, &self.states).map_or(0.0, |deepest| deepest.1)
     }
 
-    /// In which other body a body is deepest, and how deep, metres; `None` where it is in none. As [`Self::penetration`].
+    /// The body that a body penetrates most, and the depth, metres; `None` without penetration. As [`Self::penetration`].
     pub fn deepest(&self, body: BodyId) -> Option<(BodyId, f64)> {
         self.deepest_at(body, &self.states)
     }
 
-    /// The same, were the bodies in other states: those of before, say. Bodies beyond their number are left out.
+    /// The penetration with the bodies in other states, such as earlier ones. Bodies without a state are left out.
     pub fn penetration_at(&self, body: BodyId, states: &[BodyState]) -> f64 {
         self.deepest_at(body, states).map_or(0.0, |deepest| deepest.1)
     }
@@ -63,11 +63,11 @@ impl Simulation {
 
 /// Depth of a ball with its centre at `p` in a body's frame.
 fn ball_depth(p: DVec3, radius: f64, geometry: &BodyGeometry) -> f64 {
-    let depth_in = |part: &Part| radius + part.depth(p);
+    let depth_in = |part: &CollisionPart| radius + part.depth(p);
     geometry.parts_near(p, radius).map(depth_in).fold(0.0, f64::max)
 }
 
-/// How deep `a` reaches into `b`; `x_ba` takes from the frame of `a` to that of `b`.
+/// Penetration of `a` into `b`; `x_ba` maps the frame of `a` to that of `b`.
 fn depth(a: &BodyGeometry, b: &BodyGeometry, x_ba: &DPose3) -> f64 {
     let mut deepest = 0.0f64;
     let (low, high) = (b.low(), b.high());

@@ -1,25 +1,25 @@
-//! Whether a scene rests.
+//! Tests whether a scene is at rest.
 
 use crate::{SimError, Simulation, WorldFactory, WorldOptions};
 use serde::{Deserialize, Serialize};
 use sms_scene::{BodyKind, Scene};
 
-/// How far a dynamic body came from where it was.
+/// Drift of a dynamic body from its start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RestingDrift {
     /// Name of the body.
     pub body: String,
     /// Distance of its centre of mass from the start, metres.
     pub moved_m: f64,
-    /// Angle to its attitude at the start, radians.
+    /// Rotation from the start, radians.
     pub turned_rad: f64,
 }
 
-/// Lets a scene stand for `seconds` and says how far each dynamic body moved and turned, in the scene's order.
-/// Bodies may not sleep, so that slow creeping shows.
+/// Simulates a scene for `seconds` and returns the drift of each dynamic body, in the scene's order. Bodies do not sleep, so
+/// that slow creep counts.
 ///
 /// # Errors
-/// [`SimError`] when the world cannot be built or blows up.
+/// [`SimError`] when the world cannot be built or diverges.
 pub fn resting_drift(
     factory: &dyn WorldFactory,
     scene: &Scene,
@@ -28,7 +28,7 @@ pub fn resting_drift(
     stand(factory, scene, seconds, |_| ())
 }
 
-/// Lets a scene stand, calls `each_step` with the drifts after every step, and gives the drifts at the end.
+/// Simulates a scene, calls `each_step` with the drifts after every step, and returns the final drifts.
 fn stand(
     factory: &dyn WorldFactory,
     scene: &Scene,
@@ -53,11 +53,11 @@ fn stand(
     Ok(drifts)
 }
 
-/// How far a body may come in a while and still count as resting.
+/// Largest drift of a resting body.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RestLimits {
-    /// Time that the scene is left alone, seconds.
+    /// Duration, seconds.
     pub seconds: f64,
     /// Distance, metres.
     pub moved_m: f64,
@@ -72,18 +72,18 @@ impl Default for RestLimits {
 }
 
 impl RestLimits {
-    /// The drift in units of the limits: above 1 a body does not rest.
+    /// The drift in units of the limits: above 1 the body does not rest.
     pub fn excess(&self, drift: &RestingDrift) -> f64 {
         (drift.moved_m / self.moved_m).max(drift.turned_rad / self.turned_rad)
     }
 }
 
-/// Makes bodies static until the rest of the scene rests: a recording shows things at rest, so what moves by itself was
-/// not seen whole. One at a time, the one that leaves first, because what moves later may have been pushed. Gives the
-/// drifts of those that were fixed, as they were before, in that order.
+/// Makes bodies static until the others rest. A recording shows bodies at rest, so a moving one was reconstructed
+/// incompletely. Bodies are fixed one at a time, the first to move first, because it may push later ones. Returns the
+/// drifts of the fixed bodies in that order.
 ///
 /// # Errors
-/// [`SimError`] when a world cannot be built or blows up.
+/// [`SimError`] when a world cannot be built or diverges.
 pub fn fix_restless(
     factory: &dyn WorldFactory,
     scene: &mut Scene,
@@ -105,7 +105,7 @@ pub fn fix_restless(
                 Some(first) => drifts.swap_remove(first),
                 None => return Ok(fixed),
             },
-            // What blew up is what does not rest.
+            // A body that diverges does not rest.
             Err(SimError::Diverged { body, .. }) if is_dynamic(scene, &body) => {
                 RestingDrift { body, moved_m: f64::INFINITY, turned_rad: std::f64::consts::PI }
             }

@@ -1,9 +1,9 @@
-//! A world with contact timing, rolling resistance and the striker: what every engine shares.
+//! A world with contact timing, rolling resistance and strikers, for every engine.
 
 use crate::arm::ArmInWorld;
 use crate::engine_arm::EngineArm;
-use crate::geometry::{BodyGeometry, Part};
-use crate::support::Support;
+use crate::geometry::{BodyGeometry, CollisionPart};
+use crate::support::BallSupport;
 use crate::timing::TOUCH_GAP;
 use crate::{
     ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, Striker, StrikerMotion, World,
@@ -17,16 +17,15 @@ use std::time::Instant;
 
 mod impacts;
 
-/// Least length of the step in which an impact happens, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball
-/// gets as long as it needs to close the remaining gap in a part of the step, else an engine that predicts
-/// contacts only brakes it.
+/// Shortest step that contains an impact, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball gets the time to close
+/// the remaining gap within part of the step; otherwise an engine that only predicts contacts brakes it.
 const IMPACT_STEP_S: f64 = 5e-5;
 const IMPACT_STEP_GAPS: f64 = 4.0;
-/// Steps shorter than this are not made, seconds.
+/// Shortest step, seconds.
 const MIN_STEP_S: f64 = 4e-6;
-/// Splits of one nominal step after which the rest is one step.
+/// Largest number of splits of a nominal step.
 const MAX_SPLITS: usize = 24;
-/// Largest distance from the origin that still counts as a state, metres.
+/// Largest distance from the origin of a valid state, metres.
 const MAX_DISTANCE: f64 = 1e6;
 
 /// A simulation of a scene: an engine's [`World`], stepped so that impacts of balls fall on the boundaries of steps.
@@ -46,38 +45,38 @@ pub struct Simulation {
     names: Vec<String>,
     pub(crate) bodies: Vec<SimBody>,
     pub(crate) states: Vec<BodyState>,
-    strikes: Vec<Strike>,
+    strikes: Vec<ActiveStrike>,
     wrenches: Vec<(BodyId, DVec3, DVec3)>,
-    /// Time of the world.
+    /// Time of the world, seconds.
     world_s: f64,
-    /// Time that was asked for. The difference, at most the length of an impact's step, is made up by the next
-    /// advance: an impact that begins just before the end of a step is not cut in two.
+    /// Requested time, seconds. The next advance makes up the difference of at most an impact step, so that an impact
+    /// that begins just before the end of a step is not cut in two.
     time_s: f64,
     splits: usize,
-    /// First touches of two bodies since the start, in order of time.
+    /// First touches of pairs of bodies since the start, in order of time.
     contacts: Vec<ContactEvent>,
-    /// Pairs that touched before the state was saved, or in the first step of a world: they are no events.
+    /// Pairs that touched before the state was saved, or in the first step: they are not events.
     resting: BTreeSet<(BodyId, BodyId)>,
-    /// What the engine says began to touch in a step; kept for its memory.
+    /// Buffer for the engine's touch reports.
     touches: Vec<(BodyId, BodyId)>,
-    profile: Option<Profile>,
-    saved: Option<Saved>,
+    profile: Option<SimulationProfile>,
+    saved: Option<SavedState>,
 }
 
-/// Where the time of a simulation goes, since [`Simulation::begin_profile`]. Wall-clock seconds of the calling thread.
+/// Time profile of a simulation since [`Simulation::begin_profile`]. Wall-clock seconds of the calling thread.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Profile {
-    /// Steps of the engine, the parts of split steps included.
+pub struct SimulationProfile {
+    /// Number of engine steps, parts of split steps included.
     pub steps: usize,
-    /// Steps that were made because a step was split.
+    /// Number of additional steps due to splits.
     pub splits: usize,
-    /// In the engine's steps.
+    /// Time in the engine's steps.
     pub engine_s: f64,
-    /// In finding out what balls rest on and when they will hit something.
+    /// Time in the prediction of impacts and supports of balls.
     pub impacts_s: f64,
-    /// In moving what strikes: the arm's dynamics and its control.
+    /// Time in the strikers: dynamics and control of the arm.
     pub striker_s: f64,
-    /// In returning to the saved state.
+    /// Time in restoring the saved state.
     pub restore_s: f64,
 }
 
@@ -95,9 +94,9 @@ pub(crate) enum Kind {
     Striker,
 }
 
-/// A strike that was begun.
+/// A strike in progress.
 #[derive(Clone)]
-struct Strike {
+struct ActiveStrike {
     body: BodyId,
     by: By,
     start_s: f64,
@@ -121,9 +120,9 @@ impl By {
     }
 }
 
-struct Saved {
+struct SavedState {
     states: Vec<BodyState>,
-    strikes: Vec<Strike>,
+    strikes: Vec<ActiveStrike>,
     world_s: f64,
     time_s: f64,
     splits: usize,
@@ -175,32 +174,30 @@ impl Simulation {
         self.gravity_w
     }
 
-    /// Time that was advanced, seconds. States may be up to half a millisecond older, where an impact is about to
-    /// happen.
+    /// Simulated time, seconds. States may be up to half a millisecond older if an impact is imminent.
     pub fn time_s(&self) -> f64 {
         self.time_s
     }
 
-    /// How often a step was split for an impact.
+    /// Number of steps split for an impact.
     pub fn split_count(&self) -> usize {
         self.splits
     }
 
-    /// Every pair of bodies that touched, once, when it did for the first time since the start or the saved state; pairs
-    /// that touch from the start are none. Known are impacts for which a step was split
-    /// ([`WorldOptions::contact_timing`]): a ball against anything; and from engines that tell
-    /// ([`World::take_touches`]) all other touches, however slow, of two bodies neither of which is static.
+    /// First contacts of pairs of bodies since the start or the saved state; pairs that touch from the start are not listed.
+    /// They comprise impacts of a ball with any body for which a step was split ([`WorldOptions::contact_timing`]), and, from
+    /// engines that report touches ([`World::take_touches`]), all other touches of two bodies that are not static.
     pub fn contacts(&self) -> &[ContactEvent] {
         &self.contacts
     }
 
-    /// Begins to measure where time goes.
+    /// Starts the time profile.
     pub fn begin_profile(&mut self) {
-        self.profile = Some(Profile::default());
+        self.profile = Some(SimulationProfile::default());
     }
 
-    /// What was measured since, if anything.
-    pub fn profile(&self) -> Option<Profile> {
+    /// The time profile, if started.
+    pub fn profile(&self) -> Option<SimulationProfile> {
         self.profile
     }
 
@@ -212,7 +209,7 @@ impl Simulation {
     /// State of a body.
     ///
     /// # Panics
-    /// When there is no such body.
+    /// When the body does not exist.
     pub fn state(&self, body: BodyId) -> BodyState {
         self.states[body]
     }
@@ -223,7 +220,7 @@ impl Simulation {
         self.states[body] = *state;
     }
 
-    /// Whether a body is asleep; bodies that nothing moves always are.
+    /// Whether a body is asleep; static and kinematic bodies always are.
     pub fn is_asleep(&self, body: BodyId) -> bool {
         match self.bodies[body].kind {
             Kind::Static => true,
@@ -238,9 +235,9 @@ impl Simulation {
         self.wrenches.push((body, force_w, torque_w));
     }
 
-    /// Starts a sweep now, with the friction and restitution of the striking surface. When the sweep is over, the striker
-    /// touches nothing any more. A finger pushes bodies and is pushed by none; an arm gives way as its inertia and its
-    /// controller let it, and is stopped by what does not move.
+    /// Starts a sweep now, with the friction and restitution of the striking surface. After the sweep the striker collides with
+    /// nothing. A finger pushes bodies without being pushed; an arm yields according to its inertia and controller, and static
+    /// bodies stop it.
     pub fn strike(&mut self, striker: impl Into<Striker>, friction: f64, restitution: f64) -> BodyId {
         let (body, by, shape, state) = match striker.into() {
             Striker::Finger(motion) => {
@@ -275,22 +272,22 @@ impl Simulation {
             rolling_m: 0.0,
         });
         self.states.push(state);
-        self.strikes.push(Strike { body, by, start_s: self.world_s, over: false });
+        self.strikes.push(ActiveStrike { body, by, start_s: self.world_s, over: false });
         body
     }
 
-    /// The arm that carries out a strike; `None` for a finger and for other bodies.
+    /// The arm of a strike; `None` for a finger and for other bodies.
     pub fn arm(&self, body: BodyId) -> Option<&SweepDrive> {
         self.arm_of(body).map(ArmInWorld::drive)
     }
 
-    /// The sum of the impulses that an arm has received so far, N·s; `None` for a finger and for other bodies.
+    /// Sum of the impulses that an arm has received, N·s; `None` for a finger and for other bodies.
     pub fn received_impulse_w(&self, body: BodyId) -> Option<DVec3> {
         self.arm_of(body).map(ArmInWorld::impulse_w)
     }
 
-    /// The energy that an arm has given to what it touched so far, J: of each impulse, what it does at the mean of the
-    /// tool's speeds before and after it. `None` for a finger, which engines move by force, and for other bodies.
+    /// Energy that an arm has given to other bodies, J: each impulse times the mean of the tool's velocities before and after it.
+    /// `None` for a finger.
     pub fn work_j(&self, body: BodyId) -> Option<f64> {
         self.arm_of(body).map(ArmInWorld::work_j)
     }
@@ -307,17 +304,17 @@ impl Simulation {
         })
     }
 
-    /// Whether every sweep that was started is over.
+    /// Whether every sweep is over.
     pub fn is_strike_over(&self) -> bool {
         self.strikes.iter().all(|s| s.over)
     }
 
-    /// Saves the state, for [`Simulation::restore`]; `false` where the engine cannot.
+    /// Saves the state for [`Simulation::restore`]; `false` if the engine does not support it.
     pub fn save(&mut self) -> bool {
         if !self.world.save() {
             return false;
         }
-        self.saved = Some(Saved {
+        self.saved = Some(SavedState {
             states: self.states.clone(),
             strikes: self.strikes.clone(),
             world_s: self.world_s,
@@ -329,7 +326,7 @@ impl Simulation {
         true
     }
 
-    /// Returns to the saved state; strikers added since are gone. `false` where nothing was saved.
+    /// Restores the saved state and removes strikers added since; `false` if nothing was saved.
     pub fn restore(&mut self) -> bool {
         let Some(saved) = &self.saved else { return false };
         let began = self.profile.map(|_| Instant::now());
@@ -365,7 +362,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Steps until the time that was asked for, or until an impact that does not fit in before it.
+    /// Steps to the requested time, or to an impact whose step extends beyond it.
     fn nominal_step(&mut self) -> Result<(), SimError> {
         let began = self.profile.map(|_| Instant::now());
         let supports = self.supports();
@@ -386,13 +383,15 @@ impl Simulation {
             self.add_impact_time(began);
             let Some((impact, ball, other)) = impact else {
                 self.step(left, &supports)?;
-                // So that rounding does not add up.
+                // Avoids the accumulation of rounding errors.
                 self.world_s = self.time_s;
                 return Ok(());
             };
-            // Noted before the step to it: engines that predict contacts may turn a ball back a moment earlier.
+            // Recorded before the step: engines that predict contacts may reflect a ball earlier.
             self.note_contact(ball, other, impact.time_s);
-            if let Some(Strike { by: By::Arm(arm), .. }) = self.strikes.iter_mut().find(|s| s.body == other) {
+            if let Some(ActiveStrike { by: By::Arm(arm), .. }) =
+                self.strikes.iter_mut().find(|s| s.body == other)
+            {
                 arm.expect(impact.point_w, impact.normal_w);
             }
             if impact.time_s > MIN_STEP_S {
@@ -431,8 +430,7 @@ impl Simulation {
         }
     }
 
-    /// Notes what the engine says began to touch in the step of `dt` that it has just made; states are still those before
-    /// it.
+    /// Records the touches that the engine reports for the last step of `dt`; states are still those before it.
     fn note_touches(&mut self, dt: f64) {
         let mut touches = std::mem::take(&mut self.touches);
         self.world.take_touches(&mut touches);
@@ -441,7 +439,7 @@ impl Simulation {
             if is_static(a) || is_static(b) || self.resting.contains(&ordered(a, b)) {
                 continue;
             }
-            // What stands together is found to touch in the first step.
+            // Pairs at rest on each other are reported in the first step.
             if self.world_s == 0.0 {
                 self.resting.insert(ordered(a, b));
                 continue;
@@ -454,7 +452,7 @@ impl Simulation {
     }
 
     /// One step of the engine.
-    fn step(&mut self, dt: f64, supports: &[Support]) -> Result<(), SimError> {
+    fn step(&mut self, dt: f64, supports: &[BallSupport]) -> Result<(), SimError> {
         for (body, force_w, torque_w) in &self.wrenches {
             self.world.apply_wrench(*body, *force_w, *torque_w, true);
         }
@@ -537,7 +535,7 @@ impl Simulation {
     }
 }
 
-/// The pair with the smaller index first.
+/// The pair in ascending order.
 fn ordered(a: BodyId, b: BodyId) -> (BodyId, BodyId) {
     (a.min(b), a.max(b))
 }
@@ -574,9 +572,9 @@ impl std::fmt::Debug for Simulation {
     }
 }
 
-// Parts are only looked at, never changed, once a simulation is built.
+// Simulations are shared by threads; their parts are immutable once built.
 const _: fn() = || {
     fn is_send<T: Send>() {}
     is_send::<Simulation>();
-    is_send::<Part>();
+    is_send::<CollisionPart>();
 };

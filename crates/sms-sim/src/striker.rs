@@ -1,4 +1,4 @@
-//! What strikes: the arm under torque control, or a finger that gives no way. Both make the paper's strike: two linear
+//! Strikers: the torque-controlled arm, or a kinematic finger of infinite mass. Both execute the paper's strike: two linear
 //! segments of 0.1 m (appendix "Manipulator Control and Action Modeling").
 
 use crate::KinematicShape;
@@ -7,14 +7,13 @@ use serde::{Deserialize, Serialize};
 use sms_robots::{ArmStrike, FIST_HALF, SEGMENT_M, Sweep};
 use std::sync::Arc;
 
-/// How far a striker is lifted when its sweep is over, metres.
+/// Height by which a striker is lifted after its sweep, metres.
 pub(crate) const RETRACTION_M: f64 = 0.3;
 
-/// What carries out a strike.
+/// Executor of a strike.
 #[derive(Debug, Clone)]
 pub enum Striker {
-    /// A finger that follows its motion whatever it hits, as if it had an infinite mass: for a robot of which nothing is
-    /// known.
+    /// A kinematic finger that follows its motion whatever it hits, for an unknown robot.
     Finger(StrikerMotion),
     /// An arm under torque control.
     Arm(Arc<ArmStrike>),
@@ -38,28 +37,28 @@ impl From<&Self> for Striker {
     }
 }
 
-/// Half extents, metres, of the closed fingertips of a Franka Hand as one box: x along the sweep, y along the
-/// fingers' stroke, z up. The rubber tip of one finger is 17.5 × 15.2 × 18.5 mm and begins at the plane in which the
-/// closed fingers meet (`franka_description`, `end_effectors/franka_hand`).
+/// Half extents, metres, of the closed fingertips of a Franka Hand as one box: x along the sweep, y along the fingers'
+/// stroke, z up. The rubber tip of one finger is 17.5 × 15.2 × 18.5 mm and begins at the contact plane of the closed
+/// fingers (`franka_description`, `end_effectors/franka_hand`).
 pub const FINGER_HALF: DVec3 = FIST_HALF;
 
 /// A sweep of the closed fingers, in world coordinates.
 ///
-/// The finger is a box with its front face square to the sweep. It starts at rest 0.1 m before the place where the
-/// front face touches a ball of `ball_radius` at `contact_w`, accelerates so that it has `speed` there ([`Sweep`] says
-/// how: as the arm does), decelerates to rest over another 0.1 m, and is then lifted out of the scene. `speed` therefore
-/// is the finger's speed at first touch when the ball is where it is believed to be.
+/// The finger is a box with its front face perpendicular to the sweep. It starts at rest 0.1 m before the place where the
+/// front face touches a ball of `ball_radius` at `contact_w`, reaches `speed` there with the profile of [`Sweep`],
+/// decelerates to rest over another 0.1 m, and is then lifted out of the scene. `speed` is therefore the finger's speed at
+/// the first touch if the ball is at its estimated position.
 ///
-/// The front face is flat: where on it the ball is touched (up to 15 mm to either side) makes no difference.
+/// The front face is flat, so the place of contact on it (up to 15 mm to either side) makes no difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StrikerMotion {
-    /// The contact position: where the centre of the ball is believed to be, metres.
+    /// Contact position: the estimated centre of the ball, metres.
     pub contact_w: DVec3,
-    /// Direction of the sweep in the floor, radians from world x: (cos, sin, 0).
+    /// Direction of the sweep in the floor plane, radians from world x: (cos, sin, 0).
     pub angle: f64,
     /// Speed at the contact position, m/s.
     pub speed: f64,
-    /// Radius that the ball is believed to have, metres.
+    /// Estimated radius of the ball, metres.
     pub ball_radius: f64,
 }
 
@@ -74,12 +73,12 @@ impl StrikerMotion {
         KinematicShape::Cuboid { half: FINGER_HALF }
     }
 
-    /// When the front face reaches the contact position, seconds from the start.
+    /// Time at which the front face reaches the contact position, seconds from the start.
     pub fn contact_s(&self) -> f64 {
         2.0 * SEGMENT_M / self.speed
     }
 
-    /// When the sweep is over, seconds from the start.
+    /// Duration of the sweep, seconds.
     pub fn duration_s(&self) -> f64 {
         2.0 * self.contact_s()
     }
@@ -91,12 +90,12 @@ impl StrikerMotion {
 
     /// Largest acceleration of the sweep, m/s².
     pub(crate) fn largest_acceleration(&self) -> f64 {
-        // Of both of a sweep's profiles.
+        // The larger of both profiles.
         5.0 / 3.0 * self.speed / self.contact_s()
     }
 
-    /// Pose `X_WK` of the finger's box at `t` seconds from the start: its centre, x along the sweep, z up. Before
-    /// the start it waits, after the end it is lifted.
+    /// Pose `X_WK` of the finger's box at `t` seconds from the start: its centre, x along the sweep, z up. Before the start it
+    /// waits; after the end it is lifted.
     pub fn pose_at(&self, t: f64) -> DPose3 {
         let sweep = self.sweep(FINGER_HALF.x);
         let along = sweep.travel_at(t).0 - SEGMENT_M;

@@ -1,36 +1,36 @@
-//! What balls rest on or are in, and the rolling resistance that it offers.
+//! Supports of balls and their rolling resistance.
 
 use crate::BodyId;
 use crate::simulation::{Kind, Simulation};
 use glamx::DVec3;
 
-/// Gap up to which a ball is carried by what is below it, metres: engines let bodies sink in and float by some µm.
+/// Gap up to which a body below carries a ball, metres: engines let bodies sink in or float by some µm.
 const SUPPORT_GAP: f64 = 5e-5;
 
-/// What a ball touches.
+/// Contacts of a ball.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Support {
-    /// Whether it touches anything.
+pub(crate) struct BallSupport {
+    /// Whether it touches any body.
     pub(crate) touching: bool,
-    /// Upward normal, rolling lever (m) and spin of what carries it.
+    /// Upward normal, rolling lever (m) and angular velocity of the supporting body.
     pub(crate) carried: Option<(DVec3, f64, DVec3)>,
 }
 
 impl Simulation {
-    /// What each ball touches; balls that sleep are left out.
-    pub(crate) fn supports(&self) -> Vec<Support> {
+    /// The supports of all balls that are awake.
+    pub(crate) fn supports(&self) -> Vec<BallSupport> {
         (0..self.bodies.len()).map(|b| self.support_of(b)).collect()
     }
 
-    fn support_of(&self, ball: BodyId) -> Support {
-        let mut support = Support::default();
+    fn support_of(&self, ball: BodyId) -> BallSupport {
+        let mut support = BallSupport::default();
         let Kind::Ball { radius, .. } = self.bodies[ball].kind else { return support };
         if self.world.is_asleep(ball) {
             return support;
         }
         let center_w = self.states[ball].x_wb.translation;
         let up_w = (-self.gravity_w).try_normalize().unwrap_or(DVec3::Z);
-        // Steeper than this, a surface does not carry.
+        // A steeper surface does not carry.
         let mut best_slope = 0.5;
         for (other, body) in self.bodies.iter().enumerate() {
             let state = &self.states[other];
@@ -58,8 +58,8 @@ impl Simulation {
         support
     }
 
-    /// Torque of the rolling resistance for a step of `dt`, never more than would stop the rotation.
-    pub(crate) fn rolling_torque(&self, ball: BodyId, support: &Support, dt: f64) -> Option<DVec3> {
+    /// Torque of the rolling resistance for a step of `dt`, limited to that which stops the rotation.
+    pub(crate) fn rolling_torque(&self, ball: BodyId, support: &BallSupport, dt: f64) -> Option<DVec3> {
         let Kind::Ball { mass, inertia, .. } = self.bodies[ball].kind else { return None };
         let (normal_w, lever, spin_w) = support.carried?;
         let weight = (-mass * self.gravity_w.dot(normal_w)).max(0.0);

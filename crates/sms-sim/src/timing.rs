@@ -1,11 +1,11 @@
-//! When a ball hits something. At the paper's step of 2.5 ms a ball of 0.8 m/s travels 2 mm, and a contact normal
-//! taken at a step's boundary bends its path by degrees; steps are therefore split where balls hit.
+//! Time of impact of balls. At the paper's step of 2.5 ms a ball of 0.8 m/s travels 2 mm, and a contact normal taken at
+//! the boundary of a step deflects its path by degrees. Therefore steps are split at impacts.
 
-use crate::geometry::{Part, Path};
+use crate::geometry::{CollisionPart, Path};
 use glamx::DVec3;
 
-/// Gap at which a ball counts as touching, metres: far below what bends a path, above the resolution of single
-/// precision a metre from the origin (1.2e-7 m).
+/// Gap that counts as a touch, metres: too small to deflect a path, above the resolution of single precision a metre from
+/// the origin (1.2e-7 m).
 pub(crate) const TOUCH_GAP: f64 = 2e-6;
 
 /// Closing speed below which an impact is left to the engine, m/s: it travels 50 µm in a step of 2.5 ms.
@@ -14,29 +14,29 @@ pub(crate) const MIN_CLOSING_SPEED: f64 = 0.02;
 /// Iterations after which a grazing approach is left to the engine.
 const MAX_ITERATIONS: usize = 32;
 
-/// A ball about to touch something.
+/// An imminent impact of a ball.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Impact {
-    /// When, seconds from now.
+    /// Time from now, seconds.
     pub(crate) time_s: f64,
-    /// Speed at which the gap closes then, m/s, positive.
+    /// Closing speed of the gap at that time, m/s, positive.
     pub(crate) closing_speed: f64,
-    /// Where on the other body, in the world, then.
+    /// Point on the other body at that time, in the world.
     pub(crate) point_w: DVec3,
-    /// From there to the ball's centre, a unit vector.
+    /// Unit vector from that point to the ball's centre.
     pub(crate) normal_w: DVec3,
 }
 
-/// When a ball of `radius` is within [`TOUCH_GAP`] of a part of another body, if that is before `horizon`
-/// seconds. Zero when it is already and closes in.
+/// Returns the time at which a ball of `radius` comes within [`TOUCH_GAP`] of a part of another body, if it is before
+/// `horizon` seconds. Zero if it is closer already and closing in.
 ///
-/// Conservative advancement (Mirtich 1996): a convex part lies behind the plane through its nearest point, so the
-/// time in which the ball reaches that plane never passes the impact. For a mesh the plane is no bound, and the
-/// whole relative speed counts as closing.
+/// Conservative advancement (Mirtich 1996): a convex part lies behind the plane through its nearest point, so the time until
+/// the ball reaches that plane is never later than the impact. For a mesh the plane is not a bound, and the whole relative
+/// speed counts as closing speed.
 pub(crate) fn time_of_impact(
     ball: &Path,
     radius: f64,
-    part: &Part,
+    part: &CollisionPart,
     other: &Path,
     horizon: f64,
 ) -> Option<Impact> {
@@ -61,7 +61,7 @@ pub(crate) fn time_of_impact(
             return (closing > MIN_CLOSING_SPEED).then_some(impact);
         }
         let along = if part.is_convex() { closing } else { relative.length() };
-        // The plane turns with the other body.
+        // The plane rotates with the other body.
         let turn = other.spin_w().length();
         let turning = turn * (turn * center_w.distance(x_wb.translation) + 2.0 * relative.length());
         let gained = ball.acceleration_bound() + other.acceleration_bound() + turning;
@@ -76,10 +76,10 @@ pub(crate) fn time_of_impact(
     None
 }
 
-/// Time in which `distance` > 0 is covered from the speed `v` (of either sign) at the acceleration `a` ≥ 0.
+/// Time in which `distance` > 0 is covered at the speed `v` (of either sign) and the acceleration `a` ≥ 0.
 fn time_to_cover(distance: f64, v: f64, a: f64) -> f64 {
     let root = (v * v + 2.0 * a * distance).sqrt();
-    // The form of the quadratic's root that does not cancel.
+    // The form of the quadratic's root without cancellation.
     if v >= 0.0 { 2.0 * distance / (v + root) } else { (root - v) / a }
 }
 
@@ -100,7 +100,7 @@ mod tests {
     }
 
     proptest! {
-        /// Two spheres meet where the quadratic says.
+        /// Two spheres meet at the time given by the quadratic.
         #[test]
         fn two_spheres_meet_when_the_quadratic_says(
             offset in -0.055..0.055f64, gap in 0.0001..0.002f64, speed in 0.3..2.0f64,
@@ -109,21 +109,21 @@ mod tests {
             let ahead = (4.0 * r * r - offset * offset).sqrt();
             let a = moving(DVec3::new(-ahead - gap, offset, 0.0), DVec3::new(speed, 0.0, 0.0));
             let b = moving(DVec3::ZERO, DVec3::ZERO);
-            let t = time_of_impact(&free(&a), r, &Part::Sphere(r), &free(&b), horizon);
+            let t = time_of_impact(&free(&a), r, &CollisionPart::Sphere(r), &free(&b), horizon);
             let t = t.expect("they meet within the horizon").time_s;
-            // The touch is found up to the gap, which a grazing ball needs longer to close.
+            // The impact is found up to the gap, which a grazing ball takes longer to close.
             let slack = TOUCH_GAP / (speed * ahead / (2.0 * r)) + 1e-9;
             prop_assert!(t <= gap / speed + 1e-9 && t > gap / speed - slack, "{t} {}", gap / speed);
         }
 
-        /// A ball that flies along a wall never hits it, one that falls on a plane does when the parabola says.
+        /// A ball along a wall never hits it; one that falls on a plane hits at the time given by the parabola.
         #[test]
         fn a_falling_ball_lands_when_the_parabola_says(height in 1e-4..1e-3f64, drop in 0.0..0.5f64) {
             let g = DVec3::new(0.0, 0.0, -9.81);
             let state = moving(DVec3::new(0.0, 0.0, 0.03 + height), DVec3::new(0.8, 0.0, -drop));
             let ball = Path::Free { state: &state, acceleration_w: g };
             let still = moving(DVec3::ZERO, DVec3::ZERO);
-            let t = time_of_impact(&ball, 0.03, &Part::HalfSpace, &free(&still), 0.1).unwrap().time_s;
+            let t = time_of_impact(&ball, 0.03, &CollisionPart::HalfSpace, &free(&still), 0.1).unwrap().time_s;
             let exact = (-drop + (drop * drop + 2.0 * 9.81 * height).sqrt()) / 9.81;
             prop_assert!((t - exact).abs() < 2.0 * TOUCH_GAP / (drop * drop + 2.0 * 9.81 * height).sqrt());
         }
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_ball_that_passes_or_leaves_hits_nothing() {
-        let wall = Part::Cuboid(Cuboid::new(DVec3::splat(0.1)));
+        let wall = CollisionPart::Cuboid(Cuboid::new(DVec3::splat(0.1)));
         let still = moving(DVec3::ZERO, DVec3::ZERO);
         for (p, v) in [
             (DVec3::new(0.131, 0.0, 0.0), DVec3::new(0.0, 1.0, 0.0)),
@@ -145,8 +145,8 @@ mod tests {
 
     #[test]
     fn a_turning_plank_hits_a_ball_at_rest() {
-        // A plank of half length 0.5 turns at 1 rad/s; the ball lies 10 mm off its face at 0.4 m.
-        let plank = Part::Cuboid(Cuboid::new(DVec3::new(0.5, 0.01, 0.05)));
+        // A plank of half length 0.5 rotates at 1 rad/s; the ball is 10 mm off its face at 0.4 m.
+        let plank = CollisionPart::Cuboid(Cuboid::new(DVec3::new(0.5, 0.01, 0.05)));
         let turning = BodyState { x_wb: DPose3::IDENTITY, v_w: DVec3::ZERO, w_w: DVec3::Z };
         let ball = moving(DVec3::new(0.4, 0.05, 0.0), DVec3::ZERO);
         let t = time_of_impact(&free(&ball), 0.03, &plank, &free(&turning), 0.1).unwrap().time_s;

@@ -1,34 +1,34 @@
-//! What load tips what stands.
+//! The load that tips a structure.
 
-use crate::{SimError, Simulation, WorldFactory, WorldOptions};
+use crate::{BodyId, SimError, Simulation, WorldFactory, WorldOptions};
 use glamx::DVec3;
 use sms_scene::{BodyKind, Scene};
 
-/// How a load is put on.
+/// Settings of a load test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoadTest {
-    /// Time in which the load grows, seconds: a sudden one pushes twice as hard.
+    /// Duration of the load's increase, seconds: a sudden load pushes twice as hard.
     pub grows_s: f64,
-    /// Time for which it then stays, seconds.
+    /// Duration of the constant load that follows, seconds.
     pub stays_s: f64,
-    /// What sinks farther than this under a load has tipped, metres.
+    /// Sinking of the loaded point that counts as tipping, metres.
     pub sinks_m: f64,
     /// The largest load, newtons.
     pub most_n: f64,
-    /// How exactly the least load that tips is found, as a share of it.
+    /// Tolerance of the tipping load, as a share of it.
     pub tolerance: f64,
 }
 
 impl Default for LoadTest {
-    /// A load 1 % above the threshold tips a structure of 10 kg within the time.
+    /// Detects a load 1 % above the threshold on a structure of 10 kg.
     fn default() -> Self {
         Self { grows_s: 1.0, stays_s: 3.0, sinks_m: 0.01, most_n: 40.0, tolerance: 0.005 }
     }
 }
 
-/// The least force straight down at a point of a body (world, metres) that makes the point sink by [`LoadTest::sinks_m`], newtons, by
-/// halving the interval between loads that stand and loads that tip; 0 where it sinks without one, `None` where the largest load does not
-/// tip it or the body cannot move.
+/// The smallest downward force at a point of a body (world, metres) that makes the point sink by [`LoadTest::sinks_m`],
+/// newtons, found by bisection. 0 if the point sinks without a load; `None` if the largest load does not tip the structure or
+/// the body cannot move.
 ///
 /// # Errors
 /// [`SimError`] when the world cannot be built.
@@ -44,7 +44,7 @@ pub fn tipping_load_n(
     if tips(0.0)? {
         return Ok(Some(0.0));
     }
-    // From a small load up, so that the intervals are as narrow as the load asks for.
+    // Starts from a small load, so that the width of the intervals suits the result.
     let (mut stands, mut falls) = (0.0, test.most_n / 64.0);
     while !tips(falls)? {
         if falls >= test.most_n {
@@ -59,14 +59,14 @@ pub fn tipping_load_n(
     Ok(Some(0.5 * (stands + falls)))
 }
 
-/// How fast a load grows.
+/// A linearly increasing load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoadRamp {
     /// Newtons per second.
     pub rate_n_per_s: f64,
     /// The largest load, newtons.
     pub most_n: f64,
-    /// What sinks farther than this has tipped, metres.
+    /// Sinking of the loaded point that counts as tipping, metres.
     pub sinks_m: f64,
 }
 
@@ -77,9 +77,10 @@ impl Default for LoadRamp {
     }
 }
 
-/// The force straight down at a point of a body (world, metres) under which the point has sunk by [`LoadRamp::sinks_m`] while the force
-/// grows from zero, newtons; `None` where the largest does not do it or the body cannot move. It is more than
-/// [`tipping_load_n`] by what it grows while the body sinks, a newton or two, but takes one simulation: good for what is to be ordered.
+/// The downward force at a point of a body (world, metres) at which the point has sunk by [`LoadRamp::sinks_m`] while the force
+/// increases from zero, newtons; `None` if the largest force does not suffice or the body cannot move. It exceeds
+/// [`tipping_load_n`] by the increase while the body sinks, a newton or two, but takes a single simulation, which suffices
+/// for a ranking.
 ///
 /// # Errors
 /// [`SimError`] when the world cannot be built.
@@ -92,10 +93,11 @@ pub fn ramp_load_n(
 ) -> Result<Option<f64>, SimError> {
     let Some(id) = movable(scene, body) else { return Ok(None) };
     let load_at = |t: f64| ramp.rate_n_per_s * t;
-    loaded(factory, scene, id, p_w, ramp.most_n / ramp.rate_n_per_s, &load_at, ramp.sinks_m)
+    let load = Load { body: id, p_w, seconds: ramp.most_n / ramp.rate_n_per_s, newtons_at: &load_at };
+    load.sinking_n(factory, scene, ramp.sinks_m)
 }
 
-/// The index of a body that can move.
+/// The index of a movable body.
 fn movable(scene: &Scene, body: &str) -> Option<usize> {
     scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic)
 }
@@ -109,39 +111,49 @@ fn tips(
     test: &LoadTest,
 ) -> Result<bool, SimError> {
     let load_at = |t: f64| load_n * (t / test.grows_s).min(1.0);
-    let seconds = test.grows_s + test.stays_s;
-    Ok(loaded(factory, scene, id, p_w, seconds, &load_at, test.sinks_m)?.is_some())
+    let load = Load { body: id, p_w, seconds: test.grows_s + test.stays_s, newtons_at: &load_at };
+    Ok(load.sinking_n(factory, scene, test.sinks_m)?.is_some())
 }
 
-/// The load under which the point had sunk, of one that is a function of time; `None` where it does not sink in that time.
-fn loaded(
-    factory: &dyn WorldFactory,
-    scene: &Scene,
-    id: usize,
+/// A vertical load on a point of a body.
+struct Load<'a> {
+    body: BodyId,
+    /// The loaded point, metres in the world.
     p_w: DVec3,
+    /// Duration, seconds.
     seconds: f64,
-    load_at: &dyn Fn(f64) -> f64,
-    sinks_m: f64,
-) -> Result<Option<f64>, SimError> {
-    let options = WorldOptions { sleep: false, contact_timing: false, ..WorldOptions::default() };
-    let mut simulation = Simulation::new(factory, scene, &options)?;
-    let com_b = scene.bodies[id].mass.map_or(DVec3::ZERO, |m| m.com());
-    let p_b = simulation.state(id).x_wb.inverse() * p_w;
-    let steps = (seconds / options.dt).round() as usize;
-    for step in 0..steps {
-        let now = simulation.state(id).x_wb;
-        let load_n = load_at((step + 1) as f64 * options.dt);
-        let force = DVec3::NEG_Z * load_n;
-        simulation.apply_wrench(id, force, (now * p_b - now * com_b).cross(force));
-        match simulation.advance(options.dt) {
-            Ok(_) => {}
-            // What flies apart under a load does not bear it.
-            Err(SimError::Diverged { .. }) => return Ok(Some(load_n)),
-            Err(e) => return Err(e),
+    /// The downward force, newtons, as a function of time in seconds.
+    newtons_at: &'a dyn Fn(f64) -> f64,
+}
+
+impl Load<'_> {
+    /// The force at which the point has sunk by `sinks_m`; `None` if it does not.
+    fn sinking_n(
+        &self,
+        factory: &dyn WorldFactory,
+        scene: &Scene,
+        sinks_m: f64,
+    ) -> Result<Option<f64>, SimError> {
+        let options = WorldOptions { sleep: false, contact_timing: false, ..WorldOptions::default() };
+        let mut simulation = Simulation::new(factory, scene, &options)?;
+        let com_b = scene.bodies[self.body].mass.map_or(DVec3::ZERO, |m| m.com());
+        let p_b = simulation.state(self.body).x_wb.inverse() * self.p_w;
+        let steps = (self.seconds / options.dt).round() as usize;
+        for step in 0..steps {
+            let now = simulation.state(self.body).x_wb;
+            let load_n = (self.newtons_at)((step + 1) as f64 * options.dt);
+            let force = DVec3::NEG_Z * load_n;
+            simulation.apply_wrench(self.body, force, (now * p_b - now * com_b).cross(force));
+            match simulation.advance(options.dt) {
+                Ok(_) => {}
+                // A structure that diverges under a load does not bear it.
+                Err(SimError::Diverged { .. }) => return Ok(Some(load_n)),
+                Err(e) => return Err(e),
+            }
+            if self.p_w.z - (simulation.state(self.body).x_wb * p_b).z > sinks_m {
+                return Ok(Some(load_n));
+            }
         }
-        if p_w.z - (simulation.state(id).x_wb * p_b).z > sinks_m {
-            return Ok(Some(load_n));
-        }
+        Ok(None)
     }
-    Ok(None)
 }

@@ -1,18 +1,18 @@
-//! Wash above the [`crate::World`] trait: any model of the air with any engine.
+//! Wash on the bodies of a [`crate::World`], for any model of the air and any engine.
 
 use crate::{BodyState, SimError, Simulation};
 use glamx::DVec3;
 use sms_scene::{BodyShape, Scene};
 use sms_wash::{BodyMotion, BodySurface, VehicleState, Wash, WashError, Wrench};
 
-/// Forces below this are not handed over, N: resting bodies may fall asleep again when the air is still.
+/// Smaller forces are dropped, N, so that resting bodies fall asleep when the air is still.
 const LEAST_FORCE: f64 = 1e-4;
 
-/// The surfaces of a scene's bodies, in its order, as models of wash want them. Static meshes are not felt by the air (they are
-/// no convex solids); floors are.
+/// The surfaces of a scene's bodies in order, as input of a wash model. Static meshes do not affect the air because they are
+/// not convex solids; floors do.
 ///
 /// # Errors
-/// [`SimError::Body`] when a hull bounds no volume.
+/// [`SimError::Body`] when a hull has no volume.
 pub fn wash_surfaces(scene: &Scene) -> Result<Vec<BodySurface>, SimError> {
     scene
         .bodies
@@ -26,19 +26,19 @@ pub fn wash_surfaces(scene: &Scene) -> Result<Vec<BodySurface>, SimError> {
         .collect()
 }
 
-/// A model of wash that blows at the bodies of a simulation.
+/// A wash model coupled to the bodies of a simulation.
 ///
-/// In each nominal step the air moves first, past the bodies as they are; its mean wrenches act on them during the step. So
-/// what the air loses the bodies get, in the same step.
+/// In each nominal step the air moves first, past the bodies in their current states. Its mean wrenches act on them during the
+/// step, so that the bodies receive the momentum that the air loses in the same step.
 pub struct WashInWorld {
     wash: Box<dyn Wash>,
-    /// Scene bodies come first in a world: the wash's surfaces are theirs.
+    /// Motions of the scene's bodies, which come first in a world.
     motions: Vec<BodyMotion>,
     wrenches: Vec<Wrench>,
 }
 
 impl WashInWorld {
-    /// Couples a model that was made for the first `bodies` bodies of a simulation ([`wash_surfaces`]: those of its scene).
+    /// Couples a model for the first `bodies` bodies of a simulation (those of its scene: [`wash_surfaces`]).
     pub fn new(wash: Box<dyn Wash>, bodies: usize) -> Self {
         Self { wash, motions: Vec::with_capacity(bodies), wrenches: vec![Wrench::default(); bodies] }
     }
@@ -53,8 +53,8 @@ impl WashInWorld {
         &self.wrenches
     }
 
-    /// Advances the air and the simulation by one step of `dt` seconds with the vehicle as it is. Take the simulation's nominal step
-    /// ([`crate::WorldOptions::dt`]), or less.
+    /// Advances the air and the simulation by one step of `dt` seconds with the vehicle in its current state; `dt` is at most the
+    /// nominal step ([`crate::WorldOptions::dt`]).
     ///
     /// # Errors
     /// [`SimError::Diverged`] when a state stops being finite.
@@ -68,7 +68,7 @@ impl WashInWorld {
         self.motions.extend((0..self.wrenches.len()).map(|b| motion(&simulation.state(b))));
         self.wash.step(dt, vehicle, &self.motions, &mut self.wrenches);
         for (body, wrench) in self.wrenches.iter().enumerate() {
-            // What is not finite is handed over as well: the simulation then says that it diverged.
+            // A wrench that is not finite is applied too, so that the simulation reports the divergence.
             if wrench.force_w.length() > LEAST_FORCE || !wrench.force_w.is_finite() {
                 simulation.apply_wrench(body, wrench.force_w, wrench.torque_w);
             }
@@ -76,12 +76,12 @@ impl WashInWorld {
         simulation.advance(dt)
     }
 
-    /// Saves the state of the air; the simulation has its own ([`Simulation::save`]).
+    /// Saves the state of the air; the simulation is saved separately ([`Simulation::save`]).
     pub fn save(&mut self) {
         self.wash.save();
     }
 
-    /// Returns to the saved state of the air.
+    /// Restores the saved state of the air.
     pub fn restore(&mut self) {
         self.wash.restore();
         self.wrenches.fill(Wrench { force_w: DVec3::ZERO, torque_w: DVec3::ZERO });

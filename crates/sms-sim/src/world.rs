@@ -1,11 +1,11 @@
-//! The seam to physics engines. A world speaks `f64` whatever it computes in.
+//! The interface to physics engines. A world exchanges `f64` values, whatever its own precision.
 
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_robots::{ArmStrike, StrikeError};
 use sms_scene::Scene;
 
-/// Index of a body: scene bodies first, in the scene's order, then kinematic ones and tools in the order they were added.
+/// Index of a body: scene bodies first, in the scene's order, then kinematic bodies and tools in order of insertion.
 pub type BodyId = usize;
 
 /// Motion state of one body.
@@ -37,18 +37,18 @@ pub enum KinematicShape {
     },
 }
 
-/// Whose the joints of an arm are.
+/// Who simulates the arm's joints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArmKind {
-    /// Ours, the same in every engine; the engine sees the tool alone.
+    /// The shared arm, the same in every engine; the engine simulates the tool alone.
     #[default]
     Shared,
-    /// The engine's: an articulation under the same controller, where the engine has one ([`World::add_arm`]).
+    /// The engine: an articulation under the same controller, if the engine supports it ([`World::add_arm`]).
     Articulation,
 }
 
-/// How a world is built.
+/// Settings of a world.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorldOptions {
@@ -58,7 +58,7 @@ pub struct WorldOptions {
     pub sleep: bool,
     /// Whether steps are split at the time of impact of fast balls.
     pub contact_timing: bool,
-    /// Whose the joints of an arm are.
+    /// Who simulates the arm's joints.
     pub arm: ArmKind,
 }
 
@@ -76,11 +76,11 @@ pub enum SimError {
     Body {
         /// Its name.
         body: String,
-        /// Why.
+        /// The fault.
         why: String,
     },
-    /// The state stopped being finite.
-    #[error("the simulation of {engine} blew up at t = {time_s:.4} s (body `{body}`)")]
+    /// A state is no longer finite.
+    #[error("the simulation in {engine} diverged at t = {time_s:.4} s (body `{body}`)")]
     Diverged {
         /// Engine.
         engine: &'static str,
@@ -89,77 +89,79 @@ pub enum SimError {
         /// Body.
         body: String,
     },
-    /// The robot cannot make the strike; nothing was simulated.
-    #[error("the robot cannot make this strike: {0}")]
+    /// The robot cannot execute the strike; nothing was simulated.
+    #[error("the robot cannot execute this strike: {0}")]
     Refused(Box<StrikeError>),
-    /// The motion is none that bodies can have.
-    #[error("the simulation of {engine} cannot be believed from t = {time_s:.4} s on: {why}")]
+    /// The motion is physically impossible.
+    #[error("the simulation in {engine} is physically impossible from t = {time_s:.4} s: {why}")]
     Unphysical {
         /// Engine.
         engine: &'static str,
         /// Time.
         time_s: f64,
-        /// What was seen.
-        why: Impossible,
+        /// The violation.
+        why: PhysicsViolation,
     },
 }
 
-/// What a simulation shows that bodies cannot do.
+/// A violation of physics in a simulation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Impossible {
-    /// One body is inside of another.
-    #[error("`{body}` is {:.1} mm inside of `{other}`", 1e3 * .depth_m)]
+pub enum PhysicsViolation {
+    /// One body penetrates another.
+    #[error("`{body}` penetrates `{other}` by {:.1} mm", 1e3 * .depth_m)]
     Inside {
-        /// The body that moves.
+        /// The moving body.
         body: String,
-        /// What it is in.
+        /// The penetrated body.
         other: String,
-        /// How deep, metres.
+        /// Penetration depth, metres.
         depth_m: f64,
     },
-    /// Bodies have more energy than the robot gave them.
-    #[error("bodies have {has_j:.3} J, of which the robot gave {given_j:.3} J; most of it has `{body}`")]
+    /// The bodies have more energy than the robot gave them.
+    #[error(
+        "the bodies have {has_j:.3} J, of which the robot gave at most {given_j:.3} J; `{body}` has the most"
+    )]
     MoreThanGiven {
-        /// The body with the most energy of motion.
+        /// The body with the most kinetic energy.
         body: String,
-        /// Energy that was not there at rest, joules.
+        /// Energy beyond that at rest, joules.
         has_j: f64,
-        /// The most that the robot can have given, joules.
+        /// Upper bound of the energy given by the robot, joules.
         given_j: f64,
     },
-    /// Bodies gained energy after the robot had gone.
-    #[error("bodies gained {gain_j:.3} J by themselves; most of all has `{body}`")]
+    /// The bodies gained energy after the strike.
+    #[error("the bodies gained {gain_j:.3} J after the strike; `{body}` has the most")]
     Gained {
-        /// The body with the most energy of motion.
+        /// The body with the most kinetic energy.
         body: String,
-        /// How much, joules.
+        /// Gain, joules.
         gain_j: f64,
     },
-    /// Something else.
+    /// Another violation.
     #[error("{0}")]
     Other(String),
 }
 
 impl SimError {
-    /// Why a run was spoilt, without figures, for counting; `None` where it was not.
+    /// Why the run failed, without numbers, for counting; `None` for other errors.
     pub fn failure_reason(&self) -> Option<String> {
         match self {
-            Self::Diverged { body, .. } => Some(format!("`{body}` went beyond all numbers")),
-            Self::Unphysical { why: Impossible::Inside { body, other, .. }, .. } => {
-                Some(format!("`{body}` was inside of `{other}`"))
+            Self::Diverged { body, .. } => Some(format!("`{body}` diverged (non-finite state)")),
+            Self::Unphysical { why: PhysicsViolation::Inside { body, other, .. }, .. } => {
+                Some(format!("`{body}` penetrated `{other}`"))
             }
-            Self::Unphysical { why: Impossible::MoreThanGiven { body, .. }, .. } => {
+            Self::Unphysical { why: PhysicsViolation::MoreThanGiven { body, .. }, .. } => {
                 Some(format!("`{body}` had more energy than the robot gave"))
             }
-            Self::Unphysical { why: Impossible::Gained { body, .. }, .. } => {
-                Some(format!("`{body}` gained energy by itself"))
+            Self::Unphysical { why: PhysicsViolation::Gained { body, .. }, .. } => {
+                Some(format!("`{body}` gained energy after the strike"))
             }
-            Self::Unphysical { why: Impossible::Other(why), .. } => Some(why.clone()),
+            Self::Unphysical { why: PhysicsViolation::Other(why), .. } => Some(why.clone()),
             Self::Body { .. } | Self::Refused(_) => None,
         }
     }
 
-    /// Whether a run was spoilt or refused, not the scene: another motion may be simulated well.
+    /// Whether the run is invalid or was refused, as opposed to the scene: another motion may succeed.
     pub fn is_invalid_rollout(&self) -> bool {
         matches!(self, Self::Diverged { .. } | Self::Unphysical { .. } | Self::Refused(_))
     }
@@ -171,14 +173,14 @@ impl From<StrikeError> for SimError {
     }
 }
 
-/// Two bodies that touch for the first time.
+/// First contact of two bodies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactEvent {
-    /// When, seconds.
+    /// Time, seconds.
     pub time_s: f64,
-    /// The faster one of the two; of a ball and something static the ball.
+    /// The faster of the two; the ball of a ball and a static body.
     pub body: BodyId,
-    /// What it hits.
+    /// The other body.
     pub other: BodyId,
 }
 
@@ -194,12 +196,12 @@ pub trait World: Send {
     fn state(&self, body: BodyId) -> BodyState;
     /// Sets the state of a body and wakes it.
     fn set_state(&mut self, body: BodyId, state: &BodyState);
-    /// Adds a force (N) and a torque about the centre of mass (N·m), in the world, for the next step. `wake` says
-    /// whether a sleeping body is woken.
+    /// Adds a force (N) and a torque about the centre of mass (N·m), in the world, for the next step. `wake` wakes a sleeping
+    /// body.
     fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool);
     /// Whether the body is asleep.
     fn is_asleep(&self, body: BodyId) -> bool;
-    /// Adds a kinematic body that pushes others and is pushed by none.
+    /// Adds a kinematic body.
     fn add_kinematic(
         &mut self,
         shape: KinematicShape,
@@ -209,15 +211,14 @@ pub trait World: Send {
     ) -> BodyId;
     /// Pose that a kinematic body reaches at the end of the next step.
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
-    /// Adds a tool: a dynamic body whose pose, velocity and mass are given before each step ([`World::set_tool`]), which
-    /// has no weight and is not turned by contacts. The change of its velocity in a step, times the mass, is the impulse
-    /// that it has received.
+    /// Adds a tool: a dynamic body without weight whose pose, velocity and mass are set before each step ([`World::set_tool`])
+    /// and which contacts do not turn. Its change of velocity in a step, times the mass, is the impulse that it has received.
     fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
     /// State of a tool at the beginning of the next step, and its mass in it, kg.
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64);
-    /// Adds an arm of the engine's own joints, at rest at the start of its strike, and gives the body of its tool, whose state
-    /// is that of the tool's frame. Of its shapes only the striking part of the tool is there. `None` where the engine
-    /// has none such, or not of this robot. A world with one cannot be saved.
+    /// Adds an arm of the engine's own joints, at rest at the start of its strike, and returns the body of its tool, whose state
+    /// is that of the tool's frame. Only the striking part of the tool has a shape. `None` if the engine does not support
+    /// arms, or not this robot. A world with an arm cannot be saved.
     fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
         let _ = (strike, friction, restitution);
         None
@@ -226,24 +227,23 @@ pub trait World: Send {
     fn arm_joints(&self, body: BodyId, q: &mut [f64], qd: &mut [f64]) {
         let _ = (body, q, qd);
     }
-    /// Torques of its motors from now on. The engine takes friction and damping of the joints off.
+    /// Torques of the motors from now on. The engine subtracts friction and damping of the joints.
     fn set_arm_torques(&mut self, body: BodyId, tau: &[f64]) {
         let _ = (body, tau);
     }
-    /// Switches the collisions of a kinematic body, a tool or an arm off or on.
+    /// Enables or disables the collisions of a kinematic body, a tool or an arm.
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool);
-    /// Saves the state as snapshot 0; `false` where the engine cannot.
+    /// Saves the state; `false` if the engine does not support it.
     fn save(&mut self) -> bool;
-    /// Returns to the saved state; `false` where there is none. Kinematic bodies added since are gone.
+    /// Restores the saved state and removes kinematic bodies added since; `false` if none was saved.
     fn restore(&mut self) -> bool;
-    /// A body that the engine gave up in the last step because its state was not finite any more, for engines that
-    /// take such bodies out of the world.
+    /// A body that the engine removed in the last step because its state was not finite, for engines that remove such bodies.
     fn first_failed(&self) -> Option<BodyId> {
         None
     }
-    /// Moves the pairs of bodies that began to touch since the last call, in a fixed order, to the end of `pairs`. A pair
-    /// may come again when it parts and touches again, and once for each two of its parts. Engines that cannot tell
-    /// add none: only impacts of balls are then known.
+    /// Appends the pairs of bodies that began to touch since the last call to `pairs`, in a fixed order. A pair may recur when it
+    /// parts and touches again, and once per pair of their parts. Engines that do not report touches append nothing; then only
+    /// impacts of balls are known.
     fn take_touches(&mut self, pairs: &mut Vec<(BodyId, BodyId)>) {
         let _ = pairs;
     }
@@ -259,8 +259,7 @@ pub trait WorldFactory: Sync {
     /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
 
-    /// Whether [`WorldOptions::contact_timing`] has any effect: `false` for an engine that is to be shown in whole steps, with
-    /// the errors that come of them.
+    /// Whether [`WorldOptions::contact_timing`] has an effect: `false` for an engine that is to be studied with whole steps.
     fn splits_steps(&self) -> bool {
         true
     }

@@ -1,8 +1,8 @@
-//! Worlds of PhysX leave nothing behind, on whatever thread they are built. A test of its own, because it counts the
+//! Worlds of PhysX release all their objects, whichever thread builds them. A binary of its own, because it counts the
 //! objects of the process.
 #![cfg(feature = "physx")]
 
-#[path = "../../sms-sim/tests/common/mod.rs"]
+#[path = "../../sms-sim/tests/it/common.rs"]
 mod common;
 
 use common::{DT, G, R, awake, ball, cuboid, floor, material, mesh_box, scene, simulate};

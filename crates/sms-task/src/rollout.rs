@@ -8,7 +8,8 @@ use glamx::{DVec2, DVec3};
 use sms_core::InputError;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_sim::{
-    BodyId, BodyState, ContactEvent, Impossible, SimError, Simulation, Striker, WorldFactory, WorldOptions,
+    BodyId, BodyState, ContactEvent, PhysicsViolation, SimError, Simulation, Striker, WorldFactory,
+    WorldOptions,
 };
 
 /// Name of the striker's track.
@@ -460,7 +461,7 @@ struct RolloutChecks {
 impl RolloutChecks {
     fn check(&mut self, time_s: f64, simulation: &Simulation, bodies: &WorldBodies) -> Result<(), SimError> {
         let unphysical =
-            |why: Impossible| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
+            |why: PhysicsViolation| Err(SimError::Unphysical { engine: simulation.engine(), time_s, why });
         for m in bodies.dynamic.iter().filter(|m| !simulation.is_asleep(m.id)) {
             let Some((other, depth_m)) = simulation.deepest(m.id) else { continue };
             let is_too_deep = if m.radius.is_some() {
@@ -472,7 +473,7 @@ impl RolloutChecks {
             };
             if is_too_deep {
                 let (body, other) = (m.name.clone(), simulation.name(other).to_owned());
-                return unphysical(Impossible::Inside { body, other, depth_m });
+                return unphysical(PhysicsViolation::Inside { body, other, depth_m });
             }
         }
         let [low, high] = bodies.energy(simulation);
@@ -481,7 +482,7 @@ impl RolloutChecks {
             let has = low - self.rest;
             if has > (1.0 + ENERGY_GAIN.0) * given + ENERGY_GAIN.1 {
                 let body = bodies.fastest(simulation);
-                return unphysical(Impossible::MoreThanGiven { body, has_j: has, given_j: given });
+                return unphysical(PhysicsViolation::MoreThanGiven { body, has_j: has, given_j: given });
             }
         }
         if !simulation.is_strike_over() {
@@ -492,7 +493,10 @@ impl RolloutChecks {
             Some((then, moving)) => {
                 let gain = low - then;
                 if gain > ENERGY_GAIN.0 * moving.max(0.0) + ENERGY_GAIN.1 {
-                    return unphysical(Impossible::Gained { body: bodies.fastest(simulation), gain_j: gain });
+                    return unphysical(PhysicsViolation::Gained {
+                        body: bodies.fastest(simulation),
+                        gain_j: gain,
+                    });
                 }
             }
         }

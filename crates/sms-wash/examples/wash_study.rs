@@ -1,5 +1,5 @@
-//! Force of a hovering quadrotor on a plate by all models, size of the free jet, and cost, for settings of the particle model; what
-//! experiments/studies/wash.md is made of.
+//! Force of a hovering quadrotor on a plate by all models, width of the free jet, and cost, for settings of the particle model:
+//! the figures of experiments/studies/wash.md.
 //!
 //! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML, and `half`
 //! (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along x), `propellers`, `seconds`.
@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let wall = began.elapsed().as_secs_f64();
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
     let deviation = (forces.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / forces.len() as f64).sqrt();
-    // Among what still falls freely.
+    // Statistics of the particles that still fall freely.
     let (mut count, mut square) = (0.0, 0.0);
     let falls =
         |x: &[f32; 3], v: &[f32; 3]| (0.3 * height..0.4 * height).contains(&f64::from(x[2])) && v[2] < -14.0;

@@ -1,21 +1,20 @@
-//! The actuator disk of momentum theory (the paper's appendix "Quadrotor Propeller Model"), and what it makes an emitter emit.
+//! The actuator disk of momentum theory (the paper's appendix "Quadrotor Propeller Model"), and the stream of its emitter.
 
 use crate::WashError;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// Density of air at sea level and 15 °C, kg/m³ (the paper's value).
-pub const AIR_DENSITY: f64 = 1.225;
+pub(crate) const AIR_DENSITY: f64 = 1.225;
 
-/// How the calibration of the paper's appendix is read: the mass flow is that through the disk in both.
+/// Interpretation of the calibration in the paper's appendix. The mass flow is that through the disk in both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Emission {
-    /// As the appendix has it: emitted over the disk at the disk's speed. Such a stream carries half of the thrust; the
-    /// other half is the pressure behind the disk, which particles do not have.
+    /// As in the appendix: emitted over the disk at the disk's speed. This stream carries half of the thrust; the other half is
+    /// the pressure behind the disk, which particles lack.
     Paper,
-    /// The far wake of the same disk: contracted to half of the area, at the exit speed, so that the stream carries the whole
-    /// thrust.
+    /// The far wake of the same disk, contracted to half the area, at the exit speed: the stream carries the whole thrust.
     #[default]
     Momentum,
 }
@@ -31,7 +30,7 @@ pub struct ActuatorDisk {
     pub air_density: f64,
 }
 
-/// A stream of air as it leaves an emitter: a cylinder of uniform speed.
+/// The stream of an emitter: a cylinder of uniform speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Emitted {
     /// Mass per second, kg/s.
@@ -90,7 +89,7 @@ impl ActuatorDisk {
         self.air_density * self.area() * self.disk_speed()
     }
 
-    /// What an emitter in place of the disk emits.
+    /// The stream of an emitter in place of the disk.
     pub fn emitted(&self, emission: Emission) -> Emitted {
         let (speed, radius) = match emission {
             Emission::Paper => (self.disk_speed(), self.radius),
@@ -98,12 +97,6 @@ impl ActuatorDisk {
         };
         Emitted { mass_flow: self.mass_flow(), speed, radius }
     }
-}
-
-/// Density that cylindrical particles must have for `count` of them, emitted in a step of `dt` seconds, to carry the mass flow
-/// (kg/s); `length` and `diameter` in metres (the appendix's ρ_particle), kg/m³.
-pub fn particle_density(mass_flow: f64, dt: f64, count: usize, length: f64, diameter: f64) -> f64 {
-    mass_flow * dt / (count as f64 * 0.25 * PI * diameter * diameter * length)
 }
 
 #[cfg(test)]
@@ -114,7 +107,7 @@ mod tests {
         ActuatorDisk::hovering(1.182, 9.81, 4, 0.0685, AIR_DENSITY).unwrap()
     }
 
-    /// Worked out by hand from the appendix's figures.
+    /// Computed by hand from the appendix.
     #[test]
     fn the_published_vehicle_has_the_published_calibration() {
         let disk = published();
@@ -141,15 +134,6 @@ mod tests {
         let power = 0.5 * momentum.mass_flow * momentum.speed.powi(2);
         assert!((power / (disk.thrust * disk.disk_speed()) - 1.0).abs() < 1e-12);
         assert!((4.0 * power - 103.885).abs() < 1e-3);
-    }
-
-    #[test]
-    fn particles_of_the_stated_density_carry_the_mass_flow() {
-        let disk = published();
-        let (dt, count, length, diameter) = (0.01, 40, 0.02, 0.015);
-        let density = particle_density(disk.mass_flow(), dt, count, length, diameter);
-        let particle = density * PI * (0.5 * diameter) * (0.5 * diameter) * length;
-        assert!((particle * count as f64 / dt / disk.mass_flow() - 1.0).abs() < 1e-12);
     }
 
     #[test]

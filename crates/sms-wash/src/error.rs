@@ -1,30 +1,30 @@
 //! Errors.
 
-/// What wash cannot be made of.
+/// Error in the input of a wash model.
 #[derive(Debug, thiserror::Error)]
 pub enum WashError {
     /// A setting is out of range.
     #[error("{name} is {value}, but must be {must}")]
     Setting {
-        /// Which.
+        /// Name of the setting.
         name: String,
         /// Its value.
         value: f64,
-        /// What it must be.
+        /// The allowed range.
         must: &'static str,
     },
-    /// A part of a body is no convex solid.
-    #[error("part {part} of the body is no convex solid: {why}")]
+    /// A part of a body is not a convex solid.
+    #[error("part {part} of the body is not a convex solid: {why}")]
     Part {
         /// Index of the part.
         part: usize,
-        /// What is wrong.
+        /// The fault.
         why: String,
     },
 }
 
 impl WashError {
-    /// Refuses what is not positive and finite.
+    /// Refuses values that are not positive and finite.
     pub(crate) fn positive(name: &str, value: f64) -> Result<(), Self> {
         if value > 0.0 && value.is_finite() {
             return Ok(());

@@ -1,13 +1,12 @@
-//! The turbulent round jet: mean speeds of a stream that mixes with still air.
+//! The turbulent round jet: mean velocities of a stream that mixes with still air.
 //!
-//! Far from its origin every round jet looks alike: it widens in proportion to the distance z, its half-radius (where the
-//! mean speed is half of that on the axis) is S·z with S = 0.094, the speed on the axis falls like 1/z, and its profile is
-//! 1/(1 + aη²)², η = r/z, a = (√2 − 1)/S² (Hussein, Capp and George 1994; Pope, *Turbulent Flows*, section 5.1). The speed on
-//! the axis follows from S and the momentum, which a jet neither gains nor loses: u = B·u_exit·d/z with B = 5.93, where
-//! measured are 5.8 to 6.1.
+//! Far from its origin every round jet is self-similar. It widens in proportion to the distance z: its half-radius (where the
+//! mean speed is half of that on the axis) is S·z with S = 0.094. The speed on the axis decays like 1/z, and the profile is
+//! 1/(1 + aη²)², η = r/z, a = (√2 − 1)/S² (Hussein, Capp and George 1994; Pope, *Turbulent Flows*, section 5.1). S and the
+//! conserved momentum determine the speed on the axis: u = B·u_exit·d/z with B = 5.93 (measurements: 5.8 to 6.1).
 //!
-//! That the air below a quadrotor is such a jet, of the thrust's momentum, from about 2.5 times the distance of its motors on,
-//! was measured by Bauersfeld et al. (arXiv 2403.13321). What they fitted is not used here: the constants are the classic ones.
+//! Bauersfeld et al. (arXiv 2403.13321) measured that the air below a quadrotor is such a jet, with the momentum of the thrust,
+//! from about 2.5 times the distance of its motors on. The constants here are the classic ones, not their fit.
 
 use std::f64::consts::PI;
 
@@ -17,26 +16,26 @@ pub const SPREADING_RATE: f64 = 0.094;
 /// The profile's constant a = (√2 − 1)/S².
 const PROFILE: f64 = (std::f64::consts::SQRT_2 - 1.0) / (SPREADING_RATE * SPREADING_RATE);
 
-/// A jet that leaves a nozzle with uniform speed.
+/// A jet from a nozzle of uniform speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoundJet {
     /// Momentum per second, N.
     pub momentum_flux: f64,
     /// Radius at the nozzle, metres.
     pub exit_radius: f64,
-    /// Density of the jet and of the air around, kg/m³.
+    /// Density of the jet and of the surrounding air, kg/m³.
     pub air_density: f64,
 }
 
 impl RoundJet {
-    /// Radius (metres) within which the share `inner` (0 to 1) of the momentum flows at distance `z`, and the mean speed (m/s)
-    /// there. Between the nozzle, where inner shares fill a disk evenly, and the far law radii are blended with the fourth
-    /// power, which leaves the core's speed nearly whole over four diameters.
+    /// Radius (metres) of the circle with the share `inner` (0 to 1) of the momentum at distance `z`, and the mean speed (m/s)
+    /// there. At the nozzle the shares fill a disk evenly. The radii there and those of the far law are blended with the fourth
+    /// power, which nearly preserves the core's speed over four diameters.
     pub fn stream(&self, inner: f64, z: f64) -> (f64, f64) {
         let inner = inner.clamp(0.0, 1.0 - 1e-9);
         let nozzle = self.exit_radius.powi(2);
         let rest = (1.0 - inner).powf(-1.0 / 3.0);
-        // Squared radii, divided by the share so that the axis is no special case, and their derivatives by the share.
+        // Squared radii and their derivatives, both divided by the share so that the axis needs no special case.
         let share = if inner > 1e-9 { (rest - 1.0) / (PROFILE * inner) } else { 1.0 / (3.0 * PROFILE) };
         let far = z * z * share;
         let far_slope = z * z * rest.powi(4) / (3.0 * PROFILE);
@@ -49,17 +48,6 @@ impl RoundJet {
     /// Mean speed on the axis at distance `z`, m/s.
     pub fn centerline_speed(&self, z: f64) -> f64 {
         self.stream(0.0, z).1
-    }
-
-    /// Distance (metres) from the axis at which the mean speed is half of that on the axis.
-    pub fn half_radius(&self, z: f64) -> f64 {
-        let half = 0.5 * self.centerline_speed(z);
-        let (mut low, mut high) = (0.0, 1.0);
-        for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if self.stream(middle, z).1 > half { low = middle } else { high = middle }
-        }
-        self.stream(low, z).0
     }
 }
 
@@ -82,7 +70,14 @@ mod tests {
             let decay = jet.centerline_speed(z) / exit * z_over_d;
             // Published: 5.8 (hot wires and laser), 5.9, 6.06 (Wygnanski, Panchapakesan).
             assert!((5.75..6.1).contains(&decay), "B = {decay}");
-            assert!((jet.half_radius(z) / z / SPREADING_RATE - 1.0).abs() < 2e-3, "S at {z_over_d} d");
+            let half = 0.5 * jet.centerline_speed(z);
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                if jet.stream(middle, z).1 > half { low = middle } else { high = middle }
+            }
+            let half_radius = jet.stream(low, z).0;
+            assert!((half_radius / z / SPREADING_RATE - 1.0).abs() < 2e-3, "S at {z_over_d} d");
         }
         // The profile against Pope's formula.
         let z = 60.0 * d;
@@ -100,7 +95,7 @@ mod tests {
         for z in [0.0, 0.1, 0.3, 0.6, 1.0, 4.0] {
             let mut flux = 0.0;
             let (mut r0, mut u0) = jet.stream(0.0, z);
-            // Radii are what is integrated over; that shares are of momentum is what is tested.
+            // Integrates over radii; the shares of momentum are the tested quantity.
             for k in 1..20_000 {
                 let (r, u) = jet.stream(f64::from(k) / 20_000.0, z);
                 flux += jet.air_density * 0.5 * (u * u + u0 * u0) * PI * (r * r - r0 * r0);

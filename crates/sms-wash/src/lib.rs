@@ -1,15 +1,15 @@
-//! Propeller wash on rigid bodies, behind one trait, [`Wash`]: what the air that a vehicle's propellers push down does to what
-//! stands below.
+//! Propeller wash on rigid bodies behind one trait, [`Wash`]: the forces of the air that a vehicle's propellers push down on the
+//! bodies below.
 //!
-//! | model | what it is | what it is for |
+//! | model | content | purpose |
 //! |---|---|---|
 //! | `disk` | uniform tubes of momentum ([`StreamWash::disk`]) | closed forms |
 //! | `jet` | turbulent round jets that merge ([`StreamWash::jet`], [`RoundJet`]) | screening |
 //! | `sph` | smoothed-particle hydrodynamics ([`SphWash`]) | refinement and the final score |
 //!
-//! [`WashSettings`] chooses among them. All are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix "Quadrotor Propeller Model") and press
-//! on the same surfaces, unions of convex parts ([`BodySurface`]). Friction of air along surfaces is left out: air loses what
-//! momentum it has along a surface's normal.
+//! [`WashSettings`] selects one. All are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix "Quadrotor
+//! Propeller Model") and act on the same surfaces, unions of convex parts ([`BodySurface`]). Skin friction is neglected: the
+//! air loses the component of its momentum along a surface's normal.
 //!
 //! The vehicle is a [`sms_robots::Quadrotor`], its approach a [`sms_robots::Flight`].
 //!
@@ -44,11 +44,11 @@ mod stream;
 mod surface;
 mod wash;
 
-pub use disk::{AIR_DENSITY, ActuatorDisk, Emission, Emitted, particle_density};
+pub use disk::{ActuatorDisk, Emission, Emitted};
 pub use error::WashError;
 pub use jet::{RoundJet, SPREADING_RATE};
 pub use model::{WashModel, WashSettings};
-pub use sph::{Kernel, Ledger, Pattern, SphSettings, SphWash};
+pub use sph::{EmissionPattern, SmoothingKernel, SphSettings, SphWash};
 pub use stream::{StreamSettings, StreamWash};
-pub use surface::{BodySurface, SurfacePoint};
+pub use surface::{BodySurface, SurfaceHit};
 pub use wash::{BodyMotion, VehicleState, Wash, Wrench};

@@ -1,4 +1,4 @@
-//! Which model, as a setting.
+//! The choice of a model.
 
 use crate::{BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, Wash, WashError};
 use serde::{Deserialize, Serialize};
@@ -18,20 +18,20 @@ pub enum WashModel {
     Sph,
 }
 
-/// A model and the settings of all of them.
+/// The selected model, and the settings of all models.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WashSettings {
-    /// Which one.
+    /// The selected model.
     pub model: WashModel,
-    /// Of `disk` and `jet`.
+    /// Settings of `disk` and `jet`.
     pub stream: StreamSettings,
-    /// Of `sph`.
+    /// Settings of `sph`.
     pub sph: SphSettings,
 }
 
 impl WashSettings {
-    /// Makes the model for bodies of these surfaces; `None` for no wash.
+    /// Creates the model for bodies of these surfaces; `None` for no wash.
     ///
     /// # Errors
     /// [`WashError::Setting`] when a setting of the model is out of range.

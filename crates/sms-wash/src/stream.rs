@@ -1,5 +1,5 @@
-//! The two analytic models: streams as bundles of flow lines, each of which carries the same momentum to the first surface
-//! on its way.
+//! The two analytic models: streams as bundles of flow lines with equal shares of the momentum, which they transfer to the first
+//! surface on their way.
 
 use crate::jet::RoundJet;
 use crate::wash::Stream;
@@ -9,30 +9,30 @@ use serde::{Deserialize, Serialize};
 use sms_core::Aabb;
 use std::f64::consts::PI;
 
-/// How the analytic models are made.
+/// Settings of the analytic models.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StreamSettings {
     /// Density of the air, kg/m³.
     pub air_density: f64,
-    /// How much momentum leaves a propeller.
+    /// Momentum of a propeller's stream.
     pub emission: Emission,
-    /// Flow lines of a propeller from its axis outwards.
+    /// Number of flow lines of a propeller from its axis outwards.
     pub rings: usize,
-    /// Flow lines around the axis.
+    /// Number of flow lines around the axis.
     pub spokes: usize,
-    /// How far the flow is followed, metres. A merged jet has a third of the exit speed there.
+    /// Length of the flow lines, metres. A merged jet has a third of the exit speed there.
     pub reach: f64,
-    /// Where the jets of all propellers have become one, in largest distances between motors (measured: 2.5, arXiv 2403.13321).
+    /// Distance at which the jets of all propellers have merged, in largest distances between motors (measured: 2.5, arXiv 2403.13321).
     pub merge_spans: f64,
-    /// Pieces of a curved flow line; they are shorter near the propeller.
+    /// Number of pieces of a curved flow line; they are shorter near the propeller.
     pub pieces: usize,
 }
 
 impl Default for StreamSettings {
     fn default() -> Self {
         Self {
-            air_density: crate::AIR_DENSITY,
+            air_density: crate::disk::AIR_DENSITY,
             emission: Emission::Momentum,
             rings: 10,
             spokes: 16,
@@ -43,53 +43,58 @@ impl Default for StreamSettings {
     }
 }
 
-/// Shape of a propeller's stream.
+/// StreamModel of a propeller's stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shape {
+enum StreamModel {
     Tube,
     Jet,
 }
 
-/// Wash without memory: the flow is that of the present thrusts, its axis bent by the vehicle's present velocity, and each flow line loses at the first surface what
-/// momentum it has along the surface's normal. Behind surfaces the air is still.
+/// Quasi-steady wash: the flow is that of the current thrusts, with its axis bent by the vehicle's current velocity. Each flow
+/// line loses the component of its momentum along the normal of the first surface that it meets. The air behind surfaces is
+/// still.
 pub struct StreamWash {
-    shape: Shape,
+    shape: StreamModel,
     settings: StreamSettings,
     surfaces: Vec<BodySurface>,
     active: bool,
-    /// Cosine and sine of the turn of each flow line, ring by ring. Rings are turned against each other, so that an edge meets lines
-    /// one after the other.
+    /// Cosine and sine of the angle of each flow line, ring by ring. Rings are rotated against each other, so that an edge crosses
+    /// lines one by one.
     turns: Vec<(f64, f64)>,
-    /// One of each propeller: thrusts seldom change.
-    profiles: Vec<Profile>,
+    /// One profile per propeller, reused while thrusts are constant.
+    profiles: Vec<StreamProfile>,
 }
 
-/// How a propeller's stream widens and slows down.
+/// Widening and decay of a propeller's stream.
 #[derive(Debug, Clone, Default)]
-struct Profile {
+struct StreamProfile {
     emitted: Option<Emitted>,
-    /// Of each ring the distance from the axis and the speed, where pieces begin and end.
+    /// For each ring the distance from the axis and the speed at the ends of pieces.
     rings: Vec<Vec<(f64, f64)>>,
 }
 
 impl StreamWash {
-    /// `disk`: uniform tubes that neither widen nor slow down.
+    /// `disk`: uniform tubes of constant width and speed.
     ///
     /// # Errors
     /// [`WashError::Setting`] when a setting is out of range.
     pub fn disk(surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
-        Self::new(Shape::Tube, surfaces, settings)
+        Self::new(StreamModel::Tube, surfaces, settings)
     }
 
-    /// `jet`: turbulent round jets ([`RoundJet`]) that draw each other together until they are one.
+    /// `jet`: turbulent round jets ([`RoundJet`]) that converge until they merge.
     ///
     /// # Errors
     /// [`WashError::Setting`] when a setting is out of range.
     pub fn jet(surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
-        Self::new(Shape::Jet, surfaces, settings)
+        Self::new(StreamModel::Jet, surfaces, settings)
     }
 
-    fn new(shape: Shape, surfaces: Vec<BodySurface>, settings: StreamSettings) -> Result<Self, WashError> {
+    fn new(
+        shape: StreamModel,
+        surfaces: Vec<BodySurface>,
+        settings: StreamSettings,
+    ) -> Result<Self, WashError> {
         WashError::positive("air_density", settings.air_density)?;
         WashError::positive("rings", settings.rings as f64)?;
         WashError::positive("spokes", settings.spokes as f64)?;
@@ -106,7 +111,7 @@ impl StreamWash {
         Ok(Self { shape, settings, surfaces, active: false, turns, profiles: Vec::new() })
     }
 
-    /// Writes the wrenches of the steady flow.
+    /// Computes the wrenches of the steady flow.
     fn evaluate(&mut self, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
         let streams: Vec<Stream> =
             vehicle.streams(self.settings.air_density, self.settings.emission).collect();
@@ -120,18 +125,18 @@ impl StreamWash {
             .iter()
             .flat_map(|a| vehicle.rotors.iter().map(|b| a.p_v.distance(b.p_v)))
             .fold(0.0, f64::max);
-        self.profiles.resize_with(streams.len().max(self.profiles.len()), Profile::default);
+        self.profiles.resize_with(streams.len().max(self.profiles.len()), StreamProfile::default);
         for (at, stream) in streams.iter().enumerate() {
             if self.profiles[at].emitted != Some(stream.emitted) {
                 self.profiles[at] =
-                    Profile { emitted: Some(stream.emitted), rings: self.rings(&stream.emitted) };
+                    StreamProfile { emitted: Some(stream.emitted), rings: self.rings(&stream.emitted) };
             }
         }
         let poses_bw: Vec<DPose3> = bodies.iter().map(|b| b.x_wb.inverse()).collect();
         let (rings, spokes) = (self.settings.rings, self.settings.spokes);
         let boxes_w: Vec<Option<Aabb>> =
             self.surfaces.iter().zip(bodies).map(|(s, b)| s.extent_w(&b.x_wb)).collect();
-        let at = Placed { bodies, poses_bw: &poses_bw, boxes_w: &boxes_w };
+        let at = BodyPlacement { bodies, poses_bw: &poses_bw, boxes_w: &boxes_w };
         let mut near = Vec::with_capacity(bodies.len());
         for (stream, profile) in streams.iter().zip(&self.profiles) {
             let across = stream.p_w - center_w;
@@ -147,19 +152,20 @@ impl StreamWash {
             let (u, v) = stream.axis_w.any_orthonormal_pair();
             for (line, (cos, sin)) in self.turns.iter().enumerate() {
                 let outwards_w = *cos * u + *sin * v;
-                self.follow(&lines, line / spokes, outwards_w, share, &near, &at, wrenches);
+                let line = FlowLine { ring: line / spokes, outwards_w, share };
+                self.follow(&lines, line, &near, &at, wrenches);
             }
         }
     }
 
-    /// Where pieces begin and end: their number, and the distance of each from the propeller, metres.
+    /// The number of pieces, and the distances of their ends from the propeller, metres.
     fn pieces(&self) -> (usize, impl Fn(usize) -> f64) {
-        let pieces = if self.shape == Shape::Tube { 1 } else { self.settings.pieces };
+        let pieces = if self.shape == StreamModel::Tube { 1 } else { self.settings.pieces };
         let reach = self.settings.reach;
         (pieces, move |k| reach * (k as f64 / pieces as f64).powf(1.5))
     }
 
-    /// Distances from the axis and speeds of what leaves a propeller.
+    /// Distances from the axis and speeds of the flow lines of a propeller.
     fn rings(&self, emitted: &Emitted) -> Vec<Vec<(f64, f64)>> {
         let (pieces, distance) = self.pieces();
         let jet = RoundJet {
@@ -170,8 +176,8 @@ impl StreamWash {
         let ring = |ring: usize| {
             let inner = (ring as f64 + 0.5) / self.settings.rings as f64;
             let radius_and_speed = |k: usize| match self.shape {
-                Shape::Tube => (emitted.radius * inner.sqrt(), emitted.speed),
-                Shape::Jet => jet.stream(inner, distance(k)),
+                StreamModel::Tube => (emitted.radius * inner.sqrt(), emitted.speed),
+                StreamModel::Jet => jet.stream(inner, distance(k)),
             };
             (0..=pieces).map(radius_and_speed).collect()
         };
@@ -188,7 +194,7 @@ impl StreamWash {
         v_w: DVec3,
     ) -> FlowLines<'a> {
         let (pieces, distance) = self.pieces();
-        // Air that is farther down left the propeller earlier, when the vehicle was elsewhere.
+        // Air farther down left the propeller earlier, at another position of the vehicle.
         let sideways_w = v_w - v_w.dot(stream.axis_w) * stream.axis_w;
         let (mut transit_s, mut last) = (0.0, (0.0, rings[0][0].1));
         let axis_w = (0..=pieces)
@@ -197,7 +203,7 @@ impl StreamWash {
                 transit_s += 2.0 * (z - last.0) / (speed + last.1);
                 last = (z, speed);
                 let u = if merged_at > 0.0 { (z / merged_at).min(1.0) } else { 1.0 };
-                let drawn = if self.shape == Shape::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
+                let drawn = if self.shape == StreamModel::Tube { 0.0 } else { u * u * (3.0 - 2.0 * u) };
                 stream.p_w + z * stream.axis_w - drawn * to_center - transit_s * sideways_w
             })
             .collect();
@@ -209,7 +215,7 @@ impl StreamWash {
         }
     }
 
-    /// Whether lines can meet a body at all.
+    /// Whether the flow lines can meet a body.
     fn in_reach(&self, body: usize, lines: &FlowLines<'_>, x_wb: &DPose3) -> bool {
         let Some(extent) = self.surfaces[body].extent() else { return true };
         let (radius, center_w) = (0.5 * extent.extents().length(), x_wb.transform_point(extent.center()));
@@ -221,18 +227,17 @@ impl StreamWash {
             && (to_center - along * lines.stream.axis_w).length() <= radius + widest + lines.aside
     }
 
-    /// Follows one flow line to the first surface and hands over its momentum there.
+    /// Follows a flow line to the first surface and transfers its momentum there.
     fn follow(
         &self,
         lines: &FlowLines<'_>,
-        ring: usize,
-        outwards_w: DVec3,
-        share: f64,
+        line: FlowLine,
         near: &[usize],
-        placed: &Placed<'_>,
+        placed: &BodyPlacement<'_>,
         wrenches: &mut [Wrench],
     ) {
-        let Placed { bodies, poses_bw, boxes_w } = *placed;
+        let BodyPlacement { bodies, poses_bw, boxes_w } = *placed;
+        let FlowLine { ring, outwards_w, share } = line;
         let at = |k: usize| {
             let (radius, speed) = lines.rings[ring][k];
             (lines.axis_w[k] + radius * outwards_w, speed)
@@ -262,7 +267,7 @@ impl StreamWash {
                 let speed = speed + (next_speed - speed) * (distance / length);
                 let receding = bodies[b].velocity_at(p_w).dot(direction_w);
                 let relative = (1.0 - receding / speed.max(1e-9)).clamp(0.0, 2.0);
-                // The share is of the momentum along the axis; a line that runs aslant carries more.
+                // The share refers to momentum along the axis; an oblique line carries more.
                 let facing = -direction_w.dot(normal_w) / direction_w.dot(lines.stream.axis_w).max(0.1);
                 let force_w = normal_w * (-share * relative * relative * facing.max(0.0));
                 wrenches[b].push(force_w, p_w, bodies[b].x_wb.translation);
@@ -273,30 +278,40 @@ impl StreamWash {
     }
 }
 
-/// The bodies at one moment.
-struct Placed<'a> {
+/// Placement of the bodies.
+struct BodyPlacement<'a> {
     bodies: &'a [BodyMotion],
     poses_bw: &'a [DPose3],
-    /// Boxes around the surfaces, in the world; none around what has no end.
+    /// World-space bounding boxes of the surfaces; `None` for unbounded ones.
     boxes_w: &'a [Option<Aabb>],
+}
+
+/// One flow line of a propeller.
+struct FlowLine {
+    /// Index of its ring.
+    ring: usize,
+    /// Direction from the axis, a unit vector in the world.
+    outwards_w: DVec3,
+    /// Its share of the momentum flux, N.
+    share: f64,
 }
 
 /// The flow lines of one propeller, in pieces.
 struct FlowLines<'a> {
     stream: Stream,
-    /// The axis where pieces begin and end, in the world.
+    /// The axis at the ends of pieces, in the world.
     axis_w: Vec<DVec3>,
-    /// Of each ring the distance from the axis and the speed there.
+    /// For each ring the distance from the axis and the speed there.
     rings: &'a [Vec<(f64, f64)>],
-    /// How far lines may leave the propeller's axis as a whole: towards the common axis, and by staying behind.
+    /// Largest offset of the bundle from the propeller's axis, by merging and by lag.
     aside: f64,
 }
 
 impl Wash for StreamWash {
     fn name(&self) -> &'static str {
         match self.shape {
-            Shape::Tube => "disk",
-            Shape::Jet => "jet",
+            StreamModel::Tube => "disk",
+            StreamModel::Jet => "jet",
         }
     }
 

@@ -1,4 +1,4 @@
-//! Surfaces of bodies as the air meets them: unions of convex parts, each the intersection of half spaces.
+//! Surfaces of bodies for the air: unions of convex parts, each the intersection of half spaces.
 
 use crate::WashError;
 use glamx::{DPose3, DVec3};
@@ -6,35 +6,35 @@ use sms_core::{Aabb, Mesh};
 
 /// Cells along the longest edge of a [`BodySurface`]'s distance grid.
 const GRID_CELLS: f64 = 28.0;
-/// How far the grid reaches beyond the surface, as a part of the longest edge.
+/// Margin of the grid beyond the surface, as a share of the longest edge.
 const GRID_MARGIN: f64 = 0.15;
-/// A plane of a hull may leave corners outside by this part of the hull's size; others are rounding errors of slivers.
+/// Tolerance of a supporting plane, as a share of the hull's size; other planes are rounding errors of slivers.
 const PLANE_TOLERANCE: f64 = 1e-4;
-/// Share of a part's area that may be on planes that are no supporting planes.
+/// Largest share of a part's area on planes that are not supporting planes.
 const LOST_AREA: f64 = 0.01;
 
 /// A half space `normal · p ≤ offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Plane {
+struct HalfSpacePlane {
     normal: DVec3,
     offset: f64,
 }
 
-/// A convex solid: what all its half spaces share.
+/// A convex solid: the intersection of its half spaces.
 #[derive(Debug, Clone)]
 struct ConvexPart {
-    /// Those that face along the axes first: most of what misses a part is in front of one of them.
-    planes: Vec<Plane>,
-    /// A sphere that holds the part; infinite for a half space.
+    /// The planes, with those that face along the axes first because they separate most points.
+    planes: Vec<HalfSpacePlane>,
+    /// Bounding sphere; infinite for a half space.
     center: DVec3,
     radius: f64,
-    /// A box that holds it.
+    /// Bounding box.
     bounds: Aabb,
 }
 
-/// Where something meets a surface.
+/// A point of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfacePoint {
+pub struct SurfaceHit {
     /// Distance along the ray, or signed distance from the surface (negative inside), metres.
     pub distance: f64,
     /// Outward normal there, in the frame of the query.
@@ -46,7 +46,7 @@ impl ConvexPart {
         let refuse = |why: &str| WashError::Part { part, why: why.to_owned() };
         let bounds = mesh.aabb().ok_or_else(|| refuse("it has no vertices"))?;
         let size = bounds.extents().length();
-        let (mut planes, mut area, mut lost) = (Vec::<Plane>::new(), 0.0, 0.0);
+        let (mut planes, mut area, mut lost) = (Vec::<HalfSpacePlane>::new(), 0.0, 0.0);
         for t in 0..mesh.triangles.len() {
             let [a, b, c] = mesh.corners(t);
             let twice_area = (b - a).cross(c - a);
@@ -58,11 +58,11 @@ impl ConvexPart {
                 lost += twice_area.length();
                 continue;
             }
-            let known = |p: &Plane| {
+            let known = |p: &HalfSpacePlane| {
                 p.normal.dot(normal) > 1.0 - 1e-9 && (p.offset - outside).abs() < PLANE_TOLERANCE * size
             };
             if !planes.iter().any(known) {
-                planes.push(Plane { normal, offset: outside });
+                planes.push(HalfSpacePlane { normal, offset: outside });
             }
         }
         if planes.len() < 4 || lost > LOST_AREA * area {
@@ -74,20 +74,20 @@ impl ConvexPart {
         Ok(Self { planes, center, radius, bounds })
     }
 
-    /// Largest signed distance from a plane: the distance inside and in front of faces, at most the distance elsewhere.
-    fn distance(&self, p: DVec3) -> SurfacePoint {
-        let mut best = SurfacePoint { distance: f64::NEG_INFINITY, normal: DVec3::Z };
+    /// Largest signed distance from a plane: exact inside and in front of faces, elsewhere a lower bound.
+    fn distance(&self, p: DVec3) -> SurfaceHit {
+        let mut best = SurfaceHit { distance: f64::NEG_INFINITY, normal: DVec3::Z };
         for plane in &self.planes {
             let distance = plane.normal.dot(p) - plane.offset;
             if distance > best.distance {
-                best = SurfacePoint { distance, normal: plane.normal };
+                best = SurfaceHit { distance, normal: plane.normal };
             }
         }
         best
     }
 
-    /// Where a ray from outside enters within `reach`; a start inside enters at once.
-    fn ray(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<SurfacePoint> {
+    /// The entry point of a ray from outside within `reach`; a start inside enters immediately.
+    fn ray(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<SurfaceHit> {
         let (mut enter, mut leave) = (f64::NEG_INFINITY, reach);
         let mut normal = -direction;
         for plane in &self.planes {
@@ -109,12 +109,12 @@ impl ConvexPart {
                 return None;
             }
         }
-        Some(SurfacePoint { distance: enter.max(0.0), normal })
+        Some(SurfaceHit { distance: enter.max(0.0), normal })
     }
 }
 
-/// Puts the planes that face most along each axis, both ways, to the front.
-fn foremost_first(planes: &mut [Plane]) {
+/// Moves the planes that face most along each axis, in both directions, to the front.
+fn foremost_first(planes: &mut [HalfSpacePlane]) {
     for (done, way) in
         [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z].into_iter().enumerate()
     {
@@ -125,20 +125,20 @@ fn foremost_first(planes: &mut [Plane]) {
     }
 }
 
-/// Where a moving point reaches a surface.
+/// Contact of a moving point with a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sweep {
-    /// When, seconds.
+pub(crate) struct SurfaceContact {
+    /// Time, seconds.
     pub(crate) time: f64,
     /// Outward normal in the body's frame.
     pub(crate) normal: DVec3,
-    /// How deep the point lies inside at the start, metres.
+    /// Penetration depth at the start, metres.
     pub(crate) depth: f64,
 }
 
 impl ConvexPart {
-    /// When a point comes within `offset` of the planes; a point that is there already and moves outwards or along does not.
-    fn sweep(&self, p: DVec3, v: DVec3, duration: f64, offset: f64) -> Option<Sweep> {
+    /// The time at which a point comes within `offset` of the planes; none for a point inside that moves outwards or along.
+    fn sweep(&self, p: DVec3, v: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
         let close = 1e-3 * offset;
         let (mut enter, mut leave) = (f64::NEG_INFINITY, duration);
         let mut normal = DVec3::Z;
@@ -159,17 +159,17 @@ impl ConvexPart {
             } else if rate > 0.0 {
                 leave = leave.min(-gap / rate);
             }
-            // It is outside of this plane, and passes behind another before it gets here.
+            // The point is outside this plane and passes behind another before it arrives.
             if nearest > close && enter > leave {
                 return None;
             }
         }
         if nearest <= close {
-            let hit = Sweep { time: 0.0, normal: nearest_normal, depth: (-nearest).max(0.0) };
-            // What moves along a face, to rounding, meets nothing.
+            let hit = SurfaceContact { time: 0.0, normal: nearest_normal, depth: (-nearest).max(0.0) };
+            // Motion along a face, up to rounding, is not a contact.
             return (nearest_rate < -1e-6 * v.length()).then_some(hit);
         }
-        (enter <= leave).then_some(Sweep { time: enter, normal, depth: 0.0 })
+        (enter <= leave).then_some(SurfaceContact { time: enter, normal, depth: 0.0 })
     }
 }
 
@@ -179,7 +179,7 @@ struct DistanceGrid {
     min: DVec3,
     cell: f64,
     inverse: f64,
-    /// Where the grid ends, in cells.
+    /// Extent of the grid, in cells.
     size: DVec3,
     count: [usize; 3],
     bounds: Vec<f32>,
@@ -200,7 +200,7 @@ impl DistanceGrid {
             for y in 0..count[1] {
                 for x in 0..count[0] {
                     let center = min + cell * (DVec3::new(x as f64, y as f64, z as f64) + 0.5);
-                    // Distances change by at most the way gone.
+                    // A distance changes by at most the distance moved.
                     bounds.push((nearest(parts, center).distance - half_diagonal) as f32);
                 }
             }
@@ -209,7 +209,7 @@ impl DistanceGrid {
         Self { min, cell, inverse: 1.0 / cell, size, count, bounds }
     }
 
-    /// A distance that the surface is at least away from `p`; outside of the grid the way back to the grid.
+    /// A lower bound of the distance at `p`; outside the grid the distance to the grid.
     fn at_least(&self, p: DVec3) -> f64 {
         let u = (p - self.min) * self.inverse;
         let beyond = (u - self.size).max(-u).max_element();
@@ -221,8 +221,8 @@ impl DistanceGrid {
     }
 }
 
-fn nearest(parts: &[ConvexPart], p: DVec3) -> SurfacePoint {
-    let mut best = SurfacePoint { distance: f64::INFINITY, normal: DVec3::Z };
+fn nearest(parts: &[ConvexPart], p: DVec3) -> SurfaceHit {
+    let mut best = SurfaceHit { distance: f64::INFINITY, normal: DVec3::Z };
     for part in parts {
         if p.distance(part.center) - part.radius > best.distance {
             continue;
@@ -264,30 +264,30 @@ impl BodySurface {
         Self::from_convex(&[Mesh::cuboid(half)])
     }
 
-    /// Everything below z = 0: a floor. It stops the air but does not count as structure.
+    /// The half space z < 0: a floor. It stops the air but does not count as structure.
     pub fn half_space() -> Self {
-        let plane = Plane { normal: DVec3::Z, offset: 0.0 };
+        let plane = HalfSpacePlane { normal: DVec3::Z, offset: 0.0 };
         let bounds = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
         let part = ConvexPart { planes: vec![plane], center: DVec3::ZERO, radius: f64::INFINITY, bounds };
         Self { parts: vec![part], extent: None, grid: None }
     }
 
-    /// A body that the air does not feel.
+    /// A surface without parts.
     pub fn empty() -> Self {
         Self { parts: Vec::new(), extent: None, grid: None }
     }
 
-    /// Whether it is everything below z = 0.
+    /// Whether this is the half space.
     pub(crate) fn is_half_space(&self) -> bool {
         self.extent.is_none() && !self.parts.is_empty()
     }
 
-    /// The box around the surface in `B`; `None` for a half space and for nothing.
+    /// Bounding box in `B`; `None` for a half space and for an empty surface.
     pub fn extent(&self) -> Option<Aabb> {
         self.extent
     }
 
-    /// The box around the surface in the world, metres.
+    /// Bounding box in the world, metres.
     pub fn extent_w(&self, x_wb: &DPose3) -> Option<Aabb> {
         let extent = self.extent?;
         let corner = |i: usize| {
@@ -297,7 +297,7 @@ impl BodySurface {
         Aabb::of_points((0..8).map(corner))
     }
 
-    /// A distance that the surface is at least away from a point of `B`, metres; cheap, and coarse.
+    /// A cheap lower bound of the distance at a point of `B`, metres.
     pub fn distance_at_least(&self, p_b: DVec3) -> f64 {
         match &self.grid {
             Some(grid) => grid.at_least(p_b),
@@ -305,19 +305,19 @@ impl BodySurface {
         }
     }
 
-    /// Signed distance of a point of `B` from the surface, and the normal of the nearest face. Exact inside each part and in
-    /// front of its faces, too small (never too large) beyond its edges: the zero set has sharp edges.
-    pub fn distance(&self, p_b: DVec3) -> SurfacePoint {
+    /// Signed distance of a point of `B` from the surface, and the normal of the nearest face. Exact inside each part and in front
+    /// of its faces, a lower bound beyond its edges: the zero set has sharp edges.
+    pub fn distance(&self, p_b: DVec3) -> SurfaceHit {
         nearest(&self.parts, p_b)
     }
 
-    /// When a point at `p_b` that moves with `v_b` first comes within `offset` of the surface and does not move away from it. What
-    /// lies deeper on the way, however thin, is not jumped over.
-    pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<Sweep> {
+    /// The time at which a point at `p_b` with velocity `v_b` first comes within `offset` of the surface while not moving away from
+    /// it. Thin parts are not missed.
+    pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
         let end_b = p_b + duration * v_b;
-        // Corners of the shape at that distance are farther out than the distance; four times is enough for right angles.
+        // The offset surface has corners farther out than the offset; four times covers right angles.
         let (low, high) = (p_b.min(end_b) - 4.0 * offset, p_b.max(end_b) + 4.0 * offset);
-        let mut best: Option<Sweep> = None;
+        let mut best: Option<SurfaceContact> = None;
         for part in &self.parts {
             if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
                 continue;
@@ -328,10 +328,10 @@ impl BodySurface {
         best
     }
 
-    /// First point of the surface on a ray of `B` within `reach` metres; `direction_b` is of length 1.
-    pub fn ray(&self, origin_b: DVec3, direction_b: DVec3, reach: f64) -> Option<SurfacePoint> {
+    /// First point of the surface on a ray of `B` within `reach` metres; `direction_b` is a unit vector.
+    pub fn ray(&self, origin_b: DVec3, direction_b: DVec3, reach: f64) -> Option<SurfaceHit> {
         if let Some(grid) = &self.grid {
-            // Where nothing is near, the ray goes on by as much as is free.
+            // Sphere tracing: the ray advances by the lower bound.
             let mut gone = 0.0;
             loop {
                 let free = grid.at_least(origin_b + gone * direction_b);
@@ -346,7 +346,7 @@ impl BodySurface {
         }
         let end_b = origin_b + reach * direction_b;
         let (low, high) = (origin_b.min(end_b), origin_b.max(end_b));
-        let mut best: Option<SurfacePoint> = None;
+        let mut best: Option<SurfaceHit> = None;
         for part in &self.parts {
             if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
                 continue;
@@ -379,7 +379,7 @@ mod tests {
         assert!((at(0.25, 0.05, -0.3).distance - 0.03).abs() < 1e-12);
     }
 
-    /// The grid never says that a surface is farther than it is, and rarely that something far is near.
+    /// The grid never exceeds the distance, and is rarely much smaller far from the surface.
     #[test]
     fn the_grid_bounds_the_distance_from_below() {
         let body = plank();
@@ -388,7 +388,7 @@ mod tests {
             let f = |k: f64| (f64::from(i) * k).fract() - 0.5;
             let p = DVec3::new(1.6 * f(0.618_034), 1.0 * f(0.414_214), 1.4 * f(0.732_051) - 0.2);
             let (bound, exact) = (body.distance_at_least(p), body.distance(p).distance);
-            // Beyond the grid the bound is the way back to it, which Euclid's distance exceeds.
+            // Beyond the grid the bound is the distance to it, which is at most the Euclidean distance.
             assert!(bound <= exact.max(0.0) + 1e-9 || bound <= exact + 1e-6, "{p}: {bound} {exact}");
             useful += usize::from(exact > 0.15 && bound > 0.02);
         }

@@ -1,10 +1,10 @@
-//! The seam: a model of the air between the propellers and the bodies.
+//! The interface of wash models, between the propellers and the bodies.
 
 use crate::{ActuatorDisk, Emission, Emitted};
 use glamx::{DPose3, DVec3};
 use sms_robots::Rotor;
 
-/// A vehicle at one moment. Its propellers blow along −z of `V`.
+/// State of a vehicle. Its propellers blow along −z of `V`.
 #[derive(Debug, Clone, Copy)]
 pub struct VehicleState<'a> {
     /// Pose of the vehicle in the world.
@@ -13,11 +13,11 @@ pub struct VehicleState<'a> {
     pub v_w: DVec3,
     /// Its propellers.
     pub rotors: &'a [Rotor],
-    /// Thrust of each, N; zero for a motor that is cut.
+    /// Thrust of each propeller, N; zero for a stopped motor.
     pub thrusts: &'a [f64],
 }
 
-/// A propeller's stream where it leaves the disk.
+/// Stream of a propeller at the disk.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stream {
     /// Index of the propeller.
@@ -30,7 +30,7 @@ pub(crate) struct Stream {
 }
 
 impl VehicleState<'_> {
-    /// The streams of the propellers that have thrust.
+    /// The streams of all propellers with thrust.
     pub(crate) fn streams(
         &self,
         air_density: f64,
@@ -47,10 +47,10 @@ impl VehicleState<'_> {
     }
 }
 
-/// Motion of a body at one moment, in the world.
+/// Motion of a body in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BodyMotion {
-    /// Pose; the origin of `B` is what torques are about: the centre of mass.
+    /// Pose; its origin, the centre of mass, is the reference point of torques.
     pub x_wb: DPose3,
     /// Velocity of the origin, m/s.
     pub v_w: DVec3,
@@ -87,28 +87,28 @@ impl Wrench {
     }
 }
 
-/// A model of propeller wash. It is made for bodies of known surfaces ([`crate::BodySurface`]), in a fixed order.
+/// A model of propeller wash for bodies of fixed surfaces ([`crate::BodySurface`]) in a fixed order.
 pub trait Wash: Send {
     /// Name of the model.
     fn name(&self) -> &'static str;
 
-    /// Advances the air by `dt` seconds past the vehicle and the bodies as they are now, and writes the mean wrench on each
+    /// Advances the air by `dt` seconds past the vehicle and the bodies in their current states, and writes the mean wrench on each
     /// body over that time.
     ///
     /// # Panics
-    /// When `bodies` or `wrenches` are not as many as the surfaces, or thrusts not as many as propellers.
+    /// When the number of `bodies` or `wrenches` differs from that of the surfaces, or thrusts from propellers.
     fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]);
 
-    /// Whether the air moves near the structure: otherwise wrenches are zero until the vehicle blows at it.
+    /// Whether air is moving near the structure; otherwise wrenches are zero until the vehicle's wash reaches it.
     fn is_active(&self) -> bool;
 
-    /// Saves the state of the air, for [`Wash::restore`].
+    /// Saves the state of the air for [`Wash::restore`].
     fn save(&mut self);
 
-    /// Returns to the saved state of the air, or to still air where none was saved.
+    /// Restores the saved state of the air, or still air if none was saved.
     fn restore(&mut self);
 
-    /// Positions of what moves, for pictures: empty for models without particles.
+    /// Positions of the particles for pictures; empty for models without particles.
     fn particles_w(&self) -> Vec<[f32; 3]> {
         Vec::new()
     }

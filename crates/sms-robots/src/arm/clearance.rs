@@ -5,7 +5,7 @@ use crate::arm::model::{LinkCollision, RobotModel};
 use crate::arm::shape::{Clearance, Obstacle, distance, obstacle_distance};
 use glamx::DPose3;
 
-/// Postures looked at to find shapes that always overlap, and the share of them in which they do so.
+/// Number of sampled postures that decide which shapes always overlap, and the share of them that counts as always.
 const PROBES: usize = 64;
 const ALWAYS: f64 = 0.95;
 
@@ -17,9 +17,9 @@ impl RobotModel {
         out.extend(self.collisions.iter().map(|c| self.body_pose(c.joint, ws) * c.x_js));
     }
 
-    /// The two links that are nearest to each other, or overlap most. Links of one body and of neighbouring bodies are
-    /// not compared, nor shapes that overlap in (nearly) every posture: those that the maker meant to touch. `None` when
-    /// there is nothing to compare. Distances beyond `enough` metres are not worked out.
+    /// Returns the two links that are nearest to each other, or overlap most. Links of one body and of neighbouring bodies are
+    /// skipped, and so are shapes that overlap in nearly every posture: their overlap is part of the model. `None` when no
+    /// pair is left. Distances beyond `enough` metres are not computed exactly.
     pub fn self_clearance(&self, poses: &[DPose3], enough: f64) -> Option<Clearance> {
         let mut best = (f64::INFINITY, None);
         for &(i, j) in &self.pairs {
@@ -41,8 +41,8 @@ impl RobotModel {
         })
     }
 
-    /// The link that is nearest to an obstacle. Links that stand on the base are not compared. `None` when no link that
-    /// moves has a shape. Distances beyond `enough` metres are not worked out.
+    /// Returns the moving link that is nearest to an obstacle. `None` when no moving link has a shape. Distances beyond
+    /// `enough` metres are not computed exactly.
     pub fn obstacle_clearance(
         &self,
         poses: &[DPose3],
@@ -63,8 +63,8 @@ impl RobotModel {
         })
     }
 
-    /// Whether the spheres about an obstacle and about a link that moves come within `enough` metres of each other: where not,
-    /// no distance is that small.
+    /// Whether the bounding spheres of an obstacle and of a moving link come within `enough` metres of each other. If not, no
+    /// distance is smaller than that.
     pub(crate) fn may_be_near(&self, poses: &[DPose3], obstacle: &Obstacle, enough: f64) -> bool {
         let (center_w, radius) = obstacle.sphere_w();
         let mut moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
@@ -72,11 +72,6 @@ impl RobotModel {
             let most = enough + radius + c.radius;
             center_w.distance_squared(x.translation) <= most * most
         })
-    }
-
-    /// Pairs of collision shapes that [`Self::self_clearance`] compares.
-    pub fn compared_pairs(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.pairs.iter().map(|&(i, j)| (self.collisions[i].link.as_str(), self.collisions[j].link.as_str()))
     }
 
     /// Finds the pairs of shapes to compare.
@@ -119,7 +114,7 @@ impl RobotModel {
             .iter()
             .zip(PRIMES)
             .map(|(joint, prime)| {
-                // Started late, where the bases with large primes no longer move in step.
+                // Skips the first samples, in which the large bases are correlated.
                 let share = if index == 0 { 0.5 } else { halton(index as u32 + 60, prime) };
                 let (low, high) = if joint.limits.lower.is_finite() {
                     (joint.limits.lower, joint.limits.upper)
@@ -132,7 +127,7 @@ impl RobotModel {
     }
 }
 
-/// Distance of the spheres around two shapes.
+/// Distance between the bounding spheres of two shapes.
 fn bounding_gap(shapes: &[LinkCollision], poses: &[DPose3], i: usize, j: usize) -> f64 {
     poses[i].translation.distance(poses[j].translation) - shapes[i].radius - shapes[j].radius
 }

@@ -6,32 +6,32 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use std::path::{Path, PathBuf};
 
-/// Which robot strikes, and where it stands.
+/// The robot and the pose of its base.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotConfig {
-    /// The robot's URDF; the built-in Franka Research 3 where there is none.
+    /// The robot's URDF; the built-in Franka Research 3 if `None`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub urdf: Option<PathBuf>,
-    /// Link of the URDF whose frame strikes: x ahead, z up.
+    /// Link of the URDF whose frame is the tool: x ahead, z up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool: Option<String>,
-    /// Folders in which `package://` paths of the URDF are looked for.
+    /// Folders that are searched for `package://` paths of the URDF.
     pub package_folders: Vec<PathBuf>,
     /// Pose of the robot's base in the run's world, `X_world_robot`: 4 × 4, rigid, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_world_robot: Option<[[f64; 4]; 4]>,
-    /// Pose of the base in the recording's own world, as a hand-eye calibration gives it; the run's world is the
-    /// recording's with the floor level. One of the two.
+    /// Pose of the base in the recording's own world, as a hand-eye calibration gives it. The run's world is the
+    /// recording's with the floor level. Excludes `x_world_robot`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_recording_robot: Option<[[f64; 4]; 4]>,
-    /// Distance from the tool's origin to its front face, metres. Where `tool_half_m` is not given, what strikes is a box of
-    /// that half length with the width and height of the FR3's closed fingertips.
+    /// Distance from the tool's origin to its front face, metres. Without `tool_half_m`, the striking box has this half
+    /// length and the width and height of the FR3's closed fingertips.
     pub front_m: f64,
-    /// Half extents of the box about the tool's origin that strikes, in the tool's frame (x ahead, z up), metres.
+    /// Half extents of the striking box about the tool's origin, in the tool's frame (x ahead, z up), metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool_half_m: Option<[f64; 3]>,
-    /// Time between points of the written motion, seconds.
+    /// Time between points of the program, seconds.
     pub period_s: f64,
 }
 
@@ -83,7 +83,7 @@ impl RobotConfig {
             {
                 return Err(InputError::new(
                     format!(
-                        "`robot.{key}` is no rigid pose: its rotation is not orthonormal, or its last row not 0 0 0 1"
+                        "`robot.{key}` is not a rigid pose: its rotation is not orthonormal, or its last row is not 0 0 0 1"
                     ),
                     Path::new("(settings)"),
                     "give [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]] with metres",
@@ -93,7 +93,7 @@ impl RobotConfig {
         }
         if self.x_world_robot.is_some() && self.x_recording_robot.is_some() {
             return Err(InputError::new(
-                "`robot.x_world_robot` and `robot.x_recording_robot` are both given",
+                "`robot.x_world_robot` and `robot.x_recording_robot` exclude each other",
                 Path::new("(settings)"),
                 "keep one of them",
             )
@@ -102,31 +102,31 @@ impl RobotConfig {
         Ok(())
     }
 
-    /// Where the base stands in the run's world; `None` where the settings do not say.
+    /// Pose of the base in the run's world; `None` if neither pose is set.
     pub fn x_wr(&self, x_world_recording: &DPose3) -> Option<DPose3> {
         let in_recording = || Some(*x_world_recording * self.x_recording_robot.as_ref().and_then(pose_of)?);
         self.x_world_robot.as_ref().and_then(pose_of).or_else(in_recording)
     }
 
-    /// Half extents of the box about the tool's origin that strikes, metres; its front is `x` ahead.
+    /// Half extents of the striking box about the tool's origin, metres; its front face is at `x`.
     pub fn half_m(&self) -> DVec3 {
         self.tool_half_m.map_or(FIST_HALF.with_x(self.front_m), DVec3::from_array)
     }
 
-    /// How strikes of this robot are planned.
+    /// Settings of the strike planner for this robot.
     pub fn strike_config(&self) -> StrikeConfig {
         let own = self.urdf.is_some();
         StrikeConfig {
-            // Of another robot's tool it is not known whether its other sides are as good as its front.
+            // The sides of an unknown tool may differ from its front.
             symmetric_tool: !own,
             half_m: self.half_m(),
-            // Nor whether its shapes hold what strikes.
+            // The link shapes of an unknown robot may not contain the striking box.
             box_is_checked: own || self.tool_half_m.is_some(),
             ..StrikeConfig::default()
         }
     }
 
-    /// The robot, standing at the world's origin.
+    /// Loads the robot, with its base at the world's origin.
     ///
     /// # Errors
     /// [`InputError`] of the URDF.
@@ -145,7 +145,7 @@ impl RobotConfig {
     }
 }
 
-/// A pose from a row-major 4 × 4 matrix, where that is rigid.
+/// The pose of a row-major 4 × 4 matrix; `None` if it is not rigid.
 fn pose_of(m: &[[f64; 4]; 4]) -> Option<DPose3> {
     const TOLERANCE: f64 = 1e-3;
     if m.iter().flatten().any(|v| !v.is_finite()) || m[3] != [0.0, 0.0, 0.0, 1.0] {

@@ -1,4 +1,4 @@
-//! What a robot is: bodies in a tree, each carried by one joint.
+//! The robot model: a tree of bodies, each carried by one joint.
 
 use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
 use crate::arm::shape::LinkShape;
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, MassProperties};
 
 /// Standard gravity in the world, m/s².
-pub const GRAVITY_W: DVec3 = DVec3::new(0.0, 0.0, -9.81);
+pub(crate) const GRAVITY_W: DVec3 = DVec3::new(0.0, 0.0, -9.81);
 
-/// How a joint moves along or about its axis.
+/// Type of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum JointKind {
@@ -41,14 +41,14 @@ pub struct JointLimits {
     pub effort: f64,
 }
 
-/// A joint that moves, with the body behind it.
+/// A moving joint and the body that it carries.
 #[derive(Debug, Clone)]
 pub struct Joint {
     /// Name.
     pub name: String,
-    /// How it moves.
+    /// Type of the joint.
     pub kind: JointKind,
-    /// The joint before it in the tree; `None` when it stands on the base. Always a smaller index.
+    /// The preceding joint in the tree, always of a smaller index; `None` if the joint is attached to the base.
     pub parent: Option<usize>,
     /// Pose `X_PJ` of the joint at position zero in the parent joint's frame (or the base).
     pub x_pj: DPose3,
@@ -62,14 +62,14 @@ pub struct Joint {
     pub friction: f64,
     /// Inertia of the rotor reflected through the gear, kg·m² (kg).
     pub armature: f64,
-    /// Mass properties of all links that this joint carries rigidly, in the joint's frame; `None` for a joint whose
-    /// links have no mass (another joint follows).
+    /// Mass properties of all links that this joint carries rigidly, in the joint's frame; `None` if they have no mass
+    /// (another joint follows).
     pub mass: Option<MassProperties>,
 }
 
-/// A named frame fixed to a joint's body: every link of the URDF is one.
+/// A named frame fixed to a joint's body: one per link of the URDF.
 #[derive(Debug, Clone)]
-pub struct Frame {
+pub struct LinkFrame {
     /// Name of the link.
     pub name: String,
     /// The joint that carries it; `None` for the base.
@@ -78,14 +78,14 @@ pub struct Frame {
     pub x_jf: DPose3,
 }
 
-/// Index of a [`Frame`].
+/// Index of a [`LinkFrame`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameId(pub(crate) usize);
 
 /// A collision shape.
 #[derive(Debug, Clone)]
 pub struct LinkCollision {
-    /// Name of the link that it belongs to.
+    /// Name of its link.
     pub link: String,
     /// The joint that carries it; `None` for the base.
     pub joint: Option<usize>,
@@ -97,18 +97,18 @@ pub struct LinkCollision {
     pub(crate) radius: f64,
 }
 
-/// A fixed-base robot: joints in an order in which parents come first, frames, collision shapes, and the tool.
+/// A fixed-base robot: joints (parents first), frames, collision shapes, and the tool.
 #[derive(Debug, Clone)]
 pub struct RobotModel {
     pub(crate) name: String,
     pub(crate) joints: Vec<Joint>,
-    pub(crate) frames: Vec<Frame>,
+    pub(crate) frames: Vec<LinkFrame>,
     pub(crate) collisions: Vec<LinkCollision>,
     pub(crate) tool: FrameId,
     pub(crate) x_wr: DPose3,
     pub(crate) gravity_w: DVec3,
     pub(crate) home: Vec<f64>,
-    /// Pairs of collision shapes that may come close, as indices.
+    /// Pairs of collision shapes that the self-collision check compares, as indices.
     pub(crate) pairs: Vec<(usize, usize)>,
 }
 
@@ -118,18 +118,18 @@ impl RobotModel {
         &self.name
     }
 
-    /// Number of joints that move.
+    /// Number of moving joints.
     pub fn dof(&self) -> usize {
         self.joints.len()
     }
 
-    /// The joints that move; a vector of positions, speeds or torques has one entry for each, in this order.
+    /// The moving joints; vectors of positions, speeds and torques have one entry per joint, in this order.
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// All frames: one for each link.
-    pub fn frames(&self) -> &[Frame] {
+    /// All frames, one per link.
+    pub fn frames(&self) -> &[LinkFrame] {
         &self.frames
     }
 
@@ -143,7 +143,7 @@ impl RobotModel {
         self.frames.iter().position(|f| f.name == link).map(FrameId)
     }
 
-    /// The tool: x along the stroke of a strike, z away from the floor.
+    /// The tool's frame: x along the stroke of a strike, z away from the floor.
     pub fn tool(&self) -> FrameId {
         self.tool
     }
@@ -153,13 +153,13 @@ impl RobotModel {
         self.x_wr
     }
 
-    /// The same robot standing elsewhere: all poses are in the world from then on.
+    /// Returns the robot with its base at `x_wr` in the world.
     pub fn with_base(mut self, x_wr: DPose3) -> Self {
         self.x_wr = x_wr;
         self
     }
 
-    /// The same robot under another gravity, m/s² in the world.
+    /// Returns the robot with another gravity, m/s² in the world.
     pub fn with_gravity(mut self, gravity_w: DVec3) -> Self {
         self.gravity_w = gravity_w;
         self
@@ -170,13 +170,13 @@ impl RobotModel {
         self.gravity_w
     }
 
-    /// A resting posture within the limits, from which approaches start: the middle of each joint's range, unless
-    /// the model states another.
+    /// The resting posture from which approaches start: the middle of each joint's range, unless the model defines
+    /// another.
     pub fn home(&self) -> &[f64] {
         &self.home
     }
 
-    /// The same robot with another home; positions are clamped to the limits.
+    /// Returns the robot with another home posture; positions are clamped to the limits.
     ///
     /// # Panics
     /// When `home` does not have one entry for each joint.
@@ -185,30 +185,6 @@ impl RobotModel {
         self.home =
             home.iter().zip(&self.joints).map(|(q, j)| q.clamp(j.limits.lower, j.limits.upper)).collect();
         self
-    }
-
-    /// The same robot without rotors' inertia, damping and friction: for engines whose joints have none of them.
-    pub fn with_bare_joints(mut self) -> Self {
-        for joint in &mut self.joints {
-            (joint.damping, joint.friction, joint.armature) = (0.0, 0.0, 0.0);
-        }
-        self
-    }
-
-    /// Largest reach of the tool from the base, metres: an upper bound from the lengths of the chain.
-    pub fn reach_bound_m(&self) -> f64 {
-        let tool = &self.frames[self.tool.0];
-        let mut reach = tool.x_jf.translation.length();
-        let mut joint = tool.joint;
-        while let Some(j) = joint {
-            let data = &self.joints[j];
-            reach += data.x_pj.translation.length();
-            if data.kind == JointKind::Prismatic {
-                reach += data.limits.lower.abs().max(data.limits.upper.abs());
-            }
-            joint = data.parent;
-        }
-        reach
     }
 
     /// The joint nearest to (or farthest beyond) a position limit: index and distance, negative beyond.

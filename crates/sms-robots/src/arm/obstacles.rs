@@ -1,10 +1,10 @@
-//! What stands around the robot, from a scene.
+//! Obstacles around the robot, from a scene.
 
 use crate::{LinkShape, Obstacle, ObstacleShape};
 use sms_scene::{Body, BodyShape, Scene};
 
-/// Every body of a scene; the one that is struck, which the tool has to touch, as [`Obstacle::struck`]. Bodies without extent
-/// are left out.
+/// Returns every body of a scene as an obstacle, the body at index `struck` as [`Obstacle::struck`]. Bodies without
+/// extent are left out.
 pub fn obstacles(scene: &Scene, struck: usize) -> Vec<Obstacle> {
     let obstacle = |(i, body): (usize, &Body)| {
         let obstacle = Obstacle::new(body.name.clone(), body.x_wb, obstacle_shape(body)?);

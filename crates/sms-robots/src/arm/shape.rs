@@ -1,4 +1,4 @@
-//! Shapes of links and of what stands around the robot, and distances between them.
+//! Shapes of links and obstacles, and distances between them.
 
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query;
@@ -7,22 +7,22 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Mesh};
 use std::sync::Arc;
 
-/// A convex collision shape, centred at its own frame, lengths along z, metres.
+/// A convex collision shape about its own origin, with lengths along z, in metres.
 #[derive(Debug, Clone)]
 pub enum LinkShape {
-    /// A ball.
+    /// A sphere.
     Sphere {
         /// Radius.
         radius: f64,
     },
-    /// A cylinder with round ends.
+    /// A capsule.
     Capsule {
-        /// Half the length between the centres of the ends.
+        /// Half the length of its segment.
         half_length: f64,
         /// Radius.
         radius: f64,
     },
-    /// A cylinder with flat ends.
+    /// A cylinder.
     Cylinder {
         /// Half the height.
         half_length: f64,
@@ -34,12 +34,12 @@ pub enum LinkShape {
         /// Half extents.
         half: DVec3,
     },
-    /// The convex hull of points.
+    /// A convex hull.
     Convex(Arc<ConvexPolyhedron>),
 }
 
 impl LinkShape {
-    /// The hull of points; `None` when they lie in one plane.
+    /// The convex hull of points; `None` when they are coplanar.
     pub fn convex(points: &[DVec3]) -> Option<Self> {
         if !spans_volume(points) {
             return None;
@@ -47,7 +47,7 @@ impl LinkShape {
         ConvexPolyhedron::from_convex_hull(points).map(|hull| Self::Convex(Arc::new(hull)))
     }
 
-    /// Half the segment and radius, when the shape is a segment with a radius about it.
+    /// The half segment and the radius of a sphere or capsule.
     fn rounded(&self) -> Option<(DVec3, f64)> {
         match self {
             Self::Sphere { radius } => Some((DVec3::ZERO, *radius)),
@@ -56,7 +56,7 @@ impl LinkShape {
         }
     }
 
-    /// Radius of the sphere about the shape's origin that holds it, metres.
+    /// Radius of the bounding sphere about the shape's origin, metres.
     pub fn bounding_radius(&self) -> f64 {
         match self {
             Self::Sphere { radius } => *radius,
@@ -67,7 +67,7 @@ impl LinkShape {
         }
     }
 
-    /// A sphere that holds the shape: centre in its frame, and radius.
+    /// A bounding sphere: centre in the shape's frame, and radius.
     fn bounds(&self) -> (DVec3, f64) {
         match self {
             Self::Convex(hull) => sphere_around(hull.points()),
@@ -75,7 +75,7 @@ impl LinkShape {
         }
     }
 
-    /// How far the shape reaches along `direction` (a unit vector in the shape's frame), metres from its origin.
+    /// Support distance along `direction` (a unit vector in the shape's frame), metres from the origin.
     pub fn support(&self, direction: DVec3) -> f64 {
         let across = || direction.x.hypot(direction.y);
         match self {
@@ -93,14 +93,14 @@ impl LinkShape {
         match self {
             Self::Sphere { radius } => use_shape(&Ball::new(*radius)),
             Self::Capsule { half_length, radius } => use_shape(&Capsule::new_z(*half_length, *radius)),
-            // Parry's cylinder stands along y: `distance` turns the pose.
+            // Parry's cylinder is aligned with y; `distance` rotates the pose.
             Self::Cylinder { half_length, radius } => use_shape(&Cylinder::new(*half_length, *radius)),
             Self::Box { half } => use_shape(&Cuboid::new(*half)),
             Self::Convex(hull) => use_shape(hull.as_ref()),
         }
     }
 
-    /// The pose that Parry's counterpart of this shape needs.
+    /// The pose of Parry's counterpart of this shape.
     fn parry_pose(&self, x: &DPose3) -> DPose3 {
         match self {
             Self::Cylinder { .. } => DPose3::from_parts(
@@ -112,7 +112,7 @@ impl LinkShape {
     }
 }
 
-/// Whether the points are not all in one plane, to a millionth of their extent.
+/// Whether the points span a volume, to a millionth of their extent.
 fn spans_volume(points: &[DVec3]) -> bool {
     let farthest = |measure: &dyn Fn(DVec3) -> f64| {
         points.iter().copied().max_by(|&a, &b| measure(a).total_cmp(&measure(b)))
@@ -129,7 +129,7 @@ fn spans_volume(points: &[DVec3]) -> bool {
     span().unwrap_or(false)
 }
 
-/// Something that the robot must not touch.
+/// A body that the robot must not touch.
 #[derive(Debug, Clone)]
 pub struct Obstacle {
     /// Name, for messages.
@@ -138,15 +138,15 @@ pub struct Obstacle {
     pub x_wo: DPose3,
     /// Shape.
     pub shape: ObstacleShape,
-    /// Spheres in the obstacle's frame that hold all of it, and each of its parts: centre and radius.
+    /// Bounding spheres in the obstacle's frame, of the whole and of each part: centre and radius.
     bounds: (DVec3, f64),
     part_bounds: Vec<(DVec3, f64)>,
-    /// Whether the sweep is to touch it: it is in the way before that only.
+    /// Whether the strike touches it: it is an obstacle only before the sweep.
     pub(crate) is_struck: bool,
 }
 
 impl Obstacle {
-    /// An obstacle of `shape` at `x_wo` in the world.
+    /// Creates an obstacle of `shape` at `x_wo` in the world.
     pub fn new(name: impl Into<String>, x_wo: DPose3, shape: ObstacleShape) -> Self {
         let (bounds, part_bounds) = match &shape {
             ObstacleShape::HalfSpace => ((DVec3::ZERO, f64::INFINITY), Vec::new()),
@@ -162,19 +162,18 @@ impl Obstacle {
         Self { name: name.into(), x_wo, shape, bounds, part_bounds, is_struck: false }
     }
 
-    /// The same, that the strike is meant to touch: nothing may come near it on the way to the start of the sweep; in the sweep
-    /// it is no obstacle.
+    /// Marks the obstacle as the body to strike: the approach keeps its distance from it, the sweep does not.
     pub fn struck(self) -> Self {
         Self { is_struck: true, ..self }
     }
 
-    /// A sphere that holds it: centre in the world, and radius.
+    /// A bounding sphere: centre in the world, and radius.
     pub(crate) fn sphere_w(&self) -> (DVec3, f64) {
         (self.x_wo.transform_point(self.bounds.0), self.bounds.1)
     }
 }
 
-/// A sphere about the middle of the points' box that holds them.
+/// The bounding sphere of points about the middle of their bounding box.
 fn sphere_around(points: &[DVec3]) -> (DVec3, f64) {
     let center = Aabb::of_points(points.iter().copied()).map_or(DVec3::ZERO, |b| b.center());
     (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
@@ -189,7 +188,7 @@ pub enum ObstacleShape {
     Link(LinkShape),
     /// Several convex parts in one frame.
     Hulls(Vec<LinkShape>),
-    /// A surface, open or closed; its inside counts only as far as its surface does.
+    /// A triangle surface, open or closed; only the surface counts, not the interior.
     Surface(Arc<TriMesh>),
 }
 
@@ -200,7 +199,7 @@ impl ObstacleShape {
     }
 }
 
-/// Distance of two convex shapes, metres; negative by the depth where they overlap.
+/// Distance of two convex shapes, metres; negative by the penetration depth.
 pub(crate) fn distance(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose3) -> f64 {
     if let (Some((half_a, ra)), Some((half_b, rb))) = (a.rounded(), b.rounded()) {
         let axis_a = x_wa.rotation * half_a;
@@ -210,8 +209,8 @@ pub(crate) fn distance(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose
     a.with_parry(|sa| b.with_parry(|sb| general_distance(sa, &a.parry_pose(x_wa), sb, &b.parry_pose(x_wb))))
 }
 
-/// Distance of a link's shape to an obstacle, metres; negative by the depth where they overlap. Where it is more than
-/// `enough`, any value above `enough` may come back.
+/// Distance of a link's shape to an obstacle, metres; negative by the penetration depth. Beyond `enough`, any value above
+/// `enough` may be returned.
 pub(crate) fn obstacle_distance(
     (a, a_radius): (&LinkShape, f64),
     x_wa: &DPose3,
@@ -240,7 +239,7 @@ pub(crate) fn obstacle_distance(
             for (b, &bounds) in parts.iter().zip(&obstacle.part_bounds) {
                 let most = enough.min(nearest);
                 let gap = gap_to(bounds);
-                // The planes between them are looked at before the iterations of the exact distance.
+                // A cheap lower bound comes before the iterations of the exact distance.
                 let far = |gap: f64| gap > most;
                 let gap = if far(gap) { gap } else { gap_between(a, x_wa, b, &obstacle.x_wo, bounds.0) };
                 nearest = nearest.min(if far(gap) { gap } else { distance(a, x_wa, b, &obstacle.x_wo) });
@@ -257,8 +256,8 @@ pub(crate) fn obstacle_distance(
     }
 }
 
-/// A lower bound of the distance of two convex shapes, metres: that of the planes which touch them, square to the line between
-/// their middles. `center_b` is the middle of `b` in its frame.
+/// A lower bound of the distance of two convex shapes, metres: the gap of their supporting planes perpendicular to the
+/// line between their middles. `center_b` is the middle of `b` in its frame.
 fn gap_between(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose3, center_b: DVec3) -> f64 {
     let Some(to_b_w) = (x_wb.transform_point(center_b) - x_wa.translation).try_normalize() else {
         return f64::NEG_INFINITY;
@@ -269,7 +268,7 @@ fn gap_between(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose3, cente
 }
 
 fn general_distance(a: &dyn Shape, x_wa: &DPose3, b: &dyn Shape, x_wb: &DPose3) -> f64 {
-    // Pairs that Parry does not know do not occur among the shapes above.
+    // Parry supports all pairs of the shapes above.
     let apart = query::distance(x_wa, a, x_wb, b).map_or(f64::INFINITY, |d| d.distance);
     if apart > 0.0 {
         return apart;
@@ -299,14 +298,14 @@ pub fn floor(height_m: f64) -> Obstacle {
     Obstacle::new("floor", DPose3::from_translation(DVec3::new(0.0, 0.0, height_m)), ObstacleShape::HalfSpace)
 }
 
-/// Two links, or a link and an obstacle, and their distance.
+/// A pair of links, or a link and an obstacle, and their distance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Clearance {
     /// Link of the robot.
     pub link: String,
     /// The other link or the obstacle.
     pub other: String,
-    /// Distance, metres; negative by the depth of an overlap.
+    /// Distance, metres; negative by the penetration depth.
     pub distance_m: f64,
 }
 

@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, Ranges};
 use std::path::Path;
 
-/// How a flight is written.
+/// Settings of the flight files.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlightFiles {
-    /// Time between set-points, seconds. PX4's offboard mode wants more than two a second.
+    /// Time between set-points, seconds. PX4's offboard mode requires more than two per second.
     pub period_s: f64,
-    /// Where the vehicle is armed: world x and y, metres. Without it, below the start of the flight.
+    /// Position of arming: world x and y, metres. By default below the start of the flight.
     pub home_w: Option<[f64; 2]>,
     /// Height of the ground there in the world, metres.
     pub ground_m: f64,
-    /// Direction of east in the world: turn about z from the world's x, radians.
+    /// Direction of east in the world: rotation about z from the world's x, radians.
     pub east_yaw: f64,
-    /// The same place on Earth. Without it no mission is written, only what needs no place on Earth.
+    /// The same place on Earth. Without it no mission is written.
     pub geodetic: Option<Geodetic>,
 }
 
@@ -30,7 +30,7 @@ impl Default for FlightFiles {
 }
 
 impl FlightFiles {
-    /// The first value that cannot be used.
+    /// Checks the values.
     ///
     /// # Errors
     /// [`InputError`] that names the key and what is allowed.
@@ -51,7 +51,7 @@ impl FlightFiles {
         Ok(())
     }
 
-    /// Where a vehicle is armed that flies this flight.
+    /// The home position of the vehicle for this flight.
     pub fn home(&self, flight: &Flight, vehicle: &Quadrotor) -> Home {
         let [x, y] = self.home_w.unwrap_or_else(|| flight.path().control_w()[0].truncate().to_array());
         let home_w = DVec3::new(x, y, self.ground_m + vehicle.standing_height());
@@ -59,8 +59,8 @@ impl FlightFiles {
     }
 }
 
-/// Writes a flight into a folder and returns the names of the files: `flight.json`, `flight.parquet`, `setpoints.csv`, `setpoints.tlog`,
-/// and, where the place on Earth is known, `mission.plan` and `mission.waypoints`.
+/// Writes a flight into a folder and returns the names of the files: `flight.json`, `flight.parquet`, `setpoints.csv`,
+/// `setpoints.tlog`, and with a known place on Earth `mission.plan` and `mission.waypoints`.
 ///
 /// # Errors
 /// [`CoreError::Input`] for settings out of range; [`CoreError::Write`].

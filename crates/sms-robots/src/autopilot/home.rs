@@ -1,4 +1,4 @@
-//! From the world to the frames of autopilots.
+//! Transformations from the world to the frames of autopilots.
 
 use glamx::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -19,19 +19,19 @@ pub struct Geodetic {
     pub altitude_m: f64,
 }
 
-/// Where and how the vehicle was armed: the origin of the autopilot's local frame (north, east, down).
+/// Pose of the vehicle at arming: the origin of the autopilot's local frame (north, east, down).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Home {
-    /// The vehicle's centre of mass when it was armed, in the world, metres.
+    /// The vehicle's centre of mass at arming, in the world, metres.
     pub home_w: DVec3,
-    /// Direction of east in the world: turn about z from the world's x, radians.
+    /// Direction of east in the world: rotation about z from the world's x, radians.
     pub east_yaw: f64,
-    /// The same place on Earth, where that is known.
+    /// The same place on Earth, if known.
     pub geodetic: Option<Geodetic>,
 }
 
 impl Home {
-    /// A vector of the world in north, east, down.
+    /// A vector of the world in north, east, down axes.
     pub fn vector_to_ned(&self, v_w: DVec3) -> DVec3 {
         let enu = DVec2::from_angle(-self.east_yaw).rotate(v_w.truncate());
         DVec3::new(enu.y, enu.x, -v_w.z)
@@ -43,19 +43,20 @@ impl Home {
     }
 
     /// The inverse of [`Home::to_ned`].
-    pub fn from_ned(&self, p_ned: DVec3) -> DVec3 {
+    #[cfg(test)]
+    pub(crate) fn from_ned(&self, p_ned: DVec3) -> DVec3 {
         let enu = DVec2::new(p_ned.y, p_ned.x);
         self.home_w + DVec2::from_angle(self.east_yaw).rotate(enu).extend(-p_ned.z)
     }
 
-    /// A heading, clockwise from north as seen from above, of a turn about the world's z from its x; radians in (−π, π].
+    /// The heading (clockwise from north) of a rotation about the world's z from its x; radians in (−π, π].
     pub fn heading(&self, yaw: f64) -> f64 {
         let turn = std::f64::consts::TAU;
         let h = (0.25 * turn - (yaw - self.east_yaw)).rem_euclid(turn);
         if h > 0.5 * turn { h - turn } else { h }
     }
 
-    /// Latitude and longitude (degrees) of a point and its height above home (metres); `None` where home is not known.
+    /// Latitude and longitude (degrees) of a point and its height above home (metres); `None` if home is unknown.
     pub fn to_geodetic(&self, p_w: DVec3) -> Option<(f64, f64, f64)> {
         let home = self.geodetic?;
         let ned = self.to_ned(p_w);
@@ -65,8 +66,14 @@ impl Home {
         Some((latitude, longitude, -ned.z))
     }
 
-    /// The inverse of [`Home::to_geodetic`]; `None` where home is not known.
-    pub fn from_geodetic(&self, latitude_deg: f64, longitude_deg: f64, above_home_m: f64) -> Option<DVec3> {
+    /// The inverse of [`Home::to_geodetic`]; `None` if home is unknown.
+    #[cfg(test)]
+    pub(crate) fn from_geodetic(
+        &self,
+        latitude_deg: f64,
+        longitude_deg: f64,
+        above_home_m: f64,
+    ) -> Option<DVec3> {
         let home = self.geodetic?;
         let (meridian, parallel) = radii(home);
         let north = (latitude_deg - home.latitude_deg).to_radians() * meridian;
@@ -75,8 +82,8 @@ impl Home {
     }
 }
 
-/// Metres a radian of latitude and of longitude: radii of the ellipsoid at home. Over the few metres of an approach its surface is
-/// flat to micrometres.
+/// Metres per radian of latitude and of longitude at home. Over the few metres of an approach the ellipsoid is flat to
+/// micrometres.
 fn radii(home: Geodetic) -> (f64, f64) {
     let (sin, cos) = home.latitude_deg.to_radians().sin_cos();
     let w2 = 1.0 - ECCENTRICITY2 * sin * sin;
@@ -104,11 +111,11 @@ mod tests {
         assert!(east.distance(DVec3::new(0.0, 3.0, 0.0)) < 1e-12, "{east}");
         let north = home.to_ned(DVec3::new(-1.0, 2.0, 1.05));
         assert!(north.distance(DVec3::new(2.0, 0.0, -1.0)) < 1e-12, "{north}");
-        // A vehicle that looks along the world's y looks east, along −x north.
+        // A vehicle that faces the world's y faces east; one that faces −x faces north.
         let quarter = 0.5 * std::f64::consts::PI;
         assert!((home.heading(quarter) - quarter).abs() < 1e-12 && home.heading(2.0 * quarter).abs() < 1e-12);
         let (latitude, longitude, above) = home.to_geodetic(DVec3::new(-99.0, 2.0, 3.05)).unwrap();
-        // 100 m north at 47.4°: a degree of latitude has 111.18 km there (and 488 m up 8 ppm more).
+        // 100 m north at 47.4°: a degree of latitude is 111.18 km (and 8 ppm more at 488 m).
         assert!(
             ((latitude - SITE.latitude_deg) * 111_180.0 - 100.0).abs() < 0.05 && (above - 3.0).abs() < 1e-12
         );

@@ -1,9 +1,9 @@
-//! A mission of waypoints, as QGroundControl loads it.
+//! A mission of waypoints for QGroundControl.
 
 use super::{Geodetic, Home};
 use crate::Flight;
 use serde_json::{Value, json};
-use sms_core::{CoreError, InputError, atomic};
+use sms_core::{CoreError, atomic};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -12,13 +12,13 @@ const WAYPOINT: u16 = 16;
 const LAND: u16 = 21;
 const TAKEOFF: u16 = 22;
 const CHANGE_SPEED: u16 = 178;
-/// Frames (enum `MAV_FRAME`): heights above sea level, above home, and none for what is no place.
+/// Frames (enum `MAV_FRAME`): heights above sea level, above home, and none for commands without a place.
 const GLOBAL: u8 = 0;
 const ABOVE_HOME: u8 = 3;
 const NO_PLACE: u8 = 2;
-/// How far straight pieces between waypoints may leave the curve, metres.
+/// Largest deviation of the straight pieces between waypoints from the curve, metres.
 const CHORD_M: f64 = 0.01;
-/// A waypoint counts as reached within this distance, metres.
+/// Acceptance radius of a waypoint, metres.
 const ACCEPTANCE_M: f64 = 0.15;
 
 /// One item of a mission.
@@ -28,14 +28,14 @@ pub struct MissionItem {
     pub command: u16,
     /// `MAV_FRAME`.
     pub frame: u8,
-    /// Parameters 1 to 7; 5 to 7 are latitude and longitude in degrees and the height in metres where it is a place. NaN: not set.
+    /// Parameters 1 to 7. For a place, 5 to 7 are latitude and longitude in degrees and the height in metres. NaN: not set.
     pub params: [f64; 7],
 }
 
 /// A mission: take off, the approach, land.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mission {
-    /// Where it starts.
+    /// The start.
     pub home: Geodetic,
     /// Speed on the way, m/s.
     pub speed: f64,
@@ -43,9 +43,9 @@ pub struct Mission {
     pub items: Vec<MissionItem>,
 }
 
-/// The mission of a flight; `None` where the home position is not known. Waypoints stand so close that the way between them
-/// leaves the curve by less than a centimetre. Timing is the autopilot's: speed on the way is `speed` (m/s), that of the descent a
-/// parameter of the vehicle.
+/// The mission of a flight; `None` if the home position is unknown. The way between waypoints deviates from the curve by
+/// less than a centimetre. The autopilot determines the timing: the speed along the curve is `speed` (m/s), that of the
+/// descent is a parameter of the vehicle.
 pub fn mission(flight: &Flight, home: &Home, yaw: f64, speed: f64) -> Option<Mission> {
     let geodetic = home.geodetic?;
     let path = flight.path();
@@ -70,7 +70,7 @@ pub fn mission(flight: &Flight, home: &Home, yaw: f64, speed: f64) -> Option<Mis
     Some(Mission { home: geodetic, speed, items })
 }
 
-/// Equal pieces of the curve whose chords are near enough to it.
+/// Number of equal pieces of the curve whose chords are close enough to it.
 fn pieces(flight: &Flight) -> usize {
     let path = flight.path();
     let point = |s: f64| path.point(path.length() * s).0;
@@ -84,7 +84,7 @@ fn pieces(flight: &Flight) -> usize {
 }
 
 impl Mission {
-    /// As a plan of QGroundControl (JSON, version 1).
+    /// The mission as a plan of QGroundControl (JSON, version 1).
     pub fn plan(&self) -> Value {
         let home = self.home;
         let number = |v: f64| if v.is_nan() { Value::Null } else { json!(v) };
@@ -117,7 +117,7 @@ impl Mission {
             "rallyPoints": {"points": [], "version": 2},
             "mission": {
                 "version": 2,
-                // PX4, a multirotor.
+                // PX4, multirotor.
                 "firmwareType": 12,
                 "vehicleType": 2,
                 "cruiseSpeed": self.speed,
@@ -129,7 +129,7 @@ impl Mission {
         })
     }
 
-    /// As text, "QGC WPL 110": home in the first row.
+    /// The mission as text, "QGC WPL 110", with home in the first row.
     pub fn waypoints(&self) -> String {
         let home = self.home;
         let mut text = String::from("QGC WPL 110\n");
@@ -148,39 +148,6 @@ impl Mission {
             row(i + 1, 0, item.frame, item.command, &item.params);
         }
         text
-    }
-
-    /// Reads a text of the form "QGC WPL 110" that [`Mission::waypoints`] wrote.
-    ///
-    /// # Errors
-    /// [`InputError`] that names the file and the line.
-    pub fn read_waypoints(path: &Path) -> Result<Self, CoreError> {
-        let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
-        let fault = |line: usize| {
-            let what = format!("line {} is none of a list of waypoints (QGC WPL 110)", line + 1);
-            InputError::new(what, path, "write the file again with `sms plan`")
-        };
-        let mut lines = text.lines().enumerate();
-        if lines.next().map(|(_, l)| l.trim()) != Some("QGC WPL 110") {
-            return Err(fault(0).into());
-        }
-        let mut items = Vec::new();
-        for (n, line) in lines.filter(|(_, l)| !l.trim().is_empty()) {
-            let fields: Vec<f64> =
-                line.split('\t').map(|f| f.trim().parse()).collect::<Result<_, _>>().map_err(|_| fault(n))?;
-            let params: [f64; 7] =
-                fields.get(4..11).and_then(|f| f.try_into().ok()).ok_or_else(|| fault(n))?;
-            if fields.len() != 12 || fields[0] != items.len() as f64 {
-                return Err(fault(n).into());
-            }
-            items.push(MissionItem { command: fields[3] as u16, frame: fields[2] as u8, params });
-        }
-        if items.is_empty() {
-            return Err(fault(1).into());
-        }
-        let [_, _, _, _, latitude_deg, longitude_deg, altitude_m] = items.remove(0).params;
-        let speed = items.iter().find(|i| i.command == CHANGE_SPEED).map_or(0.0, |i| i.params[1]);
-        Ok(Self { home: Geodetic { latitude_deg, longitude_deg, altitude_m }, speed, items })
     }
 
     /// Writes both forms into a folder: `mission.plan`, `mission.waypoints`.
@@ -238,12 +205,17 @@ mod tests {
         let (flight, home) = (flight(), home());
         let mission = mission(&flight, &home, 0.3, 0.7).unwrap();
         mission.write(dir.path()).unwrap();
-        let read = Mission::read_waypoints(&dir.path().join("mission.waypoints")).unwrap();
-        assert_eq!((read.home, read.speed, read.items.len()), (mission.home, 0.7, mission.items.len()));
+        let text = std::fs::read_to_string(dir.path().join("mission.waypoints")).unwrap();
+        let (header, rows) = text.split_once('\n').unwrap();
+        assert_eq!(header, "QGC WPL 110");
+        let rows: Vec<Vec<f64>> =
+            rows.lines().map(|row| row.split('\t').map(|field| field.parse().unwrap()).collect()).collect();
+        assert_eq!(rows[0][8..11], [mission.home.latitude_deg, mission.home.longitude_deg, 12.5]);
+        assert_eq!(rows.len(), 1 + mission.items.len());
         let plan: Value = atomic::read_json(&dir.path().join("mission.plan")).unwrap();
         assert_eq!((&plan["fileType"], &plan["version"]), (&json!("Plan"), &json!(1)));
-        for (i, (a, b)) in mission.items.iter().zip(&read.items).enumerate() {
-            assert_eq!((a.command, a.frame), (b.command, b.frame));
+        for (i, (a, row)) in mission.items.iter().zip(&rows[1..]).enumerate() {
+            assert_eq!((f64::from(a.frame), f64::from(a.command)), (row[2], row[3]));
             let item = &plan["mission"]["items"][i];
             assert_eq!((&item["command"], &item["doJumpId"]), (&json!(a.command), &json!(i + 1)));
             let written: Vec<f64> =
@@ -251,11 +223,8 @@ mod tests {
             assert_eq!(written, a.params);
             if a.frame == ABOVE_HOME {
                 let p_w = |p: &[f64; 7]| home.from_geodetic(p[4], p[5], p[6]).unwrap();
-                assert!(p_w(&a.params).distance(p_w(&b.params)) < 2e-4);
+                assert!(p_w(&a.params).distance(p_w(row[4..11].try_into().unwrap())) < 2e-4);
             }
         }
-        std::fs::write(dir.path().join("bad"), "QGC WPL 110\n0\t1\t0").unwrap();
-        let error = Mission::read_waypoints(&dir.path().join("bad")).unwrap_err().to_string();
-        assert!(error.contains("line 2") && error.contains("bad"), "{error}");
     }
 }

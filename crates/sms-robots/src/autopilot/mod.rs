@@ -1,10 +1,10 @@
-//! A planned approach ([`crate::Flight`]) as files that others can fly: see `docs/flight.md`.
+//! Export of a planned approach ([`crate::Flight`]) for autopilots: see `docs/flight.md`.
 //!
 //! | file | frame | for |
 //! |---|---|---|
-//! | `flight.json`, `flight.parquet` | our world, z up | people and programs ([`TimedFlight`]) |
+//! | `flight.json`, `flight.parquet` | world, z up | people and programs ([`TimedFlight`]) |
 //! | `setpoints.csv`, `setpoints.tlog` | local NED of the autopilot | PX4's offboard mode ([`set_points`]) |
-//! | `mission.plan`, `mission.waypoints` | WGS 84, heights above home | QGroundControl ([`Mission`]); only where the home position is known |
+//! | `mission.plan`, `mission.waypoints` | WGS 84, heights above home | QGroundControl ([`Mission`]); requires the home position |
 //!
 //! ```
 //! use glamx::DVec3;
@@ -29,5 +29,5 @@ mod timed;
 pub use files::{FlightFiles, write_flight};
 pub use home::{Geodetic, Home};
 pub use mission::{Mission, MissionItem, mission};
-pub use offboard::{SetPoint, read_tlog, set_points, write_csv, write_tlog};
+pub use offboard::{SetPoint, set_points, write_csv, write_tlog};
 pub use timed::{FlightPhase, TimedFlight, TimedPoint, timed};

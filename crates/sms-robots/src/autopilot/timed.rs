@@ -7,7 +7,7 @@ use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, atomic};
 use std::path::Path;
 
-/// What the vehicle does.
+/// Phase of an approach.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FlightPhase {
@@ -15,12 +15,12 @@ pub enum FlightPhase {
     Approach,
     /// It descends straight down.
     Descent,
-    /// Its motors are cut: from here it falls.
+    /// Its motors are cut, and it falls.
     Cut,
 }
 
 impl FlightPhase {
-    /// As files name it.
+    /// Name in files.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Approach => "approach",
@@ -39,28 +39,28 @@ pub struct TimedPoint {
     pub p_w: DVec3,
     /// Velocity, m/s.
     pub v_w: DVec3,
-    /// Turn about z from the world's x to the vehicle's, radians.
+    /// Rotation about z from the world's x to the vehicle's, radians.
     pub yaw: f64,
-    /// What it does from here on.
+    /// Phase from this time on.
     pub phase: FlightPhase,
 }
 
 /// An approach over time, in the world: metres, z up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TimedFlight {
-    /// What the numbers are: frame and units, for who opens the file.
+    /// Frame and units of the numbers, for readers of the file.
     pub frame: String,
     /// Control points of the Bézier curve, metres.
     pub control_w: [DVec3; 3],
-    /// When the descent begins, seconds.
+    /// Start of the descent, seconds.
     pub arrival_s: f64,
-    /// When motors are cut, seconds.
+    /// Time of the motor cut, seconds.
     pub cut_s: f64,
-    /// The states, in order of time.
+    /// The states in order of time.
     pub points: Vec<TimedPoint>,
 }
 
-/// Samples a flight every `period_s` seconds; the arrival over the landing point and the motor cut have points of their own.
+/// Samples a flight every `period_s` seconds, and at the arrival over the landing point and at the motor cut.
 pub fn timed(flight: &Flight, period_s: f64) -> TimedFlight {
     let (arrival_s, cut_s) = (flight.arrival_s(), flight.duration_s());
     let steps = (cut_s / period_s).ceil() as usize;
@@ -108,7 +108,7 @@ impl TimedFlight {
         atomic::read_json(path)
     }
 
-    /// Writes one row a point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad), `phase`.
+    /// Writes one row per point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad), `phase`.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -155,7 +155,7 @@ pub(crate) mod tests {
             assert!(dt > 0.0 && dt < 0.05 + 1e-9);
             if pair[0].phase == FlightPhase::Approach {
                 assert!((pair[0].v_w.length() - SPEED).abs() < 1e-9);
-                // What is flown in a step is what the speed says, but for the curve's bend.
+                // The distance per step matches the speed up to the curvature.
                 assert!((pair[1].p_w.distance(pair[0].p_w) - SPEED * dt).abs() < 1e-4);
             }
         }

@@ -1,6 +1,6 @@
 //! Errors.
 
-/// Errors of a vehicle or its flight.
+/// Error of a vehicle or its flight.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
     /// A setting is out of range.
@@ -13,7 +13,7 @@ pub enum VehicleError {
         /// The allowed range.
         must: &'static str,
     },
-    /// A vehicle file cannot be read, or describes an impossible vehicle.
+    /// A vehicle file is unreadable, or describes an impossible vehicle.
     #[error("the vehicle cannot be used: {0}")]
     Vehicle(String),
 }

@@ -4,14 +4,14 @@ use super::VehicleError;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Pieces in which a curve's length is measured.
+/// Number of pieces for the arc length of a curve.
 const PIECES: usize = 256;
 
-/// A quadratic Bézier curve that is run through at constant speed.
+/// A quadratic Bézier curve, flown at constant speed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BezierPath {
     control_w: [DVec3; 3],
-    /// Length from the start to each of [`PIECES`] equal steps of the parameter, metres.
+    /// Arc length from the start to each of [`PIECES`] equal steps of the parameter, metres.
     lengths: Vec<f64>,
 }
 
@@ -29,8 +29,8 @@ impl BezierPath {
         path
     }
 
-    /// The paper's approach: start, a point at `radius` (metres) and `angle` (radians, about z from x) from the landing point, the
-    /// landing point, all at the height of `start_w`.
+    /// The paper's approach: control points at the start, at `radius` (metres) and `angle` (radians, about z from x) from the
+    /// landing point, and at the landing point, all at the height of `start_w`.
     pub fn approach(start_w: DVec3, landing_w: DVec3, radius: f64, angle: f64) -> Self {
         let landing_w = landing_w.with_z(start_w.z);
         let via_w = landing_w + radius * DVec3::new(angle.cos(), angle.sin(), 0.0);
@@ -57,7 +57,7 @@ impl BezierPath {
         (2.0 * (1.0 - u) * (b - a) + 2.0 * u * (c - b)).try_normalize().unwrap_or(DVec3::ZERO)
     }
 
-    /// The point (metres) after this length of the curve, and the direction there.
+    /// The point (metres) at an arc length, and the direction of the curve there.
     pub fn point(&self, length: f64) -> (DVec3, DVec3) {
         let length = length.clamp(0.0, self.length());
         let k = self.lengths.partition_point(|l| *l < length).clamp(1, PIECES);
@@ -68,7 +68,7 @@ impl BezierPath {
     }
 }
 
-/// How a vehicle flies.
+/// Settings of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlightSettings {
@@ -76,43 +76,43 @@ pub struct FlightSettings {
     pub speed: f64,
     /// Speed of the descent, m/s.
     pub descent_speed: f64,
-    /// Height of the flight above the place of landing, metres: of the lowest point of the vehicle.
+    /// Height of the vehicle's lowest point above the landing place during the approach, metres.
     pub height: f64,
-    /// Height at which motors are cut, metres.
+    /// Height of the motor cut, metres.
     pub cut_height: f64,
 }
 
 impl Default for FlightSettings {
     fn default() -> Self {
-        // So slow that it need not brake hard over the platform.
+        // Slow enough that the vehicle need not brake hard over the platform.
         Self { speed: 0.5, descent_speed: 0.3, height: 0.35, cut_height: 0.01 }
     }
 }
 
-/// A flight from start to motor cut. The vehicle stays level and carries its weight: at these speeds it leans by less than 2°,
-/// and accelerates for a tenth of a second.
+/// A flight from start to motor cut. The vehicle stays level: at these speeds it tilts by less than 2° and accelerates for
+/// a tenth of a second.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flight {
     path: BezierPath,
     settings: FlightSettings,
 }
 
-/// A vehicle in flight at one moment.
+/// State of a vehicle in flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlightState {
     /// Pose of the vehicle in the world.
     pub x_wv: DPose3,
     /// Velocity of its origin, m/s.
     pub v_w: DVec3,
-    /// Whether the motors run.
+    /// Whether the motors are running.
     pub motors: bool,
 }
 
 impl Flight {
-    /// A flight along the curve, which lies [`FlightSettings::height`] above where the vehicle's origin is when it has landed.
+    /// Plans a flight along the curve, [`FlightSettings::height`] above the origin of the landed vehicle.
     ///
     /// # Errors
-    /// [`VehicleError::Setting`] when a speed is not positive, or motors are cut above the flight.
+    /// [`VehicleError::Setting`] when a speed is not positive, or the motor cut is above the approach.
     pub fn new(path: BezierPath, settings: FlightSettings) -> Result<Self, VehicleError> {
         VehicleError::positive("speed", settings.speed)?;
         VehicleError::positive("descent_speed", settings.descent_speed)?;
@@ -129,17 +129,17 @@ impl Flight {
         &self.path
     }
 
-    /// When the descent begins, seconds.
+    /// Start of the descent, seconds.
     pub fn arrival_s(&self) -> f64 {
         self.path.length() / self.settings.speed
     }
 
-    /// When motors are cut, seconds.
+    /// Time of the motor cut, seconds.
     pub fn duration_s(&self) -> f64 {
         self.arrival_s() + (self.settings.height - self.settings.cut_height) / self.settings.descent_speed
     }
 
-    /// Where the vehicle is after `t` seconds; after the motors are cut it is a free body, and this its state at that moment.
+    /// State of the vehicle after `t` seconds; after the motor cut the state at that moment.
     pub fn state(&self, t: f64) -> FlightState {
         let motors = t < self.duration_s();
         let t = t.clamp(0.0, self.duration_s());
@@ -168,7 +168,7 @@ mod tests {
     fn a_straight_curve_has_the_length_of_the_line() {
         let path = BezierPath::new([DVec3::ZERO, DVec3::new(0.3, 0.0, 0.0), DVec3::new(2.0, 0.0, 0.0)]);
         assert!((path.length() - 2.0).abs() < 1e-12);
-        // Constant speed, though the parameter runs slowly at first.
+        // The speed is constant although the parameter is not.
         assert!((path.point(0.5).0.x - 0.5).abs() < 1e-4);
         assert_eq!(path.point(0.5).1, DVec3::X);
     }

@@ -5,5 +5,5 @@ mod flight;
 mod quadrotor;
 
 pub use error::VehicleError;
-pub use flight::{BezierPath, Flight, FlightSettings, FlightState};
+pub use flight::{BezierPath, Flight, FlightSettings};
 pub use quadrotor::{Quadrotor, Rotor};

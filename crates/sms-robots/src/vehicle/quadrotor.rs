@@ -1,4 +1,4 @@
-//! A multirotor as a rigid body with legs: what flies, and what stands on the platform afterwards.
+//! A multirotor as a rigid body with legs.
 
 use super::VehicleError;
 use glamx::{DMat3, DPose3, DVec3};
@@ -36,9 +36,9 @@ pub struct Quadrotor {
     pub rotors: Vec<DVec3>,
     /// Half extents of the body's box, metres.
     pub body_half: DVec3,
-    /// Lowest points of the legs, metres. A leg reaches up to the height of the propellers.
+    /// Lowest points of the legs, metres. Legs extend up to the height of the propellers.
     pub feet: Vec<DVec3>,
-    /// Half of a leg's width, metres.
+    /// Half the width of a leg, metres.
     pub foot_half: f64,
 }
 
@@ -53,8 +53,8 @@ impl Quadrotor {
     /// Reads and checks a vehicle.
     ///
     /// # Errors
-    /// [`VehicleError::Vehicle`] with the reason when the text is none, or the vehicle cannot be: figures that are not positive, an
-    /// inertia that no body has, propellers that overlap, feet above the body's bottom or on one line.
+    /// [`VehicleError::Vehicle`] when the text is malformed or the vehicle is impossible: values that are not positive, an
+    /// impossible inertia, overlapping propellers, feet above the body's bottom or on one line.
     pub fn from_toml(text: &str) -> Result<Self, VehicleError> {
         let vehicle: Self = toml::from_str(text).map_err(|e| VehicleError::Vehicle(e.to_string()))?;
         vehicle.check()?;
@@ -105,34 +105,34 @@ impl Quadrotor {
     /// Mass and inertia about the centre of mass, in `V`.
     ///
     /// # Errors
-    /// [`InertiaError`] for figures that no body has; a vehicle that was read has others.
+    /// [`InertiaError`] for impossible values, which reading a vehicle refuses.
     pub fn mass_properties(&self) -> Result<MassProperties, InertiaError> {
         MassProperties::new(self.mass, DVec3::ZERO, DMat3::from_diagonal(self.inertia))
     }
 
-    /// Its propellers.
+    /// The propellers.
     pub fn propellers(&self) -> Vec<Rotor> {
         self.rotors.iter().map(|&p_v| Rotor { p_v, radius: self.rotor_radius }).collect()
     }
 
-    /// Thrust of each propeller (N) when it hovers under `gravity` m/s².
+    /// Thrust of each propeller (N) when hovering under `gravity` m/s².
     pub fn hover_thrusts(&self, gravity: f64) -> Vec<f64> {
         vec![self.mass * gravity / self.rotors.len() as f64; self.rotors.len()]
     }
 
-    /// How far the feet are below the centre of mass, metres.
+    /// Height of the centre of mass above the feet, metres.
     pub fn standing_height(&self) -> f64 {
         -self.feet.iter().map(|f| f.z).fold(f64::INFINITY, f64::min)
     }
 
-    /// Radius (metres) of the circle about the centre that holds propellers and feet, seen from above.
+    /// Radius (metres) of the circle about the centre that contains propellers and feet, in the top view.
     pub fn reach(&self) -> f64 {
         let rotors = self.rotors.iter().map(|p| p.truncate().length() + self.rotor_radius);
         let feet = self.feet.iter().map(|p| p.truncate().length() + self.foot_half);
         rotors.chain(feet).fold(0.0, f64::max)
     }
 
-    /// Convex solids that collide, in `V`: the body's box and a post for each leg.
+    /// Convex collision solids in `V`: the body's box and a post for each leg.
     pub fn solids(&self) -> Vec<Mesh> {
         let top = self.rotors.iter().map(|p| p.z).fold(0.0, f64::max);
         let leg = |foot: &DVec3| {
@@ -144,8 +144,8 @@ impl Quadrotor {
         std::iter::once(Mesh::cuboid(self.body_half)).chain(self.feet.iter().map(leg)).collect()
     }
 
-    /// Returns the vehicle as a dynamic body of a scene, without a visual mesh. Simulation needs its
-    /// [`Quadrotor::mass_properties`]; a picture does not.
+    /// Returns the vehicle as a dynamic body of a scene, without a visual mesh. Simulation requires
+    /// [`Quadrotor::mass_properties`]; rendering does not.
     pub fn body(&self, name: &str, x_wv: DPose3, mass: Option<MassProperties>, material: Material) -> Body {
         Body {
             name: name.to_owned(),
@@ -176,7 +176,7 @@ mod tests {
         let total: f64 = vehicle.hover_thrusts(9.81).iter().sum();
         assert!((total - 1.182 * 9.81).abs() < 1e-12);
         assert_eq!(vehicle.standing_height(), 0.05);
-        // The stated inertia is that of the stated masses: a box, and four points at the height of its middle.
+        // The stated inertia is that of the stated masses: a box, and four points at mid height.
         let (box_mass, motor) = (0.942, 0.06);
         let h = vehicle.body_half;
         let boxed =

@@ -1,4 +1,4 @@
-//! The adapter. `super::engine` is Rapier in single or double precision.
+//! The Rapier world. `super::engine` is Rapier in single or double precision.
 #![allow(
     clippy::unnecessary_cast,
     reason = "`Real` is f32 in one instance of this file and f64 in the other"
@@ -13,25 +13,25 @@ use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use std::sync::Mutex;
 
-/// Rapier's tolerances are made for bodies of a metre; its own scale makes the distance at which contacts are
-/// predicted 20 µm. A contact normal taken at 20 mm, Rapier's default, is another one than at the impact.
+/// Rapier's tolerances assume bodies of a metre. This scale sets the prediction distance of contacts to 20 µm; at
+/// Rapier's default of 20 mm, a contact normal differs from that at the impact.
 const LENGTH_UNIT: f64 = 1e-3;
 /// Largest speed of a body, m/s. Rapier scales its limit with the length unit, which would leave 0.4 m/s.
 const MAX_SPEED: f64 = 400.0;
-/// Largest speed at which bodies that overlap are pushed apart, m/s. Reconstructed bodies may overlap by a
-/// millimetre at the start and must not be flung apart.
+/// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre at
+/// the start and must not be thrown apart.
 const MAX_PUSH_OUT_SPEED: f64 = 0.1;
-/// Relative motion since the last contact determination up to which its contacts are used again, metres.
+/// Relative motion since the last contact determination up to which its contacts are reused, metres.
 const RECYCLE_DISTANCE: f64 = 2e-4;
-/// Natural frequency of contacts, Hz. A body sinks in by g/(2πf)²: Rapier's 30 Hz let the upper of two boxes sink
-/// 0.55 mm into the lower, this 12 µm.
+/// Natural frequency of contacts, Hz. A body sinks in by g/(2πf)². With Rapier's 30 Hz the upper of two boxes sinks
+/// 0.55 mm into the lower; with this value, 12 µm.
 const CONTACT_FREQUENCY: f64 = 200.0;
-/// Speed below which a body may fall asleep, m/s at its farthest point. A ball rolls further than an obstacle
-/// slides before its friction stops it.
+/// Speed below which a body may fall asleep, m/s at its farthest point. A ball rolls farther than an obstacle slides
+/// before it stops.
 const SLEEP_SPEED_BALL: f64 = 1e-3;
 const SLEEP_SPEED: f64 = 5e-3;
-/// Time below that speed until a body sleeps, seconds. Half of Rapier's, whose speed is ten times as large; a body
-/// must have moved less than 2.5 mm in it.
+/// Time below that speed until a body sleeps, seconds. Half of Rapier's, at a tenth of its speed: the body has moved
+/// less than 2.5 mm.
 const TIME_UNTIL_SLEEP: f64 = 0.25;
 /// Approach speed from which a contact counts as an impact, m/s.
 const IMPACT_SPEED: f64 = 5e-3;
@@ -41,27 +41,27 @@ pub(crate) struct RapierWorld {
     engine: &'static str,
     physics: PhysicsWorld,
     bodies: Vec<RigidBodyHandle>,
-    /// Bodies with a wrench for the next step.
+    /// Bodies with a wrench in the next step.
     wrenched: Vec<BodyId>,
-    kinematics: Vec<Kinematic>,
+    kinematics: Vec<RapierKinematic>,
     last_dt: f64,
     touches: Touches,
     options: WorldOptions,
-    saved: Option<Box<Saved>>,
+    saved: Option<Box<RapierSnapshot>>,
 }
 
-/// A kinematic body. Rapier would derive its velocity from two poses, which in single precision and at the short
-/// steps of impacts is off by percents; it is therefore given its velocity, and put in its place after each step.
+/// A kinematic body. Rapier derives its velocity from two poses, which in single precision and at the short steps of
+/// impacts is off by percents. Therefore its velocity is set directly, and its pose is corrected after each step.
 #[derive(Clone)]
-struct Kinematic {
+struct RapierKinematic {
     body: BodyId,
     x_wk: DPose3,
     target_x_wk: DPose3,
     enabled: bool,
 }
 
-/// Everything that a step reads or writes; [`PhysicsWorld`] has no `Clone`.
-struct Saved {
+/// The complete state of a world; [`PhysicsWorld`] has no `Clone`.
+struct RapierSnapshot {
     islands: IslandManager,
     broad_phase: BroadPhaseBvh,
     narrow_phase: NarrowPhase,
@@ -72,11 +72,11 @@ struct Saved {
     soft_bodies: SoftBodySet,
     ccd_solver: CCDSolver,
     handles: usize,
-    kinematics: Vec<Kinematic>,
+    kinematics: Vec<RapierKinematic>,
     last_dt: f64,
 }
 
-/// Collects pairs of bodies that begin to touch. Rapier reports where something changes, in the order of its pairs.
+/// Collects pairs of bodies that begin to touch, in the order in which Rapier reports them.
 #[derive(Default)]
 struct Touches(Mutex<Vec<(BodyId, BodyId)>>);
 
@@ -108,10 +108,10 @@ impl EventHandler for Touches {
     fn handle_soft_body_tear_event(&self, _bodies: &SoftBodySet, _event: &SoftBodyTearEvent) {}
 }
 
-/// Restitution's part of the friction. Rapier applies restitution after friction was solved, and the impulse that
-/// it adds, `e` times the compression's, causes no friction. An impact's friction impulse is bounded by
-/// µ(1+e)·J, so the friction of a pair is scaled by 1+e at impacts (a contact that carried no impulse before and
-/// that closes). Scaled at resting contacts, sliding friction would grow.
+/// Friction due to restitution. Rapier applies restitution after friction, and the impulse that it adds, `e` times that
+/// of the compression, causes no friction. An impact's friction impulse is bounded by µ(1+e)·J, so the friction of a pair
+/// is scaled by 1+e at impacts (a closing contact without an impulse before). It is not scaled at resting contacts,
+/// where sliding friction would grow.
 struct ImpactFriction;
 
 impl PhysicsHooks for ImpactFriction {
@@ -145,8 +145,8 @@ impl RapierWorld {
         let p = &mut physics.integration_parameters;
         p.dt = options.dt as Real;
         p.min_ccd_dt = (options.dt / 100.0) as Real;
-        // Balls are timed above this seam. The engine's own sweeps take every thin hull for fast, and compute its
-        // mass properties again in each step: more than half of a rollout.
+        // Contact timing above this trait handles balls. The engine's own sweeps treat every thin hull as fast and recompute
+        // its mass properties in each step, more than half of a rollout.
         p.max_ccd_substeps = 0;
         p.length_unit = LENGTH_UNIT as Real;
         p.normalized_max_linear_velocity = (MAX_SPEED / LENGTH_UNIT) as Real;
@@ -154,8 +154,8 @@ impl RapierWorld {
         p.normalized_contact_recycle_distance = (RECYCLE_DISTANCE / LENGTH_UNIT) as Real;
         p.contact_softness.natural_frequency = CONTACT_FREQUENCY as Real;
         p.static_contact_softness.natural_frequency = CONTACT_FREQUENCY as Real;
-        // One friction point per manifold, with a twist. The other model, a point per contact, turns the friction of
-        // a sliding box's corners against each other: 10 % of it is lost (probe `sliding_block`).
+        // One friction point per manifold, with a twist. The other model, a point per contact, opposes the friction of a
+        // sliding box's corners to each other and loses 10 % of it (probe `sliding_block`).
         p.friction_model = FrictionModel::Simplified;
         let mut world = Self {
             engine,
@@ -186,7 +186,7 @@ impl RapierWorld {
                 let mass = body.mass.as_ref().ok_or_else(|| refuse("it is dynamic and has no mass"))?;
                 RigidBodyBuilder::dynamic()
                     .additional_mass_properties(mass_properties(mass))
-                    // Else Rapier limits the spin of small bodies.
+                    // Without it Rapier limits the spin of small bodies.
                     .allow_fast_rotation(true)
                     .can_sleep(self.options.sleep)
             }
@@ -201,12 +201,12 @@ impl RapierWorld {
         let (friction, restitution) =
             (body.material.friction.value.best, body.material.restitution.value.best);
         for collider in colliders(&body.shape).map_err(|why| refuse(&why))? {
-            // Pairs with a hook are determined anew at each step; only balls and the striker need it.
+            // Contacts of pairs with a hook are never reused; only balls and the striker need it.
             let hooks = if is_ball { ActiveHooks::MODIFY_SOLVER_CONTACTS } else { ActiveHooks::empty() };
             let collider = with_material(collider, friction, restitution)
                 .active_hooks(hooks)
                 .user_data(self.bodies.len() as u128);
-            // Of two static bodies nothing is reported.
+            // Two static bodies report nothing.
             let collider = match body.kind {
                 BodyKind::Dynamic => collider.active_events(ActiveEvents::COLLISION_EVENTS),
                 BodyKind::Static => collider,
@@ -284,8 +284,8 @@ impl World for RapierWorld {
     fn step(&mut self, dt: f64) {
         let p = &mut self.physics.integration_parameters;
         p.dt = dt as Real;
-        // Contacts start from the last step's impulses, which belong to that step's length: a short step that
-        // started from a long one's would throw resting bodies up. A long one starts from less than it needs.
+        // Contacts start from the last step's impulses, which scale with that step's length. A short step that starts from the
+        // impulses of a long one would throw resting bodies up.
         p.warmstart_coefficient = (dt / self.last_dt).min(1.0) as Real;
         self.last_dt = dt;
         self.start_kinematics(dt);
@@ -343,7 +343,7 @@ impl World for RapierWorld {
     ) -> BodyId {
         let builder = RigidBodyBuilder::kinematic_velocity_based().pose(pose_to_engine(&x_wk));
         let body = self.add_striker(builder, shape, friction, restitution);
-        self.kinematics.push(Kinematic { body, x_wk, target_x_wk: x_wk, enabled: true });
+        self.kinematics.push(RapierKinematic { body, x_wk, target_x_wk: x_wk, enabled: true });
         body
     }
 
@@ -368,7 +368,7 @@ impl World for RapierWorld {
         rigid.set_position(pose_to_engine(&state.x_wb), true);
         rigid.set_linvel(to_engine(state.v_w), true);
         rigid.set_angvel(to_engine(state.w_w), true);
-        // Worked out anew by the engine only where it has changed.
+        // The engine recomputes mass properties only after a change.
         if (rigid.mass() as f64 - mass).abs() > 1e-6 * mass {
             rigid.set_additional_mass_properties(tool_mass(mass), true);
         }
@@ -386,7 +386,7 @@ impl World for RapierWorld {
 
     fn save(&mut self) -> bool {
         let w = &self.physics;
-        self.saved = Some(Box::new(Saved {
+        self.saved = Some(Box::new(RapierSnapshot {
             islands: w.islands.clone(),
             broad_phase: w.broad_phase.clone(),
             narrow_phase: w.narrow_phase.clone(),
@@ -415,7 +415,7 @@ impl World for RapierWorld {
         w.multibody_joints = saved.multibody_joints.clone();
         w.soft_bodies = saved.soft_bodies.clone();
         w.ccd_solver = saved.ccd_solver.clone();
-        // Kinematic bodies that were added since are gone.
+        // Removes kinematic bodies added since.
         self.bodies.truncate(saved.handles);
         self.kinematics.clone_from(&saved.kinematics);
         self.last_dt = saved.last_dt;
@@ -438,7 +438,7 @@ impl World for RapierWorld {
     }
 }
 
-/// A tool's mass; contacts do not turn it, whatever its inertia.
+/// Mass properties of a tool; an infinite inertia keeps contacts from turning it.
 fn tool_mass(mass: f64) -> MassProperties {
     MassProperties::new(Vector::ZERO, mass as Real, Vector::splat(mass as Real))
 }
@@ -459,7 +459,7 @@ fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
             Ok(vec![ColliderBuilder::cuboid(h.x as Real, h.y as Real, h.z as Real)])
         }
         BodyShape::Cylinder { radius, half_length } => {
-            // Rapier's cylinders stand along y.
+            // Rapier's cylinders are along y.
             let upright = DQuat::from_rotation_arc(DVec3::Y, DVec3::Z);
             let pose = Pose::from_parts(Vector::ZERO, rotation_to_engine(&upright));
             Ok(vec![ColliderBuilder::cylinder(*half_length as Real, *radius as Real).position(pose)])
@@ -468,8 +468,8 @@ fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
         BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
         BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(hull).collect(),
         BodyShape::TriMesh { mesh } => {
-            // Contacts at edges inside a flat surface would trip whatever slides over it. Both sides count,
-            // because a reconstructed surface may face either way.
+            // Contacts at inner edges of a flat surface would stop sliding bodies. Both sides count, because a reconstructed
+            // surface may be oriented either way.
             let flags =
                 TriMeshFlags::FIX_INTERNAL_EDGES_TWO_SIDED | TriMeshFlags::DELETE_DEGENERATE_TRIANGLES;
             ColliderBuilder::trimesh_with_flags(vertices(mesh), mesh.triangles.clone(), flags)
@@ -491,8 +491,8 @@ fn vertices(mesh: &Mesh) -> Vec<Vector> {
     mesh.vertices.iter().map(|&v| to_engine(v)).collect()
 }
 
-/// Diagonalised in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is lost in the
-/// tolerances of the decomposition.
+/// Diagonalized in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is below the tolerances
+/// of the decomposition.
 fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
     let (moments, axes) = mass.principal();
     MassProperties::with_principal_inertia_frame(

@@ -1,4 +1,4 @@
-//! The adapter over Rapier in double precision.
+//! The Rapier world in double precision.
 
 use rapier3d_f64 as engine;
 

@@ -1,4 +1,4 @@
-//! Faces of a convex hull, and the four corners by which each is described to the engine.
+//! Faces of a convex hull, and the four corners that describe each of them to the engine.
 #![allow(
     clippy::unnecessary_cast,
     reason = "`Real` is f32 in one instance of this file and f64 in the other"
@@ -8,10 +8,10 @@ use super::engine::math::{Real, Vector};
 use super::engine::parry::shape::{PackedFeatureId, PolygonalFeature};
 use glamx::DVec3;
 
-/// Vertices this near to a face's plane, metres, belong to the face.
+/// Vertices within this distance of a face's plane belong to the face, metres.
 const FLAT: f64 = 2e-5;
 
-/// A corner this much lower than all that describe a face is to be one of them, metres: rounding is a hundredth of it.
+/// A corner replaces the described corners if it is lower by this, metres. Rounding is a hundredth of it.
 const LOWER: Real = 1e-6;
 
 /// The plane of a face.
@@ -35,10 +35,10 @@ pub(super) fn to_engine(v: DVec3) -> Vector {
     Vector::new(v.x as Real, v.y as Real, v.z as Real)
 }
 
-/// The planes of the faces that triangles make, the largest triangle's first, and the plane of each triangle (none for
-/// one of no area on an edge). Parry joins triangles whose normals differ by up to 1.5° in single precision, and takes
-/// the first one's: a heavy box sank through a board whose two sides had such a normal. Here a triangle belongs to a
-/// larger one's face when it lies in its plane, whatever rounding made of a sliver's normal, and to no other.
+/// The planes of the faces, the largest triangle's first, and the plane of each triangle (none for one of no area on an
+/// edge). Parry joins triangles whose normals differ by up to 1.5° in single precision and takes the first one's, so that a
+/// heavy box sinks through a board whose two sides have such a normal. Here a triangle belongs to a larger one's face if and
+/// only if it lies in its plane, whatever its own rounded normal.
 pub(super) fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
     let corners: Vec<[DVec3; 3]> =
         triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
@@ -62,18 +62,18 @@ pub(super) fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePl
     (found, of)
 }
 
-/// How a face is described.
+/// The descriptions of a face.
 #[derive(Debug, Clone)]
-pub(super) struct Face {
-    /// By the widest four of its corners.
+pub(super) struct HullFace {
+    /// Description by the four corners that span the largest area.
     whole: PolygonalFeature,
-    /// Its corners, counter-clockwise around the normal, and for each the description by it, the next one and the two others
-    /// that span the most with them. None where there are no more than four.
+    /// The corners, counter-clockwise around the normal, and for each the description by it, the next corner and the two others
+    /// that span the largest area with them. Empty for at most four corners.
     sides: Vec<(Vector, PolygonalFeature)>,
 }
 
-impl Face {
-    /// The description that has the lowest corner along `dir`.
+impl HullFace {
+    /// The description with the lowest corner along `dir`.
     pub(super) fn toward(&self, dir: Vector) -> &PolygonalFeature {
         let height = |k: usize| self.sides[k % self.sides.len()].0.dot(dir);
         let described = &self.whole.vertices[..self.whole.num_vertices];
@@ -95,7 +95,7 @@ impl Face {
         }
     }
 
-    /// The description that reaches to a point of the face.
+    /// The description that contains a point of the face.
     pub(super) fn around(&self, point: Vector, normal: Vector) -> &PolygonalFeature {
         let outside = |a: Vector, b: Vector| (point - a).dot((b - a).cross(normal)) / (b - a).length();
         let n = self.whole.num_vertices;
@@ -114,8 +114,8 @@ impl Face {
     }
 }
 
-/// The description of a face by those of the vertices in its plane, put onto the plane.
-pub(super) fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> Face {
+/// Describes a face by the vertices in its plane, projected onto the plane.
+pub(super) fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> HullFace {
     let points = (0u32..).zip(vertices).map(|(k, p)| (k, to_double(*p)));
     let in_plane = points.filter(|(_, p)| plane.height(*p).abs() <= FLAT);
     let mut corners: Vec<(u32, DVec3)> =
@@ -131,7 +131,7 @@ pub(super) fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> Face 
         for (slot, &corner) in from_widest_corner(&positions, chosen).iter().enumerate() {
             feature.vertices[slot] = to_engine(positions[corner]);
             feature.vids[slot] = PackedFeatureId::vertex(corners[corner].0);
-            // Edge ids only tell contacts of one step from those of the next.
+            // Edge ids only match contacts between steps.
             feature.eids[slot] = PackedFeatureId::edge(4 * id + slot as u32);
             feature.num_vertices = slot + 1;
         }
@@ -141,10 +141,10 @@ pub(super) fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> Face 
     let whole = feature(widest_four(&positions));
     let many = if positions.len() > 4 { positions.len() } else { 0 };
     let side = |k: usize| (to_engine(positions[k]), feature(widest_beside(&positions, k)));
-    Face { whole, sides: (0..many).map(side).collect() }
+    HullFace { whole, sides: (0..many).map(side).collect() }
 }
 
-/// Indices, in order, of up to four corners of a convex polygon that span the largest area.
+/// Indices of up to four corners of a convex polygon that span the largest area, in order.
 fn widest_four(corners: &[DVec3]) -> Vec<usize> {
     let n = corners.len();
     if n <= 4 {
@@ -169,8 +169,8 @@ fn widest_four(corners: &[DVec3]) -> Vec<usize> {
     widest.1
 }
 
-/// Indices, in order, of a side of a convex polygon of more than four corners, from the `k`-th on, and the two others that
-/// span the largest area with it.
+/// Indices of the `k`-th side of a convex polygon of more than four corners, and of the two other corners that span the
+/// largest area with it, in order.
 fn widest_beside(corners: &[DVec3], k: usize) -> Vec<usize> {
     let n = corners.len();
     let at = |i: usize| corners[(k + i) % n];
@@ -186,9 +186,9 @@ fn widest_beside(corners: &[DVec3], k: usize) -> Vec<usize> {
     [0, 1, widest.1, widest.2].map(|i| (k + i) % n).to_vec()
 }
 
-/// The corners turned such that the second one makes the largest triangle with its neighbours, which parry takes a
-/// description's plane from: of a corner on the straight line between its neighbours rounding would decide. Of less than
-/// [`FLAT`] across, the ends.
+/// Rotates the corners so that the second one forms the largest triangle with its neighbours, from which Parry takes the
+/// plane of a description; a corner between collinear neighbours would leave the plane to rounding. Returns the ends of a
+/// polygon less than [`FLAT`] across.
 fn from_widest_corner(corners: &[DVec3], chosen: Vec<usize>) -> Vec<usize> {
     let n = chosen.len();
     if n < 3 {
@@ -227,7 +227,7 @@ mod tests {
             (0..chosen.len()).map(cross).sum::<f64>()
         };
         assert!((spanned(&arc(std::f64::consts::TAU)) - 2.0).abs() < 1e-9);
-        // Half a round: its diameter is one of its sides. Of all quadrilaterals in a half-disc, half a hexagon is the largest.
+        // A half disc: its diameter is one of its sides. The largest quadrilateral in it is half a hexagon.
         let mut half = arc(std::f64::consts::PI);
         half.push(DVec3::NEG_X);
         assert!((spanned(&half) - 0.75 * 3.0f64.sqrt()).abs() < 1e-9, "{}", spanned(&half));

@@ -1,13 +1,12 @@
-//! Convex hulls that stand on their flat faces.
+//! Convex hulls that rest on their flat faces.
 //!
-//! Parry describes the face of a convex polyhedron by its first four vertices. Of a round or many-cornered base these
-//! are neighbours, a sliver at its rim: a body that stands on such a base tips over the sliver. This shape is the same
-//! polyhedron, but describes each face by the four of its vertices that span the largest area; where one that was left
-//! out is lower, or a contact lies beyond the four, by the side of the face there and the two others that go best with it.
+//! Parry describes the face of a convex polyhedron by its first four vertices. On a round or many-cornered base these are
+//! neighbours, a sliver at its rim, and a body tips over that sliver. This shape is the same polyhedron, but describes each
+//! face by the four vertices that span the largest area. Where another vertex is lower, or a contact lies outside the four,
+//! it uses the side of the face there and the two vertices that span the largest area with it.
 //!
-//! Parry also looks for the nearest point of a polyhedron by an iteration (GJK) that in single precision takes points
-//! beside the thin parts of dishes for inside: balls sank into their walls. Here all faces are looked at; there are
-//! few.
+//! Parry also searches the nearest point of a polyhedron iteratively (GJK). In single precision this takes points beside the
+//! thin parts of dishes for inside, and balls sink into their walls. Here all faces are tested; there are few.
 #![allow(
     clippy::unnecessary_cast,
     reason = "`Real` is f32 in one instance of this file and f64 in the other"
@@ -22,16 +21,16 @@ use super::engine::parry::shape::{
     SupportMap, Triangle, TypedShape,
 };
 use super::engine::parry::transformation::try_convex_hull;
-use super::face::{Face, describe, planes, to_engine};
+use super::face::{HullFace, describe, planes, to_engine};
 
-/// A convex polyhedron whose faces are described by their best four vertices.
+/// A convex polyhedron with well-conditioned face descriptions.
 #[derive(Debug, Clone)]
 pub(super) struct StableHull {
     hull: ConvexPolyhedron,
     /// Normal of each face.
     normals: Vec<Vector>,
-    faces: Vec<Face>,
-    /// The faces cut into triangles.
+    faces: Vec<HullFace>,
+    /// Triangulation of the faces.
     triangles: Vec<FacePiece>,
 }
 
@@ -44,12 +43,12 @@ struct FacePiece {
 }
 
 impl StableHull {
-    /// The convex hull of points; `None` where parry makes none of them (fewer than three, or all on a line).
+    /// The convex hull of points; `None` if degenerate (fewer than three points, or collinear).
     pub(super) fn new(points: &[Vector]) -> Option<Self> {
         let (vertices, indices) = try_convex_hull(points).ok()?;
         let (planes, plane_of) = planes(&vertices, &indices);
         let normals: Vec<Vector> = planes.iter().map(|p| to_engine(p.normal)).collect();
-        let faces: Vec<Face> = (0u32..).zip(&planes).map(|(id, p)| describe(&vertices, id, p)).collect();
+        let faces: Vec<HullFace> = (0u32..).zip(&planes).map(|(id, p)| describe(&vertices, id, p)).collect();
         let pieces = indices.iter().zip(plane_of).filter_map(|(t, plane)| Some((t, plane?)));
         let triangles = pieces
             .map(|(t, plane)| FacePiece {
@@ -62,7 +61,7 @@ impl StableHull {
         (!faces.is_empty()).then_some(Self { hull, normals, faces, triangles })
     }
 
-    /// The nearest point of the surface and the face that it lies on; whether `p` is inside.
+    /// The nearest point of the surface, its face, and whether `p` is inside.
     fn nearest(&self, p: Vector) -> (Vector, u32, bool) {
         let mut nearest: Option<(Real, Vector, u32)> = None;
         let mut highest = (Real::NEG_INFINITY, 0, Vector::ZERO);
@@ -71,7 +70,7 @@ impl StableHull {
             if height > highest.0 {
                 highest = (height, t.face, p - t.normal * height);
             }
-            // The nearest point lies on a face that sees `p`.
+            // The nearest point lies on a face that is visible from `p`.
             if height <= 0.0 || nearest.is_some_and(|n| height * height > n.0) {
                 continue;
             }
@@ -213,7 +212,7 @@ impl Shape for StableHull {
         point: Vector,
     ) -> Option<Vector> {
         match feature {
-            // Parry's faces have other numbers.
+            // Parry's faces are numbered differently.
             FeatureId::Face(id) => self.normals.get(id as usize).copied(),
             _ => self.hull.feature_normal_at_point(subshape, feature, point),
         }
@@ -224,7 +223,7 @@ impl Shape for StableHull {
 mod tests {
     use super::*;
 
-    /// Five corners, of which four describe the face: the fifth does not get below them, nor is a contact beside it missed.
+    /// Five corners, four of which describe the face: the fifth does not sink in, and a contact beside it is found.
     #[test]
     fn no_corner_of_a_face_is_left_out_where_it_matters() {
         let corner = |k: i32, z: f64| {
@@ -251,7 +250,7 @@ mod tests {
         assert_eq!(flat.vids, middle.vids);
     }
 
-    /// A corner a few micrometres outside of the middle of a side, and below the face: the plane is the face's all the same.
+    /// A corner slightly outside the middle of a side and below the face does not change the plane.
     #[test]
     fn a_corner_on_a_side_does_not_tilt_its_face() {
         let corner = |x: f64, y: f64, z: f64| Vector::new(x as Real, y as Real, z as Real);
@@ -268,7 +267,7 @@ mod tests {
                 let mut feature = PolygonalFeature::default();
                 hull.local_support_feature(Vector::Z, &mut feature);
                 let v = feature.vertices;
-                // The plane that parry takes.
+                // The plane that Parry computes.
                 let normal = (v[2] - v[1]).cross(v[0] - v[1]).normalize();
                 assert!(
                     feature.num_vertices >= 3 && normal.z.abs() > 1.0 - 1e-6,
@@ -322,7 +321,7 @@ mod tests {
         }
     }
 
-    /// A piece of a scanned bowl. Parry's single-precision query takes this point, 0.16 mm outside, for inside.
+    /// A part of a scanned bowl. Parry's single-precision query takes this point, 0.16 mm outside, for inside.
     #[test]
     fn points_beside_a_thin_wall_are_outside() {
         let wall: [[f64; 3]; 29] = [
@@ -365,7 +364,7 @@ mod tests {
         assert!(!found.is_inside && (distance - 1.589e-4).abs() < 2e-6, "{distance}");
     }
 
-    /// Against the closed form, and inside the way out.
+    /// Compares with the closed form, and inside with the way out.
     #[test]
     fn nearest_points_are_those_of_a_box() {
         let half = [0.02, 0.03, 0.05];

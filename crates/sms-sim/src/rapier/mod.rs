@@ -1,4 +1,4 @@
-//! Rapier behind the seam: one adapter source, compiled for both precisions.
+//! The Rapier engine: one source, compiled for both precisions.
 
 use crate::{SimError, World, WorldFactory, WorldOptions};
 use sms_scene::Scene;
@@ -6,18 +6,18 @@ use sms_scene::Scene;
 mod double;
 mod single;
 
-/// Rapier in single precision: the planner's engine.
+/// Rapier in single precision: the engine of the planner.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RapierFactory;
 
-/// Rapier in double precision: the reference of the adapter, and the target where no other engine is built.
+/// Rapier in double precision: the reference, and the target if no other engine is built in.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RapierF64Factory;
 
-/// Rapier in double precision under another name, for a target whose engine must not be taken for another one.
+/// Rapier in double precision under another name, for a target that must be distinguishable.
 #[derive(Debug, Clone, Copy)]
 pub struct NamedRapierF64 {
-    /// What [`WorldFactory::engine`] and every world say.
+    /// Result of [`WorldFactory::engine`].
     pub name: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! The adapter over Rapier in single precision.
+//! The Rapier world in single precision.
 
 use rapier3d as engine;
 

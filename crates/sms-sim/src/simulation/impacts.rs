@@ -1,17 +1,17 @@
-//! When balls will touch what: the foresight that steps are split by.
+//! Prediction of the impacts of balls, at which steps are split.
 
 use super::{By, Kind, Simulation};
 use crate::BodyId;
 use crate::geometry::Path;
-use crate::support::Support;
+use crate::support::BallSupport;
 use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
 use glamx::DVec3;
 
-/// Distance from a ball, beyond what both travel in a step, within which a tool's acceleration is worked out, metres.
+/// Distance from a ball, beyond the travel of both in a step, within which the tool's acceleration is computed, metres.
 const LOOK_AHEAD_M: f64 = 1e-3;
 
 impl Simulation {
-    /// Works out how the tools of arms will move, where a ball is near enough for it to matter.
+    /// Computes the accelerations of arm tools near a ball.
     pub(super) fn look_ahead(&mut self, horizon: f64) {
         for strike in self.strikes.iter_mut().filter(|s| !s.over) {
             let By::Arm(arm) = &mut strike.by else { continue };
@@ -29,8 +29,12 @@ impl Simulation {
         }
     }
 
-    /// The next touch of a ball and another body, if within `horizon` seconds.
-    pub(super) fn next_impact(&self, horizon: f64, supports: &[Support]) -> Option<(Impact, BodyId, BodyId)> {
+    /// The next impact of a ball on another body within `horizon` seconds.
+    pub(super) fn next_impact(
+        &self,
+        horizon: f64,
+        supports: &[BallSupport],
+    ) -> Option<(Impact, BodyId, BodyId)> {
         let mut first: Option<(Impact, BodyId, BodyId)> = None;
         for (ball, body) in self.bodies.iter().enumerate() {
             let Kind::Ball { radius, .. } = body.kind else { continue };
@@ -57,7 +61,7 @@ impl Simulation {
         first
     }
 
-    fn path(&self, body: BodyId, supports: &[Support]) -> Path<'_> {
+    fn path(&self, body: BodyId, supports: &[BallSupport]) -> Path<'_> {
         if let Some(strike) = self.strikes.iter().find(|s| s.body == body) {
             match &strike.by {
                 By::Finger(motion) => {
@@ -79,14 +83,14 @@ impl Simulation {
         Path::Free { state: &self.states[body], acceleration_w }
     }
 
-    /// How much nearer a ball can come to a point of another body within `horizon` seconds, metres; `None` where
-    /// the pair is not to be looked at.
+    /// Upper bound of the approach of a ball to a point of another body within `horizon` seconds, metres; `None` if the pair is
+    /// skipped.
     fn travel(&self, ball: BodyId, other: BodyId, horizon: f64) -> Option<f64> {
         let (a, b) = (&self.states[ball], &self.states[other]);
         let mut speed = (a.v_w - b.v_w).length();
         match self.bodies[other].kind {
             _ if ball == other => return None,
-            // A pair of balls is looked at once, from the faster one.
+            // A pair of balls is tested once, from the faster one.
             Kind::Ball { .. } => {
                 let (own, its) = (a.v_w.length_squared(), b.v_w.length_squared());
                 if own < its || (own == its && ball > other) {
@@ -104,7 +108,7 @@ impl Simulation {
         if speed == 0.0 && self.world.is_asleep(ball) {
             return None;
         }
-        // Whether it flies or is accelerated by the finger.
+        // Covers free fall and the acceleration of the finger.
         speed += self.gravity_w.length() * horizon;
         if speed < MIN_CLOSING_SPEED { None } else { Some(speed * horizon + TOUCH_GAP) }
     }

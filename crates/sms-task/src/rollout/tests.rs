@@ -58,7 +58,7 @@ fn a_ball_deep_inside_of_a_box_is_an_invalid_rollout() {
     let error = task.rollout(&mut simulation, motion, &bodies, None).unwrap_err();
     assert!(error.is_invalid_rollout(), "{error}");
     assert!(
-        matches!(&error, SimError::Unphysical { why: Impossible::Inside { body, other, .. }, .. }
+        matches!(&error, SimError::Unphysical { why: PhysicsViolation::Inside { body, other, .. }, .. }
             if body == "blue" && other == "box"),
         "{error}"
     );
@@ -92,7 +92,7 @@ fn energy_from_nowhere_is_noticed_and_that_of_the_strike_is_not() {
     simulation.set_state(bodies.target, &state);
     let error = checks.check(time_s, &simulation, &bodies).unwrap_err();
     assert!(
-        matches!(&error, SimError::Unphysical { why: Impossible::Gained { body, .. }, .. } if body == "blue"),
+        matches!(&error, SimError::Unphysical { why: PhysicsViolation::Gained { body, .. }, .. } if body == "blue"),
         "{error}"
     );
     assert!(error.failure_reason().unwrap().contains("`blue`"));
@@ -113,7 +113,7 @@ fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
     simulation.set_state(bodies.target, &state);
     let error = checks.check(time_s, &simulation, &bodies).unwrap_err();
     assert!(
-        matches!(&error, SimError::Unphysical { why: Impossible::MoreThanGiven { body, .. }, .. } if body == "blue"),
+        matches!(&error, SimError::Unphysical { why: PhysicsViolation::MoreThanGiven { body, .. }, .. } if body == "blue"),
         "{error}"
     );
     assert!(error.failure_reason().unwrap().contains("`blue`"));
@@ -159,7 +159,8 @@ fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
         simulation.set_state(id, &at(good + 0.02 * into));
         let error = checks.check(0.1, &simulation, &bodies).unwrap_err();
         let expected = ["floor", "post", "shell"][k];
-        let SimError::Unphysical { why: Impossible::Inside { body, other, depth_m }, .. } = &error else {
+        let SimError::Unphysical { why: PhysicsViolation::Inside { body, other, depth_m }, .. } = &error
+        else {
             panic!("{k}: {error}");
         };
         assert_eq!((body.as_str(), other.as_str()), ("crate", expected));

@@ -1,22 +1,22 @@
-//! Particles sorted into rows of cells as wide as the kernel's support, so that neighbours lie in runs of three by three rows. Along
-//! the rows cells are shorter, so that runs are little longer than the support.
+//! Particles sorted into rows of cells. Rows are as wide as the kernel's support, so that neighbours are in three by three rows.
+//! Along the rows cells are shorter, so that runs are little longer than the support.
 
-/// No more cells than this; where particles are spread wider, cells grow.
+/// Largest number of cells; for widely spread particles, cells grow.
 const MAX_CELLS: usize = 1 << 20;
-/// Cells along a row in the length of the support.
+/// Number of cells along a row per length of the support.
 const SHORTER: f32 = 4.0;
-/// Part of a cell by which rounding may move a particle.
+/// Share of a cell by which rounding may move a particle.
 const ROUNDING: f32 = 1e-4;
 
-/// The runs of particles around one cell: nine of them.
+/// The nine runs of particles around a cell.
 pub(super) type Runs = [(u32, u32); 9];
 
-/// The grid over the particles of one moment.
+/// The grid over the particles.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Cells {
+pub(super) struct CellGrid {
     min: [f32; 3],
     support: f32,
-    /// Of cells across the rows.
+    /// Size of a cell across the rows.
     size: f32,
     /// 1 / size of a cell along each axis.
     inverse: [f32; 3],
@@ -24,12 +24,12 @@ pub(super) struct Cells {
     /// First particle of each cell, and the end of the last.
     start: Vec<u32>,
     key: Vec<u32>,
-    /// Where each particle goes.
+    /// New index of each particle.
     place: Vec<u32>,
 }
 
-impl Cells {
-    /// Finds the place of each of `len` particles in the order of cells; within a cell the order stays.
+impl CellGrid {
+    /// Computes the index of each of `len` particles in the order of cells; the order within a cell is kept.
     pub(super) fn sort(&mut self, x: &[Vec<f32>; 3], len: usize, support: f32) -> &[u32] {
         let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         for axis in 0..3 {
@@ -40,7 +40,7 @@ impl Cells {
         }
         let mut size = support * (1.0 + ROUNDING);
         let cells_along = |a: usize, size: f32| (max[a] - min[a]) * if a == 0 { SHORTER } else { 1.0 } / size;
-        // In floating point: what blew up may be anywhere.
+        // In floating point, because diverged particles may be anywhere.
         while (0..3).map(|a| f64::from(cells_along(a, size)).max(0.0) + 1.0).product::<f64>()
             > MAX_CELLS as f64
         {
@@ -64,7 +64,7 @@ impl Cells {
             sum += *count;
             *count = sum;
         }
-        // One place further on is now where each cell begins; as particles are placed, it becomes where the cell ends.
+        // `start[i + 1]` is the beginning of cell i; placing its particles moves it to the end of the cell.
         self.place.clear();
         for &key in &self.key {
             let next = &mut self.start[key as usize + 1];
@@ -81,12 +81,12 @@ impl Cells {
         })
     }
 
-    /// Particles (of the sorted order) that may lie within the support around `x`.
+    /// Sorted particles that may be within the support around `x`.
     #[inline(always)]
     pub(super) fn around(&self, x: [f32; 3]) -> Runs {
         let [_, b, c] = self.cell(x);
         let wide = 2.0 * ROUNDING * self.size;
-        // Squared distances from the rows before, at and behind the particle's own.
+        // Squared distances from the adjacent rows and the particle's own row.
         let gaps = |axis: usize, row: usize| {
             let before = x[axis] - self.min[axis] - row as f32 * self.size;
             let gap = |d: f32| (d - wide).max(0.0) * (d - wide).max(0.0);
@@ -113,7 +113,7 @@ impl Cells {
 mod tests {
     use super::*;
 
-    /// Against all pairs.
+    /// Compares with all pairs.
     #[test]
     fn every_neighbour_is_in_the_runs() {
         let n = 500usize;
@@ -124,7 +124,7 @@ mod tests {
             (0..n).map(|i| wave(i, 0.732_051, 0.3)).collect(),
         ];
         let support = 0.07f32;
-        let mut cells = Cells::default();
+        let mut cells = CellGrid::default();
         let place = cells.sort(&x, n, support).to_vec();
         let mut seen = vec![false; n];
         for &p in &place {

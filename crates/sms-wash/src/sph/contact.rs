@@ -1,36 +1,36 @@
-//! Particles against bodies: they stop at surfaces, keep what velocity they have along them, and hand over the rest.
+//! Contact of particles with bodies: particles stop at surfaces, keep their tangential velocity, and pass on the rest.
 
 use crate::{BodyMotion, BodySurface};
 use glamx::{DPose3, DVec3};
 use sms_core::Aabb;
 
-/// Surfaces that one particle can meet in one step.
+/// Largest number of contacts of a particle in a step.
 pub(super) const MAX_HITS: usize = 3;
 
-/// An impulse that a body receives.
+/// An impulse on a body.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Hit {
+pub(super) struct ParticleImpulse {
     pub(super) body: u32,
-    /// On the body, N·s.
+    /// Impulse on the body, N·s.
     pub(super) impulse_w: DVec3,
     pub(super) p_w: DVec3,
 }
 
-/// Where a particle is after a step, and what it did to bodies.
+/// A particle after a step, and its impulses on bodies.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Moved {
     pub(super) x: [f32; 3],
     pub(super) v: [f32; 3],
-    pub(super) hits: [Hit; MAX_HITS],
+    pub(super) hits: [ParticleImpulse; MAX_HITS],
     pub(super) hit_count: u32,
 }
 
-/// Where a body's surface may be met, coarsely.
+/// Bounds of a body for a coarse test.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Near {
-    /// A box in the world around the surface; without end for a half space, unless it lies level.
+    /// World-space bounding box of the surface; infinite for a half space that is not level.
     pub(super) around: Aabb,
-    /// No point of the box is faster, m/s.
+    /// Upper bound of the speed in the box, m/s.
     speed: f64,
 }
 
@@ -58,13 +58,13 @@ impl Near {
     }
 }
 
-/// The bodies at one moment.
+/// The bodies at the current time.
 pub(super) struct Obstacles<'a> {
     pub(super) surfaces: &'a [BodySurface],
     pub(super) motions: &'a [BodyMotion],
     pub(super) poses_bw: &'a [DPose3],
     pub(super) near: &'a [Near],
-    /// Particles stay this far away from surfaces, metres: they have a size.
+    /// Distance that particles keep from surfaces because of their size, metres.
     pub(super) offset: f64,
     /// Mass of a particle, kg.
     pub(super) mass: f64,
@@ -87,16 +87,16 @@ impl Obstacles<'_> {
             let into = (v_w - motion.velocity_at(x_w)).dot(normal_w);
             v_w -= into * normal_w;
             moved.hits[moved.hit_count as usize] =
-                Hit { body: body as u32, impulse_w: self.mass * into * normal_w, p_w: x_w };
+                ParticleImpulse { body: body as u32, impulse_w: self.mass * into * normal_w, p_w: x_w };
             moved.hit_count += 1;
         }
-        // A particle in a corner waits there for the next step.
+        // A particle in a corner rests there until the next step.
         moved.x = x_w.to_array().map(|a| a as f32);
         moved.v = v_w.to_array().map(|a| a as f32);
         moved
     }
 
-    /// The first surface that the particle runs into: body, time, outward normal, and how deep it lies inside.
+    /// The first contact of the particle: body, time, outward normal, and penetration depth.
     fn first(&self, x_w: DVec3, v_w: DVec3, dt: f64) -> Option<(usize, f64, DVec3, f64)> {
         let mut best: Option<(usize, f64, DVec3, f64)> = None;
         let speed = v_w.length();
@@ -104,7 +104,7 @@ impl Obstacles<'_> {
             let (motion, x_bw) = (&self.motions[body], &self.poses_bw[body]);
             let Near { around, speed: body_speed } = &self.near[body];
             let limit = best.map_or(dt, |b| b.1);
-            // As in `BodySurface::sweep`, for corners.
+            // As in `BodySurface::sweep`, to cover corners.
             let reach = limit * (speed + body_speed) + 4.0 * self.offset;
             if x_w.cmplt(around.min - reach).any() || x_w.cmpgt(around.max + reach).any() {
                 continue;
@@ -148,7 +148,7 @@ mod tests {
         let moved = advance(&plate, &still, [0.1, 0.0, 0.08], [2.0, 0.0, -18.0]);
         assert_eq!(moved.hit_count, 1);
         assert!((moved.x[2] - 0.006).abs() < 1e-4, "{:?}", moved.x);
-        // The rest of the way goes along the plate.
+        // The remaining motion is along the plate.
         assert!(
             (moved.x[0] - 0.12).abs() < 1e-4 && moved.v[2].abs() < 1e-6 && moved.v[0] == 2.0,
             "{moved:?}"

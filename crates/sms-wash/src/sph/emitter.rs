@@ -1,18 +1,18 @@
-//! Emitters in place of propellers: layers of particles that follow each other at the stream's speed.
+//! Emitters in place of propellers: layers of particles that move at the stream's speed.
 
 use super::particles::Particles;
 use crate::wash::Stream;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// How the particles of a layer are laid out.
+/// Arrangement of the particles of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Pattern {
-    /// A sunflower's: every particle stands for the same area (Vogel 1979); layers are turned against each other.
+pub enum EmissionPattern {
+    /// A sunflower: every particle has the same area (Vogel 1979); layers are rotated against each other.
     #[default]
     Sunflower,
-    /// A square lattice; every other layer lies in the gaps of the one before.
+    /// A square lattice; every other layer is shifted by half the spacing.
     Square,
 }
 
@@ -22,16 +22,27 @@ const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
 /// One emitter.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Emitter {
-    /// Mass that should have left and has not, kg.
+    /// Mass to emit, kg.
     due: f64,
     layer: u32,
 }
 
+/// Layout of the emitted layers.
+pub(super) struct Layers {
+    pub(super) pattern: EmissionPattern,
+    /// Spacing of particles, metres.
+    pub(super) spacing: f64,
+    /// Mass of a particle, kg.
+    pub(super) mass: f64,
+    /// Largest number of particles.
+    pub(super) capacity: usize,
+}
+
 /// Offsets across the flow, in radii, of the particles of a layer.
-fn layer_offsets(pattern: Pattern, radius_in_spacings: f64, layer: u32, out: &mut Vec<(f64, f64)>) {
+fn layer_offsets(pattern: EmissionPattern, radius_in_spacings: f64, layer: u32, out: &mut Vec<(f64, f64)>) {
     out.clear();
     match pattern {
-        Pattern::Sunflower => {
+        EmissionPattern::Sunflower => {
             let count = (PI * radius_in_spacings * radius_in_spacings).round().max(1.0);
             for k in 0..count as usize {
                 let r = ((k as f64 + 0.5) / count).sqrt();
@@ -39,7 +50,7 @@ fn layer_offsets(pattern: Pattern, radius_in_spacings: f64, layer: u32, out: &mu
                 out.push((r * angle.cos(), r * angle.sin()));
             }
         }
-        Pattern::Square => {
+        EmissionPattern::Square => {
             let shift = 0.5 * f64::from(layer % 2);
             let n = radius_in_spacings.ceil() as i32 + 1;
             for i in -n..=n {
@@ -61,24 +72,22 @@ fn layer_offsets(pattern: Pattern, radius_in_spacings: f64, layer: u32, out: &mu
 }
 
 impl Emitter {
-    /// Forgets what is due: the propeller stands still or blows at nothing.
+    /// Drops the mass to emit, for a stopped propeller or one without a target.
     pub(super) fn rest(&mut self) {
         self.due = 0.0;
     }
 
-    /// Emits what leaves within `dt`, each layer where its time has brought it. Returns how many particles were emitted, and how
-    /// many found no room.
+    /// Emits the layers that leave within `dt`, each at its position at the end of `dt`. Returns the numbers of emitted particles
+    /// and of those dropped for lack of capacity.
     pub(super) fn emit(
         &mut self,
         stream: &Stream,
-        pattern: Pattern,
-        spacing: f64,
-        mass: f64,
+        layers: &Layers,
         dt: f64,
-        capacity: usize,
         offsets: &mut Vec<(f64, f64)>,
         particles: &mut Particles,
     ) -> (usize, usize) {
+        let Layers { pattern, spacing, mass, capacity } = *layers;
         self.due += stream.emitted.mass_flow * dt;
         let (across, along) = stream.axis_w.any_orthonormal_pair();
         let v = (stream.emitted.speed * stream.axis_w).to_array().map(|a| a as f32);
@@ -117,18 +126,18 @@ mod tests {
         let emitted = Emitted { mass_flow: 0.1618, speed: 17.9, radius: 0.0484 };
         let stream = Stream { rotor: 0, p_w: DVec3::Z, axis_w: DVec3::NEG_Z, emitted };
         let (spacing, mass) = (0.02, 1.225 * 0.02f64.powi(3));
-        for pattern in [Pattern::Sunflower, Pattern::Square] {
+        for pattern in [EmissionPattern::Sunflower, EmissionPattern::Square] {
+            let layers = Layers { pattern, spacing, mass, capacity: 40_000 };
             for dt in [3e-4, 2.5e-3] {
                 let mut emitter = Emitter::default();
                 let (mut particles, mut offsets) = (Particles::with_capacity(40_000), Vec::new());
                 let steps = (0.2 / dt) as usize;
                 for _ in 0..steps {
-                    let e = &mut offsets;
-                    emitter.emit(&stream, pattern, spacing, mass, dt, 40_000, e, &mut particles);
+                    emitter.emit(&stream, &layers, dt, &mut offsets, &mut particles);
                 }
                 let flow = particles.len() as f64 * mass / (steps as f64 * dt);
                 assert!((flow / emitted.mass_flow - 1.0).abs() < 0.01, "{pattern:?} {dt}: {flow}");
-                // All of it left through the disk.
+                // All particles left through the disk.
                 for i in 0..particles.len() {
                     let [x, y, _] = particles.position(i);
                     assert!(x.hypot(y) <= 0.0485);
@@ -143,8 +152,8 @@ mod tests {
         let stream = Stream { rotor: 0, p_w: DVec3::Z, axis_w: DVec3::NEG_Z, emitted };
         let (mut emitter, mut particles) = (Emitter::default(), Particles::with_capacity(100));
         let mass = 1.225 * 0.02f64.powi(3);
-        let (e, d) =
-            emitter.emit(&stream, Pattern::Sunflower, 0.02, mass, 0.05, 100, &mut Vec::new(), &mut particles);
+        let layers = Layers { pattern: EmissionPattern::Sunflower, spacing: 0.02, mass, capacity: 100 };
+        let (e, d) = emitter.emit(&stream, &layers, 0.05, &mut Vec::new(), &mut particles);
         assert!(particles.len() == e && e <= 100 && d > 500);
     }
 }

@@ -1,22 +1,22 @@
 //! Densities and accelerations: sums over neighbours, eight at a time.
 
-use super::cells::Cells;
+use super::cells::CellGrid;
 use super::kernel::KernelShape;
-use super::lanes::{Lanes, Portable, WIDTH};
+use super::lanes::{PortableLanes, SphLanes, WIDTH};
 use super::particles::Particles;
 use rayon::prelude::*;
 
-/// Particles of one task.
+/// Number of particles per task.
 const CHUNK: usize = 96;
 
-/// What the equation of motion needs to know.
+/// Parameters of the equation of motion.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Gas {
     /// Radius of the kernel's support, metres.
     pub(super) support: f32,
     /// Mass of a particle, kg.
     pub(super) mass: f32,
-    /// Density from which on there is pressure, kg/m³.
+    /// Density above which the pressure is positive, kg/m³.
     pub(super) rest_density: f32,
     /// Sound speed, m/s.
     pub(super) sound_speed: f32,
@@ -27,7 +27,7 @@ pub(super) struct Gas {
 }
 
 impl Gas {
-    /// p = c²ρ₀/γ·((ρ/ρ₀)^γ − 1), and nothing where that would pull.
+    /// p = c²ρ₀/γ·((ρ/ρ₀)^γ − 1), clamped at zero.
     fn pressure(&self, density: f32) -> f32 {
         let ratio = density / self.rest_density;
         let stretch = if self.exponent == 1.0 { ratio } else { ratio.powf(self.exponent) };
@@ -36,7 +36,7 @@ impl Gas {
 }
 
 /// Computes density and acceleration of all particles, which must be sorted into `cells`.
-pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &Cells, parallel: bool) {
+pub(super) fn accelerations<K: KernelShape>(gas: &Gas, p: &mut Particles, cells: &CellGrid, parallel: bool) {
     let n = p.len();
     let (x, v, density, pressure, acceleration) =
         (&p.x, &p.v, &mut p.density, &mut p.pressure, &mut p.acceleration);
@@ -69,7 +69,7 @@ pub(super) fn each_chunk<T: Send>(
     }
 }
 
-/// A function that calls another, written against [`Lanes`], with the widest that the processor has.
+/// Calls a function written against [`SphLanes`] with the widest lanes of the processor.
 macro_rules! by_width {
     ($name:ident, $kernel:ident, ($($arg:ident: $type:ty),*)) => {
         fn $name<K: KernelShape>($($arg: $type),*) {
@@ -77,7 +77,7 @@ macro_rules! by_width {
             {
                 #[target_feature(enable = "avx2")]
                 fn wide<K: KernelShape>($($arg: $type),*) {
-                    $kernel::<K, super::lanes::Avx2>($($arg),*);
+                    $kernel::<K, super::lanes::Avx2Lanes>($($arg),*);
                 }
                 if std::arch::is_x86_feature_detected!("avx2") {
                     #[expect(unsafe_code, reason = "the feature was just checked")]
@@ -85,14 +85,14 @@ macro_rules! by_width {
                     return unsafe { wide::<K>($($arg),*) };
                 }
             }
-            $kernel::<K, Portable>($($arg),*);
+            $kernel::<K, PortableLanes>($($arg),*);
         }
     };
 }
 
-by_width!(densities, densities_of, (gas: &Gas, x: &[Vec<f32>; 3], cells: &Cells, first: usize, out: &mut [f32]));
+by_width!(densities, densities_of, (gas: &Gas, x: &[Vec<f32>; 3], cells: &CellGrid, first: usize, out: &mut [f32]));
 by_width!(pushes, pushes_on, (
-    gas: &Gas, x: &[Vec<f32>; 3], v: &[Vec<f32>; 3], density: &[f32], pressure: &[f32], cells: &Cells,
+    gas: &Gas, x: &[Vec<f32>; 3], v: &[Vec<f32>; 3], density: &[f32], pressure: &[f32], cells: &CellGrid,
     first: usize, out: &mut [[f32; 3]]
 ));
 
@@ -101,32 +101,32 @@ fn at(x: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
     [x[0][i], x[1][i], x[2][i]]
 }
 
-// Not `map` of arrays: it is not compiled into functions that enable AVX2.
+// Not `map` of arrays: it is not inlined into functions that enable AVX2.
 #[inline(always)]
-fn splat<L: Lanes>(a: [f32; 3]) -> [L; 3] {
+fn splat<L: SphLanes>(a: [f32; 3]) -> [L; 3] {
     [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
 }
 
-/// The values of a run, and so many after it that eight can be read from each of them.
+/// The values of a run, and enough after it that eight can be read from each of them.
 #[inline(always)]
 fn cut(values: &[f32], run: (u32, u32)) -> &[f32] {
     &values[run.0 as usize..run.1 as usize + WIDTH]
 }
 
-/// Difference of a particle's place from those of eight others, and its square; beyond the first `count` the square is that of
-/// the support, where kernels are zero.
+/// Difference of a particle's position from those of eight others, and its square. Beyond the first `count` the square is that
+/// of the support, where kernels are zero.
 #[inline(always)]
-fn offsets<L: Lanes>(a: [L; 3], x: [&[f32]; 3], j: usize, count: u32, support2: L) -> ([L; 3], L) {
+fn offsets<L: SphLanes>(a: [L; 3], x: [&[f32]; 3], j: usize, count: u32, support2: L) -> ([L; 3], L) {
     let d = [a[0] - L::of(x[0], j), a[1] - L::of(x[1], j), a[2] - L::of(x[2], j)];
     let r2 = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).min(support2);
     (d, if count < WIDTH as u32 { r2.first(count, support2) } else { r2 })
 }
 
 #[inline(always)]
-fn densities_of<K: KernelShape, L: Lanes>(
+fn densities_of<K: KernelShape, L: SphLanes>(
     gas: &Gas,
     x: &[Vec<f32>; 3],
-    cells: &Cells,
+    cells: &CellGrid,
     first: usize,
     out: &mut [f32],
 ) {
@@ -151,13 +151,13 @@ fn densities_of<K: KernelShape, L: Lanes>(
 }
 
 #[inline(always)]
-fn pushes_on<K: KernelShape, L: Lanes>(
+fn pushes_on<K: KernelShape, L: SphLanes>(
     gas: &Gas,
     x: &[Vec<f32>; 3],
     v: &[Vec<f32>; 3],
     density: &[f32],
     pressure: &[f32],
-    cells: &Cells,
+    cells: &CellGrid,
     first: usize,
     out: &mut [[f32; 3]],
 ) {
@@ -165,7 +165,7 @@ fn pushes_on<K: KernelShape, L: Lanes>(
     let zero = L::splat(0.0);
     let (support2, inverse) = (L::splat(h * h), L::splat(1.0 / h));
     let soft = L::splat(0.0025 * h * h);
-    // −α c (H/2) · 2: the mean density is half of a sum.
+    // −α c (H/2) · 2, because the mean density is half of a sum.
     let viscosity = L::splat(-gas.viscosity * gas.sound_speed * h);
     let scale = gas.mass / (K::VOLUME * h.powi(5));
     for (k, acceleration) in out.iter_mut().enumerate() {

@@ -1,13 +1,13 @@
 //! Smoothing kernels in three dimensions, of support radius H.
 
-use super::lanes::Lanes;
+use super::lanes::SphLanes;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::PI;
 
-/// Which kernel.
+/// The smoothing kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kernel {
+pub enum SmoothingKernel {
     /// Wendland's C2 function: (1 − q)⁴ (1 + 4q). Does not let particles pair (Dehnen and Aly 2012).
     #[default]
     WendlandC2,
@@ -15,14 +15,14 @@ pub enum Kernel {
     CubicSpline,
 }
 
-/// A kernel's two functions of q = r / H, without their constants.
+/// A kernel's functions of q = r / H, without their constants.
 pub(super) trait KernelShape: Sync {
     /// ∫ of the value over the ball of radius 1.
     const VOLUME: f32;
-    /// Value; 0 from q = 1 on.
-    fn value<L: Lanes>(q: L) -> L;
-    /// −(dW/dq)/q: so that the gradient is −slope · x / H². Finite at q = 0; 0 from q = 1 on.
-    fn slope<L: Lanes>(q: L) -> L;
+    /// Value; 0 for q ≥ 1.
+    fn value<L: SphLanes>(q: L) -> L;
+    /// −(dW/dq)/q, so that the gradient is −slope · x / H². Finite at q = 0; 0 for q ≥ 1.
+    fn slope<L: SphLanes>(q: L) -> L;
 }
 
 pub(super) struct WendlandC2;
@@ -31,14 +31,14 @@ impl KernelShape for WendlandC2 {
     const VOLUME: f32 = 2.0 * PI / 21.0;
 
     #[inline(always)]
-    fn value<L: Lanes>(q: L) -> L {
+    fn value<L: SphLanes>(q: L) -> L {
         let t = (L::splat(1.0) - q).max(L::splat(0.0));
         let t2 = t * t;
         t2 * t2 * (L::splat(1.0) + L::splat(4.0) * q)
     }
 
     #[inline(always)]
-    fn slope<L: Lanes>(q: L) -> L {
+    fn slope<L: SphLanes>(q: L) -> L {
         let t = (L::splat(1.0) - q).max(L::splat(0.0));
         L::splat(20.0) * t * t * t
     }
@@ -50,17 +50,17 @@ impl KernelShape for CubicSpline {
     const VOLUME: f32 = PI / 16.0;
 
     #[inline(always)]
-    fn value<L: Lanes>(q: L) -> L {
+    fn value<L: SphLanes>(q: L) -> L {
         let zero = L::splat(0.0);
         let (t, s) = ((L::splat(1.0) - q).max(zero), (L::splat(0.5) - q).max(zero));
         t * t * t - L::splat(4.0) * s * s * s
     }
 
     #[inline(always)]
-    fn slope<L: Lanes>(q: L) -> L {
+    fn slope<L: SphLanes>(q: L) -> L {
         let zero = L::splat(0.0);
         let (t, s) = ((L::splat(1.0) - q).max(zero), (L::splat(0.5) - q).max(zero));
-        // 3t² − 12s² is 12q − 9q² below one half: no loss of figures in the division there, but none at q = 0 itself.
+        // 3t² − 12s² equals 12q − 9q² below one half: the division there loses no digits, except at q = 0 itself.
         (L::splat(3.0) * t * t - L::splat(12.0) * s * s) * q.max(L::splat(1e-3)).reciprocal()
     }
 }
@@ -68,10 +68,10 @@ impl KernelShape for CubicSpline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sph::lanes::Portable;
+    use crate::sph::lanes::PortableLanes;
 
-    fn one(f: fn(Portable) -> Portable, q: f32) -> f64 {
-        f64::from(f(Portable::splat(q)).0[3])
+    fn one(f: fn(PortableLanes) -> PortableLanes, q: f32) -> f64 {
+        f64::from(f(PortableLanes::splat(q)).0[3])
     }
 
     fn check<K: KernelShape>() {
@@ -79,19 +79,20 @@ mod tests {
         let mut volume = 0.0;
         for i in 0..n {
             let q = (f64::from(i) + 0.5) / f64::from(n);
-            volume += one(K::value::<Portable>, q as f32) * 4.0 * std::f64::consts::PI * q * q / f64::from(n);
+            volume +=
+                one(K::value::<PortableLanes>, q as f32) * 4.0 * std::f64::consts::PI * q * q / f64::from(n);
             if q > 0.02 && q < 0.99 {
                 let e = 2e-3;
-                let slope = (one(K::value::<Portable>, (q - e) as f32)
-                    - one(K::value::<Portable>, (q + e) as f32))
+                let slope = (one(K::value::<PortableLanes>, (q - e) as f32)
+                    - one(K::value::<PortableLanes>, (q + e) as f32))
                     / (2.0 * e)
                     / q;
-                assert!((one(K::slope::<Portable>, q as f32) - slope).abs() < 2e-2, "{q}: {slope}");
+                assert!((one(K::slope::<PortableLanes>, q as f32) - slope).abs() < 2e-2, "{q}: {slope}");
             }
         }
         assert!((volume / f64::from(K::VOLUME) - 1.0).abs() < 1e-4, "{volume}");
-        assert_eq!(one(K::value::<Portable>, 1.5), 0.0);
-        assert_eq!(one(K::slope::<Portable>, 1.5), 0.0);
+        assert_eq!(one(K::value::<PortableLanes>, 1.5), 0.0);
+        assert_eq!(one(K::slope::<PortableLanes>, 1.5), 0.0);
     }
 
     #[test]

@@ -1,14 +1,16 @@
-//! Eight `f32` at a time. The sums over neighbours are written once against [`Lanes`] and compiled twice: for plain arrays and,
-//! inside functions that enable AVX2, for registers. Both give the same bits: lanes are independent and nothing is fused.
+//! Eight `f32` lanes. The sums over neighbours are written once against [`SphLanes`] and compiled twice: for plain arrays and,
+//! inside functions that enable AVX2, for registers. Both give the same bits: lanes are independent, and nothing is fused.
 
 use std::ops::{Add, Mul, Sub};
 
 /// Number of lanes.
 pub(super) const WIDTH: usize = 8;
 
-/// Eight numbers with the operations that the sums need.
-pub(super) trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
-    /// The same number in every lane.
+/// Eight numbers with the operations of the sums.
+pub(super) trait SphLanes:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    /// A number in every lane.
     fn splat(x: f32) -> Self;
     /// Eight numbers.
     fn load(from: &[f32; WIDTH]) -> Self;
@@ -27,20 +29,20 @@ pub(super) trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Out
     /// Sum of the lanes, always in the same order.
     fn sum(self) -> f32;
 
-    /// Eight numbers of a slice from `start` on.
+    /// Eight numbers of a slice from `start`.
     #[inline(always)]
     fn of(from: &[f32], start: usize) -> Self {
         Self::load(from[start..].first_chunk().expect("arrays are padded"))
     }
 }
 
-/// [`Lanes`] for every processor.
+/// PortableLanes implementation of [`SphLanes`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Portable(pub(super) [f32; WIDTH]);
+pub(super) struct PortableLanes(pub(super) [f32; WIDTH]);
 
 macro_rules! portable {
     ($trait:ident, $method:ident, $op:tt) => {
-        impl $trait for Portable {
+        impl $trait for PortableLanes {
             type Output = Self;
             #[inline(always)]
             fn $method(self, b: Self) -> Self {
@@ -53,7 +55,7 @@ portable!(Add, add, +);
 portable!(Sub, sub, -);
 portable!(Mul, mul, *);
 
-impl Lanes for Portable {
+impl SphLanes for PortableLanes {
     #[inline(always)]
     fn splat(x: f32) -> Self {
         Self([x; WIDTH])
@@ -102,26 +104,26 @@ impl Lanes for Portable {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(super) use avx2::Avx2;
+pub(super) use avx2::Avx2Lanes;
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     #![expect(unsafe_code, reason = "intrinsics; values are made only below functions that enable AVX2")]
 
-    use super::{Lanes, WIDTH};
+    use super::{SphLanes, WIDTH};
     use std::arch::x86_64::*;
     use std::ops::{Add, Mul, Sub};
 
-    /// Bits of lanes that are kept; a window of eight of them starts with as many ones as it is put before the middle.
+    /// Masks: a window of eight that starts k before the middle begins with k ones.
     static WINDOW: [i32; 2 * WIDTH] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
 
-    /// [`Lanes`] in a register of AVX2. Values of this type are made only below functions that enable it.
+    /// AVX2 implementation of [`SphLanes`]. Values of this type are created only inside functions that enable AVX2.
     #[derive(Clone, Copy)]
-    pub(in crate::sph) struct Avx2(__m256);
+    pub(in crate::sph) struct Avx2Lanes(__m256);
 
     macro_rules! lanewise {
         ($trait:ident, $method:ident, $intrinsic:ident) => {
-            impl $trait for Avx2 {
+            impl $trait for Avx2Lanes {
                 type Output = Self;
                 #[inline(always)]
                 fn $method(self, b: Self) -> Self {
@@ -136,7 +138,7 @@ mod avx2 {
     lanewise!(Mul, mul, _mm256_mul_ps);
 
     // SAFETY of all blocks: see the type.
-    impl Lanes for Avx2 {
+    impl SphLanes for Avx2Lanes {
         #[inline(always)]
         fn splat(x: f32) -> Self {
             Self(unsafe { _mm256_set1_ps(x) })
@@ -144,7 +146,7 @@ mod avx2 {
 
         #[inline(always)]
         fn load(from: &[f32; WIDTH]) -> Self {
-            // Not the load intrinsic: with debug assertions on it checks its pointer every time.
+            // Not the load intrinsic, which checks its pointer every time with debug assertions.
             Self(unsafe { std::mem::transmute::<[f32; WIDTH], __m256>(*from) })
         }
 
@@ -199,7 +201,7 @@ mod tests {
     use super::*;
 
     #[inline(always)]
-    fn everything<L: Lanes>(a: &[f32; WIDTH], b: &[f32; WIDTH]) -> Vec<u32> {
+    fn everything<L: SphLanes>(a: &[f32; WIDTH], b: &[f32; WIDTH]) -> Vec<u32> {
         let (x, y) = (L::load(a), L::of(b, 0));
         let mut all = vec![x + y, x - y, x * y, x.max(y), x.min(y), y.sqrt(), x.reciprocal()];
         all.extend((0..=9).map(|count| x.first(count, y)));
@@ -213,7 +215,7 @@ mod tests {
 
     #[target_feature(enable = "avx2")]
     fn with_registers(a: &[f32; WIDTH], b: &[f32; WIDTH]) -> Vec<u32> {
-        everything::<Avx2>(a, b)
+        everything::<Avx2Lanes>(a, b)
     }
 
     #[test]
@@ -227,6 +229,6 @@ mod tests {
         #[expect(unsafe_code, reason = "the feature was just checked")]
         // SAFETY: the processor has AVX2.
         let registers = unsafe { with_registers(&a, &b) };
-        assert_eq!(registers, everything::<Portable>(&a, &b));
+        assert_eq!(registers, everything::<PortableLanes>(&a, &b));
     }
 }

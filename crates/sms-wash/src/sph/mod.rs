@@ -1,12 +1,12 @@
-//! Smoothed-particle hydrodynamics: the air of the propellers as particles that press on each other and on the bodies
-//! (Monaghan 2005; Koschier et al. 2020 are what the paper cites).
+//! Smoothed-particle hydrodynamics: the air of the propellers as particles that interact with each other and with the bodies
+//! (Monaghan 2005; the paper cites Koschier et al. 2020).
 //!
-//! The gas is weakly compressible: pressure follows from density by an equation of state that only pushes (clamped below),
-//! shocks are damped by Monaghan's artificial viscosity. Only the air that the propellers move is there, as in the paper: it flies
-//! freely to the structure, spreads along it and leaves. Particles that cannot meet the structure any more are retired.
+//! The gas is weakly compressible. Pressure follows from density by an equation of state, clamped below at zero, and Monaghan's
+//! artificial viscosity damps shocks. As in the paper, only the air of the propellers is simulated: it flies freely to the
+//! structure, spreads along it and leaves. Particles that cannot meet the structure any more are retired.
 //!
-//! Momentum: pair forces are equal and opposite, what a particle loses at a surface its body gets. So at any time
-//! emitted = in flight + retired + on bodies, to rounding ([`SphWash::ledger`]).
+//! Pair forces are equal and opposite, and a body receives the momentum that particles lose at its surface. Therefore
+//! emitted = in flight + retired + on bodies at any time, up to rounding ([`SphWash::ledger`]).
 
 mod cells;
 mod contact;
@@ -16,76 +16,76 @@ mod kernel;
 mod lanes;
 mod particles;
 
-pub use emitter::Pattern;
-pub use kernel::Kernel;
+pub use emitter::EmissionPattern;
+pub use kernel::SmoothingKernel;
 
 use crate::wash::Stream;
 use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
-use cells::Cells;
+use cells::CellGrid;
 use contact::{Moved, Near, Obstacles};
-use emitter::Emitter;
+use emitter::{Emitter, Layers};
 use forces::Gas;
 use glamx::{DPose3, DVec3};
 use particles::Particles;
 use serde::{Deserialize, Serialize};
 use sms_core::Aabb;
 
-/// Particles of one task when they are moved.
+/// Number of particles per task of the motion.
 const CHUNK: usize = 128;
-/// Coordinates (metres) and speeds (m/s) beyond this are no particle's.
+/// Largest coordinate (metres) and speed (m/s) of a valid particle.
 const FARTHEST: f32 = 1e4;
 /// Distance that particles keep from surfaces, in spacings.
 const OFFSET: f64 = 0.25;
 
-/// How the air is made of particles.
+/// Settings of the particle model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SphSettings {
     /// Density of the air, kg/m³.
     pub air_density: f64,
-    /// How much momentum leaves a propeller.
+    /// Momentum of a propeller's stream.
     pub emission: Emission,
-    /// Distance of particles in air at rest, metres (experiments/studies/wash.md).
+    /// Spacing of particles in air at rest, metres (experiments/studies/wash.md).
     pub spacing: f64,
     /// Radius of the kernel's support, in spacings.
     pub support_spacings: f64,
-    /// The kernel.
-    pub kernel: Kernel,
-    /// How emitters lay out particles.
-    pub pattern: Pattern,
-    /// Sound speed of the gas, m/s. The real one would need steps of 0.1 ms; forces on bodies are those of momentum, whatever it is.
+    /// The smoothing kernel.
+    pub kernel: SmoothingKernel,
+    /// Arrangement of emitted particles.
+    pub pattern: EmissionPattern,
+    /// Sound speed of the gas, m/s. The real one would need steps of 0.1 ms. Forces on bodies are momentum fluxes and hardly depend on it.
     pub sound_speed: f64,
     /// Exponent of the equation of state: 1 linear, 7 Tait's for liquids.
     pub exponent: f64,
-    /// By how much density must exceed that of the air before there is pressure, as a part of it: sums over particles that are
-    /// no lattice scatter by about as much, and a jet that flies freely is not to be widened by that.
+    /// Relative excess of density over that of the air without pressure. Sums over irregular particles scatter by about as much,
+    /// which must not widen a free jet.
     pub slack: f64,
     /// Artificial viscosity, Monaghan's α.
     pub viscosity: f64,
-    /// Step over (support / (sound speed + speed of the stream)).
+    /// Step divided by (support / (sound speed + speed of the stream)).
     pub cfl: f64,
-    /// Emitters blow only when the structure lies in their way within this distance, metres.
+    /// Emitters are active only while the structure is in their way within this distance, metres.
     pub reach: f64,
-    /// Particles are followed while they are, or will come, within this distance of the box around the structure, metres.
+    /// Particles are kept while they are, or will be, within this distance of the structure's bounding box, metres.
     pub margin: f64,
-    /// Age at which particles are retired wherever they are, seconds.
+    /// Age at which particles are retired, seconds.
     pub lifetime_s: f64,
-    /// No more particles than this; emitters pause.
+    /// Largest number of particles; emitters pause at it.
     pub max_particles: usize,
-    /// Whether steps use the threads of the current rayon pool. Switch it off where rollouts themselves run in parallel: that is
-    /// faster, and no thread then begins another rollout within a step. The numbers are the same.
+    /// Uses the threads of the current rayon pool. Disable it if rollouts run in parallel: that is faster, and no thread starts
+    /// another rollout within a step. The results are the same.
     pub parallel: bool,
 }
 
 impl Default for SphSettings {
     fn default() -> Self {
         Self {
-            air_density: crate::AIR_DENSITY,
+            air_density: crate::disk::AIR_DENSITY,
             emission: Emission::Momentum,
             spacing: 0.025,
             support_spacings: 2.0,
-            kernel: Kernel::WendlandC2,
-            pattern: Pattern::Sunflower,
+            kernel: SmoothingKernel::WendlandC2,
+            pattern: EmissionPattern::Sunflower,
             sound_speed: 20.0,
             exponent: 1.0,
             slack: 0.1,
@@ -101,13 +101,13 @@ impl Default for SphSettings {
 }
 
 impl SphSettings {
-    /// The same air with another model of it: particles of half the size, another kernel, sound speed and emission pattern. What is
-    /// planned with `self` is to be judged by this.
+    /// Settings of an independent model of the same air, for the evaluation of plans that were made with `self`: particles of half
+    /// the size, and another kernel, sound speed and emission pattern.
     pub fn independent(&self) -> Self {
         Self {
             spacing: 0.5 * self.spacing,
-            kernel: Kernel::CubicSpline,
-            pattern: Pattern::Square,
+            kernel: SmoothingKernel::CubicSpline,
+            pattern: EmissionPattern::Square,
             sound_speed: 1.6 * self.sound_speed,
             max_particles: 8 * self.max_particles,
             ..*self
@@ -140,20 +140,20 @@ impl SphSettings {
     }
 }
 
-/// Where momentum is, N·s in the world. It is gathered over all steps since the start or the last restore.
+/// Momentum balance, N·s in the world, over all steps since the start or the last restore.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Ledger {
-    /// Of all particles emitted, as they were emitted.
+    /// Momentum of all emitted particles at emission.
     pub emitted_w: DVec3,
-    /// Handed over to bodies.
+    /// Momentum transferred to bodies.
     pub on_bodies_w: DVec3,
-    /// Of retired particles, as they were retired.
+    /// Momentum of retired particles at retirement.
     pub retired_w: DVec3,
-    /// Of the particles that there are.
+    /// Momentum of the current particles.
     pub in_flight_w: DVec3,
-    /// Particles emitted.
+    /// Number of emitted particles.
     pub emitted: usize,
-    /// Particles that found no room and were not emitted.
+    /// Number of particles that were not emitted for lack of capacity.
     pub dropped: usize,
 }
 
@@ -164,15 +164,15 @@ struct State {
     ledger: Ledger,
 }
 
-/// Wash by smoothed-particle hydrodynamics. Steps give the same numbers whatever the number of threads.
+/// Wash by smoothed-particle hydrodynamics. The results do not depend on the number of threads.
 pub struct SphWash {
     settings: SphSettings,
     surfaces: Vec<BodySurface>,
     state: State,
     saved: State,
-    // Kept for their memory.
+    // Buffers.
     sorted: Particles,
-    cells: Cells,
+    cells: CellGrid,
     moved: Vec<Moved>,
     offsets: Vec<(f64, f64)>,
     poses_bw: Vec<DPose3>,
@@ -181,7 +181,7 @@ pub struct SphWash {
 }
 
 impl SphWash {
-    /// Still air around bodies of these surfaces.
+    /// Creates still air around bodies of these surfaces.
     ///
     /// # Errors
     /// [`WashError::Setting`] when a setting is out of range.
@@ -194,7 +194,7 @@ impl SphWash {
             state: State { particles: Particles::with_capacity(room), ..State::default() },
             saved: State::default(),
             sorted: Particles::with_capacity(room),
-            cells: Cells::default(),
+            cells: CellGrid::default(),
             moved: Vec::with_capacity(room),
             offsets: Vec::new(),
             poses_bw: Vec::new(),
@@ -208,7 +208,7 @@ impl SphWash {
         &self.settings
     }
 
-    /// Number of particles that there are.
+    /// Number of current particles.
     pub fn particle_count(&self) -> usize {
         self.state.particles.len()
     }
@@ -224,7 +224,7 @@ impl SphWash {
         (0..p.len()).map(move |i| (p.position(i), p.velocity(i)))
     }
 
-    /// Where momentum went.
+    /// The momentum balance.
     pub fn ledger(&self) -> Ledger {
         let in_flight_w = self.particle_mass() * DVec3::from_array(self.state.particles.velocity_sum());
         Ledger { in_flight_w, ..self.state.ledger }
@@ -236,7 +236,7 @@ impl SphWash {
         s.cfl * s.support_spacings * s.spacing / (s.sound_speed + speed)
     }
 
-    /// The box around all bodies, widened by the margin.
+    /// The bounding box of all bodies, widened by the margin.
     fn structure(&self) -> Option<Aabb> {
         let bodies = self.surfaces.iter().zip(&self.near).filter(|(s, _)| s.extent().is_some());
         let around = Aabb::of_points(bodies.flat_map(|(_, n)| [n.around.min, n.around.max]))?;
@@ -261,16 +261,13 @@ impl SphWash {
                 emitter.rest();
                 continue;
             };
-            let (emitted, dropped) = emitter.emit(
-                stream,
-                self.settings.pattern,
-                self.settings.spacing,
+            let layers = Layers {
+                pattern: self.settings.pattern,
+                spacing: self.settings.spacing,
                 mass,
-                dt,
-                self.settings.max_particles,
-                &mut self.offsets,
-                particles,
-            );
+                capacity: self.settings.max_particles,
+            };
+            let (emitted, dropped) = emitter.emit(stream, &layers, dt, &mut self.offsets, particles);
             ledger.emitted += emitted;
             ledger.dropped += dropped;
             let v_w = (stream.emitted.speed * stream.axis_w).as_vec3().as_dvec3();
@@ -299,10 +296,10 @@ impl SphWash {
             viscosity: s.viscosity as f32,
         };
         match s.kernel {
-            Kernel::WendlandC2 => {
+            SmoothingKernel::WendlandC2 => {
                 forces::accelerations::<kernel::WendlandC2>(&gas, sorted, &self.cells, s.parallel)
             }
-            Kernel::CubicSpline => {
+            SmoothingKernel::CubicSpline => {
                 forces::accelerations::<kernel::CubicSpline>(&gas, sorted, &self.cells, s.parallel)
             }
         }
@@ -324,7 +321,7 @@ impl SphWash {
                 *moved = obstacles.advance(still.position(i), v, dt);
             }
         });
-        // In order: sums do not depend on threads.
+        // In order, so that sums do not depend on threads.
         let lifetime = s.lifetime_s as f32;
         let mut kept = 0;
         for (i, moved) in self.moved.iter().enumerate() {
@@ -334,7 +331,7 @@ impl SphWash {
                 ledger.on_bodies_w += hit.impulse_w;
             }
             if !moved.x.iter().chain(&moved.v).all(|c| c.abs() < FARTHEST) {
-                // It blew up (a user's step was too long); what it did to bodies shows in their wrenches.
+                // The particle diverged (too long a step); its effect on bodies is in their wrenches.
                 continue;
             }
             let age = sorted.age[i] + dt as f32;
@@ -349,14 +346,14 @@ impl SphWash {
     }
 }
 
-/// Whether a particle is in the box or flies towards it.
+/// Whether a particle is inside the box or flies towards it.
 fn will_meet(around: &Aabb, moved: &Moved) -> bool {
     let x = DVec3::from_array(moved.x.map(f64::from));
     let inside = x.cmpge(around.min).all() && x.cmple(around.max).all();
     inside || meets(around, x, DVec3::from_array(moved.v.map(f64::from)), f64::INFINITY)
 }
 
-/// Whether a ray is in a box at some parameter from 0 to `reach`. A direction without length never gets there.
+/// Whether a ray is inside a box at some parameter from 0 to `reach`. A zero direction never is.
 fn meets(around: &Aabb, origin: DVec3, direction: DVec3, reach: f64) -> bool {
     let (mut enter, mut leave) = (0.0, reach);
     for axis in 0..3 {
@@ -401,7 +398,7 @@ impl Wash for SphWash {
             self.substep(dt / substeps, structure.as_ref(), bodies, wrenches);
         }
         for wrench in wrenches.iter_mut() {
-            // Impulses over the step's time.
+            // From impulses to forces.
             wrench.force_w /= dt;
             wrench.torque_w /= dt;
         }

@@ -1,11 +1,11 @@
-//! The particles, one array per quantity.
+//! The particles as a structure of arrays.
 
 use super::lanes::WIDTH;
 
-/// Where padding lies: farther from everything than any kernel reaches.
+/// Coordinate of padding particles, beyond any kernel's reach.
 const FAR: f32 = 1e6;
 
-/// All particles have the same mass. Arrays are longer than there are particles, by the width of a vector.
+/// All particles have the same mass. Arrays are padded by the width of a vector.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Particles {
     len: usize,
@@ -24,7 +24,7 @@ pub(super) struct Particles {
 }
 
 impl Particles {
-    /// None, with room for so many.
+    /// An empty set with this capacity.
     pub(super) fn with_capacity(capacity: usize) -> Self {
         let room = || Vec::with_capacity(capacity + WIDTH);
         Self {
@@ -50,7 +50,7 @@ impl Particles {
         [self.v[0][i], self.v[1][i], self.v[2][i]]
     }
 
-    /// Room for `len` particles; new ones are anywhere.
+    /// Resizes to `len` particles; new ones have arbitrary states.
     pub(super) fn resize(&mut self, len: usize) {
         self.len = len;
         for axis in 0..3 {
@@ -76,7 +76,7 @@ impl Particles {
         self.set(i, x, v, age);
     }
 
-    /// The particles of `self` in another order: particle `i` goes to `place[i]` of `sorted`.
+    /// Reorders the particles of `self`: particle `i` goes to `place[i]` of `sorted`.
     pub(super) fn scatter(&self, place: &[u32], sorted: &mut Self) {
         sorted.resize(self.len);
         for axis in 0..3 {
@@ -90,11 +90,11 @@ impl Particles {
         }
     }
 
-    /// Takes over state (places, velocities, ages) without giving up memory.
+    /// Copies the state (positions, velocities, ages) and keeps the allocations.
     pub(super) fn copy_from(&mut self, other: &Self) {
         let len = other.len;
         self.resize(len);
-        // Without what pads: where nothing ever was, there is no padding.
+        // Without the padding, which an empty set lacks.
         for axis in 0..3 {
             self.x[axis][..len].copy_from_slice(&other.x[axis][..len]);
             self.v[axis][..len].copy_from_slice(&other.v[axis][..len]);

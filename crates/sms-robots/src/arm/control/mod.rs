@@ -2,4 +2,4 @@
 
 pub(crate) mod osc;
 
-pub use osc::{FRICTION_SPEED, Osc, OscConfig, OscOutput, joint_friction};
+pub use osc::{Osc, OscConfig, joint_friction};

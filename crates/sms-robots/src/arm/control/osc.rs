@@ -1,5 +1,5 @@
-//! Operational-space torque control (Khatib 1987): the paper's controller of the arm, and the same law without a plant,
-//! which foretells a motion.
+//! Operational-space torque control (Khatib 1987): the controller of the arm, and the same law on an ideal plant, for
+//! predicted motions.
 
 use crate::arm::dynamics::ik::attitude_error;
 use crate::arm::dynamics::linalg::MAX_JOINTS;
@@ -10,8 +10,8 @@ use glamx::DMat3;
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;
 
-/// Speed at which Coulomb friction is almost fully there, rad/s or m/s: friction is τ_c tanh(q̇ / this).
-pub const FRICTION_SPEED: f64 = 0.01;
+/// Speed scale of Coulomb friction, rad/s or m/s: friction is τ_c tanh(q̇ / this).
+pub(crate) const FRICTION_SPEED: f64 = 0.01;
 
 /// Settings of the controller. Gains are accelerations per error: stiffness in 1/s², damping in 1/s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -19,22 +19,21 @@ pub const FRICTION_SPEED: f64 = 0.01;
 pub struct OscConfig {
     /// Control period, seconds (paper: 400 Hz).
     pub period_s: f64,
-    /// Position of the tool.
+    /// Stiffness of the tool's position.
     pub position_stiffness: f64,
-    /// Velocity of the tool.
+    /// Damping of the tool's velocity.
     pub position_damping: f64,
-    /// Attitude of the tool.
+    /// Stiffness of the tool's attitude.
     pub rotation_stiffness: f64,
-    /// Angular velocity of the tool.
+    /// Damping of the tool's angular velocity.
     pub rotation_damping: f64,
-    /// Posture, in the null space of the tool's motion.
+    /// Stiffness of the posture, in the null space of the tool's motion.
     pub posture_stiffness: f64,
-    /// Joint speeds, in the null space.
+    /// Damping of the joints, in the null space.
     pub posture_damping: f64,
-    /// Largest change of a torque per second, N·m/s; the FR3 stops at 1000 (libfranka's `kMaxTorqueRate`).
+    /// Largest change of a torque per second, N·m/s. The FR3 aborts above 1000 (libfranka's `kMaxTorqueRate`).
     pub torque_rate: f64,
-    /// Whether the model's damping and Coulomb friction are added to the torques, as the FR3's own joint controllers
-    /// do.
+    /// Adds the model's damping and Coulomb friction to the torques, as the FR3's own joint controllers do.
     pub friction_compensation: bool,
 }
 
@@ -69,20 +68,20 @@ impl OscConfig {
     }
 }
 
-/// Torques of one control period, and what limited them.
+/// Torques of one control period, and the limits that were active.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OscOutput {
     /// Torques (forces) of the joints, with gravity.
     pub tau: JointVector,
-    /// The joint whose effort limit cut its torque the most.
+    /// The joint with the largest torque cut by its effort limit.
     pub saturated: Option<usize>,
-    /// The joint whose torque could not change fast enough, the one with the largest gap.
+    /// The joint with the largest torque cut by the rate limit.
     pub rate_limited: Option<usize>,
-    /// The joint that is farthest beyond its speed limit; its torque brakes.
+    /// The joint farthest above its speed limit; its torque brakes.
     pub over_speed: Option<usize>,
 }
 
-/// The controller. Nothing is allocated in a step.
+/// The controller. A step does not allocate.
 #[derive(Debug, Clone)]
 pub struct Osc {
     config: OscConfig,
@@ -92,8 +91,8 @@ pub struct Osc {
 }
 
 impl Osc {
-    /// A controller that keeps near `posture` where the tool leaves it free, for a robot that is held by the torques
-    /// `tau` until now (see [`RobotModel::gravity_torques`]).
+    /// Creates a controller with the null-space posture `posture`, for a robot that the torques `tau` have held until now
+    /// (see [`RobotModel::gravity_torques`]).
     ///
     /// # Panics
     /// When there are more than [`MAX_JOINTS`] entries.
@@ -110,8 +109,8 @@ impl Osc {
         &self.config
     }
 
-    /// Torques for the next period from measured positions and speeds. Give pose and velocities of `reference` for now,
-    /// and its accelerations for the middle of the period over which the torques will be held.
+    /// Computes the torques of the next period from measured positions and speeds. The pose and velocities of `reference` are
+    /// those of the start of the period, its accelerations those of the middle.
     pub fn step(
         &mut self,
         model: &RobotModel,
@@ -121,7 +120,8 @@ impl Osc {
     ) -> OscOutput {
         let n = model.dof();
         let mut tau = [0.0; MAX_JOINTS];
-        self.law.torques(model, q, qd, reference, &self.posture, &self.config, &mut tau);
+        let goal = TaskGoal { reference: *reference, posture: &self.posture, gains: &self.config };
+        self.law.torques(model, q, qd, &goal, &mut tau);
         let mut worst = [(0.0, None); 3];
         let mut note = |kind: usize, excess: f64, joint: usize| {
             if excess > worst[kind].0 {
@@ -135,7 +135,7 @@ impl Osc {
             let excess = qd[i].abs() - limits.velocity;
             if excess > 0.0 {
                 note(2, excess / limits.velocity, i);
-                // Brakes within some ten periods, whatever the tool wants.
+                // Brakes within about ten periods, with priority over the tool.
                 let brake = self.law.bias[i]
                     - qd[i].signum() * excess * self.law.inertia(i) / (10.0 * self.config.period_s);
                 tau[i] = if qd[i] > 0.0 { tau[i].min(brake) } else { tau[i].max(brake) };
@@ -152,8 +152,8 @@ impl Osc {
 }
 
 impl Osc {
-    /// Accelerations under `driven` torques (without friction's) in the state of the last step: what
-    /// [`RobotModel::forward_dynamics`] gives, from what the step has worked out. `None` before the first step.
+    /// Accelerations under `driven` torques (friction subtracted) in the state of the last step, equal to
+    /// [`RobotModel::forward_dynamics`] but without recomputing the dynamics. `None` before the first step.
     pub(crate) fn acceleration(&self, model: &RobotModel, driven: &JointVector) -> Option<JointVector> {
         let n = model.dof();
         let mut a = [0.0; MAX_JOINTS];
@@ -175,13 +175,22 @@ pub fn joint_friction(damping: f64, coulomb: f64, qd: f64) -> f64 {
     damping * qd + coulomb * (qd / FRICTION_SPEED).tanh()
 }
 
-/// The accelerations that operational-space control asks for, and what it takes to work them out.
+/// The references of [`TaskLaw`] at one time.
+pub(crate) struct TaskGoal<'a> {
+    /// Motion of the tool.
+    pub(crate) reference: ToolReference,
+    /// Posture that the null space is drawn to.
+    pub(crate) posture: &'a JointVector,
+    pub(crate) gains: &'a OscConfig,
+}
+
+/// The law of operational-space control with its buffers.
 #[derive(Debug, Clone)]
 pub(crate) struct TaskLaw {
     ws: Workspace,
     jacobian: Jacobian,
     bias: JointVector,
-    /// Of the mass matrix.
+    /// Factor of the mass matrix.
     factor: Option<Cholesky<MAX_JOINTS>>,
     /// J M⁻¹ Jᵀ of the tool's origin.
     mobility_w: DMat3,
@@ -204,42 +213,39 @@ impl TaskLaw {
         self.ws.mass_matrix[i][i]
     }
 
-    /// Torques of the law; returns the joint accelerations that they give on the model ([`Self::accelerations`]).
+    /// Computes the law's torques and returns the model's joint accelerations under them ([`Self::accelerations`]).
     pub(crate) fn torques(
         &mut self,
         model: &RobotModel,
         q: &[f64],
         qd: &[f64],
-        reference: &ToolReference,
-        posture: &JointVector,
-        config: &OscConfig,
+        goal: &TaskGoal<'_>,
         tau: &mut JointVector,
     ) -> JointVector {
         let n = model.dof();
-        let qdd = self.accelerations(model, q, qd, reference, posture, config);
+        let qdd = self.accelerations(model, q, qd, goal);
         let mass_matrix = &self.ws.mass_matrix;
         for i in 0..n {
             tau[i] = self.bias[i] + (0..n).map(|j| mass_matrix[i][j] * qdd[j]).sum::<f64>();
-            if config.friction_compensation {
+            if goal.gains.friction_compensation {
                 tau[i] += joint_friction(model.joints[i].damping, model.joints[i].friction, qd[i]);
             }
         }
         qdd
     }
 
-    /// The joint accelerations that the law asks for.
+    /// Computes the joint accelerations of the law.
     ///
-    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, a the tool's wanted acceleration and p the posture's, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
-    /// the tool has its way, and the posture what is left in the dynamically consistent null space.
+    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, desired accelerations a of the tool and p of the posture, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
+    /// the tool has priority, and the posture acts in the dynamically consistent null space.
     pub(crate) fn accelerations(
         &mut self,
         model: &RobotModel,
         q: &[f64],
         qd: &[f64],
-        reference: &ToolReference,
-        posture: &JointVector,
-        config: &OscConfig,
+        goal: &TaskGoal<'_>,
     ) -> JointVector {
+        let TaskGoal { reference, posture, gains: config } = goal;
         let n = model.dof();
         let ws = &mut self.ws;
         model.bias_torques(q, qd, ws, &mut self.bias);
@@ -265,7 +271,7 @@ impl TaskLaw {
         let (posture_v, posture_w) = jacobian.times(&qdd);
         let (linear, angular) = (linear - posture_v, angular - posture_w);
         let mut wanted = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
-        // A mass matrix that cannot be factored belongs to a model without inertia, which is refused on reading.
+        // A model without inertia, whose mass matrix is singular, is refused when it is read.
         self.factor = Cholesky::new(&ws.mass_matrix, n);
         if let Some(mass) = &self.factor {
             let mut rows = [[0.0; 6]; MAX_JOINTS];
@@ -281,7 +287,7 @@ impl TaskLaw {
                 }
             }
             for r in 0..6 {
-                // Keeps the force finite in directions that the arm has lost; 0.0001 % elsewhere.
+                // Bounds the force near singularities; elsewhere it changes 0.0001 %.
                 mobility[r][r] += 1e-6;
             }
             let entry = |r: usize, s: usize| mobility[r.max(s)][r.min(s)];

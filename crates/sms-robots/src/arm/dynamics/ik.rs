@@ -7,12 +7,12 @@ use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;
 
-/// Where the tool should be.
+/// Target of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum IkTarget {
     /// Pose `X_WT` of the tool in the world.
     Pose(DPose3),
-    /// Position of the tool's origin, and direction of its z axis; it may turn about that axis.
+    /// Position of the tool's origin and direction of its z axis; the turn about that axis is free.
     Axis {
         /// Position of the origin, metres in the world.
         position_w: DVec3,
@@ -25,14 +25,14 @@ pub enum IkTarget {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IkConfig {
-    /// Number of starts, every other one with a pull to the middle of the ranges; the first ones are the posture given, the home and the middle of the ranges, the others are
-    /// spread over the ranges.
+    /// Number of starts: the given posture, home, the middle of the ranges, then postures spread over the ranges. Every
+    /// other start is pulled to the middle of the ranges.
     pub starts: usize,
-    /// Most iterations of one start.
+    /// Largest number of iterations per start.
     pub iterations: usize,
-    /// Largest accepted error of the position, metres.
+    /// Position tolerance, metres.
     pub position_tolerance_m: f64,
-    /// Largest accepted error of the attitude, radians.
+    /// Attitude tolerance, radians.
     pub angle_tolerance_rad: f64,
     /// Distance that a solution keeps from position limits, radians or metres.
     pub limit_margin: f64,
@@ -50,21 +50,21 @@ impl Default for IkConfig {
     }
 }
 
-/// A posture that puts the tool where it should be.
+/// A posture that reaches the target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkSolution {
     /// Positions of the joints.
     pub q: Vec<f64>,
     /// Smallest distance from a position limit as a share of the joint's half range: 0 at a limit, 1 in the middle.
     pub limit_share: f64,
-    /// √det(J Jᵀ) of the tool (Yoshikawa 1985), angles weighed with [`LENGTH_M`]: 0 where a direction is lost.
+    /// Manipulability √det(J Jᵀ) of the tool (Yoshikawa 1985), angles scaled by 0.2 m: 0 at a singularity.
     pub manipulability: f64,
 }
 
-/// There is no posture that puts the tool there: how near the best one came.
+/// No posture reaches the target; holds the nearest one.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "the robot cannot reach that: the nearest posture is {:.1} mm and {:.2}° off{}",
+    "the robot cannot reach the target: its nearest posture is {:.1} mm and {:.2}° off{}",
     1e3 * .position_error_m, .angle_error_rad.to_degrees(), fmt_binding(.binding)
 )]
 pub struct Unreachable {
@@ -72,10 +72,10 @@ pub struct Unreachable {
     pub position_error_m: f64,
     /// Remaining error of the attitude, radians.
     pub angle_error_rad: f64,
-    /// The posture that came nearest.
+    /// The nearest posture.
     pub best_q: Vec<f64>,
-    /// Joints that stand at a limit there: name and whether it is the upper one. Without any, the arm is too short or
-    /// stands too near.
+    /// Joints at a limit in that posture: name, and true for the upper limit. If empty, the target is beyond the arm's
+    /// reach or too close to its base.
     pub binding: Vec<(String, bool)>,
 }
 
@@ -90,15 +90,24 @@ fn fmt_binding(binding: &[(String, bool)]) -> String {
     format!(", with {}", parts.join(", "))
 }
 
-/// Length that makes angles comparable with distances: about that of a hand, metres.
-pub const LENGTH_M: f64 = 0.2;
+/// Length that scales angles to distances, metres: about the size of a hand.
+pub(crate) const LENGTH_M: f64 = 0.2;
+
+/// Settings of one Levenberg-Marquardt step.
+struct StepSettings {
+    damping: f64,
+    /// Share of the way to the middle of the ranges that the null space is asked to go.
+    pull: f64,
+    /// Distance from the position limits, radians or metres.
+    margin: f64,
+}
 
 impl RobotModel {
-    /// All different postures found that put the tool at `target`, best first: by distance from limits times
-    /// manipulability. `near` is a posture to start from.
+    /// Returns all distinct postures found that put the tool at `target`, ordered by distance from limits times
+    /// manipulability, best first. `near` is an additional start.
     ///
     /// # Errors
-    /// [`Unreachable`] when no start led there.
+    /// [`Unreachable`] when no start converges.
     pub fn inverse_kinematics(
         &self,
         target: &IkTarget,
@@ -143,11 +152,11 @@ impl RobotModel {
         Ok(found)
     }
 
-    /// The posture nearest to `q` (by short steps, without a pull to the middle of the ranges) that puts the tool at
-    /// `target`.
+    /// Returns the posture nearest to `q` that puts the tool at `target`: short steps without the pull to the middle of the
+    /// ranges.
     ///
     /// # Errors
-    /// [`Unreachable`] when the way there ends elsewhere.
+    /// [`Unreachable`] when the iteration does not converge.
     pub fn refine(
         &self,
         target: &IkTarget,
@@ -190,7 +199,7 @@ impl RobotModel {
         (limits.lower + margin, limits.upper - margin)
     }
 
-    /// Share of the range left, and manipulability.
+    /// Distance from the limits as a share of the half range, and manipulability.
     fn quality(&self, q: &[f64], ws: &mut Workspace) -> (f64, f64) {
         let share = (0..self.dof())
             .filter(|&i| self.joints[i].limits.lower.is_finite())
@@ -206,10 +215,9 @@ impl RobotModel {
         (share.max(0.0), manipulability(&jacobian))
     }
 
-    /// Levenberg-Marquardt from `q`; leaves the nearest posture there and returns its errors of position and angle.
+    /// Levenberg-Marquardt iteration from `q`. Leaves the nearest posture in `q` and returns its position and angle errors.
     ///
-    /// Steps are taken in the joints that are not held by a limit; beside the damped step towards the target a step in
-    /// the null space leads to the middle of the ranges.
+    /// Steps move the joints that no limit blocks. In their null space the step leads to the middle of the ranges.
     fn descend(
         &self,
         target: &IkTarget,
@@ -237,7 +245,8 @@ impl RobotModel {
             self.jacobian(self.tool, ws, &mut jacobian);
             // The pull to the middle fades, so that the last steps converge quadratically.
             let fading = pull * 0.85f64.powi(iteration as i32);
-            let step = self.step(target, q, &error, &jacobian, damping, fading, config.limit_margin);
+            let settings = StepSettings { damping, pull: fading, margin: config.limit_margin };
+            let step = self.step(target, q, &error, &jacobian, &settings);
             // Long steps are shortened as a whole: the model of the arm is linear only nearby.
             let longest = step[..n].iter().fold(0.0f64, |m, x| m.max(x.abs()));
             let share = if longest > 0.5 { 0.5 / longest } else { 1.0 };
@@ -269,17 +278,16 @@ impl RobotModel {
         q: &JointVector,
         error: &[f64; 6],
         jacobian: &Jacobian,
-        damping: f64,
-        pull: f64,
-        margin: f64,
+        settings: &StepSettings,
     ) -> JointVector {
+        let StepSettings { damping, pull, margin } = *settings;
         let n = self.dof();
         let rows = task_rows(target, jacobian);
         let mut free = [true; MAX_JOINTS];
         let mut step: JointVector = [0.0; MAX_JOINTS];
         let mut goal = *error;
-        // A joint that the step would push through its limit goes to that limit, and the others' step is taken again
-        // for what is left to do.
+        // A joint that the step would move through its limit stops there, and the step of the other joints is recomputed
+        // for the remaining error.
         for _ in 0..=n {
             let mut wish: JointVector = [0.0; MAX_JOINTS];
             for i in (0..n).filter(|&i| free[i] && self.joints[i].limits.lower.is_finite()) {
@@ -318,7 +326,7 @@ impl RobotModel {
     }
 }
 
-/// Error of position (m) and attitude (times [`LENGTH_M`]) in world axes.
+/// Position error (m) and attitude error (times [`LENGTH_M`]) in world axes.
 fn residual(target: &IkTarget, x_wt: &DPose3) -> [f64; 6] {
     let (p, turn) = match target {
         IkTarget::Pose(goal) => {
@@ -359,7 +367,7 @@ fn squared(e: &[f64; 6]) -> f64 {
     e.iter().map(|x| x * x).sum()
 }
 
-/// √det(J Jᵀ), angles weighed with [`LENGTH_M`].
+/// √det(J Jᵀ), angles scaled by [`LENGTH_M`].
 pub(crate) fn manipulability(jacobian: &Jacobian) -> f64 {
     let mut gram = [[0.0; 6]; 6];
     let weight = |r: usize| if r < 3 { 1.0 } else { LENGTH_M };
@@ -373,7 +381,7 @@ pub(crate) fn manipulability(jacobian: &Jacobian) -> f64 {
     Cholesky::<6>::new(&gram, 6).map_or(0.0, |c| c.sqrt_determinant())
 }
 
-/// The rotation as axis times angle, the short way round.
+/// The rotation vector of a quaternion, of angle at most π.
 pub(crate) fn rotation_vector(q: DQuat) -> DVec3 {
     let q = if q.w < 0.0 { -q } else { q };
     let v = DVec3::new(q.x, q.y, q.z);
@@ -382,7 +390,7 @@ pub(crate) fn rotation_vector(q: DQuat) -> DVec3 {
     if s < 1e-9 { 2.0 * v } else { v * (2.0 * s.atan2(q.w) / s) }
 }
 
-/// The rotation vector that leads from one attitude to another, from their matrices.
+/// The rotation vector from attitude `r` to `goal`, given as matrices.
 pub(crate) fn attitude_error(goal: &DMat3, r: &DMat3) -> DVec3 {
     rotation_vector(DQuat::from_mat3(&(*goal * r.transpose())))
 }

@@ -5,7 +5,7 @@ use crate::arm::model::{FrameId, RobotModel};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 
 impl RobotModel {
-    /// Places every joint for positions `q` (one for each joint). All other kinematics read what this leaves in `ws`.
+    /// Computes the joint frames at positions `q` (one per joint), which all other kinematics read from `ws`.
     pub fn forward_kinematics(&self, q: &[f64], ws: &mut Workspace) {
         let base_r = DMat3::from_quat(self.x_wr.rotation);
         for (i, joint) in self.joints.iter().enumerate() {
@@ -72,8 +72,8 @@ impl RobotModel {
         }
     }
 
-    /// Velocities and accelerations of all joints' frames for speeds `qd` and accelerations `qdd` (gravity is not in
-    /// them). After [`Self::forward_kinematics`].
+    /// Velocities and accelerations of all joint frames for speeds `qd` and accelerations `qdd`, gravity not included.
+    /// After [`Self::forward_kinematics`].
     pub fn forward_motion(&self, qd: &[f64], qdd: &[f64], ws: &mut Workspace) {
         for (i, joint) in self.joints.iter().enumerate() {
             let (parent, r) = match joint.parent {

@@ -1,8 +1,8 @@
-//! Small dense matrices of fixed capacity: nothing here touches the heap.
+//! Small dense matrices of fixed capacity, without heap allocation.
 
 use glamx::{DMat3, DVec3};
 
-/// Largest number of joints that move.
+/// Largest number of moving joints.
 pub const MAX_JOINTS: usize = 16;
 
 /// The inertia of a unit point mass at `r`: (r·r) 1 − r rᵀ.

@@ -7,7 +7,7 @@ mod recursions;
 pub(crate) mod simulation;
 pub(crate) mod workspace;
 
-pub use ik::{IkConfig, IkSolution, IkTarget, LENGTH_M, Unreachable};
+pub use ik::{IkConfig, IkSolution, IkTarget, Unreachable};
 pub use linalg::MAX_JOINTS;
 pub use simulation::ArmSim;
-pub use workspace::{Jacobian, JointVector, MassMatrix, Workspace};
+pub use workspace::{Jacobian, JointVector, Workspace};

@@ -29,7 +29,7 @@ impl RobotModel {
         self.inverse_dynamics(q, &[0.0; MAX_JOINTS], &[0.0; MAX_JOINTS], ws, tau);
     }
 
-    /// The backward pass of Newton-Euler over what [`Self::forward_motion`] left; without rotors.
+    /// The backward Newton-Euler pass over the result of [`Self::forward_motion`]; without rotors.
     pub(crate) fn torques_of_motion(&self, ws: &mut Workspace, tau: &mut [f64]) {
         for (i, joint) in self.joints.iter().enumerate() {
             let Some(mass) = &joint.mass else {
@@ -66,7 +66,7 @@ impl RobotModel {
         *out = ws.mass_matrix;
     }
 
-    /// As [`Self::mass_matrix`], left in the work space.
+    /// As [`Self::mass_matrix`], but leaves the result in the workspace.
     pub(crate) fn fill_mass_matrix(&self, ws: &mut Workspace) {
         let n = self.dof();
         for (i, joint) in self.joints.iter().enumerate() {
@@ -111,8 +111,8 @@ impl RobotModel {
         }
     }
 
-    /// Accelerations under torques `tau`: q̈ = M⁻¹ (τ − C q̇ − g). Friction and damping are the caller's. False when the
-    /// mass matrix is singular (a joint that moves nothing); `qdd` is then not touched.
+    /// Accelerations under torques `tau`: q̈ = M⁻¹ (τ − C q̇ − g). Friction and damping have to be subtracted by the caller.
+    /// Returns false and leaves `qdd` unchanged when the mass matrix is singular (a joint that moves no mass).
     pub fn forward_dynamics(
         &self,
         q: &[f64],
@@ -133,9 +133,9 @@ impl RobotModel {
         true
     }
 
-    /// How the velocity of a point that moves with a frame changes with an impulse there: J M⁻¹ Jᵀ, 1/kg. Its inverse
-    /// along a direction, 1/(dᵀ X d), is the mass that a ball feels which is struck there, as long as the blow lasts:
-    /// control is slower. Zero for a point of the base. After [`Self::forward_kinematics`].
+    /// Mobility J M⁻¹ Jᵀ, 1/kg, of a point that moves with a frame: its velocity change per impulse at the point. Along a
+    /// unit direction d, 1/(dᵀ X d) is the effective mass in a collision, which is too short for control to react. Zero for
+    /// a point of the base. After [`Self::forward_kinematics`].
     pub fn point_mobility(&self, frame: FrameId, point_w: DVec3, ws: &mut Workspace) -> DMat3 {
         let mut rows = [[0.0; MAX_JOINTS]; 3];
         self.point_rows(frame, point_w, ws, &mut rows);

@@ -1,4 +1,4 @@
-//! The arm alone in free space: our own forward dynamics, for tests of the controller and for looking ahead.
+//! Forward simulation of the arm in free space, for tests of the controller and for prediction.
 
 use crate::arm::control::osc::joint_friction;
 use crate::arm::dynamics::linalg::MAX_JOINTS;
@@ -6,15 +6,15 @@ use crate::arm::dynamics::workspace::{JointVector, Workspace};
 use crate::arm::model::RobotModel;
 use glamx::{DPose3, DVec3};
 
-/// A robot that moves under joint torques, with damping, Coulomb friction and rotors' inertia. It touches nothing, and
-/// position limits do not stop it.
+/// A robot under joint torques, with damping, Coulomb friction and rotor inertia. It has no contacts, and position limits
+/// do not stop it.
 #[derive(Debug, Clone)]
 pub struct ArmSim {
     /// Positions; the first `dof` are in use.
     pub q: JointVector,
     /// Speeds.
     pub qd: JointVector,
-    /// Factor on the model's damping and friction: 1 unless the real robot is to differ from its model.
+    /// Factor on the model's damping and friction: 1 if the real robot equals its model.
     pub friction_scale: f64,
     ws: Workspace,
 }
@@ -32,7 +32,7 @@ impl ArmSim {
         sim
     }
 
-    /// Advances by `dt` seconds under constant torques, by one step of the classic Runge-Kutta method.
+    /// Advances by `dt` seconds under constant torques, in one step of the classic Runge-Kutta method.
     pub fn step(&mut self, model: &RobotModel, tau: &[f64], dt: f64) {
         let first = self.acceleration(model, &self.q.clone(), &self.qd.clone(), tau);
         self.step_from(model, tau, dt, &first);
@@ -76,7 +76,7 @@ impl ArmSim {
         a
     }
 
-    /// Torques less friction.
+    /// Torques minus friction.
     pub(crate) fn driven(&self, model: &RobotModel, v: &JointVector, tau: &[f64]) -> JointVector {
         let mut driven = [0.0; MAX_JOINTS];
         for (i, joint) in model.joints().iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Room for intermediate results, so that nothing is allocated in a control step.
+//! Buffers for intermediate results, so that control steps do not allocate.
 
 use crate::arm::dynamics::linalg::MAX_JOINTS;
 use glamx::{DMat3, DVec3};
@@ -7,7 +7,7 @@ use glamx::{DMat3, DVec3};
 pub type JointVector = [f64; MAX_JOINTS];
 
 /// The mass matrix of joint space, kg·m²; the leading `dof` × `dof` block is in use.
-pub type MassMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
+pub(crate) type MassMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
 /// The Jacobian of a frame: column i is the velocity of the frame's origin and the angular velocity, both in world
 /// axes, at unit speed of joint i (Pinocchio's `LOCAL_WORLD_ALIGNED`).
@@ -42,18 +42,11 @@ impl Jacobian {
         }
         v
     }
-
-    /// Jᵀ applied to a force at the origin and a moment.
-    pub fn transpose_times(&self, force_w: DVec3, moment_w: DVec3, tau: &mut [f64]) {
-        for i in 0..self.dof {
-            tau[i] = self.linear_w[i].dot(force_w) + self.angular_w[i].dot(moment_w);
-        }
-    }
 }
 
-/// Where each joint's frame is, in the world.
+/// Pose of each joint's frame in the world.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Placed {
+pub(crate) struct JointPlacement {
     pub(crate) r_wj: DMat3,
     pub(crate) p_w: DVec3,
     pub(crate) axis_w: DVec3,
@@ -68,7 +61,7 @@ pub(crate) struct Moving {
     pub(crate) alpha: DVec3,
 }
 
-/// A rigid body made of all links beyond a joint, in world axes about its own centre.
+/// The links beyond a joint as one rigid body, in world axes about its centre of mass.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Composite {
     pub(crate) mass: f64,
@@ -76,10 +69,10 @@ pub(crate) struct Composite {
     pub(crate) inertia: DMat3,
 }
 
-/// Work space of one robot's kinematics and dynamics. Make one for each thread and keep it.
+/// Buffers of one robot's kinematics and dynamics. Create one per thread and reuse it.
 #[derive(Debug, Clone)]
 pub struct Workspace {
-    pub(crate) placed: [Placed; MAX_JOINTS],
+    pub(crate) placed: [JointPlacement; MAX_JOINTS],
     pub(crate) moving: [Moving; MAX_JOINTS],
     pub(crate) force: [DVec3; MAX_JOINTS],
     pub(crate) moment: [DVec3; MAX_JOINTS],
@@ -89,7 +82,7 @@ pub struct Workspace {
 
 impl Default for Workspace {
     fn default() -> Self {
-        let placed = Placed { r_wj: DMat3::IDENTITY, p_w: DVec3::ZERO, axis_w: DVec3::Z };
+        let placed = JointPlacement { r_wj: DMat3::IDENTITY, p_w: DVec3::ZERO, axis_w: DVec3::Z };
         Self {
             placed: [placed; MAX_JOINTS],
             moving: [Moving::default(); MAX_JOINTS],

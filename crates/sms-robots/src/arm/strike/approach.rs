@@ -1,4 +1,4 @@
-//! The whole strike: from home to the start of the sweep, the sweep, and away from it.
+//! The whole strike: approach, descent, sweep and lift.
 
 use crate::arm::control::osc::TaskLaw;
 use crate::arm::dynamics::linalg::MAX_JOINTS;
@@ -6,15 +6,15 @@ use crate::arm::dynamics::workspace::{JointVector, Workspace};
 use crate::arm::model::RobotModel;
 use crate::arm::shape::{Clearance, Obstacle};
 use crate::arm::strike::motion::{
-    Following, JointMotion, JointSample, LimitKind, Meter, SETTLE_S, joint_move, motor_torques, roll_out,
-    within_limits,
+    JointMotion, JointMove, JointSample, LimitKind, Meter, SETTLE_S, StepwiseRollout, motor_torques,
+    roll_out, within_limits,
 };
 use crate::arm::strike::sweep::{LinePath, Sweep};
-use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan, blocked_every, plan_sweep_where};
+use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, StrikeProblem, SweepPlan, plan_sweep_where};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// What a part of a strike's motion is for.
+/// Phase of a strike's motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
@@ -28,12 +28,12 @@ pub enum Phase {
     Lift,
 }
 
-/// A whole strike, from home to the lift after it.
+/// A whole strike, from home to the lift.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StrikePlan {
     /// The sweep.
     pub sweep: SweepPlan,
-    /// All motions in their order; each begins and ends at rest, where the one before it ended.
+    /// All motions in order; each begins and ends at rest and starts at the end of the preceding one.
     pub phases: Vec<(Phase, JointMotion)>,
 }
 
@@ -49,9 +49,9 @@ impl StrikePlan {
     }
 }
 
-/// [`plan_sweep`] that takes only what the arm can start: from home to above the start, and down to it, without links coming
-/// too near each other or an obstacle. Other postures, other holds of the tool and other descents are tried before a strike
-/// is refused. The way is worked out in coarse steps; [`crate::check_strike`] has the last word.
+/// Runs [`plan_sweep`], but accepts only sweeps whose start the arm can reach from home without a collision. Other
+/// postures, holds of the tool and descents are tried before a strike is refused. The approach is checked in coarse steps;
+/// [`crate::check_strike`] decides.
 ///
 /// # Errors
 /// [`StrikeError`].
@@ -64,15 +64,17 @@ pub fn plan_startable_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    let may = |plan: &SweepPlan, ws: &mut Workspace| {
-        let way = way_to_start(model, &plan.q_start, &plan.sweep, obstacles, config, &COARSE, ws)?;
+    let problem = StrikeProblem { model, sweep, obstacles, config };
+    let accept = |plan: &SweepPlan, ws: &mut Workspace| {
+        let held = StrikeProblem { sweep: &plan.sweep, ..problem };
+        let way = approach_path(&held, &plan.q_start, &COARSE, ws)?;
         way.blocked.map_or(Ok(()), |(phase, clearance)| Err(StrikeError::Unstartable { clearance, phase }))
     };
-    plan_sweep_where(model, sweep, obstacles, config, Some(&may), ws)
+    plan_sweep_where(&problem, Some(&accept), ws)
 }
 
-/// Plans the whole strike: approach, descent, sweep and lift. Obstacles are noticed in the sweep, and, in coarse steps, on the
-/// way to its start; what the motion comes near in the end is for [`crate::check_strike`] to say.
+/// Plans the whole strike: approach, descent, sweep and lift. The sweep is checked for collisions, and the approach in
+/// coarse steps; [`crate::check_strike`] checks the whole motion.
 ///
 /// # Errors
 /// [`StrikeError`].
@@ -85,23 +87,23 @@ pub fn plan_strike(
 ) -> Result<StrikePlan, StrikeError> {
     let mut plan = plan_startable_sweep(model, sweep, obstacles, config, ws)?;
     let rate = config.osc.torque_rate;
-    // Of the tool as it is held.
+    // The sweep with the chosen hold of the tool.
     let (path, held) = (plan.path(), plan.sweep);
-    let sweep = &held;
-    plan.motion = roll_out(model, &path, &plan.q_start, &plan.q_start, &config.osc, config.period_s);
+    let problem = StrikeProblem { model, sweep: &held, obstacles, config };
+    plan.motion = roll_out(model, &path, &plan.q_start, &config.osc, config.period_s, SETTLE_S);
     plan.uses = plan.motion.check(model, rate)?;
     let last = plan.motion.samples[plan.motion.samples.len() - 1].q;
-    let fine = Detail { period_s: config.period_s, settle: true, look_s: 0.01 };
-    let way = way_to_start(model, &plan.q_start, sweep, obstacles, config, &fine, ws)?;
-    let lift = ways_up(sweep, config)
+    let fine = Detail { period_s: config.period_s, settle: true, interval_s: 0.01 };
+    let way = approach_path(&problem, &plan.q_start, &fine, ws)?;
+    let check = problem.clearance_check(fine.interval_s, false);
+    let lift = ways_up(&held, config)
         .into_iter()
         .take(STRAIGHT_UP)
         .find_map(|by_w| {
             let up = lift(model, &last, by_w, config, &fine, ws)?;
-            let near = blocked_every(model, &up, fine.look_s, obstacles, false, config.clearance_m, ws);
-            near.is_none().then_some(up)
+            check.first_violation(model, &up, ws).is_none().then_some(up)
         })
-        // Where every lift meets something the arm stays where it is.
+        // Without a clear lift the arm stays where it is.
         .unwrap_or_else(|| standing(model, &last, config.period_s, ws));
     let phases = vec![
         (Phase::Approach, way.approach),
@@ -112,48 +114,55 @@ pub fn plan_strike(
     Ok(StrikePlan { sweep: plan, phases })
 }
 
-/// How finely a way is worked out.
+/// Resolution of an approach.
 struct Detail {
     /// Time between samples, seconds.
     period_s: f64,
-    /// Whether the joints' coming to rest is waited for.
+    /// Whether the joints come to rest after the path.
     settle: bool,
-    /// Time between the postures whose distances are looked at, seconds.
-    look_s: f64,
+    /// Time between checked postures, seconds.
+    interval_s: f64,
 }
 
-/// For strikes that are only looked at: half of the time that their sweep takes to plan.
-const COARSE: Detail = Detail { period_s: 0.02, settle: false, look_s: 0.05 };
+/// Resolution for strikes that are only evaluated; it takes half the time of planning their sweep.
+const COARSE: Detail = Detail { period_s: 0.02, settle: false, interval_s: 0.05 };
 
 /// From home to the start of a sweep.
-struct Way {
+struct ApproachPath {
     approach: JointMotion,
     descent: JointMotion,
-    /// What is in the way, where every way has something: of the highest.
+    /// The first obstruction, if every approach has one: that of the highest descent.
     blocked: Option<(Phase, Clearance)>,
 }
 
-/// The first way to the start that is clear; the first of all where none is.
-fn way_to_start(
-    model: &RobotModel,
+/// Finds the first clear approach to the start of the sweep, or the first one if none is clear.
+fn approach_path(
+    problem: &StrikeProblem<'_>,
     q_start: &[f64],
-    sweep: &Sweep,
-    obstacles: &[Obstacle],
-    config: &StrikeConfig,
     detail: &Detail,
     ws: &mut Workspace,
-) -> Result<Way, StrikeError> {
+) -> Result<ApproachPath, StrikeError> {
+    let StrikeProblem { model, sweep, config, .. } = *problem;
+    let check = problem.clearance_check(detail.interval_s, true);
     let n = model.dof();
     let mut first = [0.0; MAX_JOINTS];
     first[..n].copy_from_slice(q_start);
-    let (share, rate) = (config.approach_share, config.osc.torque_rate);
-    let mut found: Option<Way> = None;
+    let from_home = |to: &[f64], ws: &mut Workspace| {
+        let approach = JointMove {
+            from: model.home(),
+            to,
+            limit_share: config.approach_share,
+            torque_rate: config.osc.torque_rate,
+            min_duration_s: 0.5,
+            period_s: detail.period_s,
+        };
+        approach.plan(model, ws)
+    };
+    let mut found: Option<ApproachPath> = None;
     for by_w in ways_up(sweep, config) {
         let Some(up) = lift(model, &first, by_w, config, detail, ws) else { continue };
         let near = |m: &JointMotion, phase: Phase, ws: &mut Workspace| {
-            let (clearance, _) =
-                blocked_every(model, m, detail.look_s, obstacles, true, config.clearance_m, ws)?;
-            Some((phase, clearance))
+            check.first_violation(model, m, ws).map(|(clearance, _)| (phase, clearance))
         };
         let on_descent = near(&up, Phase::Descent, ws);
         if on_descent.is_some() && found.is_some() {
@@ -161,15 +170,11 @@ fn way_to_start(
         }
         let descent = up.reversed(model, ws);
         let above = descent.samples[0].q;
-        let Ok(approach) =
-            joint_move(model, model.home(), &above[..n], share, rate, 0.5, detail.period_s, ws)
-        else {
-            continue;
-        };
+        let Ok(approach) = from_home(&above[..n], ws) else { continue };
         let blocked = on_descent.or_else(|| near(&approach, Phase::Approach, ws));
         let clear = blocked.is_none();
         if clear || found.is_none() {
-            found = Some(Way { approach, descent, blocked });
+            found = Some(ApproachPath { approach, descent, blocked });
         }
         if clear {
             break;
@@ -178,18 +183,18 @@ fn way_to_start(
     if let Some(way) = found {
         return Ok(way);
     }
-    // From home straight to the start, with the reason when even that fails.
-    let approach = joint_move(model, model.home(), q_start, share, rate, 0.5, detail.period_s, ws)?;
-    let blocked = blocked_every(model, &approach, detail.look_s, obstacles, true, config.clearance_m, ws)
-        .map(|(clearance, _)| (Phase::Approach, clearance));
-    Ok(Way { approach, descent: standing(model, &first, detail.period_s, ws), blocked })
+    // Directly from home to the start; returns the error if that fails too.
+    let approach = from_home(q_start, ws)?;
+    let blocked =
+        check.first_violation(model, &approach, ws).map(|(clearance, _)| (Phase::Approach, clearance));
+    Ok(ApproachPath { approach, descent: standing(model, &first, detail.period_s, ws), blocked })
 }
 
-/// The first of [`ways_up`] are straight up.
+/// Number of straight lifts at the beginning of [`ways_up`].
 const STRAIGHT_UP: usize = 4;
 
-/// Ways away from the start, metres in the world, the reverse of which are descents: straight up by the height of the
-/// settings, a half, a quarter and an eighth of it; then slanted away from the struck body, by as much back as up.
+/// Lifts from the start, metres in the world; descents are their reverse. Straight up by the configured height, a half, a
+/// quarter and an eighth of it, then slanted away from the struck body at 45°.
 fn ways_up(sweep: &Sweep, config: &StrikeConfig) -> Vec<DVec3> {
     let up = config.approach_height_m * sweep.up_w.normalize();
     let back = -config.approach_height_m * sweep.direction_w;
@@ -198,7 +203,7 @@ fn ways_up(sweep: &Sweep, config: &StrikeConfig) -> Vec<DVec3> {
     straight.chain(slanted).collect()
 }
 
-/// The motion from a posture straight by `by_w` that keeps all limits; `None` where there is none.
+/// Plans the straight motion by `by_w` from a posture, within all limits; `None` if there is none.
 fn lift(
     model: &RobotModel,
     q: &JointVector,
@@ -215,7 +220,7 @@ fn lift(
     for _ in 0..4 {
         let path = LinePath { start, by_w, duration_s };
         let settle_s = if detail.settle { SETTLE_S } else { 0.0 };
-        let mut motion = Following::new(model, &path, q, q, &config.osc, detail.period_s, settle_s);
+        let mut motion = StepwiseRollout::new(model, &path, q, &config.osc, detail.period_s, settle_s);
         let mut meter = Meter::new(model, config.osc.torque_rate, motion.period_s);
         let mut broken = None;
         while broken.is_none() {
@@ -225,7 +230,7 @@ fn lift(
         }
         match broken {
             None => return Some(motion.into_motion()),
-            // No slower motion stays within a limit of position.
+            // A slower motion breaks a position limit too.
             Some(e) if e.limit == LimitKind::Position => return None,
             Some(_) => duration_s *= 1.5,
         }
@@ -233,7 +238,7 @@ fn lift(
     None
 }
 
-/// No motion.
+/// A motion of one sample, at rest.
 fn standing(model: &RobotModel, q: &JointVector, period_s: f64, ws: &mut Workspace) -> JointMotion {
     let zero = [0.0; MAX_JOINTS];
     let tau = motor_torques(model, q, &zero, &zero, ws);

@@ -1,4 +1,4 @@
-//! What is looked at before a strike is called executable, and what was found.
+//! Checks of a planned strike before it is executed.
 
 use crate::arm::dynamics::workspace::Workspace;
 use crate::arm::model::RobotModel;
@@ -9,12 +9,12 @@ use crate::arm::strike::sweep_plan::StrikeConfig;
 use crate::arm::strike::tracking::{Tracking, simulate_sweep};
 use serde::{Deserialize, Serialize};
 
-/// Largest error of the speed at the contact (a share), and of its direction (radians), that passes.
-pub const SPEED_TOLERANCE: f64 = 0.02;
-/// See [`SPEED_TOLERANCE`].
-pub const DIRECTION_TOLERANCE_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
+/// Tolerance of the speed error at the contact (a share).
+pub(super) const SPEED_TOLERANCE: f64 = 0.02;
+/// Tolerance of the direction error at the contact, radians.
+pub(super) const DIRECTION_TOLERANCE_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
 
-/// What was looked at.
+/// Kind of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CheckKind {
@@ -37,7 +37,7 @@ pub enum CheckKind {
 }
 
 impl CheckKind {
-    /// In words.
+    /// Name for messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::JointPositions => "joints' positions",
@@ -52,21 +52,21 @@ impl CheckKind {
     }
 }
 
-/// One thing that was looked at.
+/// One check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CheckItem {
-    /// What.
+    /// Kind.
     pub kind: CheckKind,
     /// Whether it passes.
     pub passed: bool,
-    /// What is left until it does not, in SI units (positions and distances: rad or m; speeds; torques; the speed as a
-    /// share); negative when it does not pass. `None` when there is nothing to measure.
+    /// Remaining margin, in SI units (positions and distances: rad or m; speeds; torques; the contact speed as a share);
+    /// negative when the check fails. `None` when there is nothing to measure.
     pub margin: Option<f64>,
-    /// In words: value, limit, joint or links, phase and time.
+    /// Description: value, limit, joint or links, phase and time.
     pub detail: String,
 }
 
-/// All that was looked at.
+/// The result of all checks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StrikeCheck {
     /// The items, in a fixed order.
@@ -81,18 +81,18 @@ impl StrikeCheck {
         self.items.iter().all(|i| i.passed)
     }
 
-    /// What does not pass.
+    /// The checks that failed.
     pub fn failed(&self) -> impl Iterator<Item = &CheckItem> {
         self.items.iter().filter(|i| !i.passed)
     }
 }
 
-/// Time between the postures whose distances are worked out, seconds.
+/// Time between checked postures, seconds.
 const LOOK_S: f64 = 0.01;
 
-/// Checks a planned strike: positions, speeds, torques and their changes over all phases, links against each other and
-/// against all obstacles (the floor is one of them; the body that is to be struck as [`Obstacle::struck`]) every 10 ms, and the
-/// sweep under control in free space.
+/// Checks a planned strike: positions, speeds, torques and torque rates over all phases; self-collision and obstacles
+/// (including the floor, and the body to strike as [`Obstacle::struck`]) every 10 ms; and the sweep under control in free
+/// space.
 pub fn check_strike(
     model: &RobotModel,
     plan: &StrikePlan,
@@ -104,7 +104,7 @@ pub fn check_strike(
     items.extend(distances(model, plan, obstacles, config.clearance_m, ws));
     let tracking = simulate_sweep(model, &plan.sweep, &config.osc, model, 1.0, 0.5 * config.osc.period_s);
     let asked = plan.sweep.sweep.speed;
-    let never = || "the tool never comes to the contact under control in free space".to_owned();
+    let never = || "the tool does not reach the contact under control in free space".to_owned();
     let left = tracking.contact.map(|c| {
         (SPEED_TOLERANCE - (c.speed / asked - 1.0).abs(), DIRECTION_TOLERANCE_RAD - c.direction_error_rad)
     });
@@ -113,7 +113,7 @@ pub fn check_strike(
         passed: left.is_some_and(|l| l.0 >= 0.0),
         margin: left.map(|l| l.0),
         detail: tracking.contact.map_or_else(never, |c| {
-            format!("{:.4} m/s at the contact under control in free space, {asked:.4} asked for", c.speed)
+            format!("{:.4} m/s at the contact under control in free space, {asked:.4} requested", c.speed)
         }),
     });
     items.push(CheckItem {
@@ -122,7 +122,7 @@ pub fn check_strike(
         margin: left.map(|l| l.1),
         detail: tracking.contact.map_or_else(never, |c| {
             let off = c.direction_error_rad.to_degrees();
-            format!("{off:.3}° off the asked direction, {:.2} mm off the line", 1e3 * c.offset_m)
+            format!("{off:.3}° off the requested direction, {:.2} mm off the line", 1e3 * c.offset_m)
         }),
     });
     StrikeCheck { items, tracking }
@@ -160,7 +160,7 @@ fn limits(model: &RobotModel, plan: &StrikePlan, config: &StrikeConfig) -> Vec<C
                 passed: u.share <= 1.0,
                 margin: Some(margin),
                 detail: format!(
-                    "{} comes to {:.3} {unit} of {:.3} in the {} at {at_s:.2} s",
+                    "{} reaches {:.3} {unit} of {:.3} in the {} at {at_s:.2} s",
                     joint.name,
                     u.value,
                     u.bound,
@@ -178,7 +178,7 @@ fn distances(
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Vec<CheckItem> {
-    // Distances are worked out up to here, so that the margin is a figure where it matters.
+    // Distances up to here are exact, so that reported margins are too.
     let enough = clearance_m + 0.05;
     let mut nearest: Vec<Option<(Clearance, Phase, f64)>> = vec![None; 1 + obstacles.len()];
     let mut poses = Vec::new();
@@ -216,14 +216,14 @@ fn distances(
         .map(|(i, (found, name))| {
             let kind = if i == 0 { CheckKind::SelfCollision } else { CheckKind::Obstacle };
             let Some((c, phase, at_s)) = found else {
-                // Without shapes nothing is known of what the arm would touch. With shapes, no two links that could
-                // touch each other is an answer.
+                // Without shapes the distance is unknown and the check fails. With shapes but without pairs that can collide, it
+                // passes.
                 let known = model.collisions().iter().any(|c| c.joint.is_some());
                 let detail = if known {
-                    format!("the robot has no shapes that could touch {name}")
+                    format!("no shapes of the robot can touch {name}")
                 } else {
                     format!(
-                        "it cannot be known whether the robot touches {name}: no moving link of its URDF has a \
+                        "unknown whether the robot touches {name}: no moving link of its URDF has a \
                          <collision> shape"
                     )
                 };
@@ -236,7 +236,7 @@ fn distances(
                 passed: c.distance_m >= clearance_m,
                 margin: Some(c.distance_m - clearance_m),
                 detail: format!(
-                    "{} {near} {:.1} mm {of} {} in the {} at {at_s:.2} s; {:.1} mm are kept",
+                    "{} {near} {:.1} mm {of} {} in the {} at {at_s:.2} s; at least {:.1} mm are required",
                     c.link,
                     1e3 * c.distance_m.min(enough),
                     c.other,

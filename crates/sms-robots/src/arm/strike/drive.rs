@@ -1,4 +1,4 @@
-//! The arm on its way through a sweep, in a world where it may hit something.
+//! The arm executing a sweep, with external impulses.
 
 use crate::arm::control::osc::{Osc, OscConfig};
 use crate::arm::dynamics::linalg::MAX_JOINTS;
@@ -10,28 +10,28 @@ use crate::arm::strike::sweep_plan::SweepPlan;
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use std::sync::Arc;
 
-/// Parts of a control period shorter than this are not made, seconds.
+/// Shortest integration step, seconds.
 const MIN_STEP_S: f64 = 1e-9;
 
-/// A sweep of the arm as it is to be carried out: what [`SweepDrive`] begins with.
+/// A planned sweep of the arm: the input of [`SweepDrive`].
 #[derive(Debug, Clone)]
 pub struct ArmStrike {
-    /// The robot, standing in the world.
+    /// The robot, with its base in the world.
     pub model: Arc<RobotModel>,
     /// The sweep.
     pub sweep: Sweep,
-    /// Attitude of the tool in it.
+    /// Attitude of the tool.
     pub rotation_w: DQuat,
-    /// Posture at the start, and that which the null space is drawn to.
+    /// Posture at the start, also the null-space posture.
     pub q_start: Vec<f64>,
     /// The controller.
     pub osc: OscConfig,
-    /// Half extents of the part of the tool that strikes, as a box about the tool's origin, in its frame, metres.
+    /// Half extents of the striking box about the tool's origin, in its frame, metres.
     pub half: DVec3,
 }
 
 impl ArmStrike {
-    /// A planned sweep.
+    /// Creates the strike of a planned sweep.
     pub fn of_plan(model: Arc<RobotModel>, plan: &SweepPlan, osc: OscConfig, half: DVec3) -> Self {
         let (sweep, rotation_w, q_start) = (plan.sweep, plan.rotation_w, plan.q_start.clone());
         Self { model, sweep, rotation_w, q_start, osc, half }
@@ -42,8 +42,8 @@ impl ArmStrike {
         self.sweep.path(self.rotation_w)
     }
 
-    /// The same strike carried out elsewhere, the tool held as it is: `sweep_of` gives the sweep of a tool that reaches so many
-    /// metres ahead of its origin. The posture is still that of this strike.
+    /// Returns the same strike at another place, with the same hold of the tool. `sweep_of` gives the sweep of a tool that
+    /// reaches the given number of metres ahead of its origin. The posture stays that of this strike.
     pub fn moved_to(&self, sweep_of: impl FnOnce(f64) -> Sweep) -> Self {
         // Attitude of the tool in the frame of the sweep.
         let held = self.sweep.rotation_w().inverse() * self.rotation_w;
@@ -51,16 +51,15 @@ impl ArmStrike {
         Self { rotation_w: sweep.rotation_w() * held, sweep, ..self.clone() }
     }
 
-    /// When the sweep is over, seconds from its start.
+    /// Duration of the sweep, seconds.
     pub fn duration_s(&self) -> f64 {
         self.path().duration_s()
     }
 }
 
-/// The arm under operational-space control through a sweep, from rest at its start. It may be advanced by steps of any
-/// length: the controller has its own clock, and its torques are held in between. Impulses from outside change the joints'
-/// speeds as the mass matrix says; what the controller makes of that is its own affair, within the limits of torque and
-/// its change.
+/// The arm under operational-space control through a sweep, from rest at its start. It can be advanced by steps of any
+/// length: the controller has its own clock, and its torques are held between its periods. External impulses change the
+/// joint speeds through the mass matrix; the controller reacts within its limits of torque and torque rate.
 #[derive(Debug, Clone)]
 pub struct SweepDrive {
     strike: ArmStrike,
@@ -68,7 +67,7 @@ pub struct SweepDrive {
     osc: Osc,
     tau: JointVector,
     time_s: f64,
-    /// Control steps made.
+    /// Number of control steps so far.
     ticks: usize,
     saturated: usize,
     ws: Workspace,
@@ -86,7 +85,7 @@ impl SweepDrive {
         Self { strike, arm, osc, tau: hold, time_s: 0.0, ticks: 0, saturated: 0, ws }
     }
 
-    /// What is carried out.
+    /// The strike.
     pub fn strike(&self) -> &ArmStrike {
         &self.strike
     }
@@ -102,17 +101,17 @@ impl SweepDrive {
         (&self.arm.q[..n], &self.arm.qd[..n])
     }
 
-    /// Torques that act now.
+    /// Current torques.
     pub fn torques(&self) -> &[f64] {
         &self.tau[..self.strike.model.dof()]
     }
 
-    /// Control periods so far in which an effort limit cut a torque.
+    /// Number of control periods so far in which an effort limit cut a torque.
     pub fn saturated_periods(&self) -> usize {
         self.saturated
     }
 
-    /// Moves on to `until_s` seconds after the start.
+    /// Advances to `until_s` seconds after the start.
     pub fn advance_to(&mut self, until_s: f64) {
         let (model, period) = (self.strike.model.clone(), self.strike.osc.period_s);
         let n = model.dof();
@@ -129,7 +128,7 @@ impl SweepDrive {
                 continue;
             }
             let to = if next < until_s - MIN_STEP_S { next } else { until_s };
-            // The controller has worked the dynamics out where it has just decided.
+            // At a control step the controller has already computed the dynamics.
             match first.take() {
                 Some(a) => self.arm.step_from(&model, &self.tau[..n], to - self.time_s, &a),
                 None => self.arm.step(&model, &self.tau[..n], to - self.time_s),
@@ -148,7 +147,7 @@ impl SweepDrive {
         (model.frame_pose(model.tool(), &self.ws), v_w, w_w)
     }
 
-    /// Acceleration of the tool's origin under the torques that act now, m/s².
+    /// Acceleration of the tool's origin under the current torques, m/s².
     pub fn tool_acceleration(&mut self) -> DVec3 {
         let (model, n) = (&self.strike.model, self.strike.model.dof());
         let qdd = self.arm.acceleration(model, &self.arm.q.clone(), &self.arm.qd.clone(), &self.tau[..n]);
@@ -157,13 +156,13 @@ impl SweepDrive {
         model.frame_acceleration(model.tool(), &self.ws).0
     }
 
-    /// The mass that is felt by what strikes the tool at a point along a direction, kg: 1/(nᵀ J M⁻¹ Jᵀ n).
+    /// Effective mass of the tool at a point along a direction, kg: 1/(nᵀ J M⁻¹ Jᵀ n).
     pub fn effective_mass(&mut self, point_w: DVec3, direction_w: DVec3) -> f64 {
         let n = direction_w.normalize_or_zero();
         1.0 / n.dot(self.mobility(point_w) * n)
     }
 
-    /// [`Self::effective_mass`] of the tool's origin along the sweep when the controller decided last, kg.
+    /// [`Self::effective_mass`] of the tool's origin along the sweep at the last control step, kg.
     pub fn mass_along_sweep(&mut self) -> f64 {
         let d = self.strike.sweep.direction_w;
         if self.ticks == 0 {
@@ -179,8 +178,8 @@ impl SweepDrive {
         model.point_mobility(model.tool(), point_w, &mut self.ws)
     }
 
-    /// An impulse (N·s) on a point of the tool, as if it had acted since `since_s` seconds ago: engines that step with
-    /// the speed at the end of a step have moved the tool with it already.
+    /// Applies an impulse (N·s) at a point of the tool as if it had acted `since_s` seconds ago. Engines that integrate with
+    /// the velocity at the end of a step have already moved the tool by it.
     pub fn push(&mut self, point_w: DVec3, impulse_w: DVec3, since_s: f64) {
         let (model, n) = (&self.strike.model, self.strike.model.dof());
         let before = self.arm.qd;

@@ -1,5 +1,5 @@
-//! Ways to hold the tool in a sweep: turned about the sweep's direction or about its own axis, so that the hand keeps out of
-//! the way of what stands beside the ball.
+//! Holds of the tool in a sweep: rotated about the sweep's direction or about the tool's own axis, so that the hand clears
+//! obstacles beside the ball.
 
 use crate::arm::model::RobotModel;
 use crate::arm::shape::{Clearance, LinkShape, Obstacle, obstacle_distance};
@@ -8,43 +8,40 @@ use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
-/// How the tool is held. Each leaves the face that strikes square to the sweep.
+/// A hold of the tool. The striking face is always perpendicular to the sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Hold {
-    /// Quarter turns about the tool's z axis: which of its four sides is in front.
+pub(super) struct Hold {
+    /// Quarter turns about the tool's z axis, which select the side in front.
     pub quarter_turns: u8,
-    /// Turn about the sweep's direction, radians: the hand leans to a side.
+    /// Rotation about the sweep's direction, radians: the hand leans to a side.
     pub roll_rad: f64,
 }
 
 impl Hold {
-    /// The tool's x axis along the sweep, its z axis up.
-    pub const UPRIGHT: Self = Self { quarter_turns: 0, roll_rad: 0.0 };
-
-    /// Attitude of the tool with x along the sweep and z up, from which the sweep is made.
+    /// Attitude in the sweep's frame (x along the sweep, z up).
     fn in_sweep(self) -> DQuat {
         DQuat::from_rotation_x(self.roll_rad)
             * DQuat::from_rotation_z(FRAC_PI_2 * f64::from(self.quarter_turns))
     }
 
     /// Attitude of the tool in the world.
-    pub fn rotation_w(self, sweep: &Sweep) -> DQuat {
+    pub(super) fn rotation_w(self, sweep: &Sweep) -> DQuat {
         sweep.rotation_w() * self.in_sweep()
     }
 
-    /// Distance from the tool's origin to the side that is in front, of a box of these half extents, metres.
-    pub fn front_m(self, half: DVec3) -> f64 {
+    /// Distance from the tool's origin to the side in front, of a box of these half extents, metres.
+    pub(super) fn front_m(self, half: DVec3) -> f64 {
         if self.quarter_turns.is_multiple_of(2) { half.x } else { half.y }
     }
 
-    /// The sweep of a tool held so, where `sweep` is that of the tool held upright: the front touches in the same place.
-    pub fn sweep(self, sweep: &Sweep, half: DVec3) -> Sweep {
+    /// Returns the sweep for this hold, given that of the upright tool: the front touches at the same place.
+    pub(super) fn sweep(self, sweep: &Sweep, half: DVec3) -> Sweep {
         let back = self.front_m(half) - half.x;
         Sweep { contact_w: sweep.contact_w - back * sweep.direction_w, ..*sweep }
     }
 }
 
-/// The holds to try, one group after another; those of the first are as good as each other, and followed all.
+/// The holds to try, in groups by preference. The holds of the first group are equivalent.
 pub(crate) fn groups(symmetric: bool, turned: bool) -> Vec<Vec<Hold>> {
     let both_ways = |turns: [u8; 2], degrees: f64| -> Vec<Hold> {
         let turns = if symmetric { &turns[..] } else { &turns[..1] };
@@ -68,11 +65,11 @@ pub(crate) fn groups(symmetric: bool, turned: bool) -> Vec<Vec<Hold>> {
     std::iter::once(upright).chain(groups.into_iter().flatten().map(|hold| vec![hold])).collect()
 }
 
-/// Places of a sweep at which the tool alone is looked at.
+/// Number of intervals of a sweep at whose ends the tool alone is checked.
 const PLACES: usize = 8;
 
-/// Where a tool that goes through a sweep comes too near an obstacle, whatever the arm behind it does: the shapes of the
-/// links that are one body with the tool, and `striking`, a box about the tool's origin.
+/// Where the tool comes too near an obstacle during a sweep, independently of the arm's posture. Checks the shapes of the
+/// links that are rigidly attached to the tool, and `striking`, a box about the tool's origin.
 pub(crate) fn tool_blocked(
     model: &RobotModel,
     path: &impl ToolPath,
@@ -107,17 +104,19 @@ mod tests {
     use super::*;
     use crate::FIST_HALF;
 
+    const UPRIGHT: Hold = Hold { quarter_turns: 0, roll_rad: 0.0 };
+
     #[test]
     fn every_hold_strikes_the_same_place_with_a_face_square_to_the_sweep() {
         let upright = Sweep::of_ball(DVec3::new(0.5, 0.1, 0.03), 0.03, 0.7, 0.5, FIST_HALF.x);
         let touched = upright.contact_w + FIST_HALF.x * upright.direction_w;
         let holds: Vec<Hold> = groups(true, true).concat();
-        assert_eq!((holds.len(), holds[0]), (16, Hold::UPRIGHT));
+        assert_eq!((holds.len(), holds[0]), (16, UPRIGHT));
         for hold in holds {
             let sweep = hold.sweep(&upright, FIST_HALF);
             let front = sweep.contact_w + hold.front_m(FIST_HALF) * sweep.direction_w;
             assert!((front - touched).length() < 1e-12);
-            // In the tool's frame the sweep goes along one axis of the box, as far as the box reaches.
+            // In the tool's frame the sweep is parallel to one axis of the box and touches with its face.
             let along = hold.rotation_w(&sweep).inverse() * sweep.direction_w;
             assert!((along.abs().max_element() - 1.0).abs() < 1e-12, "{along}");
             assert!((along.abs().dot(FIST_HALF) - hold.front_m(FIST_HALF)).abs() < 1e-12);
@@ -130,6 +129,6 @@ mod tests {
     fn a_tool_whose_sides_differ_keeps_its_front() {
         let holds: Vec<Hold> = groups(false, true).concat();
         assert!(holds.len() == 3 && holds.iter().all(|h| h.quarter_turns == 0));
-        assert_eq!(groups(false, false).concat(), [Hold::UPRIGHT]);
+        assert_eq!(groups(false, false).concat(), [UPRIGHT]);
     }
 }

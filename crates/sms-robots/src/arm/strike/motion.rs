@@ -1,13 +1,13 @@
-//! Motions of the joints in time: rolled out from motions of the tool, or from posture to posture.
+//! Joint motions: rollouts of tool motions, and point-to-point motions.
 
-use crate::arm::control::osc::{OscConfig, TaskLaw, joint_friction};
+use crate::arm::control::osc::{OscConfig, TaskGoal, TaskLaw, joint_friction};
 use crate::arm::dynamics::linalg::MAX_JOINTS;
 use crate::arm::dynamics::workspace::{JointVector, Workspace};
 use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{ToolPath, ToolReference, minimum_jerk};
+use crate::arm::strike::sweep::{ToolPath, minimum_jerk};
 use serde::{Deserialize, Serialize};
 
-/// The joints at one time.
+/// State of the joints at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointSample {
     /// Positions, rad (m).
@@ -35,7 +35,7 @@ impl JointMotion {
         self.period_s * self.samples.len().saturating_sub(1) as f64
     }
 
-    /// The motion run backwards; torques are worked out anew.
+    /// Returns the time-reversed motion with its torques.
     pub fn reversed(&self, model: &RobotModel, ws: &mut Workspace) -> Self {
         let mut samples: Vec<JointSample> = self.samples.iter().rev().copied().collect();
         for s in &mut samples {
@@ -46,7 +46,7 @@ impl JointMotion {
     }
 }
 
-/// Which of a joint's limits a motion breaks.
+/// Kind of a joint limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LimitKind {
@@ -60,25 +60,25 @@ pub enum LimitKind {
     TorqueRate,
 }
 
-/// A motion that the robot cannot make: the limit that it breaks by the largest share.
+/// A motion exceeds a joint limit: the one exceeded by the largest share.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the robot cannot do that: {}", self.reason())]
+#[error("the motion exceeds a limit of the robot: {}", self.reason())]
 pub struct Infeasible {
     /// The joint.
     pub joint: String,
-    /// Which limit.
+    /// Kind of the limit.
     pub limit: LimitKind,
-    /// What the motion needs, in SI units.
+    /// Required value, in SI units.
     pub value: f64,
     /// The limit.
     pub bound: f64,
-    /// When, seconds from the start of the motion.
+    /// Time from the start of the motion, seconds.
     pub at_s: f64,
     /// Whether the joint turns (radians, N·m) or slides (metres, N).
     pub turns: bool,
 }
 
-/// Times a limit beyond which a figure tells nothing but that the arm has lost a direction.
+/// Multiple of a limit that indicates a singular posture.
 const SINGULAR: f64 = 20.0;
 
 impl Infeasible {
@@ -87,8 +87,8 @@ impl Infeasible {
         let unit = unit(self.limit, self.turns);
         if self.limit != LimitKind::Position && value.abs() > SINGULAR * bound.abs() {
             format!(
-                "at {at_s:.3} s the arm is so near to a posture in which it cannot move the tool that way (stretched, or \
-                 folded) that {joint} would need more than {SINGULAR:.0} times its limit of {bound:.4} {unit}"
+                "at {at_s:.3} s the arm is close to a singular posture (stretched or folded): {joint} would need more than \
+                 {SINGULAR:.0} times its limit of {bound:.4} {unit}"
             )
         } else {
             format!("{joint} would need {value:.4} {unit} at {at_s:.3} s, its limit is {bound:.4}")
@@ -109,27 +109,27 @@ fn unit(limit: LimitKind, turns: bool) -> &'static str {
     }
 }
 
-/// The largest use that a motion makes of one kind of limit.
+/// The largest use of one kind of limit in a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Use {
-    /// Share of the limit in use; more than 1 is too much. For positions the share of the half range.
+    /// Share of the limit; more than 1 exceeds it. For positions the share of the half range.
     pub share: f64,
     /// Index of the joint.
     pub joint: usize,
-    /// What is needed there.
+    /// Value at that time.
     pub value: f64,
-    /// The limit there.
+    /// Limit of that joint.
     pub bound: f64,
-    /// When, seconds from the start.
+    /// Time from the start, seconds.
     pub at_s: f64,
 }
 
-/// The largest uses of positions, speeds, torques and changes of torque, in this order.
+/// The largest uses of position, speed, torque and torque-rate limits, in this order.
 pub type Uses = [(LimitKind, Use); 4];
 
 impl JointMotion {
-    /// How far the motion goes to the limits; `torque_rate` is the largest change of torque per second, without that
-    /// of Coulomb friction where a joint turns round (the joints' own controllers see to it).
+    /// Computes the uses of all limits; `torque_rate` is the largest change of torque per second. Steps of Coulomb friction
+    /// at a reversal do not count: the joint controllers compensate them.
     pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
         let mut meter = Meter::new(model, torque_rate, self.period_s);
         self.samples.iter().for_each(|s| meter.note(s));
@@ -139,20 +139,20 @@ impl JointMotion {
     /// Checks all limits.
     ///
     /// # Errors
-    /// [`Infeasible`]: the limit that is broken by the largest share.
+    /// [`Infeasible`] for the limit that is exceeded by the largest share.
     pub fn check(&self, model: &RobotModel, torque_rate: f64) -> Result<Uses, Infeasible> {
         within_limits(model, self.uses(model, torque_rate))
     }
 }
 
-/// The uses where all are within the limits.
+/// Returns the uses if all are within the limits.
 ///
 /// # Errors
-/// [`Infeasible`]: the limit that is broken by the largest share.
+/// [`Infeasible`] for the limit that is exceeded by the largest share.
 pub(crate) fn within_limits(model: &RobotModel, uses: Uses) -> Result<Uses, Infeasible> {
     let worst = uses.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
     match worst {
-        // NaN counts as broken.
+        // NaN exceeds the limit.
         Some((limit, u)) if u.share.is_nan() || u.share > 1.0 => {
             let joint = &model.joints()[u.joint];
             Err(Infeasible {
@@ -168,12 +168,12 @@ pub(crate) fn within_limits(model: &RobotModel, uses: Uses) -> Result<Uses, Infe
     }
 }
 
-/// The uses of a motion as it grows, sample by sample.
+/// Accumulates the uses of a motion sample by sample.
 pub(crate) struct Meter<'a> {
     model: &'a RobotModel,
     torque_rate: f64,
     period_s: f64,
-    /// Of the samples so far.
+    /// Uses of the samples so far.
     pub(crate) uses: Uses,
     count: usize,
     /// Torques of the last sample without Coulomb friction.
@@ -221,8 +221,8 @@ impl<'a> Meter<'a> {
     }
 }
 
-/// Torques of the motors for a motion: inverse dynamics and friction.
-pub fn motor_torques(
+/// Motor torques of a motion: inverse dynamics plus friction.
+pub(super) fn motor_torques(
     model: &RobotModel,
     q: &JointVector,
     qd: &JointVector,
@@ -237,42 +237,30 @@ pub fn motor_torques(
     tau
 }
 
-/// Share of the speed limits below which a joint is at rest, and how long that is waited for, seconds.
+/// Share of the speed limits below which a joint counts as at rest, and the longest wait for that, seconds.
 const STILL: f64 = 2e-4;
 pub(crate) const SETTLE_S: f64 = 2.0;
 
-/// The motion of the joints under operational-space control along `path`, on a robot that is exactly its model: from
-/// `q` at rest, near `posture` where the tool leaves it free, in steps of about `period_s` (adjusted to divide the
-/// duration), by the midpoint rule. After the path's end the tool rests, and the motion goes on until the joints do.
-pub fn roll_out(
+/// The motion of the joints under operational-space control along `path`, for a robot that matches its model exactly: from
+/// rest at `q`, which is also the null space's posture, in steps of about `period_s` (adjusted to divide the duration), by
+/// the midpoint rule. After the path's end the tool's reference is constant; the motion continues until the joints are at
+/// rest, for at most `settle_s` seconds.
+pub(crate) fn roll_out(
     model: &RobotModel,
     path: &dyn ToolPath,
     q: &[f64],
-    posture: &[f64],
-    gains: &OscConfig,
-    period_s: f64,
-) -> JointMotion {
-    follow(model, path, q, posture, gains, period_s, SETTLE_S)
-}
-
-/// [`roll_out`], which waits `settle_s` seconds at most for the joints to rest.
-pub(crate) fn follow(
-    model: &RobotModel,
-    path: &dyn ToolPath,
-    q: &[f64],
-    posture: &[f64],
     gains: &OscConfig,
     period_s: f64,
     settle_s: f64,
 ) -> JointMotion {
     let mut law = TaskLaw::default();
-    let mut following = Following::new(model, path, q, posture, gains, period_s, settle_s);
-    while following.advance(&mut law).is_some() {}
-    following.into_motion()
+    let mut rollout = StepwiseRollout::new(model, path, q, gains, period_s, settle_s);
+    while rollout.advance(&mut law).is_some() {}
+    rollout.into_motion()
 }
 
-/// [`follow`], sample by sample: what is not to be looked at to the end need not be worked out to the end.
-pub(crate) struct Following<'a, P: ToolPath + ?Sized> {
+/// [`roll_out`] sample by sample, so that a caller can stop early.
+pub(crate) struct StepwiseRollout<'a, P: ToolPath + ?Sized> {
     model: &'a RobotModel,
     path: &'a P,
     posture: JointVector,
@@ -281,18 +269,17 @@ pub(crate) struct Following<'a, P: ToolPath + ?Sized> {
     pub(crate) period_s: f64,
     steps: usize,
     longest: usize,
-    /// The last sample's state, moved on to where the next one is.
+    /// The state of the next sample.
     next: JointSample,
     samples: Vec<JointSample>,
     ended: bool,
 }
 
-impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
+impl<'a, P: ToolPath + ?Sized> StepwiseRollout<'a, P> {
     pub(crate) fn new(
         model: &'a RobotModel,
         path: &'a P,
         q: &[f64],
-        posture: &[f64],
         gains: &OscConfig,
         period_s: f64,
         settle_s: f64,
@@ -302,13 +289,12 @@ impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
         let steps = (duration / period_s).ceil().max(1.0);
         let h = duration / steps;
         let zero = [0.0; MAX_JOINTS];
-        let (mut rest, mut first) = (zero, zero);
-        rest[..n].copy_from_slice(posture);
+        let mut first = zero;
         first[..n].copy_from_slice(q);
         Self {
             model,
             path,
-            posture: rest,
+            posture: first,
             gains: OscConfig { friction_compensation: true, ..*gains },
             period_s: h,
             steps: steps as usize,
@@ -319,16 +305,17 @@ impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
         }
     }
 
-    /// Works out one more sample; `None` where the motion is over.
+    /// Computes the next sample; `None` after the end.
     pub(crate) fn advance(&mut self, law: &mut TaskLaw) -> Option<&JointSample> {
         if self.ended {
             return None;
         }
         let (n, h, k) = (self.model.dof(), self.period_s, self.samples.len());
-        let (model, rest, gains) = (self.model, &self.posture, &self.gains);
+        let (model, posture, gains) = (self.model, &self.posture, &self.gains);
+        let goal_at = |t: f64| TaskGoal { reference: self.path.at(t), posture, gains };
         let t = k as f64 * h;
         let s = &mut self.next;
-        s.qdd = law.torques(model, &s.q, &s.qd, &self.path.at(t), rest, gains, &mut s.tau);
+        s.qdd = law.torques(model, &s.q, &s.qd, &goal_at(t), &mut s.tau);
         self.samples.push(*s);
         let still = (0..n).all(|i| s.qd[i].abs() < STILL * model.joints[i].limits.velocity);
         self.ended = k >= self.longest || (k >= self.steps && still);
@@ -338,7 +325,7 @@ impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
                 q_mid[i] += 0.5 * h * s.qd[i];
                 v_mid[i] += 0.5 * h * s.qdd[i];
             }
-            let a_mid = law.accelerations(model, &q_mid, &v_mid, &self.path.at(t + 0.5 * h), rest, gains);
+            let a_mid = law.accelerations(model, &q_mid, &v_mid, &goal_at(t + 0.5 * h));
             for i in 0..n {
                 s.q[i] += h * v_mid[i];
                 s.qd[i] += h * a_mid[i];
@@ -347,109 +334,102 @@ impl<'a, P: ToolPath + ?Sized> Following<'a, P> {
         self.samples.last()
     }
 
-    /// Whether [`Self::advance`] has nothing left to do.
+    /// Whether the motion is complete.
     pub(crate) fn is_over(&self) -> bool {
         self.ended
     }
 
-    /// What was worked out.
+    /// The samples so far as a motion.
     pub(crate) fn into_motion(self) -> JointMotion {
         JointMotion { period_s: self.period_s, samples: self.samples }
     }
 }
 
-/// A motion from posture to posture, straight in joint space with minimum jerk, as fast as `share` of all limits of
-/// speed, torque and change of torque lets it be, but not faster than in `least_s` seconds. Where the arm's weight
-/// takes more torque than that share, a tenth of the limit is added to it.
-///
-/// # Errors
-/// [`Infeasible`] when a posture on the way cannot even be held.
-pub fn joint_move(
-    model: &RobotModel,
-    from: &[f64],
-    to: &[f64],
-    share: f64,
-    torque_rate: f64,
-    least_s: f64,
-    period_s: f64,
-    ws: &mut Workspace,
-) -> Result<JointMotion, Infeasible> {
-    // Largest speed of the minimum-jerk motion is 15/8 of the mean.
-    let fastest = model
-        .joints()
-        .iter()
-        .enumerate()
-        .map(|(i, j)| 1.875 * (to[i] - from[i]).abs() / (share * j.limits.velocity))
-        .fold(least_s, f64::max);
-    let mut duration = fastest.max(period_s);
-    // What it takes to hold the arm on the way cannot be saved by being slow.
-    let held = timed_move(model, from, to, 1e3, 20.0, ws).uses(model, torque_rate)[2].1.share;
-    let torque_share = share.max(held + 0.1).min(1.0);
-    // Slower motions need less torque: what speed adds falls with the square of the duration.
-    for _ in 0..40 {
-        let allowed = |uses: &Uses| {
-            uses[2].1.share <= torque_share && uses[3].1.share <= share && uses[1].1.share <= share * 1.001
-        };
-        // Given up at the first sample that uses more.
-        let (motion, uses) = timed_move_while(model, from, to, duration, period_s, torque_rate, &allowed, ws);
-        if allowed(&uses) {
-            return within_limits(model, uses).map(|_| motion);
+/// A point-to-point motion, straight in joint space with minimum jerk.
+#[derive(Clone, Copy)]
+pub(crate) struct JointMove<'a> {
+    pub(crate) from: &'a [f64],
+    pub(crate) to: &'a [f64],
+    /// Share of the limits of speed, torque and torque rate that the motion may use.
+    pub(crate) limit_share: f64,
+    /// Largest change of a torque per second.
+    pub(crate) torque_rate: f64,
+    /// Shortest duration, seconds.
+    pub(crate) min_duration_s: f64,
+    /// Time between samples, seconds.
+    pub(crate) period_s: f64,
+}
+
+impl JointMove<'_> {
+    /// Plans the fastest motion within the share of the limits. Where holding the arm's weight takes more torque than that
+    /// share, a tenth of the torque limit is added to the holding torque.
+    ///
+    /// # Errors
+    /// [`Infeasible`] when a posture on the way cannot even be held.
+    pub(crate) fn plan(&self, model: &RobotModel, ws: &mut Workspace) -> Result<JointMotion, Infeasible> {
+        let Self { from, to, limit_share: share, torque_rate, period_s, .. } = *self;
+        // The largest speed of the minimum-jerk motion is 15/8 of the mean.
+        let fastest = model
+            .joints()
+            .iter()
+            .enumerate()
+            .map(|(i, j)| 1.875 * (to[i] - from[i]).abs() / (share * j.limits.velocity))
+            .fold(self.min_duration_s, f64::max);
+        let mut duration = fastest.max(period_s);
+        // The torque that holds the arm does not depend on the speed.
+        let held = Self { period_s: 20.0, ..*self }.timed(model, 1e3, ws).uses(model, torque_rate)[2].1.share;
+        let torque_share = share.max(held + 0.1).min(1.0);
+        // Slower motions need less torque: the part due to speed falls with the square of the duration.
+        for _ in 0..40 {
+            let allowed = |uses: &Uses| {
+                uses[2].1.share <= torque_share
+                    && uses[3].1.share <= share
+                    && uses[1].1.share <= share * 1.001
+            };
+            let (motion, uses) = self.timed_while(model, duration, &allowed, ws);
+            if allowed(&uses) {
+                return within_limits(model, uses).map(|_| motion);
+            }
+            duration *= 1.15;
         }
-        duration *= 1.15;
+        let motion = self.timed(model, duration, ws);
+        motion.check(model, torque_rate).map(|_| motion)
     }
-    let motion = timed_move(model, from, to, duration, period_s, ws);
-    motion.check(model, torque_rate).map(|_| motion)
-}
 
-fn timed_move(
-    model: &RobotModel,
-    from: &[f64],
-    to: &[f64],
-    duration: f64,
-    period_s: f64,
-    ws: &mut Workspace,
-) -> JointMotion {
-    timed_move_while(model, from, to, duration, period_s, f64::INFINITY, &|_| true, ws).0
-}
-
-/// [`timed_move`] as far as the uses of all samples so far are `allowed`, with the uses: a motion that is not allowed to its
-/// end ends at the first sample at which it is not.
-fn timed_move_while(
-    model: &RobotModel,
-    from: &[f64],
-    to: &[f64],
-    duration: f64,
-    period_s: f64,
-    torque_rate: f64,
-    allowed: &dyn Fn(&Uses) -> bool,
-    ws: &mut Workspace,
-) -> (JointMotion, Uses) {
-    let steps = (duration / period_s).ceil().max(1.0);
-    let h = duration / steps;
-    let mut meter = Meter::new(model, torque_rate, h);
-    let mut samples = Vec::with_capacity(steps as usize + 1);
-    for k in 0..=steps as usize {
-        let [p, v, a] = minimum_jerk(k as f64 * h, duration);
-        let zero = [0.0; MAX_JOINTS];
-        let mut s = JointSample { q: zero, qd: zero, qdd: zero, tau: zero };
-        for i in 0..model.dof() {
-            let by = to[i] - from[i];
-            s.q[i] = from[i] + p * by;
-            s.qd[i] = v * by;
-            s.qdd[i] = a * by;
-        }
-        s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
-        meter.note(&s);
-        samples.push(s);
-        if !allowed(&meter.uses) {
-            break;
-        }
+    /// The motion of this duration, seconds.
+    fn timed(&self, model: &RobotModel, duration: f64, ws: &mut Workspace) -> JointMotion {
+        self.timed_while(model, duration, &|_| true, ws).0
     }
-    (JointMotion { period_s: h, samples }, meter.uses)
-}
 
-/// The reference of a robot that stands still with its tool where it is.
-pub fn hold_reference(model: &RobotModel, q: &[f64], ws: &mut Workspace) -> ToolReference {
-    model.forward_kinematics(q, ws);
-    ToolReference::at_rest(model.frame_pose(model.tool(), ws))
+    /// The motion of this duration with its uses, cut after the first sample at which the uses so far are not `allowed`.
+    fn timed_while(
+        &self,
+        model: &RobotModel,
+        duration: f64,
+        allowed: &dyn Fn(&Uses) -> bool,
+        ws: &mut Workspace,
+    ) -> (JointMotion, Uses) {
+        let steps = (duration / self.period_s).ceil().max(1.0);
+        let h = duration / steps;
+        let mut meter = Meter::new(model, self.torque_rate, h);
+        let mut samples = Vec::with_capacity(steps as usize + 1);
+        for k in 0..=steps as usize {
+            let [p, v, a] = minimum_jerk(k as f64 * h, duration);
+            let zero = [0.0; MAX_JOINTS];
+            let mut s = JointSample { q: zero, qd: zero, qdd: zero, tau: zero };
+            for i in 0..model.dof() {
+                let by = self.to[i] - self.from[i];
+                s.q[i] = self.from[i] + p * by;
+                s.qd[i] = v * by;
+                s.qdd[i] = a * by;
+            }
+            s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
+            meter.note(&s);
+            samples.push(s);
+            if !allowed(&meter.uses) {
+                break;
+            }
+        }
+        (JointMotion { period_s: h, samples }, meter.uses)
+    }
 }

@@ -1,4 +1,4 @@
-//! Postures for a strike: all ways to put the tool at the contact, and how much of the arm's limits each would use.
+//! Postures at the contact of a strike, and the share of the arm's limits that each uses.
 
 use crate::arm::dynamics::ik::{IkConfig, IkTarget, Unreachable};
 use crate::arm::dynamics::linalg::MAX_JOINTS;
@@ -8,15 +8,16 @@ use crate::arm::strike::sweep::Sweep;
 use glamx::DVec3;
 use sms_core::Cholesky;
 
-/// Steps along a family of postures: the largest change of a joint, radians or metres, and the most steps to a side.
+/// Continuation along a family of postures: the largest joint change per step, radians or metres, and the largest number of
+/// steps in each direction.
 const STRIDE: f64 = 0.15;
 const MOST_STEPS: usize = 48;
 
-/// Postures nearer than this to one that is known belong to its family, radians or metres.
+/// Distance below which two postures belong to one family, radians or metres.
 const SAME: f64 = 0.2;
 
-/// Postures that put the tool at `target`: those of inverse kinematics, and what is reached from them by moving the
-/// joints without moving the tool (a redundant arm's elbow), to both sides up to the limits.
+/// Postures that put the tool at `target`: the solutions of inverse kinematics, and their families under self-motion (a
+/// redundant arm's elbow), followed in both directions up to the limits.
 ///
 /// # Errors
 /// [`Unreachable`] when there is none.
@@ -58,8 +59,8 @@ pub(crate) fn postures(
     Ok(all)
 }
 
-/// The direction of joint motion that leaves the tool where it is, largest entry 1, nearest to `before` where that is
-/// given. `None` when there is none.
+/// The null-space direction of the tool's Jacobian with largest entry 1, nearest to `before` if given. `None` without a
+/// null space.
 fn idle_direction(
     model: &RobotModel,
     q: &[f64],
@@ -96,7 +97,7 @@ fn idle_direction(
     Some(idle)
 }
 
-/// The joint speeds that move the tool as asked with the least Σ (q̇ᵢ²/wᵢ).
+/// The joint speeds with least Σ (q̇ᵢ²/wᵢ) that give the tool the velocities `v` and `w`.
 fn pull_back(jacobian: &Jacobian, weight: &JointVector, v: DVec3, w: DVec3) -> Option<JointVector> {
     let n = jacobian.dof;
     let mut gram = [[0.0; 6]; 6];
@@ -115,7 +116,7 @@ fn pull_back(jacobian: &Jacobian, weight: &JointVector, v: DVec3, w: DVec3) -> O
     Some(qd)
 }
 
-/// The joint speeds that move the tool as asked with the least squares of the shares of the speed limits.
+/// The joint speeds for given tool velocities with the least sum of squared shares of the speed limits.
 pub(crate) fn easiest_speeds(
     model: &RobotModel,
     jacobian: &Jacobian,
@@ -129,8 +130,8 @@ pub(crate) fn easiest_speeds(
     pull_back(jacobian, &weight, v, w)
 }
 
-/// The largest share of a limit that a posture uses at the contact of a sweep, where the tool is fastest: of a position
-/// (0 in the middle of the range) or of a speed.
+/// The largest share of a position limit (0 in the middle of the range) or speed limit that a posture uses at the contact of
+/// a sweep, where the tool is fastest.
 pub(crate) fn strain(model: &RobotModel, sweep: &Sweep, q: &[f64], ws: &mut Workspace) -> f64 {
     let mut jacobian = Jacobian::default();
     model.forward_kinematics(q, ws);

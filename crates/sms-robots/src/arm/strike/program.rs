@@ -1,4 +1,4 @@
-//! The motion of a strike as a table that a robot's own program replays, in JSON and Parquet.
+//! A strike as a joint trajectory for a robot's own program, in JSON and Parquet.
 
 use crate::arm::control::osc::joint_friction;
 use crate::arm::dynamics::workspace::Workspace;
@@ -12,19 +12,19 @@ use sms_core::table::{Column, write_table};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
 
-/// What a program says of itself that no check has looked at.
+/// The failed check of an unchecked program.
 const NOT_CHECKED: &str = "nothing was checked";
 
-/// Version of the files.
-pub const PROGRAM_VERSION: u32 = 1;
+/// Version of the format.
+pub(super) const PROGRAM_VERSION: u32 = 1;
 
-/// One row of a [`JointProgram`]; vectors have one entry for each joint.
+/// One row of a [`JointProgram`]; vectors have one entry per joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProgramPoint {
     /// Seconds from the start.
     pub time_s: f64,
-    /// What this part of the motion is for.
+    /// Phase of the motion.
     pub phase: Phase,
     /// Positions, rad (m).
     pub q: Vec<f64>,
@@ -32,8 +32,8 @@ pub struct ProgramPoint {
     pub qd: Vec<f64>,
     /// Torques of the motors with gravity and friction, N·m (N).
     pub tau: Vec<f64>,
-    /// The part that has to be sent to a robot whose joints control the torque behind the gear and compensate gravity
-    /// and friction themselves: M q̈ + C q̇ without the rotors' inertia. libfranka's `Torques` are of this kind.
+    /// Command for a robot whose joints control the torque behind the gear and compensate gravity and friction themselves:
+    /// M q̈ + C q̇ without rotor inertia, as libfranka's `Torques`.
     pub tau_command: Vec<f64>,
     /// Position of the tool in the world, metres.
     pub tool_position_w: [f64; 3],
@@ -41,17 +41,17 @@ pub struct ProgramPoint {
     pub tool_quaternion_w: [f64; 4],
 }
 
-/// A motion of the robot's joints at a fixed rate, from rest to rest.
+/// A joint motion at a fixed rate, from rest to rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointProgram {
-    /// [`PROGRAM_VERSION`].
+    /// Version of the format.
     pub version: u32,
     /// Name of the robot.
     pub robot: String,
     /// Names of the joints, in the order of all vectors.
     pub joints: Vec<String>,
-    /// Link whose pose is given.
+    /// Link of the tool's pose.
     pub tool: String,
     /// Pose of the robot's base in the world: position, metres.
     pub base_position_w: [f64; 3],
@@ -59,14 +59,14 @@ pub struct JointProgram {
     pub base_quaternion_w: [f64; 4],
     /// Time between points, seconds.
     pub period_s: f64,
-    /// When the tool is at the contact, seconds.
+    /// Time of the contact, seconds.
     pub contact_s: f64,
-    /// Asked speed of the tool at the contact, m/s.
+    /// Requested speed of the tool at the contact, m/s.
     pub contact_speed: f64,
-    /// Whether every check of [`crate::check_strike`] passed. What says nothing of it is not executable.
+    /// Whether every check of [`crate::check_strike`] passed; false if absent.
     #[serde(default)]
     pub executable: bool,
-    /// The checks that did not pass, in words.
+    /// Descriptions of the failed checks.
     #[serde(default)]
     pub failed_checks: Vec<String>,
     /// The points.
@@ -74,7 +74,7 @@ pub struct JointProgram {
 }
 
 impl JointProgram {
-    /// The program of a strike, one point every `period_s` seconds; not executable until it is [`Self::checked`].
+    /// Samples a strike every `period_s` seconds. The program is not executable until [`Self::checked`].
     pub fn of_strike(model: &RobotModel, plan: &StrikePlan, period_s: f64, ws: &mut Workspace) -> Self {
         let n = model.dof();
         let total: f64 = plan.phases.iter().map(|(_, m)| m.duration_s()).sum();
@@ -89,7 +89,7 @@ impl JointProgram {
                 };
                 let mut gravity = [0.0; crate::MAX_JOINTS];
                 model.gravity_torques(&s.q, ws, &mut gravity);
-                // Gravity's pass leaves the placement of all joints.
+                // `gravity_torques` has computed the forward kinematics.
                 let x_wt = model.frame_pose(model.tool(), ws);
                 ProgramPoint {
                     time_s,
@@ -121,7 +121,7 @@ impl JointProgram {
         }
     }
 
-    /// The same program, marked with what its check found.
+    /// Returns the program with the result of its checks.
     pub fn checked(self, check: &StrikeCheck) -> Self {
         let failed_checks = check.failed().map(|i| i.detail.clone()).collect();
         Self { executable: check.executable(), failed_checks, ..self }
@@ -140,10 +140,10 @@ impl JointProgram {
         atomic::write_json(path, self)
     }
 
-    /// Reads what [`Self::write_json`] wrote.
+    /// Reads a file of [`Self::write_json`].
     ///
     /// # Errors
-    /// [`CoreError`] when the file is missing, is no such program, or holds vectors of the wrong length.
+    /// [`CoreError`] when the file is missing, is not a program, or has vectors of the wrong length.
     pub fn read_json(path: &Path) -> Result<Self, CoreError> {
         let program: Self = atomic::read_json(path)?;
         let n = program.joints.len();
@@ -155,9 +155,9 @@ impl JointProgram {
         Ok(program)
     }
 
-    /// Writes one row for each point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each joint `q_NAME`, `qd_NAME`,
-    /// `tau_NAME`, `tau_command_NAME`, and the tool's `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw`; units as in
-    /// [`ProgramPoint`].
+    /// Writes one row per point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each joint
+    /// `q_NAME`, `qd_NAME`, `tau_NAME`, `tau_command_NAME`, and the tool's `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw`; units as
+    /// in JSON.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -188,7 +188,7 @@ impl JointProgram {
 }
 
 impl Phase {
-    /// The name in files.
+    /// The phase's name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Approach => "approach",
@@ -205,8 +205,8 @@ impl StrikePlan {
         self.phases.iter().map(|(_, m)| m.duration_s()).sum()
     }
 
-    /// Phase and joints at `time_s` seconds from the start of the approach, between samples by a cubic whose ends have
-    /// their positions and speeds; torques are those of that motion.
+    /// Returns phase and joint state at `time_s` seconds from the start of the approach. Between samples the positions are cubic
+    /// Hermite interpolants, and the torques those of the interpolated motion.
     pub fn at(&self, model: &RobotModel, time_s: f64, ws: &mut Workspace) -> (Phase, JointSample) {
         let mut rest = time_s.max(0.0);
         let last = self.phases.len() - 1;

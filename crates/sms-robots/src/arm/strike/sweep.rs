@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Length of each of the two segments of a sweep, metres.
 pub const SEGMENT_M: f64 = 0.1;
 
-/// Where the tool should be, how fast, and how fast that changes, in the world.
+/// Reference of the tool at one time, in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolReference {
     /// Pose `X_WT`.
@@ -23,59 +23,58 @@ pub struct ToolReference {
 }
 
 impl ToolReference {
-    /// Standing still.
+    /// The reference of a resting tool.
     pub fn at_rest(x_wt: DPose3) -> Self {
         Self { x_wt, v_w: DVec3::ZERO, w_w: DVec3::ZERO, a_w: DVec3::ZERO, alpha_w: DVec3::ZERO }
     }
 }
 
-/// A motion of the tool in time, without turning.
+/// A tool motion without rotation.
 pub trait ToolPath {
     /// Duration, seconds.
     fn duration_s(&self) -> f64;
-    /// The reference at `t` seconds; before the start and after the end the tool rests.
+    /// The reference at `t` seconds; the tool is at rest before the start and after the end.
     fn at(&self, t: f64) -> ToolReference;
-    /// The reference for a controller whose torques are held from `t` for `period_s` seconds: pose and velocity of now,
-    /// acceleration of the middle of the period.
+    /// The reference for a controller that holds its torques from `t` for `period_s` seconds: pose and velocity at `t`,
+    /// acceleration at the middle of the period.
     fn held(&self, t: f64, period_s: f64) -> ToolReference {
         let ahead = self.at(t + 0.5 * period_s);
         ToolReference { a_w: ahead.a_w, alpha_w: ahead.alpha_w, ..self.at(t) }
     }
 }
 
-/// How the speed of a sweep rises and falls. Both need the same time for the same distance and speed.
+/// Speed profile of a sweep. Both take the same time for the same distance and speed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SweepProfile {
-    /// In each segment the acceleration rises over the first two fifths, stays, and falls over the last two: none at
-    /// the start, at the contact and at the end, so that torques do not jump and small errors of timing do not change
-    /// the speed at the contact. Its largest acceleration is 5/3 of the uniform one's.
+    /// In each segment the acceleration rises over the first two fifths, is constant, and falls over the last two. It is
+    /// zero at the start, contact and end, so that torques are continuous and timing errors hardly change the contact speed.
+    /// Its peak is 5/3 of the uniform acceleration.
     #[default]
     Smooth,
-    /// Uniform acceleration, then uniform deceleration; torques would have to jump at the start, contact and end.
+    /// Uniform acceleration, then uniform deceleration; torques jump at the start, contact and end.
     Uniform,
 }
 
-/// A strike: the tool, at rest 0.1 m before the place where it should be at the contact, reaches `speed` there and comes
-/// to rest 0.1 m beyond it, on a straight line, without turning.
+/// A strike: from rest 0.1 m before the contact, the tool reaches `speed` at the contact and comes to rest 0.1 m beyond it,
+/// on a straight line, without rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Sweep {
-    /// Where the tool's origin is at the contact, metres in the world.
+    /// Position of the tool's origin at the contact, metres in the world.
     pub contact_w: DVec3,
     /// Direction of the sweep, a unit vector in the world.
     pub direction_w: DVec3,
-    /// Up: the tool's z axis, made square to the direction.
+    /// Up direction: the tool's z axis after orthogonalization against the direction.
     pub up_w: DVec3,
     /// Speed at the contact, m/s.
     pub speed: f64,
-    /// Rise and fall of the speed.
+    /// Speed profile.
     pub profile: SweepProfile,
 }
 
 impl Sweep {
-    /// The strike of a ball of `radius` whose centre is believed to be at `center_w`, along (cos `angle`, sin `angle`, 0):
-    /// the front of a tool that reaches `front_m` beyond its origin (for the FR3's fist [`crate::FIST_HALF`]`.x`)
-    /// touches the ball at `speed`.
+    /// The strike of a ball of `radius` with its estimated centre at `center_w`, along (cos `angle`, sin `angle`, 0). The front
+    /// of the tool, `front_m` ahead of its origin (for the FR3's fist [`crate::FIST_HALF`]`.x`), touches the ball at `speed`.
     pub fn of_ball(center_w: DVec3, radius: f64, angle: f64, speed: f64, front_m: f64) -> Self {
         let direction_w = DVec3::new(angle.cos(), angle.sin(), 0.0);
         Self {
@@ -87,7 +86,7 @@ impl Sweep {
         }
     }
 
-    /// When the tool is at the contact, seconds from the start.
+    /// Time of the contact, seconds from the start.
     pub fn contact_s(&self) -> f64 {
         2.0 * SEGMENT_M / self.speed
     }
@@ -99,12 +98,6 @@ impl Sweep {
         DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z))
     }
 
-    /// The same motion with the tool turned by half a turn about its z axis: its other side is in front. For a tool
-    /// that is symmetric (a fist) both are the same strike.
-    pub fn reversed_rotation_w(&self) -> DQuat {
-        self.rotation_w() * DQuat::from_rotation_z(std::f64::consts::PI)
-    }
-
     /// Distance from the start, speed and acceleration along the sweep at `t` seconds.
     pub fn travel_at(&self, t: f64) -> (f64, f64, f64) {
         let (v, half) = (self.speed, self.contact_s());
@@ -114,7 +107,7 @@ impl Sweep {
         if t >= 2.0 * half {
             return (2.0 * SEGMENT_M, 0.0, 0.0);
         }
-        // The fall is the rise run backwards.
+        // The deceleration mirrors the acceleration.
         let rising = t < half;
         let s = if rising { t / half } else { 2.0 - t / half };
         let (distance, speed, acceleration) = match self.profile {
@@ -131,7 +124,7 @@ impl Sweep {
         }
     }
 
-    /// The motion with a given attitude of the tool ([`Self::rotation_w`] or [`Self::reversed_rotation_w`]).
+    /// Returns the tool's motion with a given attitude, such as [`Self::rotation_w`].
     pub fn path(&self, rotation_w: DQuat) -> SweepPath {
         SweepPath { sweep: *self, rotation_w }
     }
@@ -159,7 +152,7 @@ impl ToolPath for SweepPath {
     }
 }
 
-/// Distance, speed and acceleration of a rise of the speed from 0 to 1 in unit time, whose acceleration is a trapezoid.
+/// Distance, speed and acceleration of a speed rise from 0 to 1 in unit time with a trapezoidal acceleration.
 fn smooth_rise(s: f64) -> [f64; 3] {
     const RAMP: f64 = 0.4;
     let peak = 1.0 / (1.0 - RAMP);
@@ -177,9 +170,9 @@ fn smooth_rise(s: f64) -> [f64; 3] {
     }
 }
 
-/// A straight line between two points, at rest at both, with the smoothest rise of speed (minimum jerk).
+/// A straight line between two resting poses with minimum jerk.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinePath {
+pub(crate) struct LinePath {
     /// Pose at the start.
     pub start: DPose3,
     /// Displacement, metres in the world.
@@ -202,7 +195,7 @@ impl ToolPath for LinePath {
 
 /// Share of the way, its first and second derivative at `t` of a rest-to-rest motion over `duration_s` seconds:
 /// 10 s³ − 15 s⁴ + 6 s⁵ (Flash and Hogan 1985).
-pub fn minimum_jerk(t: f64, duration_s: f64) -> [f64; 3] {
+pub(crate) fn minimum_jerk(t: f64, duration_s: f64) -> [f64; 3] {
     let s = (t / duration_s).clamp(0.0, 1.0);
     let rest = s <= 0.0 || s >= 1.0;
     [

@@ -1,46 +1,47 @@
-//! From an asked strike to a sweep that the arm can make, or the reason why there is none.
+//! Planning of a sweep within the arm's limits.
 
 use crate::arm::control::osc::{Osc, OscConfig, TaskLaw};
-use crate::arm::dynamics::ik::{IkConfig, IkTarget, Unreachable};
+use crate::arm::dynamics::ik::{IkConfig, IkTarget, LENGTH_M, Unreachable};
 use crate::arm::dynamics::linalg::MAX_JOINTS;
 use crate::arm::dynamics::workspace::Workspace;
 use crate::arm::model::RobotModel;
 use crate::arm::shape::{Clearance, Obstacle};
 use crate::arm::strike::approach::Phase;
-use crate::arm::strike::followed::Followed;
 use crate::arm::strike::hold::{Hold, groups, tool_blocked};
-use crate::arm::strike::motion::{Infeasible, JointMotion, LimitKind, Uses, follow};
+use crate::arm::strike::motion::{Infeasible, JointMotion, LimitKind, Uses, roll_out};
+use crate::arm::strike::obstruction::ClearanceCheck;
 use crate::arm::strike::posture::{postures, strain};
 use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
+use crate::arm::strike::sweep_candidate::SweepCandidate;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Settings of the search for a strike's motion.
+/// Settings of the strike planner.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StrikeConfig {
-    /// The controller that executes it; its gains also shape the motion in the null space.
+    /// The controller of the sweep; its gains also shape the null-space motion.
     pub osc: OscConfig,
-    /// Inverse kinematics of the posture at the contact; arms of six joints or fewer get eight times as many starts.
+    /// Inverse kinematics at the contact; arms of six joints or fewer get eight times as many starts.
     pub ik: IkConfig,
-    /// How many postures are followed through the sweep.
+    /// Number of postures whose sweep is computed.
     pub candidates: usize,
-    /// Whether the tool may be turned about its z axis: by half a turn, and, where it may be `turned`, by a quarter.
+    /// Whether the tool may be rotated about its z axis: by half a turn, and with `turned_tool` by a quarter.
     pub symmetric_tool: bool,
-    /// Whether the tool may be held otherwise than upright where it cannot pass upright: leaned to a side.
+    /// Whether the tool may lean to a side if it cannot pass upright.
     pub turned_tool: bool,
-    /// Half extents of the box about the tool's origin that strikes, in the tool's frame, metres. Sweeps are those of the
-    /// front face, `x` ahead of the origin.
+    /// Half extents of the striking box about the tool's origin, in the tool's frame, metres. Its front face, `x` ahead of
+    /// the origin, makes the contact.
     pub half_m: DVec3,
-    /// Whether that box is looked at beside the shapes of the robot's links. Those of the FR3's fist are among them.
+    /// Whether that box is checked for collisions besides the link shapes; the FR3's shapes include its fist.
     pub box_is_checked: bool,
-    /// Distance that links keep from each other and from obstacles, metres.
+    /// Clearance between links and to obstacles, metres.
     pub clearance_m: f64,
-    /// Height from which the tool comes down to the start, and to which it is lifted after the sweep, metres.
+    /// Height of the descent before the sweep and of the lift after it, metres.
     pub approach_height_m: f64,
-    /// Share of the limits of speed and torque that the approach uses.
+    /// Share of the speed and torque limits that the approach may use.
     pub approach_share: f64,
-    /// Time between samples of the motions, seconds; a program interpolates between them.
+    /// Time between samples of a motion, seconds; a program interpolates between them.
     pub period_s: f64,
 }
 
@@ -62,51 +63,51 @@ impl Default for StrikeConfig {
     }
 }
 
-/// How many times `candidates` postures are followed at most, where the first can make the sweep but not come to its start.
+/// Largest number of rounds of `candidates` postures, while sweeps are feasible but their start is not reachable.
 const MOST_ROUNDS: usize = 3;
 
-/// A sweep that uses less than this share of every limit in coarse steps stays within them in fine ones.
+/// A sweep that uses less than this share of every limit in coarse steps stays within them in fine steps.
 pub(crate) const COARSE_ENOUGH: f64 = 0.8;
 
-/// How far the wrist moves at most when the tool is held otherwise, metres.
+/// Largest distance that another hold moves the wrist, metres.
 const HOLD_REACH_M: f64 = 0.15;
 
 /// Why a strike cannot be executed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StrikeError {
-    /// No posture puts the tool at the contact, or at the start of the sweep.
+    /// No posture reaches the contact, or the start of the sweep.
     #[error(transparent)]
     Unreachable(#[from] Unreachable),
-    /// The sweep breaks a limit in every posture that was followed.
+    /// The sweep exceeds a limit in every posture.
     #[error(transparent)]
     Infeasible(#[from] Infeasible),
-    /// There is no such strike.
-    #[error("this strike cannot be: {what}")]
+    /// The request is invalid.
+    #[error("the strike is invalid: {what}")]
     Invalid {
-        /// What is wrong.
+        /// The fault.
         what: String,
     },
-    /// Something is in the way in every posture that keeps the limits.
+    /// An obstacle blocks the sweep in every posture that stays within the limits.
     #[error("the robot's {} would come within {:.1} mm of {} at {at_s:.3} s of the sweep", .clearance.link, 1e3 * .clearance.distance_m, .clearance.other)]
     Blocked {
-        /// What comes near what.
+        /// The pair that comes too near.
         clearance: Clearance,
-        /// When, seconds from the start of the sweep.
+        /// Time from the start of the sweep, seconds.
         at_s: f64,
     },
-    /// The sweep could be made, but something is in the way to its start in every posture that can make it.
+    /// The sweep is feasible, but the way to its start is blocked in every feasible posture.
     #[error("the robot's {} would come within {:.1} mm of {} in the {} before the sweep", .clearance.link, 1e3 * .clearance.distance_m, .clearance.other, .phase.name())]
     Unstartable {
-        /// What comes near what.
+        /// The pair that comes too near.
         clearance: Clearance,
-        /// On which part of the way.
+        /// Phase of the collision.
         phase: Phase,
     },
 }
 
 impl StrikeError {
-    /// Whether a tool that is held otherwise might do what this one cannot: speeds and torques hardly depend on how it is
-    /// held, nor does what is far out of reach.
+    /// Whether another hold of the tool may succeed. Speeds and torques hardly depend on the hold, and neither does a target
+    /// far out of reach.
     fn depends_on_the_hold(&self) -> bool {
         match self {
             Self::Unreachable(e) => e.position_error_m < HOLD_REACH_M,
@@ -116,7 +117,7 @@ impl StrikeError {
         }
     }
 
-    /// The reason without figures, for counting.
+    /// The reason without numbers, for counting.
     pub fn reason(&self) -> String {
         match self {
             Self::Unreachable(_) => "no posture reaches it".to_owned(),
@@ -139,13 +140,13 @@ impl StrikeError {
         }
     }
 
-    /// What to do about it, in words.
+    /// The remedy.
     pub fn cure(&self) -> &'static str {
         match self {
             Self::Unreachable(_) => {
-                "place the robot nearer or turned otherwise (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
+                "move or rotate the robot's base so that the strike is within reach (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
             }
-            // No slower strike keeps a joint from its end.
+            // A slower strike does not help against a position limit.
             Self::Infeasible(e) if e.limit == LimitKind::Position => {
                 "place the robot so that the strike is nearer to the middle of its reach, 0.4 to 0.6 m in front of it \
                  (`x_world_robot` or `x_recording_robot` of [robot], or --at)"
@@ -155,31 +156,30 @@ impl StrikeError {
                  away from it (`x_world_robot` of [robot], or --at)"
             }
             Self::Blocked { .. } => {
-                "place the robot on another side of the struck body (`x_world_robot` of [robot], or --at), or take away what \
-                 stands beside that; all holds of the tool were tried (docs/robot.md, \"The strike\")"
+                "place the robot on another side of the struck body (`x_world_robot` of [robot], or --at), or remove the \
+                 obstacles beside it; all holds of the tool were tried (docs/robot.md, \"The strike\")"
             }
             Self::Unstartable { .. } => {
                 "place the robot 0.1 to 0.2 m further away from the struck body (`x_world_robot` of [robot], or --at), or \
-                 take away what stands between; all postures and holds of the tool were tried (docs/robot.md, \"The strike\")"
+                 remove the obstacles between; all postures and holds of the tool were tried (docs/robot.md, \"The strike\")"
             }
             Self::Invalid { .. } => "check the task's action and the settings of [robot]",
         }
     }
 }
 
-/// A sweep that the arm can make.
+/// A feasible sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepPlan {
-    /// The sweep asked for; of a tool that is held otherwise than upright, moved so that the side in front touches in the
-    /// same place.
+    /// The requested sweep. For a hold other than upright it is shifted so that the side in front touches at the same place.
     pub sweep: Sweep,
     /// Attitude of the tool.
     pub rotation_w: DQuat,
-    /// Posture at the start; also the posture that the null space is drawn to.
+    /// Posture at the start, also the null-space posture.
     pub q_start: Vec<f64>,
-    /// The joints' motion through the sweep; in a [`crate::StrikePlan`] also the rest after it, until all joints stand still.
+    /// Joint motion of the sweep; in a [`crate::StrikePlan`] also the settling after it, until all joints are at rest.
     pub motion: JointMotion,
-    /// How far it goes to the limits.
+    /// Uses of the limits.
     pub uses: Uses,
 }
 
@@ -189,7 +189,7 @@ impl SweepPlan {
         self.sweep.path(self.rotation_w)
     }
 
-    /// The controller for the sweep, taking over from a robot that stands at the start.
+    /// Returns the controller of the sweep for a robot at rest at its start.
     pub fn controller(&self, model: &RobotModel, config: &OscConfig, ws: &mut Workspace) -> Osc {
         let mut hold = [0.0; MAX_JOINTS];
         model.gravity_torques(&self.q_start, ws, &mut hold);
@@ -197,14 +197,13 @@ impl SweepPlan {
     }
 }
 
-/// Finds a posture and the joints' motion for a sweep: postures at the contact from inverse kinematics, each followed
-/// from the start to the end by the controller's law; the one that stays farthest from all limits is taken. Where the tool
-/// cannot be held upright, because the hand would meet something or a joint its end, it is turned by a quarter or leaned
-/// to a side ([`Hold`]).
+/// Plans the joint motion of a sweep. Postures at the contact come from inverse kinematics; from each, the controller's law
+/// is integrated from start to end, and the motion farthest from all limits is taken. If the upright tool fails because of a
+/// collision or a position limit, the tool is rotated by a quarter turn or leaned to a side.
 ///
 /// # Errors
-/// [`StrikeError`] with the reason for the posture that came nearest to being executable, of the tool held upright; or of a
-/// hold that met nothing but a limit that no hold avoids.
+/// [`StrikeError`] of the posture that came nearest to success with the upright tool, or of a hold that failed only at a
+/// limit that no hold avoids.
 pub fn plan_sweep(
     model: &RobotModel,
     sweep: &Sweep,
@@ -212,30 +211,51 @@ pub fn plan_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    plan_sweep_where(model, sweep, obstacles, config, None, ws)
+    plan_sweep_where(&StrikeProblem { model, sweep, obstacles, config }, None, ws)
 }
 
-/// Says of a sweep that the arm can make whether it may be taken, or why not.
-pub(crate) type May<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<(), StrikeError>;
+/// A strike to plan.
+#[derive(Clone, Copy)]
+pub(crate) struct StrikeProblem<'a> {
+    pub(crate) model: &'a RobotModel,
+    /// The sweep of a tool that is held upright.
+    pub(crate) sweep: &'a Sweep,
+    pub(crate) obstacles: &'a [Obstacle],
+    pub(crate) config: &'a StrikeConfig,
+}
 
-/// [`plan_sweep`] that passes over sweeps which `may` refuses, as it does over those that break a limit: other postures and
-/// other holds are tried. With `may`, the motion of a sweep that stays far from all limits is that of coarse steps.
+impl<'a> StrikeProblem<'a> {
+    /// The clearance check of motions, with postures at most `interval_s` seconds apart.
+    pub(crate) fn clearance_check(&self, interval_s: f64, with_struck: bool) -> ClearanceCheck<'a> {
+        let (obstacles, clearance_m) = (self.obstacles, self.config.clearance_m);
+        ClearanceCheck { obstacles, with_struck, clearance_m, interval_s }
+    }
+
+    /// The clearance check of a sweep.
+    pub(crate) fn sweep_check(&self) -> ClearanceCheck<'a> {
+        self.clearance_check(0.1, false)
+    }
+}
+
+/// Accepts a feasible sweep, or returns the reason to refuse it.
+pub(crate) type Accept<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<(), StrikeError>;
+
+/// [`plan_sweep`] that skips sweeps which `accept` refuses, as it skips those that break a limit, and tries other postures
+/// and holds. With `accept`, a sweep that stays far from all limits keeps its motion of coarse steps.
 pub(crate) fn plan_sweep_where(
-    model: &RobotModel,
-    sweep: &Sweep,
-    obstacles: &[Obstacle],
-    config: &StrikeConfig,
-    may: Option<May<'_>>,
+    problem: &StrikeProblem<'_>,
+    accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    refuse_nonsense(sweep, config)?;
+    let config = problem.config;
+    refuse_nonsense(problem.sweep, config)?;
     let mut upright: Option<StrikeError> = None;
-    // There are many others: less is spent on each.
+    // There are many other holds: spends less on each.
     let ik = IkConfig { starts: config.ik.starts.div_ceil(2), ..config.ik };
     let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
     for holds in groups(config.symmetric_tool, config.turned_tool) {
         let config = if upright.is_none() { config } else { &fewer };
-        match plan_held(model, sweep, &holds, obstacles, config, may, ws) {
+        match plan_held(&StrikeProblem { config, ..*problem }, &holds, accept, ws) {
             Ok(plan) => return Ok(plan),
             Err((e, may_another_do)) => {
                 if !may_another_do {
@@ -245,21 +265,18 @@ pub(crate) fn plan_sweep_where(
             }
         }
     }
-    Err(upright.unwrap_or_else(|| StrikeError::Invalid { what: "no hold was looked at".to_owned() }))
+    Err(upright.unwrap_or_else(|| StrikeError::Invalid { what: "no hold of the tool was tried".to_owned() }))
 }
 
-/// [`plan_sweep`] with some holds of the tool; with the error, whether another hold may do.
+/// Runs [`plan_sweep`] for some holds of the tool. The error says whether another hold may succeed.
 fn plan_held(
-    model: &RobotModel,
-    upright: &Sweep,
+    problem: &StrikeProblem<'_>,
     holds: &[Hold],
-    obstacles: &[Obstacle],
-    config: &StrikeConfig,
-    may: Option<May<'_>>,
+    accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, (StrikeError, bool)> {
-    // The postures of an arm with joints to spare are found from a few by moving along their families; those of other
-    // arms stand alone.
+    let StrikeProblem { model, sweep: upright, obstacles, config } = *problem;
+    // The postures of a redundant arm form families, found from a few starts; those of other arms are isolated.
     let starts = config.ik.starts * if model.dof() > 6 { 1 } else { 8 };
     let ik = IkConfig { starts, ..config.ik };
     let mut all: Vec<(f64, SweepPath, Vec<f64>)> = Vec::new();
@@ -269,7 +286,7 @@ fn plan_held(
     for hold in holds {
         let sweep = hold.sweep(upright, config.half_m);
         let path = sweep.path(hold.rotation_w(&sweep));
-        // What the hand itself meets, no posture of the arm avoids.
+        // No posture avoids a collision of the hand itself.
         let striking = config.box_is_checked.then_some(config.half_m);
         if let Some((clearance, at_s)) = tool_blocked(model, &path, striking, obstacles, config.clearance_m) {
             keep_better(&mut refused, f64::INFINITY, StrikeError::Blocked { clearance, at_s });
@@ -283,12 +300,12 @@ fn plan_held(
         }
     }
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Postures that are nearly the same would be followed for nothing.
+    // Skips postures that are nearly equal.
     let mut followed: Vec<Vec<f64>> = Vec::new();
     let mut all = all.into_iter();
     let mut law = TaskLaw::default();
     for round in 1..=MOST_ROUNDS {
-        // What is refused, in the order of the postures; `None` where that is not known yet, or the sweep can be made.
+        // Refusals by posture; `None` while undecided or feasible.
         let mut refusals: Vec<Option<(f64, StrikeError)>> = Vec::new();
         let mut running: Vec<(usize, SweepPath, Vec<f64>)> = Vec::new();
         while followed.len() < round * config.candidates.max(1) {
@@ -296,7 +313,7 @@ fn plan_held(
             if followed.iter().any(|f| f.iter().zip(&q_contact).all(|(a, b)| (a - b).abs() < 0.2)) {
                 continue;
             }
-            if let Some(clearance) = too_near(model, &q_contact, obstacles, false, config.clearance_m, ws) {
+            if let Some(clearance) = problem.sweep_check().violation(model, &q_contact, ws) {
                 let at_s = path.sweep.contact_s();
                 refusals.push(Some((strain, StrikeError::Blocked { clearance, at_s })));
                 continue;
@@ -311,20 +328,20 @@ fn plan_held(
             }
             followed.push(q_contact);
         }
-        let mut running: Vec<Followed<'_>> = running
+        let mut running: Vec<SweepCandidate<'_>> = running
             .iter()
-            .map(|(slot, path, q_start)| Followed::new(model, *slot, path, q_start, config))
+            .map(|(slot, path, q_start)| SweepCandidate::new(model, *slot, path, q_start, config))
             .collect();
         let mut unstartable = false;
         let mut late: Vec<(f64, StrikeError)> = Vec::new();
-        while let Some(next) = Followed::least(&mut running, &mut law) {
-            let (slot, badness) = (next.slot, next.badness());
-            match next.into_plan(obstacles, config, ws) {
+        while let Some(next) = SweepCandidate::take_best(&mut running, &mut law) {
+            let (slot, badness) = (next.slot, next.limit_share());
+            match next.into_plan(&problem.sweep_check(), ws) {
                 Err(e) => refusals[slot] = Some((badness, e)),
-                Ok(plan) => match accepted(model, plan, badness, config, may, ws) {
+                Ok(plan) => match refined(problem, plan, badness, accept, ws) {
                     Ok(plan) => return Ok(plan),
                     Err(e) => {
-                        // Nearer to being executable than what breaks a limit.
+                        // Nearer to success than a sweep that exceeds a limit.
                         let could_be_made = !matches!(e, StrikeError::Infeasible(_));
                         unstartable |= could_be_made;
                         late.push((if could_be_made { f64::NEG_INFINITY } else { f64::INFINITY }, e));
@@ -335,7 +352,7 @@ fn plan_held(
         for (badness, e) in refusals.into_iter().flatten().chain(late) {
             keep_better(&mut refused, badness, e);
         }
-        // More postures are looked at only where the sweep itself is none of the difficulties.
+        // Another round is worthwhile only if the sweep itself is feasible.
         if !unstartable {
             break;
         }
@@ -343,28 +360,28 @@ fn plan_held(
     let e = match (refused, unreachable) {
         (Some((_, e)), _) => e,
         (None, Some(e)) => StrikeError::Unreachable(e),
-        (None, None) => StrikeError::Invalid { what: "no posture was looked at".to_owned() },
+        (None, None) => StrikeError::Invalid { what: "no posture was tried".to_owned() },
     };
     let may_another_do = blocked_tool || e.depends_on_the_hold();
     Err((e, may_another_do))
 }
 
-/// The plan worked out finely, where it keeps all limits then and may be taken.
-fn accepted(
-    model: &RobotModel,
+/// Recomputes the plan in fine steps if needed, and applies `accept`.
+fn refined(
+    problem: &StrikeProblem<'_>,
     mut plan: SweepPlan,
     badness: f64,
-    config: &StrikeConfig,
-    may: Option<May<'_>>,
+    accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    if may.is_none() || badness > COARSE_ENOUGH {
+    let StrikeProblem { model, config, .. } = *problem;
+    if accept.is_none() || badness > COARSE_ENOUGH {
         let path = plan.path();
         let fine = config.period_s.max(path.duration_s() / 200.0);
-        plan.motion = follow(model, &path, &plan.q_start, &plan.q_start, &config.osc, fine, 0.0);
+        plan.motion = roll_out(model, &path, &plan.q_start, &config.osc, fine, 0.0);
         plan.uses = plan.motion.check(model, config.osc.torque_rate)?;
     }
-    may.map_or(Ok(()), |may| may(&plan, ws))?;
+    accept.map_or(Ok(()), |accept| accept(&plan, ws))?;
     Ok(plan)
 }
 
@@ -374,20 +391,20 @@ fn keep_better(best: &mut Option<(f64, StrikeError)>, badness: f64, e: StrikeErr
     }
 }
 
-/// What would make durations infinite or directions undefined.
+/// Refuses values that make durations infinite or directions undefined.
 fn refuse_nonsense(sweep: &Sweep, config: &StrikeConfig) -> Result<(), StrikeError> {
     let finite = sweep.contact_w.is_finite() && sweep.direction_w.is_finite() && sweep.up_w.is_finite();
     let across = sweep.direction_w.cross(sweep.up_w).length();
     let what = if !finite {
-        "its contact, direction or up is no number".to_owned()
+        "its contact, direction or up vector is not finite".to_owned()
     } else if !(sweep.speed > 1e-3 && sweep.speed < 100.0) {
         format!("its speed is {} m/s", sweep.speed)
     } else if (sweep.direction_w.length() - 1.0).abs() > 1e-6 {
-        format!("its direction has the length {}", sweep.direction_w.length())
+        format!("its direction is not a unit vector but has length {}", sweep.direction_w.length())
     } else if across < 1e-3 * sweep.up_w.length() || sweep.up_w.length() < 1e-9 {
-        "its direction is up or down, or there is no up".to_owned()
+        "its direction is vertical, or its up vector is zero".to_owned()
     } else if !(config.period_s > 1e-5 && config.osc.period_s > 1e-5 && config.approach_share > 0.0) {
-        "period_s, osc.period_s and approach_share of the settings have to be positive".to_owned()
+        "period_s, osc.period_s and approach_share of the settings must be positive".to_owned()
     } else {
         return Ok(());
     };
@@ -395,60 +412,8 @@ fn refuse_nonsense(sweep: &Sweep, config: &StrikeConfig) -> Result<(), StrikeErr
 }
 
 fn keep_nearest(best: &mut Option<Unreachable>, e: Unreachable) {
-    let measure = |u: &Unreachable| u.position_error_m + crate::LENGTH_M * u.angle_error_rad;
+    let measure = |u: &Unreachable| u.position_error_m + LENGTH_M * u.angle_error_rad;
     if best.as_ref().is_none_or(|b| measure(&e) < measure(b)) {
         *best = Some(e);
     }
-}
-
-/// The first place of a sweep where links come too near each other or an obstacle, looked at in thirteen places of the motion,
-/// and not farther apart than 0.1 s.
-pub(crate) fn blocked(
-    model: &RobotModel,
-    motion: &JointMotion,
-    obstacles: &[Obstacle],
-    clearance_m: f64,
-    ws: &mut Workspace,
-) -> Option<(Clearance, f64)> {
-    blocked_every(model, motion, 0.1, obstacles, false, clearance_m, ws)
-}
-
-/// The first place of a motion where links come too near each other or an obstacle, looked at in thirteen places and not
-/// farther apart than `look_s` seconds; `with_struck` says whether what is to be struck is an obstacle.
-pub(crate) fn blocked_every(
-    model: &RobotModel,
-    motion: &JointMotion,
-    look_s: f64,
-    obstacles: &[Obstacle],
-    with_struck: bool,
-    clearance_m: f64,
-    ws: &mut Workspace,
-) -> Option<(Clearance, f64)> {
-    let last = motion.samples.len() - 1;
-    let places = 12.max((motion.duration_s() / look_s) as usize).min(last.max(1));
-    (0..=places).map(|k| k * last / places).find_map(|index| {
-        let near = too_near(model, &motion.samples[index].q, obstacles, with_struck, clearance_m, ws)?;
-        Some((near, index as f64 * motion.period_s))
-    })
-}
-
-/// The nearest pair of a posture, when it is nearer than `clearance_m`; with or without what is to be struck.
-fn too_near(
-    model: &RobotModel,
-    q: &[f64],
-    obstacles: &[Obstacle],
-    with_struck: bool,
-    clearance_m: f64,
-    ws: &mut Workspace,
-) -> Option<Clearance> {
-    let mut poses = Vec::new();
-    model.forward_kinematics(q, ws);
-    model.shape_poses(ws, &mut poses);
-    let near = |c: Clearance| (c.distance_m < clearance_m).then_some(c);
-    let with_itself = model.self_clearance(&poses, clearance_m).and_then(near);
-    let with_others = obstacles
-        .iter()
-        .filter(|o| (with_struck || !o.is_struck) && model.may_be_near(&poses, o, clearance_m))
-        .filter_map(|o| model.obstacle_clearance(&poses, o, clearance_m).and_then(near));
-    with_itself.into_iter().chain(with_others).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
 }

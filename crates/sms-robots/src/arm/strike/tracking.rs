@@ -9,36 +9,36 @@ use crate::arm::strike::sweep_plan::SweepPlan;
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// How the tool passed the contact.
+/// The tool's motion at the contact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ContactTracking {
     /// Speed along the sweep, m/s.
     pub speed: f64,
-    /// Angle between the velocity there and the sweep, radians.
+    /// Angle between the velocity and the sweep, radians.
     pub direction_error_rad: f64,
-    /// Distance of the tool from the sweep's line there, metres.
+    /// Distance of the tool from the sweep's line, metres.
     pub offset_m: f64,
-    /// When, seconds from the start of the sweep.
+    /// Time from the start of the sweep, seconds.
     pub at_s: f64,
 }
 
-/// How a sweep went under control, in free space.
+/// Tracking of a sweep under control in free space.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tracking {
-    /// The tool at the contact; `None` when it never came there.
+    /// The tool at the contact; `None` if it was not reached.
     pub contact: Option<ContactTracking>,
-    /// Largest distance of the tool from where it should have been at that time, metres, over the sweep.
+    /// Largest position error of the tool over the sweep, metres.
     pub largest_error_m: f64,
     /// Control periods in which an effort limit cut a torque.
     pub saturated_periods: usize,
-    /// Control periods in which a torque could not change fast enough.
+    /// Control periods in which the rate limit cut a torque.
     pub rate_limited_periods: usize,
-    /// Control periods in which a joint was beyond its speed limit.
+    /// Control periods in which a joint exceeded its speed limit.
     pub over_speed_periods: usize,
 }
 
-/// Executes a sweep in free space: the controller with the robot's model drives `real`, which may differ from it, in
-/// steps of `dt` seconds.
+/// Simulates a sweep in free space: the controller uses `model` and drives `real`, which may differ from it, in steps of
+/// `dt` seconds.
 pub fn simulate_sweep(
     model: &RobotModel,
     plan: &SweepPlan,

@@ -1,11 +1,11 @@
-//! From the elements of a URDF to a tree of bodies.
+//! Builds the tree of bodies from the elements of a URDF.
 
 use super::collision::shapes;
-use super::xml::{Inertial, Source, place};
+use super::xml::{Inertial, UrdfSource, place};
 use super::{OffChain, UrdfOptions};
 use crate::arm::dynamics::linalg::MAX_JOINTS;
 use crate::arm::model::{
-    Frame, FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, RobotModel, fits, merged,
+    FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, LinkFrame, RobotModel, fits, merged,
     transformed,
 };
 use glamx::{DPose3, DQuat, DVec3};
@@ -22,12 +22,16 @@ struct RawJoint<'n, 'd> {
     child: usize,
 }
 
-pub(super) fn build(source: &Source, root: Node, options: &UrdfOptions) -> Result<RobotModel, InputError> {
+pub(super) fn build(
+    source: &UrdfSource,
+    root: Node,
+    options: &UrdfOptions,
+) -> Result<RobotModel, InputError> {
     let (links, joints) = read_tree(source, root)?;
     let base = base_link(source, &links, &joints)?;
     let tool = tool_link(source, &links, &joints, options)?;
     let held = held_joints(source, &joints, base, tool, options)?;
-    let mut builder = Builder {
+    let mut builder = TreeBuilder {
         source,
         options,
         links: &links,
@@ -50,7 +54,7 @@ pub(super) fn build(source: &Source, root: Node, options: &UrdfOptions) -> Resul
     if !fits(model.dof()) {
         return Err(source.error(
             format!("{} joints move; at most {MAX_JOINTS} may", model.dof()),
-            "name a tool, so that joints beside its chain are held, or hold some in `held`",
+            "name a tool, so that joints off its chain are held, or hold some in `held`",
         ));
     }
     if model.joints.is_empty() {
@@ -73,7 +77,7 @@ pub(super) fn build(source: &Source, root: Node, options: &UrdfOptions) -> Resul
 type Links<'n, 'd> = Vec<(&'n str, Node<'n, 'd>)>;
 
 fn read_tree<'n, 'd>(
-    source: &Source,
+    source: &UrdfSource,
     root: Node<'n, 'd>,
 ) -> Result<(Links<'n, 'd>, Vec<RawJoint<'n, 'd>>), InputError> {
     let mut links: Links = Vec::new();
@@ -136,7 +140,7 @@ fn names<'a>(all: impl Iterator<Item = &'a str>) -> String {
     all.collect::<Vec<_>>().join(", ")
 }
 
-fn base_link(source: &Source, links: &Links, joints: &[RawJoint]) -> Result<usize, InputError> {
+fn base_link(source: &UrdfSource, links: &Links, joints: &[RawJoint]) -> Result<usize, InputError> {
     let roots: Vec<usize> = (0..links.len()).filter(|&l| !joints.iter().any(|j| j.child == l)).collect();
     let &[base] = roots.as_slice() else {
         return Err(if roots.is_empty() {
@@ -156,7 +160,7 @@ fn base_link(source: &Source, links: &Links, joints: &[RawJoint]) -> Result<usiz
     }
     match reached.iter().position(|r| !r) {
         Some(l) => Err(source.error(
-            format!("link {} hangs on a loop of joints that never reaches the base", links[l].0),
+            format!("link {} is part of a loop of joints that is not connected to the base", links[l].0),
             "a URDF is a tree: cut the loop",
         )),
         None => Ok(base),
@@ -164,7 +168,7 @@ fn base_link(source: &Source, links: &Links, joints: &[RawJoint]) -> Result<usiz
 }
 
 fn tool_link(
-    source: &Source,
+    source: &UrdfSource,
     links: &Links,
     joints: &[RawJoint],
     options: &UrdfOptions,
@@ -172,7 +176,7 @@ fn tool_link(
     if let Some(tool) = &options.tool {
         return links.iter().position(|(n, _)| n == tool).ok_or_else(|| {
             source.error(
-                format!("the tool {tool} is no link of this robot"),
+                format!("the tool {tool} is not a link of this robot"),
                 format!("name one of: {}", names(links.iter().map(|l| l.0))),
             )
         });
@@ -187,9 +191,9 @@ fn tool_link(
     }
 }
 
-/// Positions of the joints that do not move, by index.
+/// Positions of the held joints, by index.
 fn held_joints(
-    source: &Source,
+    source: &UrdfSource,
     joints: &[RawJoint],
     base: usize,
     tool: usize,
@@ -198,7 +202,7 @@ fn held_joints(
     for name in options.held.keys() {
         if !joints.iter().any(|j| j.name == name && j.kind.is_some()) {
             return Err(source.error(
-                format!("`held` names {name}, which is no moving joint of this robot"),
+                format!("`held` names {name}, which is not a moving joint of this robot"),
                 format!("name one of: {}", names(joints.iter().filter(|j| j.kind.is_some()).map(|j| j.name))),
             ));
         }
@@ -254,8 +258,8 @@ fn held_joints(
     Ok(held)
 }
 
-struct Builder<'a, 'n, 'd> {
-    source: &'a Source<'a>,
+struct TreeBuilder<'a, 'n, 'd> {
+    source: &'a UrdfSource<'a>,
     options: &'a UrdfOptions,
     links: &'a Links<'n, 'd>,
     raw: &'a [RawJoint<'n, 'd>],
@@ -263,18 +267,21 @@ struct Builder<'a, 'n, 'd> {
     model: RobotModel,
 }
 
-impl Builder<'_, '_, '_> {
-    /// Adds a link carried by `carrier` at `x_jl`, and all beyond it.
+impl TreeBuilder<'_, '_, '_> {
+    /// Adds a link carried by `carrier` at `x_jl`, and all links beyond it.
     fn add_link(&mut self, link: usize, carrier: Option<usize>, x_jl: DPose3) -> Result<(), InputError> {
         let (name, node) = self.links[link];
-        self.model.frames.push(Frame { name: name.to_owned(), joint: carrier, x_jf: x_jl });
+        self.model.frames.push(LinkFrame { name: name.to_owned(), joint: carrier, x_jf: x_jl });
         if let Some(joint) = carrier
             && let Some(inertial) = self.source.inertial(node)?
-            && !(inertial.is_nothing() && self.is_mere_frame(link))
+            && !(inertial.is_nothing() && self.is_marker(link))
         {
             let mass = self.link_mass(name, node, &inertial)?;
-            let impossible =
-                |e| self.source.error(format!("link {name} cannot be added up"), "check masses").because(e);
+            let impossible = |e| {
+                self.source
+                    .error(format!("the mass properties of link {name} cannot be combined"), "check masses")
+                    .because(e)
+            };
             let carried = transformed(&mass, &x_jl).map_err(impossible)?;
             let total = merged(self.model.joints[joint].mass, carried).map_err(impossible)?;
             self.model.joints[joint].mass = Some(total);
@@ -312,8 +319,8 @@ impl Builder<'_, '_, '_> {
         Ok(())
     }
 
-    /// Whether a link hangs on a fixed joint. Such links are often given a mass of zero to mark a place.
-    fn is_mere_frame(&self, link: usize) -> bool {
+    /// Whether a link is attached to a fixed joint. Such links often have a mass of zero to mark a place.
+    fn is_marker(&self, link: usize) -> bool {
         self.raw.iter().any(|j| j.child == link && j.kind.is_none())
     }
 
@@ -321,7 +328,7 @@ impl Builder<'_, '_, '_> {
         if raw.mass <= 0.0 {
             return Err(self.source.error(
                 format!("link {name} at {} moves and has the mass {} kg", place(node), raw.mass),
-                "give it its mass, or remove its <inertial> when it is a mere frame",
+                "give it its mass, or remove its <inertial> if it only marks a frame",
             ));
         }
         MassProperties::new(raw.mass, DVec3::ZERO, raw.inertia)
@@ -329,7 +336,7 @@ impl Builder<'_, '_, '_> {
             .map_err(|e| {
                 self.source
                     .error(
-                        format!("link {name} at {} has an inertia that no body has", place(node)),
+                        format!("link {name} at {} has an impossible inertia", place(node)),
                         "correct <inertia>: kg·m² about the centre of mass; each principal moment is positive and at \
                          most the sum of the other two",
                     )
@@ -348,7 +355,7 @@ impl Builder<'_, '_, '_> {
                 "state a direction, such as 0 0 1",
             ));
         }
-        // An axis that is a unit vector to rounding stays as it is written.
+        // Keeps the written value of an axis that is a unit vector up to rounding.
         let off = (axis.length_squared() - 1.0).abs();
         Ok(if off < 1e-15 { axis } else { axis.normalize() })
     }
@@ -422,8 +429,8 @@ impl Builder<'_, '_, '_> {
     }
 }
 
-/// Every joint has to move some inertia.
-fn check_masses(source: &Source, model: &RobotModel) -> Result<(), InputError> {
+/// Checks that every joint moves some inertia.
+fn check_masses(source: &UrdfSource, model: &RobotModel) -> Result<(), InputError> {
     for (i, joint) in model.joints.iter().enumerate() {
         let loaded = (0..model.dof()).any(|k| model.carries(i, Some(k)) && model.joints[k].mass.is_some());
         if !loaded && joint.armature <= 0.0 {

@@ -2,7 +2,7 @@
 
 use super::UrdfOptions;
 use super::stl::read_points;
-use super::xml::{Source, place};
+use super::xml::{UrdfSource, place};
 use crate::arm::shape::LinkShape;
 use glamx::{DPose3, DVec3};
 use roxmltree::Node;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 /// Shapes of a link with their poses in the link's frame.
 pub(super) fn shapes(
-    source: &Source,
+    source: &UrdfSource,
     link: Node,
     options: &UrdfOptions,
 ) -> Result<Vec<(DPose3, LinkShape)>, InputError> {
@@ -30,7 +30,7 @@ pub(super) fn shapes(
     Ok(all)
 }
 
-fn shape(source: &Source, node: Node, options: &UrdfOptions) -> Result<LinkShape, InputError> {
+fn shape(source: &UrdfSource, node: Node, options: &UrdfOptions) -> Result<LinkShape, InputError> {
     let length = |key: &str| {
         let value = source.required(node, key)?;
         if value > 0.0 {
@@ -60,12 +60,12 @@ fn shape(source: &Source, node: Node, options: &UrdfOptions) -> Result<LinkShape
             let scale = source.vector(node, "scale")?.unwrap_or(DVec3::ONE);
             if scale.to_array().contains(&0.0) {
                 return Err(source.error(
-                    format!("the mesh at {} is scaled to nothing ({scale})", place(node)),
+                    format!("the mesh at {} has a zero scale ({scale})", place(node)),
                     "state factors other than zero",
                 ));
             }
             let path = find_mesh(source, source.attribute(node, "filename")?, options)?;
-            // Only the hull is used, so that factors which differ between axes, or mirror, do no harm.
+            // Only the hull is used, so that non-uniform or mirroring factors do no harm.
             let points: Vec<DVec3> = read_points(&path)?.into_iter().map(|p| scale * p).collect();
             LinkShape::convex(&points).ok_or_else(|| {
                 InputError::new(
@@ -77,14 +77,14 @@ fn shape(source: &Source, node: Node, options: &UrdfOptions) -> Result<LinkShape
         }
         other => {
             return Err(source.error(
-                format!("<{other}> at {} is no collision shape that we know", place(node)),
+                format!("<{other}> at {} is not a supported collision shape", place(node)),
                 "use sphere, cylinder, capsule, box or mesh",
             ));
         }
     })
 }
 
-fn find_mesh(source: &Source, name: &str, options: &UrdfOptions) -> Result<PathBuf, InputError> {
+fn find_mesh(source: &UrdfSource, name: &str, options: &UrdfOptions) -> Result<PathBuf, InputError> {
     let here = source.path.parent().map_or_else(PathBuf::new, PathBuf::from);
     let mut candidates = Vec::new();
     if let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
@@ -108,11 +108,11 @@ fn find_mesh(source: &Source, name: &str, options: &UrdfOptions) -> Result<PathB
         } else {
             "put the mesh where the URDF says, relative to the URDF's folder, or correct the file name"
         };
-        source.error(format!("the collision mesh {name} is not there"), cure)
+        source.error(format!("the collision mesh {name} does not exist"), cure)
     })
 }
 
-/// A cylinder with a sphere of its radius at both ends is a capsule: the usual way to write one in URDF.
+/// Merges a cylinder with spheres of its radius at both ends, a common notation, into a capsule.
 fn merge_capsules(all: &mut Vec<(DPose3, LinkShape)>) {
     let mut i = 0;
     while i < all.len() {

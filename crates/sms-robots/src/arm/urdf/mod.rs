@@ -1,8 +1,8 @@
 //! Robots from URDF files.
 //!
-//! Read: links with mass and collision shapes (sphere, cylinder, capsule, box, convex hull of an STL or OBJ), joints of
-//! kind revolute, continuous, prismatic and fixed with limits, damping and friction, and `armature` of `<dynamics>`, our
-//! one extension. Visual shapes, transmissions and simulator elements are skipped.
+//! Supports links with mass and collision shapes (sphere, cylinder, capsule, box, convex hull of an STL or OBJ), joints of
+//! type revolute, continuous, prismatic and fixed with limits, damping and friction, and as an extension the attribute
+//! `armature` of `<dynamics>`. Visual shapes, transmissions and simulator elements are skipped.
 
 mod build;
 mod collision;
@@ -17,30 +17,30 @@ use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 use std::path::{Path, PathBuf};
 
-/// What becomes of joints that are not between base and tool.
+/// Treatment of joints that are not between base and tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OffChain {
-    /// They are held where [`UrdfOptions::held`] says, at zero (or the limit nearest to it) otherwise.
+    /// They are held at [`UrdfOptions::held`], otherwise at zero (or the limit nearest to it).
     #[default]
     Hold,
     /// They move like the others.
     Move,
 }
 
-/// What a URDF file does not say.
+/// Information that a URDF file lacks.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UrdfOptions {
-    /// Link whose frame is the tool: x along the stroke of a strike, z away from the floor. Without it the last link
-    /// of a robot that is one chain.
+    /// Link whose frame is the tool: x along the stroke of a strike, z away from the floor. By default the last link of a
+    /// robot that is a single chain.
     pub tool: Option<String>,
-    /// Folders in which `package://NAME/…` is looked for, as `FOLDER/NAME/…` or, where FOLDER is called NAME, as
-    /// `FOLDER/…`; after the URDF's own folder and those above it.
+    /// Folders that are searched for `package://NAME/…`, as `FOLDER/NAME/…` or, if FOLDER is called NAME, as `FOLDER/…`,
+    /// after the URDF's own folder and those above it.
     pub package_folders: Vec<PathBuf>,
-    /// Joints that do not move, with their positions: radians, metres.
+    /// Positions of held joints: radians, metres.
     pub held: BTreeMap<String, f64>,
-    /// What becomes of joints that are not between base and tool.
+    /// Treatment of joints that are not between base and tool.
     pub off_chain: OffChain,
 }
 
@@ -57,12 +57,12 @@ impl RobotModel {
         Self::from_urdf_text(&text, path, options)
     }
 
-    /// Reads a robot from the text of a URDF; `path` is named in messages, and meshes are looked for beside it.
+    /// Reads a robot from the text of a URDF. `path` is named in messages, and meshes are resolved relative to it.
     ///
     /// # Errors
     /// As [`Self::from_urdf`].
     pub fn from_urdf_text(text: &str, path: &Path, options: &UrdfOptions) -> Result<Self, InputError> {
-        let source = xml::Source { path };
+        let source = xml::UrdfSource { path };
         let document = Document::parse(text).map_err(|e| {
             source.error("this is not well-formed XML", "correct the place named above").because(e)
         })?;
@@ -89,7 +89,7 @@ impl RobotModel {
     /// Sources: `assets/make_fr3.py`.
     ///
     /// # Panics
-    /// Never: the file is part of the program and tested.
+    /// Never: the file is embedded and tested.
     pub fn fr3() -> Self {
         let options = UrdfOptions { tool: Some("fr3_fist".to_owned()), ..Default::default() };
         Self::from_urdf_text(FR3_URDF, Path::new("fr3.urdf (built in)"), &options)
@@ -102,4 +102,4 @@ impl RobotModel {
 pub const FR3_URDF: &str = include_str!("../../../assets/fr3.urdf");
 
 /// Home of the Franka Research 3, radians: hand down, 0.55 m in front of the base.
-pub const FR3_HOME: [f64; 7] = [0.0, 0.0, 0.0, -FRAC_PI_2, 0.0, FRAC_PI_2, -FRAC_PI_4];
+pub(super) const FR3_HOME: [f64; 7] = [0.0, 0.0, 0.0, -FRAC_PI_2, 0.0, FRAC_PI_2, -FRAC_PI_4];

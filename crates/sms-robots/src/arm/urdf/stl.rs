@@ -1,4 +1,4 @@
-//! Points of mesh files: only the hull is used, so that faces need not be read.
+//! Vertices of mesh files; faces are not read because only the hull is used.
 
 use glamx::DVec3;
 use sms_core::{CoreError, InputError, Mesh};
@@ -25,18 +25,14 @@ pub(super) fn read_points(path: &Path) -> Result<Vec<DVec3>, InputError> {
         },
         _ => {
             return Err(InputError::new(
-                format!("collision meshes of the kind `.{extension}` cannot be read"),
+                format!("collision meshes of type `.{extension}` are not supported"),
                 path,
                 "convert it to STL or OBJ and name that file in the URDF",
             ));
         }
     };
     if points.iter().any(|p| !p.is_finite()) {
-        return Err(InputError::new(
-            "this mesh has a vertex that is no number",
-            path,
-            "export the mesh again",
-        ));
+        return Err(InputError::new("this mesh has a non-finite vertex", path, "export the mesh again"));
     }
     Ok(points)
 }

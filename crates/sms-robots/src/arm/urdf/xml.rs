@@ -1,21 +1,21 @@
-//! The parts of URDF that we read, as plain data, and errors that name what is wrong where.
+//! The supported elements of URDF as plain data, with errors that name element and line.
 
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use roxmltree::Node;
 use sms_core::InputError;
 use std::path::Path;
 
-/// Where messages point to.
-pub(super) struct Source<'a> {
+/// The document for error messages.
+pub(super) struct UrdfSource<'a> {
     pub(super) path: &'a Path,
 }
 
-impl Source<'_> {
+impl UrdfSource<'_> {
     pub(super) fn error(&self, what: impl Into<String>, cure: impl Into<String>) -> InputError {
         InputError::new(what, self.path, cure)
     }
 
-    /// The named child element, when there is one.
+    /// The named child element, if present.
     pub(super) fn child<'n, 'd>(&self, node: Node<'n, 'd>, tag: &str) -> Option<Node<'n, 'd>> {
         node.children().find(|c| c.has_tag_name(tag))
     }
@@ -34,7 +34,7 @@ impl Source<'_> {
         let Some(text) = node.attribute(key) else { return Ok(None) };
         text.trim().parse::<f64>().ok().filter(|x| x.is_finite()).map(Some).ok_or_else(|| {
             self.error(
-                format!("{key}=\"{text}\" of <{}> at {} is no number", node.tag_name().name(), place(node)),
+                format!("{key}=\"{text}\" of <{}> at {} is not a number", node.tag_name().name(), place(node)),
                 "write a finite number; xacro expressions have to be expanded first (`xacro file.xacro > file.urdf`)",
             )
         })
@@ -62,7 +62,7 @@ impl Source<'_> {
         ))
     }
 
-    /// The pose of the `<origin>` child; the identity when there is none.
+    /// The pose of the `<origin>` child; the identity if absent.
     pub(super) fn origin(&self, node: Node) -> Result<DPose3, InputError> {
         let Some(origin) = self.child(node, "origin") else { return Ok(DPose3::IDENTITY) };
         let xyz = self.vector(origin, "xyz")?.unwrap_or(DVec3::ZERO);
@@ -73,7 +73,7 @@ impl Source<'_> {
         Ok(DPose3::from_parts(xyz, rotation.normalize()))
     }
 
-    /// Mass, centre and inertia of a link, unchecked; `None` when the link states none.
+    /// Mass, centre of mass and inertia of a link, unchecked; `None` if absent.
     pub(super) fn inertial(&self, link: Node) -> Result<Option<Inertial>, InputError> {
         let Some(node) = self.child(link, "inertial") else { return Ok(None) };
         let missing = |tag: &str| {

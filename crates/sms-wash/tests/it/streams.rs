@@ -1,8 +1,6 @@
 //! The analytic models against closed forms.
 
-mod common;
-
-use common::{WEIGHT, at, hover, once, rotors};
+use crate::common::{WEIGHT, at, hover, once, rotors};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_wash::{BodySurface, Emission, StreamSettings, StreamWash, Wash};
 

@@ -1,8 +1,6 @@
 //! Smoothed-particle hydrodynamics against momentum theory.
 
-mod common;
-
-use common::{WEIGHT, at, hover, rotors};
+use crate::common::{WEIGHT, at, hover, rotors};
 use glamx::{DPose3, DVec3};
 use sms_robots::Rotor;
 use sms_wash::{BodyMotion, BodySurface, Emission, SphSettings, SphWash, VehicleState, Wash, Wrench};

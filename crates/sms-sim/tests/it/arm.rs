@@ -1,8 +1,6 @@
-//! The arm strikes: free sweeps, limits, what stops it. Both precisions. What a struck ball feels is in the suite.
+//! Strikes of the arm: free sweeps, limits and obstacles, in both precisions. The closed-form suite tests the struck ball.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glamx::{DPose3, DVec3};
 use sms_core::sphere_mass_properties;
 use sms_robots::{
@@ -49,7 +47,7 @@ fn strike_of(
     (simulation, striker)
 }
 
-/// Steps until the ball moves; what the arm was like in the step before.
+/// Steps until the ball moves and returns the arm before that step.
 fn until_touched(simulation: &mut Simulation, ball: BodyId) {
     for _ in 0..4000 {
         simulation.advance(1e-4).unwrap();

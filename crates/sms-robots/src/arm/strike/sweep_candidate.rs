@@ -1,28 +1,28 @@
-//! Sweeps from several postures side by side, each only as far as it takes to know which is the best.
+//! Sweeps from several postures, advanced side by side, each only as far as needed to find the best.
 
 use crate::arm::control::osc::TaskLaw;
 use crate::arm::dynamics::workspace::Workspace;
 use crate::arm::model::RobotModel;
-use crate::arm::shape::Obstacle;
-use crate::arm::strike::motion::{Following, Meter, within_limits};
+use crate::arm::strike::motion::{Meter, StepwiseRollout, within_limits};
+use crate::arm::strike::obstruction::ClearanceCheck;
 use crate::arm::strike::sweep::{SweepPath, ToolPath};
-use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan, blocked};
+use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan};
 
-/// Samples that are worked out between looks at who is the best.
+/// Samples between comparisons.
 const STRIDE: usize = 4;
 
-/// A sweep from one posture, worked out in coarse steps.
-pub(crate) struct Followed<'a> {
+/// A sweep from one posture, in coarse steps.
+pub(crate) struct SweepCandidate<'a> {
     model: &'a RobotModel,
-    /// Its place among all postures.
+    /// Index among all postures.
     pub(crate) slot: usize,
     path: &'a SweepPath,
     q_start: &'a [f64],
-    following: Following<'a, SweepPath>,
+    rollout: StepwiseRollout<'a, SweepPath>,
     meter: Meter<'a>,
 }
 
-impl<'a> Followed<'a> {
+impl<'a> SweepCandidate<'a> {
     pub(crate) fn new(
         model: &'a RobotModel,
         slot: usize,
@@ -31,43 +31,43 @@ impl<'a> Followed<'a> {
         config: &StrikeConfig,
     ) -> Self {
         let coarse = 0.005f64.max(path.duration_s() / 40.0);
-        let following = Following::new(model, path, q_start, q_start, &config.osc, coarse, 0.0);
-        let meter = Meter::new(model, config.osc.torque_rate, following.period_s);
-        Self { model, slot, path, q_start, following, meter }
+        let rollout = StepwiseRollout::new(model, path, q_start, &config.osc, coarse, 0.0);
+        let meter = Meter::new(model, config.osc.torque_rate, rollout.period_s);
+        Self { model, slot, path, q_start, rollout, meter }
     }
 
-    /// The largest share of any limit that it has used so far.
-    pub(crate) fn badness(&self) -> f64 {
+    /// The largest share of any limit used so far.
+    pub(crate) fn limit_share(&self) -> f64 {
         self.meter.largest()
     }
 
-    /// Takes the one out that uses the least share of any limit to its end, the first among equals; `None` where none is
-    /// left. The share only grows as a sweep goes on, so that the others need not be worked out beyond that share. (That of a
-    /// sweep which stops being finite may fall; it breaks a limit in any case.)
-    pub(crate) fn least(all: &mut Vec<Self>, law: &mut TaskLaw) -> Option<Self> {
+    /// Removes and returns the sweep that uses the smallest share of any limit to its end, the first among equals; `None` if
+    /// none is left. The share never decreases along a sweep, so the others need not be computed beyond that share. (A sweep
+    /// that diverges may decrease; it breaks a limit in any case.)
+    pub(crate) fn take_best(all: &mut Vec<Self>, law: &mut TaskLaw) -> Option<Self> {
         loop {
-            let least = (0..all.len()).min_by(|&a, &b| all[a].badness().total_cmp(&all[b].badness()))?;
-            if all[least].following.is_over() {
+            let least =
+                (0..all.len()).min_by(|&a, &b| all[a].limit_share().total_cmp(&all[b].limit_share()))?;
+            if all[least].rollout.is_over() {
                 return Some(all.remove(least));
             }
-            let Self { following, meter, .. } = &mut all[least];
+            let Self { rollout, meter, .. } = &mut all[least];
             for _ in 0..STRIDE {
-                let Some(sample) = following.advance(law) else { break };
+                let Some(sample) = rollout.advance(law) else { break };
                 meter.note(sample);
             }
         }
     }
 
-    /// The plan, where it keeps the limits in these steps and nothing is in its way.
+    /// The plan, if it stays within the limits at this resolution and is free of collisions.
     pub(crate) fn into_plan(
         self,
-        obstacles: &[Obstacle],
-        config: &StrikeConfig,
+        check: &ClearanceCheck<'_>,
         ws: &mut Workspace,
     ) -> Result<SweepPlan, StrikeError> {
         let uses = within_limits(self.model, self.meter.uses)?;
-        let motion = self.following.into_motion();
-        if let Some((clearance, at_s)) = blocked(self.model, &motion, obstacles, config.clearance_m, ws) {
+        let motion = self.rollout.into_motion();
+        if let Some((clearance, at_s)) = check.first_violation(self.model, &motion, ws) {
             return Err(StrikeError::Blocked { clearance, at_s });
         }
         let SweepPath { sweep, rotation_w } = *self.path;
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use crate::FIST_HALF;
     use crate::arm::dynamics::ik::IkTarget;
-    use crate::arm::strike::motion::follow;
+    use crate::arm::strike::motion::roll_out;
     use crate::arm::strike::posture::postures;
     use crate::arm::strike::sweep::Sweep;
     use crate::arm::strike::sweep_plan::COARSE_ENOUGH;
@@ -114,27 +114,30 @@ mod tests {
         for (path, starts) in sweeps(&model, &config) {
             let coarse = 0.005f64.max(path.duration_s() / 40.0);
             let whole: Vec<_> =
-                starts.iter().map(|q| follow(&model, &path, q, q, &config.osc, coarse, 0.0)).collect();
+                starts.iter().map(|q| roll_out(&model, &path, q, &config.osc, coarse, 0.0)).collect();
             let badness: Vec<f64> = whole
                 .iter()
                 .map(|m| m.uses(&model, config.osc.torque_rate).iter().map(|u| u.1.share).fold(0.0, f64::max))
                 .collect();
             let mut expected: Vec<usize> = (0..starts.len()).collect();
             expected.sort_by(|&a, &b| badness[a].total_cmp(&badness[b]));
-            let mut running: Vec<Followed<'_>> =
-                starts.iter().enumerate().map(|(i, q)| Followed::new(&model, i, &path, q, &config)).collect();
+            let mut running: Vec<SweepCandidate<'_>> = starts
+                .iter()
+                .enumerate()
+                .map(|(i, q)| SweepCandidate::new(&model, i, &path, q, &config))
+                .collect();
             for (place, i) in expected.into_iter().enumerate() {
-                let next = Followed::least(&mut running, &mut law).unwrap();
-                assert_eq!((next.slot, next.badness()), (i, badness[i]));
-                assert_eq!(next.following.into_motion(), whole[i]);
+                let next = SweepCandidate::take_best(&mut running, &mut law).unwrap();
+                assert_eq!((next.slot, next.limit_share()), (i, badness[i]));
+                assert_eq!(next.rollout.into_motion(), whole[i]);
                 if place == 0 {
-                    saved += running.iter().filter(|f| !f.following.is_over()).count();
+                    saved += running.iter().filter(|f| !f.rollout.is_over()).count();
                 }
                 orders += 1;
             }
-            assert!(Followed::least(&mut running, &mut law).is_none());
+            assert!(SweepCandidate::take_best(&mut running, &mut law).is_none());
         }
-        // With nothing to order, or nothing left out, it would be no test.
+        // Fails if no case exercises the ordering or the early stop.
         assert!(orders > 50 && saved > 20, "{orders} {saved}");
     }
 
@@ -146,7 +149,7 @@ mod tests {
             for q in &starts {
                 let [coarse, fine] =
                     [0.005f64.max(path.duration_s() / 40.0), config.period_s.max(path.duration_s() / 200.0)]
-                        .map(|period_s| follow(&model, &path, q, q, &config.osc, period_s, 0.0))
+                        .map(|period_s| roll_out(&model, &path, q, &config.osc, period_s, 0.0))
                         .map(|m| m.uses(&model, config.osc.torque_rate))
                         .map(|uses| uses.iter().map(|u| u.1.share).fold(0.0, f64::max));
                 if coarse <= COARSE_ENOUGH {

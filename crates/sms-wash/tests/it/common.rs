@@ -1,5 +1,4 @@
 //! The published vehicle and a few structures.
-#![allow(dead_code, reason = "each test file uses some of them")]
 
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
@@ -17,7 +16,7 @@ pub(crate) fn at(x: f64, y: f64, z: f64) -> DPose3 {
     DPose3::from_translation(DVec3::new(x, y, z))
 }
 
-/// Hovers level, its propellers at this place.
+/// A level hover with the vehicle at `p_w`.
 pub(crate) fn hover<'a>(rotors: &'a [Rotor], thrusts: &'a [f64], p_w: DVec3) -> VehicleState<'a> {
     VehicleState { x_wv: DPose3::from_parts(p_w, DQuat::IDENTITY), v_w: DVec3::ZERO, rotors, thrusts }
 }

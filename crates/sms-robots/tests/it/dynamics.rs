@@ -144,7 +144,7 @@ proptest! {
         prop_assert!((velocity(&after) - velocity(&v) - mobility * p).length() < 1e-10);
     }
 
-    /// M from composite bodies is what Newton-Euler says for unit accelerations.
+    /// M from composite bodies equals Newton-Euler for unit accelerations.
     #[test]
     fn the_mass_matrix_is_the_derivative_of_inverse_dynamics(q in prop::array::uniform5(-0.4..0.4f64)) {
         let model = branch();
@@ -206,7 +206,7 @@ fn friction_only_takes_energy_away() {
     let mut ws = Workspace::default();
     let mut last = f64::INFINITY;
     for _ in 0..2000 {
-        // Gravity is balanced, so that only kinetic energy is left.
+        // Gravity is balanced, so that only kinetic energy remains.
         let q = sim.q;
         let mut tau = [0.0; 7];
         model.gravity_torques(&q, &mut ws, &mut tau);

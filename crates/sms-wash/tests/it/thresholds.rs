@@ -1,8 +1,6 @@
 //! Rigid bodies with one degree of freedom under wash: they move when the closed form says so.
 
-mod common;
-
-use common::hover;
+use crate::common::hover;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
 use sms_wash::{

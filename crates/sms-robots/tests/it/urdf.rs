@@ -1,4 +1,4 @@
-//! URDF files, good and bad: every fault is named with the file and a cure.
+//! URDF files, valid and faulty: every error names the file and a cure.
 
 use glamx::{DPose3, DVec3};
 use sms_core::Mesh;
@@ -20,7 +20,7 @@ fn read(text: &str) -> Result<RobotModel, sms_core::InputError> {
     RobotModel::from_urdf_text(text, Path::new("arm.urdf"), &UrdfOptions::default())
 }
 
-/// The message of a URDF that has to be refused; it names the file and a cure, and all of `words`.
+/// The error of a faulty URDF; it names the file, a cure, and all of `words`.
 fn refused(text: &str, words: &[&str]) {
     let message = match read(text) {
         Ok(_) => panic!("not refused: {text}"),

@@ -2,10 +2,9 @@
 //! does not ask.
 #![cfg(any(feature = "physx", feature = "mujoco"))]
 
-#[path = "../../sms-sim/tests/common/mod.rs"]
-mod common;
-
-use common::{DT, G, R, awake, ball, cuboid, floor, launch, material, mesh_box, run, scene, simulate, worst};
+use crate::common::{
+    DT, G, R, awake, ball, cuboid, floor, launch, material, mesh_box, run, scene, simulate, worst,
+};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use sms_core::{
     MassProperties, Mesh, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,

@@ -3,9 +3,9 @@
 use glamx::{DPose3, DVec3};
 use sms_core::Mesh;
 use sms_robots::{
-    CheckKind, FIST_HALF, FR3_URDF, Infeasible, LimitKind, LinkShape, Obstacle, ObstacleShape, OscConfig,
-    RobotModel, StrikeCheck, StrikeConfig, StrikeError, Sweep, SweepProfile, UrdfOptions, Workspace,
-    check_strike, floor, plan_strike, plan_sweep, simulate_sweep,
+    CheckKind, FIST_HALF, FR3_URDF, LimitKind, LinkShape, Obstacle, ObstacleShape, OscConfig, RobotModel,
+    StrikeCheck, StrikeConfig, StrikeError, Sweep, SweepProfile, UrdfOptions, Workspace, check_strike, floor,
+    plan_strike, plan_sweep, simulate_sweep,
 };
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn workspace() -> impl Iterator<Item = (f64, f64, f64)> {
 }
 
 /// At least this many of the 84 strikes have a motion within all limits at each speed; the others are refused with the
-/// joint that limits them (mostly the elbow's 2.62 rad/s).
+/// limiting joint (mostly the elbow's 2.62 rad/s).
 const FEASIBLE: [(f64, usize); 5] = [(0.2, 84), (0.5, 84), (0.85, 64), (1.2, 40), (1.5, 10)];
 
 #[test]
@@ -98,7 +98,7 @@ fn the_contact_is_passed_well_enough_when_the_robot_is_not_its_model() {
 fn the_smooth_profile_tracks_better_than_the_uniform_one() {
     let model = RobotModel::fr3();
     let mut config = StrikeConfig::default();
-    // The uniform profile's torques jump; let it be planned all the same.
+    // The uniform profile's torques jump; this permits it.
     config.osc.torque_rate = 1e9;
     let mut ws = Workspace::default();
     let smooth = ball_at(0.6, 0.0, 90.0, 1.2);
@@ -123,16 +123,15 @@ fn what_cannot_be_done_is_said_with_the_reason() {
     let fast = plan_sweep(&model, &ball_at(0.5, 0.0, 0.0, 1.4), &[], &config, &mut ws).unwrap_err();
     let StrikeError::Infeasible(e) = &fast else { panic!("{fast}") };
     assert_eq!((e.limit, e.joint.as_str()), (LimitKind::Velocity, "fr3_joint4"));
-    assert!(fast.to_string().contains("2.62"), "{fast}");
+    assert_eq!(e.bound, 2.62, "{fast}");
     let wall = Obstacle::new(
         "wall",
         DPose3::from_translation(DVec3::new(0.55, 0.0, 0.15)),
         ObstacleShape::Link(LinkShape::Box { half: DVec3::new(0.02, 0.5, 0.15) }),
     );
     let blocked = plan_sweep(&model, &ball_at(0.55, 0.0, 0.0, 0.5), &[wall], &config, &mut ws).unwrap_err();
-    assert!(blocked.to_string().contains("wall"), "{blocked}");
-    let StrikeError::Blocked { clearance, .. } = blocked else { panic!() };
-    assert!(clearance.distance_m < 0.0);
+    let StrikeError::Blocked { clearance, .. } = blocked else { panic!("{blocked}") };
+    assert!(clearance.other == "wall" && clearance.distance_m < 0.0, "{clearance:?}");
 }
 
 #[test]
@@ -151,14 +150,15 @@ fn a_contact_that_is_never_reached_does_not_pass() {
     let mut ws = Workspace::default();
     let mut config = StrikeConfig::default();
     let plan = plan_strike(&model, &ball_at(0.5, 0.0, 0.0, 0.5), &[], &config, &mut ws).unwrap();
-    // Torques that cannot change never start the sweep.
+    // With a rate limit near zero the sweep never starts.
     config.osc.torque_rate = 1e-9;
     let check = check_strike(&model, &plan, &[], &config, &mut ws);
     assert!(!check.executable() && check.tracking.contact.is_none());
-    assert!(check.items.iter().any(|i| !i.passed && i.detail.contains("never comes to the contact")));
+    let failed = |kind| check.items.iter().any(|i| i.kind == kind && !i.passed && i.margin.is_none());
+    assert!(failed(CheckKind::ContactSpeed) && failed(CheckKind::ContactDirection), "{:?}", check.items);
 }
 
-/// Of a robot without collision shapes it cannot be said what it would touch, so it passes no check of distances.
+/// Without collision shapes the distances are unknown, and the check fails.
 #[test]
 fn a_robot_without_shapes_is_not_executable() {
     let mut bare = String::new();
@@ -176,20 +176,6 @@ fn a_robot_without_shapes_is_not_executable() {
     let check = check_strike(&model, &plan, &around, &config, &mut ws);
     let failed: Vec<CheckKind> = check.items.iter().filter(|i| !i.passed).map(|i| i.kind).collect();
     assert_eq!(failed, [CheckKind::SelfCollision, CheckKind::Obstacle], "{:?}", check.items);
-}
-
-#[test]
-fn a_posture_that_has_lost_a_direction_is_called_that() {
-    let e = |value| Infeasible {
-        joint: "elbow".to_owned(),
-        limit: LimitKind::TorqueRate,
-        value,
-        bound: 1000.0,
-        at_s: 0.1,
-        turns: true,
-    };
-    assert!(e(-80_000.0).to_string().contains("more than 20 times its limit of 1000.0000 N·m/s"));
-    assert!(e(-1500.0).to_string().contains("-1500.0000 N·m/s"));
 }
 
 #[test]
@@ -227,7 +213,7 @@ fn strikes_that_make_no_sense_are_refused() {
     }
 }
 
-/// An obstacle is as far as its nearest part, however it is given, and far ones are left out without being missed.
+/// The distance of an obstacle does not depend on its representation, and culling changes nothing.
 #[test]
 fn obstacles_count_the_same_as_box_hulls_and_surface() {
     let model = RobotModel::fr3();
@@ -332,7 +318,7 @@ fn the_check_finds_what_is_in_the_way_of_the_approach() {
     let failed: Vec<_> = check.items.iter().filter(|i| !i.passed).collect();
     assert_eq!(failed.len(), 1, "{failed:?}");
     assert!(failed[0].detail.contains("lamp") && failed[0].margin.unwrap() < 0.0, "{failed:?}");
-    // A floor that is too high is found, too.
+    // A floor that is too high is detected, too.
     let check = check_strike(&model, &plan, &[floor(0.022)], &config, &mut ws);
     assert!(!check.executable());
 }
@@ -349,7 +335,7 @@ fn what_is_struck_is_in_the_way_before_the_sweep_and_not_in_it() {
     };
     let sweep = ball_at(x, y, 0.0, 0.6);
     let alone = plan_strike(&model, &sweep, &[floor(0.0)], &config, &mut ws).unwrap();
-    // The ball where it is struck: the sweep goes through its place.
+    // The ball at the contact is not an obstacle for the sweep.
     let around = [floor(0.0), ball(x, y)];
     let plan = plan_strike(&model, &sweep, &around, &config, &mut ws).unwrap();
     assert_eq!(plan.sweep.q_start, alone.sweep.q_start);
@@ -357,7 +343,7 @@ fn what_is_struck_is_in_the_way_before_the_sweep_and_not_in_it() {
     assert!(check.executable(), "{:?}", check.failed().collect::<Vec<_>>());
     let of_ball = check.items.iter().find(|i| i.detail.contains("ball")).unwrap();
     assert!(of_ball.detail.contains("descent") || of_ball.detail.contains("approach"), "{}", of_ball.detail);
-    // Were it where the tool comes down, it would be pushed before the strike.
+    // At the place of the descent, the ball would be pushed before the strike.
     let around = [floor(0.0), ball(x - 0.1 - RADIUS, y)];
     match plan_strike(&model, &sweep, &around, &config, &mut ws) {
         Err(StrikeError::Unstartable { clearance, .. }) => assert_eq!(clearance.other, "ball"),
@@ -369,12 +355,16 @@ fn what_is_struck_is_in_the_way_before_the_sweep_and_not_in_it() {
 }
 
 #[test]
-fn the_same_strike_is_planned_bit_for_bit_again() {
+fn the_posture_of_a_strike_is_pinned() {
     let model = RobotModel::fr3();
     let config = StrikeConfig::default();
     let sweep = ball_at(0.45, -0.1, 30.0, 0.5);
-    let plan = || plan_sweep(&model, &sweep, &[floor(0.0)], &config, &mut Workspace::default()).unwrap();
-    assert_eq!(plan(), plan());
+    let plan = plan_sweep(&model, &sweep, &[floor(0.0)], &config, &mut Workspace::default()).unwrap();
+    let expected =
+        [-1.941_471_03, 0.868_010_40, 1.152_262_49, -2.631_146_93, -1.506_058_95, 2.368_088_85, 0.768_796_13];
+    for (q, expected) in plan.q_start.iter().zip(expected) {
+        assert!((q - expected).abs() < 1e-6, "{:?}", plan.q_start);
+    }
 }
 
 #[test]
@@ -421,7 +411,7 @@ fn near_the_robot_what_is_planned_passes_every_check_or_is_refused() {
                     assert!(e.cure().contains("further away"), "{}", e.cure());
                     refused += 1;
                 }
-                // Only the whole motion, with the rest after the sweep, shows a joint at its end.
+                // Only the whole motion, with the settling after the sweep, reaches the joint limit.
                 Err(StrikeError::Infeasible(e)) => assert!(e.limit == LimitKind::Position, "{e}"),
                 Err(e) => panic!("{x} {y} {degrees}°: {e}"),
             }

@@ -1,8 +1,6 @@
 //! Which bodies touch each other first, in both precisions.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glamx::{DPose3, DVec3};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{Simulation, StrikerMotion, WorldOptions};

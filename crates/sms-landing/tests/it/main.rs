@@ -1,0 +1,4 @@
+//! Integration tests of sms-landing.
+
+mod example;
+mod landing;

@@ -1,0 +1,7 @@
+//! Integration tests of sms-sim.
+
+mod arm;
+mod common;
+mod motion;
+mod touches;
+mod wash;
