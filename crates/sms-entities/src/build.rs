@@ -1,7 +1,7 @@
 //! The stage: from a Gaussian model with its frames and labels to entities.
 
 use crate::body;
-use crate::cloud::{self, Disc};
+use crate::cloud::{self, SurfaceDisc};
 use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::draft::{Draft, STAGE, SceneInputs};
@@ -11,7 +11,7 @@ use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
 use crate::relabel::relabel;
 use crate::stack;
-use crate::support::{self, Carrier, Rest, Surroundings};
+use crate::support::{self, Carrier, RestingPlane, Surroundings};
 use crate::underside::{return_sides, return_undersides};
 use crate::views::Views;
 use crate::{EntitiesError, EntitySet};
@@ -34,7 +34,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// surface without a label (paper, Section "Materialize").
 ///
 /// # Errors
-/// [`EntitiesError::Mismatch`] when labels and frames do not belong together, and on interruption. Objects that cannot
+/// When labels and frames do not belong together, when a depth is invalid, and on interruption. Objects that cannot
 /// be built are left out with a warning.
 pub fn build_entities(
     model: &GaussianModel,
@@ -52,7 +52,7 @@ pub fn build_entities(
     let mut around = support::surroundings(&views, 0.005);
     let discs_of = |label: u16| cloud::label_discs(model, &views, label, config);
     let ids = labels.objects.par_iter().map(|info| info.id);
-    let (unlabelled, discs): (Vec<Disc>, Vec<Vec<Disc>>) =
+    let (unlabelled, discs): (Vec<SurfaceDisc>, Vec<Vec<SurfaceDisc>>) =
         rayon::join(|| discs_of(sms_core::BACKGROUND), || ids.map(discs_of).collect());
     around.collect_lost_sides(&unlabelled);
     for (info, discs) in labels.objects.iter().zip(&discs) {
@@ -111,7 +111,7 @@ pub fn build_entities(
     let solid = |e: &Entity| e.parts.iter().map(Mesh::volume).sum::<f64>();
     let before: Vec<f64> = entities.iter().map(solid).collect();
     let floor = support_height.unwrap_or(0.0);
-    let rests: Vec<(u16, Rest)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
+    let rests: Vec<(u16, RestingPlane)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
     let faces = level::level_faces(&mut entities, &rests, floor, config.convex.max_vertices);
     for overlap in contact::part_objects(&mut entities, &faces, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
@@ -154,30 +154,18 @@ pub fn build_entities(
 
 fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesError> {
     if sequence.is_empty() {
-        return Err(EntitiesError::Mismatch("there are no frames to build objects from".into()));
+        return Err(EntitiesError::NoFrames);
     }
     if labels.maps.len() != sequence.len() {
-        let message = format!(
-            "there are {} label maps for {} frames; make the masks again for this recording",
-            labels.maps.len(),
-            sequence.len()
-        );
-        return Err(EntitiesError::Mismatch(message));
+        return Err(EntitiesError::LabelMapCount { maps: labels.maps.len(), frames: sequence.len() });
     }
     for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
-        if map.size() != frame.depth.size() {
-            let message = format!(
-                "label map {} is {}×{} but its frame is {}×{}; make the masks again at this size",
-                frame.index, map.width, map.height, frame.depth.width, frame.depth.height
-            );
-            return Err(EntitiesError::Mismatch(message));
+        let (index, map, depth) = (frame.index, map.size(), frame.depth.size());
+        if map != depth {
+            return Err(EntitiesError::LabelMapSize { frame: index, map, depth });
         }
-        if let Some(bad) = frame.depth.data.iter().find(|z| !(z.is_finite() && **z >= 0.0)) {
-            let message = format!(
-                "the depth of frame {} holds {bad}; give metres, and 0 where there is none",
-                frame.index
-            );
-            return Err(EntitiesError::Mismatch(message));
+        if let Some(&depth) = frame.depth.data.iter().find(|z| !(z.is_finite() && **z >= 0.0)) {
+            return Err(EntitiesError::InvalidDepth { frame: index, depth });
         }
     }
     Ok(())
@@ -187,7 +175,7 @@ fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesErro
 const FEW_DISCS: usize = 40;
 
 fn draft(
-    mut discs: Vec<Disc>,
+    mut discs: Vec<SurfaceDisc>,
     info: &LabelInfo,
     scene: SceneInputs<'_>,
     seed: Seed,
@@ -370,7 +358,7 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
 
 /// Removes points of the carrying plane, and below it: labels bleed onto the surface around an object's foot. The band
 /// is no wider than the plane's scatter, because the floor of a thin dish lies just over it. Returns the points below.
-fn drop_carrier_points(cloud: &mut PointCloud, rest: &Rest) -> PointCloud {
+fn drop_carrier_points(cloud: &mut PointCloud, rest: &RestingPlane) -> PointCloud {
     const BELOW_M: f64 = -0.003;
     let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height(p)).collect();
     let top = heights.iter().copied().fold(0.0, f64::max);

@@ -14,7 +14,7 @@ use sms_mesh::{
 
 /// One Gaussian as a flat disc.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Disc {
+pub(crate) struct SurfaceDisc {
     pub(crate) center: DVec3,
     /// Unit normal towards the cameras that saw it.
     pub(crate) normal: DVec3,
@@ -30,7 +30,7 @@ pub(crate) fn coarse_spacing(config: &EntitiesConfig) -> f64 {
 }
 
 /// Distance between neighbouring points that spends the point budget on the surface that the discs cover.
-pub(crate) fn spacing(discs: &[Disc], config: &EntitiesConfig) -> f64 {
+pub(crate) fn spacing(discs: &[SurfaceDisc], config: &EntitiesConfig) -> f64 {
     let coarse = coarse_spacing(config);
     let points: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
     let normals: Vec<DVec3> = discs.iter().map(|d| d.normal).collect();
@@ -46,7 +46,7 @@ pub(crate) fn label_discs(
     views: &Views,
     label: u16,
     config: &EntitiesConfig,
-) -> Vec<Disc> {
+) -> Vec<SurfaceDisc> {
     let mut discs = Vec::new();
     for i in 0..model.len() {
         let usable = model.labels[i] == label
@@ -71,7 +71,7 @@ pub(crate) fn label_discs(
         if normal.dot(count.towards) < 0.0 {
             normal = -normal;
         }
-        discs.push(Disc {
+        discs.push(SurfaceDisc {
             center,
             normal,
             axes: axes.map(|(axis, sigma)| axis.as_dvec3() * f64::from(sigma)),
@@ -103,8 +103,8 @@ pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &Entitie
 }
 
 /// Discs straight from the labelled depth pixels, for objects that the model hardly holds.
-pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<Disc> {
-    let mut discs: Vec<Disc> = Vec::new();
+pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<SurfaceDisc> {
+    let mut discs: Vec<SurfaceDisc> = Vec::new();
     for (f, frame) in views.sequence.frames.iter().enumerate() {
         let map = &views.labels.maps[f];
         for y in 0..map.height {
@@ -117,7 +117,7 @@ pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<Disc> 
                 let normal = frame.camera.x_wc.rotation * DVec3::from_array(normal_c);
                 let sigma = frame.camera.intrinsics.pixel_footprint(depth);
                 let first = normal.any_orthonormal_vector();
-                discs.push(Disc {
+                discs.push(SurfaceDisc {
                     center: frame.camera.unproject_pixel(x, y, depth),
                     normal,
                     axes: [first * sigma, normal.cross(first) * sigma],
@@ -133,7 +133,7 @@ pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<Disc> 
 }
 
 /// Shrinks discs that are far larger than their object's usual ones: their rims are not on the surface.
-fn limit_size(discs: &mut [Disc]) {
+fn limit_size(discs: &mut [SurfaceDisc]) {
     let typical = median(discs.iter().map(|d| d.axes[0].length().max(d.axes[1].length())).collect());
     let limit = (3.0 * typical).min(0.025);
     for disc in discs {
@@ -145,7 +145,7 @@ fn limit_size(discs: &mut [Disc]) {
 
 /// Drops islands: discs connected within a few times their usual distance form components; those with less than a tenth
 /// of the largest one's discs are dropped.
-pub(crate) fn drop_islands(discs: Vec<Disc>, spacing: f64) -> Vec<Disc> {
+pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<SurfaceDisc> {
     let centers: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
     if centers.len() < 3 {
         return discs;
@@ -190,7 +190,7 @@ const NORMAL_RADIUS_M: f64 = 0.005;
 /// Uniform surface points: each disc is sampled uniformly by area, samples that the frames contradict are dropped, and
 /// the rest is thinned to the wanted density, moved onto the measured depth and given smoothed normals.
 pub(crate) fn densify(
-    discs: &[Disc],
+    discs: &[SurfaceDisc],
     views: &Views,
     label: u16,
     spacing: f64,

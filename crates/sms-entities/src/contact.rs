@@ -14,7 +14,7 @@ const ALONG: f64 = 0.8;
 const AT_FACE_M: f64 = 0.02;
 
 /// Two objects that overlapped, by their indices, and the depth (metres).
-pub(crate) struct Overlap {
+pub(crate) struct ObjectOverlap {
     pub(crate) first: usize,
     pub(crate) second: usize,
     pub(crate) depth: f64,
@@ -30,14 +30,14 @@ pub(crate) fn part_objects(
     faces: &[LevelFace],
     max_vertices: usize,
     report: f64,
-) -> Vec<Overlap> {
+) -> Vec<ObjectOverlap> {
     let mut found = Vec::new();
     for second in 0..entities.len() {
         for first in 0..second {
             let depth = part_pair(entities, first, second, faces, max_vertices);
             if depth > report {
                 let left = left_overlap(&entities[first], &entities[second]);
-                found.push(Overlap { first, second, depth, left });
+                found.push(ObjectOverlap { first, second, depth, left });
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Objects before they are meshed.
 
 use crate::config::EntitiesConfig;
-use crate::support::{Rest, Surroundings};
+use crate::support::{RestingPlane, Surroundings};
 use crate::views::Views;
 use sms_core::{LabelInfo, PointCloud};
 use sms_mesh::SphereFit;
@@ -17,7 +17,7 @@ pub(crate) struct Draft {
     pub(crate) below: PointCloud,
     /// Distance between neighbouring points of the cloud, metres.
     pub(crate) spacing: f64,
-    pub(crate) rest: Rest,
+    pub(crate) rest: RestingPlane,
     pub(crate) sphere: Option<SphereFit>,
     /// Whether it is static: an object that only seems to float would fall in a simulation.
     pub(crate) fixed: bool,

@@ -1,7 +1,7 @@
 //! The static environment: all surface without a label.
 
 use crate::config::EntitiesConfig;
-use crate::support::{Carrier, Rest, Surroundings};
+use crate::support::{Carrier, RestingPlane, Surroundings};
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
@@ -33,7 +33,7 @@ pub(crate) fn environment_entity(
     views: &Views,
     around: &Surroundings,
     objects: &[Entity],
-    rests: &[(u16, Rest)],
+    rests: &[(u16, RestingPlane)],
     support_height: Option<f64>,
     config: &EntitiesConfig,
 ) -> Option<Entity> {

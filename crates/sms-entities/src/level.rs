@@ -8,10 +8,10 @@
 
 use crate::piece::{cut_to, is_exact};
 use crate::standing::{
-    CLOSED_M, Column, LevelFace, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces,
+    CLOSED_M, LevelFace, PieceColumn, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces,
     reaches_beside, standing, under,
 };
-use crate::support::{Carrier, Rest, SIDE};
+use crate::support::{Carrier, RestingPlane, SIDE};
 use glamx::{DVec2, DVec3};
 use sms_core::{Entity, EntityShape, Mesh};
 use sms_mesh::{
@@ -54,7 +54,7 @@ const LEAST_LEFT: f64 = 0.01;
 /// Flattens undersides of known height, and ends their carriers there. Returns these faces.
 pub(crate) fn level_faces(
     entities: &mut [Entity],
-    rests: &[(u16, Rest)],
+    rests: &[(u16, RestingPlane)],
     floor: f64,
     max_vertices: usize,
 ) -> Vec<LevelFace> {
@@ -101,7 +101,7 @@ fn foot_outlines(entity: &Entity, height: f64) -> Vec<Vec<DVec2>> {
 }
 
 /// A level face that an object stands on.
-struct Face {
+struct StandingFace {
     height: f64,
     /// Where it was seen from below, in the world's x and y.
     seen: Vec<DVec2>,
@@ -109,18 +109,18 @@ struct Face {
 
 /// Returns the level face that an object stands on, as it was seen from below, else at the upper end of its carrier;
 /// `None` where it is not known.
-fn face(entity: &Entity, rest: Option<&Rest>) -> Option<Face> {
+fn face(entity: &Entity, rest: Option<&RestingPlane>) -> Option<StandingFace> {
     let low = bottom(entity);
     if is_exact(entity) {
         // A cylinder that lies stands on a line, however wide its mesh is a millimetre above it.
         let lies = matches!(entity.shape, EntityShape::Cylinder { x_ws, .. } if (x_ws.rotation * DVec3::Z).z.abs() < DOWN);
         let lowest = outline_of(entity.mesh.vertices.iter().copied().filter(|v| v.z < low + 1e-3));
-        return (!lies && width(&lowest) > FACE_M).then_some(Face { height: low, seen: Vec::new() });
+        return (!lies && width(&lowest) > FACE_M).then_some(StandingFace { height: low, seen: Vec::new() });
     }
     let carrier = rest.filter(|r| matches!(r.carrier, Carrier::Object(_)) && r.plane.normal == DVec3::Z);
     let carrier = carrier.map(|r| r.plane.offset).filter(|height| (height - low).abs() < REACH_M);
     let carrier = carrier.filter(|_| is_flat_below(entity, low));
-    seen_face(entity, low).or(carrier.map(|height| Face { height, seen: Vec::new() }))
+    seen_face(entity, low).or(carrier.map(|height| StandingFace { height, seen: Vec::new() }))
 }
 
 /// Whether an object that ends at `low` is about as wide there as farther up; round undersides are not.
@@ -132,7 +132,7 @@ fn is_flat_below(entity: &Entity, low: f64) -> bool {
 }
 
 /// The level face that was seen of an object that ends at `low`.
-fn seen_face(entity: &Entity, low: f64) -> Option<Face> {
+fn seen_face(entity: &Entity, low: f64) -> Option<StandingFace> {
     let cloud = &entity.cloud;
     let down = cloud.points_w.iter().zip(&cloud.normals_w).filter(|(_, n)| n.z < -DOWN).map(|(p, _)| *p);
     let mut points: Vec<DVec3> = down.collect();
@@ -152,7 +152,7 @@ fn seen_face(entity: &Entity, low: f64) -> Option<Face> {
     let height = median(heights);
     points.retain(|p| (p.z - height).abs() < 2.0 * LEVEL_M);
     let is_face = points.len() >= FEWEST && is_level && (height - low).abs() < REACH_M;
-    is_face.then(|| Face { height, seen: points.into_iter().map(|p| p.truncate()).collect() })
+    is_face.then(|| StandingFace { height, seen: points.into_iter().map(|p| p.truncate()).collect() })
 }
 
 /// Makes an object stand on the floor with all of its foot.
@@ -163,14 +163,14 @@ fn stand_flat(entity: &mut Entity, floor: f64, max_vertices: usize) {
     let low: Vec<DVec3> = low.collect();
     let sides = PointGrid::new(&low, NEAR_M);
     let is_foot = |v: DVec3| v.z < floor + FOOT_M || sides.is_near(v, NEAR_M);
-    flatten(entity, &Face { height: floor, seen: Vec::new() }, STRIP_M, max_vertices, &is_foot);
+    flatten(entity, &StandingFace { height: floor, seen: Vec::new() }, STRIP_M, max_vertices, &is_foot);
 }
 
 /// Puts those corners of an object's underside onto its face that are its foot and at most `reach` metres above it, and makes its pieces
 /// reach as far on the face as it was seen.
 fn flatten(
     entity: &mut Entity,
-    face: &Face,
+    face: &StandingFace,
     reach: f64,
     max_vertices: usize,
     is_foot: &dyn Fn(DVec3) -> bool,
@@ -181,7 +181,7 @@ fn flatten(
         let reach = reach.min(THICKNESS_SHARE * (top - height));
         // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
         let silhouette = outline_of(part.vertices.iter().copied());
-        let Some(column) = Column::of(part) else { continue };
+        let Some(column) = PieceColumn::of(part) else { continue };
         // Not outside the piece's span: that is another one's foot.
         let ends_here =
             |p: DVec2| column.underside(p, height - 1.0).is_some_and(|z| z < height + 2.0 * REACH_M);
@@ -321,8 +321,11 @@ mod tests {
     fn where_the_underside_was_not_seen_the_carriers_top_is_the_face() {
         let mut pair = board_on_bulge(0);
         pair[1].label = 2;
-        let rest =
-            Rest { plane: Plane::horizontal(0.501), carrier: Carrier::Object(pair[0].label), noise_m: 0.001 };
+        let rest = RestingPlane {
+            plane: Plane::horizontal(0.501),
+            carrier: Carrier::Object(pair[0].label),
+            noise_m: 0.001,
+        };
         let faces = level_faces(&mut pair, &[(2, rest)], 0.0, 64);
         assert_eq!(faces, [LevelFace { upper: 1, height: 0.501 }]);
         assert!((highest(&pair[0]) - 0.501).abs() < 1e-9 && (bottom(&pair[1]) - 0.501).abs() < 1e-9);
@@ -330,7 +333,7 @@ mod tests {
         let leaning = Plane { normal: DVec3::new(0.1, 0.0, 1.0).normalize(), offset: 0.5 };
         let before = board_on_bulge(0);
         let mut pair = before.clone();
-        assert!(level_faces(&mut pair, &[(1, Rest { plane: leaning, ..rest })], 0.0, 64).is_empty());
+        assert!(level_faces(&mut pair, &[(1, RestingPlane { plane: leaning, ..rest })], 0.0, 64).is_empty());
         assert_eq!(pair, before);
     }
 
@@ -341,8 +344,11 @@ mod tests {
         let round = Mesh::icosphere(0.04, 3).vertices;
         let round: Vec<DVec3> = round.iter().map(|v| v + DVec3::new(0.0, 0.0, 0.54)).collect();
         ball.parts = vec![convex_hull(&round, 256, 0.0).unwrap()];
-        let rest =
-            Rest { plane: Plane::horizontal(0.501), carrier: Carrier::Object(block.label), noise_m: 0.001 };
+        let rest = RestingPlane {
+            plane: Plane::horizontal(0.501),
+            carrier: Carrier::Object(block.label),
+            noise_m: 0.001,
+        };
         let mut pair = [block, ball];
         let before = pair.clone();
         assert!(level_faces(&mut pair, &[(2, rest)], 0.0, 64).is_empty());

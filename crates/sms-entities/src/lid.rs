@@ -5,7 +5,7 @@
 
 use crate::piece::{CollisionPiece, cut_to, is_exact, is_thick, pieces_near};
 use crate::standing::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
-use crate::support::{Carrier, Rest, Surroundings, UPRIGHT};
+use crate::support::{Carrier, RestingPlane, Surroundings, UPRIGHT};
 use glamx::{DVec2, DVec3};
 use sms_core::{Aabb, Entity, Mesh};
 use sms_mesh::{
@@ -56,7 +56,7 @@ const NARROW_M: f64 = 0.02;
 /// within the same outline.
 pub(crate) fn add_lids(
     entities: &mut [Entity],
-    rests: &[(u16, Rest)],
+    rests: &[(u16, RestingPlane)],
     floor: f64,
     max_vertices: usize,
     around: &Surroundings,
@@ -156,7 +156,7 @@ fn lid(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -
     let is_guessed = |p: &&DVec2| {
         let edge = nearest_on(&seen.edge, **p);
         let out = (**p - edge).normalize_or_zero();
-        let ends = |side: &Side| side.p.distance(edge) < NEAR_M && side.normal.dot(out) > FACES;
+        let ends = |side: &SeenSide| side.p.distance(edge) < NEAR_M && side.normal.dot(out) > FACES;
         p.distance(edge) > UNSEEN_M || !seen.sides.iter().any(ends)
     };
     let guessed = touching.iter().filter(|p| !is_within(&seen.edge, **p, EXCESS_M)).filter(is_guessed);
@@ -197,13 +197,13 @@ fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
 
 /// A seen point of a side, from above.
 #[derive(Clone, Copy)]
-struct Side {
+struct SeenSide {
     p: DVec2,
     /// Horizontal normal of the side: of unit length, or zero where unknown.
     normal: DVec2,
 }
 
-impl Side {
+impl SeenSide {
     fn new(p: DVec3, normal: DVec3) -> Self {
         Self { p: p.truncate(), normal: normal.truncate().normalize_or_zero() }
     }
@@ -211,7 +211,7 @@ impl Side {
 
 /// The seen sides of an object, from above.
 struct Sides {
-    sides: Vec<Side>,
+    sides: Vec<SeenSide>,
     /// Their convex outline.
     edge: Vec<DVec2>,
 }
@@ -264,12 +264,13 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     if sides.len() + lost.len() < FEWEST {
         return None;
     }
-    let sides: Vec<Side> = sides.into_iter().map(|i| Side::new(cloud.points_w[i], normal(i))).collect();
+    let sides: Vec<SeenSide> =
+        sides.into_iter().map(|i| SeenSide::new(cloud.points_w[i], normal(i))).collect();
     // The outermost Gaussians are noise; unlabelled points are means of depths.
     let outermost = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
     let inner = sides.into_iter().filter(|s| !outermost.contains(&s.p));
-    let lost = lost.into_iter().map(|(p, normal)| Side::new(p, normal));
-    let sides: Vec<Side> = inner.chain(lost).collect();
+    let lost = lost.into_iter().map(|(p, normal)| SeenSide::new(p, normal));
+    let sides: Vec<SeenSide> = inner.chain(lost).collect();
     let edge = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
     (edge.len() >= 3).then_some(Sides { sides, edge })
 }
@@ -470,7 +471,7 @@ mod tests {
         // A bracket that no label has.
         let mut all = [low.clone(), board];
         all[1].label = 7;
-        let rest = |carrier| Rest { plane: Plane::horizontal(0.5), carrier, noise_m: 1e-3 };
+        let rest = |carrier| RestingPlane { plane: Plane::horizontal(0.5), carrier, noise_m: 1e-3 };
         add_lids(&mut all, &[(7, rest(Carrier::Environment))], 0.0, 64, &nothing());
         assert_eq!(all[0], low);
         add_lids(&mut all, &[(7, rest(Carrier::Object(low.label)))], 0.0, 64, &nothing());

@@ -2,7 +2,7 @@
 
 use crate::config::EntitiesConfig;
 use crate::draft::{Draft, SceneInputs};
-use crate::support::{Carrier, Rest, Surroundings, height_below_ball};
+use crate::support::{Carrier, RestingPlane, Surroundings, height_below_ball};
 use crate::views::{Views, depth_sigma, depth_tolerance};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::{EntityShape, Mesh, PointCloud, Seed, even_directions};
@@ -46,7 +46,7 @@ fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
 pub(crate) fn recognise_sphere(
     cloud: &PointCloud,
     label: u16,
-    rest: &Rest,
+    rest: &RestingPlane,
     scene: SceneInputs<'_>,
     seed: Seed,
 ) -> Option<SphereFit> {
@@ -78,7 +78,7 @@ const SEEN_THROUGH: f64 = 0.12;
 const SUNK_M: f64 = 0.003;
 
 /// Depth of a ball below its support, metres. In a hollow the carrier's surface counts, not the plane.
-pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
+pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &RestingPlane) -> f64 {
     let hollow = match rest.carrier {
         Carrier::Object(carrier) => height_below_ball(around, carrier, fit.center, fit.radius),
         _ => None,
@@ -90,7 +90,13 @@ pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &Rest) -> f64 {
 }
 
 /// Whether the cameras or the floor contradict a whole sphere. A round bowl's wall lies on a sphere, too.
-fn is_contradicted(fit: &SphereFit, views: &Views, around: &Surroundings, label: u16, rest: &Rest) -> bool {
+fn is_contradicted(
+    fit: &SphereFit,
+    views: &Views,
+    around: &Surroundings,
+    label: u16,
+    rest: &RestingPlane,
+) -> bool {
     if sunk(fit, around, rest) > SUNK_M {
         return true;
     }

@@ -4,7 +4,7 @@
 
 use crate::piece::{CollisionPiece, is_exact, pieces_near, translate};
 use crate::standing::{
-    CLOSED_M, Column, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
+    CLOSED_M, PieceColumn, REACH_M, bottom, bottom_outline, can_carry, corners_of_faces, standing, under,
 };
 use glamx::{DVec2, DVec3};
 use sms_core::{Entity, Mesh};
@@ -103,7 +103,7 @@ fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -
     let (corners, kept): (Vec<_>, Vec<_>) =
         part.vertices.iter().copied().zip(looks_up).partition(|(v, up)| is_raised(v, *up));
     let corners: Vec<DVec3> = corners.into_iter().map(|(v, _)| v).collect();
-    let column = Column::of(part)?;
+    let column = PieceColumn::of(part)?;
     let top = |p: DVec2| column.top(p, height + 1.0);
     let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
     // A wide top was seen beside the other object, and would be lifted with it.

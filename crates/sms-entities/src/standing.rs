@@ -85,9 +85,9 @@ pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec
 }
 
 /// Heights at which vertical lines meet a convex piece.
-pub(crate) struct Column(ConvexPolyhedron);
+pub(crate) struct PieceColumn(ConvexPolyhedron);
 
-impl Column {
+impl PieceColumn {
     pub(crate) fn of(part: &Mesh) -> Option<Self> {
         ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles).map(Self)
     }

@@ -1,6 +1,6 @@
 //! Supports: the surfaces that objects rest on.
 
-use crate::cloud::Disc;
+use crate::cloud::SurfaceDisc;
 use crate::views::Views;
 use glamx::{DMat4, DVec3, DVec4};
 use rand::RngExt;
@@ -27,13 +27,13 @@ pub(crate) struct Surroundings {
 
 impl Surroundings {
     /// Collects the sides of an object from its discs.
-    pub(crate) fn collect_own_sides(&mut self, label: u16, discs: &[Disc]) {
+    pub(crate) fn collect_own_sides(&mut self, label: u16, discs: &[SurfaceDisc]) {
         let sides = discs.iter().filter(|d| d.normal.z.abs() < UPRIGHT);
         self.own_sides.extend(sides.map(|d| (d.center, label)));
     }
 
     /// Collects unlabelled sides: measured points, and discs of the reconstruction.
-    pub(crate) fn collect_lost_sides(&mut self, unlabelled: &[Disc]) {
+    pub(crate) fn collect_lost_sides(&mut self, unlabelled: &[SurfaceDisc]) {
         let measured = (0..self.points.len()).filter(|&i| self.labels[i] == sms_core::BACKGROUND);
         let measured = measured.map(|i| (self.points[i], self.normals[i]));
         let all = measured.chain(unlabelled.iter().map(|d| (d.center, d.normal)));
@@ -56,7 +56,7 @@ pub(crate) enum Carrier {
 
 /// The plane an object rests on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rest {
+pub(crate) struct RestingPlane {
     pub(crate) plane: Plane,
     pub(crate) carrier: Carrier,
     /// Scatter (robust standard deviation) of the carrying surface about the plane, metres.
@@ -152,7 +152,7 @@ pub(crate) fn find_rest(
     around: &Surroundings,
     support: Option<f64>,
     seed: Seed,
-) -> Rest {
+) -> RestingPlane {
     let lowest = quantile(points.iter().map(|p| p.z).collect(), 0.02);
     let highest = quantile(points.iter().map(|p| p.z).collect(), 0.98);
     let height = (highest - lowest).max(0.01);
@@ -184,7 +184,7 @@ pub(crate) fn find_rest(
     };
     let rest = |plane: Plane, carrier: Carrier, members: &[usize]| {
         let noise_m = if members.len() < 12 { UNSEEN_NOISE_M } else { 1.4826 * scatter(&plane, members) };
-        Rest { plane, carrier, noise_m }
+        RestingPlane { plane, carrier, noise_m }
     };
     let Some((plane, members)) = fit_level_plane(&candidates, around, points, seed) else {
         return match support {
@@ -487,7 +487,7 @@ mod tests {
         (0..400).map(move |k| DVec3::new(step(x, k / 20), step(y, k % 20), 0.45))
     }
 
-    fn rest_of_box(around: &Surroundings) -> Rest {
+    fn rest_of_box(around: &Surroundings) -> RestingPlane {
         find_rest(&sides_of_box(), BOX, around, Some(0.0), Seed(3))
     }
 

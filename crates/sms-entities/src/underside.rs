@@ -2,7 +2,7 @@
 //! label.
 
 use crate::draft::Draft;
-use crate::support::{Carrier, Rest, SIDE};
+use crate::support::{Carrier, RestingPlane, SIDE};
 use crate::views::{Sight, Views};
 use glamx::{DVec2, DVec3};
 use sms_core::PointCloud;
@@ -17,7 +17,7 @@ use sms_mesh::{
 /// lowest point.
 pub(crate) fn contact_points(
     cloud: &PointCloud,
-    rest: &Rest,
+    rest: &RestingPlane,
     views: &Views,
     label: u16,
     spacing: f64,
@@ -91,7 +91,9 @@ const CONTINUES_M: f64 = 0.02;
 /// The plane on which an object stands and the index of its carrier. Balls are excluded: they touch at a point, and
 /// their labels bleed differently.
 fn carried(drafts: &[Draft], upper: usize) -> Option<(Plane, usize)> {
-    let Rest { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else { return None };
+    let RestingPlane { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else {
+        return None;
+    };
     let lower = drafts.iter().position(|d| d.info.id == carrier).filter(|&i| i != upper)?;
     drafts[upper].sphere.is_none().then_some((plane, lower))
 }
@@ -187,7 +189,7 @@ mod tests {
     use super::*;
     use sms_core::LabelInfo;
 
-    fn draft(id: u16, rest: Rest, points: &[(DVec3, DVec3)]) -> Draft {
+    fn draft(id: u16, rest: RestingPlane, points: &[(DVec3, DVec3)]) -> Draft {
         let cloud = PointCloud {
             points_w: points.iter().map(|p| p.0).collect(),
             normals_w: points.iter().map(|p| p.1).collect(),
@@ -199,8 +201,11 @@ mod tests {
 
     #[test]
     fn a_side_that_has_the_label_of_what_stands_on_it_is_given_back() {
-        let rest =
-            |height: f64, carrier: Carrier| Rest { plane: Plane::horizontal(height), carrier, noise_m: 1e-3 };
+        let rest = |height: f64, carrier: Carrier| RestingPlane {
+            plane: Plane::horizontal(height),
+            carrier,
+            noise_m: 1e-3,
+        };
         let side = |z: f64, normal: DVec3| move |k: usize| (DVec3::new(0.0, 0.005 * k as f64, z), normal);
         let bin: Vec<_> = (0..30).map(side(0.47, DVec3::X)).collect();
         let board: Vec<_> = (0..30).map(side(0.506, DVec3::X)).collect();
@@ -222,8 +227,11 @@ mod tests {
         let row = |z: f64, normal: DVec3| {
             move |k: usize| (DVec3::new(0.01 * k as f64, 0.05 * (k % 2) as f64, z), normal)
         };
-        let rest =
-            |height: f64, carrier: Carrier| Rest { plane: Plane::horizontal(height), carrier, noise_m: 1e-3 };
+        let rest = |height: f64, carrier: Carrier| RestingPlane {
+            plane: Plane::horizontal(height),
+            carrier,
+            noise_m: 1e-3,
+        };
         let board: Vec<_> = (0..40).map(row(0.512, DVec3::Z)).collect();
         // A stool's side and top, 5 cards of the board's underside, the lip of its own seat 2 cm lower, and a shelf beside the board.
         let mut stool: Vec<_> =

@@ -73,25 +73,25 @@ impl Quadric {
     }
 }
 
-struct Candidate {
+struct EdgeCollapse {
     cost: f64,
     edge: (u32, u32),
     stamps: (u32, u32),
     to: DVec3,
 }
 
-impl PartialEq for Candidate {
+impl PartialEq for EdgeCollapse {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
-impl Eq for Candidate {}
-impl PartialOrd for Candidate {
+impl Eq for EdgeCollapse {}
+impl PartialOrd for EdgeCollapse {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
-impl Ord for Candidate {
+impl Ord for EdgeCollapse {
     /// The cheapest is the greatest; edges break ties, so that the result does not depend on the heap.
     fn cmp(&self, other: &Self) -> Ordering {
         other.cost.total_cmp(&self.cost).then(other.edge.cmp(&self.edge)).then(other.stamps.cmp(&self.stamps))
@@ -105,7 +105,7 @@ struct Collapser {
     faces_of: Vec<Vec<u32>>,
     quadrics: Vec<Quadric>,
     stamps: Vec<u32>,
-    heap: BinaryHeap<Candidate>,
+    heap: BinaryHeap<EdgeCollapse>,
     around: (Vec<u32>, Vec<u32>),
 }
 
@@ -194,7 +194,7 @@ impl Collapser {
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or((f64::INFINITY, middle));
         let stamps = (self.stamps[a as usize], self.stamps[b as usize]);
-        self.heap.push(Candidate { cost, edge: (a, b), stamps, to });
+        self.heap.push(EdgeCollapse { cost, edge: (a, b), stamps, to });
     }
 
     /// Neighbours of a vertex, sorted.

@@ -7,7 +7,7 @@ use sms_core::Mesh;
 /// Corners of the four faces of a positively oriented tetrahedron, counter-clockwise from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-struct Face {
+struct GrowingFace {
     corners: [u32; 3],
     /// The face across the edge from corner `k` to corner `k + 1`.
     across: [u32; 3],
@@ -31,7 +31,7 @@ pub fn convex_hull(points: &[DVec3], max_vertices: usize, tolerance: f64) -> Opt
     let seed = extreme_simplex(points)?;
     let mut hull = Hull { points, faces: Vec::new() };
     for i in 0..4 {
-        hull.faces.push(Face {
+        hull.faces.push(GrowingFace {
             corners: FACES[i].map(|k| seed[k]),
             across: [NO_FACE; 3],
             alive: true,
@@ -94,7 +94,7 @@ fn extreme_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
 
 struct Hull<'a> {
     points: &'a [DVec3],
-    faces: Vec<Face>,
+    faces: Vec<GrowingFace>,
 }
 
 impl Hull<'_> {
@@ -174,7 +174,7 @@ impl Hull<'_> {
                 }
             }
             let next = starts.get(&b).copied().unwrap_or(NO_FACE);
-            self.faces.push(Face {
+            self.faces.push(GrowingFace {
                 corners: [a, b, point],
                 across: [g, next, NO_FACE],
                 alive: true,

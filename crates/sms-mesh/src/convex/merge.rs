@@ -1,8 +1,8 @@
 //! Joining parts again where cuts were not needed, and where the part budget asks for it.
 
-use crate::convex::parts::{Part, Tolerance, rv};
+use crate::convex::parts::{ConvexPart, Tolerance, rv};
 use crate::convex::piece::SLIGHT;
-use crate::convex::search::Scratch;
+use crate::convex::search::HullBuffers;
 use crate::convex::solid::Solid;
 use crate::convex::work::Work;
 use rayon::prelude::*;
@@ -13,14 +13,14 @@ const SLIVER: f64 = 3e-4;
 
 /// A possible union of two parts.
 struct Union {
-    part: Part,
+    part: ConvexPart,
     /// Hull volume that the union adds.
     added: f64,
     /// Whether it stays within the threshold, once that was asked.
     allowed: Option<bool>,
 }
 
-fn union(a: &Part, b: &Part, gap: f64, scratch: &mut Scratch) -> Option<Union> {
+fn union(a: &ConvexPart, b: &ConvexPart, gap: f64, scratch: &mut HullBuffers) -> Option<Union> {
     let apart = (a.min - b.max).max(b.min - a.max).max_element();
     if apart > gap {
         return None;
@@ -30,21 +30,21 @@ fn union(a: &Part, b: &Part, gap: f64, scratch: &mut Scratch) -> Option<Union> {
         scratch.hull.push(p);
     }
     let hull_volume = scratch.hull.volume();
-    let part = Part::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
+    let part = ConvexPart::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
     Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
 }
 
 /// Joins parts, those first whose union adds the least volume: all that stay within the threshold and add no more than
 /// `most_added`, and more while there are more than `max_parts`.
 pub(crate) fn merge(
-    parts: Vec<Part>,
+    parts: Vec<ConvexPart>,
     solid: &Solid,
     tolerance: Tolerance,
     max_parts: usize,
     most_added: f64,
     work: &Work,
-) -> Vec<Part> {
-    let mut alive: BTreeMap<usize, Part> = parts.into_iter().enumerate().collect();
+) -> Vec<ConvexPart> {
+    let mut alive: BTreeMap<usize, ConvexPart> = parts.into_iter().enumerate().collect();
     let mut unions: BTreeMap<(usize, usize), Union> = BTreeMap::new();
     let mut next_id = alive.len();
     let mut fresh: Vec<usize> = alive.keys().copied().collect();
@@ -54,7 +54,7 @@ pub(crate) fn merge(
             fresh.iter().flat_map(|&b| ids.iter().filter(move |&&a| a < b).map(move |&a| (a, b))).collect();
         let found: Vec<Option<Union>> = pairs
             .par_iter()
-            .map_init(Scratch::default, |scratch, &(a, b)| {
+            .map_init(HullBuffers::default, |scratch, &(a, b)| {
                 let union = union(&alive[&a], &alive[&b], tolerance.threshold, scratch);
                 work.add(1 + scratch.hull.take_steps());
                 union
@@ -81,11 +81,11 @@ pub(crate) fn merge(
 
 /// Splinters left by cuts carry nothing and trouble physics engines: each joins the part that grows least by it where
 /// that costs next to nothing, and is left out otherwise.
-fn drop_slivers(mut alive: BTreeMap<usize, Part>) -> Vec<Part> {
+fn drop_slivers(mut alive: BTreeMap<usize, ConvexPart>) -> Vec<ConvexPart> {
     let total: f64 = alive.values().map(|p| p.hull_volume).sum();
     let slivers: Vec<usize> =
         alive.iter().filter(|(_, p)| p.hull_volume < SLIVER * total).map(|(&k, _)| k).collect();
-    let mut scratch = Scratch::default();
+    let mut scratch = HullBuffers::default();
     for id in slivers {
         if alive.len() < 2 {
             break;
@@ -105,7 +105,7 @@ fn drop_slivers(mut alive: BTreeMap<usize, Part>) -> Vec<Part> {
 }
 
 fn join(
-    alive: &mut BTreeMap<usize, Part>,
+    alive: &mut BTreeMap<usize, ConvexPart>,
     unions: &mut BTreeMap<(usize, usize), Union>,
     (a, b): (usize, usize),
     next_id: &mut usize,
@@ -128,7 +128,7 @@ fn best(
     most_added: Option<f64>,
     work: &Work,
 ) -> Option<(usize, usize)> {
-    let mut scratch = Scratch::default();
+    let mut scratch = HullBuffers::default();
     loop {
         let (key, union) = unions
             .iter_mut()
@@ -156,11 +156,11 @@ fn best(
 }
 
 fn across_gap(
-    alive: &BTreeMap<usize, Part>,
+    alive: &BTreeMap<usize, ConvexPart>,
     unions: &mut BTreeMap<(usize, usize), Union>,
     work: &Work,
 ) -> Option<(usize, usize)> {
-    let mut scratch = Scratch::default();
+    let mut scratch = HullBuffers::default();
     for (&a, pa) in alive {
         for (&b, pb) in alive.range(a + 1..) {
             if let Some(u) = union(pa, pb, f64::INFINITY, &mut scratch) {

@@ -1,10 +1,10 @@
 //! Which points of the unit cube lie inside a closed surface, looked up on a grid.
 
-use crate::convex::repair::Surface;
+use crate::convex::repair::TriangleSurface;
 use glamx::DVec3;
 
 /// Voxels of a solid in unit coordinates.
-pub(crate) struct Occupancy {
+pub(crate) struct InsideVoxels {
     min: DVec3,
     cell: f64,
     size: [usize; 3],
@@ -17,10 +17,10 @@ pub(crate) struct Occupancy {
 /// Crossings of one column: height in cells, and −1 where the column enters through an upward face's back.
 type Crossings = Vec<(f64, i32)>;
 
-impl Occupancy {
+impl InsideVoxels {
     /// A grid of `resolution` voxels along each side of length 2. A voxel is inside where the surface winds around its
     /// centre, however often and in whichever direction.
-    pub(crate) fn new(surface: &Surface, resolution: usize) -> Self {
+    pub(crate) fn new(surface: &TriangleSurface, resolution: usize) -> Self {
         let cell = 2.0 / resolution as f64;
         let low = surface.points.iter().fold(DVec3::ONE, |m, p| m.min(*p));
         let high = surface.points.iter().fold(-DVec3::ONE, |m, p| m.max(*p));
@@ -60,7 +60,7 @@ impl Occupancy {
         grid
     }
 
-    fn crossings(&self, surface: &Surface) -> Vec<Crossings> {
+    fn crossings(&self, surface: &TriangleSurface) -> Vec<Crossings> {
         let [nx, ny, _] = self.size;
         let mut columns: Vec<Crossings> = vec![Vec::new(); nx * ny];
         for t in &surface.triangles {
@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn volumes_and_hollows_are_found() {
         let ball = Mesh::icosphere(1.0, 4);
-        let grid = Occupancy::new(&clean(&ball.vertices, &ball.triangles), 64);
+        let grid = InsideVoxels::new(&clean(&ball.vertices, &ball.triangles), 64);
         assert!((grid.volume() / ball.volume() - 1.0).abs() < 0.01);
         // A box with a cavity, turned inside out as a whole: it still winds around the wall.
         let mut mesh = Mesh::cuboid(DVec3::ONE);
@@ -141,7 +141,7 @@ mod tests {
         let n = mesh.vertices.len() as u32;
         mesh.vertices.extend(&hole.vertices);
         mesh.triangles.extend(hole.triangles.iter().map(|&[a, b, c]| [a + n, c + n, b + n]));
-        let grid = Occupancy::new(&clean(&mesh.vertices, &mesh.triangles), 64);
+        let grid = InsideVoxels::new(&clean(&mesh.vertices, &mesh.triangles), 64);
         assert!((grid.volume() - 7.0).abs() < 0.2, "{}", grid.volume());
         assert!(!grid.contains(DVec3::splat(0.1)) && grid.contains(DVec3::splat(0.8)));
         assert!(!grid.contains(DVec3::splat(1.2)) && !grid.contains(DVec3::splat(-1.2)));

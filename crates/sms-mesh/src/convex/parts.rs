@@ -4,9 +4,9 @@ use crate::convex::config::ConvexConfig;
 use crate::convex::merge::merge;
 use crate::convex::piece::Piece;
 use crate::convex::remesh::{MOST_PAIRS, pairs};
-use crate::convex::repair::{Surface, clean, closed_surface};
+use crate::convex::repair::{TriangleSurface, clean, closed_surface};
 use crate::convex::round::Rounds;
-use crate::convex::search::{Breadth, Planes, Scratch, best_cut};
+use crate::convex::search::{Breadth, CutPlanes, HullBuffers, best_cut};
 use crate::convex::solid::Solid;
 use crate::convex::sweep::GrowingHull;
 use crate::convex::work::Work;
@@ -46,7 +46,7 @@ const MOST_PIECES: usize = 256;
 
 /// A convex part in unit coordinates.
 #[derive(Clone)]
-pub(crate) struct Part {
+pub(crate) struct ConvexPart {
     /// The hull's vertices.
     pub(crate) points: Vec<DVec3>,
     pub(crate) min: DVec3,
@@ -56,7 +56,7 @@ pub(crate) struct Part {
     pub(crate) hull_volume: f64,
 }
 
-impl Part {
+impl ConvexPart {
     pub(crate) fn new(points: Vec<DVec3>, volume: f64, hull_volume: f64) -> Option<Self> {
         let bounds = Aabb::of_points(points.iter().copied())?;
         (hull_volume > 0.0).then_some(Self { points, min: bounds.min, max: bounds.max, volume, hull_volume })
@@ -98,7 +98,7 @@ fn rv_volume(threshold: f64) -> f64 {
 pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     let finite = || mesh.vertices.iter().copied().filter(|p| p.is_finite());
     let Some(bounds) = Aabb::of_points(finite()) else { return Vec::new() };
-    let frame = Frame { center: bounds.center(), half: 0.5 * bounds.extents().max_element() };
+    let frame = UnitFrame { center: bounds.center(), half: 0.5 * bounds.extents().max_element() };
     if !(frame.half > 1e-9 && frame.half < 1e9 && frame.center.length() < 1e9) {
         return Vec::new();
     }
@@ -126,7 +126,7 @@ pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
 
 /// Where the unit coordinates lie in the mesh's.
 #[derive(Clone, Copy)]
-struct Frame {
+struct UnitFrame {
     center: DVec3,
     half: f64,
 }
@@ -152,7 +152,7 @@ fn decompose(
         first: 15,
         second: 7,
         candidates: 16,
-        planes: Planes::All,
+        planes: CutPlanes::All,
         part_cost: 0.05 * rv_volume(tolerance.threshold),
     };
     // A piece that is convex enough is one part, whatever cutting it would save.
@@ -165,7 +165,7 @@ fn decompose(
         return Some(vec![hull.vertices()]);
     }
     let max_parts = config.max_parts.max(1);
-    let finish = |open: Vec<[Piece; 2]>, planes: Planes, most_added: f64, work: &Work| {
+    let finish = |open: Vec<[Piece; 2]>, planes: CutPlanes, most_added: f64, work: &Work| {
         let parts = cut(open, &solid, tolerance, Breadth { planes, ..breadth }, work);
         let parts = merge(parts, &solid, tolerance, max_parts, most_added, work);
         total.add(work.steps());
@@ -175,7 +175,7 @@ fn decompose(
         (hulls, parts)
     };
     // Some planes suit box-like shapes, others round ones: the cheapest result is used.
-    let mut results: Vec<(f64, Vec<Part>)> = [Planes::All, Planes::Square, Planes::Flat]
+    let mut results: Vec<(f64, Vec<ConvexPart>)> = [CutPlanes::All, CutPlanes::Square, CutPlanes::Flat]
         .into_par_iter()
         .map(|planes| {
             finish(vec![[whole(&surface), whole(&coarse)]], planes, f64::INFINITY, &Work::default())
@@ -188,14 +188,14 @@ fn decompose(
         let [fine, coarse] = [(&surface, true), (&coarse, false)]
             .map(|(s, with_caps)| rounds.cut(&whole(s), with_caps, &solid, &work));
         let open = fine.into_iter().zip(coarse).map(|(fine, coarse)| [fine, coarse]).collect();
-        results.push(finish(open, Planes::All, SECTOR_SHARE * part_cost, &work));
+        results.push(finish(open, CutPlanes::All, SECTOR_SHARE * part_cost, &work));
     }
-    let price = |r: &(f64, Vec<Part>)| r.0 + part_cost * r.1.len() as f64;
+    let price = |r: &(f64, Vec<ConvexPart>)| r.0 + part_cost * r.1.len() as f64;
     let parts = results.into_iter().min_by(|a, b| price(a).total_cmp(&price(b)))?.1;
     (!parts.is_empty()).then(|| parts.into_iter().map(|p| p.points).collect())
 }
 
-fn whole(surface: &Surface) -> Piece {
+fn whole(surface: &TriangleSurface) -> Piece {
     Piece { points: surface.points.clone(), triangles: surface.triangles.clone(), ..Piece::default() }
 }
 
@@ -206,12 +206,12 @@ fn cut(
     tolerance: Tolerance,
     breadth: Breadth,
     work: &Work,
-) -> Vec<Part> {
-    let mut parts: Vec<Part> = Vec::new();
+) -> Vec<ConvexPart> {
+    let mut parts: Vec<ConvexPart> = Vec::new();
     while !open.is_empty() {
         let spent = work.steps() > MOST_WORK;
         let room = if spent { 0 } else { MOST_PIECES.saturating_sub(parts.len() + open.len()) };
-        let cut: Vec<(Option<Part>, Vec<[Piece; 2]>)> = open
+        let cut: Vec<(Option<ConvexPart>, Vec<[Piece; 2]>)> = open
             .par_iter()
             .enumerate()
             .map(|(i, piece)| examine(piece, solid, tolerance, breadth, i < room, work))
@@ -246,8 +246,8 @@ fn examine(
     breadth: Breadth,
     may_cut: bool,
     work: &Work,
-) -> (Option<Part>, Vec<[Piece; 2]>) {
-    let mut scratch = Scratch::default();
+) -> (Option<ConvexPart>, Vec<[Piece; 2]>) {
+    let mut scratch = HullBuffers::default();
     piece.hull_volume(&mut scratch.hull);
     if piece.cell.len() > 2 {
         // Corners where three cuts meet inside the solid are ends of the caps' inner edges.
@@ -276,7 +276,7 @@ fn examine(
         // A block from deep inside has no surface, but spines.
         return (None, sides.filter(|s| s[0].points.len() > 3).collect());
     }
-    (Part::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
+    (ConvexPart::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
 }
 
 /// Voxels along the longest side for voxel decomposition.
@@ -288,7 +288,7 @@ fn voxel_parts(points: &[DVec3], triangles: &[[u32; 3]], config: &ConvexConfig) 
     if surface.triangles.len() < 4 || pairs(&surface, VOXELS) > MOST_PAIRS {
         return None;
     }
-    let Surface { points, triangles } = surface;
+    let TriangleSurface { points, triangles } = surface;
     let parameters = VHACDParameters {
         resolution: VOXELS as u32,
         max_convex_hulls: config.max_parts.max(1) as u32,

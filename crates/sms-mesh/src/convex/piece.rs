@@ -110,7 +110,7 @@ impl Piece {
                 }
             })
             .collect();
-        let mut out = [Side::new(self), Side::new(self)];
+        let mut out = [PieceSide::new(self), PieceSide::new(self)];
         let mut cuts = Cuts::default();
         // The lower side's boundary in the plane.
         let mut outline: Vec<Edge> = Vec::new();
@@ -326,7 +326,7 @@ impl Cuts {
 }
 
 /// One side while it is being filled.
-struct Side {
+struct PieceSide {
     piece: Piece,
     old: Vec<u32>,
     new: Vec<u32>,
@@ -334,7 +334,7 @@ struct Side {
     corners: usize,
 }
 
-impl Side {
+impl PieceSide {
     fn new(whole: &Piece) -> Self {
         Self {
             piece: Piece::default(),

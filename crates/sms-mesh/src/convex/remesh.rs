@@ -4,7 +4,7 @@
 //! surface the nearest face's direction decides, so that thin double walls stay thin and single sheets become about a
 //! voxel thick on their back side. A single-sheet cup stays a cup.
 
-use crate::convex::repair::Surface;
+use crate::convex::repair::TriangleSurface;
 use glamx::DVec3;
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
@@ -16,13 +16,13 @@ pub(crate) const MOST_PAIRS: f64 = 2e7;
 /// Openings up to twice so many voxels wide are sealed.
 const SEAL: u16 = 2;
 
-struct Grid {
+struct VoxelGrid {
     min: DVec3,
     cell: f64,
     size: [usize; 3],
 }
 
-impl Grid {
+impl VoxelGrid {
     fn len(&self) -> usize {
         self.size.iter().product()
     }
@@ -75,7 +75,7 @@ impl Grid {
 }
 
 /// Pairs of a face and a voxel, of `resolution` along the longest side, that lies in the face's box or beside it.
-pub(crate) fn pairs(surface: &Surface, resolution: usize) -> f64 {
+pub(crate) fn pairs(surface: &TriangleSurface, resolution: usize) -> f64 {
     let cell = 2.0 / resolution as f64;
     let boxes = surface.triangles.iter().filter_map(|t| {
         let bounds = sms_core::Aabb::of_points(t.map(|i| surface.points[i as usize]))?;
@@ -86,7 +86,7 @@ pub(crate) fn pairs(surface: &Surface, resolution: usize) -> f64 {
 
 /// Returns a closed surface around the space that `surface` (any triangles, in unit coordinates) encloses, on a grid of
 /// `resolution` voxels along the longest side; `None` when that is empty, or too much work.
-pub(crate) fn remesh(surface: &Surface, resolution: usize) -> Option<Surface> {
+pub(crate) fn remesh(surface: &TriangleSurface, resolution: usize) -> Option<TriangleSurface> {
     let cell = 2.0 / resolution as f64;
     if pairs(surface, resolution) > MOST_PAIRS {
         return None;
@@ -97,7 +97,7 @@ pub(crate) fn remesh(surface: &Surface, resolution: usize) -> Option<Surface> {
     let pad = f64::from(SEAL) + 2.3;
     let min = low - DVec3::splat(pad * cell);
     let size = ((high - min) / cell).to_array().map(|v| (v + pad) as usize + 2);
-    let grid = Grid { min, cell, size };
+    let grid = VoxelGrid { min, cell, size };
     let near = near_surface(surface, &grid);
     // Signed distances where the surface is near, from the nearest face's direction.
     let sheet: Vec<f64> = (0..grid.len())
@@ -137,7 +137,7 @@ pub(crate) fn remesh(surface: &Surface, resolution: usize) -> Option<Surface> {
 }
 
 /// Voxels that the surface passes through, and their neighbours.
-fn near_surface(surface: &Surface, grid: &Grid) -> Vec<bool> {
+fn near_surface(surface: &TriangleSurface, grid: &VoxelGrid) -> Vec<bool> {
     let mut on = vec![false; grid.len()];
     for t in &surface.triangles {
         let [a, b, c] = t.map(|i| surface.points[i as usize]);
@@ -163,10 +163,10 @@ fn near_surface(surface: &Surface, grid: &Grid) -> Vec<bool> {
 }
 
 /// The zero level of a field as quads across the edges that change sign, with one vertex a voxel cube (Gibson 1998).
-fn surface_net(grid: &Grid, field: &[f64]) -> Surface {
+fn surface_net(grid: &VoxelGrid, field: &[f64]) -> TriangleSurface {
     let [nx, ny, nz] = grid.size;
     let mut vertex = vec![u32::MAX; grid.len()];
-    let mut out = Surface::default();
+    let mut out = TriangleSurface::default();
     let corner = |at: [usize; 3], k: usize| [at[0] + (k & 1), at[1] + (k >> 1 & 1), at[2] + (k >> 2)];
     for z in 0..nz - 1 {
         for y in 0..ny - 1 {
@@ -234,7 +234,7 @@ mod tests {
     #[test]
     fn a_ball_with_a_hole_is_a_ball_and_a_hemisphere_is_a_shell() {
         let ball = Mesh::icosphere(1.0, 4);
-        let torn = Surface {
+        let torn = TriangleSurface {
             points: ball.vertices.clone(),
             triangles: ball.triangles.iter().copied().skip(3).collect(),
         };

@@ -1,6 +1,6 @@
 //! From whatever mesh is given to a closed surface of few faces.
 
-use crate::convex::occupancy::Occupancy;
+use crate::convex::occupancy::InsideVoxels;
 use crate::convex::remesh::remesh;
 use glamx::DVec3;
 use std::collections::BTreeMap;
@@ -19,12 +19,12 @@ const RESOLUTIONS: [usize; 4] = [80, 40, 24, 12];
 
 /// A surface in unit coordinates: centred, its longest side of length 2.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Surface {
+pub(crate) struct TriangleSurface {
     pub(crate) points: Vec<DVec3>,
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
-impl Surface {
+impl TriangleSurface {
     /// Whether every directed edge occurs as often as its opposite: then the winding number is whole everywhere, even
     /// where more than two faces share an edge.
     pub(crate) fn is_closed(&self) -> bool {
@@ -188,9 +188,9 @@ impl Surface {
 
 /// Returns the surface without non-finite vertices, with equal vertices merged and degenerate triangles dropped, turned
 /// outside out.
-pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
+pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> TriangleSurface {
     let mut ids: BTreeMap<[u64; 3], u32> = BTreeMap::new();
-    let mut out = Surface::default();
+    let mut out = TriangleSurface::default();
     let mut id_of = vec![u32::MAX; points.len()];
     for (i, &p) in points.iter().enumerate() {
         if !p.is_finite() {
@@ -225,16 +225,20 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> Surface {
 /// Returns a closed surface of the solid that triangles bound, with few faces for its roughness and at most
 /// [`MOST_FACES`]. Closed triangles that agree with their winding are kept; others are remeshed on a grid, as coarse as
 /// that takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
-pub(crate) fn closed_surface(points: &[DVec3], triangles: &[[u32; 3]], threshold: f64) -> Option<Surface> {
+pub(crate) fn closed_surface(
+    points: &[DVec3],
+    triangles: &[[u32; 3]],
+    threshold: f64,
+) -> Option<TriangleSurface> {
     let surface = clean(points, triangles);
     if surface.triangles.is_empty() {
         return None;
     }
-    let few = |s: Surface| {
+    let few = |s: TriangleSurface| {
         let s = s.decimated(FACES, 0.06 * threshold);
         [0.2, 0.4].iter().fold(s, |s, share| s.decimated(MOST_FACES, share * threshold))
     };
-    if surface.is_closed() && surface.volume() > 1e-9 && !Occupancy::new(&surface, 64).is_tangled() {
+    if surface.is_closed() && surface.volume() > 1e-9 && !InsideVoxels::new(&surface, 64).is_tangled() {
         let few = few(surface.clone());
         if few.triangles.len() <= MOST_FACES {
             return Some(few);

@@ -4,7 +4,7 @@
 //! patches around the axis follow the wall with half the surplus.
 
 use crate::convex::piece::Piece;
-use crate::convex::search::{Scratch, extent, flat_heights};
+use crate::convex::search::{HullBuffers, extent, flat_heights};
 use crate::convex::solid::Solid;
 use crate::convex::work::Work;
 use crate::plane::Plane;
@@ -25,21 +25,21 @@ const SECTORS: [usize; 13] = [1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24];
 /// Planes around an axis.
 #[derive(Debug, Clone)]
 pub(crate) struct Rounds {
-    axis: Axis,
+    axis: RoundAxis,
     /// Heights along the axis between the bands, ascending, then each band's sectors.
     heights: Vec<f64>,
     sectors: Vec<usize>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Axis {
+struct RoundAxis {
     center: DVec3,
     along: DVec3,
     /// Two directions across.
     across: [DVec3; 2],
 }
 
-impl Axis {
+impl RoundAxis {
     fn new(center: DVec3, along: DVec3) -> Self {
         let u = along.any_orthonormal_vector();
         Self { center, along, across: [u, along.cross(u)] }
@@ -62,7 +62,7 @@ impl Axis {
 }
 
 /// The axis that the normals of most of the surface meet.
-fn axis_of(piece: &Piece) -> Option<Axis> {
+fn axis_of(piece: &Piece) -> Option<RoundAxis> {
     let faces: Vec<(DVec3, DVec3)> = piece
         .triangles
         .iter()
@@ -73,7 +73,7 @@ fn axis_of(piece: &Piece) -> Option<Axis> {
         .collect();
     let total: f64 = faces.iter().map(|f| f.1.length()).sum();
     let axes = piece.axes();
-    let mut best: Option<(f64, Axis)> = None;
+    let mut best: Option<(f64, RoundAxis)> = None;
     for along in [DVec3::X, DVec3::Y, DVec3::Z, axes[0], axes[1], axes[2]] {
         // The point nearest to all normals: each leaves free its own direction across the axis.
         let u = along.any_orthonormal_vector();
@@ -114,14 +114,14 @@ fn axis_of(piece: &Piece) -> Option<Axis> {
         // A box's floor is flat, too.
         let share = (round - flat) / (total - flat).max(0.2 * total);
         if share > ROUND_SHARE && best.is_none_or(|b| share > b.0) {
-            best = Some((share, Axis::new(center, along)));
+            best = Some((share, RoundAxis::new(center, along)));
         }
     }
     best.map(|b| b.1)
 }
 
 /// Heights that part the wall into `count` bands of equal length along its outline.
-fn equal_bands(piece: &Piece, axis: Axis, count: usize) -> Vec<f64> {
+fn equal_bands(piece: &Piece, axis: RoundAxis, count: usize) -> Vec<f64> {
     // Each face's share of the outline, at its height.
     let mut lengths: Vec<(f64, f64)> = piece
         .triangles
@@ -158,7 +158,7 @@ impl Rounds {
     ) -> Option<Self> {
         let axis = axis_of(piece)?;
         let floors = flat_heights(piece, axis.along);
-        let mut scratch = Scratch::default();
+        let mut scratch = HullBuffers::default();
         // Volumes of each band of each plan with each count of sectors.
         let mut plans: Vec<(Vec<f64>, Vec<Vec<f64>>)> = Vec::new();
         for count in 1..=MOST_BANDS {
@@ -237,7 +237,7 @@ impl Rounds {
 }
 
 /// The bands between ascending heights.
-fn bands(piece: &Piece, axis: Axis, heights: &[f64], solid: &Solid, work: &Work) -> Vec<Piece> {
+fn bands(piece: &Piece, axis: RoundAxis, heights: &[f64], solid: &Solid, work: &Work) -> Vec<Piece> {
     let mut rest = piece.clone();
     let mut out = Vec::new();
     for &height in heights {
@@ -251,7 +251,7 @@ fn bands(piece: &Piece, axis: Axis, heights: &[f64], solid: &Solid, work: &Work)
 }
 
 /// Volume of the hulls of all sectors of a band for each count of sectors, judged by the middle one of three.
-fn volumes(band: &Piece, axis: Axis, solid: &Solid, scratch: &mut Scratch, work: &Work) -> Vec<f64> {
+fn volumes(band: &Piece, axis: RoundAxis, solid: &Solid, scratch: &mut HullBuffers, work: &Work) -> Vec<f64> {
     let inside = |p| solid.contains(p, work);
     let out = SECTORS
         .iter()

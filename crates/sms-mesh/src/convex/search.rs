@@ -22,7 +22,7 @@ const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
 
 /// Which planes are tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Planes {
+pub(crate) enum CutPlanes {
     /// The frame's axes, the piece's own and diagonals.
     All,
     /// The frame's axes only.
@@ -41,14 +41,14 @@ pub(crate) struct Breadth {
     pub(crate) second: usize,
     /// First cuts tried with their second cuts.
     pub(crate) candidates: usize,
-    pub(crate) planes: Planes,
+    pub(crate) planes: CutPlanes,
     /// Volume of hulls that one more part must save.
     pub(crate) part_cost: f64,
 }
 
 /// Buffers of one task.
 #[derive(Default)]
-pub(crate) struct Scratch {
+pub(crate) struct HullBuffers {
     pub(crate) hull: GrowingHull,
     heights: Vec<f64>,
     order: Vec<u32>,
@@ -62,9 +62,9 @@ pub(crate) fn side_volumes(
     edges: &[(u32, u32)],
     normal: DVec3,
     offsets: &[f64],
-    scratch: &mut Scratch,
+    scratch: &mut HullBuffers,
 ) -> Vec<(f64, f64)> {
-    let Scratch { hull, heights, order, outlines, below } = scratch;
+    let HullBuffers { hull, heights, order, outlines, below } = scratch;
     heights.clear();
     heights.extend(piece.points.iter().map(|p| p.dot(normal)));
     order.clear();
@@ -220,13 +220,13 @@ pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
 }
 
 /// The cheapest that a side's hulls can be made by at most one more cut.
-fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Scratch) -> f64 {
+fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut HullBuffers) -> f64 {
     if whole < 2.0 * breadth.part_cost {
         return whole;
     }
     let edges = side.edges();
     let mut best = whole;
-    for normal in if breadth.planes == Planes::All { side.axes() } else { AXES } {
+    for normal in if breadth.planes == CutPlanes::All { side.axes() } else { AXES } {
         let offsets = even_offsets(side, normal, breadth.second);
         for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
             best = best.min(below + above + breadth.part_cost);
@@ -246,19 +246,19 @@ pub(crate) fn best_cut(
 ) -> Option<Plane> {
     let edges = piece.edges();
     let directions = match breadth.planes {
-        Planes::All => directions(piece),
-        Planes::Square => AXES.to_vec(),
-        Planes::Flat => flat_directions(piece),
+        CutPlanes::All => directions(piece),
+        CutPlanes::Square => AXES.to_vec(),
+        CutPlanes::Flat => flat_directions(piece),
     };
     let per_direction: Vec<Vec<(Plane, f64, f64, bool)>> = directions
         .par_iter()
-        .map_init(Scratch::default, |scratch, &normal| {
+        .map_init(HullBuffers::default, |scratch, &normal| {
             let mut offsets = even_offsets(piece, normal, breadth.first);
             let (low, high) = extent(piece, normal);
             let middle = 0.5 * (low + high);
             let mut flat = flat_heights(piece, normal);
             flat.retain(|h| *h > low + 2e-3 && *h < high - 2e-3);
-            if breadth.planes == Planes::Flat && !flat.is_empty() {
+            if breadth.planes == CutPlanes::Flat && !flat.is_empty() {
                 offsets.clear();
             }
             offsets.extend(&flat);
@@ -269,7 +269,7 @@ pub(crate) fn best_cut(
             }
             let volumes = side_volumes(piece, &edges, normal, &offsets, scratch);
             work.add((edges.len() + piece.points.len()) as u64 + scratch.hull.take_steps());
-            if breadth.planes == Planes::Flat && !flat.is_empty() {
+            if breadth.planes == CutPlanes::Flat && !flat.is_empty() {
                 let planes = offsets.iter().zip(volumes);
                 return planes.map(|(&offset, v)| (Plane { normal, offset }, v.0, v.1, true)).collect();
             }
@@ -309,7 +309,7 @@ pub(crate) fn best_cut(
     candidates.truncate(breadth.candidates);
     let scores: Vec<f64> = candidates
         .par_iter()
-        .map_init(Scratch::default, |scratch, &(plane, below, above, _)| {
+        .map_init(HullBuffers::default, |scratch, &(plane, below, above, _)| {
             work.add(2 * piece.size());
             let sides = piece.split(plane, false, &|p| solid.contains(p, work));
             if sides.iter().any(|s| s.points.len() < 4) {

@@ -1,7 +1,7 @@
 //! The solid that parts are measured against.
 
-use crate::convex::occupancy::Occupancy;
-use crate::convex::repair::Surface;
+use crate::convex::occupancy::InsideVoxels;
+use crate::convex::repair::TriangleSurface;
 use crate::convex::work::{QUERY, Work};
 use glamx::DVec3;
 use parry3d_f64::query::PointQuery;
@@ -10,12 +10,12 @@ use parry3d_f64::shape::TriMesh;
 /// A closed surface with distance queries, in unit coordinates.
 pub(crate) struct Solid {
     surface: TriMesh,
-    inside: Occupancy,
+    inside: InsideVoxels,
 }
 
 impl Solid {
-    pub(crate) fn new(surface: &Surface) -> Option<Self> {
-        let inside = Occupancy::new(surface, 96);
+    pub(crate) fn new(surface: &TriangleSurface) -> Option<Self> {
+        let inside = InsideVoxels::new(surface, 96);
         let surface = TriMesh::new(surface.points.clone(), surface.triangles.clone()).ok()?;
         Some(Self { surface, inside })
     }

@@ -90,29 +90,29 @@ struct Points {
 
 /// A box (`size` = half extents) or a cylinder along z (`size` = radius, radius, half length).
 #[derive(Debug, Clone, Copy)]
-struct Solid {
+struct FittedSolid {
     is_box: bool,
     x_ws: DPose3,
     size: DVec3,
 }
 
 /// Signed distance to a face's surface (positive outside), its normal, and the index of the size it moves with.
-struct Face {
+struct NearestFace {
     distance: f64,
     normal: DVec3,
     size: usize,
 }
 
-impl Solid {
+impl FittedSolid {
     /// The face that a point with normal `n` (both in `S`) lies on: the one whose normal agrees best, weighed with how
     /// far the point is from it.
-    fn face(&self, p: DVec3, n: DVec3) -> Face {
+    fn face(&self, p: DVec3, n: DVec3) -> NearestFace {
         let reach = 0.3 * self.size.min_element();
-        let mut best = (f64::NEG_INFINITY, Face { distance: 0.0, normal: DVec3::Z, size: 2 });
+        let mut best = (f64::NEG_INFINITY, NearestFace { distance: 0.0, normal: DVec3::Z, size: 2 });
         let mut offer = |distance: f64, normal: DVec3, size: usize| {
             let score = normal.dot(n) - distance.abs() / reach;
             if score > best.0 {
-                best = (score, Face { distance, normal, size });
+                best = (score, NearestFace { distance, normal, size });
             }
         };
         let first = if self.is_box { 0 } else { 2 };
@@ -151,7 +151,7 @@ impl Solid {
 }
 
 /// Distance of `p` (in `S`) to the surface of the solid, metres.
-fn surface_distance(solid: &Solid, p: DVec3) -> f64 {
+fn surface_distance(solid: &FittedSolid, p: DVec3) -> f64 {
     let q = if solid.is_box {
         p.abs() - solid.size
     } else {
@@ -166,7 +166,7 @@ fn guess<const BOX: bool>(
     upright: Option<DVec3>,
     config: &PrimitiveConfig,
     seed: Seed,
-) -> Option<Solid> {
+) -> Option<FittedSolid> {
     let mut rng = seed.rng();
     let count = cloud.points.len();
     let mut frames = Vec::with_capacity(TRIALS);
@@ -188,7 +188,7 @@ fn guess<const BOX: bool>(
         frames.push(DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).normalize());
     }
     // Scores come back in the frames' order whatever the threads do.
-    let solids: Vec<Option<(f64, Solid)>> = frames
+    let solids: Vec<Option<(f64, FittedSolid)>> = frames
         .par_iter()
         .map(|&rotation| {
             let solid = sized::<BOX>(cloud, rotation)?;
@@ -199,7 +199,7 @@ fn guess<const BOX: bool>(
 }
 
 /// The solid of this orientation that the points outline.
-fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<Solid> {
+fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<FittedSolid> {
     let inverse = rotation.inverse();
     let local: Vec<(DVec3, DVec3)> =
         cloud.points.iter().zip(&cloud.normals).map(|(&p, &n)| (inverse * p, inverse * n)).collect();
@@ -218,7 +218,7 @@ fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<Solid> {
         size.y = radius;
     }
     let usable = size.is_finite() && size.min_element() > 1e-4 && size.max_element() < 10.0;
-    usable.then(|| Solid { is_box: BOX, x_ws: DPose3::from_parts(rotation * center, rotation), size })
+    usable.then(|| FittedSolid { is_box: BOX, x_ws: DPose3::from_parts(rotation * center, rotation), size })
 }
 
 /// Where points with normals end along an axis: at the face that was seen there, else where its neighbours' edges are.
@@ -234,7 +234,7 @@ fn end(local: &[(DVec3, DVec3)], axis: usize, sign: f64) -> f64 {
 }
 
 /// Recomputes the ends that were not seen: the guess's frame was slightly rotated.
-fn settled(cloud: &Points, mut solid: Solid) -> Solid {
+fn settled(cloud: &Points, mut solid: FittedSolid) -> FittedSolid {
     let x_sw = solid.x_ws.inverse();
     let local: Vec<(DVec3, DVec3)> = cloud
         .points
@@ -276,7 +276,7 @@ fn circle_through(points: &[DVec3]) -> Option<(DVec3, f64)> {
 }
 
 /// Rotation, translation and sizes by reweighted least squares.
-fn refine(cloud: &Points, mut solid: Solid, config: &PrimitiveConfig) -> Solid {
+fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> FittedSolid {
     let wide = 4.0 * config.inlier_distance;
     let mut scale = wide;
     for round in 0..ROUNDS {
@@ -352,7 +352,7 @@ fn solve_damped(mut a: [[f64; 9]; 9], right: [f64; 9]) -> Option<[f64; 9]> {
     solve(a, right, 0.0)
 }
 
-fn describe(cloud: &Points, solid: &Solid, config: &PrimitiveConfig) -> PrimitiveFit {
+fn describe(cloud: &Points, solid: &FittedSolid, config: &PrimitiveConfig) -> PrimitiveFit {
     let x_sw = solid.x_ws.inverse();
     let mut inliers = 0usize;
     let residuals: Vec<f64> = cloud
@@ -375,7 +375,7 @@ fn describe(cloud: &Points, solid: &Solid, config: &PrimitiveConfig) -> Primitiv
 }
 
 /// Whether a normal agrees with the surface there. Near an edge any normal does.
-fn agrees(solid: &Solid, p: DVec3, n: DVec3) -> bool {
+fn agrees(solid: &FittedSolid, p: DVec3, n: DVec3) -> bool {
     const ROUNDED_M: f64 = 0.004;
     let edge = if solid.is_box {
         (0..3).filter(|&k| p[k].abs() > solid.size[k] - ROUNDED_M).count() > 1

@@ -74,7 +74,7 @@ pub fn delaunay(points: &[DVec3]) -> Tetrahedralization {
     let Some(seed) = first_simplex(points, &order) else {
         return Tetrahedralization { points: points.to_vec(), ..Default::default() };
     };
-    let mut builder = Builder::new(points, seed);
+    let mut builder = DelaunayBuilder::new(points, seed);
     for &i in &order {
         if !seed.contains(&i) {
             builder.insert(i);
@@ -93,7 +93,7 @@ fn first_simplex(points: &[DVec3], order: &[u32]) -> Option<[u32; 4]> {
     Some(if orient(at(a), at(b), at(c), at(d)) > 0.0 { [a, b, c, d] } else { [b, a, c, d] })
 }
 
-struct Builder<'a> {
+struct DelaunayBuilder<'a> {
     points: &'a [DVec3],
     tets: Vec<[u32; 4]>,
     neighbors: Vec<[u32; 4]>,
@@ -109,7 +109,7 @@ struct Builder<'a> {
     edges: EdgeTable,
 }
 
-impl<'a> Builder<'a> {
+impl<'a> DelaunayBuilder<'a> {
     fn new(points: &'a [DVec3], seed: [u32; 4]) -> Self {
         let mut builder = Self {
             points,
