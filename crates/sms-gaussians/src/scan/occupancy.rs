@@ -9,7 +9,7 @@ const CHAINS_MIN: usize = 1 << 10;
 
 /// Points in chains by the hash of their cell. Cells that share a chain only cost time, since the distance of every
 /// point of a chain is checked.
-pub(crate) struct PointGrid {
+pub(crate) struct HashGrid {
     cell: f32,
     /// First point of each chain; a power of two of them.
     first: Vec<u32>,
@@ -18,7 +18,7 @@ pub(crate) struct PointGrid {
     points: Vec<Vec3>,
 }
 
-impl PointGrid {
+impl HashGrid {
     /// For queries of at most about `radius` metres: wider ones are slow.
     pub(crate) fn new(radius: f32) -> Self {
         // A query's ball then meets two cells along an axis at most.
@@ -30,7 +30,7 @@ impl PointGrid {
         }
     }
 
-    /// Builds [`PointGrid::new`] with these points.
+    /// Builds [`HashGrid::new`] with these points.
     pub(crate) fn of(radius: f32, points: &[Vec3]) -> Self {
         let mut occupancy = Self::new(radius);
         occupancy.points = points.to_vec();
@@ -106,22 +106,22 @@ mod tests {
             radius in 0.001f32..0.05,
         ) {
             let points: Vec<Vec3> = points.iter().map(|p| Vec3::from_array(*p)).collect();
-            let mut occupancy = PointGrid::new(0.05);
+            let mut occupancy = HashGrid::new(0.05);
             points.iter().for_each(|p| occupancy.insert(*p));
-            let at_once = PointGrid::of(0.05, &points);
+            let at_once = HashGrid::of(0.05, &points);
             let query = Vec3::from_array(query);
             let expected = points.iter().any(|p| (*p - query).length() < radius);
             prop_assert_eq!(occupancy.any_within(query, radius), expected);
             prop_assert_eq!(at_once.any_within(query, radius), expected);
             // Wider than the designed radius.
-            let fine = PointGrid::of(0.004, &points);
+            let fine = HashGrid::of(0.004, &points);
             prop_assert_eq!(fine.any_within(query, radius), expected);
         }
     }
 
     #[test]
     fn more_points_than_chains_are_all_found() {
-        let mut occupancy = PointGrid::new(0.5);
+        let mut occupancy = HashGrid::new(0.5);
         let point = |i: usize| Vec3::new((i % 50) as f32, (i / 50) as f32, -3.0);
         (0..3 * CHAINS_MIN).for_each(|i| occupancy.insert(point(i)));
         for i in 0..3 * CHAINS_MIN {

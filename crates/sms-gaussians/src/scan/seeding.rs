@@ -8,7 +8,7 @@
 //! first, and used if no Gaussian is within the spacing.
 
 use super::config::ScanConfig;
-use super::occupancy::PointGrid;
+use super::occupancy::HashGrid;
 use crate::{AFFINITY_DIM, RenderedMaps, Seedling};
 use glamx::{DMat3, DQuat, DVec3, Quat, Vec3};
 use rand::RngExt;
@@ -72,7 +72,7 @@ pub(crate) fn seed_frame(
         let edges = edges.into_iter().map(|i| (i, spacing(i, true)));
         edges.chain(others.into_iter().map(|i| (i, spacing(i, false)))).collect::<Vec<(usize, f64)>>()
     };
-    let (existing, tries) = rayon::join(|| PointGrid::of(widest, positions_w), order);
+    let (existing, tries) = rayon::join(|| HashGrid::of(widest, positions_w), order);
     let surfaces: Vec<Option<SurfaceSample>> = tries
         .par_iter()
         .map(|&(i, spacing_m)| {
@@ -81,7 +81,7 @@ pub(crate) fn seed_frame(
         })
         .collect();
 
-    let mut taken = PointGrid::new(widest);
+    let mut taken = HashGrid::new(widest);
     let mut affinity_rng = seed.derive("affinity").rng();
     let mut seedlings = Vec::new();
     for ((i, spacing_m), surface) in tries.into_iter().zip(surfaces) {

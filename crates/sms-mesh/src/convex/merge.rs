@@ -1,6 +1,6 @@
 //! Joining parts again where cuts were not needed, and where the part budget asks for it.
 
-use crate::convex::parts::{ConvexPart, Tolerance, rv};
+use crate::convex::parts::{HullPart, Tolerance, rv};
 use crate::convex::piece::SLIGHT;
 use crate::convex::search::HullBuffers;
 use crate::convex::solid::Solid;
@@ -13,14 +13,14 @@ const SLIVER: f64 = 3e-4;
 
 /// A possible union of two parts.
 struct Union {
-    part: ConvexPart,
+    part: HullPart,
     /// Hull volume that the union adds.
     added: f64,
     /// Whether it stays within the threshold, once that was asked.
     allowed: Option<bool>,
 }
 
-fn union(a: &ConvexPart, b: &ConvexPart, gap: f64, scratch: &mut HullBuffers) -> Option<Union> {
+fn union(a: &HullPart, b: &HullPart, gap: f64, scratch: &mut HullBuffers) -> Option<Union> {
     let apart = (a.min - b.max).max(b.min - a.max).max_element();
     if apart > gap {
         return None;
@@ -30,21 +30,21 @@ fn union(a: &ConvexPart, b: &ConvexPart, gap: f64, scratch: &mut HullBuffers) ->
         scratch.hull.push(p);
     }
     let hull_volume = scratch.hull.volume();
-    let part = ConvexPart::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
+    let part = HullPart::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
     Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
 }
 
 /// Joins parts, those first whose union adds the least volume: all that stay within the threshold and add no more than
 /// `most_added`, and more while there are more than `max_parts`.
 pub(crate) fn merge(
-    parts: Vec<ConvexPart>,
+    parts: Vec<HullPart>,
     solid: &Solid,
     tolerance: Tolerance,
     max_parts: usize,
     most_added: f64,
     work: &Work,
-) -> Vec<ConvexPart> {
-    let mut alive: BTreeMap<usize, ConvexPart> = parts.into_iter().enumerate().collect();
+) -> Vec<HullPart> {
+    let mut alive: BTreeMap<usize, HullPart> = parts.into_iter().enumerate().collect();
     let mut unions: BTreeMap<(usize, usize), Union> = BTreeMap::new();
     let mut next_id = alive.len();
     let mut fresh: Vec<usize> = alive.keys().copied().collect();
@@ -81,7 +81,7 @@ pub(crate) fn merge(
 
 /// Splinters left by cuts carry nothing and trouble physics engines: each joins the part that grows least by it where
 /// that costs next to nothing, and is left out otherwise.
-fn drop_slivers(mut alive: BTreeMap<usize, ConvexPart>) -> Vec<ConvexPart> {
+fn drop_slivers(mut alive: BTreeMap<usize, HullPart>) -> Vec<HullPart> {
     let total: f64 = alive.values().map(|p| p.hull_volume).sum();
     let slivers: Vec<usize> =
         alive.iter().filter(|(_, p)| p.hull_volume < SLIVER * total).map(|(&k, _)| k).collect();
@@ -105,7 +105,7 @@ fn drop_slivers(mut alive: BTreeMap<usize, ConvexPart>) -> Vec<ConvexPart> {
 }
 
 fn join(
-    alive: &mut BTreeMap<usize, ConvexPart>,
+    alive: &mut BTreeMap<usize, HullPart>,
     unions: &mut BTreeMap<(usize, usize), Union>,
     (a, b): (usize, usize),
     next_id: &mut usize,
@@ -156,7 +156,7 @@ fn best(
 }
 
 fn across_gap(
-    alive: &BTreeMap<usize, ConvexPart>,
+    alive: &BTreeMap<usize, HullPart>,
     unions: &mut BTreeMap<(usize, usize), Union>,
     work: &Work,
 ) -> Option<(usize, usize)> {

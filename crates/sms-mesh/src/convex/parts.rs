@@ -46,7 +46,7 @@ const MOST_PIECES: usize = 256;
 
 /// A convex part in unit coordinates.
 #[derive(Clone)]
-pub(crate) struct ConvexPart {
+pub(crate) struct HullPart {
     /// The hull's vertices.
     pub(crate) points: Vec<DVec3>,
     pub(crate) min: DVec3,
@@ -56,7 +56,7 @@ pub(crate) struct ConvexPart {
     pub(crate) hull_volume: f64,
 }
 
-impl ConvexPart {
+impl HullPart {
     pub(crate) fn new(points: Vec<DVec3>, volume: f64, hull_volume: f64) -> Option<Self> {
         let bounds = Aabb::of_points(points.iter().copied())?;
         (hull_volume > 0.0).then_some(Self { points, min: bounds.min, max: bounds.max, volume, hull_volume })
@@ -175,7 +175,7 @@ fn decompose(
         (hulls, parts)
     };
     // Some planes suit box-like shapes, others round ones: the cheapest result is used.
-    let mut results: Vec<(f64, Vec<ConvexPart>)> = [CutPlanes::All, CutPlanes::Square, CutPlanes::Flat]
+    let mut results: Vec<(f64, Vec<HullPart>)> = [CutPlanes::All, CutPlanes::Square, CutPlanes::Flat]
         .into_par_iter()
         .map(|planes| {
             finish(vec![[whole(&surface), whole(&coarse)]], planes, f64::INFINITY, &Work::default())
@@ -190,7 +190,7 @@ fn decompose(
         let open = fine.into_iter().zip(coarse).map(|(fine, coarse)| [fine, coarse]).collect();
         results.push(finish(open, CutPlanes::All, SECTOR_SHARE * part_cost, &work));
     }
-    let price = |r: &(f64, Vec<ConvexPart>)| r.0 + part_cost * r.1.len() as f64;
+    let price = |r: &(f64, Vec<HullPart>)| r.0 + part_cost * r.1.len() as f64;
     let parts = results.into_iter().min_by(|a, b| price(a).total_cmp(&price(b)))?.1;
     (!parts.is_empty()).then(|| parts.into_iter().map(|p| p.points).collect())
 }
@@ -206,12 +206,12 @@ fn cut(
     tolerance: Tolerance,
     breadth: Breadth,
     work: &Work,
-) -> Vec<ConvexPart> {
-    let mut parts: Vec<ConvexPart> = Vec::new();
+) -> Vec<HullPart> {
+    let mut parts: Vec<HullPart> = Vec::new();
     while !open.is_empty() {
         let spent = work.steps() > MOST_WORK;
         let room = if spent { 0 } else { MOST_PIECES.saturating_sub(parts.len() + open.len()) };
-        let cut: Vec<(Option<ConvexPart>, Vec<[Piece; 2]>)> = open
+        let cut: Vec<(Option<HullPart>, Vec<[Piece; 2]>)> = open
             .par_iter()
             .enumerate()
             .map(|(i, piece)| examine(piece, solid, tolerance, breadth, i < room, work))
@@ -246,7 +246,7 @@ fn examine(
     breadth: Breadth,
     may_cut: bool,
     work: &Work,
-) -> (Option<ConvexPart>, Vec<[Piece; 2]>) {
+) -> (Option<HullPart>, Vec<[Piece; 2]>) {
     let mut scratch = HullBuffers::default();
     piece.hull_volume(&mut scratch.hull);
     if piece.cell.len() > 2 {
@@ -276,7 +276,7 @@ fn examine(
         // A block from deep inside has no surface, but spines.
         return (None, sides.filter(|s| s[0].points.len() > 3).collect());
     }
-    (ConvexPart::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
+    (HullPart::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
 }
 
 /// Voxels along the longest side for voxel decomposition.
