@@ -370,7 +370,14 @@ impl Running<'_> {
         let config = PlanConfig { evaluations: budget, ..PlanConfig::default() };
         let seed = Seed(scene.seed).derive("oracle");
         let clock = Clock::start();
-        let found = search_nominal(&scene.task, worlds.scene(0), factory, &config, budget, seed, cancel)?;
+        let found = search_nominal(
+            &scene.task,
+            worlds.scene(0),
+            factory,
+            &config,
+            budget,
+            StageContext::quiet(cancel, &Warnings::new()).with_seed(seed),
+        )?;
         let best = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
         let mut metrics = Metrics::new();
         metrics.set(format!("{prefix}best_m"), best);

@@ -83,8 +83,7 @@ pub(crate) fn cached_estimates(
     context: &Context,
     run: &RunFolder,
     mode: VlmMode,
-    set: &EntitySet,
-    queries: &[ObjectQuery],
+    (set, queries): (&EntitySet, &[ObjectQuery]),
     views: (&Sequence, &Labels),
     seed: Seed,
 ) -> Result<Vec<Option<Estimate>>, Error> {

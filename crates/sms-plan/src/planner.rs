@@ -17,7 +17,7 @@ use crate::{
     BatchOptimiser, Plan, PlanConfig, PlanError, PlanOutcome, Prediction, Reason, Refusal, Sensitivity,
     StartSummary, Strategy, Trial, TrialPhase,
 };
-use sms_core::{Cancel, InputError, NoProgress, Seed, StageContext, Warnings};
+use sms_core::{Cancel, InputError, NoProgress, StageContext, Warnings};
 use sms_scene::Scene;
 use sms_sim::{BodyId, WorldFactory};
 use sms_task::{Action, MotionRecording, ResolvedTask, Rollout};
@@ -338,15 +338,14 @@ pub fn search_nominal(
     factory: &dyn WorldFactory,
     config: &PlanConfig,
     budget: usize,
-    seed: Seed,
-    cancel: &Cancel,
+    context: StageContext<'_>,
 ) -> Result<NominalSearch, PlanError> {
     config.validate(Path::new(SETTINGS))?;
     let space = Space::new(task);
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
-    let counter = Counter::new(&NoProgress, cancel);
+    let counter = Counter::new(&NoProgress, context.cancel);
     let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
-    let found = search(&space, config, seed.derive("search"), budget, &feasible, &|x| {
+    let found = search(&space, config, context.seed.derive("search"), budget, &feasible, &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
     })?;
     Ok(NominalSearch { trials: found.trials, starts: found.starts })

@@ -106,8 +106,14 @@ impl Planner<'_> {
     fn paper(&self, starts: usize) -> Result<Vec<Shot>, BenchError> {
         let config = PlanConfig { starts, ..self.bench.paper.clone() };
         let seed = self.seed.derive("paper");
-        let found =
-            search_nominal(self.task, self.scene, &RapierFactory, &config, usize::MAX, seed, self.cancel)?;
+        let found = search_nominal(
+            self.task,
+            self.scene,
+            &RapierFactory,
+            &config,
+            usize::MAX,
+            StageContext::quiet(self.cancel, &Warnings::new()).with_seed(seed),
+        )?;
         let shot = |s: sms_plan::StartSummary| {
             let counted = Shot { iterations: s.iterations, ..self.nothing(s.evaluations) };
             if s.objective.is_finite() {

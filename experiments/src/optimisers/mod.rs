@@ -7,7 +7,7 @@ use self::cma_es::{CmaSearch, CmaSettings};
 use crate::{BenchError, PlanScene, SceneFamily};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, Progress, Seed};
+use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
 use sms_eval::{median, paired_difference};
 use sms_plan::{Method, NominalSearch, PlanConfig, PlanError, screening, search_nominal, search_nominal_by};
 use sms_sim::RapierFactory;
@@ -45,7 +45,14 @@ impl Entrant {
         match self {
             Self::Planner(config) => {
                 let config = with_budget(config, budget);
-                search_nominal(task, &scene.scene, &RapierFactory, &config, budget, seed, cancel)
+                search_nominal(
+                    task,
+                    &scene.scene,
+                    &RapierFactory,
+                    &config,
+                    budget,
+                    StageContext::quiet(cancel, &Warnings::new()).with_seed(seed),
+                )
             }
             Self::CmaEs => {
                 let config = PlanConfig::default();

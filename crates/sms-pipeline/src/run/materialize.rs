@@ -83,7 +83,7 @@ impl Run<'_> {
 
         let mut queries = material_queries(&set);
         let estimates =
-            cached_estimates(self.context, &run, request.vlm, &set, &queries, (&sequence, &labels), seed)?;
+            cached_estimates(self.context, &run, request.vlm, (&set, &queries), (&sequence, &labels), seed)?;
         for (query, estimate) in queries.iter_mut().zip(estimates) {
             query.estimate = estimate;
         }

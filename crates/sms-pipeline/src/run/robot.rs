@@ -76,7 +76,9 @@ impl Run<'_> {
         let robot_text = format!("{robot:?}");
         let hash = inputs_hash(&[&read.finish()], &(&config, robot_text, request.keep_failed))?;
         let dir = run_stage(self.context, &run, "robot", &hash, |stage, _| {
-            write_motion(&robot, &config, &task, &scene, &plan, request.keep_failed, stage.dir())
+            let motion =
+                PlannedMotion { robot: &robot, config: &config, task: &task, scene: &scene, plan: &plan };
+            motion.write(request.keep_failed, stage.dir())
         })?;
         let check: StrikeCheck = atomic::read_json(&dir.join("check.json"))?;
         let is_other = |place: &DPose3| place.translation.distance(x_wr.translation) > 1e-6;
@@ -96,44 +98,53 @@ impl Run<'_> {
     }
 }
 
-/// Plans and checks the motion and writes it into `dir`; returns the metrics.
-fn write_motion(
-    robot: &RobotModel,
-    config: &RobotConfig,
-    task: &ResolvedTask,
-    scene: &Scene,
-    plan: &Plan,
-    keep_failed: bool,
-    dir: &Path,
-) -> Result<Metrics, Error> {
-    let motion = task.strike(&plan.action);
-    let sweep =
-        Sweep::of_ball(motion.contact_w, motion.ball_radius, motion.angle, motion.speed, config.half_m().x);
-    let settings = config.strike_config();
-    let mut ws = Workspace::default();
-    let around = obstacles(scene, task.cue().index);
-    let strike = plan_strike(robot, &sweep, &around, &settings, &mut ws).map_err(|e| {
-        let cure = format!(
-            "{}; then plan again, so that only strikes within the arm's reach are compared",
-            e.cure()
+/// A planned strike with the robot that is to make it.
+struct PlannedMotion<'a> {
+    robot: &'a RobotModel,
+    config: &'a RobotConfig,
+    task: &'a ResolvedTask,
+    scene: &'a Scene,
+    plan: &'a Plan,
+}
+
+impl PlannedMotion<'_> {
+    /// Plans and checks the motion and writes it into `dir`; returns the metrics.
+    fn write(&self, keep_failed: bool, dir: &Path) -> Result<Metrics, Error> {
+        let &Self { robot, config, task, scene, plan } = self;
+        let motion = task.strike(&plan.action);
+        let sweep = Sweep::of_ball(
+            motion.contact_w,
+            motion.ball_radius,
+            motion.angle,
+            motion.speed,
+            config.half_m().x,
         );
-        InputError::new(format!("the arm cannot make this strike: {e}"), "[robot]", cure)
-    })?;
-    let check = check_strike(robot, &strike, &around, &settings, &mut ws);
-    let program = JointProgram::of_strike(robot, &strike, config.period_s, &mut ws).checked(&check);
-    atomic::write_json(&dir.join("check.json"), &check)?;
-    if let Some(name) = program_name(&check, keep_failed) {
-        program.write_json(&dir.join(format!("{name}.json")))?;
-        program.write_parquet(&dir.join(format!("{name}.parquet")))?;
+        let settings = config.strike_config();
+        let mut ws = Workspace::default();
+        let around = obstacles(scene, task.cue().index);
+        let strike = plan_strike(robot, &sweep, &around, &settings, &mut ws).map_err(|e| {
+            let cure = format!(
+                "{}; then plan again, so that only strikes within the arm's reach are compared",
+                e.cure()
+            );
+            InputError::new(format!("the arm cannot make this strike: {e}"), "[robot]", cure)
+        })?;
+        let check = check_strike(robot, &strike, &around, &settings, &mut ws);
+        let program = JointProgram::of_strike(robot, &strike, config.period_s, &mut ws).checked(&check);
+        atomic::write_json(&dir.join("check.json"), &check)?;
+        if let Some(name) = program_name(&check, keep_failed) {
+            program.write_json(&dir.join(format!("{name}.json")))?;
+            program.write_parquet(&dir.join(format!("{name}.parquet")))?;
+        }
+        let mut m = Metrics::new();
+        m.set("robot.executable", check.executable());
+        if let Some(contact) = &check.tracking.contact {
+            m.set("robot.contact_speed", contact.speed);
+            m.set("robot.direction_error_rad", contact.direction_error_rad);
+        }
+        m.set("robot.contact_s", program.contact_s);
+        Ok(m)
     }
-    let mut m = Metrics::new();
-    m.set("robot.executable", check.executable());
-    if let Some(contact) = &check.tracking.contact {
-        m.set("robot.contact_speed", contact.speed);
-        m.set("robot.direction_error_rad", contact.direction_error_rad);
-    }
-    m.set("robot.contact_s", program.contact_s);
-    Ok(m)
 }
 
 /// Returns the name of the program's files, without extension; `None` where none is written: a robot's own program that

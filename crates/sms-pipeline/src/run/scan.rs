@@ -99,16 +99,15 @@ impl Run<'_> {
         run.record_settings("frames", &settings.frames.load)?;
         run.record_settings("poses", &settings.frames.poses)?;
         run.record_settings("scan", &settings.scan)?;
-        let labels = self.masks_stage(&run, &opened, &sequence, &frames_hash, request, &settings)?;
-        self.gaussians_stage(
-            &run,
-            (&sequence, &labels),
-            &frames_hash,
+        let work = ScanWork {
+            run: &run,
             request,
-            &settings,
-            recorded,
-            observer,
-        )?;
+            settings: &settings,
+            frames_hash: &frames_hash,
+            sequence: &sequence,
+        };
+        let labels = self.masks_stage(&work, &opened)?;
+        self.gaussians_stage(&work, &labels, recorded, observer)?;
         let gaussians = run.root().join("gaussians").join("scene.ply");
         Ok(ScanOutcome { objects: labels.objects.len(), gaussians })
     }
@@ -157,15 +156,8 @@ impl Run<'_> {
         Ok((hash, Sequence::load(&dir)?))
     }
 
-    fn masks_stage(
-        &self,
-        run: &RunFolder,
-        recording: &Recording,
-        sequence: &Sequence,
-        frames_hash: &Hash,
-        request: &ScanRequest,
-        settings: &ScanSettings,
-    ) -> Result<Labels, Error> {
+    fn masks_stage(&self, work: &ScanWork<'_>, recording: &Recording) -> Result<Labels, Error> {
+        let &ScanWork { run, request, settings, frames_hash, sequence } = work;
         let (source, geometry) = (&request.masks, &settings.geometry);
         let networks = match source {
             MasksSource::Networks(asked) => Some(Networks::new(asked, request.device, &settings.read)?),
@@ -207,14 +199,12 @@ impl Run<'_> {
 
     fn gaussians_stage(
         &self,
-        run: &RunFolder,
-        (sequence, labels): (&Sequence, &Labels),
-        frames_hash: &Hash,
-        request: &ScanRequest,
-        settings: &ScanSettings,
+        work: &ScanWork<'_>,
+        labels: &Labels,
         recorded: RunSettings,
         observer: &mut dyn ScanObserver,
     ) -> Result<(), Error> {
+        let &ScanWork { run, request, settings, frames_hash, sequence } = work;
         // A user may have edited labels.json: objects that were merged there are trained again, other names change nothing.
         let regions = regions_hash(labels)?;
         let recorded = RunSettings { regions: Some(regions.0.clone()), ..recorded };
@@ -226,8 +216,8 @@ impl Run<'_> {
             let (train, classes) = (&settings.scan.train, labels.class_count());
             let (mut trainer, device) =
                 device::trainer(request.device, train, classes, self.context.events.as_ref(), context)?;
-            let work = GaussiansRequest { config: &settings.scan, work_dir: stage.dir() };
-            let result = gaussians(sequence, labels, &work, trainer.as_mut(), observer, context)?;
+            let training = GaussiansRequest { config: &settings.scan, work_dir: stage.dir() };
+            let result = gaussians(sequence, labels, &training, trainer.as_mut(), observer, context)?;
             let mut metrics = result.metrics;
             metrics.set("scan.device", device);
             atomic::write_json(&stage.dir().join(SETTINGS), &recorded)?;
@@ -235,6 +225,15 @@ impl Run<'_> {
         })?;
         Ok(())
     }
+}
+
+/// A scan whose frames are loaded.
+struct ScanWork<'a> {
+    run: &'a RunFolder,
+    request: &'a ScanRequest,
+    settings: &'a ScanSettings,
+    frames_hash: &'a Hash,
+    sequence: &'a Sequence,
 }
 
 fn up_direction(up: [f64; 3]) -> Result<[f64; 3], InputError> {

@@ -166,7 +166,15 @@ fn refused_strikes_do_not_use_up_the_budget() {
         ..PlanConfig::default()
     };
     let cancel = Cancel::new();
-    let found = search_nominal(&task, &scene, &RapierFactory, &config, 40, Seed(3), &cancel).unwrap();
+    let found = search_nominal(
+        &task,
+        &scene,
+        &RapierFactory,
+        &config,
+        40,
+        StageContext::quiet(&cancel, &Warnings::new()).with_seed(Seed(3)),
+    )
+    .unwrap();
     let simulated = found.trials.iter().filter(|t| t.phase == TrialPhase::Screen && t.valid);
     assert_eq!(simulated.count(), 40);
 }
