@@ -28,7 +28,7 @@ impl Target for Planner {
 const CHAOS: &str = "reference_1um";
 
 /// One shot in one engine.
-struct Shot {
+struct EngineShot {
     objective: f64,
     /// Final places of balls and of other bodies, in the order of the scene.
     balls: Vec<glamx::DVec3>,
@@ -62,7 +62,7 @@ pub fn run_engines(
     }
     let preferred = TargetEngine::preferred().key();
     let reference = rows.iter().position(|(key, _)| *key == preferred).unwrap_or(0);
-    let mut results: Vec<Vec<Option<Shot>>> = (0..=rows.len()).map(|_| Vec::new()).collect();
+    let mut results: Vec<Vec<Option<EngineShot>>> = (0..=rows.len()).map(|_| Vec::new()).collect();
     progress.begin("bench engines", (scenes.len() * shots) as u64);
     for (i, scene) in scenes.iter().enumerate() {
         for (k, action) in best_suggestions(scene, shots)?.iter().enumerate() {
@@ -99,7 +99,7 @@ fn best_suggestions(scene: &PlanScene, count: usize) -> Result<Vec<Action>, Benc
 }
 
 /// A shot; `None` if the engine could not finish it.
-fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Option<Shot>, BenchError> {
+fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Option<EngineShot>, BenchError> {
     let task = &scene.task;
     let bodies = task.bodies_in(&scene.scene, &task.target().name).map_err(PlanError::from)?;
     let mut simulation = target
@@ -119,18 +119,18 @@ fn shoot(target: &dyn Target, scene: &PlanScene, action: &Action) -> Result<Opti
         });
         wanted.map(|(id, _)| simulation.state(id).x_wb.translation).collect()
     };
-    Ok(Some(Shot { objective: rollout.objective, balls: places(true), others: places(false), seconds }))
+    Ok(Some(EngineShot { objective: rollout.objective, balls: places(true), others: places(false), seconds }))
 }
 
-fn add_row(metrics: &mut Metrics, key: &str, row: &[Option<Shot>], reference: &[Option<Shot>]) {
+fn add_row(metrics: &mut Metrics, key: &str, row: &[Option<EngineShot>], reference: &[Option<EngineShot>]) {
     // A shot that an engine could not finish has no mean.
     let mut set = |name: &str, value: f64| {
         if value.is_finite() {
             metrics.set(format!("bench.engines.{key}.{name}"), value);
         }
     };
-    let run: Vec<&Shot> = row.iter().flatten().collect();
-    let of = |f: &dyn Fn(&Shot) -> f64| mean(&run.iter().map(|s| f(s)).collect::<Vec<_>>());
+    let run: Vec<&EngineShot> = row.iter().flatten().collect();
+    let of = |f: &dyn Fn(&EngineShot) -> f64| mean(&run.iter().map(|s| f(s)).collect::<Vec<_>>());
     set("failed", (row.len() - run.len()) as f64);
     set("objective_mean_m", of(&|s| s.objective));
     set("shot_s", of(&|s| s.seconds));

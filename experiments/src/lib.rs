@@ -96,6 +96,6 @@ pub use seed_parts::{merge_optimisers, merge_plan_speed};
 pub use shards::{Merged, Shard, merge_shards, part_of};
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
-pub use table::{Target, add_means, table, targets};
+pub use table::{FigureTarget, add_means, table, targets};
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;

@@ -2,7 +2,7 @@
 //! executed there, and a search around the best of them.
 
 use crate::BenchError;
-use crate::solvability::{Table, Tried};
+use crate::solvability::{ArmScene, Tried};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
@@ -100,7 +100,7 @@ fn look(
     target: &dyn Target,
     cancel: &Cancel,
 ) -> Result<Option<Reachability>, BenchError> {
-    let Some(table) = Table::new(&fixed.generate())? else { return Ok(None) };
+    let Some(table) = ArmScene::new(&fixed.generate())? else { return Ok(None) };
     let (planned, units) = brute_force(bench, fixed, &table, cancel)?;
     let planner_direct = distinct(&planned, &units, bench.direct, |t| t.rebounds == Some(0));
     let mut chosen = distinct(&planned, &units, bench.candidates, |t| t.rebounds.is_some());
@@ -149,7 +149,7 @@ fn look(
 fn brute_force(
     bench: &ReachabilityBench,
     fixed: &FixedScene,
-    table: &Table,
+    table: &ArmScene,
     cancel: &Cancel,
 ) -> Result<(Vec<Tried>, Vec<Vec<f64>>), BenchError> {
     let mut simulation = table.world(&RapierFactory, &table.task.world_options())?;
@@ -189,7 +189,7 @@ fn distinct(
 
 /// The target's world of a scene, and the shots in it.
 struct Court<'a> {
-    table: &'a Table,
+    table: &'a ArmScene,
     simulation: &'a mut Simulation,
     tried: Vec<Tried>,
     shots: usize,

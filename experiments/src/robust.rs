@@ -323,7 +323,7 @@ impl Running<'_> {
     ) -> Result<(Metrics, usize), BenchError> {
         let scene = &self.scenes[scene];
         let (seed, warnings) = (Seed(scene.seed).derive("bench robust"), Warnings::new());
-        let clock = Clock::start();
+        let clock = ThreadClock::start();
         let outcome = plan(
             &scene.task,
             &scene.scene,
@@ -369,7 +369,7 @@ impl Running<'_> {
         let budget = self.bench.oracle_evaluations;
         let config = PlanConfig { evaluations: budget, ..PlanConfig::default() };
         let seed = Seed(scene.seed).derive("oracle");
-        let clock = Clock::start();
+        let clock = ThreadClock::start();
         let found = search_nominal(
             &scene.task,
             worlds.scene(0),
@@ -388,12 +388,12 @@ impl Running<'_> {
 }
 
 /// CPU seconds of this thread; where the system does not tell, those of the clock on the wall.
-struct Clock {
+struct ThreadClock {
     cpu_s: Option<f64>,
     began: Instant,
 }
 
-impl Clock {
+impl ThreadClock {
     fn start() -> Self {
         Self { cpu_s: thread_cpu_seconds(), began: Instant::now() }
     }

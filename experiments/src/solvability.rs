@@ -78,7 +78,7 @@ pub(crate) fn rebounds(
 }
 
 /// A true scene with the arm before it.
-pub(crate) struct Table {
+pub(crate) struct ArmScene {
     pub(crate) scene: Scene,
     pub(crate) task: ResolvedTask,
     pub(crate) bodies: WorldBodies,
@@ -107,7 +107,7 @@ pub(crate) struct Tried {
     pub(crate) rebounds: Option<usize>,
 }
 
-impl Table {
+impl ArmScene {
     /// `None` where a truth names masses that no body has.
     pub(crate) fn new(truth: &TruthScene) -> Result<Option<Self>, BenchError> {
         let Ok(scene) = scene_from_truth(truth) else { return Ok(None) };
@@ -116,7 +116,7 @@ impl Table {
         Ok(Some(Self { scene, task, bodies }))
     }
 
-    /// A world of it at rest, for [`Table::shoot`].
+    /// A world of it at rest, for [`ArmScene::shoot`].
     pub(crate) fn world(
         &self,
         factory: &dyn WorldFactory,
@@ -158,7 +158,7 @@ fn look(
     cancel: &Cancel,
 ) -> Result<Option<Solvability>, BenchError> {
     let Some(truth) = generate_challenge(layout, Seed(seed), bench.obstacles) else { return Ok(None) };
-    let Some(table) = Table::new(&truth)? else { return Ok(None) };
+    let Some(table) = ArmScene::new(&truth)? else { return Ok(None) };
     let mut simulation = table.world(&RapierFactory, &table.task.world_options())?;
     let points = Halton::new(table.task.parameters().len(), Seed(seed));
     let mut found = Solvability {

@@ -21,7 +21,7 @@ const COLUMNS: [(&str, &str, f64, usize); 11] = [
 
 /// A figure to reach: at most (`true`) or at least (`false`), in the metric's own unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Target {
+pub struct FigureTarget {
     /// Key without its prefix.
     pub key: &'static str,
     /// Whether the value shall be at most (else at least) the limit.
@@ -30,7 +30,7 @@ pub struct Target {
     pub limit: f64,
 }
 
-impl Target {
+impl FigureTarget {
     /// Whether a value meets it.
     pub fn met(&self, value: f64) -> bool {
         if self.at_most { value <= self.limit } else { value >= self.limit }
@@ -38,8 +38,8 @@ impl Target {
 }
 
 /// Targets of a preset on 2 cores, as means over the generated scenes (of peak memory, over each).
-pub fn targets(preset: &str) -> Vec<Target> {
-    let target = |key, at_most, limit| Target { key, at_most, limit };
+pub fn targets(preset: &str) -> Vec<FigureTarget> {
+    let target = |key, at_most, limit| FigureTarget { key, at_most, limit };
     let gib = f64::from(1u32 << 30);
     let quality = [
         target("holdout_psnr_db", false, 30.0),

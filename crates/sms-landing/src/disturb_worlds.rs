@@ -1,6 +1,6 @@
 //! Worlds that rollouts borrow, the same for every action.
 
-use crate::hard::World;
+use crate::hard::PerturbedWorld;
 use crate::{
     LandingAction, LandingError, LandingOutcome, LandingPrediction, LandingSettings, LandingWorld,
     ResolvedLanding, RolloutOptions,
@@ -24,34 +24,34 @@ pub(crate) struct Flown {
 }
 
 /// One world, built as often as threads need it at the same time. All its copies are the same.
-struct Shared {
-    world: World,
+struct WorldCopies {
+    world: PerturbedWorld,
     idle: Mutex<Vec<LandingWorld>>,
 }
 
 /// Worlds of one model of wash.
-pub(crate) struct Family<'a> {
+pub(crate) struct PerturbedWorlds<'a> {
     landing: &'a ResolvedLanding,
     factory: &'a dyn WorldFactory,
     wash: WashSettings,
     enough: f64,
-    worlds: Vec<Shared>,
+    worlds: Vec<WorldCopies>,
     progress: &'a dyn Progress,
     cancel: &'a Cancel,
     done: AtomicU64,
 }
 
-impl<'a> Family<'a> {
+impl<'a> PerturbedWorlds<'a> {
     pub(crate) fn new(
         landing: &'a ResolvedLanding,
         factory: &'a dyn WorldFactory,
         settings: &LandingSettings,
         wash: WashSettings,
-        worlds: Vec<World>,
+        worlds: Vec<PerturbedWorld>,
         progress: &'a dyn Progress,
         cancel: &'a Cancel,
     ) -> Self {
-        let shared = |world: World| Shared { world, idle: Mutex::default() };
+        let shared = |world: PerturbedWorld| WorldCopies { world, idle: Mutex::default() };
         Self {
             landing,
             factory,

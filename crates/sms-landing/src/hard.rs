@@ -20,12 +20,12 @@ const LIGHTENED: usize = 16;
 
 /// A world and how exactly the flight is carried out in it.
 #[derive(Debug, Clone)]
-pub(crate) struct World {
+pub(crate) struct PerturbedWorld {
     pub(crate) scene: Scene,
     pub(crate) carried_out: CarriedOut,
 }
 
-impl World {
+impl PerturbedWorld {
     /// A scene in which flights are carried out exactly.
     pub(crate) fn exactly(scene: Scene) -> Self {
         Self { scene, carried_out: CarriedOut::default() }
@@ -43,23 +43,33 @@ pub(crate) struct Hardness<'a> {
 
 impl Hardness<'_> {
     /// Disturbed worlds in which the structure stands.
-    pub(crate) fn draw(&self, scene: &Scene, seed: Seed, count: usize) -> Result<Vec<World>, LandingError> {
+    pub(crate) fn draw(
+        &self,
+        scene: &Scene,
+        seed: Seed,
+        count: usize,
+    ) -> Result<Vec<PerturbedWorld>, LandingError> {
         let draw = |index: usize| {
             self.cancel.check()?;
             let d = self.disturbances;
             let drawn = d.standing_scene(self.landing, self.factory, scene, seed, index)?;
-            Ok(World { scene: drawn, carried_out: d.carried_out(seed, index) })
+            Ok(PerturbedWorld { scene: drawn, carried_out: d.carried_out(seed, index) })
         };
         (0..count).into_par_iter().map(draw).collect()
     }
 
     /// Disturbed worlds in which the structure stands, those first in which the least load tips it, measured by the strength of the
     /// wash there.
-    pub(crate) fn order(&self, scene: &Scene, seed: Seed, count: usize) -> Result<Vec<World>, LandingError> {
+    pub(crate) fn order(
+        &self,
+        scene: &Scene,
+        seed: Seed,
+        count: usize,
+    ) -> Result<Vec<PerturbedWorld>, LandingError> {
         self.progress.begin("landing: worlds in which the structure stands", 0);
         let worlds = self.draw(scene, seed, count)?;
         let points = self.weak_points(scene)?;
-        let hardness = |world: &World| {
+        let hardness = |world: &PerturbedWorld| {
             self.cancel.check()?;
             let mut least = f64::INFINITY;
             for p_w in &points {
@@ -68,7 +78,7 @@ impl Hardness<'_> {
             Ok::<f64, LandingError>(least / world.carried_out.wash)
         };
         let loads = worlds.par_iter().map(hardness).collect::<Result<Vec<f64>, _>>()?;
-        let mut ordered: Vec<(f64, World)> = loads.into_iter().zip(worlds).collect();
+        let mut ordered: Vec<(f64, PerturbedWorld)> = loads.into_iter().zip(worlds).collect();
         ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.progress.end(&match (ordered.first(), ordered.get(count / 2)) {
             (Some(least), Some(middle)) => {
@@ -80,14 +90,18 @@ impl Hardness<'_> {
     }
 
     /// The worlds of the margins, the hardest last, of worlds that are ordered hardest first.
-    pub(crate) fn margins(&self, ordered: &[World], settings: &LandingSettings) -> Vec<World> {
+    pub(crate) fn margins(
+        &self,
+        ordered: &[PerturbedWorld],
+        settings: &LandingSettings,
+    ) -> Vec<PerturbedWorld> {
         let mut worlds = spread(ordered, settings.margins);
         worlds.reverse();
         let Some(base) = ordered.get(ordered.len() / LIGHTENED) else { return worlds };
         for step in 1..=settings.lighter {
             let share = settings.lightest.powf(step as f64 / settings.lighter as f64);
             let scene = lighter(self.landing, &base.scene, share);
-            worlds.push(World { scene, carried_out: base.carried_out });
+            worlds.push(PerturbedWorld { scene, carried_out: base.carried_out });
         }
         worlds
     }
@@ -117,7 +131,7 @@ impl Hardness<'_> {
 
 /// So many of the worlds, in their order: the first, those at the half, the quarter and so on of the order, and where that is not
 /// enough the next ones from the first on. All where there are not more.
-pub(crate) fn spread(ordered: &[World], count: usize) -> Vec<World> {
+pub(crate) fn spread(ordered: &[PerturbedWorld], count: usize) -> Vec<PerturbedWorld> {
     if ordered.len() <= count {
         return ordered.to_vec();
     }
@@ -159,13 +173,13 @@ mod tests {
             x_world_recording: glamx::DPose3::IDENTITY,
             bodies: Vec::new(),
         };
-        let worlds: Vec<World> = (0..40)
-            .map(|i| World {
+        let worlds: Vec<PerturbedWorld> = (0..40)
+            .map(|i| PerturbedWorld {
                 carried_out: CarriedOut { speed: f64::from(i), ..CarriedOut::default() },
-                ..World::exactly(scene.clone())
+                ..PerturbedWorld::exactly(scene.clone())
             })
             .collect();
-        let speeds = |ws: Vec<World>| ws.iter().map(|w| w.carried_out.speed).collect::<Vec<_>>();
+        let speeds = |ws: Vec<PerturbedWorld>| ws.iter().map(|w| w.carried_out.speed).collect::<Vec<_>>();
         assert_eq!(speeds(spread(&worlds, 5)), [0.0, 2.0, 5.0, 10.0, 20.0]);
         assert_eq!(speeds(spread(&worlds, 1)), [0.0]);
         assert_eq!(speeds(spread(&worlds, 8)), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 10.0, 20.0]);

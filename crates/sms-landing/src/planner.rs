@@ -1,7 +1,7 @@
 //! Planning: many approaches with `jet`, the promising ones with `sph`, the final choice in disturbed worlds.
 
-use crate::disturb_worlds::{Family, Flown};
-use crate::hard::{Hardness, World, spread};
+use crate::disturb_worlds::{Flown, PerturbedWorlds};
+use crate::hard::{Hardness, PerturbedWorld, spread};
 use crate::plan::{LandingAlternative, LandingEvaluations};
 use crate::{
     LandingAction, LandingError, LandingPlan, LandingPlanOutcome, LandingPrediction, LandingRecording,
@@ -55,7 +55,7 @@ impl Rank {
 }
 
 /// Everything that planning needs.
-struct Planning<'a> {
+struct LandingSearch<'a> {
     landing: &'a ResolvedLanding,
     settings: &'a LandingSettings,
     seed: Seed,
@@ -96,12 +96,17 @@ pub fn plan_landing(
         );
     }
     let scene = &scene;
-    let family = |model: WashModel, worlds: Vec<World>| {
-        Family::new(landing, factory, settings, wash(settings, model), worlds, progress, cancel)
+    let family = |model: WashModel, worlds: Vec<PerturbedWorld>| {
+        PerturbedWorlds::new(landing, factory, settings, wash(settings, model), worlds, progress, cancel)
     };
-    let scanned = || vec![World::exactly(scene.clone())];
-    let mut planning =
-        Planning { landing, settings, seed, trials: Vec::new(), evaluations: LandingEvaluations::default() };
+    let scanned = || vec![PerturbedWorld::exactly(scene.clone())];
+    let mut planning = LandingSearch {
+        landing,
+        settings,
+        seed,
+        trials: Vec::new(),
+        evaluations: LandingEvaluations::default(),
+    };
 
     progress.begin("landing: screening", settings.screening as u64);
     let jet = family(WashModel::Jet, scanned());
@@ -204,9 +209,9 @@ impl Candidate {
     }
 }
 
-impl Planning<'_> {
+impl LandingSearch<'_> {
     /// Flies the points of a low-discrepancy sequence in the scanned world; best first.
-    fn screen(&mut self, jet: &Family<'_>) -> Result<Vec<Candidate>, LandingError> {
+    fn screen(&mut self, jet: &PerturbedWorlds<'_>) -> Result<Vec<Candidate>, LandingError> {
         let halton = Halton::new(4, self.seed.derive("screening"));
         let wanted = self.settings.screening;
         let points: Vec<Vec<f64>> = (0..wanted as u64 * MOST_DRAWS)
@@ -236,7 +241,7 @@ impl Planning<'_> {
 
     /// Flies those that succeeded in the hardest world of the margins (the last), and those that fail in easier ones. Only as many are
     /// flown as it takes to know the best that go on: among equals they come in the order in which they are flown. Best first.
-    fn margins(&mut self, found: &mut [Candidate], worlds: &Family<'_>) -> Result<(), LandingError> {
+    fn margins(&mut self, found: &mut [Candidate], worlds: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let wanted = self.settings.candidates.max(self.settings.refine);
         let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
         for level in (0..worlds.len()).rev() {
@@ -265,7 +270,7 @@ impl Planning<'_> {
     }
 
     /// Flies all candidates in the scanned world; best first.
-    fn in_nominal(&mut self, found: &mut [Candidate], sph: &Family<'_>) -> Result<(), LandingError> {
+    fn in_nominal(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let jobs: Vec<_> = found.iter().map(|c| (c.action, 0)).collect();
         let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
@@ -277,7 +282,7 @@ impl Planning<'_> {
     }
 
     /// Local searches from the best candidates, side by side; what they find takes their places.
-    fn polish(&mut self, found: &mut [Candidate], sph: &Family<'_>) -> Result<(), LandingError> {
+    fn polish(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let count = self.settings.polish_starts.min(found.len());
         let steps = [STEP; 4];
         let simplex = NelderMead::default();
@@ -334,7 +339,7 @@ impl Planning<'_> {
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
-        worlds: &Family<'_>,
+        worlds: &PerturbedWorlds<'_>,
         phase: TrialPhase,
     ) -> Result<(), LandingError> {
         let n = worlds.len();

@@ -3,7 +3,7 @@
 
 use super::ablated::{Ablated, Ablation, Replaced};
 use super::planner_view::{PlannerView, apply_to_matched, forget_material};
-use super::realise::Table;
+use super::realise::Realiser;
 use super::rows::{RowPlanner, View};
 use super::{BilliardsScene, Row, Shot};
 use crate::material_prior::set_material;
@@ -47,7 +47,7 @@ pub(super) fn ablate(
     let engine = bench.engines.first().copied().unwrap_or(TargetEngine::Rapier);
     let judge = engine.target()?;
     let starts = bench.ablation_starts.min(bench.starts);
-    let table = |target| Table { target, truth, robot, idle_m: result.idle_m };
+    let table = |target| Realiser { target, truth, robot, idle_m: result.idle_m };
     let mut ablation =
         Ablation { judge: engine.key().to_owned(), starts, sensitivity_m: None, rows: BTreeMap::new() };
     let own = View { task: &known.task, scene: &known.scene };

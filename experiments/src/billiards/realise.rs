@@ -33,7 +33,7 @@ pub(super) struct Realised {
 }
 
 /// Executes shots in a target world.
-pub(super) struct Table<'a> {
+pub(super) struct Realiser<'a> {
     pub(super) target: &'a dyn Target,
     pub(super) truth: &'a TruthScene,
     pub(super) robot: &'a RobotConfig,
@@ -41,7 +41,7 @@ pub(super) struct Table<'a> {
     pub(super) idle_m: f64,
 }
 
-impl Table<'_> {
+impl Realiser<'_> {
     /// One shot: its objective and its motion, or why the engine cannot finish it, or why it is of another ball.
     fn shoot(
         &self,

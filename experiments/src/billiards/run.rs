@@ -4,7 +4,7 @@ use super::ablated::Ablation;
 use super::ablation::ablate;
 use super::drawing::{outlines, ways};
 use super::planner_view::{PlannerView, planner_view};
-use super::realise::Table;
+use super::realise::Realiser;
 use super::result::kept;
 use super::rows::{RowPlanner, View};
 use super::{BilliardsBench, BilliardsScene, Drawing, Row, Shot};
@@ -94,7 +94,7 @@ fn run_scene(
     }
     let truth = fixed.generate();
     let robot = robot_of(&truth);
-    let clock = Clock::start();
+    let clock = ProcessClock::start();
     let known = planner_view(bench, fixed, &truth, material_prior, progress, cancel)?;
     let see_s = clock.cpu_s();
     let seed = bench.seed.derive_index("billiards", fixed.number as u64);
@@ -119,8 +119,8 @@ fn run_scene(
             }
         };
         result.not_run.remove(engine.key());
-        let clock = Clock::start();
-        let table = Table { target: &*target, truth: &truth, robot: &robot, idle_m: result.idle_m };
+        let clock = ProcessClock::start();
+        let table = Realiser { target: &*target, truth: &truth, robot: &robot, idle_m: result.idle_m };
         let realised = table.realise(&view_of, &result.plans, progress, cancel)?;
         result.realised.insert(engine.key().to_owned(), realised.rows);
         result.unfinished.insert(engine.key().to_owned(), realised.unfinished);
@@ -131,7 +131,7 @@ fn run_scene(
         atomic::write_json(&path, &result)?;
     }
     if !ablated(&result) {
-        let clock = Clock::start();
+        let clock = ProcessClock::start();
         let ablation = ablate(&planner, &result, &known, &truth)?;
         result.ablation = Some(ablation);
         result.cpu_s.extend(clock.cpu_s().map(|s| ("ablation".to_owned(), s)));
@@ -214,9 +214,9 @@ fn drawing(known: &PlannerView, truth: &TruthScene) -> Result<Drawing, BenchErro
 }
 
 /// CPU seconds of this process, where the system tells.
-struct Clock(Option<f64>);
+struct ProcessClock(Option<f64>);
 
-impl Clock {
+impl ProcessClock {
     fn start() -> Self {
         Self(cpu_seconds())
     }
@@ -377,7 +377,7 @@ pub(super) mod tests {
         let known =
             planner_view(&bench, &fixed, &truth, material_prior, &NoProgress, &Cancel::new()).unwrap();
         let view = View { task: &known.task, scene: &known.scene };
-        let table = Table { target: &SameEngineTarget, truth: &truth, robot: &robot, idle_m: 0.2 };
+        let table = Realiser { target: &SameEngineTarget, truth: &truth, robot: &robot, idle_m: 0.2 };
         // Faster than any arm.
         let fast = Shot { action: Some(Action(vec![60.0, 0.0, 0.0, 0.0])), ..Shot::nothing(0.01) };
         let plans =

@@ -18,7 +18,7 @@ const QUESTIONS: &str = "questions.json";
 
 /// Queries about a scan's objects, and the questions with pictures.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Kept {
+struct KeptQuestions {
     /// The entities in their order, then the floor.
     queries: Vec<ObjectQuery>,
     questions: Vec<KeptQuestion>,
@@ -59,7 +59,7 @@ pub(crate) fn keep_questions(
         atomic::write_bytes(&dir.join(&jpeg), &q.jpeg)?;
         questions.push(KeptQuestion { query: i, is_surface: q.is_surface, jpeg });
     }
-    atomic::write_json(&dir.join(QUESTIONS), &Kept { queries, questions })
+    atomic::write_json(&dir.join(QUESTIONS), &KeptQuestions { queries, questions })
 }
 
 /// Asks about the objects of the scene kept in `dir` and sets the materials of `scene`. Unanswered properties keep the prior.
@@ -81,7 +81,7 @@ pub(super) fn apply_vlm_materials(
         let cure = "scan again with --rescan, or leave `vlm` out of --materials";
         return Err(InputError::new("this scan was kept without views of its objects", dir, cure).into());
     }
-    let Kept { mut queries, questions } = atomic::read_json(&path)?;
+    let KeptQuestions { mut queries, questions } = atomic::read_json(&path)?;
     let asked_about: Vec<Question> = questions
         .iter()
         .map(|q| {
@@ -184,7 +184,7 @@ mod tests {
         for i in [0, 2] {
             std::fs::write(folder.path().join(format!("{i}.jpg")), [0xFF, 0xD8, i as u8]).unwrap();
         }
-        let kept = Kept { queries, questions: vec![question(0), question(2)] };
+        let kept = KeptQuestions { queries, questions: vec![question(0), question(2)] };
         atomic::write_json(&folder.path().join(QUESTIONS), &kept).unwrap();
 
         // The second try hears of one of the two, and no more.
@@ -218,7 +218,7 @@ mod tests {
         scene.bodies.iter_mut().for_each(super::super::planner_view::forget_material);
         let ball = ObjectQuery { name: scene.bodies[1].name.clone(), ..ObjectQuery::default() };
         let question = KeptQuestion { query: 0, is_surface: false, jpeg: "0.jpg".into() };
-        let kept = Kept { queries: vec![ball, ObjectQuery::default()], questions: vec![question] };
+        let kept = KeptQuestions { queries: vec![ball, ObjectQuery::default()], questions: vec![question] };
         for entities in [&bench.scan.bench.entities, &bench.paper_entities] {
             let scan = scan_dir(&bench.scan, &BenchScene::Fixed(1), entities).unwrap();
             save_scene(&scan, &scene).unwrap();

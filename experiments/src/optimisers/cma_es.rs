@@ -166,7 +166,7 @@ pub(super) struct CmaSettings {
     pub(super) f_tolerance: f64,
 }
 
-struct Run {
+struct CmaRun {
     /// In coordinates divided by `steps`.
     cma: CmaEs,
     steps: Vec<f64>,
@@ -192,7 +192,7 @@ pub(super) struct CmaSearch {
     screen: Vec<Screened>,
     screened: bool,
     begins: Vec<(Screened, Vec<f64>)>,
-    runs: Vec<Run>,
+    runs: Vec<CmaRun>,
     population: usize,
 }
 
@@ -217,7 +217,7 @@ impl CmaSearch {
         let scaled: Vec<f64> = from.x.iter().zip(&steps).map(|(x, s)| x / s).collect();
         let cma = CmaEs::new(&scaled, 1.0, self.population);
         self.population = 2 * cma.population();
-        self.runs.push(Run {
+        self.runs.push(CmaRun {
             cma,
             steps,
             record: StartRecord {
@@ -237,7 +237,7 @@ impl CmaSearch {
         true
     }
 
-    fn is_over(&self, run: &Run) -> bool {
+    fn is_over(&self, run: &CmaRun) -> bool {
         let window = 10 + 30 * self.space.dimensions() / run.cma.population();
         let recent = &run.history[run.history.len().saturating_sub(window)..];
         let range = recent.iter().copied().fold(f64::NEG_INFINITY, f64::max)
@@ -326,7 +326,7 @@ impl BatchOptimiser for CmaSearch {
     }
 
     fn starts(&self) -> Vec<StartRecord> {
-        let record = |r: &Run| {
+        let record = |r: &CmaRun| {
             let mut record = r.record.clone();
             // A generation that the budget cut short.
             for (y, f) in &r.known {

@@ -73,7 +73,7 @@ pub(crate) fn seed_frame(
         edges.chain(others.into_iter().map(|i| (i, spacing(i, false)))).collect::<Vec<(usize, f64)>>()
     };
     let (existing, tries) = rayon::join(|| HashGrid::of(widest, positions_w), order);
-    let surfaces: Vec<Option<SurfaceSample>> = tries
+    let surfaces: Vec<Option<SeedSurface>> = tries
         .par_iter()
         .map(|&(i, spacing_m)| {
             let surface = surface_at(frame, i, config);
@@ -148,7 +148,7 @@ fn is_edge(frame: &Frame, i: usize, config: &ScanConfig) -> bool {
 }
 
 /// The measured surface at a pixel.
-struct SurfaceSample {
+struct SeedSurface {
     point_w: DVec3,
     normal_w: DVec3,
     /// Depth, metres.
@@ -160,7 +160,7 @@ struct SurfaceSample {
 /// Returns the surface at pixel `i`: its point is moved along the ray onto the mean of the 3 × 3 neighbours within
 /// the noise of the tangent plane. A wider window would cut into curved surfaces: on a ball of 30 mm radius seen at
 /// 2 mm a pixel, 3 × 3 lies 0.1 mm too deep and 5 × 5 0.3 mm.
-fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SurfaceSample {
+fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SeedSurface {
     let (width, z) = (frame.depth.width, f64::from(frame.depth.data[i]));
     let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from)).normalize();
     let ray = ray_c(&frame.camera, i);
@@ -181,7 +181,7 @@ fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SurfaceSample {
     }
     // Moving by δ along the ray changes n·p by −δ·slope; the centre pixel always counts.
     let depth = z - sum / f64::max(count, 1.0) / slope.max(0.1);
-    SurfaceSample {
+    SeedSurface {
         point_w: frame.camera.x_wc.transform_point(ray * depth),
         normal_w: frame.camera.x_wc.rotation * normal_c,
         z: depth,
@@ -192,7 +192,7 @@ fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SurfaceSample {
 fn disc(
     frame: &Frame,
     i: usize,
-    surface: &SurfaceSample,
+    surface: &SeedSurface,
     spacing_m: f64,
     pitch_m: f64,
     affinity: [f32; AFFINITY_DIM],

@@ -8,7 +8,7 @@ use crate::outline::{monotone_chain, sort};
 use glamx::{DVec2, DVec3};
 
 #[derive(Clone, Copy)]
-struct HullFace {
+struct SweptFace {
     corners: [u32; 3],
     /// The face across the edge from corner `k` to corner `k + 1`.
     across: [u32; 3],
@@ -29,7 +29,7 @@ pub(crate) struct GrowingHull {
     points: Vec<DVec3>,
     /// The points in steps.
     steps: Vec<DVec3>,
-    faces: Vec<HullFace>,
+    faces: Vec<SweptFace>,
     free: Vec<u32>,
     waiting: Vec<DVec3>,
     newest: Vec<u32>,
@@ -114,7 +114,7 @@ impl GrowingHull {
 
     fn add_face(&mut self, corners: [u32; 3], across: [u32; 3]) -> u32 {
         let [a, b, c] = corners.map(|i| self.steps[i as usize]);
-        let face = HullFace { corners, across, foot: a, normal: (b - a).cross(c - a), alive: true };
+        let face = SweptFace { corners, across, foot: a, normal: (b - a).cross(c - a), alive: true };
         match self.free.pop() {
             Some(id) => {
                 self.faces[id as usize] = face;

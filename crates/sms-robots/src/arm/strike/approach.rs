@@ -10,7 +10,7 @@ use crate::arm::strike::motion::{
     roll_out, within_limits,
 };
 use crate::arm::strike::sweep::{LinePath, Sweep};
-use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, StrikeProblem, SweepPlan, plan_sweep_where};
+use crate::arm::strike::sweep_plan::{ReachProblem, StrikeConfig, StrikeError, SweepPlan, plan_sweep_where};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -64,9 +64,9 @@ pub fn plan_startable_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    let problem = StrikeProblem { model, sweep, obstacles, config };
+    let problem = ReachProblem { model, sweep, obstacles, config };
     let accept = |plan: &SweepPlan, ws: &mut Workspace| {
-        let held = StrikeProblem { sweep: &plan.sweep, ..problem };
+        let held = ReachProblem { sweep: &plan.sweep, ..problem };
         let way = approach_path(&held, &plan.q_start, &COARSE, ws)?;
         way.blocked.map_or(Ok(()), |(phase, clearance)| Err(StrikeError::Unstartable { clearance, phase }))
     };
@@ -89,7 +89,7 @@ pub fn plan_strike(
     let rate = config.osc.torque_rate;
     // The sweep with the chosen hold of the tool.
     let (path, held) = (plan.path(), plan.sweep);
-    let problem = StrikeProblem { model, sweep: &held, obstacles, config };
+    let problem = ReachProblem { model, sweep: &held, obstacles, config };
     plan.motion = roll_out(model, &path, &plan.q_start, &config.osc, config.period_s, SETTLE_S);
     plan.uses = plan.motion.check(model, rate)?;
     let last = plan.motion.samples[plan.motion.samples.len() - 1].q;
@@ -137,12 +137,12 @@ struct ApproachPath {
 
 /// Finds the first clear approach to the start of the sweep, or the first one if none is clear.
 fn approach_path(
-    problem: &StrikeProblem<'_>,
+    problem: &ReachProblem<'_>,
     q_start: &[f64],
     detail: &Detail,
     ws: &mut Workspace,
 ) -> Result<ApproachPath, StrikeError> {
-    let StrikeProblem { model, sweep, config, .. } = *problem;
+    let ReachProblem { model, sweep, config, .. } = *problem;
     let check = problem.clearance_check(detail.interval_s, true);
     let n = model.dof();
     let mut first = [0.0; MAX_JOINTS];

@@ -211,12 +211,12 @@ pub fn plan_sweep(
     config: &StrikeConfig,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    plan_sweep_where(&StrikeProblem { model, sweep, obstacles, config }, None, ws)
+    plan_sweep_where(&ReachProblem { model, sweep, obstacles, config }, None, ws)
 }
 
 /// A strike to plan.
 #[derive(Clone, Copy)]
-pub(crate) struct StrikeProblem<'a> {
+pub(crate) struct ReachProblem<'a> {
     pub(crate) model: &'a RobotModel,
     /// The sweep of a tool that is held upright.
     pub(crate) sweep: &'a Sweep,
@@ -224,7 +224,7 @@ pub(crate) struct StrikeProblem<'a> {
     pub(crate) config: &'a StrikeConfig,
 }
 
-impl<'a> StrikeProblem<'a> {
+impl<'a> ReachProblem<'a> {
     /// The clearance check of motions, with postures at most `interval_s` seconds apart.
     pub(crate) fn clearance_check(&self, interval_s: f64, with_struck: bool) -> ClearanceCheck<'a> {
         let (obstacles, clearance_m) = (self.obstacles, self.config.clearance_m);
@@ -243,7 +243,7 @@ pub(crate) type Accept<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<()
 /// [`plan_sweep`] that skips sweeps which `accept` refuses, as it skips those that break a limit, and tries other postures
 /// and holds. With `accept`, a sweep that stays far from all limits keeps its motion of coarse steps.
 pub(crate) fn plan_sweep_where(
-    problem: &StrikeProblem<'_>,
+    problem: &ReachProblem<'_>,
     accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
@@ -255,7 +255,7 @@ pub(crate) fn plan_sweep_where(
     let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
     for holds in groups(config.symmetric_tool, config.turned_tool) {
         let config = if upright.is_none() { config } else { &fewer };
-        match plan_held(&StrikeProblem { config, ..*problem }, &holds, accept, ws) {
+        match plan_held(&ReachProblem { config, ..*problem }, &holds, accept, ws) {
             Ok(plan) => return Ok(plan),
             Err((e, may_another_do)) => {
                 if !may_another_do {
@@ -270,12 +270,12 @@ pub(crate) fn plan_sweep_where(
 
 /// Runs [`plan_sweep`] for some holds of the tool. The error says whether another hold may succeed.
 fn plan_held(
-    problem: &StrikeProblem<'_>,
+    problem: &ReachProblem<'_>,
     holds: &[Hold],
     accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, (StrikeError, bool)> {
-    let StrikeProblem { model, sweep: upright, obstacles, config } = *problem;
+    let ReachProblem { model, sweep: upright, obstacles, config } = *problem;
     // The postures of a redundant arm form families, found from a few starts; those of other arms are isolated.
     let starts = config.ik.starts * if model.dof() > 6 { 1 } else { 8 };
     let ik = IkConfig { starts, ..config.ik };
@@ -368,13 +368,13 @@ fn plan_held(
 
 /// Recomputes the plan in fine steps if needed, and applies `accept`.
 fn refined(
-    problem: &StrikeProblem<'_>,
+    problem: &ReachProblem<'_>,
     mut plan: SweepPlan,
     badness: f64,
     accept: Option<Accept<'_>>,
     ws: &mut Workspace,
 ) -> Result<SweepPlan, StrikeError> {
-    let StrikeProblem { model, config, .. } = *problem;
+    let ReachProblem { model, config, .. } = *problem;
     if accept.is_none() || badness > COARSE_ENOUGH {
         let path = plan.path();
         let fine = config.period_s.max(path.duration_s() / 200.0);
