@@ -1,4 +1,4 @@
-//! Disturbed worlds and flights: what is not known for certain, sampled.
+//! Perturbed scenes and flights: samples of the uncertain masses, frictions, positions and flight errors.
 
 use crate::{CarriedOut, LandingDisturbances, LandingError, ResolvedLanding};
 use glamx::DVec2;
@@ -8,14 +8,15 @@ use sms_plan::Perturbation;
 use sms_scene::{Body, Scene};
 use sms_sim::WorldFactory;
 
-/// Draws among which one is sought with which the structure stands.
+/// Largest number of draws until the structure stands.
 const DRAWS: u64 = 64;
 
-/// A body that is this much above what it touches stands on it, metres.
+/// Largest overlap or gap between a body and its support, metres.
 const ON_TOP_M: f64 = 0.01;
 
 impl LandingDisturbances {
-    /// The `index`-th disturbed scene: masses and frictions within their intervals, and what stands on something else a little aside.
+    /// Returns the `index`-th perturbed scene. Masses and frictions are drawn from their intervals, and bodies that
+    /// stand on others are shifted horizontally.
     pub fn scene(&self, landing: &ResolvedLanding, scene: &Scene, seed: Seed, index: usize) -> Scene {
         let materials = Perturbation {
             materials: self.materials,
@@ -41,11 +42,12 @@ impl LandingDisturbances {
         disturbed
     }
 
-    /// As [`LandingDisturbances::scene`], of those scenes that stand by themselves: the structure was seen standing, so masses with which
-    /// it falls are not its own. After many draws that fall, the scene itself.
+    /// Returns the `index`-th perturbed scene in which the structure stands by itself. The structure stood during the
+    /// scan, so masses with which it falls are rejected. If it falls in all of 64 draws, the unperturbed scene is
+    /// returned.
     ///
     /// # Errors
-    /// [`LandingError`] of scenes that cannot be simulated.
+    /// [`LandingError`] if a scene cannot be simulated.
     pub fn standing_scene(
         &self,
         landing: &ResolvedLanding,
@@ -66,11 +68,13 @@ impl LandingDisturbances {
         Ok(scene.clone())
     }
 
-    /// The scene itself where it stands; else, with materials that are not known for certain, the scene with masses within their
-    /// intervals with which it does: of many draws the one that changes masses the least (by the squared logarithms of their ratios).
+    /// Finds masses with which the structure stands. Returns `None` if it stands in `scene`. If it falls and materials
+    /// are sampled, returns the scene with the masses, among 64 draws from their intervals, that keep the structure
+    /// standing and change the least (by the squared logarithms of the mass ratios).
     ///
     /// # Errors
-    /// [`LandingError::AlreadyFalling`] where it falls with all of them; errors of scenes that cannot be simulated.
+    /// [`LandingError::AlreadyFalling`] if the structure falls with all draws; other variants if a scene cannot be
+    /// simulated.
     pub(crate) fn that_stands(
         &self,
         landing: &ResolvedLanding,
@@ -100,7 +104,7 @@ impl LandingDisturbances {
         Err(falls)
     }
 
-    /// How exactly the `index`-th flight is carried out.
+    /// Returns the execution errors of the `index`-th flight.
     pub fn carried_out(&self, seed: Seed, index: usize) -> CarriedOut {
         let mut rng = seed.derive_index("flight", index as u64).rng();
         let mut within = |half: f64| half * symmetric(&mut rng);
@@ -112,13 +116,14 @@ impl LandingDisturbances {
     }
 }
 
-/// Sum of the squared logarithms of the ratios of masses.
+/// Sum of the squared logarithms of the mass ratios.
 fn change_of_masses(from: &Scene, to: &Scene) -> f64 {
     let log_ratio = |(a, b): (&Body, &Body)| Some((b.mass?.mass() / a.mass?.mass()).ln());
     from.bodies.iter().zip(&to.bodies).filter_map(log_ratio).map(|l| l * l).sum()
 }
 
-/// Whether what a body touches is below or above it, so that it can be moved aside without being pushed into anything.
+/// Whether a body stands on another one and touches others only from above or below. Such a body can be shifted
+/// horizontally without a collision.
 fn stands_on_something(index: usize, boxes: &[Option<Aabb>]) -> bool {
     let Some(own) = &boxes[index] else { return false };
     let mut stands = false;

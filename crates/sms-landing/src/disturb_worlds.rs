@@ -1,4 +1,4 @@
-//! Worlds that rollouts borrow, the same for every action.
+//! Pools of perturbed worlds, the same for every action.
 
 use crate::hard::PerturbedWorld;
 use crate::{
@@ -14,22 +14,23 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What a search keeps of a rollout.
+/// Score and failure of a rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flown {
-    /// The objective, capped; infinite where the simulation cannot be believed.
+    /// The capped objective; infinite if the simulation is invalid.
     pub(crate) score: f64,
-    /// Why it failed, in a word.
+    /// Kind of failure.
     pub(crate) failure: Option<&'static str>,
 }
 
-/// One world, built as often as threads need it at the same time. All its copies are the same.
+/// One perturbed world and its idle copies. Each thread that needs the world at the same time gets its own identical
+/// copy.
 struct WorldCopies {
     world: PerturbedWorld,
     idle: Mutex<Vec<LandingWorld>>,
 }
 
-/// Worlds of one model of wash.
+/// Perturbed worlds with one wash model.
 pub(crate) struct PerturbedWorlds<'a> {
     landing: &'a ResolvedLanding,
     factory: &'a dyn WorldFactory,
@@ -64,7 +65,7 @@ impl<'a> PerturbedWorlds<'a> {
         }
     }
 
-    /// How many worlds there are.
+    /// Returns the number of worlds.
     pub(crate) fn len(&self) -> usize {
         self.worlds.len()
     }
@@ -73,7 +74,7 @@ impl<'a> PerturbedWorlds<'a> {
         self.wash.model
     }
 
-    /// Flies actions in worlds, side by side; in the order of the jobs.
+    /// Flies actions in worlds in parallel. The results are in the order of the jobs.
     pub(crate) fn fly_all(&self, jobs: &[(LandingAction, usize)]) -> Result<Vec<Flown>, LandingError> {
         jobs.par_iter()
             .map(|(action, world)| {
@@ -90,7 +91,7 @@ impl<'a> PerturbedWorlds<'a> {
             .collect()
     }
 
-    /// Flies one action in one of the worlds, carried out as it is there.
+    /// Flies one action in one of the worlds, with that world's execution errors.
     pub(crate) fn fly_in(
         &self,
         world: usize,
@@ -122,7 +123,7 @@ impl<'a> PerturbedWorlds<'a> {
 }
 
 impl LandingPrediction {
-    /// The distribution of what comes of one action in several worlds.
+    /// Summarises the outcomes of one action in several worlds.
     pub(crate) fn of(wash: WashModel, row: &[Flown]) -> Self {
         let scores: Vec<f64> = row.iter().map(|f| f.score).filter(|s| s.is_finite()).collect();
         let mut failures: BTreeMap<&'static str, usize> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! What a landing cannot be planned for.
+//! Errors of the landing task.
 
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use sms_plan::PlanError;
@@ -6,8 +6,8 @@ use sms_robots::VehicleError;
 use sms_sim::SimError;
 use sms_wash::WashError;
 
-/// Errors of the landing task. Those about user input hold an [`InputError`], which names the file and the cure;
-/// [`StageError::input`] returns it whatever the variant.
+/// An error of the landing task. Variants about user input hold an [`InputError`], which names the file and the cure;
+/// [`StageError::input`] returns it.
 #[derive(Debug, thiserror::Error)]
 pub enum LandingError {
     /// A bad task file, vehicle file or setting.
@@ -16,7 +16,7 @@ pub enum LandingError {
     /// No surface of the scene is level and high enough.
     #[error(transparent)]
     NoSurface(InputError),
-    /// There is a surface, but the vehicle does not fit on it.
+    /// The vehicle does not fit on any of the surfaces.
     #[error(transparent)]
     TooNarrow(InputError),
     /// The task names a body that the scene does not have.
@@ -25,13 +25,13 @@ pub enum LandingError {
     /// The structure moves before anything flies over it.
     #[error(transparent)]
     AlreadyFalling(InputError),
-    /// Files, or interruption.
+    /// Reading or writing failed, or the run was interrupted.
     #[error(transparent)]
     Core(#[from] CoreError),
     /// The world cannot be built.
     #[error(transparent)]
     Sim(#[from] SimError),
-    /// The air cannot be built.
+    /// The wash model cannot be built.
     #[error(transparent)]
     Wash(#[from] WashError),
     /// The flight cannot be built.
@@ -40,15 +40,15 @@ pub enum LandingError {
     /// The search failed.
     #[error(transparent)]
     Plan(#[from] PlanError),
-    /// Not one rollout can be believed.
+    /// All rollouts are invalid.
     #[error(
-        "none of the {evaluations} simulated landings can be believed ({engine} blew up in each); check the scene's masses and shapes \
-         with `sms simulate`"
+        "all {evaluations} simulated landings are invalid ({engine} diverged in each); check the scene's masses and shapes with \
+         `sms simulate`"
     )]
     Nothing {
-        /// Engine.
+        /// Name of the engine.
         engine: String,
-        /// Rollouts.
+        /// Number of rollouts.
         evaluations: usize,
     },
 }

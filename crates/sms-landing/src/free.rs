@@ -1,4 +1,4 @@
-//! What was kept fixed when the scene was made, and can topple all the same.
+//! Frees bodies of the structure that the scan fixed, so that the wash can topple them.
 
 use crate::resolved::STANDS;
 use crate::{LandingDisturbances, LandingError, LandingTask, ResolvedLanding};
@@ -6,41 +6,47 @@ use sms_core::{Seed, StageError};
 use sms_scene::{BodyKind, Scene};
 use sms_sim::{RestingDrift, WorldFactory, fix_restless};
 
-/// A scene in which bodies of the structure can move that were fixed.
+/// A scene in which fixed bodies of the structure can move again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Freed {
-    /// The scene.
+    /// The scene with the freed bodies.
     pub scene: Scene,
-    /// Names of the bodies that can move now, in the scene's order.
+    /// Names of the freed bodies, in the scene's order.
     pub bodies: Vec<String>,
-    /// Whether the structure would fall with the most likely masses, so that the scene has others within their intervals.
+    /// Whether the structure would fall with the most likely masses, so that the scene has other masses from their
+    /// intervals.
     pub other_masses: bool,
-    /// What had to be fixed again, with how far it came by itself, in that order.
+    /// Drift of the bodies that had to be fixed again, in the order of fixing.
     pub held: Vec<RestingDrift>,
-    /// What stays fixed because the structure falls otherwise, though it is something else that leaves.
+    /// Bodies that stay fixed because another body moves away once they are free.
     pub stuck: Option<Stuck>,
 }
 
-/// Bodies that could not be freed for another one's sake.
+/// Bodies that stay fixed to keep another body in place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stuck {
-    /// Their names.
+    /// Names of the fixed bodies.
     pub bodies: Vec<String>,
-    /// What leaves when they are free, with how far it comes.
+    /// Drift of the body that moves away when they are free.
     pub leaves: RestingDrift,
 }
 
 impl LandingTask {
-    /// Lets the parts of the structure move that were kept fixed when the scene was made: what crept by a millimetre then, with the
-    /// prior's masses, may stand with those that are known by now, and what is fixed can be neither toppled nor spared. Parts are
-    /// those that touch the platform once all that is solid can move; their masses are those of their shapes and materials. Where the
-    /// structure then stands, with masses within its materials' intervals if need be, all of them stay free; else what leaves first is
-    /// fixed again until the rest stands by the limits of [`ResolvedLanding::check_rest`]. Where that leaves nothing free, the scene is
-    /// as it was. What would have failed a landing by itself, with nothing flying over it, is no structure to land on: where the platform
-    /// would be fixed because a part leaves by more than [`crate::LandingSuccess`] allows, it is refused. `None` where no part was fixed, and where the task says that it is to stay so ([`LandingTask::free`]).
+    /// Frees the parts of the structure that the scan fixed: a fixed part can be neither toppled nor spared, and a part
+    /// that crept by a millimetre with the prior's masses may stand with the masses known by now. Parts are the solid
+    /// bodies that touch the platform, directly or through each other, once all solid bodies can move. Their masses
+    /// follow from their shapes and materials.
+    ///
+    /// If the structure then stands, if need be with other masses from its materials' intervals, all parts stay free.
+    /// Otherwise the part that moves away first is fixed again until the rest stands by the limits of
+    /// [`ResolvedLanding::check_rest`]. If no part stays free, the scene is unchanged.
+    ///
+    /// A structure whose platform would be fixed because a part drifts by more than [`crate::LandingSuccess`] allows is
+    /// refused: it would fail any landing by itself. Returns `None` if no part was fixed, or if the task keeps the
+    /// parts fixed ([`LandingTask::free`]).
     ///
     /// # Errors
-    /// [`LandingError::AlreadyFalling`], and errors of scenes that cannot be simulated.
+    /// [`LandingError::AlreadyFalling`] for a refused structure; other variants if a scene cannot be simulated.
     pub fn freed(
         &self,
         factory: &dyn WorldFactory,
@@ -59,7 +65,7 @@ impl LandingTask {
         }
         let landing = match self.resolve(&loose) {
             Ok(landing) => landing,
-            // The scene as it is will be refused in the same way.
+            // Resolving the unchanged scene gives the same error.
             Err(e) if e.input().is_some() => return Ok(None),
             Err(e) => return Err(e),
         };
@@ -98,7 +104,7 @@ impl LandingTask {
     }
 }
 
-/// Fixes those of `bodies` that leave first until the structure stands; where it never does, all of them.
+/// Fixes the members of `bodies` that move away first until the structure stands; if it never does, fixes all of them.
 fn hold(
     landing: &ResolvedLanding,
     factory: &dyn WorldFactory,
@@ -113,7 +119,7 @@ fn hold(
     let (mut held, mut leaves) = (Vec::new(), None);
     for drift in fix_restless(factory, &mut freed.without_pictures(), &STANDS)? {
         if !bodies.contains(&drift.body) {
-            // What else moves in the room is no concern of the structure.
+            // Bodies outside the structure do not matter.
             leaves = leaves.or(Some(drift).filter(|d| landing.structure().contains(&d.body)));
             continue;
         }

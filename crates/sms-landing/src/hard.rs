@@ -1,8 +1,9 @@
-//! Worlds within what is known in which the structure stands, but not by much.
+//! Hard worlds: perturbed worlds in which the structure stands, but a small load tips it.
 //!
-//! What is told of masses may be wrong by factors. A ballast that is told too heavy, and what it holds too light, make a structure that
-//! nothing seems to topple: every landing succeeds there, and nothing tells a good one from a bad one. The structure was seen standing,
-//! and that is all that is certain, so landings are told apart in those worlds in which it stands and a small load tips it.
+//! Estimated masses may be wrong by a factor. If the ballast is estimated too heavy and its load too light, nothing
+//! seems to topple the structure: every landing succeeds, and good landings do not differ from bad ones. It is certain
+//! only that the structure stood during the scan, so landings are compared in worlds in which it stands and a small
+//! load tips it.
 
 use crate::{CarriedOut, LandingDisturbances, LandingError, LandingSettings, ResolvedLanding};
 use glamx::{DVec2, DVec3};
@@ -11,14 +12,16 @@ use sms_core::{Cancel, MassProperties, Progress, Seed};
 use sms_scene::Scene;
 use sms_sim::{LoadRamp, WorldFactory, ramp_load_n};
 
-/// The load that tips the structure is sought at so many points of the platform's edge: those where it is the least in the scanned world.
+/// Number of points on the platform's edge at which the tipping load is measured: those with the smallest tipping load
+/// in the scanned world.
 const WEAK_POINTS: usize = 3;
-/// How far within the platform's outline they are, as a share of it: corners of reconstructions are round.
+/// Inset of these points from the platform's outline, as a share of its size: corners of reconstructions are rounded.
 const INSET: f64 = 0.03;
-/// One in so many of the worlds is harder than the one that is made lighter: in the hardest of all it may be that nothing succeeds.
+/// One in this number of worlds is harder than the world that is made lighter: in the hardest world no landing may
+/// succeed.
 const LIGHTENED: usize = 16;
 
-/// A world and how exactly the flight is carried out in it.
+/// A scene and the execution errors of the flight in it.
 #[derive(Debug, Clone)]
 pub(crate) struct PerturbedWorld {
     pub(crate) scene: Scene,
@@ -26,13 +29,13 @@ pub(crate) struct PerturbedWorld {
 }
 
 impl PerturbedWorld {
-    /// A scene in which flights are carried out exactly.
+    /// A scene without execution errors.
     pub(crate) fn exactly(scene: Scene) -> Self {
         Self { scene, carried_out: CarriedOut::default() }
     }
 }
 
-/// What draws worlds and says how hard they are.
+/// Draws perturbed worlds and orders them by hardness.
 pub(crate) struct Hardness<'a> {
     pub(crate) landing: &'a ResolvedLanding,
     pub(crate) factory: &'a dyn WorldFactory,
@@ -42,7 +45,7 @@ pub(crate) struct Hardness<'a> {
 }
 
 impl Hardness<'_> {
-    /// Disturbed worlds in which the structure stands.
+    /// Draws perturbed worlds in which the structure stands.
     pub(crate) fn draw(
         &self,
         scene: &Scene,
@@ -58,15 +61,15 @@ impl Hardness<'_> {
         (0..count).into_par_iter().map(draw).collect()
     }
 
-    /// Disturbed worlds in which the structure stands, those first in which the least load tips it, measured by the strength of the
-    /// wash there.
+    /// Draws perturbed worlds in which the structure stands and sorts them by the smallest tipping load, relative to
+    /// the world's wash strength; hardest first.
     pub(crate) fn order(
         &self,
         scene: &Scene,
         seed: Seed,
         count: usize,
     ) -> Result<Vec<PerturbedWorld>, LandingError> {
-        self.progress.begin("landing: worlds in which the structure stands", 0);
+        self.progress.begin("landing: draw worlds in which the structure stands", 0);
         let worlds = self.draw(scene, seed, count)?;
         let points = self.weak_points(scene)?;
         let hardness = |world: &PerturbedWorld| {
@@ -82,14 +85,14 @@ impl Hardness<'_> {
         ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.progress.end(&match (ordered.first(), ordered.get(count / 2)) {
             (Some(least), Some(middle)) => {
-                format!("{} drawn, which {:.1} N (half of them: {:.1} N) tip", count, least.0, middle.0)
+                format!("{} drawn, tipping load at least {:.1} N (median {:.1} N)", count, least.0, middle.0)
             }
             _ => String::new(),
         });
         Ok(ordered.into_iter().map(|(_, world)| world).collect())
     }
 
-    /// The worlds of the margins, the hardest last, of worlds that are ordered hardest first.
+    /// Picks the worlds of the margins, hardest last, from worlds that are ordered hardest first.
     pub(crate) fn margins(
         &self,
         ordered: &[PerturbedWorld],
@@ -106,7 +109,7 @@ impl Hardness<'_> {
         worlds
     }
 
-    /// Points of the platform's edge where the least loads tip it.
+    /// Finds the points on the platform's edge with the smallest tipping loads.
     fn weak_points(&self, scene: &Scene) -> Result<Vec<DVec3>, LandingError> {
         let surface = self.landing.surface();
         let corners = surface.outline_w.map(DVec2::from);
@@ -121,7 +124,8 @@ impl Hardness<'_> {
         Ok(ordered.into_iter().take(WEAK_POINTS).map(|(_, p)| p).collect())
     }
 
-    /// The load at a point of the platform that tips the structure, newtons; infinite where none does that could matter.
+    /// Measures the load on a point of the platform that tips the structure, newtons; infinite if even the largest load
+    /// of the ramp does not.
     fn load_n(&self, scene: &Scene, p_w: DVec3) -> Result<f64, LandingError> {
         let body = &self.landing.surface().body;
         let load = ramp_load_n(self.factory, scene, body, p_w, &LoadRamp::default())?;
@@ -129,8 +133,8 @@ impl Hardness<'_> {
     }
 }
 
-/// So many of the worlds, in their order: the first, those at the half, the quarter and so on of the order, and where that is not
-/// enough the next ones from the first on. All where there are not more.
+/// Picks `count` worlds at logarithmically spaced ranks (the first and those at 1/2, 1/4, 1/8, … of the order) and
+/// keeps their order. Missing ranks are filled from the front. Returns all worlds if `count` is at least their number.
 pub(crate) fn spread(ordered: &[PerturbedWorld], count: usize) -> Vec<PerturbedWorld> {
     if ordered.len() <= count {
         return ordered.to_vec();
@@ -147,7 +151,7 @@ pub(crate) fn spread(ordered: &[PerturbedWorld], count: usize) -> Vec<PerturbedW
     ranks.into_iter().map(|i| ordered[i].clone()).collect()
 }
 
-/// The scene with a structure of this share of its mass.
+/// Scales the structure's masses to this share.
 fn lighter(landing: &ResolvedLanding, scene: &Scene, share: f64) -> Scene {
     let mut scene = scene.clone();
     for body in scene.bodies.iter_mut().filter(|b| landing.structure().contains(&b.name)) {

@@ -1,9 +1,10 @@
-//! The landing task (paper section "Quadrotor Landing Scenario"): a scene goes in, a [`LandingPlan`] comes out.
+//! The landing task (paper section "Quadrotor Landing Scenario"): plans a [`LandingPlan`] in a scene.
 //!
-//! A [`LandingTask`] is a TOML file. [`LandingTask::resolve`] finds in a scene the surface to land on and the bodies that must stay
-//! as they are, and gives a [`ResolvedLanding`], which says how a [`LandingAction`] is flown. [`rollout_landing`] flies it in any
-//! world, the planner's or a target's, with any model of wash, and gives a [`LandingOutcome`]. [`plan_landing`] searches:
-//! many approaches with `jet`, the promising ones with `sph`, and the final choice in worlds that differ within what is known.
+//! A [`LandingTask`] is read from a TOML file. [`LandingTask::resolve`] finds the surface to land on and the bodies
+//! that must not move, and returns a [`ResolvedLanding`], which turns a [`LandingAction`] into a flight.
+//! [`rollout_landing`] flies an action in any world, the planner's or a target's, with any wash model, and returns a
+//! [`LandingOutcome`]. [`plan_landing`] screens many approaches with the `jet` model, refines the promising ones with
+//! `sph`, and chooses among them in perturbed worlds.
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};

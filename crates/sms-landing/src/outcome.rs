@@ -1,4 +1,4 @@
-//! What became of a landing.
+//! Outcome of a landing: success or failure, objective and motion.
 
 use crate::{LandingSuccess, LandingTask};
 use glamx::{DPose3, DVec3};
@@ -9,18 +9,18 @@ use sms_task::Trajectory;
 /// Name of the vehicle's track in [`LandingOutcome::trajectory`].
 pub const QUADROTOR: &str = "quadrotor";
 
-/// What a body of the structure went through.
+/// Displacement of a body of the structure, and the wash forces on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyChange {
-    /// Its name.
+    /// Name of the body.
     pub body: String,
-    /// Distance of its centre of mass from where it was, metres.
+    /// Distance of its centre of mass from its position in the scene, metres.
     pub moved_m: f64,
-    /// Angle from how it was turned, radians.
+    /// Angle from its orientation in the scene, radians.
     pub turned_rad: f64,
-    /// Impulse that the air gave it, N·s in the world.
+    /// Impulse of the wash on it, N·s in the world.
     pub wash_impulse_w: DVec3,
-    /// Largest force of the air on it, N (mean over a step).
+    /// Largest force of the wash on it, N (mean over a step).
     pub wash_peak_n: f64,
 }
 
@@ -28,44 +28,44 @@ pub struct BodyChange {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum LandingFailure {
-    /// The simulation cannot be believed.
+    /// The simulation is invalid.
     Invalid {
-        /// Why.
+        /// The reason.
         why: String,
     },
-    /// A body of the structure is elsewhere.
+    /// A body of the structure moved too far.
     Moved {
-        /// Which.
+        /// The body.
         body: String,
-        /// By how much, metres.
+        /// Displacement, metres.
         moved_m: f64,
     },
-    /// A body of the structure is turned.
+    /// A body of the structure turned too far.
     Turned {
-        /// Which.
+        /// The body.
         body: String,
-        /// By how much, radians.
+        /// Angle, radians.
         turned_rad: f64,
     },
-    /// The vehicle rests elsewhere.
+    /// The vehicle rests too far from the landing point.
     Missed {
-        /// By how much, metres.
+        /// Distance, metres.
         landing_m: f64,
     },
-    /// The vehicle leans or lies.
+    /// The vehicle leans or lies on its side.
     NotUpright {
-        /// By how much, radians.
+        /// Angle of its axis to the vertical, radians.
         tilt_rad: f64,
     },
     /// The vehicle still moves.
     NotAtRest {
-        /// How fast, m/s.
+        /// Speed, m/s.
         speed: f64,
     },
 }
 
 impl LandingFailure {
-    /// The kind in a word, for tables.
+    /// Returns the name of the kind, for tables.
     pub fn as_str(&self) -> &'static str {
         match self {
             Self::Invalid { .. } => "invalid",
@@ -81,13 +81,13 @@ impl LandingFailure {
 impl std::fmt::Display for LandingFailure {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Invalid { why } => write!(f, "the simulation cannot be believed: {why}"),
-            Self::Moved { body, moved_m } => write!(f, "`{body}` was moved by {:.0} cm", 1e2 * moved_m),
+            Self::Invalid { why } => write!(f, "the simulation is invalid: {why}"),
+            Self::Moved { body, moved_m } => write!(f, "`{body}` moved by {:.0} cm", 1e2 * moved_m),
             Self::Turned { body, turned_rad } => {
-                write!(f, "`{body}` was turned by {:.0}°", turned_rad.to_degrees())
+                write!(f, "`{body}` turned by {:.0}°", turned_rad.to_degrees())
             }
             Self::Missed { landing_m } => {
-                write!(f, "the vehicle came to rest {:.0} cm from where it should", 1e2 * landing_m)
+                write!(f, "the vehicle came to rest {:.0} cm from the landing point", 1e2 * landing_m)
             }
             Self::NotUpright { tilt_rad } => write!(f, "the vehicle leans by {:.0}°", tilt_rad.to_degrees()),
             Self::NotAtRest { speed } => write!(f, "the vehicle still moves at {speed:.2} m/s"),
@@ -95,71 +95,72 @@ impl std::fmt::Display for LandingFailure {
     }
 }
 
-/// What happened in one landing.
+/// Outcome of one landing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingOutcome {
-    /// Engine.
+    /// Name of the engine.
     pub engine: String,
-    /// Model of wash ("none" without one).
+    /// Wash model ("none" without one).
     pub wash: String,
-    /// The paper's objective: metres that the structure's bodies moved, plus radians that they turned, plus metres from the landing
-    /// point to the vehicle's resting place. `None` for a simulation that cannot be believed.
+    /// The paper's objective: the sum of the displacements (metres) and rotations (radians) of the structure's bodies,
+    /// plus the vehicle's distance from the landing point (metres). `None` if the simulation is invalid.
     pub objective: Option<f64>,
-    /// Why it is no success; `None` for a success. The structure is looked at first.
+    /// The first condition of success that failed, the structure before the vehicle; `None` for a success.
     pub failure: Option<LandingFailure>,
     /// The structure, in the task's order.
     pub bodies: Vec<BodyChange>,
-    /// Distance of the vehicle's centre from where it should stand, metres.
+    /// Distance of the vehicle's centre from its intended resting position, metres.
     #[serde(deserialize_with = "nan_if_null")]
     pub landing_error_m: f64,
     /// Angle of its axis to the vertical, radians.
     #[serde(deserialize_with = "nan_if_null")]
     pub tilt_rad: f64,
-    /// Its speed at the judgement, m/s.
+    /// Speed of the vehicle at the judgement, m/s.
     #[serde(deserialize_with = "nan_if_null")]
     pub speed: f64,
-    /// When motors were cut, seconds from the start of the flight; `None` when a simulation ended before.
+    /// Time of motor cut, seconds from the start of the flight; `None` if the simulation ended before.
     pub cut_s: Option<f64>,
-    /// Whether they were cut because something was touched, before the planned height was reached.
+    /// Whether the motors were cut above the planned height because the vehicle touched something.
     pub touched_early: bool,
-    /// When a body of the structure first was further off than a success allows, seconds. Before `cut_s` it was the air that did it.
+    /// Time at which a body of the structure first exceeded the limits of a success, seconds. If this is before
+    /// `cut_s`, the wash toppled it.
     pub toppled_s: Option<f64>,
-    /// When the simulation ended, seconds: at the judgement, or earlier where nothing could change any more.
+    /// End of the simulation, seconds: the judgement, or earlier if nothing could change any more.
     pub end_s: f64,
-    /// Motion of the structure and of the vehicle ([`QUADROTOR`]); empty where none was asked for.
+    /// Motion of the structure and of the vehicle ([`QUADROTOR`]); empty if it was not recorded.
     pub trajectory: Trajectory,
-    /// The air's particles at some times, where they were asked for; not kept in files.
+    /// The wash particles at some times, if they were recorded; not written to files.
     #[serde(skip)]
     pub particles: Vec<ParticleFrame>,
 }
 
-/// The air at one moment.
+/// The wash particles at one time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParticleFrame {
     /// Seconds from the start of the flight.
     pub time_s: f64,
-    /// Positions in the world, metres.
+    /// Particle positions in the world, metres.
     pub particles_w: Vec<[f32; 3]>,
 }
 
 impl LandingOutcome {
-    /// Whether the landing succeeded.
+    /// Returns whether the landing succeeded.
     pub fn is_success(&self) -> bool {
         self.failure.is_none()
     }
 
-    /// Whether the air toppled the structure before the vehicle touched anything.
+    /// Returns whether the wash toppled the structure before the vehicle touched anything.
     pub fn is_toppled_by_wash(&self) -> bool {
         self.toppled_s.is_some_and(|t| self.cut_s.is_none_or(|cut| t < cut))
     }
 
-    /// The objective as searches see it: at most `cap` (what has toppled has toppled), infinite where the simulation cannot be
-    /// believed.
+    /// Returns the objective for a search: at most `cap`, because all toppled structures count the same, and infinite
+    /// if the simulation is invalid.
     pub fn score(&self, cap: f64) -> f64 {
         self.objective.map_or(f64::INFINITY, |o| o.min(cap))
     }
 
-    /// What cannot be believed.
+    /// Returns the outcome of an invalid simulation.
     pub(crate) fn invalid(engine: &str, wash: &str, end_s: f64, why: String) -> Self {
         Self {
             engine: engine.to_owned(),
@@ -180,24 +181,25 @@ impl LandingOutcome {
     }
 }
 
-/// JSON has no NaN: what is not known is `null` there.
+/// Reads `null` as NaN, which JSON does not have.
 fn nan_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
-/// How far apart two poses are: metres, and radians by the shortest turn (2·arccos|q·q'|, without its rounding errors near 0).
+/// Distance between two poses: metres, and radians of the shortest rotation (2·arccos|q·q'|, without its rounding
+/// errors near 0).
 pub(crate) fn change(from: &DPose3, to: &DPose3) -> (f64, f64) {
     let turn = from.rotation.inverse() * to.rotation;
     let turned = 2.0 * turn.xyz().length().atan2(turn.w.abs());
     (from.translation.distance(to.translation), turned)
 }
 
-/// Angle of a vehicle's axis to the vertical, radians.
+/// Angle of the vehicle's axis to the vertical, radians.
 pub(crate) fn tilt(state: &BodyState) -> f64 {
     (state.x_wb.rotation * DVec3::Z).angle_between(DVec3::Z)
 }
 
-/// The first condition of success that is not met.
+/// Returns the first condition of success that is not met.
 pub(crate) fn failure(
     success: &LandingSuccess,
     bodies: &[BodyChange],
@@ -223,7 +225,7 @@ pub(crate) fn failure(
 }
 
 impl LandingTask {
-    /// The objective of these changes (paper, quadrotor section): Σ‖Δp‖ + Σ 2·arccos|q·q'| + the landing error.
+    /// Computes the objective (paper, quadrotor section): Σ‖Δp‖ + Σ 2·arccos|q·q'| + the landing error.
     pub(crate) fn objective(bodies: &[BodyChange], landing_m: f64) -> f64 {
         bodies.iter().map(|b| b.moved_m + b.turned_rad).sum::<f64>() + landing_m
     }

@@ -1,4 +1,4 @@
-//! What planning gives.
+//! The plan of a landing and its files.
 
 use crate::{LandingAction, LandingOutcome, LandingSurface, LandingTask, ResolvedLanding};
 use serde::{Deserialize, Serialize};
@@ -10,67 +10,67 @@ use sms_task::{Parameter, json};
 use sms_wash::{WashModel, WashSettings};
 use std::path::Path;
 
-/// Where the plan lies in a run's folder of the stage.
+/// Name of the plan's file in the stage's folder of a run.
 pub const LANDING_PLAN_FILE: &str = "landing.json";
 
-/// What is predicted of an action over worlds that differ within what is known.
+/// Predicted outcome of an action over perturbed worlds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingPrediction {
-    /// Model of wash.
+    /// Wash model.
     pub wash: WashModel,
     /// Number of worlds.
     pub worlds: usize,
-    /// Rollouts among them that cannot be believed; they are failures and in none of the figures below.
+    /// Number of invalid rollouts; they count as failures, and the mean and the quantiles omit them.
     pub invalid: usize,
     /// Share of the worlds in which the landing succeeds.
     pub success_share: f64,
-    /// Mean of the objective (what has toppled counts as [`crate::LandingSettings::toppled`]).
+    /// Mean of the objective, capped at [`crate::LandingSettings::toppled`].
     pub mean: f64,
-    /// 10 % quantile.
+    /// 10 % quantile of the objective.
     pub q10: f64,
-    /// Median.
+    /// Median of the objective.
     pub q50: f64,
-    /// 90 % quantile.
+    /// 90 % quantile of the objective.
     pub q90: f64,
-    /// Why it fails where it does: the kind of failure ([`crate::LandingFailure::as_str`]) with the number of worlds.
+    /// Kinds of failure ([`crate::LandingFailure::as_str`]) with their numbers of worlds.
     pub failures: Vec<(String, usize)>,
 }
 
-/// Another action that was looked at to the end.
+/// Another action that reached the last phase of the search.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingAlternative {
     /// The action.
     pub action: LandingAction,
-    /// Its objective in the scanned world, by the better model of wash; `None` where that rollout cannot be believed.
+    /// Its objective in the scanned world with `sph`; `None` if that rollout is invalid.
     pub objective: Option<f64>,
-    /// What becomes of it in the worlds in which it was chosen or dropped, which are hard ones: less than what is to be expected.
+    /// Its outcome in the hard worlds in which it was compared with the others: a pessimistic prediction.
     pub prediction: Option<LandingPrediction>,
 }
 
-/// How many rollouts of each model a plan took.
+/// Number of rollouts of a plan per wash model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LandingEvaluations {
-    /// With `jet`.
+    /// Rollouts with `jet`.
     pub jet: usize,
-    /// With `sph`.
+    /// Rollouts with `sph`.
     pub sph: usize,
-    /// Of all, those that cannot be believed.
+    /// Invalid rollouts of both models.
     pub invalid: usize,
 }
 
-/// A body as the planner had it.
+/// Mass and material of a body in the planner's scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlannedBody {
-    /// Its name.
+    /// Name of the body.
     pub name: String,
-    /// Its mass properties; `None` of what could not move.
+    /// Its mass properties; `None` for a fixed body.
     pub mass: Option<MassProperties>,
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
 }
 
 impl PlannedBody {
-    /// The bodies of a scene.
+    /// Lists the bodies of a scene.
     pub fn all_of(scene: &Scene) -> Vec<Self> {
         let of = |b: &Body| Self {
             name: b.name.clone(),
@@ -81,46 +81,46 @@ impl PlannedBody {
     }
 }
 
-/// The chosen landing with what it is predicted to do.
+/// The chosen landing and its predicted outcome.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingPlan {
-    /// The task, with every setting that was in force.
+    /// The task with all its settings, defaults included.
     pub task: LandingTask,
-    /// Engine that predicted.
+    /// Engine of the planner's rollouts.
     pub engine: String,
     /// The vehicle.
     pub vehicle: Quadrotor,
-    /// Where it lands.
+    /// The surface to land on.
     pub surface: LandingSurface,
-    /// The bodies that must stay.
+    /// Names of the bodies that must stay in place.
     pub structure: Vec<String>,
     /// Ranges of the action's values, in the order of [`LandingAction::values`].
     pub parameters: Vec<Parameter>,
     /// The chosen action.
     pub action: LandingAction,
-    /// The bodies of the world that it was planned in: of what was fixed and freed, or stands only with other masses than the most
-    /// likely ones, the scene says otherwise. Empty in plans that do not say.
+    /// The bodies of the world in which it was planned. They differ from the scene's if the planner freed fixed bodies
+    /// or needed other masses than the most likely ones. Empty in older plans.
     #[serde(default)]
     pub bodies: Vec<PlannedBody>,
-    /// What it does in the scanned world, with the recorded motion.
+    /// Its outcome in the scanned world, with the recorded motion.
     pub nominal: LandingOutcome,
-    /// The air that this was simulated in, to do so again.
+    /// Wash settings of the nominal rollout.
     #[serde(default = "particles")]
     pub wash: WashSettings,
-    /// What it is predicted to do in worlds that played no part in choosing it; `None` for a plan for the scanned world alone.
+    /// Predicted outcome in worlds that were not used for the choice; `None` for a plan in the scanned world alone.
     pub predicted: Option<LandingPrediction>,
-    /// Other actions that came far, best first.
+    /// The other finalists, best first.
     pub alternatives: Vec<LandingAlternative>,
-    /// Rollouts.
+    /// Numbers of rollouts.
     pub evaluations: LandingEvaluations,
 }
 
-/// Of plans that do not say.
+/// Wash settings of plans that have none.
 fn particles() -> WashSettings {
     WashSettings { model: WashModel::Sph, ..WashSettings::default() }
 }
 
-/// A plan with its trial log.
+/// A plan and its trial log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandingPlanOutcome {
     /// The plan.
@@ -138,7 +138,7 @@ impl LandingPlan {
         json::write(&dir.join(LANDING_PLAN_FILE), self)
     }
 
-    /// Reads it.
+    /// Reads [`LANDING_PLAN_FILE`] from a folder.
     ///
     /// # Errors
     /// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
@@ -146,7 +146,7 @@ impl LandingPlan {
         atomic::read_json(&dir.join(LANDING_PLAN_FILE))
     }
 
-    /// The world that it was planned in: the scene with masses and materials, and what could move, as they were there.
+    /// Returns the scene with the masses, materials and body kinds with which it was planned.
     pub fn world(&self, scene: &Scene) -> Scene {
         let mut world = scene.clone();
         for planned in &self.bodies {
@@ -160,7 +160,7 @@ impl LandingPlan {
         world
     }
 
-    /// The task as it was planned, to fly it again: the same surface, whatever the scene looks like now.
+    /// Returns the resolved task with the planned surface, independently of the current scene.
     pub fn landing(&self) -> ResolvedLanding {
         ResolvedLanding::of(
             self.task.clone(),

@@ -1,4 +1,5 @@
-//! Planning: many approaches with `jet`, the promising ones with `sph`, the final choice in disturbed worlds.
+//! The planner: screens many approaches with `jet`, refines the promising ones with `sph`, and chooses in perturbed
+//! worlds.
 
 use crate::disturb_worlds::{Flown, PerturbedWorlds};
 use crate::hard::{Hardness, PerturbedWorld, spread};
@@ -14,35 +15,36 @@ use sms_sim::WorldFactory;
 use sms_wash::{WashModel, WashSettings};
 use std::path::Path;
 
-/// Points drawn at most for each of the screening's.
+/// Largest number of draws per point of the screening.
 const MOST_DRAWS: u64 = 16;
-/// First steps of a local search in the unit box.
+/// Initial step of a local search in the unit box.
 const STEP: f64 = 0.06;
-/// Landings in the margins' worlds that are flown side by side.
+/// Number of landings in the margins' worlds that are flown in parallel.
 const MARGINS_AT_ONCE: usize = 16;
 /// Time between the states of the plan's recorded motion, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 60.0;
 
-/// An action that goes on.
+/// An action that is still in the search, and its point `u` in the unit box.
 #[derive(Debug, Clone)]
 struct Candidate {
     u: Vec<f64>,
     action: LandingAction,
     rank: Rank,
-    /// In the scanned world, by the better model.
+    /// Objective in the scanned world, with the last wash model that flew it.
     nominal: f64,
     prediction: Option<LandingPrediction>,
 }
 
-/// What candidates are ranked by, in this order. Objectives of landings that succeed differ by millimetres, which says nothing of how
-/// near they are to failing.
+/// Ranking criteria in order of priority. The objectives of successful landings differ by millimetres and do not show
+/// their margin to failure.
 #[derive(Debug, Clone, Copy)]
 struct Rank {
-    /// Failed rollouts of those with the better model, or in the most worlds.
+    /// Number of failed rollouts in the last phase.
     failures: usize,
-    /// Failed rollouts with `jet` in the hardest worlds.
+    /// Number of failed rollouts with `jet` in the hardest worlds.
     hard_failures: usize,
-    /// Up to which of the margins' worlds, the easiest being the first, it succeeds.
+    /// One-based index of the hardest of the margins' worlds in which it succeeds, the easiest being 1; 0 if none is
+    /// known.
     margin: usize,
     mean: f64,
 }
@@ -54,7 +56,7 @@ impl Rank {
     }
 }
 
-/// Everything that planning needs.
+/// State of the search.
 struct LandingSearch<'a> {
     landing: &'a ResolvedLanding,
     settings: &'a LandingSettings,
@@ -63,13 +65,15 @@ struct LandingSearch<'a> {
     evaluations: LandingEvaluations,
 }
 
-/// Plans a landing in a scene: of those actions that screening with `jet` and refinement with `sph` found, the one that succeeds in
-/// the most of the worlds that are hard within what is known (the same ones for every action), among equals the one that succeeds in
-/// a harder one still, then the one with the smallest mean objective. What it is predicted to do is measured in other worlds. The
-/// plan is the same for any number of threads; rayon's current pool is used. Only `scene`, which the scan made, is looked at.
+/// Plans a landing in a scene. Screening with `jet` and refinement with `sph` produce candidates. The planner chooses
+/// the candidate that succeeds in most of the hard worlds, which are the same for every action; among equals the one
+/// that succeeds in a harder world of the margins, then the one with the smallest mean objective. The prediction is
+/// made in other worlds. The plan does not depend on the number of threads; rollouts run in rayon's current pool. The
+/// planner uses only `scene`, the result of the scan.
 ///
 /// # Errors
-/// [`LandingError`]: bad settings, a structure that is falling already, a scene that cannot be simulated, or interruption.
+/// [`LandingError`] for invalid settings, a structure that falls by itself, a scene that cannot be simulated, or
+/// interruption.
 pub fn plan_landing(
     landing: &ResolvedLanding,
     scene: &Scene,
@@ -90,9 +94,9 @@ pub fn plan_landing(
         warnings.add(
             "plan",
             "masses_do_not_stand",
-            "with the most likely masses the structure would fall by itself; it was seen standing, so the plan takes others within \
-             their intervals",
-            "narrow the material intervals (`sms materials`), best of all with `mass_kg` from scales",
+            "with the most likely masses the structure would fall by itself, but it stood during the scan: the plan uses other \
+             masses from their intervals",
+            "narrow the material intervals (`sms materials`), ideally with a weighed `mass_kg`",
         );
     }
     let scene = &scene;
@@ -121,7 +125,7 @@ pub fn plan_landing(
         let worlds = family(WashModel::Jet, hardness.margins(&hard, settings));
         planning.margins(&mut found, &worlds)?;
         let most = found.first().map_or(0, |c| c.rank.margin);
-        progress.end(&format!("at most {most} of {}", worlds.len()));
+        progress.end(&format!("best margin {most} of {}", worlds.len()));
     }
 
     if robust && settings.jet_worlds > 0 {
@@ -192,9 +196,9 @@ pub fn plan_landing(
     Ok(LandingPlanOutcome { plan, trials: planning.trials })
 }
 
-/// The settings of one model.
+/// Settings of a wash model.
 fn wash(settings: &LandingSettings, model: WashModel) -> WashSettings {
-    // Rollouts run side by side.
+    // Rollouts run in parallel already.
     let sph = sms_wash::SphSettings { parallel: false, ..settings.sph };
     WashSettings { model, stream: settings.jet, sph }
 }
@@ -210,7 +214,7 @@ impl Candidate {
 }
 
 impl LandingSearch<'_> {
-    /// Flies the points of a low-discrepancy sequence in the scanned world; best first.
+    /// Flies the points of a low-discrepancy sequence in the scanned world. Returns them best first.
     fn screen(&mut self, jet: &PerturbedWorlds<'_>) -> Result<Vec<Candidate>, LandingError> {
         let halton = Halton::new(4, self.seed.derive("screening"));
         let wanted = self.settings.screening;
@@ -239,8 +243,9 @@ impl LandingSearch<'_> {
         Ok(found)
     }
 
-    /// Flies those that succeeded in the hardest world of the margins (the last), and those that fail in easier ones. Only as many are
-    /// flown as it takes to know the best that go on: among equals they come in the order in which they are flown. Best first.
+    /// Flies the successful candidates in the hardest world of the margins (the last), and those that fail there in the
+    /// next easier one, and so on. Stops as soon as the candidates of the next phase are known: equals keep the order
+    /// in which they are flown. Sorts best first.
     fn margins(&mut self, found: &mut [Candidate], worlds: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let wanted = self.settings.candidates.max(self.settings.refine);
         let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
@@ -269,7 +274,7 @@ impl LandingSearch<'_> {
         Ok(())
     }
 
-    /// Flies all candidates in the scanned world; best first.
+    /// Flies all candidates in the scanned world and sorts them best first.
     fn in_nominal(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let jobs: Vec<_> = found.iter().map(|c| (c.action, 0)).collect();
         let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
@@ -281,12 +286,13 @@ impl LandingSearch<'_> {
         Ok(())
     }
 
-    /// Local searches from the best candidates, side by side; what they find takes their places.
+    /// Runs local searches from the best candidates in parallel. A better point replaces its candidate.
     fn polish(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
         let count = self.settings.polish_starts.min(found.len());
         let steps = [STEP; 4];
         let simplex = NelderMead::default();
-        // A search leaves the unit box nowhere: where angles go all the way round, its own box is centred on its start.
+        // A search stays in the unit box. If angles are periodic, the angle is shifted so that the box is centred on
+        // the start.
         let turns: Vec<f64> =
             found[..count].iter().map(|c| if self.is_periodic() { c.u[3] - 0.5 } else { 0.0 }).collect();
         let mut searches: Vec<LocalSearch> = found[..count]
@@ -329,13 +335,13 @@ impl LandingSearch<'_> {
         Ok(())
     }
 
-    /// Whether approach angles go all the way round.
+    /// Whether the approach angle is periodic.
     fn is_periodic(&self) -> bool {
         let [low, high] = self.landing.task().bounds.approach_angle;
         (high - low - std::f64::consts::TAU).abs() < 1e-9
     }
 
-    /// Flies all candidates in the same disturbed worlds; best first.
+    /// Flies all candidates in the same perturbed worlds and sorts them best first.
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
@@ -376,12 +382,12 @@ impl Candidate {
     }
 }
 
-/// Best first; what was found first comes first among equals.
+/// Sorts best first; the sort is stable.
 fn sort(found: &mut [Candidate]) {
     found.sort_by(|a, b| a.rank.order(&b.rank));
 }
 
-/// The best candidates that differ from each other by more than half of a search's first step.
+/// Picks the best candidates that differ from each other by more than half of a local search's initial step.
 fn distinct(found: Vec<Candidate>, count: usize) -> Vec<Candidate> {
     let mut kept: Vec<Candidate> = Vec::new();
     for candidate in found {
@@ -412,15 +418,15 @@ fn warn(plan: &LandingPlan, scene: &Scene, warnings: &Warnings) {
         warnings.add(
             "plan",
             "platform_fixed",
-            format!("`{platform}` is fixed in the scene: nothing can topple it, whatever the vehicle does"),
-            "look at its reconstruction: what does not rest by itself, or is taken for background, is fixed",
+            format!("`{platform}` is fixed in the scene, so no landing can topple it"),
+            "check its reconstruction: bodies that do not rest by themselves, or belong to the background, are fixed",
         );
     }
     if let Some(failure) = &plan.nominal.failure {
         warnings.add(
             "plan",
             "no_good_landing",
-            format!("no landing was found that does what the task asks: in the best one {failure}"),
+            format!("no landing meets the conditions of the task: in the best one, {failure}"),
             "start from another side, widen the task's bounds, or plan with more rollouts (`[landing]`)",
         );
     } else if let Some(p) = plan.predicted.as_ref().filter(|p| p.success_share < 0.9) {
@@ -429,7 +435,7 @@ fn warn(plan: &LandingPlan, scene: &Scene, warnings: &Warnings) {
             "plan",
             "fragile_landing",
             format!(
-                "the chosen landing succeeds in {:.0} % of {} worlds that differ within what is known ({})",
+                "the chosen landing succeeds in {:.0} % of {} perturbed worlds ({})",
                 100.0 * p.success_share,
                 p.worlds,
                 why.join(", ")
@@ -441,11 +447,8 @@ fn warn(plan: &LandingPlan, scene: &Scene, warnings: &Warnings) {
         warnings.add(
             "plan",
             "failed_rollouts",
-            format!(
-                "{} simulated landings cannot be believed and were not counted",
-                plan.evaluations.invalid
-            ),
-            "look for interpenetrating or very light bodies in the scene",
+            format!("{} simulated landings are invalid and were not counted", plan.evaluations.invalid),
+            "check the scene for interpenetrating or very light bodies",
         );
     }
 }

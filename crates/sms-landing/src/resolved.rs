@@ -1,4 +1,4 @@
-//! A task in a scene: where the vehicle can land, what must stay, and how an action is flown.
+//! A landing task resolved in a scene: the surface, the structure, and the flight of an action.
 
 use crate::surface::body_index;
 use crate::{LandingAction, LandingError, LandingSurface, LandingTask};
@@ -9,30 +9,30 @@ use sms_scene::{BodyKind, Scene};
 use sms_sim::{RestLimits, RestingDrift, SimError, WorldFactory, WorldOptions, resting_drift, wash_surfaces};
 use sms_task::Parameter;
 
-/// Bodies whose boxes come this close touch, metres: reconstructions leave gaps.
+/// Largest gap between the boxes of touching bodies, metres: reconstructions leave gaps.
 const TOUCH_M: f64 = 0.01;
-/// What a structure may do by itself and still stand: a reconstruction settles by a few millimetres.
+/// Largest drift of a structure that stands: a reconstruction settles by a few millimetres.
 pub(crate) const STANDS: RestLimits = RestLimits { seconds: 2.0, moved_m: 0.01, turned_rad: 0.035 };
 
-/// How exactly an action is carried out.
+/// Execution errors of a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CarriedOut {
-    /// The whole flight, the landing point included, is shifted by this, metres.
+    /// Shift of the whole flight, the landing point included, metres.
     pub shift_w: DVec2,
-    /// Speeds are this multiple of the planned ones.
+    /// Factor on the planned speeds.
     pub speed: f64,
-    /// The wash is that of this multiple of the hover thrust.
+    /// Factor on the hover thrust that drives the wash.
     pub wash: f64,
 }
 
 impl Default for CarriedOut {
-    /// Exactly.
+    /// Returns an exact execution.
     fn default() -> Self {
         Self { shift_w: DVec2::ZERO, speed: 1.0, wash: 1.0 }
     }
 }
 
-/// A landing task whose surface and bodies were found in a scene.
+/// A landing task with the surface and the structure found in a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedLanding {
     task: LandingTask,
@@ -42,10 +42,10 @@ pub struct ResolvedLanding {
 }
 
 impl LandingTask {
-    /// Finds the surface and the structure in a scene (of a scan, or the truth's).
+    /// Finds the surface and the structure in a scene (scanned or ground truth).
     ///
     /// # Errors
-    /// [`LandingError`]: a bad vehicle file, a body that there is not, no surface, or none that is wide enough.
+    /// [`LandingError`] for an invalid vehicle file, an unknown body, no surface, or none that is wide enough.
     pub fn resolve(&self, scene: &Scene) -> Result<ResolvedLanding, LandingError> {
         self.validate()?;
         let vehicle = self.quadrotor()?;
@@ -62,7 +62,8 @@ impl LandingTask {
     }
 }
 
-/// The dynamic bodies that touch a body, directly or through each other, itself included where it is dynamic; in the scene's order.
+/// Returns the dynamic bodies that touch a body, directly or through each other, and the body itself if it is dynamic;
+/// in the scene's order.
 fn connected(scene: &Scene, platform: &str) -> Result<Vec<String>, LandingError> {
     let surfaces = wash_surfaces(scene)?;
     let boxes: Vec<Option<Aabb>> =
@@ -99,44 +100,44 @@ impl ResolvedLanding {
         Self { task, vehicle, surface, structure }
     }
 
-    /// The task.
+    /// Returns the task.
     pub fn task(&self) -> &LandingTask {
         &self.task
     }
 
-    /// The vehicle.
+    /// Returns the vehicle.
     pub fn vehicle(&self) -> &Quadrotor {
         &self.vehicle
     }
 
-    /// Where it can land.
+    /// Returns the surface to land on.
     pub fn surface(&self) -> &LandingSurface {
         &self.surface
     }
 
-    /// Names of the bodies that must stay as they are.
+    /// Returns the names of the bodies that must stay in place.
     pub fn structure(&self) -> &[String] {
         &self.structure
     }
 
-    /// Where the vehicle's centre is when the flight starts, metres in the world.
+    /// Returns the position of the vehicle's centre at the start of the flight, metres in the world.
     pub fn start_w(&self) -> DVec3 {
         let [x, y] = self.task.start_w;
         DVec3::new(x, y, self.flight_height_w())
     }
 
-    /// Height of the vehicle's centre while it flies along the curve, metres in the world.
+    /// Returns the height of the vehicle's centre along the curve, metres in the world.
     pub fn flight_height_w(&self) -> f64 {
         self.standing_w(DVec2::ZERO).z + self.task.flight.height
     }
 
-    /// Where the vehicle's centre is when it stands with its axis there, metres in the world.
+    /// Returns the position of the vehicle's centre when it stands with its axis at this point, metres in the world.
     pub fn standing_w(&self, landing_w: DVec2) -> DVec3 {
         landing_w.extend(self.surface.top_w + self.vehicle.standing_height())
     }
 
-    /// The parameters of an action with their ranges, in the order of [`LandingAction::values`]; landing points have those of the
-    /// box around [`LandingSurface::point`].
+    /// Returns the parameters of an action and their ranges, in the order of [`LandingAction::values`]. The ranges of
+    /// the landing point are the bounding box of [`LandingSurface::point`].
     pub fn parameters(&self) -> Vec<Parameter> {
         let s = &self.surface;
         let along = DVec2::from(s.along_w).abs();
@@ -156,10 +157,10 @@ impl ResolvedLanding {
         ]
     }
 
-    /// The action of a point in [0, 1]⁴: along and across the surface's rectangle, approach radius and angle.
+    /// Returns the action of a point in [0, 1]⁴: along and across the surface's rectangle, approach radius and angle.
     ///
     /// # Panics
-    /// When there are fewer than four values.
+    /// If there are fewer than four values.
     pub fn action_at(&self, u: &[f64]) -> LandingAction {
         let b = &self.task.bounds;
         let mix = |[low, high]: [f64; 2], t: f64| low + t.clamp(0.0, 1.0) * (high - low);
@@ -170,7 +171,7 @@ impl ResolvedLanding {
         }
     }
 
-    /// The inverse of [`ResolvedLanding::action_at`], clamped to the bounds; angles are taken modulo 2π first.
+    /// Inverts [`ResolvedLanding::action_at`], clamped to the bounds; angles are reduced modulo 2π first.
     pub fn unit(&self, action: &LandingAction) -> Vec<f64> {
         let b = &self.task.bounds;
         let part = |[low, high]: [f64; 2], v: f64| {
@@ -183,12 +184,12 @@ impl ResolvedLanding {
         vec![u, v, part(b.approach_radius, action.approach_radius), part(b.approach_angle, angle)]
     }
 
-    /// Whether the vehicle has room where the action lands.
+    /// Returns whether the vehicle fits at the landing point.
     pub fn is_possible(&self, action: &LandingAction) -> bool {
         self.surface.fits(action.landing())
     }
 
-    /// The straight approach to a landing point: the approach point is half way.
+    /// Returns the straight approach to a landing point: the approach point is half way from the start.
     pub fn straight(&self, landing_w: DVec2) -> LandingAction {
         let back = DVec2::from(self.task.start_w) - landing_w;
         LandingAction {
@@ -198,7 +199,7 @@ impl ResolvedLanding {
         }
     }
 
-    /// The flight of an action: the Bézier curve of the paper in the flight plane, then straight down.
+    /// Returns the flight of an action: the Bézier curve of the paper in the flight plane, then straight down.
     ///
     /// # Errors
     /// [`LandingError::Vehicle`] for speeds that are not positive.
@@ -220,17 +221,17 @@ impl ResolvedLanding {
         Ok(Flight::new(path, settings)?)
     }
 
-    /// How worlds are built for this task.
+    /// Returns the options for worlds of this task.
     pub fn world_options(&self) -> WorldOptions {
-        // There are no balls whose impacts must be timed.
+        // Contact timing is for the impacts of balls, which this task does not have.
         WorldOptions { dt: self.task.dt, contact_timing: false, ..WorldOptions::default() }
     }
 
-    /// Lets the scene stand for 2 s and says how far each body of the structure drifted.
+    /// Simulates the scene at rest for 2 s and returns the drift of each body of the structure.
     ///
     /// # Errors
-    /// [`LandingError::AlreadyFalling`] when one of them drifts by more than a centimetre or 2°; [`LandingError::Sim`] when the
-    /// scene cannot be simulated.
+    /// [`LandingError::AlreadyFalling`] if one of them drifts by more than a centimetre or 2°; [`LandingError::Sim`] if
+    /// the scene cannot be simulated.
     pub fn check_rest(
         &self,
         factory: &dyn WorldFactory,
@@ -253,14 +254,14 @@ impl ResolvedLanding {
         }
     }
 
-    /// The structure falls, by this drift of one of its bodies; `or` is one more cure.
+    /// Returns the error for a structure of which one body drifts this far; `or` is an additional cure.
     pub(crate) fn falling(&self, drift: &RestingDrift, scene: &Scene, or: &str) -> LandingError {
         let how = match drift.moved_m.is_finite() {
             true => {
                 let (cm, degrees) = (1e2 * drift.moved_m, drift.turned_rad.to_degrees());
                 format!("moves by {cm:.1} cm and turns by {degrees:.0}°")
             }
-            false => "flies apart".to_owned(),
+            false => "diverges".to_owned(),
         };
         LandingError::AlreadyFalling(
             InputError::new(
@@ -270,8 +271,8 @@ impl ResolvedLanding {
                 ),
                 self.task.path(),
                 format!(
-                    "look at the reconstruction with `sms report`: contact faces that no camera saw, or masses that are too \
-                     far off (`sms materials`){or}"
+                    "check the reconstruction with `sms report`: a contact face may be hidden from the camera, or a mass \
+                     wrong (`sms materials`){or}"
                 ),
             )
             .because(format!("scene `{}`", scene.name)),

@@ -1,4 +1,4 @@
-//! The one rollout that planner and target share: a vehicle flies, cuts its motors, and touches down as a free body.
+//! The rollout that planner and target share: the vehicle flies, cuts its motors, and touches down as a free body.
 
 use crate::outcome::{BodyChange, change, failure, tilt};
 use crate::{
@@ -17,49 +17,50 @@ use sms_sim::{
 use sms_task::{BodyTrack, Trajectory};
 use sms_wash::{VehicleState, WashModel, WashSettings};
 
-/// A world stands so long before it is used, seconds: contacts find their forces.
+/// Time that a world settles before its first use, seconds: contact forces converge.
 const SETTLE_S: f64 = 0.25;
-/// The simulation begins when the vehicle's centre comes this close to the box around the structure, seen from above, metres: no
-/// stream reaches it from farther away.
+/// Horizontal distance of the vehicle's centre from the structure's box at which the simulation begins, metres: no
+/// stream reaches the structure from farther away.
 const NEAR_M: f64 = 0.5;
-/// Steps for which the wrenches of streams are held: at 0.5 m/s the vehicle flies 5 mm in 10 ms.
+/// Number of steps for which the wrenches of streams are held: at 0.5 m/s the vehicle flies 5 mm in 10 ms.
 const HOLD: usize = 4;
-/// A change of velocity in a step that is not gravity's, by which the vehicle notes that it touches something, m/s.
+/// Change of velocity in a step, without gravity's, at which the vehicle detects a touch, m/s.
 const TOUCH_SPEED: f64 = 0.02;
-/// Nothing changes any more when no body has been faster than this for a while: m/s, rad/s, seconds.
+/// A rollout is at rest when no body was faster than this for this time: m/s, rad/s, seconds.
 const STILL_SPEED: f64 = 5e-4;
 const STILL_TURN: f64 = 5e-3;
 const STILL_S: f64 = 0.4;
 
-/// What a rollout keeps of the motion.
+/// Recording of the motion of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LandingRecording {
     /// Time between states, seconds.
     pub every_s: f64,
-    /// Whether the air's particles are kept, too.
+    /// Whether the wash particles are recorded, too.
     pub particles: bool,
 }
 
-/// What a rollout is asked for.
+/// Options of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RolloutOptions {
-    /// How exactly the action is carried out.
+    /// Execution errors of the flight.
     pub carried_out: CarriedOut,
-    /// The motion is kept.
+    /// Recording of the motion, if any.
     pub recording: Option<LandingRecording>,
-    /// Ends the rollout as soon as the structure alone makes the objective this large: for searches, which see no more of it
+    /// Ends the rollout as soon as the structure alone makes the objective this large: searches cap it there
     /// ([`LandingOutcome::score`]).
     pub enough: Option<f64>,
 }
 
-/// A world with a structure, a vehicle and the air, for many rollouts of one task: each begins from the same state.
+/// A world with a structure, a vehicle and a wash model, for many rollouts of one task. Each rollout starts from the
+/// same state.
 pub struct LandingWorld {
     simulation: Simulation,
     wash: Option<WashInWorld>,
     wash_name: &'static str,
     /// The structure: names and ids.
     structure: Vec<(String, BodyId)>,
-    /// Where they are in the scene.
+    /// Their poses in the scene.
     poses_w: Vec<DPose3>,
     vehicle: BodyId,
     /// The box around the structure.
@@ -68,13 +69,13 @@ pub struct LandingWorld {
     rotors: Vec<Rotor>,
     hover: Vec<f64>,
     gravity: DVec3,
-    /// Steps for which the air's wrenches are held.
+    /// Number of steps for which the wash's wrenches are held.
     hold: usize,
     used: bool,
     can_restore: bool,
 }
 
-/// What is gathered during a rollout.
+/// Log of a rollout.
 struct Log {
     impulses_w: Vec<DVec3>,
     peaks: Vec<f64>,
@@ -86,11 +87,11 @@ struct Log {
 }
 
 impl LandingWorld {
-    /// Builds the world of a scene. `structure` are the bodies that are judged, by their names in this scene: those of
-    /// [`ResolvedLanding::structure`] in the planner's, their counterparts in a target's.
+    /// Builds the world of a scene. `structure` names the judged bodies of this scene: those of
+    /// [`ResolvedLanding::structure`] in the planner's scene, their counterparts in a target's.
     ///
     /// # Errors
-    /// [`LandingError`] when the scene or the air cannot be simulated, or there is no such body.
+    /// [`LandingError`] if the scene or the wash cannot be simulated, or a body is unknown.
     pub fn new(
         factory: &dyn WorldFactory,
         options: &WorldOptions,
@@ -127,7 +128,7 @@ impl LandingWorld {
             rotors: vehicle.propellers(),
             hover: vehicle.hover_thrusts(scene.gravity_w.length()),
             gravity: scene.gravity_w,
-            // Particles move as far as they can in a step; streams without memory change as slowly as the vehicle flies.
+            // Particles are integrated in every step. Streams have no memory and change as slowly as the vehicle flies.
             hold: if wash.model == WashModel::Sph { 1 } else { HOLD },
             used: false,
             can_restore: false,
@@ -141,20 +142,20 @@ impl LandingWorld {
         Ok(world)
     }
 
-    /// Whether the world can be used again after a rollout: its engine returns to a saved state.
+    /// Returns whether the world can fly again: it is unused, or its engine can restore the saved state.
     pub fn is_reusable(&self) -> bool {
         self.can_restore || !self.used
     }
 
-    /// Name of the engine.
+    /// Returns the name of the engine.
     pub fn engine(&self) -> &'static str {
         self.simulation.engine()
     }
 
-    /// Carries out an action. A simulation that blows up gives an outcome without an objective.
+    /// Flies an action. A simulation that diverges returns an outcome without an objective.
     ///
     /// # Errors
-    /// [`LandingError`] when the flight cannot be built, or the world was used and cannot be restored.
+    /// [`LandingError`] if the flight cannot be built, or the world was used and cannot be restored.
     pub fn fly(
         &mut self,
         action: &LandingAction,
@@ -206,7 +207,7 @@ impl LandingWorld {
         };
         let standing_w = self.landing.standing_w(action.landing());
 
-        // Time is that of the flight; nothing happens before the vehicle comes near.
+        // Times are from the start of the flight; the simulation starts when the vehicle comes near.
         let first = (self.near_s(flight) / dt).floor() as usize;
         for k in 0..first {
             self.record(log, options, k as f64 * dt, Some(flight));
@@ -255,7 +256,8 @@ impl LandingWorld {
         Ok(self.outcome(log, bodies, standing_w, Some(cut_s), touched_early, end_s))
     }
 
-    /// One step of the bodies, with the air's wrenches of now, or of the last step where they are not `fresh`.
+    /// Advances the bodies by one step, with new wrenches of the wash if `fresh`, otherwise with those of the last
+    /// step.
     fn advance(
         &mut self,
         vehicle: &BodyState,
@@ -287,7 +289,7 @@ impl LandingWorld {
         Ok(())
     }
 
-    /// How far the structure's bodies are off now, and whether they are too far off for the first time.
+    /// Returns the changes of the structure's bodies, and logs the time at which one first exceeds its limits.
     fn note(&self, log: &mut Log, success: &crate::LandingSuccess, t: f64) -> Vec<BodyChange> {
         let bodies: Vec<BodyChange> = self
             .structure
@@ -312,7 +314,7 @@ impl LandingWorld {
         bodies
     }
 
-    /// Whether nothing has moved for so long that nothing will.
+    /// Whether all bodies and the wash have been at rest for [`STILL_S`].
     fn is_still(&self, log: &mut Log, dt: f64) -> bool {
         let ids = self.structure.iter().map(|(_, id)| *id).chain([self.vehicle]);
         let still = |id: BodyId| {
@@ -324,7 +326,7 @@ impl LandingWorld {
         log.still_s > STILL_S
     }
 
-    /// When the vehicle first comes near the structure, seconds.
+    /// Returns the time at which the vehicle first comes near the structure, seconds.
     fn near_s(&self, flight: &Flight) -> f64 {
         let Some(around) = &self.around else { return 0.0 };
         let end_s = flight.arrival_s();
@@ -334,7 +336,7 @@ impl LandingWorld {
             let gap = (around.min.truncate() - p).max(p - around.max.truncate()).max(glamx::DVec2::ZERO);
             gap.length() < NEAR_M
         };
-        // Steps are a few milliseconds shorter than what is looked at.
+        // The flight is sampled every 10 ms, more coarsely than the steps: start one sample earlier.
         (0..=count).find(is_near).map_or(end_s, |k| (k as f64 - 1.0).max(0.0) * 0.01)
     }
 
@@ -351,7 +353,7 @@ impl LandingWorld {
         let landing_error_m = state.x_wb.translation.distance(standing_w);
         let (tilt_rad, speed) = (tilt(&state), state.v_w.length());
         let success = &self.landing.task().success;
-        // A rollout that ended in the air ended because the structure had toppled.
+        // A rollout without motor cut ended early because the structure had toppled.
         let landing = if cut_s.is_some() { landing_error_m } else { 0.0 };
         LandingOutcome {
             engine: self.engine().to_owned(),
@@ -371,7 +373,7 @@ impl LandingWorld {
         }
     }
 
-    /// Keeps the states at `t`, if it is time to; with a flight the vehicle is where that has it.
+    /// Records the states at `t` if the next record is due. During the flight, the vehicle's state is that of `flight`.
     fn record(&self, log: &mut Log, options: &RolloutOptions, t: f64, flight: Option<&Flight>) {
         let Some(recording) = options.recording.filter(|_| t + 1e-9 >= log.next_record_s) else { return };
         log.next_record_s += recording.every_s
@@ -424,12 +426,12 @@ impl Log {
     }
 }
 
-/// Level and at rest.
+/// Returns a level state at rest.
 fn hovering(p_w: DVec3) -> BodyState {
     BodyState { x_wb: DPose3::from_parts(p_w, DQuat::IDENTITY), v_w: DVec3::ZERO, w_w: DVec3::ZERO }
 }
 
-/// The vehicle as a body of a scene, where its flight starts.
+/// Returns the vehicle as a body at the start of its flight.
 fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, LandingError> {
     let vehicle = landing.vehicle();
     let mut material = example_material();
@@ -447,8 +449,8 @@ fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, Landin
     Ok(vehicle.body(&name, DPose3::from_translation(landing.start_w()), Some(mass), material))
 }
 
-/// Carries out one landing in a world of its own, which is the planner's ([`sms_sim::RapierFactory`], the scanned scene) or a
-/// target's. For many landings in one scene keep a [`LandingWorld`].
+/// Flies one landing in a new world: the planner's ([`sms_sim::RapierFactory`], the scanned scene) or a target's. Use a
+/// [`LandingWorld`] for many landings in one scene.
 ///
 /// ```no_run
 /// use sms_landing::{LandingTask, RolloutOptions, rollout_landing};
@@ -465,7 +467,7 @@ fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, Landin
 /// ```
 ///
 /// # Errors
-/// [`LandingError`] when the scene, the air or the flight cannot be built.
+/// [`LandingError`] if the scene, the wash or the flight cannot be built.
 pub fn rollout_landing(
     factory: &dyn WorldFactory,
     wash: &WashSettings,

@@ -1,73 +1,76 @@
-//! Settings of the planner of landings.
+//! Settings of the landing planner.
 
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use sms_wash::{SphSettings, StreamSettings};
 use std::path::Path;
 
-/// How worlds and flights are disturbed. All errors are uniform within ± the given half width.
+/// Perturbations of worlds and flights. All errors are uniform within ± the given half width.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LandingDisturbances {
     /// Whether masses and frictions are sampled within their materials' intervals.
     pub materials: bool,
-    /// Horizontal error of where a body stands on another, metres.
+    /// Horizontal position error of a body that stands on another, metres.
     pub object_m: f64,
-    /// Relative error of the wash's strength: what the model and the vehicle's mass leave open.
+    /// Relative error of the wash's strength, from the wash model and the vehicle's mass.
     pub wash_share: f64,
-    /// Horizontal error of the flight, metres.
+    /// Horizontal position error of the flight, metres.
     pub flight_m: f64,
-    /// Relative error of its speed.
+    /// Relative error of the flight's speed.
     pub speed_share: f64,
 }
 
 impl Default for LandingDisturbances {
     fn default() -> Self {
         // Scans place the edges of large objects within a few millimetres. Models of wash differ by 10 to 20 % in
-        // moments about edges (experiments/studies/wash.md). A vehicle with a camera holds its place within a few centimetres.
+        // moments about edges (experiments/studies/wash.md). A vehicle with a camera holds its place within a few
+        // centimetres.
         Self { materials: true, object_m: 0.004, wash_share: 0.2, flight_m: 0.02, speed_share: 0.1 }
     }
 }
 
-/// Settings of the planner of landings (`[landing]`). Budgets count rollouts, never seconds, so that a plan does not depend on the
-/// machine.
+/// Settings of the landing planner (`[landing]`). Budgets count rollouts, never seconds, so a plan does not depend on
+/// the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LandingSettings {
-    /// Points of the screening, each flown with `jet` in the scanned world.
+    /// Number of points of the screening, each flown with `jet` in the scanned world.
     pub screening: usize,
-    /// Disturbed worlds in which the structure stands, among which those are sought in which the least load tips it.
+    /// Number of perturbed worlds in which the structure stands; they are sorted by the smallest load that tips it.
     pub draws: usize,
-    /// So many of them, the hardest and those at the half, the quarter and so on of the order, are margins: what succeeds in the
-    /// scanned world is flown with `jet` in the hardest, what fails in the next, and so on. 0 leaves margins out.
+    /// Number of these worlds that serve as margins: the hardest and those at 1/2, 1/4, … of the order. Candidates that
+    /// succeed in the scanned world are flown with `jet` in the hardest margin, those that fail there in the next, and
+    /// so on. 0 disables margins.
     pub margins: usize,
-    /// Margins beyond them: the hardest but few, with a structure that is lighter and lighter.
+    /// Number of additional margins: one of the hardest worlds, with a lighter structure in each.
     pub lighter: usize,
-    /// Share of its mass that is left in the last of these.
+    /// Share of the structure's mass that is left in the last of these.
     pub lightest: f64,
-    /// Those with the best margins that are flown with `jet` in the hardest of the worlds.
+    /// Number of candidates with the best margins that are flown with `jet` in the hardest worlds.
     pub candidates: usize,
-    /// Number of the hardest worlds.
+    /// Number of these hardest worlds.
     pub jet_worlds: usize,
-    /// The best of those that are flown with `sph` in the scanned world.
+    /// Number of the best candidates that are flown with `sph` in the scanned world.
     pub refine: usize,
-    /// Local searches with `sph` from the best of these.
+    /// Number of local searches with `sph` from the best of these.
     pub polish_starts: usize,
-    /// Points that each of them may try.
+    /// Number of points per local search.
     pub polish: usize,
-    /// How many go on to disturbed worlds with `sph`.
+    /// Number of candidates that are flown with `sph` in perturbed worlds.
     pub finalists: usize,
-    /// Number of these worlds, chosen as the margins are; 0 plans for the scanned world alone, with `jet_worlds` left out, too.
+    /// Number of these worlds, chosen like the margins; 0 plans for the scanned world alone and disables `jet_worlds`,
+    /// too.
     pub worlds: usize,
-    /// Worlds that play no part in the choice, for the prediction.
+    /// Number of separate worlds for the prediction.
     pub forecast_worlds: usize,
-    /// Largest objective that is told apart from a larger one: what has toppled has toppled.
+    /// Cap of the objective: all toppled structures count the same.
     pub toppled: f64,
-    /// The disturbed worlds.
+    /// Perturbations of worlds and flights.
     pub disturbances: LandingDisturbances,
-    /// The model `jet`.
+    /// Settings of the wash model `jet`.
     pub jet: StreamSettings,
-    /// The model `sph`. Rollouts run side by side, so that its own threads are left unused.
+    /// Settings of the wash model `sph`. Its own threads are unused, because rollouts run in parallel.
     pub sph: SphSettings,
 }
 
@@ -89,7 +92,7 @@ impl Default for LandingSettings {
             forecast_worlds: 5,
             toppled: 1.0,
             disturbances: LandingDisturbances::default(),
-            // Half as many flow lines as the model's default: this one only sorts out.
+            // Half as many flow lines as the model's default: `jet` only preselects.
             jet: StreamSettings { rings: 6, spokes: 12, ..StreamSettings::default() },
             sph: SphSettings::default(),
         }
@@ -97,7 +100,7 @@ impl Default for LandingSettings {
 }
 
 impl LandingSettings {
-    /// A quick plan, of about half of the rollouts.
+    /// Returns the settings of a quick plan with about half of the rollouts.
     pub fn draft() -> Self {
         Self {
             screening: 96,
@@ -111,7 +114,7 @@ impl LandingSettings {
         }
     }
 
-    /// Four times the rollouts, for a machine with more cores.
+    /// Returns settings with four times the rollouts, for a machine with more cores.
     pub fn fine() -> Self {
         Self {
             screening: 640,
@@ -128,7 +131,7 @@ impl LandingSettings {
         }
     }
 
-    /// Checks the values; `path` is the settings file, or what stands for it.
+    /// Checks the values; `path` names the settings file in errors.
     ///
     /// # Errors
     /// [`InputError`] that names the key.

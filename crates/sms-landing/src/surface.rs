@@ -1,4 +1,4 @@
-//! Finding what can be landed on: the scene seen from above on a grid.
+//! Finds landing surfaces in a height map of the scene.
 
 use crate::{LandingError, LandingTask, SurfaceLimits};
 use glamx::{DMat2, DPose3, DVec2, DVec3};
@@ -9,39 +9,41 @@ use sms_scene::{BodyShape, Scene};
 use sms_sim::wash_surfaces;
 use sms_wash::BodySurface;
 
-/// Spacing of the grid, metres.
+/// Cell size of the height map, metres.
 const CELL_M: f64 = 0.01;
-/// Cells along an edge at most: larger scenes get a coarser grid.
+/// Largest number of cells along an edge: larger scenes get a coarser grid.
 const MOST_CELLS: f64 = 800.0;
-/// Neighbouring cells of one surface differ in height by at most this besides the slope, metres.
+/// Largest height difference of neighbouring cells of one surface, without the slope, metres.
 const STEP_M: f64 = 0.004;
-/// Patches smaller than this are no surface but noise of a reconstruction, square metres.
+/// Smallest area of a surface, square metres: smaller patches are noise of a reconstruction.
 const LEAST_AREA_M2: f64 = 0.0025;
 
-/// A level surface that a vehicle can stand on.
+/// A level surface on which a vehicle can stand.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingSurface {
-    /// The body that it belongs to.
+    /// Name of its body.
     pub body: String,
-    /// Its height (the median of its cells), metres in the world.
+    /// Height (the median of its cells), metres in the world.
     pub top_w: f64,
-    /// Its area, m².
+    /// Area, m².
     pub area_m2: f64,
-    /// Middle of the rectangle around the places where the vehicle's axis may be, world x and y, metres.
+    /// Centre of the bounding rectangle of the feasible positions of the vehicle's axis, world x and y, metres.
     pub center_w: [f64; 2],
     /// Unit vector along the rectangle's first edge, which is the surface's long axis.
     pub along_w: [f64; 2],
-    /// Half of the rectangle's edges, metres: along and across.
+    /// Half lengths of the rectangle's edges, metres: along and across.
     pub half: [f64; 2],
-    /// Corners of the box along the long axis around the whole surface, counterclockwise, world x and y, metres.
+    /// Corners of the bounding rectangle of the whole surface along its long axis, counterclockwise, world x and y,
+    /// metres.
     pub outline_w: [[f64; 2]; 4],
     grid: Grid,
-    /// For each cell whether the vehicle's axis may be there: all feet on the surface, nothing in the way of body and propellers.
+    /// Whether the vehicle fits with its axis in the cell: all feet on the surface, body and propellers free of
+    /// obstacles.
     #[serde(with = "as_text")]
     fits: Vec<bool>,
 }
 
-/// One letter for each cell.
+/// Writes one character per cell.
 mod as_text {
     use serde::{Deserialize, Deserializer, Serializer};
 
@@ -99,7 +101,7 @@ impl Grid {
     }
 }
 
-/// What is seen from above in a cell.
+/// The topmost surface in a cell.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
     height: f64,
@@ -113,7 +115,7 @@ struct Patch {
     cells: Vec<usize>,
 }
 
-/// Height of the scene's floor, metres; 0 without one.
+/// Returns the height of the scene's floor, metres; 0 without one.
 fn floor_height(scene: &Scene) -> f64 {
     let floors = scene.bodies.iter().filter(|b| matches!(b.shape, BodyShape::HalfSpace));
     floors
@@ -123,7 +125,7 @@ fn floor_height(scene: &Scene) -> f64 {
 }
 
 impl LandingSurface {
-    /// The surface that the task asks for: the largest level one that is high enough and on which the vehicle fits.
+    /// Finds the task's surface: the largest level surface that is high enough and on which the vehicle fits.
     pub(crate) fn find(task: &LandingTask, vehicle: &Quadrotor, scene: &Scene) -> Result<Self, LandingError> {
         let wanted = wanted_body(task, scene)?;
         let surfaces = wash_surfaces(scene)?;
@@ -164,14 +166,14 @@ impl LandingSurface {
         }
     }
 
-    /// The point of the rectangle at `u` in [0, 1]², world x and y, metres.
+    /// Returns the point of the rectangle at `u` in [0, 1]², world x and y, metres.
     pub fn point(&self, u: [f64; 2]) -> DVec2 {
         let along = DVec2::from(self.along_w);
         let offset = |i: usize| (2.0 * u[i] - 1.0) * self.half[i];
         DVec2::from(self.center_w) + along * offset(0) + along.perp() * offset(1)
     }
 
-    /// The inverse of [`LandingSurface::point`], clamped to the rectangle.
+    /// Inverts [`LandingSurface::point`], clamped to the rectangle.
     pub fn unit(&self, p_w: DVec2) -> [f64; 2] {
         let along = DVec2::from(self.along_w);
         let d = p_w - DVec2::from(self.center_w);
@@ -181,18 +183,19 @@ impl LandingSurface {
         [part(d.dot(along), self.half[0]), part(d.dot(along.perp()), self.half[1])]
     }
 
-    /// Whether the vehicle fits with its axis there: all feet on the surface, and nothing in the way of its body and propellers.
+    /// Returns whether the vehicle fits with its axis at this point: all feet on the surface, body and propellers free
+    /// of obstacles.
     pub fn fits(&self, p_w: DVec2) -> bool {
         self.grid.index(p_w).and_then(|i| self.fits.get(i)).copied().unwrap_or(false)
     }
 
-    /// The places on a grid of about a centimetre where the vehicle fits, row by row, world x and y, metres.
+    /// Iterates over the points of the grid at which the vehicle fits, row by row, world x and y, metres.
     pub fn places(&self) -> impl Iterator<Item = DVec2> + '_ {
         (0..self.fits.len()).filter(|i| self.fits[*i]).map(|i| self.grid.center(i))
     }
 }
 
-/// The body that the task names.
+/// Returns the index of the platform that the task names.
 fn wanted_body(task: &LandingTask, scene: &Scene) -> Result<Option<usize>, LandingError> {
     if task.chooses_platform() {
         return Ok(None);
@@ -200,7 +203,7 @@ fn wanted_body(task: &LandingTask, scene: &Scene) -> Result<Option<usize>, Landi
     body_index(task, scene, "platform", &task.platform).map(Some)
 }
 
-/// Index of a body that the task names.
+/// Returns the index of a body that the task names.
 pub(crate) fn body_index(
     task: &LandingTask,
     scene: &Scene,
@@ -210,14 +213,14 @@ pub(crate) fn body_index(
     scene.body_index(name).ok_or_else(|| {
         let known: Vec<&str> = scene.bodies.iter().map(|b| b.name.as_str()).collect();
         LandingError::UnknownBody(InputError::new(
-            format!("`{key}` names `{name}`, which scene `{}` does not have", scene.name),
+            format!("`{key}` names the body `{name}`, which scene `{}` does not have", scene.name),
             task.path(),
             format!("name one of its bodies ({}), or write \"auto\"", known.join(", ")),
         ))
     })
 }
 
-/// The highest surface in each cell of a grid over all bodies but floors.
+/// Computes the height map of all bodies except floors.
 fn look_down(scene: &Scene, surfaces: &[BodySurface], limits: &SurfaceLimits) -> (Grid, Vec<Option<Seen>>) {
     let extents: Vec<Option<Aabb>> =
         scene.bodies.iter().zip(surfaces).map(|(b, s)| s.extent_w(&b.x_wb)).collect();
@@ -254,7 +257,7 @@ fn look_down(scene: &Scene, surfaces: &[BodySurface], limits: &SurfaceLimits) ->
     (grid, (0..grid.len()).map(look).collect())
 }
 
-/// Connected level surfaces above a height, of one body or of any, in the order of their first cells.
+/// Returns the connected level surfaces above a height, of one body or of any, in the order of their first cells.
 fn patches(grid: &Grid, seen: &[Option<Seen>], wanted: Option<usize>, least_height: f64) -> Vec<Patch> {
     let good = |i: usize| {
         seen[i].filter(|s| s.level && s.height >= least_height && wanted.is_none_or(|w| w == s.body))
@@ -287,12 +290,12 @@ fn patches(grid: &Grid, seen: &[Option<Seen>], wanted: Option<usize>, least_heig
     patches
 }
 
-/// Where the vehicle's axis may be.
+/// Computes for each cell whether the vehicle fits with its axis there.
 fn fits(grid: &Grid, seen: &[Option<Seen>], patch: &Patch, vehicle: &Quadrotor) -> Vec<bool> {
     let mut is_patch = vec![false; seen.len()];
     patch.cells.iter().for_each(|&i| is_patch[i] = true);
     let stands = vehicle.standing_height();
-    // What may be how high above the surface: below the body's box, and below the propellers.
+    // Clearance above the surface: below the body's box, and below the propellers.
     let under_body = stands - vehicle.body_half.z;
     let under_propellers = stands + vehicle.rotors.iter().map(|r| r.z).fold(f64::INFINITY, f64::min);
     let reach = vehicle.reach();
@@ -306,7 +309,7 @@ fn fits(grid: &Grid, seen: &[Option<Seen>], patch: &Patch, vehicle: &Quadrotor) 
     let allowed = |index: usize| {
         let p = grid.center(index);
         let top = match seen[index] {
-            // The middle may be over a gap between two parts of a surface.
+            // The axis must be above the patch, not above a gap in it.
             Some(s) if is_patch[index] => s.height,
             _ => return false,
         };
@@ -336,7 +339,7 @@ fn median_height(seen: &[Option<Seen>], cells: &[usize]) -> f64 {
     quantile(&mut heights, 0.5, QuantileRule::Nearest).unwrap_or(f64::NAN)
 }
 
-/// Direction of the largest spread of the cells, in the half plane x ≥ 0.
+/// Returns the direction of the largest spread of the cells, in the half plane x ≥ 0.
 fn long_axis(grid: &Grid, cells: &[usize]) -> DVec2 {
     let n = cells.len() as f64;
     let mean: DVec2 = cells.iter().map(|&i| grid.center(i)).sum::<DVec2>() / n;
@@ -348,7 +351,7 @@ fn long_axis(grid: &Grid, cells: &[usize]) -> DVec2 {
     DVec2::from_angle(0.5 * (2.0 * xy).atan2(xx - yy))
 }
 
-/// Least and largest coordinates of points along `along` and across it.
+/// Returns the smallest and largest coordinates of points along and across `along`.
 fn extent_along(along: DVec2, points: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
     let local = points.map(|p| DVec2::new(p.dot(along), p.dot(along.perp())));
     local.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)))
@@ -370,13 +373,13 @@ fn no_surface(task: &LandingTask, scene: &Scene, grid: &Grid, seen: &[Option<See
     LandingError::NoSurface(
         InputError::new(
             format!(
-                "there is no surface{of} to land on in scene `{}`: none is level within {:.0}° and at least {:.2} m high",
+                "scene `{}` has no surface{of} to land on: none is level within {:.0}° and at least {:.2} m high",
                 scene.name,
                 task.surface.slope_rad.to_degrees(),
                 task.surface.height_m
             ),
             task.path(),
-            "name another `platform`, lower `surface.height_m`, or scan what is to be landed on from above",
+            "name another `platform`, lower `surface.height_m`, or scan the landing surface from above",
         )
         .because(known),
     )
@@ -396,7 +399,7 @@ fn too_narrow(
         let (low, high) = extent_along(long_axis(grid, &p.cells), p.cells.iter().map(|i| grid.center(*i)));
         let size = high - low + grid.cell;
         format!(
-            "the largest one, on `{}`, is {:.2} m × {:.2} m, parts that something stands on left out",
+            "the largest one, on `{}`, is {:.2} m × {:.2} m, without the parts under other objects",
             scene.bodies[p.body].name, size.x, size.y
         )
     });

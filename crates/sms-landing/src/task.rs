@@ -1,4 +1,4 @@
-//! The landing task as a file (paper section "Quadrotor Landing Scenario" and its appendix).
+//! The landing task's file (paper section "Quadrotor Landing Scenario" and its appendix).
 
 use crate::LandingError;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use sms_core::{CoreError, InputError, Ranges, atomic};
 use sms_robots::{FlightSettings, Quadrotor};
 use std::path::{Path, PathBuf};
 
-/// The word that leaves a choice to the program.
+/// Value that leaves a choice to the program.
 const AUTO: &str = "auto";
 
 /// The value of `kind` in a landing task.
@@ -18,42 +18,42 @@ pub enum LandingKind {
     Landing,
 }
 
-/// Land a quadrotor on a structure so that nothing of it topples: the objective is how far the structure's bodies moved and turned,
-/// and how far from the chosen place the vehicle came to rest.
+/// The task of landing a quadrotor on a structure without toppling it. The objective sums the displacements and
+/// rotations of the structure's bodies and the vehicle's distance from the landing point.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LandingTask {
     /// Always `landing`.
     pub kind: LandingKind,
-    /// Where the flight starts, world x and y in metres; it goes at the height that [`FlightSettings::height`] says.
+    /// Start of the flight, world x and y, metres; [`FlightSettings::height`] sets its height.
     pub start_w: [f64; 2],
-    /// The body to land on; `auto` is the one with the largest level surface that is high enough.
+    /// The body to land on; `auto` chooses the body with the largest level surface that is high enough.
     #[serde(default = "auto")]
     pub platform: String,
-    /// The bodies that must stay as they are; `["auto"]` is every dynamic body that touches the platform, directly or through
-    /// others.
+    /// The bodies that must stay in place; `["auto"]` chooses every dynamic body that touches the platform, directly or
+    /// through others.
     #[serde(default = "auto_list")]
     pub structure: Vec<String>,
-    /// Whether parts of the structure that were fixed when the scene was made, because they did not rest, can topple again (see
+    /// Whether to free the parts of the structure that the scan fixed because they did not rest (see
     /// [`LandingTask::freed`]).
     #[serde(default = "yes")]
     pub free: bool,
     /// A vehicle file (TOML, see [`Quadrotor`]), relative to the task file; without it, the paper's vehicle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vehicle: Option<PathBuf>,
-    /// How it flies.
+    /// Settings of the flight.
     #[serde(default)]
     pub flight: FlightSettings,
     /// Ranges of the approach.
     #[serde(default)]
     pub bounds: LandingBounds,
-    /// What can be landed on.
+    /// Requirements on the landing surface.
     #[serde(default)]
     pub surface: SurfaceLimits,
-    /// When a landing counts as done.
+    /// Conditions of success.
     #[serde(default)]
     pub success: LandingSuccess,
-    /// The vehicle's feet.
+    /// Surface of the vehicle's feet.
     #[serde(default)]
     pub feet: FootMaterial,
     /// Nominal time step in seconds.
@@ -70,7 +70,7 @@ pub struct LandingTask {
 pub struct LandingBounds {
     /// Distance of the approach point from the landing point, metres.
     pub approach_radius: [f64; 2],
-    /// Its direction from the landing point, about z from x, radians.
+    /// Direction of the approach point from the landing point, about z from x, radians.
     pub approach_angle: [f64; 2],
 }
 
@@ -80,11 +80,11 @@ impl Default for LandingBounds {
     }
 }
 
-/// What counts as a surface to land on.
+/// Requirements on a landing surface.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceLimits {
-    /// Least height above the floor, metres.
+    /// Smallest height above the floor, metres.
     pub height_m: f64,
     /// Largest angle to the horizontal, radians.
     pub slope_rad: f64,
@@ -96,21 +96,21 @@ impl Default for SurfaceLimits {
     }
 }
 
-/// When a landing counts as done, and when that is judged.
+/// Conditions of a successful landing, and the time of the judgement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LandingSuccess {
     /// Time from motor cut to the judgement, seconds.
     pub after_s: f64,
-    /// How far a body of the structure may have moved, metres.
+    /// Largest displacement of a body of the structure, metres.
     pub moved_m: f64,
-    /// How far it may have turned, radians.
+    /// Largest rotation of a body of the structure, radians.
     pub turned_rad: f64,
-    /// How far from the chosen point the vehicle may rest, metres.
+    /// Largest distance of the resting vehicle from the landing point, metres.
     pub landing_m: f64,
-    /// How far it may lean, radians.
+    /// Largest angle of the vehicle's axis to the vertical, radians.
     pub tilt_rad: f64,
-    /// Speed below which it is at rest, m/s.
+    /// Largest speed of a vehicle at rest, m/s.
     pub rest_speed: f64,
 }
 
@@ -127,7 +127,7 @@ impl Default for LandingSuccess {
     }
 }
 
-/// Surface of the vehicle's feet: rubber pads. A pair takes the mean of both surfaces.
+/// Surface of the vehicle's feet: rubber pads. A contact pair uses the mean of both surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FootMaterial {
@@ -160,7 +160,7 @@ fn default_dt() -> f64 {
 }
 
 impl LandingTask {
-    /// A task with the default settings that starts there (world x and y, metres).
+    /// Returns a task with default settings that starts at this point (world x and y, metres).
     pub fn new(start_w: [f64; 2]) -> Self {
         Self {
             kind: LandingKind::Landing,
@@ -179,7 +179,7 @@ impl LandingTask {
         }
     }
 
-    /// Whether a task file is one of a landing, as its `kind` says; `false` for files that are no TOML.
+    /// Returns whether the `kind` of a task file is `landing`; `false` for files that are not TOML.
     pub fn is_landing(path: &Path) -> bool {
         atomic::read_toml::<toml::Table>(path)
             .is_ok_and(|table| table.get("kind").and_then(toml::Value::as_str) == Some("landing"))
@@ -196,7 +196,7 @@ impl LandingTask {
         Ok(task)
     }
 
-    /// Writes the task as TOML, with every setting that is in force.
+    /// Writes the task as TOML with all its settings, defaults included.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -206,7 +206,7 @@ impl LandingTask {
         atomic::write_bytes(path, text.as_bytes())
     }
 
-    /// The file to name in messages.
+    /// Returns the path for messages.
     pub fn path(&self) -> &Path {
         if self.source.as_os_str().is_empty() {
             Path::new("(task made by the program)")
@@ -220,15 +220,15 @@ impl LandingTask {
         self.platform == AUTO
     }
 
-    /// Whether the program finds out what belongs to the structure.
+    /// Whether the program chooses the structure.
     pub(crate) fn chooses_structure(&self) -> bool {
         self.structure == [AUTO]
     }
 
-    /// The vehicle.
+    /// Reads the vehicle.
     ///
     /// # Errors
-    /// [`LandingError::Input`] when its file cannot be read or is no vehicle.
+    /// [`LandingError::Input`] if its file cannot be read or does not describe a vehicle.
     pub fn quadrotor(&self) -> Result<Quadrotor, LandingError> {
         let Some(name) = &self.vehicle else { return Ok(Quadrotor::default()) };
         let path = self.source.parent().unwrap_or(Path::new("")).join(name);
@@ -250,7 +250,7 @@ impl LandingTask {
     /// Checks the values.
     ///
     /// # Errors
-    /// [`InputError`] that names the file, the key and what is allowed.
+    /// [`InputError`] that names the file, the key and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
         let named = |e: InputError| InputError { path: self.path().display().to_string(), ..e };
         let (f, b, s) = (&self.flight, &self.bounds, &self.success);
@@ -282,9 +282,9 @@ impl LandingTask {
         }
         if self.structure.is_empty() {
             return Err(InputError::new(
-                "`structure` in this task file names no body",
+                "`structure` in this task file is empty",
                 self.path(),
-                "name the bodies that must stay as they are, or write structure = [\"auto\"]",
+                "name the bodies that must stay in place, or write structure = [\"auto\"]",
             ));
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The example of docs/tasks.md.
+//! Reads the example of docs/tasks.md.
 
 use sms_landing::LandingTask;
 

@@ -1,4 +1,4 @@
-//! Landings against closed forms, and faults.
+//! Landings compared with closed forms, and invalid input.
 
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Cancel, Interval, NoProgress, Seed, StageContext, StageError, Warnings, box_mass_properties};
@@ -15,7 +15,7 @@ const G: f64 = 9.81;
 const WEIGHT_N: f64 = 1.182 * G;
 const BASE_TOP: f64 = 0.6;
 const HALF: DVec3 = DVec3::new(0.4, 0.2, 0.015);
-/// The base's edge is so far from its middle.
+/// Distance of the base's edge from its middle, metres.
 const EDGE: f64 = 0.2;
 
 fn cuboid(name: &str, center_w: DVec3, half: DVec3, mass: f64) -> Body {
@@ -74,7 +74,7 @@ fn the_platform_is_found_with_where_the_feet_stand_and_what_touches_it() {
     assert!(DVec2::from(s.center_w).distance(DVec2::new(0.1, 0.0)) < 0.01);
     assert!(DVec2::from(s.along_w).distance(DVec2::X) < 1e-6);
     assert!(s.fits(DVec2::new(0.35, 0.05)) && !s.fits(DVec2::new(0.42, 0.0)));
-    // The vehicle's centre flies 0.35 m above where it stands.
+    // The vehicle's centre flies 0.35 m above its resting height.
     assert!((landing.flight_height_w() - (s.top_w + 0.05 + 0.35)).abs() < 1e-9);
     // Unit points and actions convert both ways.
     for u in [[0.1, 0.2, 0.3, 0.4], [0.9, 0.5, 0.01, 0.99]] {
@@ -92,7 +92,7 @@ fn ballast_and_its_surroundings_are_no_place_to_land() {
     assert_eq!(landing.surface().body, "board");
     assert_eq!(landing.structure(), ["base", "board", "brick"]);
     assert!(!landing.surface().fits(DVec2::new(-0.3, 0.0)));
-    // 10 cm high, it reaches above the propellers: 0.21 m from its side they would meet it.
+    // The brick is 10 cm high and reaches above the propellers: 0.21 m from its side they would hit it.
     assert!(!landing.surface().fits(DVec2::new(-0.06, 0.0)) && landing.surface().fits(DVec2::new(0.0, 0.0)));
 }
 
@@ -119,7 +119,7 @@ fn what_cannot_be_landed_on_is_refused_with_the_reason() {
     assert!(e.input().is_some());
 }
 
-/// A board whose middle is beyond the base's edge falls by itself.
+/// A board with its middle beyond the base's edge falls by itself.
 #[test]
 fn a_structure_that_is_falling_is_refused() {
     let scene = board(3.0, EDGE + 0.02);
@@ -131,8 +131,8 @@ fn a_structure_that_is_falling_is_refused() {
     assert!(drifts.iter().all(|d| d.moved_m < 1e-3), "{drifts:?}");
 }
 
-/// From the cut height the vehicle falls freely with the speed of its descent: the closed form of when it touches down, and it stands
-/// where it should.
+/// From the cut height the vehicle falls freely, starting with the speed of its descent. The touchdown time has a
+/// closed form, and the vehicle comes to rest at the landing point.
 #[test]
 fn the_vehicle_falls_freely_from_the_cut_height_and_stands() {
     let scene = board(30.0, 0.0);
@@ -154,19 +154,20 @@ fn the_vehicle_falls_freely_from_the_cut_height_and_stands() {
     let flown_s = 1.5 / 0.5 + 0.3 / 0.3;
     assert!((cut_s - flown_s).abs() < 0.003, "{cut_s}");
     let track = outcome.trajectory.body(QUADROTOR).unwrap();
-    // 0.3 t + g t²/2 = 0.05: the fastest moment is the touchdown.
+    // 0.3 t + g t²/2 = 0.05: the vehicle is fastest at touchdown.
     let fall_s = ((0.3f64 * 0.3 + 2.0 * G * 0.05).sqrt() - 0.3) / G;
     let slowest =
         track.states.iter().map(|s| s.v_w.z).enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
     let touchdown_s = outcome.trajectory.times_s[slowest.0];
     assert!((touchdown_s - cut_s - fall_s).abs() < 0.006, "{touchdown_s} {cut_s} {fall_s}");
     assert!((slowest.1 + (0.3 + G * fall_s)).abs() < 0.05, "{}", slowest.1);
-    // It starts where the task says, and the whole flight is there.
+    // The record covers the whole flight from the start point on.
     assert_eq!(outcome.trajectory.times_s[0], 0.0);
     assert!(track.states[0].x_wb.translation.distance(landing.start_w()) < 1e-12);
 }
 
-/// A weight beyond the edge tips the board when weight × lever exceeds the board's, statically; touching down multiplies it.
+/// Statically, a weight beyond the edge tips the board if weight × lever exceeds the board's; the touchdown impact
+/// multiplies it.
 #[test]
 fn landing_beyond_the_edge_topples_a_light_board_and_not_a_heavy_one() {
     let at = EDGE + 0.15;
@@ -192,11 +193,11 @@ fn landing_beyond_the_edge_topples_a_light_board_and_not_a_heavy_one() {
     }
 }
 
-/// Hovering wash carries the vehicle's weight: a board tips under it where statics says so, with no touch at all.
+/// The wash of a hovering vehicle carries its weight: it tips a board as statics predicts, without any touch.
 #[test]
 fn wash_topples_what_is_below_the_threshold_and_leaves_what_is_above() {
-    // It flies along x over the board's end, 0.5 m beyond the base's middle, and lands on the base's middle from the far side; over
-    // the end of the board the whole stream has a lever of at least 0.2 m for most of a second.
+    // The vehicle flies along x over the board's end, 0.5 m beyond the base's middle, and lands on the base's middle.
+    // Over the end of the board the whole stream has a lever of at least 0.2 m for most of a second.
     let start = LandingTask::new([1.6, 0.0]);
     let mass = |share: f64| share * WEIGHT_N * 0.15 / (G * 0.1);
     for model in [WashModel::Jet, WashModel::Sph] {
@@ -216,10 +217,11 @@ fn wash_topples_what_is_below_the_threshold_and_leaves_what_is_above() {
             assert_eq!(o.is_success(), stands, "{model:?} {share}: {:?}", o.failure);
             assert_eq!(o.is_toppled_by_wash(), !stands);
             let board = o.bodies.iter().find(|b| b.body == "board").unwrap();
-            // Above its middle it feels the whole vehicle; to topple it takes what statics says, at the end.
+            // A vehicle above its middle presses with its whole weight; toppling takes at least the static load at the
+            // end.
             let least = if stands { 0.9 * WEIGHT_N } else { mass(share) * G * 0.1 / 0.3 };
             assert!(board.wash_peak_n > least, "{model:?} {share}: {} N", board.wash_peak_n);
-            // What it feels in all is at most the thrust for as long as it flies there.
+            // The total impulse is at most the thrust times the flight time.
             assert!(board.wash_impulse_w.z < 0.0 && board.wash_impulse_w.z > -1.6 * WEIGHT_N * o.end_s);
         }
     }
@@ -246,7 +248,7 @@ fn worlds_repeat_themselves_and_searches_end_early_with_the_same_verdict() {
     assert_eq!((short.score(1.0), first.score(1.0)), (1.0, 1.0));
 }
 
-/// Few rollouts, with everything that a plan goes through.
+/// Settings with few rollouts that pass through every phase.
 fn quick() -> LandingSettings {
     let sph = sms_wash::SphSettings { spacing: 0.04, ..sms_wash::SphSettings::default() };
     LandingSettings {
@@ -290,13 +292,13 @@ fn plans_land_and_do_not_depend_on_threads() {
     let plan = &planned.plan;
     assert!(plan.nominal.is_success(), "{:?}", plan.nominal.failure);
     let e = plan.evaluations;
-    // Those that succeed are flown in hard worlds, the hardest first, until enough are known.
+    // Successful candidates are flown in hard worlds, the hardest first, until enough are known.
     let steps = e.jet - (24 + 4 * 2);
     assert!((1..=(3 + 2) * 24).contains(&steps), "{steps}");
     assert_eq!(e.sph, 2 + 2 + 2 * 2 + 2 + 1);
     assert_eq!(planned.trials.len(), e.jet + e.sph - 1);
     assert_eq!(plan.predicted.as_ref().unwrap().worlds, 2);
-    // Straight over the overhang it would have toppled.
+    // A straight approach over the overhang topples the structure.
     let scene = board(1.2, 0.12);
     let straight = plan.landing().straight(plan.action.landing());
     let o = rollout_landing(
@@ -316,7 +318,7 @@ fn plans_land_and_do_not_depend_on_threads() {
 
 #[test]
 fn margins_are_flown_for_as_many_as_it_takes_to_know_the_best() {
-    // Without disturbed worlds before it, the best of the margins is what refinement flies.
+    // Without the hardest worlds in between, refinement flies the candidate with the best margin.
     let few = LandingSettings {
         screening: 64,
         candidates: 1,
@@ -334,8 +336,8 @@ fn margins_are_flown_for_as_many_as_it_takes_to_know_the_best() {
     assert!(few.plan.evaluations.jet < all.plan.evaluations.jet, "{:?}", few.plan.evaluations);
 }
 
-/// A brick holds a board that juts out: the board's middle is 0.1 m beyond the edge, the brick's 0.25 m before it. Masses are known within
-/// a factor, which is that of a body's name.
+/// A brick holds an overhanging board: the board's middle is 0.1 m beyond the edge, the brick's 0.25 m before it.
+/// `known_within` gives the uncertainty factor of a body's mass by name.
 fn held_by_a_brick(board_kg: f64, brick_kg: f64, known_within: impl Fn(&str) -> f64) -> Scene {
     let mut scene = board(board_kg, 0.3);
     let top = BASE_TOP + 2.0 * HALF.z;
@@ -350,7 +352,8 @@ fn held_by_a_brick(board_kg: f64, brick_kg: f64, known_within: impl Fn(&str) -> 
     scene
 }
 
-/// The brick is told too heavy and the board too light, so that almost any landing succeeds in the world that was told.
+/// The estimated brick is too heavy and the estimated board too light, so that almost any landing succeeds in the
+/// estimated world.
 #[test]
 fn a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
     let [told, truth] = [(1.0, 2.4), (2.0, 1.0)].map(|(board, brick)| held_by_a_brick(board, brick, |_| 3.0));
@@ -386,17 +389,18 @@ fn a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
             .map(|t| LandingAction::from_values(&t.action).unwrap())
             .collect();
         let also = good.iter().filter(|a| lands(&truth, a)).count();
-        println!("{also} of {} that land in the world told land in the true one", good.len());
+        println!("{also} of {} landings of the estimated world succeed in the true one", good.len());
         assert!(
             good.len() > 20 && 3 * also < 2 * good.len(),
-            "the test would not tell: {also} of {}",
+            "the test does not discriminate: {also} of {}",
             good.len()
         );
         assert!(lands(&truth, &planned.plan.action), "{:?}", planned.plan.action);
     }
 }
 
-/// A brick that is said to be too light holds a board that juts out; it may be heavier, and the board is seen to stand.
+/// The estimated brick is too light to hold the overhanging board. Its interval allows a heavier brick, and the board
+/// stood during the scan.
 #[test]
 fn masses_with_which_the_structure_would_fall_are_not_its_own() {
     let plan = |scene: &Scene, warnings: &Warnings| {
@@ -409,7 +413,7 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
             StageContext::quiet(&Cancel::new(), warnings).with_seed(Seed(1)),
         )
     };
-    // 0.8 kg hold 2 kg.
+    // A brick of 0.8 kg holds a board of 2 kg.
     let mut scene = held_by_a_brick(2.0, 0.4, |name| if name == "brick" { 5.0 } else { 1.05 });
     let warnings = Warnings::new();
     let planned = plan(&scene, &warnings).unwrap();
@@ -423,7 +427,7 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
         let drawn = d.standing_scene(&landing, &RapierFactory, &scene, Seed(5), index).unwrap();
         landing.check_rest(&RapierFactory, &drawn).unwrap();
     }
-    // The same where the brick was fixed: it is freed with a mass with which the board stands.
+    // A fixed brick is freed with a mass that holds the board.
     let mut fixed = scene.clone();
     let brick = &mut fixed.bodies[3];
     let kg_per_m3 = 0.4 / (8.0 * 0.04 * 0.15 * 0.03);
@@ -433,7 +437,7 @@ fn masses_with_which_the_structure_would_fall_are_not_its_own() {
     assert_eq!((freed.bodies.as_slice(), freed.other_masses), (&["brick".to_owned()][..], true));
     assert!(freed.scene.bodies[3].mass.unwrap().mass() > 0.5);
     landing.check_rest(&RapierFactory, &freed.scene).unwrap();
-    // With masses that are known for certain it is falling.
+    // With exact masses the structure falls.
     for body in &mut scene.bodies {
         let m = &mut body.material;
         m.density.value = Interval::exact(m.density.value.best);
@@ -467,21 +471,21 @@ fn what_was_fixed_can_topple_again_where_it_stands() {
     assert!((freed.scene.bodies[2].mass.unwrap().mass() / kg - 1.0).abs() < 1e-9);
     assert_eq!(task().resolve(&freed.scene).unwrap().structure(), ["base", "board"]);
 
-    // Its middle is beyond the edge, and nothing holds it, whatever it weighs: it falls, and that nothing of it could move would be no
-    // reason to land on it.
+    // The board's middle is beyond the edge and nothing holds it: it falls with any mass, so the structure is refused
+    // although it is fixed.
     let falls = task().freed(&RapierFactory, &fixed(board(3.0, 0.3)), &d, Seed(1)).unwrap_err();
     assert!(matches!(falls, LandingError::AlreadyFalling(_)), "{falls}");
     assert!(
         falls.input().unwrap().what.contains("board") && falls.input().unwrap().cure.contains("free = false")
     );
-    // Where so much may happen to it, it stays where it was seen, and its base is free.
+    // With limits that allow this drift, the board stays fixed and its base is free.
     let mut patient = task();
     (patient.success.moved_m, patient.success.turned_rad) = (10.0, std::f64::consts::PI);
     let freed = patient.freed(&RapierFactory, &fixed(board(3.0, 0.3)), &d, Seed(1)).unwrap().unwrap();
     assert_eq!((freed.bodies.as_slice(), freed.scene.bodies[2].kind), (&["base".to_owned()][..], fast));
     assert_eq!(freed.held.iter().map(|d| d.body.as_str()).collect::<Vec<_>>(), ["board"]);
 
-    // What can move anyhow is left alone, and what the task says is fixed.
+    // Movable bodies do not change, and `free = false` keeps bodies fixed.
     assert_eq!(free(&board(3.0, 0.1)), None);
     let kept = LandingTask { free: false, ..task() };
     assert_eq!(kept.freed(&RapierFactory, &scene, &d, Seed(1)).unwrap(), None);
@@ -505,7 +509,7 @@ fn a_plan_on_something_fixed_warns() {
     .unwrap();
     assert!(planned.plan.nominal.is_success() && planned.plan.predicted.is_none());
     assert!(warnings.snapshot().iter().any(|w| w.code == "platform_fixed"));
-    // The plan knows what could move in its world, whatever the scene says.
+    // The plan stores which bodies could move, independently of the scene.
     let mut plan = planned.plan;
     let bare = |s: &Scene| s.without_pictures();
     assert_eq!(bare(&plan.world(&board(3.0, 0.1))), bare(&scene));
